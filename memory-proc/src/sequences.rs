@@ -591,7 +591,7 @@ impl SequenceMemory {
         let unfinished = folder.begin(sequence).map_err(|error| error.to_string())?;
         let path = unfinished.join(EXPERIENCE_FILE);
         let written = serde_json::to_vec(&self.experiences).map_err(|error| error.to_string())?;
-        fs::write(&path, written)
+        durable::write_file(&path, &written)
             .map_err(|error| format!("cannot write {}: {error}", path.display()))?;
         let own = unfinished.join(MEMORY_FOLDER);
         fs::create_dir(&own)
@@ -636,6 +636,6 @@ impl SequenceMemory {
 }
 
 fn read_experiences(snapshot: &Path) -> Result<Vec<Experience>, String> {
-    let text = fs::read(snapshot.join(EXPERIENCE_FILE)).map_err(|error| error.to_string())?;
+    let text = durable::read(&snapshot.join(EXPERIENCE_FILE)).map_err(|error| error.to_string())?;
     serde_json::from_slice(&text).map_err(|error| error.to_string())
 }

@@ -10,12 +10,12 @@ use std::io::ErrorKind;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context, bail};
 use bytemuck::Zeroable;
 use domain::{Pose, Representation};
+use shm_types::clock::{Instant, sleep};
 use shm_types::description::memory_folder;
 use shm_types::message::{
     EXTERNAL, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore,
@@ -118,17 +118,57 @@ pub fn serve(settings: &ServeSettings) -> anyhow::Result<()> {
     die_with_parent(attach.orchestrator_pid)
         .context("cannot tie this process to its orchestrator")?;
     let bus = Bus::join(attach, Role::Memory)?;
-    let mut reporter = ErrorReporter::new(&bus)?;
+    serve_with(settings, &bus, |wake, reporter| open_encoder(settings, wake, reporter))
+}
+
+/// As [`serve`], in the run that `bus` has joined, with the encoder and the known embeddings that `open` returns. The
+/// encoder calls the first argument of `open` when it has embedded an image.
+///
+/// # Errors
+/// As [`serve`].
+pub fn serve_with(
+    settings: &ServeSettings,
+    bus: &Bus,
+    open: impl FnOnce(Wake, &mut ErrorReporter) -> anyhow::Result<(Option<Encoder>, EmbeddingCache)>,
+) -> anyhow::Result<()> {
+    let mut reporter = ErrorReporter::new(bus)?;
     // Receivers first: messages sent while the encoder starts wait in their queues.
-    let ports = Ports::new(&bus)?;
-    let served =
-        MemoryServer::start(settings, &bus, ports, &mut reporter).and_then(MemoryServer::run);
+    let ports = Ports::new(bus)?;
+    let own_notifier = bus.notifier(Role::Memory)?;
+    let wake = move || {
+        if let Err(error) = own_notifier.notify() {
+            tracing::debug!(%error, "an encoder worker cannot wake the loop");
+        }
+    };
+    let served = open(Arc::new(wake), &mut reporter)
+        .and_then(|opened| MemoryServer::start(settings, bus, ports, opened, &mut reporter))
+        .and_then(MemoryServer::run);
     if let Err(error) = &served {
         reporter.report(format_args!("the memory process failed: {error:#}"));
         bus.notifier(Role::Orchestrator)?.notify()?;
-        thread::sleep(LAST_WORDS);
+        sleep(LAST_WORDS);
     }
     served
+}
+
+/// Wakes the serve loop.
+pub type Wake = Arc<dyn Fn() + Send + Sync>;
+
+/// Opens the encoder of `settings`, if there is one, and its known embeddings.
+fn open_encoder(
+    settings: &ServeSettings,
+    wake: Wake,
+    reporter: &mut ErrorReporter,
+) -> anyhow::Result<(Option<Encoder>, EmbeddingCache)> {
+    let Some(chosen) = &settings.encoder else { return Ok((None, EmbeddingCache::in_memory())) };
+    let assets = settings.assets.as_deref();
+    let manifest = assets.map_or_else(EncoderManifest::shipped, EncoderManifest::load)?;
+    let encoder = chosen.prepare(&manifest)?;
+    let embeddings = open_cache(&chosen.cache, encoder.facts(), reporter);
+    // Known embeddings may be all that the run needs.
+    let open =
+        if embeddings.is_empty() { SessionOpening::Eagerly } else { SessionOpening::OnDemand };
+    Ok((Some(encoder.start(open, move || wake())), embeddings))
 }
 
 impl ImageSource for Arc<Frame> {
@@ -251,6 +291,7 @@ impl<'a> MemoryServer<'a> {
         settings: &ServeSettings,
         bus: &'a Bus,
         ports: Ports,
+        (encoder, embeddings): (Option<Encoder>, EmbeddingCache),
         reporter: &'a mut ErrorReporter,
     ) -> anyhow::Result<Self> {
         let documents =
@@ -267,28 +308,6 @@ impl<'a> MemoryServer<'a> {
         if let Some(file) = &settings.elsewhere {
             cases.elsewhere = Some(Elsewhere::read(file, &warehouse, &cases)?);
         }
-        let (encoder, embeddings) = match &settings.encoder {
-            None => (None, EmbeddingCache::in_memory()),
-            Some(chosen) => {
-                let manifest =
-                    assets.map_or_else(EncoderManifest::shipped, EncoderManifest::load)?;
-                let own_notifier = Arc::new(bus.notifier(Role::Memory)?);
-                let encoder = chosen.prepare(&manifest)?;
-                let embeddings = open_cache(&chosen.cache, encoder.facts(), reporter);
-                // Known embeddings may be all that the run needs.
-                let open = if embeddings.is_empty() {
-                    SessionOpening::Eagerly
-                } else {
-                    SessionOpening::OnDemand
-                };
-                let encoder = encoder.start(open, move || {
-                    if let Err(error) = own_notifier.notify() {
-                        tracing::debug!(%error, "an encoder worker cannot wake the loop");
-                    }
-                });
-                (Some(encoder), embeddings)
-            }
-        };
         let attach = bus.attach();
         let room = room_for_views(attach);
         let externals = external_memories(attach, settings.limits, encoder.as_ref())?;
@@ -594,7 +613,7 @@ fn read_description(folder: &Path) -> Result<MemoryDescription, AttachError> {
             Err(AttachError::File { cause, .. })
                 if cause.kind() == ErrorKind::NotFound && Instant::now() < deadline =>
             {
-                thread::sleep(DESCRIPTION_POLL);
+                sleep(DESCRIPTION_POLL);
             }
             outcome => return outcome,
         }

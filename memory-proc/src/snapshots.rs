@@ -3,7 +3,7 @@
 //! A snapshot is written under another name, synced and then renamed, so one that bears its name is complete. It is read
 //! only if its content has the digest that it is named by.
 
-use std::fs::{self, File};
+use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -52,7 +52,7 @@ impl SnapshotFolder {
         let target = folder.join(word(id));
         // One of the same content may be damaged.
         remove(&target)?;
-        done(&target, "create", fs::rename(&unfinished, &target))?;
+        done(&target, "create", durable::rename(&unfinished, &target))?;
         sync(&folder)?;
         let kept = [word(id), word(earlier)];
         for entry in done(&folder, "read", fs::read_dir(&folder))? {
@@ -118,7 +118,7 @@ fn add_folder(
         if kind.is_dir() {
             add_folder(hasher, &path, &format!("{name}/"), sync_files)?;
         } else if kind.is_file() {
-            let content = done(&path, "read", fs::read(&path))?;
+            let content = done(&path, "read", durable::read(&path))?;
             for part in [name.as_bytes(), &content] {
                 hasher.update(&(part.len() as u64).to_le_bytes());
                 hasher.update(part);
@@ -136,7 +136,7 @@ fn add_folder(
 
 /// Waits until a file or the entries of a folder are on disk.
 fn sync(path: &Path) -> Result<(), SnapshotError> {
-    done(path, "sync", File::open(path).and_then(|file| file.sync_all()))
+    done(path, "sync", durable::sync_path(path))
 }
 
 fn remove(path: &Path) -> Result<(), SnapshotError> {

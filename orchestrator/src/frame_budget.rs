@@ -103,7 +103,7 @@ impl Demand {
     }
 
     /// The least number of frames that `lanes` can run with.
-    const fn least(&self, lanes: u32) -> u32 {
+    pub const fn least(&self, lanes: u32) -> u32 {
         lanes * self.per_lane + self.remembered
     }
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
@@ -12,7 +13,7 @@ use results::settings::{ModelSettings, RunSettings};
 use shm_types::message::Role;
 use shm_types::process::shared_memory_space;
 use shm_types::{Attach, FrameControl, FrameSize, RunDir, Wait};
-use supervise::Launch;
+use supervise::{Launch, System};
 
 use crate::external_memory::ExternalMemory;
 use crate::frame_budget::{self, Demand};
@@ -35,6 +36,7 @@ pub fn pipeline_options(
 ) -> Result<PipelineOptions> {
     let step_timeout = Duration::from_secs(settings.step_timeout.into());
     Ok(PipelineOptions {
+        launcher: Arc::new(System),
         launches: launches(settings, memories)?,
         external_policy: settings.policy == PolicyKind::External && settings.policy_cmd.is_none(),
         logs,

@@ -17,15 +17,15 @@ mod supervision;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread;
 use std::time::Duration;
 
 use anyhow::{Result, bail};
 use domain::{ExternalName, MemoryKind};
-use shm_types::Attach;
+use shm_types::{Attach, clock};
 use shm_types::message::{Heartbeat, Role, ShutdownReport};
-use supervise::{Children, Launch};
+use supervise::{Children, Launch, Launcher};
 
 use crate::external_memory::ExternalMemory;
 use crate::lanes::{AnsweredRequest, FinishedEpisode, Lanes, PendingAnswer, Stamps};
@@ -48,6 +48,8 @@ const RESUME: &str = "Finished episodes are kept; the same command resumes the r
 /// How the processes are started, and their time limits.
 #[derive(Debug, Clone)]
 pub struct PipelineOptions {
+    /// Starts them.
+    pub launcher: Arc<dyn Launcher>,
     /// The processes, without the run that they are to attach to.
     pub launches: Vec<Launch>,
     /// Whether the policy is started by someone else, at any time.
@@ -307,7 +309,7 @@ impl PipelineRun<'_, '_> {
             let width = width.map(|width| format!(" with {width} episodes at a time"));
             self.observer.problem(&format!("{why}; starting again{}", width.unwrap_or_default()));
             attach.generation += 1;
-            thread::sleep(Duration::from_millis(100 << failures));
+            clock::sleep(Duration::from_millis(100 << failures));
         }
         Ok((halted, reports))
     }

@@ -3,7 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeMap;
-use std::sync::Once;
+use std::sync::{Arc, Once};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -27,7 +27,7 @@ use shm_types::message::{
     Observation, RequestId, Role, write_text,
 };
 use shm_types::{Attach, Bus, MemoryDescription};
-use supervise::{Children, Launch};
+use supervise::{Children, Launch, System};
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
 const TICK: Duration = Duration::from_millis(20);
@@ -207,6 +207,7 @@ fn run_with_memory(
     let command = format!("/bin/sh -c {}", shlex::try_quote(&script).unwrap());
     let sleeper = Launch::command(Role::Sim, "sleep 300").unwrap();
     let options = PipelineOptions {
+        launcher: Arc::new(System),
         launches: vec![sleeper],
         external_policy: false,
         logs: scratch.base().join("logs"),

@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
@@ -16,7 +17,7 @@ use orchestrator::pipeline::{Ending, Facts, Observer, Participant, PipelineOptio
 use orchestrator::plan::plan;
 use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use shm_types::message::{Decision, MAX_EXTERNAL_MEMORIES, Role};
-use supervise::{Children, Launch};
+use supervise::{Children, Launch, System};
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
 const LANES: u32 = 4;
@@ -96,6 +97,7 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
     let mut lanes = Lanes::new(&warehouse, &cases, rules, LANES as usize);
     // The peers are threads; the process that the pipeline watches only has to live.
     let options = PipelineOptions {
+        launcher: Arc::new(System),
         launches: vec![simulator("exec sleep 300")],
         external_policy: false,
         logs: scratch.base().join("logs"),
@@ -172,6 +174,7 @@ fn run_with_simulator(script: &str) -> (u32, String) {
     let rules = Rules { expert: true, ..RULES };
     let mut lanes = Lanes::new(&warehouse, &cases, rules, 1);
     let options = PipelineOptions {
+        launcher: Arc::new(System),
         launches: vec![simulator(script)],
         external_policy: false,
         logs: scratch.base().join("logs"),

@@ -23,13 +23,13 @@ use std::fmt::Debug;
 use std::fs::File;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
-use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use iceoryx2::node::{Node, NodeBuilder};
 use iceoryx2::prelude::{LogLevel, SignalHandlingMode, set_log_level_from_env_or};
 
 use crate::attach::{Attach, AttachError};
+use crate::clock::{self, Instant};
 use crate::events::{Listener, Notifier};
 use crate::message::{ErrorReport, Handshake, Message, Role, ShutdownReport};
 use crate::ports::{Connect, ReceiverPort, SenderPort, is_private};
@@ -248,7 +248,7 @@ impl<M: Message> Sender<M> {
     fn wait_for_receivers(&self) {
         let deadline = Instant::now() + RECEIVERS_TIMEOUT;
         while !self.is_complete() && Instant::now() < deadline {
-            thread::sleep(Duration::from_millis(1));
+            clock::sleep(Duration::from_millis(1));
         }
         self.port.complete.store(true, Relaxed);
     }
@@ -260,6 +260,7 @@ impl<M: Message> Sender<M> {
 
     /// As [`Sender::send`], without waiting for receivers.
     pub(crate) fn send_now(&self, message: &M) -> Result<(), BusError> {
+        clock::pause();
         delivered(M::SERVICE, self.port.receivers, self.port.sender.send(message))
     }
 }
@@ -309,6 +310,7 @@ impl<M: Message> Receiver<M> {
     /// # Errors
     /// As [`Receiver::next`].
     pub fn next_with<R>(&self, look: impl FnOnce(&M) -> R) -> Result<Option<R>, BusError> {
+        clock::pause();
         let (mut look, mut result) = (Some(look), None);
         self.port.receive(&mut |message| result = look.take().map(|look| look(message)))?;
         Ok(result)

@@ -15,7 +15,7 @@
 //! ([`Bus::join`](crate::Bus::join)), so no message can arrive before there is a listener to notify. A wait may also
 //! return without a notification: it is only a hint to look at the queues.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use iceoryx2::node::Node;
 use iceoryx2::port::listener::{ListenerCreateError, ListenerWaitError};
@@ -23,6 +23,7 @@ use iceoryx2::port::{listener, notifier};
 use iceoryx2::service::port_factory::event::PortFactory;
 
 use crate::attach::Attach;
+use crate::clock::{self, Instant, Waiter};
 use crate::message::Role;
 use crate::transport::{BusError, Ipc, service_name};
 
@@ -33,6 +34,7 @@ const SHORTEST_SLEEP: Duration = Duration::from_millis(1);
 #[derive(Debug)]
 pub struct Listener {
     port: listener::Listener<Ipc>,
+    waiter: Waiter,
     spin: Duration,
 }
 
@@ -40,14 +42,15 @@ impl Listener {
     pub(crate) fn new(
         node: &Node<Ipc>,
         attach: &Attach,
-        (role, index): (Role, u8),
+        waiter: Waiter,
     ) -> Result<Self, BusError> {
-        let port = service(node, attach, (role, index))?.listener_builder().create();
+        let role = waiter.0;
+        let port = service(node, attach, waiter)?.listener_builder().create();
         let port = port.map_err(|error| match error {
             ListenerCreateError::ExceedsMaxSupportedListeners => BusError::Taken { role },
             e => BusError::open(format_args!("cannot listen to events of the {}", role.word()), e),
         })?;
-        Ok(Self { port, spin: Duration::from_micros(attach.wait.spin_us.into()) })
+        Ok(Self { port, waiter, spin: Duration::from_micros(attach.wait.spin_us.into()) })
     }
 
     /// Waits for a notification, about `timeout` at most, and takes all that are pending. Returns whether there was
@@ -70,6 +73,7 @@ impl Listener {
         }
         match timeout.saturating_sub(start.elapsed()) {
             Duration::ZERO => Ok(false),
+            rest if clock::simulated_wait(self.waiter, rest) => self.take(None),
             rest => self.take(Some(rest.max(SHORTEST_SLEEP))),
         }
     }
@@ -91,15 +95,16 @@ impl Listener {
 #[derive(Debug)]
 pub struct Notifier {
     port: notifier::Notifier<Ipc>,
+    of: Waiter,
 }
 
 impl Notifier {
-    pub(crate) fn new(node: &Node<Ipc>, attach: &Attach, of: (Role, u8)) -> Result<Self, BusError> {
+    pub(crate) fn new(node: &Node<Ipc>, attach: &Attach, of: Waiter) -> Result<Self, BusError> {
         let port = service(node, attach, of)?.notifier_builder().create();
         let port = port.map_err(|e| {
             BusError::open(format_args!("cannot create a notifier for the {}", of.0.word()), e)
         })?;
-        Ok(Self { port })
+        Ok(Self { port, of })
     }
 
     /// Wakes the neighbour. Call it once after a batch of messages. Does nothing where there is no such process:
@@ -108,14 +113,17 @@ impl Notifier {
     /// # Errors
     /// When the transport fails.
     pub fn notify(&self) -> Result<(), BusError> {
-        self.port.notify().map(drop).map_err(|e| BusError::transport("notifying", e))
+        clock::pause();
+        self.port.notify().map_err(|e| BusError::transport("notifying", e))?;
+        clock::simulated_notify(self.of);
+        Ok(())
     }
 }
 
 fn service(
     node: &Node<Ipc>,
     attach: &Attach,
-    (of, index): (Role, u8),
+    (of, index): Waiter,
 ) -> Result<PortFactory<Ipc>, BusError> {
     let roles = attach.places(Role::ALL);
     let name = match of {

@@ -1,10 +1,11 @@
 //! Reporting progress to the orchestrator, about once a second.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use bytemuck::Zeroable;
 
 use crate::bus::{Bus, BusError, Sender};
+use crate::clock::Instant;
 use crate::message::{Heartbeat, Role};
 
 /// Minimum time between two heartbeats.

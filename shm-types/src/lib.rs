@@ -6,7 +6,7 @@
 //! - joining a run ([`attach`], [`bus`]), and sleeping until a neighbour has sent something ([`events`]);
 //! - frames, written once and shared by all processes ([`frames`]), and documents ([`documents`]);
 //! - what an external memory is given and supplies ([`banks`], [`notes`]), and its [`description`];
-//! - run folders ([`registry`]) and what a process asks of the operating system ([`process`]);
+//! - run folders ([`registry`]), the clock ([`clock`]) and what a process asks of the operating system ([`process`]);
 //! - what every process reports: its handshake, heartbeats, errors ([`error_reports`]) and spans ([`spans`]).
 //!
 //! iceoryx2 is used here and nowhere else. This crate knows neither the map nor the tasks.
@@ -14,6 +14,7 @@
 pub mod attach;
 pub mod banks;
 pub mod bus;
+pub mod clock;
 pub mod description;
 pub mod documents;
 pub mod error_reports;

@@ -1,4 +1,4 @@
-//! Queries to the operating system: the clock, the parent and other processes, free shared memory.
+//! Queries to the operating system: the parent and other processes, free shared memory.
 
 use std::io;
 use std::os::fd::OwnedFd;
@@ -6,16 +6,11 @@ use std::path::Path;
 
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open};
-use rustix::time::{ClockId, clock_gettime};
+
+pub use crate::clock::monotonic_ns;
 
 /// The file system of shared memory.
 pub const SHARED_MEMORY: &str = "/dev/shm";
-
-/// Nanoseconds of CLOCK_MONOTONIC: one scale over all processes of the machine, never 0.
-pub fn monotonic_ns() -> u64 {
-    let now = clock_gettime(ClockId::Monotonic);
-    (now.tv_sec as u64).wrapping_mul(1_000_000_000).wrapping_add(now.tv_nsec as u64)
-}
 
 /// Makes the kernel kill this process when its parent `parent` ends.
 ///
@@ -114,12 +109,6 @@ fn check_space(needed: u64, free: u64, total: u64) -> Result<(), SharedMemoryErr
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_clock_runs() {
-        let first = monotonic_ns();
-        assert!(first > 0 && monotonic_ns() >= first);
-    }
 
     #[test]
     fn a_process_is_watched_until_it_ends() {

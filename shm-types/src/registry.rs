@@ -11,13 +11,13 @@ use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
-use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use iceoryx2::node::{Node, NodeState};
 use iceoryx2::prelude::{CallbackProgression, Config};
 
 use crate::attach::{Attach, MAX_ROOT_BYTES, prefix};
+use crate::clock::{self, Instant};
 use crate::process::SHARED_MEMORY;
 use crate::transport::{Ipc, run_config};
 
@@ -140,7 +140,7 @@ impl RunDir {
             match self.lock.try_lock() {
                 Ok(()) => return remove_if_dead(&self.path),
                 Err(TryLockError::WouldBlock) if Instant::now() < deadline => {
-                    thread::sleep(Duration::from_millis(5));
+                    clock::sleep(Duration::from_millis(5));
                 }
                 Err(TryLockError::WouldBlock) => return Ok(false),
                 Err(TryLockError::Error(cause)) => {

@@ -54,6 +54,9 @@ pub type FindChanges = Box<dyn FnMut(ViewSpec<'_>) -> VisibleChanges>;
 pub struct RenderSetup {
     /// At least one. Each works on a thread of its own.
     pub workers: Vec<Box<dyn RenderWorker>>,
+    /// Whether the first worker renders on the simulator's own thread instead, and the others not at all: for drills that
+    /// execute all processes one at a time.
+    pub on_serve_thread: bool,
     /// Maximum number of views in a batch of one worker: several where a device renders them faster together.
     pub batch_views: usize,
     /// Which views differ from those of the unchanged world.
@@ -92,16 +95,41 @@ pub(crate) struct RenderedView {
 }
 
 /// Worker threads. When dropped, it waits for them to complete what they have been sent.
-#[derive(Debug)]
 pub(crate) struct RenderPool {
-    requests: Option<Sender<RenderRequest>>,
+    requests: Requests,
     rendered: Receiver<Result<RenderedBatch>>,
     threads: Vec<JoinHandle<()>>,
     capacity: usize,
     in_flight: usize,
 }
 
+/// Where requests go.
+enum Requests {
+    /// To the worker threads; `None` once these have to end.
+    Threads(Option<Sender<RenderRequest>>),
+    /// To a worker on the thread of the caller.
+    Caller(Box<dyn FnMut(RenderRequest)>),
+}
+
 impl RenderPool {
+    /// Renders on the thread that calls [`Self::send`], which then calls `wake`.
+    pub(crate) fn on_caller(mut worker: Box<dyn RenderWorker>, wake: impl Fn() + 'static) -> Self {
+        let (sender, rendered) = unbounded();
+        let render = move |request| {
+            let batch = render_batch(&mut *worker, 0, vec![request]);
+            // The receiver is a field of this pool.
+            let _ = sender.send(batch);
+            wake();
+        };
+        Self {
+            requests: Requests::Caller(Box::new(render)),
+            rendered,
+            threads: Vec::new(),
+            capacity: 1 + WAITING_PER_WORKER,
+            in_flight: 0,
+        }
+    }
+
     /// Starts a thread for each worker. The threads call `wake` whenever [`Self::take`] has something to return.
     pub(crate) fn new(
         workers: Vec<Box<dyn RenderWorker>>,
@@ -125,7 +153,8 @@ impl RenderPool {
             })
         };
         let threads = workers.into_iter().enumerate().map(start).collect();
-        Self { requests: Some(requests), rendered, threads, capacity, in_flight: 0 }
+        let requests = Requests::Threads(Some(requests));
+        Self { requests, rendered, threads, capacity, in_flight: 0 }
     }
 
     /// How many requests may be sent now.
@@ -138,9 +167,14 @@ impl RenderPool {
     /// # Errors
     /// When all workers have ended.
     pub(crate) fn send(&mut self, request: RenderRequest) -> Result<()> {
-        let sent = self.requests.as_ref().and_then(|requests| requests.send(request).ok());
-        sent.context(WORKER_ENDED)?;
         self.in_flight += 1;
+        match &mut self.requests {
+            Requests::Caller(render) => render(request),
+            Requests::Threads(requests) => {
+                let sent = requests.as_ref().and_then(|requests| requests.send(request).ok());
+                sent.context(WORKER_ENDED)?;
+            }
+        }
         Ok(())
     }
 
@@ -162,7 +196,9 @@ impl RenderPool {
 
 impl Drop for RenderPool {
     fn drop(&mut self) {
-        self.requests = None;
+        if let Requests::Threads(requests) = &mut self.requests {
+            *requests = None;
+        }
         for thread in self.threads.drain(..) {
             // A worker that panicked has printed its message.
             let _ = thread.join();

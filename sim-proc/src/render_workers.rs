@@ -115,6 +115,7 @@ impl RenderSetup {
         };
         Ok(Self {
             workers: renderers.into_iter().enumerate().map(worker).collect(),
+            on_serve_thread: false,
             batch_views: if report.backend == Backend::Cpu { 1 } else { GPU_BATCH_VIEWS },
             find_changes: Box::new(move |view| {
                 if view.stock < stocks {

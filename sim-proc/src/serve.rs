@@ -9,13 +9,13 @@
 
 use std::fmt::Display;
 use std::sync::Arc;
-use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use bytemuck::Zeroable;
 use domain::Pose;
 use rustc_hash::FxHashMap;
+use shm_types::clock::{Instant, sleep};
 use shm_types::message::{
     Eviction, Handshake, Heartbeat, NO_ACTION, NO_FRAME, Observation, Role, ShutdownReport,
     StepCommand, StepKind, Stop, View, ViewRequest, ViewRequestKind, WirePose,
@@ -140,15 +140,20 @@ impl<'a> Simulator<'a> {
 
     fn serve_until_stop(
         &mut self,
-        RenderSetup { workers, batch_views, find_changes, facts }: RenderSetup,
+        setup: RenderSetup,
         warm_views: bool,
     ) -> Result<()> {
+        let RenderSetup { mut workers, on_serve_thread, batch_views, find_changes, facts } = setup;
         let notifier = Arc::new(self.bus.notifier(Role::Sim)?);
-        let pool = RenderPool::new(workers, batch_views, move || {
+        let wake = move || {
             if let Err(error) = notifier.notify() {
                 tracing::debug!(%error, "a render worker cannot wake the serve loop");
             }
-        });
+        };
+        let pool = match on_serve_thread {
+            true => RenderPool::on_caller(workers.swap_remove(0), wake),
+            false => RenderPool::new(workers, batch_views, wake),
+        };
         let mut rendering = Rendering { pool, find_changes, same_as: FxHashMap::default() };
         if warm_views {
             self.render_every_view(&mut rendering.pool)?;
@@ -183,7 +188,7 @@ impl<'a> Simulator<'a> {
              --frame-budget or leave --warm-views out"
         );
         while !self.frames.is_complete() {
-            thread::sleep(CONSUMER_POLL);
+            sleep(CONSUMER_POLL);
         }
         tracing::info!(views = needed, "rendering every view");
         views.iter().for_each(|&view| self.views.pin_for_memory(view));
@@ -421,7 +426,7 @@ impl<'a> Simulator<'a> {
         loop {
             match self.frames.loan() {
                 Err(FrameError::NoChunk { .. }) if Instant::now() < deadline => {
-                    thread::sleep(Duration::from_millis(1));
+                    sleep(Duration::from_millis(1));
                 }
                 outcome => return outcome,
             }

@@ -64,6 +64,7 @@ impl RenderWorker for CodeWorker {
 fn setup() -> RenderSetup {
     RenderSetup {
         workers: vec![Box::new(CodeWorker), Box::new(CodeWorker)],
+        on_serve_thread: false,
         batch_views: 3,
         find_changes: Box::new(|ViewSpec { pose, variant, stock }| VisibleChanges {
             stock: stock != 0 && shows_stock(pose),

@@ -2,9 +2,10 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use bytemuck::Zeroable;
+use shm_types::clock::{Instant, sleep};
 use shm_types::message::{FrameId, Handshake, Heartbeat, Role, ShutdownReport, Stop};
 use shm_types::{
     Attach, Bus, BusError, ErrorReporter, Frame, FrameError, FrameStore, Heartbeats, Notifier,
@@ -195,7 +196,7 @@ impl Connection {
             if let Some(next) = run.next(self.bus.attach())? {
                 return Ok(End::NextGeneration(next));
             }
-            thread::sleep(POLL_INTERVAL);
+            sleep(POLL_INTERVAL);
         }
         handshakes.send(&handshake)?;
         self.orchestrator.notify()?;

@@ -6,9 +6,9 @@
 
 use std::io;
 use std::path::{Path, PathBuf};
-use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
+use shm_types::clock::{Instant, sleep};
 use shm_types::message::Role;
 use shm_types::process::{ProcessWatch, die_with_parent, is_parent};
 use shm_types::{ATTACH_VARIABLE, Attach, AttachError, BusError, FactsTooLong};
@@ -172,7 +172,7 @@ impl WatchedRun {
             if Instant::now() > deadline {
                 return Err(error.into());
             }
-            thread::sleep(POLL_INTERVAL);
+            sleep(POLL_INTERVAL);
         }
     }
 }

@@ -7,17 +7,19 @@
 //! file, whose last lines are part of the message when it fails.
 
 use std::ffi::OsString;
+use std::fmt::Debug;
 use std::fs::{self, File};
 use std::io;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 use rustix::io::Errno;
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use shm_types::ATTACH_VARIABLE;
+use shm_types::clock::{Instant, sleep};
 use shm_types::description::memory_folder;
 use shm_types::message::Role;
 
@@ -116,6 +118,40 @@ impl Launch {
     }
 }
 
+/// Starts processes.
+pub trait Launcher: Debug + Send + Sync {
+    /// Starts the process of `launch`, which prints to the file `log`.
+    ///
+    /// # Errors
+    /// When it cannot be started, or its log cannot be opened.
+    fn start(&self, launch: &Launch, log: &Path) -> Result<Box<dyn Process>>;
+}
+
+/// A process that was started.
+pub trait Process: Debug + Send {
+    /// Whether it runs.
+    fn is_alive(&self) -> bool;
+
+    /// Kills it, if it still runs, and everything that it has started, and waits until it has ended. Later calls return the
+    /// same status.
+    ///
+    /// # Errors
+    /// When the system cannot wait for it.
+    fn end(&mut self) -> io::Result<ExitStatus>;
+}
+
+/// Starts processes of the operating system.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct System;
+
+/// A process of the operating system.
+#[derive(Debug)]
+struct SystemProcess {
+    child: Child,
+    /// Its status, once it was waited for. From then on its process id may be another process's.
+    status: Option<ExitStatus>,
+}
+
 /// A child that ended without being asked to.
 #[derive(Debug)]
 pub struct ChildExit {
@@ -176,9 +212,7 @@ struct ChildProcess {
     role: Role,
     index: u8,
     command: Option<String>,
-    child: Child,
-    /// Its status, once it was waited for. From then on its process id may be another process's.
-    status: Option<ExitStatus>,
+    process: Box<dyn Process>,
     log: PathBuf,
     /// Where the output of this process begins in the log.
     log_start: u64,
@@ -190,10 +224,22 @@ impl Children {
     /// # Errors
     /// When one cannot be started or its log cannot be opened; the others are killed.
     pub fn start(launches: &[Launch], logs: &Path) -> Result<Self> {
+        Self::start_with(&System, launches, logs)
+    }
+
+    /// As [`Self::start`], with processes that `launcher` starts.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub fn start_with(
+        launcher: &dyn Launcher,
+        launches: &[Launch],
+        logs: &Path,
+    ) -> Result<Self> {
         fs::create_dir_all(logs).with_context(|| format!("cannot create {}", logs.display()))?;
         let mut children = Self::default();
         for launch in launches {
-            children.processes.push(ChildProcess::start(launch, logs)?);
+            children.processes.push(ChildProcess::start(launcher, launch, logs)?);
         }
         Ok(children)
     }
@@ -232,32 +278,56 @@ impl Children {
     /// Waits at most `timeout` for all children to end, and kills the others.
     pub fn wait_or_kill(self, timeout: Duration) {
         let deadline = Instant::now() + timeout;
-        while Instant::now() < deadline && self.processes.iter().any(ChildProcess::is_alive) {
-            std::thread::sleep(Duration::from_millis(2));
+        while Instant::now() < deadline && self.processes.iter().any(|child| child.process.is_alive()) {
+            sleep(Duration::from_millis(2));
         }
     }
 }
 
 impl Drop for Children {
     fn drop(&mut self) {
-        for process in self.processes.iter_mut().filter(|process| process.status.is_none()) {
-            tracing::debug!(role = process.role.word(), "killing its process group");
-            // Before the wait: until then no other group can have this id. The group may be empty.
-            let _ = kill_process_group(process.group(), Signal::KILL);
-            if let Err(error) = process.child.wait() {
-                tracing::warn!(role = process.role.word(), %error, "cannot wait for the process");
-            }
+        for child in &mut self.processes {
+            tracing::debug!(role = child.role.word(), "ending its process group");
+            child.end();
         }
     }
 }
 
 impl ChildProcess {
-    fn start(launch: &Launch, logs: &Path) -> Result<Self> {
-        let Launch { role, index, program, args, command, env } = launch;
-        let log = logs.join(log_name(*role, *index));
-        let file = File::options().create(true).append(true).open(&log);
+    fn start(launcher: &dyn Launcher, launch: &Launch, logs: &Path) -> Result<Self> {
+        let log = logs.join(log_name(launch.role, launch.index));
+        let log_start = fs::metadata(&log).map_or(0, |metadata| metadata.len());
+        let process = launcher.start(launch, &log)?;
+        let (role, index, command) = (launch.role, launch.index, launch.command.clone());
+        Ok(Self { role, index, command, process, log, log_start })
+    }
+
+    /// Kills it and everything that it has started. Returns its status, if the system knows it.
+    fn end(&mut self) -> Option<ExitStatus> {
+        let status = self.process.end().inspect_err(|error| {
+            tracing::warn!(role = self.role.word(), %error, "cannot wait for the process");
+        });
+        status.ok()
+    }
+
+    fn exit(&mut self) -> Option<ChildExit> {
+        if self.process.is_alive() {
+            return None;
+        }
+        // Also the processes that it started.
+        let status = self.end()?;
+        let log_tail = log_tail(&self.log, self.log_start, self.role).unwrap_or_default();
+        let (log, command) = (self.log.clone(), self.command.clone());
+        let Self { role, index, .. } = *self;
+        Some(ChildExit { role, index, status, log_tail, log, command })
+    }
+}
+
+impl Launcher for System {
+    fn start(&self, launch: &Launch, log: &Path) -> Result<Box<dyn Process>> {
+        let Launch { program, args, env, .. } = launch;
+        let file = File::options().create(true).append(true).open(log);
         let file = file.with_context(|| format!("cannot open {}", log.display()))?;
-        let log_start = file.metadata().map_or(0, |metadata| metadata.len());
         let output = file.try_clone().with_context(|| format!("cannot open {}", log.display()))?;
         let child = Command::new(program)
             .args(args)
@@ -271,16 +341,19 @@ impl ChildProcess {
             let why = launch.not_started(&error);
             anyhow::Error::from(error).context(why)
         })?;
-        let (role, index, command) = (*role, *index, command.clone());
-        Ok(Self { role, index, command, child, status: None, log, log_start })
+        Ok(Box::new(SystemProcess { child, status: None }))
     }
+}
 
+impl SystemProcess {
     /// Its process group, which it leads.
     fn group(&self) -> Pid {
         Pid::from_child(&self.child)
     }
+}
 
-    /// Whether it runs. Does not reap it, so that its process id stays its own.
+impl Process for SystemProcess {
+    /// Does not reap it, so that its process id stays its own.
     fn is_alive(&self) -> bool {
         if self.status.is_some() {
             return false;
@@ -289,25 +362,14 @@ impl ChildProcess {
         matches!(waitid(WaitId::Pid(self.group()), options), Ok(None))
     }
 
-    fn exit(&mut self) -> Option<ChildExit> {
-        if self.is_alive() {
-            return None;
+    fn end(&mut self) -> io::Result<ExitStatus> {
+        if let Some(status) = self.status {
+            return Ok(status);
         }
-        let status = match self.status {
-            Some(status) => status,
-            None => {
-                // Also the processes that it started.
-                let _ = kill_process_group(self.group(), Signal::KILL);
-                let status = self.child.wait().inspect_err(|error| {
-                    tracing::warn!(role = self.role.word(), %error, "cannot wait for the process");
-                });
-                *self.status.insert(status.ok()?)
-            }
-        };
-        let log_tail = log_tail(&self.log, self.log_start, self.role).unwrap_or_default();
-        let (log, command) = (self.log.clone(), self.command.clone());
-        let Self { role, index, .. } = *self;
-        Some(ChildExit { role, index, status, log_tail, log, command })
+        // Before the wait: until then no other group can have this id. The group may be empty.
+        let _ = kill_process_group(self.group(), Signal::KILL);
+        let status = self.child.wait()?;
+        Ok(*self.status.insert(status))
     }
 }
 

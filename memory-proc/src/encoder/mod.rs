@@ -167,17 +167,25 @@ impl PreparedEncoder {
             }
         };
         let workers = (0..threads).map(|worker| std::thread::spawn(work_of(worker))).collect();
-        Encoder { facts, jobs: Some(jobs), results, workers, in_flight: 0 }
+        Encoder { facts, jobs: Jobs::Threads(Some(jobs)), results, workers, in_flight: 0 }
     }
 }
 
 /// A pool of workers that embed images. Dropping it waits for images in progress.
 pub struct Encoder {
     facts: EncoderFacts,
-    jobs: Option<Sender<Job>>,
+    jobs: Jobs,
     results: Receiver<Embedded>,
     workers: Vec<JoinHandle<()>>,
     in_flight: usize,
+}
+
+/// Where images go.
+enum Jobs {
+    /// To the worker threads; `None` once these have to end.
+    Threads(Option<Sender<Job>>),
+    /// To a function on the thread of the caller.
+    Caller(Box<dyn FnMut(Job)>),
 }
 
 const WORKERS_GONE: &str = "the encoder's worker threads have ended";
@@ -186,6 +194,26 @@ const WORKERS_GONE: &str = "the encoder's worker threads have ended";
 const WAITING_PER_WORKER: usize = 1;
 
 impl Encoder {
+    /// An encoder that calls `embed` on the thread that submits an image, and then `wake`: for drills that execute all
+    /// processes one at a time.
+    pub fn on_caller(
+        facts: EncoderFacts,
+        mut embed: impl FnMut(Image<'_>) -> Result<Embedding> + 'static,
+        wake: impl Fn() + 'static,
+    ) -> Self {
+        let (done, results) = unbounded();
+        let work = move |Job { content, image }: Job| {
+            let start = monotonic_ns();
+            let embedding = embed(image.image());
+            let span_ns = start..monotonic_ns();
+            // The receiver is a field of this encoder.
+            let _ = done.send(Embedded { content, embedding, worker: 0, span_ns });
+            wake();
+        };
+        let jobs = Jobs::Caller(Box::new(work));
+        Self { facts, jobs, results, workers: Vec::new(), in_flight: 0 }
+    }
+
     /// Facts about the encoder.
     pub fn facts(&self) -> &EncoderFacts {
         &self.facts
@@ -193,7 +221,7 @@ impl Encoder {
 
     /// Whether [`Self::submit`] would return without waiting.
     pub fn has_room(&self) -> bool {
-        self.in_flight < self.workers.len() * (1 + WAITING_PER_WORKER)
+        self.in_flight < self.facts.threads * (1 + WAITING_PER_WORKER)
     }
 
     /// Images submitted whose results have not been fetched.
@@ -207,9 +235,14 @@ impl Encoder {
     /// When the workers have ended.
     pub fn submit(&mut self, content: ContentHash, image: impl ImageSource) -> Result<()> {
         let job = Job { content, image: Box::new(image) };
-        let sent = self.jobs.as_ref().and_then(|jobs| jobs.send(job).ok());
-        sent.context(WORKERS_GONE)?;
         self.in_flight += 1;
+        match &mut self.jobs {
+            Jobs::Caller(work) => work(job),
+            Jobs::Threads(jobs) => {
+                let sent = jobs.as_ref().and_then(|jobs| jobs.send(job).ok());
+                sent.context(WORKERS_GONE)?;
+            }
+        }
         Ok(())
     }
 
@@ -253,7 +286,9 @@ impl Encoder {
 
 impl Drop for Encoder {
     fn drop(&mut self) {
-        self.jobs = None;
+        if let Jobs::Threads(jobs) = &mut self.jobs {
+            *jobs = None;
+        }
         for worker in self.workers.drain(..) {
             // A worker that panicked has printed its panic already.
             let _ = worker.join();

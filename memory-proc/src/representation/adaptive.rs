@@ -36,7 +36,6 @@
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
-use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -451,14 +450,14 @@ impl Memory for Adaptive {
                 let files = [(STATE_FILE, state), (VIEWS_FILE, views)];
                 let mut files = files.into_iter();
                 files
-                    .try_for_each(|(name, bytes)| fs::write(folder.join(name), bytes))
+                    .try_for_each(|(name, bytes)| durable::write_file(&folder.join(name), &bytes))
                     .map_err(|error| error.to_string())
             });
         written.map_err(MemoryError::new)
     }
 
     fn load(&mut self, folder: &Path) -> Result<(), MemoryError> {
-        let read = |name| fs::read(folder.join(name)).map_err(MemoryError::new);
+        let read = |name| durable::read(&folder.join(name)).map_err(MemoryError::new);
         let state: State = serde_json::from_slice(&read(STATE_FILE)?).map_err(MemoryError::new)?;
         let views = read(VIEWS_FILE)?;
         let (views, []) = views.as_chunks() else {

@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
-use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use bytemuck::Zeroable;
 use domain::{ExternalName, MemoryKind};
+use shm_types::clock::{Instant, sleep};
 use shm_types::message::{
     Decision, ErrorReport, Handshake, Heartbeat, MemoryEpisodeConfig, Observation,
     PolicyEpisodeConfig, RecallTrace, Role, ShutdownReport, SnapshotReport, StepCommand, Stop,
@@ -212,7 +212,7 @@ impl Generation {
         if let Failure::Fatal(_) = failure {
             return failure;
         }
-        thread::sleep(TICK);
+        sleep(TICK);
         self.exited(options).unwrap_or(failure)
     }
 }

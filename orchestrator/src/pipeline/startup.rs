@@ -5,10 +5,10 @@ use std::fs;
 use std::io;
 use std::os::unix::process::ExitStatusExt;
 use std::sync::atomic::Ordering;
-use std::time::Instant;
 
 use anyhow::{Context, bail};
 use domain::ExternalName;
+use shm_types::clock::Instant;
 use shm_types::description::{DESCRIPTION_FILE, memory_folder};
 use shm_types::message::{Handshake, Role, WIRE_VERSION, read_text};
 use shm_types::process::{ProcessWatch, monotonic_ns};
@@ -209,7 +209,7 @@ fn start_processes(
 ) -> Result<Children, Failure> {
     let all = run.options.launches.iter().cloned().chain(launches);
     let launches: Vec<Launch> = all.map(|launch| launch.attached_to(&attach.root)).collect();
-    let mut children = Children::start(&launches, &run.options.logs)?;
+    let mut children = Children::start_with(&*run.options.launcher, &launches, &run.options.logs)?;
     children.adopt(std::mem::take(&mut run.started));
     Ok(children)
 }

@@ -2,9 +2,9 @@
 
 use std::io;
 use std::path::Path;
-use std::thread;
 use std::time::Duration;
 
+use shm_types::clock::sleep;
 use shm_types::description::run_of_memory_folder;
 use shm_types::message::Role;
 use shm_types::{Attach, AttachError, Bus, BusError, MemoryDescription, registry};
@@ -50,7 +50,7 @@ fn wait_for_run(folder: &Path) -> Result<(), ServeError> {
         match Attach::read(folder) {
             Ok(_) => return Ok(()),
             Err(AttachError::File { .. }) if registry::is_alive(folder) => {
-                thread::sleep(POLL_INTERVAL);
+                sleep(POLL_INTERVAL);
             }
             Err(AttachError::File { .. }) => return Err(ServeError::NotARun(folder.to_owned())),
             Err(error) => return Err(BusError::from(error).into()),

@@ -1,7 +1,7 @@
 //! An append-only file of JSON lines that survives a kill at any moment, and damage to any line.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::io::{self, Read, Seek, SeekFrom};
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 use std::thread::{self, JoinHandle};
@@ -62,7 +62,7 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
     ) -> Result<(Self, JournalContents<T>), LogError> {
         let options = OpenOptions::new().create(true).append(true).clone();
         let mut file = options.open(path).map_err(system("open", path))?;
-        let text = fs::read(path).map_err(system("read", path))?;
+        let text = durable::read(path).map_err(system("read", path))?;
         let contents = parse(path, &text, check);
         if !contents.damaged.is_empty() {
             set_aside(path, &text, &contents.damaged)?;
@@ -84,7 +84,7 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
             .map_err(|error| system("write to", &self.path)(io::Error::other(error)))?;
         line.push(b'\n');
         // One write: a kill leaves a line whole, absent or torn, never mixed with another.
-        self.file.write_all(&line).map_err(system("write to", &self.path))
+        durable::write(&mut self.file, &self.path, &line).map_err(system("write to", &self.path))
     }
 
     /// Returns when everything added so far is on the disk.
@@ -92,7 +92,7 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
     /// # Errors
     /// When an operation of the system fails.
     pub fn sync(&mut self) -> Result<(), LogError> {
-        self.file.sync_data().map_err(system("flush", &self.path))
+        durable::sync(&self.file, &self.path).map_err(system("flush", &self.path))
     }
 
     /// Starts writing everything added so far to the disk, and does not wait for it: a thread of the journal flushes as
@@ -102,6 +102,7 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
     /// # Errors
     /// When the system refused an earlier flush, or another thread.
     pub fn sync_soon(&mut self) -> Result<(), LogError> {
+        durable::check_sync(&self.path).map_err(system("flush", &self.path))?;
         let flusher = match self.flusher.take() {
             Some(flusher) => flusher,
             None => Flusher::start(&self.file).map_err(system("flush", &self.path))?,
@@ -264,14 +265,13 @@ fn set_aside(path: &Path, text: &[u8], damaged: &[DamagedLine]) -> Result<(), Lo
     let draft = path.with_extension("jsonl.new");
     let write = || {
         let mut file = OpenOptions::new().create(true).append(true).open(&aside)?;
-        file.write_all(&damaged.iter().flat_map(|line| line.text.clone()).collect::<Vec<u8>>())?;
-        file.sync_all()?;
-        let mut kept = File::create(&draft)?;
+        let lines: Vec<u8> = damaged.iter().flat_map(|line| line.text.clone()).collect();
+        durable::write(&mut file, &aside, &lines)?;
+        durable::sync_path(&aside)?;
         let lines = (1..).zip(whole_lines(text).split_inclusive(|&byte| byte == b'\n'));
         let sound = lines.filter(|(number, _)| damaged.iter().all(|line| line.line != *number));
-        kept.write_all(&sound.flat_map(|(_, line)| line).copied().collect::<Vec<u8>>())?;
-        kept.sync_all()?;
-        fs::rename(&draft, path)
+        let kept: Vec<u8> = sound.flat_map(|(_, line)| line).copied().collect();
+        durable::replace(path, &draft, &kept)
     };
     write().map_err(system("set damaged lines aside in", &aside))
 }

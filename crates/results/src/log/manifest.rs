@@ -2,8 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::fs;
-use std::io::Write;
 use std::path::Path;
 
 use domain::ExternalName;
@@ -136,9 +134,9 @@ impl Manifest {
     /// When it is missing or cannot be understood.
     pub fn read(dir: &Path) -> Result<Self, LogError> {
         let path = dir.join(MANIFEST_FILE);
-        let text = fs::read_to_string(&path).map_err(system("read", &path))?;
+        let text = durable::read(&path).map_err(system("read", &path))?;
         let broken = |problem: String| LogError::BrokenManifest { path: path.clone(), problem };
-        let value: Value = serde_json::from_str(&text).map_err(|e| broken(e.to_string()))?;
+        let value: Value = serde_json::from_slice(&text).map_err(|e| broken(e.to_string()))?;
         // The format comes first: a manifest of another format may have other fields.
         match value.get("format").and_then(Value::as_u64) {
             Some(format) if format == u64::from(FORMAT) => {}
@@ -158,12 +156,10 @@ impl Manifest {
         let path = dir.join(MANIFEST_FILE);
         let draft = dir.join(format!("{MANIFEST_FILE}.new"));
         let write = || {
-            let mut file = fs::File::create(&draft)?;
-            serde_json::to_writer_pretty(&mut file, self)?;
-            file.write_all(b"\n")?;
-            file.sync_all()?;
-            fs::rename(&draft, &path)?;
-            fs::File::open(dir)?.sync_all()
+            let mut text = serde_json::to_vec_pretty(self)?;
+            text.push(b'\n');
+            durable::replace(&path, &draft, &text)?;
+            durable::sync_path(dir)
         };
         write().map_err(system("write", &path))
     }

@@ -1,0 +1,143 @@
+//! The faults of a trial, drawn from its seed.
+
+use durable::Operation;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use shm_types::message::Role;
+
+/// Faults of one trial, at most.
+const MOST_FAULTS: u64 = 6;
+
+/// The stream of the generator that faults are drawn from; the scheduler draws from another.
+const STREAM: u64 = 1;
+
+/// A process of the run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Process {
+    Orchestrator,
+    Child(Role),
+}
+
+/// A fault and its moment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Fault {
+    /// After so many points of the scheduler; for one of the disk, operations on files.
+    pub(crate) at: u64,
+    pub(crate) trouble: Trouble,
+}
+
+/// What happens.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Trouble {
+    /// A process dies.
+    Death(Process),
+    /// A process does nothing for so many milliseconds.
+    Stall(Process, u64),
+    /// The clock jumps forward by so many milliseconds.
+    Jump(u64),
+    /// An operation on a file goes wrong.
+    Disk(Damage),
+    /// When a session of the run has died, the last line of a journal is lost or torn.
+    PowerLoss,
+}
+
+/// What goes wrong with an operation on a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Damage {
+    /// The disk is full in the middle of a write.
+    Full,
+    /// The system reports an input/output error.
+    Broken,
+    /// The process dies in the middle of a write.
+    TornByDeath,
+    /// A read returns few bytes at a time.
+    ShortReads,
+}
+
+impl Damage {
+    pub(crate) fn concerns(self, operation: Operation) -> bool {
+        match (self, operation) {
+            (Self::Full | Self::TornByDeath, Operation::Write(_)) => true,
+            (Self::ShortReads, Operation::Read) | (Self::Broken, _) => true,
+            (Self::Full | Self::TornByDeath | Self::ShortReads, _) => false,
+        }
+    }
+
+    pub(crate) fn class(self) -> &'static str {
+        match self {
+            Self::Full => "disk full (ENOSPC)",
+            Self::Broken => "input/output error (EIO)",
+            Self::TornByDeath => "death in the middle of a write",
+            Self::ShortReads => "short reads",
+        }
+    }
+}
+
+impl Trouble {
+    pub(crate) fn class(self) -> &'static str {
+        match self {
+            Self::Death(Process::Orchestrator) => "death of the orchestrator",
+            Self::Death(Process::Child(_)) => "death of another process",
+            Self::Stall(..) => "stall of a process",
+            Self::Jump(_) => "clock jump",
+            Self::Disk(damage) => damage.class(),
+            Self::PowerLoss => "power loss",
+        }
+    }
+}
+
+/// What a seed decides beside the order of events.
+pub(crate) struct Plan {
+    /// The number of the scenario, below the number that there are.
+    pub(crate) scenario: usize,
+    pub(crate) lanes: u32,
+    /// Frames beyond the least that the run needs.
+    pub(crate) spare_frames: u32,
+    /// Of 1,024 points, how many let the scheduler pick another process.
+    pub(crate) preemption: u32,
+    /// Whether processes spin before they wait.
+    pub(crate) faults: Vec<Fault>,
+}
+
+impl Plan {
+    /// The plan of `seed` for one of `scenarios`. `usual` are the points and the operations on files of an undisturbed run
+    /// of each.
+    pub(crate) fn draw(seed: u64, usual: &[(u64, u64)]) -> Self {
+        let mut draws = ChaCha8Rng::seed_from_u64(seed);
+        draws.set_stream(STREAM);
+        let mut below = |limit: u64| draws.next_u64() % limit;
+        let scenario = below(usual.len() as u64) as usize;
+        let (steps, operations) = usual[scenario];
+        let lanes = 1 + below(4) as u32;
+        let spare_frames = [0, 1, 4, 64][below(4) as usize];
+        let preemption = [2, 16, 128, 1024][below(4) as usize];
+        let mut faults = Vec::new();
+        for _ in 0..below(MOST_FAULTS + 1) {
+            let process = |draw| match draw {
+                0 => Process::Orchestrator,
+                1 => Process::Child(Role::Sim),
+                2 => Process::Child(Role::Memory),
+                _ => Process::Child(Role::Policy),
+            };
+            let trouble = match below(12) {
+                0..3 => Trouble::Death(process(below(4))),
+                3 | 4 => Trouble::Stall(process(below(4)), 1 << below(18)),
+                5 => Trouble::Jump(1 << below(20)),
+                6 => Trouble::PowerLoss,
+                7 | 8 => Trouble::Disk(Damage::TornByDeath),
+                9 => Trouble::Disk(Damage::Full),
+                10 => Trouble::Disk(Damage::Broken),
+                _ => Trouble::Disk(Damage::ShortReads),
+            };
+            let most = if matches!(trouble, Trouble::Disk(_)) { operations } else { steps };
+            faults.push(Fault { at: 1 + below(most + most / 3), trouble });
+            if trouble == Trouble::PowerLoss {
+                // It takes effect when the session has died.
+                let at = 1 + below(steps);
+                faults.push(Fault { at, trouble: Trouble::Death(Process::Orchestrator) });
+            }
+        }
+        faults.sort_by_key(|fault| fault.at);
+        Self { scenario, lanes, spare_frames, preemption, faults }
+    }
+}

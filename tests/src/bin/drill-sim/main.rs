@@ -1,0 +1,256 @@
+//! `drill-sim`: runs in which everything goes wrong, executed in one program, each exactly repeatable from its seed.
+//!
+//! Orchestrator, simulator, memory and policy are the real ones and exchange messages through iceoryx2. A scheduler
+//! executes them one at a time, in an order drawn from the seed and with a virtual clock (`scheduler`). The seed also draws
+//! faults: deaths, stalls, clock jumps, disks that are full or broken, writes that are torn (`faults`). The run is resumed
+//! until it ends. Then its log has to equal that of an undisturbed run, line by line, and nothing may be left open
+//! (`trial`). Faults of a seed that fails are removed one by one while it still fails.
+//!
+//! Pixels, embeddings and decisions come from stand-ins that cost nothing (`roles`), in small worlds (`scenario`).
+
+mod faults;
+mod roles;
+mod scenario;
+mod scheduler;
+mod trial;
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, ensure};
+use clap::{Parser, ValueEnum};
+
+use crate::faults::Plan;
+use crate::scenario::Scenario;
+use crate::scheduler::Hooks;
+use crate::trial::{Outcome, Place, execute};
+
+/// How long one trial may take in real time: a process that blocks without the scheduler's knowledge is a bug, too.
+const REAL_LIMIT: Duration = Duration::from_secs(120);
+
+/// Simulated runs with deaths, stalls, clock jumps and failing disks
+#[derive(Debug, Parser)]
+struct Arguments {
+    /// Number of seeds
+    #[arg(long, value_name = "N", default_value_t = 100)]
+    seeds: u64,
+    /// The first seed
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    first_seed: u64,
+    /// Run this seed alone, and print the faults that came
+    #[arg(long, value_name = "K")]
+    seed: Option<u64>,
+    /// Stop after so many minutes
+    #[arg(long, value_name = "M")]
+    minutes: Option<f64>,
+    /// Write a summary as JSON
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Plant a defect, which has to be found
+    #[arg(long, value_name = "DEFECT")]
+    plant: Option<Plant>,
+}
+
+/// A defect that is planted to see whether it is found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Plant {
+    /// The log lacks an episode.
+    LostLine,
+    /// The log has an episode twice.
+    DoubledLine,
+    /// A process leaves a file open.
+    LeftOpen,
+    /// Decisions depend on the clock.
+    OtherDecisions,
+}
+
+/// Sums over all trials.
+#[derive(Default)]
+struct Totals {
+    seeds: u64,
+    sessions: u64,
+    steps: u64,
+    virtual_ns: u64,
+    faults: BTreeMap<&'static str, u64>,
+    violations: Vec<String>,
+}
+
+fn main() -> ExitCode {
+    program::run("drill-sim", || {
+        let found = run(&Arguments::parse())?;
+        Ok(if found == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    })
+}
+
+/// Runs the trials; returns how many failed.
+fn run(arguments: &Arguments) -> Result<usize> {
+    ensure!(shm_types::clock::simulate(Box::new(Hooks)), "a simulation runs already");
+    ensure!(durable::inject(Box::new(Hooks)), "faults are injected already");
+    // Panics are caught, and are violations.
+    std::panic::set_hook(Box::new(|_| {}));
+    let files = tempfile::Builder::new().prefix("drill").tempdir_in("/dev/shm").context("/dev/shm")?;
+    let registry = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").context("/tmp")?;
+    let place = Place { folder: files.path().to_owned(), registry: registry.path().join("r") };
+    std::os::unix::fs::DirBuilderExt::mode(&mut std::fs::DirBuilder::new(), 0o700)
+        .create(&place.registry)?;
+    let scenarios = Scenario::all(files.path())?;
+    let current = watch_real_time();
+
+    let (mut usual, mut expected) = (Vec::new(), Vec::new());
+    for scenario in &scenarios {
+        let undisturbed =
+            Plan { scenario: 0, lanes: 2, spare_frames: 64, preemption: 0, faults: Vec::new() };
+        // The first execution also opens what stays open, such as the log of iceoryx2.
+        let first = execute(scenario, &undisturbed, (0, None), &place, None)?;
+        let outcome = execute(scenario, &undisturbed, (0, None), &place, Some(&first.log))?;
+        ensure!(
+            outcome.violations.is_empty() && outcome.log.len() == scenario.episodes.len(),
+            "the undisturbed run of {} fails: {}",
+            scenario.name,
+            outcome.violations.join("\n")
+        );
+        ensure!(outcome.account.digest == first.account.digest, "{}: not repeatable", scenario.name);
+        eprintln!(
+            "{}: {} episodes, {} points, {} operations on files, {:.1} s of virtual time",
+            scenario.name,
+            outcome.log.len(),
+            outcome.account.steps,
+            outcome.account.operations,
+            outcome.account.virtual_ns as f64 / 1e9
+        );
+        usual.push((outcome.account.steps, outcome.account.operations));
+        expected.push(outcome.log);
+    }
+
+    let begun = Instant::now();
+    let mut totals = Totals::default();
+    let seeds = match arguments.seed {
+        Some(seed) => seed..seed + 1,
+        None => arguments.first_seed..arguments.first_seed + arguments.seeds,
+    };
+    let mut shown = Instant::now();
+    for seed in seeds {
+        let minutes = begun.elapsed().as_secs_f64() / 60.0;
+        if arguments.minutes.is_some_and(|most| minutes >= most) {
+            break;
+        }
+        current.store(seed, Ordering::Relaxed);
+        let plan = Plan::draw(seed, &usual);
+        let scenario = &scenarios[plan.scenario];
+        let trial = |plan: &Plan| {
+            let expected = &expected[plan.scenario];
+            execute(scenario, plan, (seed, arguments.plant), &place, Some(expected))
+        };
+        let outcome = trial(&plan).with_context(|| format!("seed {seed}"))?;
+        totals.add(&outcome);
+        if arguments.seed.is_some() {
+            describe(&plan, scenario, &outcome);
+        }
+        if !outcome.violations.is_empty() {
+            let (plan, outcome) = minimise(plan, outcome, trial)?;
+            eprintln!("seed {seed} fails:");
+            describe(&plan, scenario, &outcome);
+            let violations = outcome.violations.join("; ");
+            let trace = outcome.account.trace.join(", ");
+            totals.violations.push(format!("seed {seed} ({}): {violations} [{trace}]", scenario.name));
+        }
+        if shown.elapsed() > Duration::from_secs(10) {
+            shown = Instant::now();
+            let (done, failed) = (totals.seeds, totals.violations.len());
+            eprintln!("{done} seeds, {failed} violations, {:.0} s", begun.elapsed().as_secs_f64());
+        }
+    }
+    current.store(u64::MAX, Ordering::Relaxed);
+    let summary = totals.summary(begun.elapsed());
+    eprintln!("{summary:#}");
+    if let Some(file) = &arguments.json {
+        std::fs::write(file, format!("{summary:#}\n"))
+            .with_context(|| format!("cannot write {}", file.display()))?;
+    }
+    Ok(totals.violations.len())
+}
+
+/// Removes faults one by one while the trial still fails.
+fn minimise(
+    mut plan: Plan,
+    mut outcome: Outcome,
+    trial: impl Fn(&Plan) -> Result<Outcome>,
+) -> Result<(Plan, Outcome)> {
+    let mut at = 0;
+    while at < plan.faults.len() {
+        let removed = plan.faults.remove(at);
+        let without = trial(&plan)?;
+        if without.violations.is_empty() {
+            plan.faults.insert(at, removed);
+            at += 1;
+        } else {
+            outcome = without;
+        }
+    }
+    Ok((plan, outcome))
+}
+
+fn describe(plan: &Plan, scenario: &Scenario, outcome: &Outcome) {
+    eprintln!(
+        "  {}, {} lanes, {} spare frames, {} of 1024 points preempted, {} sessions, digest {:016x}",
+        scenario.name, plan.lanes, plan.spare_frames, plan.preemption, outcome.sessions, outcome.account.digest
+    );
+    plan.faults.iter().for_each(|fault| eprintln!("  planned: {fault:?}"));
+    outcome.account.trace.iter().for_each(|line| eprintln!("  {line}"));
+    outcome.violations.iter().for_each(|line| eprintln!("  VIOLATION: {line}"));
+}
+
+impl Totals {
+    fn add(&mut self, outcome: &Outcome) {
+        self.seeds += 1;
+        self.sessions += outcome.sessions as u64;
+        self.steps += outcome.account.steps;
+        self.virtual_ns += outcome.account.virtual_ns;
+        for (class, count) in &outcome.account.fired {
+            *self.faults.entry(class).or_default() += count;
+        }
+    }
+
+    fn summary(&self, real: Duration) -> serde_json::Value {
+        let round = |seconds: f64| (seconds * 10.0).round() / 10.0;
+        let command: Vec<String> = std::env::args().skip(1).collect();
+        serde_json::json!({
+            "title": "Simulation",
+            "command": format!("drill-sim {}", command.join(" ")),
+            "faults": self.faults,
+            "figures": {
+                "seeds": self.seeds,
+                "sessions": self.sessions,
+                "scheduling points": self.steps,
+                "virtual seconds": round(self.virtual_ns as f64 / 1e9),
+                "real seconds": round(real.as_secs_f64()),
+            },
+            "violations": self.violations,
+        })
+    }
+}
+
+/// Ends the program when one trial takes too long in real time. Returns the seed to watch; `u64::MAX` is none.
+fn watch_real_time() -> Arc<AtomicU64> {
+    let current = Arc::new(AtomicU64::new(u64::MAX));
+    let watched = current.clone();
+    thread::spawn(move || {
+        let mut since = (u64::MAX, Instant::now());
+        loop {
+            thread::sleep(Duration::from_secs(1));
+            let seed = watched.load(Ordering::Relaxed);
+            if seed != since.0 || seed == u64::MAX {
+                since = (seed, Instant::now());
+            } else if since.1.elapsed() > REAL_LIMIT {
+                eprintln!("seed {seed} blocks: no end after {} s", REAL_LIMIT.as_secs());
+                std::process::exit(3);
+            }
+        }
+    });
+    current
+}

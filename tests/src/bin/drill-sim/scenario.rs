@@ -1,0 +1,149 @@
+//! Small runs: a warehouse of 12 x 12 cells, few cases, episodes of few steps.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use orchestrator::plan::PlannedEpisode;
+use orchestrator::selection::SelectedCases;
+use orchestrator::settings::{Layer, resolve};
+use orchestrator::streams::STREAMS_HASH;
+use results::log::{FORMAT, Manifest};
+use results::settings::RunSettings;
+use shm_types::message::WIRE_VERSION;
+use sim_proc::worlds::Worlds;
+use warehouse::case_file::CASES_FILE;
+use warehouse::{CATALOGUE_FILE, CaseSet, GeneratedWorld, LAYOUT_FILE};
+
+/// The seed of the warehouse.
+const WORLD_SEED: u64 = 3;
+
+/// Cells of the warehouse, along each side.
+const SIDE: usize = 12;
+
+const COMMON: &str = r#"
+cases = ["all"]
+runs = 1
+window = [3]
+horizon = 3
+keyframes = 8
+max-steps = 7
+frame-size = 64
+encoder = "dinov2-s14"
+"#;
+
+/// Name and suite of each.
+const SUITES: [(&str, &str); 3] = [
+    (
+        "paper",
+        r#"
+memory = ["working", "full-context", "episodic"]
+starts = ["original", "new"]
+routes = ["unchanged"]
+demos = ["original"]
+limit = 2
+"#,
+    ),
+    (
+        "blocked",
+        r#"
+memory = ["episodic"]
+starts = ["new"]
+routes = ["blocked"]
+demos = ["original", "4"]
+limit = 3
+"#,
+    ),
+    (
+        "stream",
+        r#"
+memory = ["episodic", "adaptive"]
+arms = ["frozen", "learning"]
+starts = ["new"]
+routes = ["unchanged"]
+demos = ["original"]
+
+[stream]
+streams = 1
+blocks = 2
+cases-per-block = 1
+events = ["close"]
+rounds = 2
+orders = ["drawn"]
+feedback = "success"
+evaluate = false
+"#,
+    ),
+];
+
+/// A run that trials execute.
+pub(crate) struct Scenario {
+    pub(crate) name: &'static str,
+    pub(crate) settings: RunSettings,
+    pub(crate) selected: SelectedCases,
+    pub(crate) episodes: Vec<PlannedEpisode>,
+    pub(crate) worlds: Worlds,
+    pub(crate) assets: PathBuf,
+}
+
+impl Scenario {
+    /// All scenarios, with their files in `folder`.
+    pub(crate) fn all(folder: &Path) -> Result<Vec<Self>> {
+        let assets = folder.join("assets");
+        fs::create_dir_all(&assets)?;
+        let world = GeneratedWorld::generate(WORLD_SEED, SIDE, SIDE, None)?;
+        let cases = CaseSet::generate(&world.warehouse, WORLD_SEED, 10)?;
+        let texts = [world.layout, world.catalogue, cases.to_toml(&world.warehouse.catalogue)];
+        for (file, text) in [LAYOUT_FILE, CATALOGUE_FILE, CASES_FILE].into_iter().zip(texts) {
+            fs::write(assets.join(file), text)?;
+        }
+        SUITES.iter().map(|(name, suite)| Self::new(name, suite, folder, &assets)).collect()
+    }
+
+    fn new(name: &'static str, suite: &str, folder: &Path, assets: &Path) -> Result<Self> {
+        let file = folder.join(format!("{name}.toml"));
+        fs::write(&file, format!("{COMMON}{suite}"))?;
+        let text = |path: &Path| path.display().to_string();
+        let flags = [
+            ("suite", text(&file)),
+            ("policy", "random".to_owned()),
+            ("assets", text(assets)),
+            ("out", text(&folder.join("run"))),
+            ("step-timeout", "30".to_owned()),
+            ("start-timeout", "60".to_owned()),
+        ];
+        let layer = Layer::flags(flags.iter().map(|(key, value)| (*key, &**value)))?;
+        let settings = resolve([layer]).context(name)?.settings;
+        let selected = SelectedCases::of(&settings).context(name)?;
+        let episodes = selected.with_episodes(&settings, |episodes| episodes.collect());
+        let states = match &selected.streams {
+            Some(streams) => streams.set.states(&selected.world.warehouse)?,
+            None => Vec::new(),
+        };
+        let world = &selected.world;
+        let worlds = Worlds::new(&world.warehouse, &world.cases, states);
+        Ok(Self { name, settings, selected, episodes, worlds, assets: assets.to_owned() })
+    }
+
+    /// The run's manifest.
+    pub(crate) fn manifest(&self) -> Manifest {
+        let mut hashes = self.selected.world.hashes.clone();
+        let streams = self.selected.streams.iter();
+        hashes.extend(streams.map(|streams| (STREAMS_HASH.to_owned(), streams.hash())));
+        Manifest {
+            format: FORMAT,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            wire_version: WIRE_VERSION,
+            commit: None,
+            settings: self.settings.clone(),
+            hashes,
+            documents: BTreeMap::new(),
+            memories: BTreeMap::new(),
+            prices: None,
+            episodes: self.episodes.len() as u32,
+            unit: None,
+            processes: BTreeMap::new(),
+        }
+    }
+}

@@ -1,0 +1,289 @@
+//! One trial: a run among the faults of a seed, resumed until it ends, and what has to be true afterwards.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use orchestrator::budget::Budget;
+use orchestrator::frame_budget::Demand;
+use orchestrator::lanes::Lanes;
+use orchestrator::launch;
+use orchestrator::monitor::Monitor;
+use orchestrator::pipeline::{Ending, PipelineOptions, run_episodes};
+use orchestrator::progress::Progress;
+use orchestrator::session::RunSession;
+use orchestrator::status::EpisodeCounts;
+use orchestrator::streams::Remaining;
+use results::log::{Opened, RunFolder, RunLog};
+use results::settings::RunSettings;
+use shm_types::RunDir;
+use shm_types::message::Role;
+use supervise::{Children, Launch};
+
+use crate::Plant;
+use crate::faults::Plan;
+use crate::roles::{Files, InProcess};
+use crate::scenario::Scenario;
+use crate::scheduler::{Account, Ended, Scheduler};
+
+/// Points of the scheduler after which a trial counts as hanging.
+const MOST_STEPS: u64 = 3_000_000;
+
+/// Sessions after which a run counts as one that never ends.
+const MOST_SESSIONS: usize = 24;
+
+/// Where trials keep their files.
+pub(crate) struct Place {
+    /// Run folders.
+    pub(crate) folder: PathBuf,
+    /// The registry of runs; its path is short.
+    pub(crate) registry: PathBuf,
+}
+
+/// What came of a trial.
+pub(crate) struct Outcome {
+    pub(crate) violations: Vec<String>,
+    pub(crate) account: Account,
+    pub(crate) sessions: usize,
+    /// The lines of the episode log, sorted.
+    pub(crate) log: Vec<String>,
+}
+
+/// How a session ended.
+enum SessionEnd {
+    /// All episodes are in the log.
+    Complete,
+    /// Some are missing, for these reasons.
+    Incomplete(String),
+}
+
+/// Executes the run of `plan`. `expected` is the log of the undisturbed run.
+pub(crate) fn execute(
+    scenario: &Scenario,
+    plan: &Plan,
+    (seed, plant): (u64, Option<Plant>),
+    place: &Place,
+    expected: Option<&[String]>,
+) -> Result<Outcome> {
+    let out = place.folder.join("run");
+    if out.exists() {
+        fs::remove_dir_all(&out)?;
+    }
+    let scheduler = Scheduler::new(seed, plan.preemption, plan.faults.clone(), MOST_STEPS);
+    let settings = RunSettings { out: out.clone(), lanes: plan.lanes, ..scenario.settings.clone() };
+    let mut violations = Vec::new();
+    let mut sessions = 0;
+    let mut is_complete = false;
+    while !is_complete && sessions < MOST_SESSIONS && violations.is_empty() {
+        sessions += 1;
+        let before = (Resources::now()?, scheduler.account());
+        let (ended, left) = scheduler.execute(|| session(scenario, &settings, plan, (&scheduler, plant), place));
+        let after = (Resources::now()?, scheduler.account());
+        let fired = after.1.trace.len() > before.1.trace.len();
+        violations.extend(after.1.trace.iter().filter(|line| line.starts_with("PANIC")).cloned());
+        match ended {
+            _ if after.1.is_hanging => violations.push(format!(
+                "the run hangs: {MOST_STEPS} points of the scheduler were passed in session {sessions}"
+            )),
+            Ended::Returned(Ok(SessionEnd::Complete)) => is_complete = true,
+            Ended::Returned(Ok(SessionEnd::Incomplete(why))) if !fired => {
+                violations.push(format!("session {sessions} without a fault left episodes out: {why}"));
+            }
+            Ended::Returned(Err(error)) if !fired => {
+                violations.push(format!("session {sessions} without a fault failed: {error:#}"));
+            }
+            Ended::Returned(Ok(SessionEnd::Incomplete(_)) | Err(_)) => {}
+            Ended::Killed => {
+                if scheduler.take_power_failure() {
+                    lose_last_lines(&out, seed)?;
+                }
+            }
+            Ended::Panicked(why) => violations.push(format!("the orchestrator panicked: {why}")),
+        }
+        if left > 0 {
+            violations.push(format!("{left} processes outlive session {sessions}"));
+        }
+        violations.extend(before.0.changes(&after.0));
+        violations.extend(leftovers(&place.registry)?);
+    }
+    if !is_complete && violations.is_empty() {
+        violations.push(format!("the run is not complete after {sessions} sessions"));
+    }
+    if let (Some(plant), true) = (plant, is_complete) {
+        damage(plant, &out)?;
+    }
+    let log = sorted_log(&out)?;
+    if let (Some(expected), true) = (expected, is_complete) {
+        violations.extend(differences(expected, &log));
+    }
+    Ok(Outcome { violations, account: scheduler.account(), sessions, log })
+}
+
+/// One session of the run, as `memtransfer run` executes it.
+fn session(
+    scenario: &Scenario,
+    settings: &RunSettings,
+    plan: &Plan,
+    (scheduler, plant): (&Arc<Scheduler>, Option<Plant>),
+    place: &Place,
+) -> Result<SessionEnd> {
+    let world = &scenario.selected.world;
+    let streams = scenario.selected.streams.as_ref();
+    if RunFolder::has_episodes(&settings.out) {
+        let keys = scenario.episodes.iter().map(|episode| episode.key.to_string()).collect();
+        RunLog::read(&settings.out)?.check_planned(&keys)?;
+    }
+    let manifest = scenario.manifest();
+    let opened = RunFolder::open(&settings.out, manifest, false)?;
+    let Opened { mut folder, finished, requests, .. } = opened;
+    if let Some(streams) = streams {
+        fs::write(RunFolder::streams_of(folder.dir()), streams.set.to_text())?;
+    }
+    let Remaining { missing, learned } = Remaining::of(&scenario.episodes, &finished)?;
+    if missing.is_empty() {
+        return Ok(SessionEnd::Complete);
+    }
+    let run = RunDir::create(&place.registry)?;
+    let mut settings = settings.clone();
+    settings.frame_budget = None;
+    let mut attach = launch::attach(&settings, (world, streams), &missing, (&run, &[]), None)?;
+    let most = (settings.keyframes, settings.memory_image_budget());
+    // Decided by all episodes, so that it is the same in every session.
+    let demand =
+        Demand::of(&attach, (&world.warehouse, &world.cases, streams), &scenario.episodes, most);
+    attach.frame_capacity = demand.least(attach.lanes) + plan.spare_frames;
+    let rules = launch::rules(&settings, &[])?;
+    let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
+    if let Some(streams) = streams {
+        lanes = lanes.in_streams(streams);
+    }
+    for (sequence, position, experience) in learned {
+        lanes.remember(sequence, position, experience);
+    }
+    let launch = |role| Launch {
+        role,
+        index: 0,
+        program: PathBuf::new(),
+        args: Vec::new(),
+        command: None,
+        env: Vec::new(),
+    };
+    let timeout = Duration::from_secs(settings.step_timeout.into());
+    let options = PipelineOptions {
+        launcher: Arc::new(InProcess {
+            scheduler: scheduler.clone(),
+            worlds: scenario.worlds.clone(),
+            files: Files {
+                assets: scenario.assets.clone(),
+                streams: streams.map(|_| RunFolder::streams_of(folder.dir())),
+                snapshots: streams.map(|_| RunFolder::snapshots_of(folder.dir())),
+            },
+            plant,
+        }),
+        launches: Role::CHILDREN.into_iter().map(launch).collect(),
+        external_policy: false,
+        logs: RunFolder::logs_of(folder.dir()),
+        start_timeout: Duration::from_secs(settings.start_timeout.into()),
+        answer_timeout: timeout,
+        decision_timeout: Some(timeout),
+        memories: Vec::new(),
+        memory_timeout: Duration::from_secs(settings.memory_timeout.into()),
+    };
+    let counts = EpisodeCounts { planned: missing.len() as u64, ..EpisodeCounts::default() };
+    let monitor = Monitor::new(folder.dir(), attach.lanes, counts, Progress::new(true));
+    let budget = Budget::new(None, None, &requests);
+    let size = (attach.lanes, attach.frame_capacity);
+    let mut session = RunSession::new(&mut folder, monitor, budget, None, size);
+    let (none, stop) = (Children::default(), AtomicBool::new(false));
+    let outcome = run_episodes(&mut lanes, missing, &attach, &options, none, &stop, &mut session);
+    let reason = outcome.as_ref().map_or_else(|error| format!("{error:#}"), |_| "end".to_owned());
+    session.end(&outcome, &reason)?;
+    let Ending { halted, unfinished, .. } = outcome?;
+    let why = unfinished.iter().map(|(episode, why)| format!("{}: {why}", episode.key));
+    let why: Vec<String> = halted.into_iter().chain(why).collect();
+    Ok(if why.is_empty() { SessionEnd::Complete } else { SessionEnd::Incomplete(why.join("; ")) })
+}
+
+/// The lines of the episode log in `out`, sorted.
+fn sorted_log(out: &Path) -> Result<Vec<String>> {
+    let path = RunFolder::episodes_of(out);
+    if !path.exists() {
+        return Ok(Vec::new());
+    }
+    let text = fs::read_to_string(&path).with_context(|| path.display().to_string())?;
+    let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
+    lines.sort();
+    Ok(lines)
+}
+
+/// How a log differs from the expected one.
+fn differences(expected: &[String], log: &[String]) -> Vec<String> {
+    let mut count: BTreeMap<&str, i64> = BTreeMap::new();
+    expected.iter().for_each(|line| *count.entry(line).or_default() -= 1);
+    log.iter().for_each(|line| *count.entry(line).or_default() += 1);
+    let short = |line: &str| line.chars().take(160).collect::<String>();
+    let differing = count.into_iter().filter(|(_, count)| *count != 0);
+    differing
+        .map(|(line, count)| match count {
+            ..0 => format!("the log lacks: {}", short(line)),
+            0.. => format!("the log has {count} more of: {}", short(line)),
+        })
+        .collect()
+}
+
+/// What a defect that is planted does to the log of a run that is complete.
+fn damage(plant: Plant, out: &Path) -> Result<()> {
+    let path = RunFolder::episodes_of(out);
+    let text = fs::read_to_string(&path)?;
+    let mut lines: Vec<&str> = text.lines().collect();
+    match plant {
+        Plant::LostLine => drop(lines.pop()),
+        Plant::DoubledLine => lines.push(lines[0]),
+        Plant::LeftOpen | Plant::OtherDecisions => {}
+    }
+    Ok(fs::write(path, lines.join("\n") + "\n")?)
+}
+
+/// Cuts part or all of the last line off the journals of the run in `out`: it was written and not yet flushed when the
+/// power failed. `seed` decides how much.
+fn lose_last_lines(out: &Path, seed: u64) -> Result<()> {
+    let journals = [RunFolder::episodes_of(out), RunFolder::timings_of(out)];
+    for (number, path) in (0..).zip(journals) {
+        let Ok(text) = fs::read(&path) else { continue };
+        let before = text.strip_suffix(b"\n").unwrap_or(&text);
+        let begin = before.iter().rposition(|&byte| byte == b'\n').map_or(0, |last| last + 1);
+        let lost = (seed >> number) as usize % (text.len() - begin + 1);
+        fs::write(&path, &text[..text.len() - lost])?;
+    }
+    Ok(())
+}
+
+/// What a program holds that a session must give back.
+#[derive(Debug, PartialEq, Eq)]
+struct Resources {
+    descriptors: usize,
+    threads: usize,
+}
+
+impl Resources {
+    fn now() -> Result<Self> {
+        let count = |folder: &str| Ok::<_, anyhow::Error>(fs::read_dir(folder)?.count());
+        Ok(Self { descriptors: count("/proc/self/fd")?, threads: count("/proc/self/task")? })
+    }
+
+    fn changes(&self, now: &Self) -> Option<String> {
+        (self != now).then(|| format!("a session left something open: {self:?} before, {now:?} after"))
+    }
+}
+
+/// Runs that are registered in `registry`, and shared memory of runs of this program.
+fn leftovers(registry: &Path) -> Result<Vec<String>> {
+    let entries = fs::read_dir(registry)?.map(|entry| Ok(entry?.file_name().into_string().unwrap_or_default()));
+    let runs: Vec<String> = entries.collect::<Result<_>>()?;
+    let shared = memtransfer_tests::shared_memory_of(&runs);
+    Ok(runs.into_iter().map(|run| format!("run {run} was left in the registry")).chain(shared).collect())
+}
