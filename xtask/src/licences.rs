@@ -67,6 +67,7 @@ fn built_for(workspace: &Workspace, platform: &str) -> anyhow::Result<String> {
     let output = workspace
         .cargo(&["tree", "--workspace", "--locked", "--target", platform])
         .args(["--edges", "normal,build,dev", "--prefix", "none", "--format", "{p}"])
+        .args(["--features", "memtransfer-fuzz/libfuzzer"])
         .output()
         .context("cannot start cargo tree")?;
     if !output.status.success() {

@@ -14,6 +14,7 @@ mod citations;
 mod demo;
 mod environments;
 mod files;
+mod fuzz;
 mod licences;
 mod pins;
 mod probe;
@@ -75,6 +76,8 @@ enum Task {
     Wheel,
     /// Check links between crates, citations, format, lints, docs and licences
     Check,
+    /// Pass random inputs, guided by coverage, to everything that reads bytes, and write target/drill/fuzz.json
+    Fuzz(fuzz::FuzzArguments),
     /// What CI runs: `check`, then `test`
     Ci,
     /// Write an untrained ViT-B/16 with seeded weights, for tests and timing
@@ -124,6 +127,7 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
             bench::run(arguments, &pins, &cache, &workspace)
         }
         Task::Wheel => python::build_wheel(&workspace),
+        Task::Fuzz(arguments) => fuzz::run(arguments, &workspace),
         Task::Check => check::run(&workspace),
         Task::Ci => {
             let checked = check::run(&workspace)?;

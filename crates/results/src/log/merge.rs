@@ -484,6 +484,9 @@ fn copy(from: &Path, to: &Path) -> Result<(), LogError> {
         return copied.map(drop).map_err(system("copy", from));
     }
     fs::create_dir_all(to).map_err(system("make", to))?;
+    // Prompts stay private.
+    let mode = fs::metadata(from).and_then(|from| fs::set_permissions(to, from.permissions()));
+    mode.map_err(system("make", to))?;
     for entry in fs::read_dir(from).map_err(system("list", from))? {
         let entry = entry.map_err(system("list", from))?;
         copy(&entry.path(), &to.join(entry.file_name()))?;
