@@ -118,7 +118,7 @@ impl RunFolder {
         let folder = Self {
             dir: dir.to_owned(),
             manifest,
-            session: past.iter().map(|record| record.session).max().unwrap_or(0) + 1,
+            session: past.iter().map(|record| record.session).max().unwrap_or(0).saturating_add(1),
             episodes,
             timings,
             requests,
