@@ -91,10 +91,9 @@ pub(super) fn orchestrator(input: &[u8]) {
     while !input.is_empty() {
         let (choice, what) = (input.byte(), input.byte());
         let lane = usize::from(choice) % LANES;
-        now += u64::from(what) << (choice % 48);
+        now = u64::saturating_add(now, u64::from(what) << (choice % 48));
         lanes.set_time(now);
-        if lanes.memory_of(lane as u32, 0).is_none() && seen[lane].is_none() && commands[lane].is_none()
-        {
+        if commands[lane].is_none() {
             commands[lane] = Some(lanes.begin(lane, planned(what)).command);
         }
         let turn = match (what % 4, commands[lane], seen[lane]) {
