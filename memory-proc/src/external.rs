@@ -623,7 +623,7 @@ pub(crate) fn query_message(
 }
 
 /// Reads the items of an answer with the note `note`. References are not checked.
-fn read_items(message: &ExternalAnswer, note: &[u8]) -> Result<Vec<Item>, String> {
+pub(crate) fn read_items(message: &ExternalAnswer, note: &[u8]) -> Result<Vec<Item>, String> {
     let within = |what: &str, count: u32, most: usize| match count as usize {
         count if count <= most => Ok(count),
         count => Err(format!("it has {count} {what}, and at most {most} are allowed")),

@@ -24,6 +24,8 @@ pub mod encoder;
 pub mod engine;
 pub mod episode;
 pub mod external;
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod items;
 pub mod manifest;
 pub mod paths;

@@ -83,7 +83,7 @@ impl Recording {
 /// An episode that a memory has learned from, as it is stored: it is acted out again when it is read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Experience {
+pub(crate) struct Experience {
     case: u32,
     variant: u32,
     position: u32,
@@ -110,7 +110,7 @@ impl Experience {
     }
 
     /// Acts it out again.
-    fn replayed(&self, worlds: &Worlds) -> Option<Demonstration> {
+    pub(crate) fn replayed(&self, worlds: &Worlds) -> Option<Demonstration> {
         let case = worlds.cases.cases.get(self.case as usize)?;
         let (warehouse, variant) = worlds.state(self.variant)?;
         let [x, y, heading] = self.start;

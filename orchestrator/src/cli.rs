@@ -172,7 +172,7 @@ pub fn main() -> ExitCode {
         // `memtransfer ls cases | head` is not an error.
         Err(error) if is_closed_pipe(&error) => Exit::Complete.into(),
         Err(error) => {
-            eprintln!("memtransfer: {}", in_one_line(&error));
+            eprintln!("memtransfer: {}", program::printable(&in_one_line(&error)));
             Exit::CouldNot.into()
         }
     }
@@ -192,8 +192,9 @@ fn is_closed_pipe(error: &anyhow::Error) -> bool {
     io_error.is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
 }
 
-/// Prints a text to stdout, with a line end.
+/// Prints a text to stdout, with a line end, and without characters that steer a terminal.
 fn print(text: &str) -> anyhow::Result<()> {
+    let text = program::printable(text);
     let mut stdout = io::stdout().lock();
     stdout.write_all(text.as_bytes())?;
     if !text.ends_with('\n') {

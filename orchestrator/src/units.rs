@@ -8,7 +8,7 @@ use std::io::Write;
 use std::ops::Range;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Error, Result, bail, ensure};
 use results::log::{Manifest, UnitEpisode, UnitId};
 use results::settings::RunSettings;
 use serde::{Deserialize, Serialize};
@@ -75,6 +75,8 @@ impl UnitPlan {
             "{} has no units: write the plan again",
             path.display()
         );
+        let size = plan.manifest.settings.check_size();
+        size.map_err(Error::msg).with_context(|| format!("cannot use {}", path.display()))?;
         Ok(ReadPlan { plan, digest: blake3::hash(&bytes).to_hex().to_string() })
     }
 

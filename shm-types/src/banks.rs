@@ -218,37 +218,66 @@ pub struct Bank {
 // while the sample exists. The sample itself is `Send`, so it may be dropped on any thread.
 unsafe impl Sync for Bank {}
 
-impl Bank {
-    fn of(sample: Sample<Ipc, [u64], BankHeader>) -> Result<Self, UnknownCode> {
-        let header = *sample.user_header();
-        let words = sample.payload().len();
+/// The header and the words of a bank, before they are known to fit each other.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct BankWords<'a> {
+    pub(crate) header: &'a BankHeader,
+    pub(crate) words: &'a [u64],
+}
+
+impl<'a> BankWords<'a> {
+    /// Checks that every part lies within the words, and every demonstration within the parts. Returns where the parts
+    /// begin.
+    pub(crate) fn check(self) -> Result<[usize; 3], UnknownCode> {
+        let Self { header, words } = self;
         let unusable =
             |what: &str| UnknownCode::new(format_args!("bank {}: {what}", header.id), "a bank");
-        let parts = Parts::of(&header).filter(|parts| parts.end <= words);
+        let parts = Parts::of(header).filter(|parts| parts.end <= words.len());
         let Some(Parts { steps, embeddings, text, .. }) = parts else {
-            return Err(unusable(&format!("{words} words are too few")));
+            return Err(unusable(&format!("{} words are too few", words.len())));
         };
-        let bank = Self { header, parts: [steps, embeddings, text], sample };
-        let text =
-            str::from_utf8(bank.text_bytes()).map_err(|_| unusable("its text is not UTF-8"))?;
-        for demonstration in bank.demonstrations() {
+        let text_bytes = self.bytes(text, header.text_bytes as usize);
+        let valid = str::from_utf8(text_bytes).map_err(|_| unusable("its text is not UTF-8"))?;
+        for demonstration in self.demonstrations() {
             let BankDemonstration { first_step, steps, first_byte, bytes } = *demonstration;
             let [first_byte, bytes] = [first_byte as usize, bytes as usize];
             let has_steps =
                 steps > 0 && u64::from(first_step) + u64::from(steps) <= header.steps.into();
-            if !has_steps || text.get(first_byte..first_byte + bytes).is_none() {
+            if !has_steps || valid.get(first_byte..first_byte + bytes).is_none() {
                 return Err(unusable("a demonstration lies outside of it"));
             }
         }
-        Ok(bank)
+        Ok([steps, embeddings, text])
     }
 
-    fn bytes(&self, part: usize) -> &[u8] {
-        bytemuck::cast_slice(&self.sample.payload()[part..])
+    /// The first `len` bytes from word `part` on.
+    fn bytes(self, part: usize, len: usize) -> &'a [u8] {
+        &bytemuck::cast_slice(&self.words[part..])[..len]
+    }
+
+    fn demonstrations(self) -> &'a [BankDemonstration] {
+        let bytes = self.header.demonstrations as usize * size_of::<BankDemonstration>();
+        bytemuck::cast_slice(self.bytes(0, bytes))
+    }
+}
+
+impl Bank {
+    fn of(sample: Sample<Ipc, [u64], BankHeader>) -> Result<Self, UnknownCode> {
+        let header = *sample.user_header();
+        let parts = BankWords { header: &header, words: sample.payload() }.check()?;
+        Ok(Self { header, parts, sample })
+    }
+
+    fn words(&self) -> BankWords<'_> {
+        BankWords { header: &self.header, words: self.sample.payload() }
+    }
+
+    fn bytes(&self, part: usize, len: usize) -> &[u8] {
+        self.words().bytes(part, len)
     }
 
     fn text_bytes(&self) -> &[u8] {
-        &self.bytes(self.parts[2])[..self.header.text_bytes as usize]
+        self.bytes(self.parts[2], self.header.text_bytes as usize)
     }
 
     /// Its id.
@@ -258,14 +287,13 @@ impl Bank {
 
     /// The demonstrations; none if the bank with this id is taken back.
     pub fn demonstrations(&self) -> &[BankDemonstration] {
-        let bytes = self.header.demonstrations as usize * size_of::<BankDemonstration>();
-        bytemuck::cast_slice(&self.bytes(0)[..bytes])
+        self.words().demonstrations()
     }
 
     /// The steps of all demonstrations.
     pub fn steps(&self) -> &[BankStep] {
         let bytes = self.header.steps as usize * size_of::<BankStep>();
-        bytemuck::cast_slice(&self.bytes(self.parts[0])[..bytes])
+        bytemuck::cast_slice(self.bytes(self.parts[0], bytes))
     }
 
     /// Numbers in an embedding; 0 without embeddings.
@@ -276,7 +304,7 @@ impl Bank {
     /// The embeddings of all steps, one after the other; empty without embeddings.
     pub fn embeddings(&self) -> &[f32] {
         let numbers = self.header.steps as usize * self.dimension();
-        bytemuck::cast_slice(&self.bytes(self.parts[1])[..numbers * size_of::<f32>()])
+        bytemuck::cast_slice(self.bytes(self.parts[1], numbers * size_of::<f32>()))
     }
 
     /// The instruction of a demonstration of this bank.

@@ -81,14 +81,14 @@ impl Content {
         }
     }
 
-    fn bytes(&self) -> &[u8] {
+    pub(crate) fn bytes(&self) -> &[u8] {
         match self {
             Self::Summary(text) | Self::Semantic(text) | Self::Note(text) => text.as_bytes(),
             Self::Trajectories(steps) => bytemuck::cast_slice(steps),
         }
     }
 
-    fn read(kind: DocumentKind, bytes: &[u8]) -> Result<Self, UnknownCode> {
+    pub(crate) fn read(kind: DocumentKind, bytes: &[u8]) -> Result<Self, UnknownCode> {
         let text = || match std::str::from_utf8(bytes) {
             Ok(text) => Ok(text.to_owned()),
             Err(error) => Err(UnknownCode::new(error, "UTF-8")),

@@ -20,6 +20,8 @@ pub mod documents;
 pub mod error_reports;
 pub mod events;
 pub mod frames;
+#[doc(hidden)]
+pub mod fuzzing;
 mod handshake;
 pub mod heartbeats;
 pub mod layout;

@@ -53,7 +53,7 @@ fn packages(workspace: &Workspace) -> anyhow::Result<Vec<LicensedPackage>> {
     let platform = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
     let all: Vec<LicensedPackage> =
         workspace.packages(&["--locked", "--filter-platform", &platform])?;
-    let built = built_for(workspace, &platform)?;
+    let built = built_for(workspace, &platform, "normal,build,dev")?;
     let is_built = |package: &LicensedPackage| {
         let name = format!("{} v{}", package.name, package.version);
         built.lines().any(|line| line.trim_end() == name || line.starts_with(&format!("{name} ")))
@@ -61,12 +61,17 @@ fn packages(workspace: &Workspace) -> anyhow::Result<Vec<LicensedPackage>> {
     Ok(all.into_iter().filter(is_built).collect())
 }
 
-/// The packages built for `platform`, one line each: `name v1.2.3`. `cargo metadata` also lists packages of features
-/// that only other platforms enable.
-fn built_for(workspace: &Workspace, platform: &str) -> anyhow::Result<String> {
+/// The packages built for `platform` because of dependencies of these kinds, one line each: `name v1.2.3`. `cargo
+/// metadata` also lists packages of features that only other platforms enable.
+pub(crate) fn built_for(
+    workspace: &Workspace,
+    platform: &str,
+    kinds: &str,
+) -> anyhow::Result<String> {
     let output = workspace
         .cargo(&["tree", "--workspace", "--locked", "--target", platform])
-        .args(["--edges", "normal,build,dev", "--prefix", "none", "--format", "{p}"])
+        .args(["--edges", kinds, "--prefix", "none", "--format", "{p}"])
+        .args(["--features", "memtransfer-fuzz/libfuzzer"])
         .output()
         .context("cannot start cargo tree")?;
     if !output.status.success() {

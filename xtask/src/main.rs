@@ -15,10 +15,12 @@ mod demo;
 mod drill;
 mod environments;
 mod files;
+mod fuzz;
 mod licences;
 mod pins;
 mod probe;
 mod python;
+mod sbom;
 mod setup;
 mod sha256;
 mod test;
@@ -78,6 +80,10 @@ enum Task {
     Wheel,
     /// Check links between crates, citations, format, lints, docs and licences
     Check,
+    /// Pass random inputs, guided by coverage, to everything that reads bytes, and write target/drill/fuzz.json
+    Fuzz(fuzz::FuzzArguments),
+    /// Write the software bill of materials in CycloneDX 1.5, target/sbom/memtransfer.cdx.json
+    Sbom,
     /// What CI runs: `check`, then `test`
     Ci,
     /// Write an untrained ViT-B/16 with seeded weights, for tests and timing
@@ -131,6 +137,8 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
             drill::run(arguments, &workspace)
         }
         Task::Wheel => python::build_wheel(&workspace),
+        Task::Fuzz(arguments) => fuzz::run(arguments, &workspace),
+        Task::Sbom => sbom::write(&pins, &workspace).map(|()| true),
         Task::Check => check::run(&workspace),
         Task::Ci => {
             let checked = check::run(&workspace)?;

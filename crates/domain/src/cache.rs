@@ -1,7 +1,10 @@
-//! The cache folder: models from set-up, and results that later runs reuse.
+//! The cache folder: models from set-up, and results that later runs reuse. Folders that other users cannot read.
 
 use std::ffi::OsString;
-use std::path::PathBuf;
+use std::fs::DirBuilder;
+use std::io;
+use std::os::unix::fs::DirBuilderExt;
+use std::path::{Path, PathBuf};
 
 /// The environment names no cache folder.
 #[derive(Debug, thiserror::Error)]
@@ -17,6 +20,15 @@ pub struct NoCacheFolder;
 /// When none of the three variables is set.
 pub fn cache_folder() -> Result<PathBuf, NoCacheFolder> {
     folder(|name| std::env::var_os(name))
+}
+
+/// Creates a folder, and those above it that are missing, for the eyes of this user alone: for prompts, replies and what
+/// programs print. One that exists stays as it is.
+///
+/// # Errors
+/// When the system refuses.
+pub fn create_private_folder(path: &Path) -> io::Result<()> {
+    DirBuilder::new().recursive(true).mode(0o700).create(path)
 }
 
 fn folder(variable: impl Fn(&str) -> Option<OsString>) -> Result<PathBuf, NoCacheFolder> {

@@ -15,7 +15,7 @@ pub mod representation;
 pub mod search_profile;
 
 pub use appearance::Appearance;
-pub use cache::{NoCacheFolder, cache_folder};
+pub use cache::{NoCacheFolder, cache_folder, create_private_folder};
 pub use memory_kind::{ExternalName, MemoryKind};
 pub use outcome::{Arm, DocumentKind, FeedbackLevel, Outcome, SegmentContent};
 pub use pose::{Action, Cell, Feedback, Heading, Pose, UnknownCode};

@@ -28,6 +28,11 @@ pub fn hex(hash: [u8; 16]) -> Hash {
     hash.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
+/// Whether a text is a hash. In a folder from elsewhere it may be any text, for example a path that leads out of the folder.
+pub fn is_hash(text: &str) -> bool {
+    text.len() == 32 && text.bytes().all(|byte| byte.is_ascii_hexdigit())
+}
+
 /// The folder of a session's entries below a run's `prompts` folder.
 pub fn session_folder(prompts: &Path, session: u32) -> PathBuf {
     prompts.join(format!("session-{session}"))
@@ -274,6 +279,14 @@ pub struct RecordedTiming {
 mod tests {
     use super::*;
     use crate::Heading;
+
+    #[test]
+    fn a_hash_is_32_hexadecimal_digits() {
+        assert!(is_hash(&hex([0xa7; 16])));
+        for text in ["", "../../../../etc/passwd", &"0".repeat(31), &"g".repeat(32), &"/".repeat(32)] {
+            assert!(!is_hash(text), "{text}");
+        }
+    }
 
     #[test]
     fn the_line_of_an_entry_starts_with_its_key() {

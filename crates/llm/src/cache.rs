@@ -15,7 +15,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use domain::{NoCacheFolder, cache_folder};
+use domain::{NoCacheFolder, cache_folder, create_private_folder};
 use serde::{Deserialize, Serialize};
 
 use crate::reply::ChatReply;
@@ -127,7 +127,7 @@ impl ReplyCache {
     pub(crate) fn put(&self, key: &CacheKey, model: &str, reply: &ChatReply) -> io::Result<()> {
         let path = self.path(key);
         let folder = path.parent().unwrap_or(&self.folder);
-        fs::create_dir_all(folder)?;
+        create_private_folder(folder)?;
         let since_1970 = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
         let entry = StoredReply {
             key: key.to_string(),
@@ -142,7 +142,7 @@ impl ReplyCache {
     }
 
     /// The file of a key, in one of 256 folders.
-    fn path(&self, CacheKey(key): &CacheKey) -> PathBuf {
+    pub(crate) fn path(&self, CacheKey(key): &CacheKey) -> PathBuf {
         let shard = key.get(..2).unwrap_or_default();
         self.folder.join(FORM).join(shard).join(key).with_extension(EXTENSION)
     }

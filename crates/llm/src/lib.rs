@@ -15,6 +15,8 @@ mod cache;
 mod client;
 mod endpoint;
 mod error;
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod fingerprint;
 mod http;
 mod pool;

@@ -14,7 +14,7 @@ pub enum PngError {
     /// The bytes are no valid PNG image.
     #[error("not a readable PNG image: {0}")]
     Decode(#[from] png::DecodingError),
-    /// The decoded image does not fit into memory.
+    /// The image has more than [`MAX_PIXELS`].
     #[error("the PNG image is too large to decode")]
     TooLarge,
     /// The number of bytes does not match the size.
@@ -51,6 +51,9 @@ pub enum PngProblem {
     #[error(transparent)]
     Png(#[from] PngError),
 }
+
+/// Most pixels of an image that is decoded: a header of a few bytes can claim any number.
+pub const MAX_PIXELS: u64 = 1 << 26;
 
 /// How the bytes of a pixel are laid out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -196,6 +199,10 @@ impl RgbaImage {
             png::Transformations::normalize_to_color8() | png::Transformations::ALPHA,
         );
         let mut reader = decoder.read_info()?;
+        let (width, height) = reader.info().size();
+        if u64::from(width) * u64::from(height) > MAX_PIXELS {
+            return Err(PngError::TooLarge);
+        }
         let mut pixels = vec![0; reader.output_buffer_size().ok_or(PngError::TooLarge)?];
         let frame = reader.next_frame(&mut pixels)?;
         pixels.truncate(frame.buffer_size());
@@ -287,6 +294,12 @@ mod tests {
         assert!(encode(0, 0, Channels::Rgb, &[]).is_err());
         let error = RgbaImage::decode(b"GIF89a").unwrap_err().to_string();
         assert!(error.starts_with("not a readable PNG image: "), "{error}");
+        let mut huge = Vec::new();
+        let mut writer = png::Encoder::new(&mut huge, 1 << 24, 1 << 24).write_header().unwrap();
+        writer.write_chunk(png::chunk::IDAT, &[]).unwrap();
+        drop(writer);
+        let error = RgbaImage::decode(&huge).unwrap_err().to_string();
+        assert_eq!(error, "the PNG image is too large to decode");
         let missing = RgbaImage::read(Path::new("/nowhere.png")).unwrap_err().to_string();
         assert!(missing.starts_with("/nowhere.png: "), "{missing}");
     }

@@ -38,7 +38,23 @@ pub fn log_to_stderr() {
 pub fn run(name: &str, main: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitCode {
     log_to_stderr();
     main().unwrap_or_else(|error| {
-        eprintln!("{name}: {error:#}");
+        eprintln!("{name}: {}", printable(&format!("{error:#}")));
         ExitCode::from(2)
     })
+}
+
+/// The text with a mark in place of each control character but tabs and line ends: what a model, a server or a run folder
+/// from elsewhere says must not steer a terminal.
+pub fn printable(text: &str) -> String {
+    text.replace(|c: char| c.is_control() && !matches!(c, '\n' | '\t'), "\u{fffd}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn control_characters_do_not_reach_the_terminal() {
+        assert_eq!(printable("Größe:\t7\n\u{1b}[2J\r\u{9b}1m"), "Größe:\t7\n\u{fffd}[2J\u{fffd}\u{fffd}1m");
+    }
 }

@@ -141,9 +141,9 @@ pub fn score(log: &RunLog) -> Scores {
 /// The episodes of each condition in the whole run: every condition has the same cases.
 fn planned(manifest: &Manifest) -> BTreeMap<Condition, usize> {
     let runs = manifest.settings.runs();
-    let repetitions: u32 = runs.iter().map(|(_, runs)| runs).sum();
-    let cases = manifest.episodes.checked_div(repetitions).unwrap_or(0);
-    runs.into_iter().map(|(condition, runs)| (condition, (runs * cases) as usize)).collect()
+    let repetitions: usize = runs.iter().map(|&(_, runs)| runs as usize).sum();
+    let cases = (manifest.episodes as usize).checked_div(repetitions).unwrap_or(0);
+    runs.into_iter().map(|(condition, runs)| (condition, runs as usize * cases)).collect()
 }
 
 #[cfg(test)]

@@ -123,7 +123,50 @@ fn default_memory_timeout() -> u32 {
     MEMORY_TIMEOUT
 }
 
+/// Most conditions of all groups together, those that occur twice counted twice.
+const MAX_CONDITIONS: usize = 10_000;
+
+/// The largest value of numbers that are multiplied with each other.
+const MAX_FACTOR: u32 = 10_000;
+
+/// The largest number of repetitions, and of steps and images.
+const MAX_NUMBER: u32 = 1_000_000;
+
 impl RunSettings {
+    /// Checks that a run of these settings can be counted: that nothing computed from them overflows or takes unlimited
+    /// time. Call it with settings that were read, before anything else.
+    ///
+    /// # Errors
+    /// Names the first value that is too large.
+    pub fn check_size(&self) -> Result<(), String> {
+        let stream = self.stream.as_ref();
+        let of_stream = |count: fn(&StreamSettings) -> u32| stream.map_or(0, count);
+        let largest = |count: fn(&Group) -> u32| self.groups.iter().map(count).max().unwrap_or(0);
+        for (name, value, most) in [
+            ("horizon", self.horizon, MAX_FACTOR),
+            ("hits", self.hits, MAX_FACTOR),
+            ("keyframes", self.keyframes, MAX_NUMBER),
+            ("memory-images", self.memory_images.unwrap_or(0), MAX_NUMBER),
+            ("max-steps", self.max_steps, MAX_NUMBER),
+            ("window", largest(|group| group.window.iter().copied().max().unwrap_or(0)), MAX_NUMBER),
+            ("runs", largest(|group| group.runs), MAX_NUMBER),
+            ("streams", of_stream(|stream| stream.streams), MAX_FACTOR),
+            ("blocks", of_stream(|stream| stream.blocks), MAX_FACTOR),
+            ("cases-per-block", of_stream(|stream| stream.cases_per_block), MAX_FACTOR),
+            ("rounds", of_stream(|stream| stream.rounds), MAX_FACTOR),
+        ] {
+            if value > most {
+                return Err(format!("{name} is {value}, and at most {most} is possible"));
+            }
+        }
+        let products = self.groups.iter().map(Group::product);
+        let conditions = products.fold(0, usize::saturating_add);
+        if conditions > MAX_CONDITIONS {
+            return Err(format!("{conditions} conditions, and at most {MAX_CONDITIONS} are possible"));
+        }
+        Ok(())
+    }
+
     /// The conditions of all groups, each once, in the order of the groups.
     pub fn conditions(&self) -> Vec<Condition> {
         self.runs().into_iter().map(|(condition, _)| condition).collect()

@@ -12,10 +12,10 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use domain::prompt_log::{
     Hash, PromptLogEntry, RecordedItem, RecordedPart, RecordedView, entries_file, image_file,
-    line_key, session_folder, text_file, trajectory_file,
+    is_hash, line_key, session_folder, text_file, trajectory_file,
 };
 use domain::{Action, Pose};
 use serde::Serialize;
@@ -179,9 +179,16 @@ fn entry_places(file: &Path) -> io::Result<EntryPlaces> {
     Ok(places)
 }
 
+/// The hash, if it is one. A run may come from elsewhere, and must not name files outside of its folder.
+fn checked(hash: &Hash) -> Result<&Hash> {
+    ensure!(is_hash(hash), "the prompt log names {hash:?}, which is no hash: it is damaged");
+    Ok(hash)
+}
+
 /// Reads what `entry` of the prompt log in `folder` refers to.
 fn resolve(folder: &Path, entry: PromptLogEntry) -> Result<RecordedPrompt> {
-    let read = |path: PathBuf| {
+    let read = |file: fn(&Path, &str) -> PathBuf, hash: &Hash| {
+        let path = file(folder, checked(hash)?);
         std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))
     };
     let request = &entry.request;
@@ -195,7 +202,7 @@ fn resolve(folder: &Path, entry: PromptLogEntry) -> Result<RecordedPrompt> {
                 images.extend(steps.iter().filter_map(|step| step.frame.as_ref()));
             }
             RecordedItem::Trajectory(hash) => {
-                let steps = serde_json::from_str(&read(trajectory_file(folder, hash))?)?;
+                let steps = serde_json::from_str(&read(trajectory_file, hash)?)?;
                 trajectories.insert(hash.clone(), steps);
             }
             RecordedItem::Frame { frame, caption } => {
@@ -214,8 +221,49 @@ fn resolve(folder: &Path, entry: PromptLogEntry) -> Result<RecordedPrompt> {
     }
     let keyframes = trajectories.values().flatten().filter_map(|step| step.frame.as_ref());
     let images = images.into_iter().chain(keyframes);
-    let images = images.map(|hash| (hash.clone(), image_file(folder, hash))).collect();
-    let read_text = |hash: &Hash| Ok((hash.clone(), read(text_file(folder, hash))?));
+    let image = |hash: &Hash| Ok((hash.clone(), image_file(folder, checked(hash)?)));
+    let images = images.map(image).collect::<Result<_>>()?;
+    let read_text = |hash: &Hash| Ok((hash.clone(), read(text_file, hash)?));
     let texts = texts.into_iter().map(read_text).collect::<Result<_>>()?;
     Ok(RecordedPrompt { entry, trajectories, texts, images })
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn a_prompt_log_names_no_file_outside_of_its_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let prompts = folder.path().join("prompts");
+        std::fs::create_dir_all(prompts.join("documents")).unwrap();
+        std::fs::write(folder.path().join("secret.txt"), "secret").unwrap();
+        std::fs::write(folder.path().join("secret.json"), "[]").unwrap();
+        let (inside, outside) = ("ab".repeat(16), "../../secret".to_owned());
+        std::fs::write(text_file(&prompts, &inside), "note").unwrap();
+        let read = |frame: &str, item: serde_json::Value| {
+            let request = json!({
+                "repeat": 1, "seed": 5, "instruction": "Find a cone.", "pose": "3,5,N", "feedback": "",
+                "frame": frame, "starts_as_demonstrated": false, "window": [], "items": [item],
+            });
+            let timing = serde_json::to_value(domain::prompt_log::RecordedTiming::default()).unwrap();
+            let entry = json!({
+                "episode": 1, "step": 0, "lane": 0, "request": request, "timing": timing,
+            });
+            resolve(&prompts, serde_json::from_value(entry).unwrap())
+        };
+        let text = |hash: &str| json!({"text": {"kind": "note", "text": hash}});
+        assert_eq!(read(&inside, text(&inside)).unwrap().text(&inside), "note");
+        for (frame, item) in [
+            (&inside, text(&outside)),
+            (&outside, text(&inside)),
+            (&inside, json!({"trajectory": outside})),
+            (&inside, json!({"frame": {"frame": outside, "caption": inside}})),
+        ] {
+            let error = read(frame, item).unwrap_err().to_string();
+            assert!(error.contains("../../secret\", which is no hash"), "{error}");
+        }
+    }
 }

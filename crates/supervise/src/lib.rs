@@ -8,8 +8,9 @@
 
 use std::ffi::OsString;
 use std::fmt::Debug;
-use std::fs::{self, File};
+use std::fs::{self, DirBuilder, File};
 use std::io;
+use std::os::unix::fs::DirBuilderExt;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -236,7 +237,9 @@ impl Children {
         launches: &[Launch],
         logs: &Path,
     ) -> Result<Self> {
-        fs::create_dir_all(logs).with_context(|| format!("cannot create {}", logs.display()))?;
+        // What programs print may be private.
+        let created = DirBuilder::new().recursive(true).mode(0o700).create(logs);
+        created.with_context(|| format!("cannot create {}", logs.display()))?;
         let mut children = Self::default();
         for launch in launches {
             children.processes.push(ChildProcess::start(launcher, launch, logs)?);

@@ -20,7 +20,7 @@ use std::ffi::OsString;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use domain::prompt_log::image_file;
+use domain::prompt_log::{image_file, is_hash};
 use png_file::RgbaImage;
 use replay::frames::{self, ViewFormat, ViewKey, ViewProgram, ViewRenderer, jpeg, world_arguments};
 use replay::{RecordedRun, RunWorld};
@@ -252,7 +252,7 @@ impl RunPages {
                 None => None,
             },
             Some(("images", name)) => match name.strip_suffix(".jpg") {
-                Some(hash) if hash.len() == 32 && hash.bytes().all(|b| b.is_ascii_hexdigit()) => {
+                Some(hash) if is_hash(hash) => {
                     let folder = RunFolder::prompts_of(&self.log.dir);
                     let file = image_file(&folder, hash);
                     if file.exists() { Some(image(&file)?) } else { None }

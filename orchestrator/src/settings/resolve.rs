@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use anyhow::{Context, Error, Result, anyhow, bail, ensure};
 use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use domain::representation::Trajectories;
 use domain::{Arm, Representation};
@@ -115,6 +115,7 @@ pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved>
     merged.insert("group".to_owned(), completed.into());
     let settings: RunSettings = serde_json::from_value(Value::Object(merged))
         .context("the settings cannot be put together")?;
+    settings.check_size().map_err(Error::msg)?;
     check(&settings)?;
     Ok(Resolved { settings, origins, group_origins })
 }

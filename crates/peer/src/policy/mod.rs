@@ -1,6 +1,8 @@
 //! The policy role: what a policy is given, what it answers, and the two traits that it can implement.
 
 mod answers;
+#[doc(hidden)]
+pub mod fuzzing;
 mod join;
 mod pinned;
 mod prompt_log;

@@ -5,6 +5,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use domain::create_private_folder;
 use domain::prompt_log::{
     Hash, PromptLogEntry, RecordedItem, RecordedPart, RecordedPast, RecordedRequest, RecordedView,
     entries_file, hex, image_file, text_file, trajectory_file,
@@ -46,7 +47,7 @@ impl PromptLog {
         let Some(session) = &attach.prompts else { return Ok(None) };
         let prompts = session.parent().unwrap_or(session).to_owned();
         for folder in [session.clone(), prompts.join("images"), prompts.join("documents")] {
-            fs::create_dir_all(&folder).map_err(at(&folder))?;
+            create_private_folder(&folder).map_err(at(&folder))?;
         }
         let path = entries_file(session, attach.generation);
         let file = open_lines(&path).map_err(at(&path))?;

@@ -5,6 +5,8 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use domain::create_private_folder;
+
 use super::check::check_records;
 use super::existing::{
     existing, has_episodes, has_requests, is_of_external_memory, lock, remove_logs, remove_run,
@@ -110,13 +112,13 @@ impl RunFolder {
         let (sessions, past) = open.journal::<SessionRecord>(SESSIONS_FILE, unchecked)?;
         let (latency, _) = open.journal(LATENCY_FILE, unchecked)?;
         let logs = dir.join(LOGS_FOLDER);
-        fs::create_dir_all(&logs).map_err(system("make", &logs))?;
+        create_private_folder(&logs).map_err(system("make", &logs))?;
         File::open(dir).and_then(|dir| dir.sync_all()).map_err(system("flush", dir))?;
 
         let folder = Self {
             dir: dir.to_owned(),
             manifest,
-            session: past.iter().map(|record| record.session).max().unwrap_or(0) + 1,
+            session: past.iter().map(|record| record.session).max().unwrap_or(0).saturating_add(1),
             episodes,
             timings,
             requests,

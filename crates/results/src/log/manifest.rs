@@ -145,7 +145,9 @@ impl Manifest {
             }
             None => return Err(broken("it has no format".to_owned())),
         }
-        serde_json::from_value(value).map_err(|e| broken(e.to_string()))
+        let manifest: Self = serde_json::from_value(value).map_err(|e| broken(e.to_string()))?;
+        manifest.settings.check_size().map_err(broken)?;
+        Ok(manifest)
     }
 
     /// Writes it into the run folder `dir`: all of it or nothing, and durably.

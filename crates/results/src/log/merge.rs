@@ -10,6 +10,7 @@ use std::fs::{self, File};
 use std::io::{self, BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use domain::create_private_folder;
 use domain::prompt_log::session_folder;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -347,19 +348,19 @@ impl<'a> MergedRun<'a> {
         let mut last = 0;
         copy_lines::<SessionRecord>(dir, SESSIONS_FILE, &mut self.sessions, |mut record| {
             last = last.max(record.session);
-            record.session += sessions;
+            record.session = record.session.saturating_add(sessions);
             record
         })?;
         copy_lines::<RequestRecord>(dir, REQUESTS_FILE, &mut self.requests, |mut record| {
-            record.session += sessions;
+            record.session = record.session.saturating_add(sessions);
             record
         })?;
         copy_lines::<EpisodeError>(dir, ERRORS_FILE, &mut self.errors, |mut record| {
-            record.session += sessions;
+            record.session = record.session.saturating_add(sessions);
             record
         })?;
         copy_lines::<LatencyRecord>(dir, LATENCY_FILE, &mut self.latency, |mut record| {
-            record.session += sessions;
+            record.session = record.session.saturating_add(sessions);
             record
         })?;
         let mut timings = BTreeMap::new();
@@ -372,10 +373,18 @@ impl<'a> MergedRun<'a> {
             copy(&dir.join(name), &self.dir.join(name))?;
         }
         let (theirs, ours) = (dir.join(PROMPTS_FOLDER), self.dir.join(PROMPTS_FOLDER));
-        for session in 1..=last {
-            copy(&session_folder(&theirs, session), &session_folder(&ours, sessions + session))?;
+        if theirs.exists() {
+            create_private_folder(&ours).map_err(system("make", &ours))?;
         }
-        self.session_count += last;
+        // Named by their content, so that units may have the same.
+        for stored in ["images", "documents"] {
+            copy(&theirs.join(stored), &ours.join(stored))?;
+        }
+        for session in sessions_in(&theirs)? {
+            let renumbered = sessions.saturating_add(session);
+            copy(&session_folder(&theirs, session), &session_folder(&ours, renumbered))?;
+        }
+        self.session_count = self.session_count.saturating_add(last);
         Ok(LoadedUnit { number, dir: dir.clone(), sessions, episodes, timings })
     }
 
@@ -408,7 +417,7 @@ impl<'a> MergedRun<'a> {
         };
         let failed = system("write to", self.dir);
         let timings = unit.timings.remove(key).map(|mut timings| {
-            timings.session += unit.sessions;
+            timings.session = timings.session.saturating_add(unit.sessions);
             timings
         });
         let write = || {
@@ -475,6 +484,21 @@ fn write_line(to: &mut BufWriter<File>, entry: &impl Serialize) -> io::Result<()
 }
 
 /// Copies a file or folder, if it is there, and nothing that is there already: the names of equal things are equal.
+/// The sessions that have a folder in the folder `prompts`, which may be missing.
+fn sessions_in(prompts: &Path) -> Result<Vec<u32>, LogError> {
+    if !prompts.exists() {
+        return Ok(Vec::new());
+    }
+    let mut sessions = Vec::new();
+    for entry in fs::read_dir(prompts).map_err(system("list", prompts))? {
+        let name = entry.map_err(system("list", prompts))?.file_name();
+        let number = name.to_str().and_then(|name| name.strip_prefix("session-")?.parse().ok());
+        sessions.extend::<Option<u32>>(number);
+    }
+    sessions.sort_unstable();
+    Ok(sessions)
+}
+
 fn copy(from: &Path, to: &Path) -> Result<(), LogError> {
     if !from.exists() {
         return Ok(());
@@ -484,6 +508,9 @@ fn copy(from: &Path, to: &Path) -> Result<(), LogError> {
         return copied.map(drop).map_err(system("copy", from));
     }
     fs::create_dir_all(to).map_err(system("make", to))?;
+    // Prompts stay private.
+    let mode = fs::metadata(from).and_then(|from| fs::set_permissions(to, from.permissions()));
+    mode.map_err(system("make", to))?;
     for entry in fs::read_dir(from).map_err(system("list", from))? {
         let entry = entry.map_err(system("list", from))?;
         copy(&entry.path(), &to.join(entry.file_name()))?;

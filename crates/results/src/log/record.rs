@@ -250,7 +250,7 @@ impl Unread {
 
     /// All of them.
     pub fn total(&self) -> u32 {
-        self.unreadable + self.empty + self.refused
+        self.unreadable.saturating_add(self.empty).saturating_add(self.refused)
     }
 }
 
@@ -424,7 +424,7 @@ macro_rules! stages {
 
         impl std::ops::AddAssign for Stages {
             fn add_assign(&mut self, other: Self) {
-                $(self.$stage += other.$stage;)*
+                $(self.$stage = self.$stage.saturating_add(other.$stage);)*
             }
         }
     };

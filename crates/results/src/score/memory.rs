@@ -55,27 +55,29 @@ impl MemoryScore {
         let (mut sum, mut recall_ns) = (RecallTotals::default(), 0);
         let (mut items_dropped, mut images_dropped, mut text_dropped) = (0, 0, 0);
         let more = |sum: Option<u64>, more: Option<u64>| {
-            more.map_or(sum, |more| Some(sum.unwrap_or(0) + more))
+            more.map_or(sum, |more| Some(sum.unwrap_or(0).saturating_add(more)))
         };
         for record in log.episodes.iter().filter(|record| record.memory == memory) {
-            items_dropped += record.memory_items_dropped;
-            images_dropped += record.memory_images_dropped;
-            text_dropped += record.memory_text_dropped;
+            items_dropped = u64::saturating_add(items_dropped, record.memory_items_dropped);
+            images_dropped = u64::saturating_add(images_dropped, record.memory_images_dropped);
+            text_dropped = u64::saturating_add(text_dropped, record.memory_text_dropped);
             let Some(timings) = timings.get(record.key.as_str()) else { continue };
             let RecallTotals { requests, items, images, text, .. } = timings.recalls;
             if requests == 0 {
                 continue;
             }
-            sum.requests += requests;
-            sum.items += items;
-            sum.images += images;
-            sum.text += text;
+            sum.requests = sum.requests.saturating_add(requests);
+            sum.items = sum.items.saturating_add(items);
+            sum.images = sum.images.saturating_add(images);
+            sum.text = sum.text.saturating_add(text);
             sum.store_bytes = sum.store_bytes.max(timings.recalls.store_bytes);
             sum.method_ns = more(sum.method_ns, timings.recalls.method_ns);
             sum.answer_ns = more(sum.answer_ns, timings.recalls.answer_ns);
             sum.tokens = more(sum.tokens, timings.recalls.tokens);
             let stages = &timings.stages;
-            recall_ns += stages.embed + stages.search + stages.assemble;
+            for ns in [stages.embed, stages.search, stages.assemble] {
+                recall_ns = u64::saturating_add(recall_ns, ns);
+            }
         }
         let requests = f64::from(sum.requests);
         let us = |ns: u64| ns as f64 / 1000.0 / requests;

@@ -188,8 +188,8 @@ pub(super) fn score(
 /// The sequences of the whole run.
 fn planned(log: &RunLog) -> usize {
     let settings = &log.manifest.settings;
-    let runs: u32 = settings.runs().into_iter().map(|(_, runs)| runs).sum();
-    settings.stream.as_ref().map_or(0, |streams| runs as usize * streams.sequences())
+    let runs: usize = settings.runs().into_iter().map(|(_, runs)| runs as usize).sum();
+    settings.stream.as_ref().map_or(0, |streams| runs * streams.sequences())
 }
 
 fn score_condition(

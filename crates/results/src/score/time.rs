@@ -74,7 +74,8 @@ pub(super) fn steps_per_s(timings: &[EpisodeTimings]) -> Option<f64> {
         *start = timings.started_ns.min(*start);
         *end = timings.ended_ns.max(*end);
     }
-    let ns: u64 = sessions.values().map(|(start, end)| end.saturating_sub(*start)).sum();
+    let running = sessions.values().map(|(start, end)| end.saturating_sub(*start));
+    let ns = running.fold(0, u64::saturating_add);
     let steps: u64 = timings.iter().map(|timings| u64::from(timings.steps)).sum();
     (ns > 0).then(|| steps as f64 * 1e9 / ns as f64)
 }

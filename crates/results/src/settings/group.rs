@@ -29,6 +29,22 @@ pub struct Group {
 }
 
 impl Group {
+    /// The number of combinations of its lists.
+    pub(super) fn product(&self) -> usize {
+        [
+            self.memory.len(),
+            self.starts.len(),
+            self.routes.len(),
+            self.demos.len(),
+            self.window.len(),
+            self.segment.len(),
+            self.hint.len(),
+            self.arms.len(),
+        ]
+        .into_iter()
+        .fold(1, usize::saturating_mul)
+    }
+
     /// The conditions of the group, each once, in the order of the lists. `learning`: the external memories that learn.
     fn conditions(&self, learning: &BTreeSet<ExternalName>) -> Vec<Condition> {
         let has_arm = |memory, arm| arm != Arm::Learning || learns(memory, learning);
@@ -101,6 +117,27 @@ pub(super) fn union(groups: &[Group], learning: &BTreeSet<ExternalName>) -> Vec<
 mod tests {
 
     use super::*;
+    use crate::settings::RunSettings;
+
+    #[test]
+    fn settings_that_cannot_be_counted_are_refused() {
+        let check = |change: &dyn Fn(&mut RunSettings)| {
+            let mut settings = crate::log::testing::settings();
+            settings.groups = vec![group()];
+            change(&mut settings);
+            settings.check_size().err().unwrap_or_default()
+        };
+        assert_eq!(check(&|_| {}), "");
+        let wide = |settings: &mut RunSettings| {
+            settings.groups[0].window = (0..2000).collect();
+            settings.groups[0].demos = vec![Demonstrations::ORIGINAL; 2000];
+        };
+        assert!(check(&wide).ends_with("conditions, and at most 10000 are possible"));
+        let said = check(&|settings| settings.groups[0].runs = u32::MAX);
+        assert_eq!(said, "runs is 4294967295, and at most 1000000 is possible");
+        let said = check(&|settings| settings.hits = 20_000);
+        assert_eq!(said, "hits is 20000, and at most 10000 is possible");
+    }
 
     fn group() -> Group {
         Group {

@@ -54,9 +54,10 @@ impl StreamSettings {
 
     /// The episodes of one sequence.
     pub fn sequence_episodes(&self) -> usize {
-        let evaluations = if self.evaluate { self.blocks + 1 } else { 0 };
-        let cases = self.blocks * self.cases_per_block;
-        (cases * (self.rounds + evaluations)) as usize
+        let [blocks, cases_per_block, rounds] =
+            [self.blocks, self.cases_per_block, self.rounds].map(|count| count as usize);
+        let evaluations = if self.evaluate { blocks + 1 } else { 0 };
+        blocks * cases_per_block * (rounds + evaluations)
     }
 
     /// The sequences of one condition in one repetition.

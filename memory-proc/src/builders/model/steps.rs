@@ -15,6 +15,7 @@ use sha2::{Digest, Sha256};
 
 use super::prompt::{DocumentPrompt, PromptStage};
 use documents::hex;
+use domain::create_private_folder;
 use llm::ChatReply;
 
 /// A stored step.
@@ -40,7 +41,7 @@ pub(super) struct StepFolder {
 impl StepFolder {
     /// Opens the folder of a document built by `model`. Creates the folder if it is missing.
     pub(super) fn open(folder: &Path, model: &str) -> anyhow::Result<Self> {
-        fs::create_dir_all(folder)
+        create_private_folder(folder)
             .with_context(|| format!("cannot create {}", folder.display()))?;
         Ok(Self { folder: folder.to_owned(), model: model.to_owned(), used: BTreeSet::new() })
     }

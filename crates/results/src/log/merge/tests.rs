@@ -118,6 +118,40 @@ fn what_disagrees_is_named() {
     assert_eq!(merge(&manifest(), &units, planned(&cases), &out).unwrap(), 2, "after all that");
 }
 
+#[test]
+fn prompts_are_merged_with_what_they_name_whatever_the_sessions_are_numbered() {
+    let dir = tempfile::tempdir().unwrap();
+    let (units, cases) = (UnitFolders(vec![dir.path().join("units")]), cases(2, 1));
+    for (number, (cases, session)) in (0..).zip(cases.iter().zip([1, u32::MAX])) {
+        write_unit(&units.0[0], number, cases, "a");
+        let unit = units.0[0].join(unit_folder(number));
+        let prompts = unit.join(PROMPTS_FOLDER);
+        let hash = format!("{number:032}");
+        for (folder, file) in [
+            (format!("session-{session}"), "generation-1.jsonl".to_owned()),
+            ("images".to_owned(), format!("{hash}.png")),
+            ("documents".to_owned(), format!("{hash}.txt")),
+        ] {
+            fs::create_dir_all(prompts.join(&folder)).unwrap();
+            fs::write(prompts.join(folder).join(file), "x").unwrap();
+        }
+        let sessions = unit.join(SESSIONS_FILE);
+        let text = fs::read_to_string(&sessions).unwrap();
+        let renumbered = text.replace("\"session\":1", &format!("\"session\":{session}"));
+        fs::write(&sessions, renumbered).unwrap();
+    }
+    let out = dir.path().join("run");
+    merge(&manifest(), &units, planned(&cases), &out).unwrap();
+    let prompts = out.join(PROMPTS_FOLDER);
+    for file in ["session-1/generation-1.jsonl", "session-4294967295/generation-1.jsonl"] {
+        assert!(prompts.join(file).exists(), "{file}");
+    }
+    for number in 0..2 {
+        assert!(prompts.join(format!("images/{number:032}.png")).exists());
+        assert!(prompts.join(format!("documents/{number:032}.txt")).exists());
+    }
+}
+
 /// Prints time and memory of a merge of as many records as `MEMTRANSFER_TEST_RECORDS` says, in units of 100.
 #[test]
 #[ignore = "a measurement: cargo test --release -p results --lib merge_in_constant_memory -- --ignored --nocapture"]

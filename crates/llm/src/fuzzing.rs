@@ -1,0 +1,48 @@
+//! Readers of servers' answers without a server, for the fuzz targets in `tests/fuzz`. Not part of the client.
+
+use crate::cache::{CacheKey, ReplyCache};
+use crate::reply::{self, ChatReply};
+use crate::request::ChatRequest;
+
+/// The answer in the body of a response with status 2xx.
+///
+/// # Errors
+/// What is wrong with the body.
+pub fn reply(body: &[u8]) -> Result<ChatReply, String> {
+    reply::read(body)
+}
+
+/// The message in the body of any other response, on one line.
+pub fn error_message(body: &[u8]) -> String {
+    reply::error_message(body)
+}
+
+/// The file of a stored reply, whether it exists or not.
+pub fn stored_file(
+    cache: &ReplyCache,
+    model: &str,
+    request: &ChatRequest,
+) -> Option<std::path::PathBuf> {
+    CacheKey::of(model, request, 0).map(|key| cache.path(&key))
+}
+
+/// The stored reply; `None` also where it cannot be used.
+pub fn stored(cache: &ReplyCache, model: &str, request: &ChatRequest) -> Option<ChatReply> {
+    cache.get(&CacheKey::of(model, request, 0)?)
+}
+
+/// Stores a reply.
+///
+/// # Errors
+/// When the folder cannot be written.
+pub fn store(
+    cache: &ReplyCache,
+    model: &str,
+    request: &ChatRequest,
+    reply: &ChatReply,
+) -> std::io::Result<()> {
+    match CacheKey::of(model, request, 0) {
+        Some(key) => cache.put(&key, model, reply),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,233 @@
+//! Run folders, and what is made of them.
+
+use std::cell::RefCell;
+use std::fs;
+use std::path::Path;
+
+use export::leaderboard;
+use orchestrator::status::LiveStatus;
+use orchestrator::units::UnitPlan;
+use replay::RecordedRun;
+use replay::frames::ViewProgram;
+use results::compare::compare_runs;
+use results::latency::LatencyRecord;
+use results::log::{
+    Manifest, RunFolder, RunLog, UnitEpisode, UnitFolders, merge, read_journal, unit_folder,
+};
+use results::report::{self, Published};
+use results::score::score;
+use results::step_view::PromptLog;
+use serde_json::Value;
+use viewer::Site;
+
+use crate::files::with_files;
+use crate::input::files;
+
+/// A run of six episodes, cut down to what its pages show.
+const RUN: &[u8] = include_bytes!("../../corpus/run-folder/quick");
+
+/// The files of [`RUN`].
+fn given() -> Vec<(&'static str, &'static [u8])> {
+    files(RUN)
+}
+
+const JOURNALS: [&str; 8] = [
+    "manifest.json",
+    "episodes.jsonl",
+    "timings.jsonl",
+    "requests.jsonl",
+    "errors.jsonl",
+    "sessions.jsonl",
+    "latency.jsonl",
+    "status.json",
+];
+
+/// A run is refused, or scored; its report has no element that a text of the run has made.
+pub(super) fn run(input: &[u8]) {
+    with_files(&given(), &JOURNALS, input, |folder| {
+        let _ = LiveStatus::read(folder).map(|status| status.map(|status| status.line()));
+        let _ = read_journal::<LatencyRecord>(&folder.join("latency.jsonl"), |_| Ok(()));
+        let Ok(log) = RunLog::read(folder) else { return };
+        for record in &log.episodes {
+            record.check(log.manifest.settings.max_steps).unwrap();
+        }
+        let scores = score(&log);
+        assert!(scores.finished <= log.episodes.len());
+        let _ = report::summary(&log);
+        let _ = compare_runs(&log, &log);
+        let page = report::page(&report::document(std::slice::from_ref(&log), &published()));
+        is_harmless(&page.unwrap());
+        // It is opened for writing, and what is read afterwards is the same.
+        let manifest = log.manifest.clone();
+        if let Ok(opened) = RunFolder::open(folder, manifest, false) {
+            let kept: Vec<_> = opened.finished.iter().map(|record| &record.key).collect();
+            if !kept.is_empty() {
+                assert_eq!(kept.len(), log.episodes.len());
+                assert!(log.episodes.iter().all(|record| kept.contains(&&record.key)));
+            }
+            drop(opened);
+            let again = RunLog::read(folder).unwrap();
+            assert!(again.damaged.is_empty(), "{:?}", again.damaged);
+        }
+    });
+}
+
+fn published() -> Published {
+    Published::load().unwrap()
+}
+
+/// A page that no text of a run has given a script or a handler.
+fn is_harmless(page: &str) {
+    let page = page.to_lowercase();
+    for bad in ["<script", "<img src=x", "<iframe", "javascript:"] {
+        assert!(!page.contains(bad), "the page has {bad}");
+    }
+}
+
+/// A plan is refused, or its units are within it, and it is written and read back equal.
+pub(super) fn plan(input: &[u8]) {
+    with_files(&[], &["plan.json"], input, |folder| {
+        let path = folder.join("plan.json");
+        let Ok(read) = UnitPlan::read(&path) else { return };
+        for number in [0, 1, read.plan.units - 1, read.plan.units, u32::MAX] {
+            if let Ok((_, episodes)) = read.unit(number) {
+                assert!(episodes.end <= read.plan.manifest.episodes as usize);
+            }
+        }
+        read.plan.write(&path).unwrap();
+        assert_eq!(UnitPlan::read(&path).unwrap().plan, read.plan);
+        let made = UnitPlan::new(read.plan.manifest.clone(), 7);
+        assert!(made.units > 0 || made.manifest.episodes == 0);
+    });
+}
+
+/// Two units, each a run folder. They are refused, or merged into a run that is read without damage.
+pub(super) fn merged(input: &[u8]) {
+    let units = [unit_folder(0), unit_folder(1)];
+    let names: Vec<String> = units
+        .iter()
+        .flat_map(|unit| JOURNALS.map(|file| format!("{unit}/{file}")))
+        .chain(["plan.json".to_owned()])
+        .collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let first: Vec<(String, &[u8])> =
+        given().into_iter().map(|(name, content)| (format!("{}/{name}", units[0]), content)).collect();
+    let first: Vec<(&str, &[u8])> =
+        first.iter().map(|(name, content)| (name.as_str(), *content)).collect();
+    with_files(&first, &names, input, |folder| {
+        let Ok(mut manifest) = Manifest::read(&folder.join(&units[0])) else { return };
+        let out = folder.join("merged");
+        let folders = UnitFolders(vec![folder.to_owned()]);
+        let plan = manifest.unit.as_ref().map_or(String::new(), |unit| unit.plan.clone());
+        manifest.unit = None;
+        let _ = folders.check(2, &plan, &mut manifest);
+        let episodes: Vec<UnitEpisode> = (0..2)
+            .filter_map(|unit| Some((unit, RunLog::read(&folder.join(&units[unit as usize])).ok()?)))
+            .flat_map(|(unit, log)| {
+                log.episodes.into_iter().map(move |record| UnitEpisode { key: record.key, unit })
+            })
+            .collect();
+        let count = episodes.len() as u64;
+        if let Ok(merged) = merge(&manifest, &folders, episodes, &out) {
+            assert_eq!(merged, count);
+            let log = RunLog::read(&out).unwrap();
+            assert!(log.episodes.len() as u64 <= count);
+        }
+    });
+}
+
+/// Entries are refused or shown, without an element that a text has made.
+pub(super) fn leaderboard(input: &[u8]) {
+    with_files(&[], &["a.json", "b.json"], input, |folder| {
+        let Ok(found) = leaderboard::read(&[folder.to_owned()]) else { return };
+        let board = leaderboard::Board::new(&found.entries);
+        let page = folder.join("board.html");
+        leaderboard::write_page(&board, &page).unwrap();
+        is_harmless(&fs::read_to_string(page).unwrap());
+    });
+}
+
+/// The program that renders views is not there: a view is an error.
+fn program() -> ViewProgram {
+    ViewProgram { path: "/nonexistent/sim-proc".into(), variable: ("UNUSED", "") }
+}
+
+fn site(folder: &Path) -> Option<Site> {
+    Site::new(vec![RecordedRun::read(folder).ok()?], &program(), true).ok()
+}
+
+/// Files beside a run that no page may show.
+const SECRET: &str = "a secret beside the run";
+
+/// A run is refused, or every page of it is data that the front end can read, and shows nothing from outside of the run.
+pub(super) fn viewer_run(input: &[u8]) {
+    let names = [&JOURNALS[..], &["streams.json", "prompts/session-1/", "prompts/documents/"]].concat();
+    with_files(&given(), &names, input, |folder| {
+        let outside = folder.with_file_name("secret");
+        for extension in ["txt", "json", "png"] {
+            let file = outside.with_extension(extension);
+            if !file.exists() {
+                fs::write(file, format!("\"{SECRET}\"")).unwrap();
+            }
+        }
+        let Ok(run) = RecordedRun::read(folder) else { return };
+        let mut prompts = PromptLog::of(&run.log);
+        for timings in run.log.timings.iter().take(3) {
+            let _ = prompts.entry(timings, 0);
+        }
+        let episodes = run.log.episodes.len().min(3);
+        let Ok(mut site) = Site::new(vec![run], &program(), true) else { return };
+        let mut paths: Vec<String> =
+            ["run.js", "report.html", "new.json?from=0", "maps/0.svg", "maps/1.svg"]
+                .map(|file| format!("run1/{file}"))
+                .into();
+        for number in 0..episodes {
+            paths.push(format!("run1/episodes/{number}.js"));
+            paths.push(format!("run1/prompts/{number}.js"));
+        }
+        for path in &paths {
+            let Ok(Some(file)) = site.file(path) else { continue };
+            let text = String::from_utf8(file.bytes).unwrap();
+            assert!(!text.contains(SECRET), "{path} shows a file from outside of the run");
+            match file.kind {
+                "text/javascript" => is_data(&text),
+                "application/json" => drop(serde_json::from_str::<Value>(&text).unwrap()),
+                _ => is_harmless(&text),
+            }
+        }
+    });
+}
+
+/// A script that passes one value to the front end, and does nothing else.
+fn is_data(script: &str) {
+    let call = script.strip_prefix("memtransfer.receive(").unwrap();
+    let arguments = call.strip_suffix(");\n").unwrap();
+    let read: Value = serde_json::from_str(&format!("[{arguments}]")).unwrap();
+    assert_eq!(read.as_array().unwrap().len(), 2);
+}
+
+/// A path is that of a file of the site or of none, and never one outside of it.
+pub(super) fn viewer_path(input: &[u8]) {
+    thread_local! {
+        static SITE: RefCell<Option<(Site, tempfile::TempDir)>> = const { RefCell::new(None) };
+    }
+    let Ok(path) = str::from_utf8(input) else { return };
+    SITE.with_borrow_mut(|made| {
+        let (site, _) = made.get_or_insert_with(|| {
+            let folder = tempfile::tempdir().unwrap();
+            let run = folder.path().join("run");
+            fs::create_dir(&run).unwrap();
+            fs::write(folder.path().join("secret"), SECRET).unwrap();
+            for (name, content) in given() {
+                fs::write(run.join(name), content).unwrap();
+            }
+            fs::write(run.join("secret.txt"), SECRET).unwrap();
+            (site(&run).unwrap(), folder)
+        });
+        if let Ok(Some(file)) = site.file(path) {
+            let secret = SECRET.as_bytes();
+            assert!(!file.bytes.windows(secret.len()).any(|part| part == secret), "{path}");
+            assert!(!path.contains(".."), "{path:?} leads out of the site, and is answered");
+        }
+    });
+}
