@@ -269,6 +269,7 @@ fn the_orchestrator_creates_its_services_before_others_can_join() {
     let description = MemoryDescription { name: MEMORY.to_owned(), ..MemoryDescription::default() };
     let long = Duration::from_secs(120);
     let options = PipelineOptions {
+        launcher: Arc::new(System),
         launches: Vec::new(),
         external_policy: true,
         logs: scratch.base().join("logs"),

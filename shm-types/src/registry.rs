@@ -333,7 +333,7 @@ fn is_abandoned(segment: &Path) -> bool {
             // Looked at again: it may have been given its size and closed meanwhile.
             return has_no_size(segment);
         }
-        thread::sleep(TIME_BETWEEN_LOOKS);
+        clock::sleep(TIME_BETWEEN_LOOKS);
     }
     false
 }

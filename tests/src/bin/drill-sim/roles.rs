@@ -152,7 +152,7 @@ struct PatternWorker;
 
 impl RenderWorker for PatternWorker {
     fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64> {
-        for RenderTask { stock, variant, pose, slot } in tasks {
+        for RenderTask { stock, variant, pose, slot, .. } in tasks {
             let WirePose(pose) = (*pose).into();
             let name = format!("{stock} {pose:?} {:?}", variant.closed());
             let name = *blake3::hash(name.as_bytes()).as_bytes();
