@@ -224,15 +224,15 @@ fn what_is_missing_disagrees_or_differs_is_named() {
     units.merge(&["one", "two"], "merged").expect(0);
     assert_eq!(sorted_log(&units.out("merged")), sorted_log(&units.out("whole")));
 
-    // A unit from a machine whose embeddings may differ in their last bits.
+    // A unit from a machine whose pixels may differ in their last bits.
     let path = units.out("two/unit-000001/manifest.json");
     let text = fs::read_to_string(&path).unwrap();
     let mut other: serde_json::Value = serde_json::from_str(&text).unwrap();
-    other["processes"]["memory"]["onnxruntime"] = "another build".into();
+    other["processes"]["sim"]["backend"] = "wgpu".into();
     fs::write(&path, other.to_string()).unwrap();
     let merge = ["merge", "--plan", "plan.json", "one", "two", "--out", "mixed"];
     let refused = units.bench.run(&[&merge[..], &["--strict"]].concat()).expect(2);
-    for part in ["--strict: ", "onnxruntime", "another build"] {
+    for part in ["--strict: ", "backend", "wgpu"] {
         assert!(refused.stderr.contains(part), "{}", refused.stderr);
     }
     assert!(!units.out("mixed").exists());
