@@ -1,15 +1,19 @@
-//! `memory-proc embed`: embeds images and prints their distances, to try an encoder.
+//! `memory-proc embed` embeds images and prints their distances, to try an encoder. `memory-proc embeddings` writes those that
+//! are known to a file, for other machines.
 
+use std::fs::File;
+use std::io::BufWriter;
 use std::num::NonZeroUsize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::bail;
+use anyhow::{Context, bail};
 
 use png_file::RgbaImage;
 use search::distance;
 
+use crate::embedding_cache::EmbeddingCache;
 use crate::encoder::{Image, ImageSource, SessionOpening};
 use crate::manifest::EncoderManifest;
 use crate::serve::EncoderSettings;
@@ -65,5 +69,27 @@ pub fn run(
         "distances": distances,
     });
     println!("{report:#}");
+    Ok(())
+}
+
+/// Writes the known embeddings of the encoder to the file `out`, and prints the encoder's files as a JSON list.
+///
+/// # Errors
+/// When the encoder or its cache cannot be used, or `out` not be written.
+pub fn ship(
+    out: &Path,
+    manifest: &EncoderManifest,
+    settings: &EncoderSettings,
+) -> anyhow::Result<()> {
+    let encoder = settings.prepare(manifest)?;
+    let facts = encoder.facts();
+    let folder = settings.cache.embeddings();
+    let cache = EmbeddingCache::open(&folder, &facts.fingerprint, facts.dimension)?;
+    let write = || {
+        let mut file = BufWriter::new(File::create(out)?);
+        cache.ship(&facts.model_fingerprint, &mut file)
+    };
+    write().with_context(|| format!("cannot write {}", out.display()))?;
+    println!("{}", serde_json::to_string(&encoder.files())?);
     Ok(())
 }

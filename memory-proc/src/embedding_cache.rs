@@ -7,10 +7,12 @@
 //!
 //! New embeddings are written in batches. A process that is killed loses those of the last second.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use anyhow::{Context, ensure};
 use redb::{
     ConcurrencyMode, Database, DatabaseError, ReadableDatabase, ReadableTable, StorageError,
     TableDefinition, TableError,
@@ -19,6 +21,9 @@ use search::{ContentHash, Embedding};
 
 /// Content hash to the embedding's numbers, little-endian.
 const EMBEDDINGS: TableDefinition<'_, &[u8; 16], &[u8]> = TableDefinition::new("embeddings");
+
+/// First bytes of a file of embeddings for other machines. The encoder's model follows, then content and numbers of each.
+const SHIPPED: &[u8] = b"memtransfer embeddings 1\n";
 
 /// File name extension of a database.
 const EXTENSION: &str = "redb";
@@ -99,6 +104,51 @@ impl EmbeddingCache {
     /// The embedding of an image, if it is known.
     pub fn get(&self, content: &ContentHash) -> Option<&Embedding> {
         self.known.get(content)
+    }
+
+    /// Writes all known embeddings of the encoder `model` to `out`, in the order of their content, for other machines.
+    ///
+    /// # Errors
+    /// When `out` fails.
+    pub fn ship(&self, model: &[u8; 32], out: &mut impl Write) -> std::io::Result<()> {
+        out.write_all(SHIPPED)?;
+        out.write_all(model)?;
+        for (content, embedding) in self.known.iter().collect::<BTreeMap<_, _>>() {
+            out.write_all(content)?;
+            for number in embedding.as_slice() {
+                out.write_all(&number.to_le_bytes())?;
+            }
+        }
+        out.flush()
+    }
+
+    /// Takes the embeddings of the encoder `model` from a file that [`Self::ship`] wrote. They are used instead of this
+    /// machine's own, and not written to its file. Returns how many they are.
+    ///
+    /// # Errors
+    /// When the file cannot be read or is of another encoder.
+    pub fn add_shipped(
+        &mut self,
+        file: &Path,
+        model: &[u8; 32],
+        dimension: usize,
+    ) -> anyhow::Result<usize> {
+        let shown = file.display();
+        let bytes = std::fs::read(file).with_context(|| format!("cannot read {shown}"))?;
+        let rest = bytes.strip_prefix(SHIPPED).with_context(|| format!("{shown} has no embeddings"))?;
+        let rest = rest.strip_prefix(model).with_context(|| {
+            format!("the embeddings in {shown} are of another encoder: write the plan again")
+        })?;
+        let records = rest.chunks_exact(size_of::<ContentHash>() + 4 * dimension);
+        ensure!(records.remainder().is_empty(), "{shown} is cut off: remove it");
+        for record in records.clone() {
+            let (content, numbers) = record.split_at(size_of::<ContentHash>());
+            let numbers = numbers.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes));
+            let embedding = Embedding::restored(numbers.collect());
+            let embedding = embedding.with_context(|| format!("{shown} is damaged: remove it"))?;
+            self.known.insert(content.try_into()?, embedding);
+        }
+        Ok(records.len())
     }
 
     /// Number of known embeddings.
@@ -295,6 +345,34 @@ mod tests {
     fn embeddings_are_restored_bit_for_bit() {
         let (folder, _) = filled(90);
         assert_holds(&open(folder.path()), 0..90);
+    }
+
+    #[test]
+    fn shipped_embeddings_come_before_a_machines_own() {
+        let (folder, _) = filled(5);
+        let file = folder.path().join("shipped");
+        let model = [3; 32];
+        let mut shipped = EmbeddingCache::in_memory();
+        shipped.insert([1; 16], embedding(40)).unwrap();
+        shipped.insert([90; 16], embedding(90)).unwrap();
+        let mut bytes = Vec::new();
+        shipped.ship(&model, &mut bytes).unwrap();
+        std::fs::write(&file, &bytes).unwrap();
+
+        let mut cache = open(folder.path());
+        assert_eq!(cache.add_shipped(&file, &model, DIMENSION).unwrap(), 2);
+        assert_eq!((cache.len(), cache.get(&[1; 16])), (6, Some(&embedding(40))));
+        assert_eq!(cache.get(&[90; 16]), Some(&embedding(90)));
+        drop(cache);
+        assert_holds(&open(folder.path()), 0..5);
+
+        let mut cache = EmbeddingCache::in_memory();
+        let mut refused = |model| cache.add_shipped(&file, &model, DIMENSION).unwrap_err().to_string();
+        assert!(refused([4; 32]).contains("of another encoder"));
+        std::fs::write(&file, &bytes[..bytes.len() - 1]).unwrap();
+        assert!(refused(model).contains("cut off"));
+        std::fs::write(&file, "text").unwrap();
+        assert!(refused(model).contains("no embeddings"));
     }
 
     #[test]

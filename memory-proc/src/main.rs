@@ -52,6 +52,9 @@ enum MemoryVerb {
         /// Start no encoder: for a run whose memories use no embeddings
         #[arg(long)]
         no_encoder: bool,
+        /// Embeddings that came with the plan, used instead of this machine's own
+        #[arg(long, value_name = "FILE")]
+        shipped_embeddings: Option<PathBuf>,
         /// The longest time that an external memory may take to answer
         #[arg(long, value_name = "SECONDS", default_value_t = 30)]
         memory_timeout: u32,
@@ -69,6 +72,15 @@ enum MemoryVerb {
         /// Embed them all this many times, to measure
         #[arg(long, default_value = "1", value_name = "N")]
         repeat: NonZeroUsize,
+        #[command(flatten)]
+        encoder: EncoderArguments,
+    },
+    /// Write the known embeddings to a file, and print the encoder's files as JSON. Started by
+    /// `memtransfer plan --store`
+    Embeddings {
+        /// The file to write
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
         #[command(flatten)]
         encoder: EncoderArguments,
     },
@@ -289,6 +301,7 @@ fn run(verb: MemoryVerb) -> anyhow::Result<()> {
             elsewhere,
             snapshots,
             no_encoder,
+            shipped_embeddings,
             memory_timeout,
             memory_build_timeout,
             encoder,
@@ -304,6 +317,7 @@ fn run(verb: MemoryVerb) -> anyhow::Result<()> {
                 assets,
                 documents,
                 encoder,
+                shipped_embeddings,
                 streams,
                 elsewhere,
                 snapshots,
@@ -317,6 +331,13 @@ fn run(verb: MemoryVerb) -> anyhow::Result<()> {
                 Some(folder) => EncoderManifest::load(folder)?,
             };
             embed_command::run(&files, repeat, &manifest, &encoder.settings()?)
+        }
+        MemoryVerb::Embeddings { out, encoder } => {
+            let manifest = match &encoder.assets {
+                None => EncoderManifest::shipped()?,
+                Some(folder) => EncoderManifest::load(folder)?,
+            };
+            embed_command::ship(&out, &manifest, &encoder.settings()?)
         }
         MemoryVerb::Profile(arguments) => profile(arguments),
         MemoryVerb::Vectors { vectors, entries, queries } => {

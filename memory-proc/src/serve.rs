@@ -69,6 +69,8 @@ pub struct ServeSettings {
     pub documents: Option<PathBuf>,
     /// The encoder; `None`: no memory of the run matches views.
     pub encoder: Option<EncoderSettings>,
+    /// The file of embeddings that came with a plan; `None`: there is none.
+    pub shipped_embeddings: Option<PathBuf>,
     /// The file of the run's streams; `None`: the run has none.
     pub streams: Option<PathBuf>,
     /// The file of the other warehouse in which tasks are demonstrated; `None`: there is none.
@@ -164,7 +166,12 @@ fn open_encoder(
     let assets = settings.assets.as_deref();
     let manifest = assets.map_or_else(EncoderManifest::shipped, EncoderManifest::load)?;
     let encoder = chosen.prepare(&manifest)?;
-    let embeddings = open_cache(&chosen.cache, encoder.facts(), reporter);
+    let mut embeddings = open_cache(&chosen.cache, encoder.facts(), reporter);
+    if let Some(file) = &settings.shipped_embeddings {
+        let EncoderFacts { model_fingerprint, dimension, .. } = encoder.facts();
+        let shipped = embeddings.add_shipped(file, model_fingerprint, *dimension)?;
+        tracing::debug!(shipped, "embeddings of the plan read");
+    }
     // Known embeddings may be all that the run needs.
     let open =
         if embeddings.is_empty() { SessionOpening::Eagerly } else { SessionOpening::OnDemand };

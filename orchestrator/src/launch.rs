@@ -56,6 +56,14 @@ pub fn share_views(options: &mut PipelineOptions, folder: &Path) {
     }
 }
 
+/// Gives memory the embeddings in `file`, which came with a plan.
+pub fn ship_embeddings(options: &mut PipelineOptions, file: &Path) {
+    let memories = options.launches.iter_mut().filter(|launch| launch.role == Role::Memory);
+    for memory in memories {
+        memory.args.extend(["--shipped-embeddings".into(), file.into()]);
+    }
+}
+
 /// What all episodes have in common.
 ///
 /// # Errors
@@ -187,17 +195,22 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     let timeout = (!memories.is_empty()).then(|| settings.memory_timeout.to_string());
     encoder.push(("--memory-timeout", timeout));
     let mut memory = launch(Role::Memory, "memory-proc", vec!["serve".into()], encoder)?;
-    // Decided by all conditions, not by those that are left: the process reports the same when a run is resumed.
+    if !matches_views(settings, memories) {
+        memory.args.push("--no-encoder".into());
+    }
+    Ok([Some(sim), Some(memory), policy_launch(settings)?].into_iter().flatten().collect())
+}
+
+/// Whether a memory of the run matches views. Decided by all conditions, not by those that are left: the process reports the
+/// same when a run is resumed.
+pub fn matches_views(settings: &RunSettings, memories: &[ExternalMemory]) -> bool {
     let embeds = |condition: &Condition| match condition.memory {
         MemoryKind::BuiltIn(representation) => representation.matches_views(),
         MemoryKind::External(name) => {
             memories.iter().any(|memory| memory.name == name && memory.description.embeddings)
         }
     };
-    if !settings.conditions().iter().any(embeds) {
-        memory.args.push("--no-encoder".into());
-    }
-    Ok([Some(sim), Some(memory), policy_launch(settings)?].into_iter().flatten().collect())
+    settings.conditions().iter().any(embeds)
 }
 
 /// The policy's process, unless it is started by someone else.

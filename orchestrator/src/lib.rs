@@ -35,6 +35,7 @@ pub mod session;
 pub mod settings;
 pub mod signals;
 pub mod status;
+pub mod store;
 pub mod streams;
 pub mod trace;
 pub mod units;

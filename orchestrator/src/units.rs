@@ -14,6 +14,7 @@ use results::settings::RunSettings;
 use serde::{Deserialize, Serialize};
 
 use crate::plan::PlannedEpisode;
+use crate::store::Shipment;
 
 /// Changes when programs that read the old plans cannot read the new ones.
 const FORMAT: u32 = 1;
@@ -32,6 +33,9 @@ pub struct UnitPlan {
     unit_episodes: u32,
     /// The manifest of the whole run.
     pub manifest: Manifest,
+    /// What workers get from a store; `None` without one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shipment: Option<Shipment>,
 }
 
 /// A plan, and the hash of its file.
@@ -51,7 +55,7 @@ impl UnitPlan {
         let sequence = (sequence as u32).max(1);
         let unit_episodes = (unit_episodes / sequence).max(1) * sequence;
         let units = manifest.episodes.div_ceil(unit_episodes);
-        Self { format: FORMAT, units, unit_episodes, manifest }
+        Self { format: FORMAT, units, unit_episodes, manifest, shipment: None }
     }
 
     /// Reads the plan in `path`.

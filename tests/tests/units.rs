@@ -4,10 +4,11 @@
 
 use std::fs;
 use std::path::Path;
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use memtransfer_tests::{
-    Bench, Ended, episodes, eventually, kill, processes_of, repository, sorted_log,
+    Bench, Ended, episodes, eventually, kill, processes_of, program, repository, sorted_log,
 };
 
 /// Three memories from two starts, small.
@@ -159,6 +160,42 @@ fn a_stream_is_executed_whole() {
     units.bench.run(&suite).expect(0);
 }
 
+/// A machine with nothing but the programs: its cache folder is empty.
+#[test]
+fn a_worker_gets_what_it_needs_from_the_plans_store() {
+    let bench = Bench::new();
+    fs::write(bench.out("suite.toml"), SMALL).unwrap();
+    let settings =
+        ["--suite", "./suite.toml", "--policy", "grounded", "--memory", "summary,episodic", "--limit", "3"];
+    // The first machine knows documents and embeddings after this.
+    bench.run(&[&["run"], &settings[..], &["--out", "whole", "--lanes", "1"]].concat()).expect(0);
+    let plan = ["--out", "plan.json", "--unit-episodes", "100", "--store", "store"];
+    bench.run(&[&["plan"], &settings[..], &plan].concat()).expect(0);
+    // Encoder, runtime, embeddings and the summary.
+    assert_eq!(fs::read_dir(bench.out("store")).unwrap().count(), 4);
+
+    let elsewhere = tempfile::tempdir().unwrap();
+    let cache = elsewhere.path().join("cache");
+    fs::rename(bench.out("store"), elsewhere.path().join("mounted")).unwrap();
+    let mounted = elsewhere.path().join("mounted");
+    let work = ["work", "--plan", "plan.json", "--unit", "0", "--out", "units", "--lanes", "4"];
+    let worker = |more: &[&str]| {
+        let mut command = bench.command(&[&work, more].concat());
+        Ended::of(command.env("MEMTRANSFER_CACHE", &cache).spawn().unwrap())
+    };
+    let ended = worker(&[]).expect(2);
+    assert!(ended.stderr.contains("cannot get "), "{}", ended.stderr);
+    worker(&["--store", mounted.to_str().unwrap()]).expect(0);
+    bench.run(&["merge", "--plan", "plan.json", "units", "--out", "merged"]).expect(0);
+    assert_eq!(sorted_log(&bench.out("merged")), sorted_log(&bench.out("whole")));
+    // The worker has computed no embedding: its own file has none.
+    let own = elsewhere.path().join("own");
+    let mut list = Command::new(program("memory-proc"));
+    list.arg("embeddings").arg("--out").arg(&own).env("MEMTRANSFER_CACHE", &cache);
+    assert!(list.stdout(Stdio::null()).status().unwrap().success());
+    assert!(fs::read(own).unwrap().len() < 100);
+}
+
 #[test]
 fn what_is_missing_disagrees_or_differs_is_named() {
     let assets = repository("assets");
@@ -186,6 +223,21 @@ fn what_is_missing_disagrees_or_differs_is_named() {
     fs::write(&log, text).unwrap();
     units.merge(&["one", "two"], "merged").expect(0);
     assert_eq!(sorted_log(&units.out("merged")), sorted_log(&units.out("whole")));
+
+    // A unit from a machine whose pixels may differ in their last bits.
+    let path = units.out("two/unit-000001/manifest.json");
+    let text = fs::read_to_string(&path).unwrap();
+    let mut other: serde_json::Value = serde_json::from_str(&text).unwrap();
+    other["processes"]["sim"]["backend"] = "wgpu".into();
+    fs::write(&path, other.to_string()).unwrap();
+    let merge = ["merge", "--plan", "plan.json", "one", "two", "--out", "mixed"];
+    let refused = units.bench.run(&[&merge[..], &["--strict"]].concat()).expect(2);
+    for part in ["--strict: ", "backend", "wgpu"] {
+        assert!(refused.stderr.contains(part), "{}", refused.stderr);
+    }
+    assert!(!units.out("mixed").exists());
+    let warned = units.bench.run(&merge).expect(0);
+    assert!(warned.stderr.contains("warning: pixels and embeddings may differ"), "{}", warned.stderr);
 
     // Other assets, or another plan's unit.
     let other = units.out("other-assets");

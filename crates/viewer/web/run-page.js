@@ -175,11 +175,25 @@ memtransfer.runPage = (current) => {
   return memtransfer.isServed() ? memtransfer.follow(run, live, () => { all = memtransfer.episodes(run); draw(); }) : () => {};
 };
 
-/** Asks the server what `run` has added, until the returned function is called. */
+/**
+ * Asks the server what `run` has added, until the returned function is called. Drawing a large grid takes long, on the cores that
+ * the run needs: while it goes on, the page draws for at most a hundredth of the time.
+ */
 memtransfer.follow = (run, live, grown) => {
   const { h } = memtransfer;
   let timer = null;
   let isOver = false;
+  let isDrawn = true;
+  let nextDrawing = 0;
+  function draw() {
+    const start = performance.now();
+    grown();
+    // With the layout, which the browser would compute later.
+    document.body.getBoundingClientRect();
+    const end = performance.now();
+    isDrawn = true;
+    nextDrawing = end + 100 * (end - start);
+  }
   async function ask() {
     // A page that nobody looks at leaves the cores to the run.
     if (document.hidden) { timer = setTimeout(ask, 2000); return; }
@@ -190,7 +204,8 @@ memtransfer.follow = (run, live, grown) => {
       if (isOver) return;
       if (restarted) run.episodes.length = 0;
       run.episodes.push(...rows);
-      if (rows.length || restarted) grown();
+      if (rows.length || restarted) isDrawn = false;
+      if (!isDrawn && (!status || performance.now() >= nextDrawing)) draw();
       live.replaceChildren(...(status ? [memtransfer.liveStatus(h, status)] : []));
       timer = setTimeout(ask, status ? 2000 : 5000);
     } catch (error) {

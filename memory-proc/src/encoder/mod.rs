@@ -53,6 +53,8 @@ pub struct EncoderFacts {
     /// Equal for encoders whose embeddings may be mixed: covers model, preprocessing, runtime, execution provider and
     /// the processor's vector instructions.
     pub fingerprint: [u8; 32],
+    /// Equal for encoders that differ at most in what they run on: covers model and preprocessing.
+    pub model_fingerprint: [u8; 32],
 }
 
 /// A worker's result.
@@ -117,6 +119,7 @@ impl PreparedEncoder {
             threads: threads.get(),
             dimension: model.dimension,
             fingerprint: fingerprint(&file, &build, provider),
+            model_fingerprint: *blake3::hash(model_text(&file).as_bytes()).as_bytes(),
             runtime: build,
         };
         Ok(Self { file: Arc::new(file), runtime, facts })
@@ -125,6 +128,11 @@ impl PreparedEncoder {
     /// Facts about the encoder.
     pub fn facts(&self) -> &EncoderFacts {
         &self.facts
+    }
+
+    /// The model's file and the runtime's library.
+    pub fn files(&self) -> [&Path; 2] {
+        [&self.file.path, self.runtime.path]
     }
 
     /// Starts the workers. A worker calls `wake` whenever a result can be fetched with [`Encoder::poll`]. If the model
@@ -298,9 +306,16 @@ impl Drop for Encoder {
 
 /// Hashes everything that an embedding's bits depend on beside the image.
 fn fingerprint(file: &ModelFile, runtime: &str, provider: Provider) -> [u8; 32] {
+    let model = model_text(file);
+    let text = format!("{model} | onnxruntime {runtime} | {}", provider.fingerprint());
+    *blake3::hash(text.as_bytes()).as_bytes()
+}
+
+/// What an embedding depends on beside the image and what the encoder runs on.
+fn model_text(file: &ModelFile) -> String {
     let model = &file.model;
-    let text = format!(
-        "{} {} {} {:?} {:?} {} {} {} | preprocessing {} | onnxruntime {runtime} | {}",
+    format!(
+        "{} {} {} {:?} {:?} {} {} {} | preprocessing {}",
         file.sha256,
         model.input,
         model.input_size,
@@ -310,7 +325,5 @@ fn fingerprint(file: &ModelFile, runtime: &str, provider: Provider) -> [u8; 32] 
         model.pooling.word(),
         model.dimension,
         preprocess::VERSION,
-        provider.fingerprint(),
-    );
-    *blake3::hash(text.as_bytes()).as_bytes()
+    )
 }

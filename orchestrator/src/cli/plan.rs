@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use domain::cache_folder;
 use results::conditions::PolicyKind;
 use results::settings::RunSettings;
 
@@ -16,6 +17,7 @@ use super::run::{
 use super::{Exit, print};
 use crate::settings::{Layer, resolve};
 use crate::signals::Signals;
+use crate::store::{Shipment, Store};
 use crate::units::{UNIT_EPISODES, UnitPlan};
 
 #[derive(Debug, Args)]
@@ -28,6 +30,7 @@ Examples:
   memtransfer plan --suite paper --out plan.json     settings as for `memtransfer run`
   memtransfer work --plan plan.json --unit 0 --out units
   memtransfer merge --plan plan.json units --out runs/paper
+  memtransfer plan --suite paper --out plan.json --store /mnt/shared/memtransfer
   memtransfer plan --suite paper --out plan.json --slurm > paper.sbatch
   memtransfer plan --suite paper --out plan.json --kubernetes > paper.yaml")]
 pub(super) struct PlanArgs {
@@ -37,6 +40,11 @@ pub(super) struct PlanArgs {
     /// Episodes of a unit; a sequence of a stream is never divided
     #[arg(long, value_name = "N", default_value_t = UNIT_EPISODES, value_parser = clap::value_parser!(u32).range(1..))]
     unit_episodes: u32,
+
+    /// Put what workers need beside the programs into this folder, which they reach too: encoder,
+    /// documents, known embeddings
+    #[arg(long, value_name = "DIR")]
+    store: Option<String>,
 
     /// Print a Slurm array script that executes the units and merges them
     #[arg(long, conflicts_with = "kubernetes")]
@@ -84,7 +92,13 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
     };
     let mut manifest = run.manifest();
     manifest.documents = documents.facts();
-    let plan = UnitPlan::new(manifest, args.unit_episodes);
+    let mut plan = UnitPlan::new(manifest, args.unit_episodes);
+    if let Some(store) = &args.store {
+        let paths: Vec<_> = documents.documents.iter().map(|one| one.file.clone()).collect();
+        let (store, cache) = (Store::open(store)?, cache_folder()?);
+        let encoder = run.matches_views();
+        plan.shipment = Some(Shipment::pack(&store, &cache, &run.settings, &paths, encoder)?);
+    }
     plan.write(&path)?;
     if !args.quiet {
         let (units, episodes) = (plan.units, plan.manifest.episodes);

@@ -105,6 +105,8 @@ pub(super) struct RunPlan {
     pub(super) episodes: Vec<PlannedEpisode>,
     /// The unit of a plan that it is.
     pub(super) unit: Option<UnitId>,
+    /// The file of embeddings that came with the plan.
+    pub(super) shipped_embeddings: Option<PathBuf>,
     prices: Option<ModelPrices>,
     /// The external memories; `None` without any.
     started: Option<StartedMemories>,
@@ -214,7 +216,7 @@ impl RunPlan {
             }
         };
         let SelectedCases { world, streams, .. } = selection;
-        Ok(Some(Self { settings, world, streams, episodes, unit: None, prices, started }))
+        Ok(Some(Self { settings, world, streams, episodes, unit: None, shipped_embeddings: None, prices, started }))
     }
 
     /// The external memories.
@@ -256,6 +258,12 @@ impl RunPlan {
     ) -> Result<Option<ReadyDocuments>> {
         let elsewhere = self.world.cases.elsewhere.as_ref();
         RunDocuments::of(&self.settings, elsewhere, options.fresh).supply(signals, options.quiet)
+    }
+
+    /// Whether a memory of the run matches views.
+    pub(super) fn matches_views(&self) -> bool {
+        let memories = self.started.as_ref().map_or(&[][..], |started| &started.memories);
+        launch::matches_views(&self.settings, memories)
     }
 
     /// Runs what is missing.
@@ -345,7 +353,7 @@ impl RunPlan {
         options: &RunOptions,
         signals: &Signals,
     ) -> Result<Option<String>> {
-        let Self { settings, world, streams, started, unit, .. } = self;
+        let Self { settings, world, streams, started, unit, shipped_embeddings, .. } = self;
         let Remaining { missing, learned } = remaining;
         let mut progress = Progress::new(options.quiet);
         let (own, children);
@@ -383,6 +391,9 @@ impl RunPlan {
             launch::pipeline_options(settings, memories, RunFolder::logs_of(folder.dir()))?;
         if unit.is_some() {
             launch::share_views(&mut pipeline_options, &cache_folder()?.join("views"));
+        }
+        if let Some(file) = shipped_embeddings {
+            launch::ship_embeddings(&mut pipeline_options, file);
         }
         let rules = launch::rules(settings, memories)?;
         let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);

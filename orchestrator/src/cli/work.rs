@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use domain::cache_folder;
 use results::log::{Manifest, RunFolder, RunLog, UnitId, finish_unit, unit_folder};
 use shm_types::process::die_with_parent;
 
@@ -41,6 +42,10 @@ pub(super) struct WorkArgs {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 
+    /// The plan's store, if it is elsewhere on this machine
+    #[arg(long, value_name = "DIR")]
+    store: Option<String>,
+
     /// End with the process PID, which started this one
     #[arg(long, value_name = "PID")]
     die_with: Option<u32>,
@@ -68,9 +73,15 @@ pub(super) fn run(args: WorkArgs) -> Result<Exit> {
     let part = args.out.join(format!("{}.part", unit_folder(args.unit)));
     let signals = Signals::listen().context("cannot listen to signals")?;
     let options = RunOptions { quiet: args.quiet, ..RunOptions::default() };
+    let cache = cache_folder()?;
+    let shipment = plan.plan.shipment.as_ref();
+    if let Some(shipment) = shipment {
+        shipment.fetch(args.store.as_deref(), &cache)?;
+    }
     let Some(mut unit) = unit_run(&plan, &args, part.clone(), &options, &signals)? else {
         return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
+    unit.shipped_embeddings = shipment.and_then(|shipment| shipment.embeddings_in(&cache));
     let halted = match unit.execute(&options, &signals)? {
         Executed::Stopped(exit) => return Ok(exit),
         Executed::ToTheEnd { halted } => halted,

@@ -1,0 +1,264 @@
+//! What the workers of a plan need beside the programs, in a store that all of them reach: the encoder and its runtime,
+//! documents, and embeddings that are known.
+//!
+//! A store is a folder, given as a path or as file://PATH. Each file in it is named by the BLAKE3 hash of its bytes, so several
+//! plans share it and nothing in it ever changes. The plan lists what it needs. A worker copies what its cache folder lacks,
+//! checks it against the hash, and gives it its name only then.
+
+use std::fs::{self, File};
+use std::io;
+use std::path::{Component, Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail, ensure};
+use results::settings::RunSettings;
+use serde::{Deserialize, Serialize};
+use shm_types::message::Role;
+use supervise::Launch;
+
+/// The folder in the cache folder of embeddings that came with plans.
+const EMBEDDINGS: &str = "shipped-embeddings";
+
+/// A file of a store.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StoredFile {
+    /// Its place in the cache folder.
+    pub path: String,
+    /// BLAKE3 of its bytes, as hexadecimal digits.
+    pub hash: String,
+    /// Its size.
+    pub bytes: u64,
+}
+
+/// What a plan's workers need, and where it is.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Shipment {
+    /// The store, as [`Store::open`] takes it.
+    pub store: String,
+    /// The files.
+    pub files: Vec<StoredFile>,
+    /// The one of them that has the embeddings.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub embeddings: Option<String>,
+}
+
+/// Files by their hash.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Store(PathBuf);
+
+impl Store {
+    /// The store `place`: a folder, or its file:// address.
+    ///
+    /// # Errors
+    /// When it is an address of another kind.
+    pub fn open(place: &str) -> Result<Self> {
+        match place.split_once("://") {
+            None => std::path::absolute(place).map(Self).with_context(|| place.to_owned()),
+            Some(("file", path)) if path.starts_with('/') => Ok(Self(path.into())),
+            Some(_) => bail!(
+                "the store {place} is neither a folder nor file:///PATH; mount an object store as a folder (rclone \
+                 mount, s3fs, gcsfuse), or copy the folder there and back"
+            ),
+        }
+    }
+
+    /// Its address.
+    pub fn address(&self) -> String {
+        format!("file://{}", self.0.display())
+    }
+
+    fn object(&self, hash: &str) -> PathBuf {
+        self.0.join(hash)
+    }
+
+    /// Copies `file` into the store, unless it is there. `path` is its place in the cache folder.
+    fn add(&self, file: &Path, path: String) -> Result<StoredFile> {
+        let (hash, bytes) = hash_of(file)?;
+        let object = self.object(&hash);
+        if fs::metadata(&object).is_ok_and(|facts| facts.len() == bytes) {
+            return Ok(StoredFile { path, hash, bytes });
+        }
+        let shown = object.display();
+        fs::create_dir_all(&self.0).with_context(|| format!("cannot make {}", self.0.display()))?;
+        copy_checked(file, &object, &hash).with_context(|| format!("cannot write {shown}"))?;
+        Ok(StoredFile { path, hash, bytes })
+    }
+
+    /// Copies `file` to its place in the folder `cache`, unless there is one. Returns whether it was copied.
+    fn fetch(&self, file: &StoredFile, cache: &Path) -> Result<bool> {
+        let is_inside = |part| matches!(part, Component::Normal(_));
+        ensure!(
+            Path::new(&file.path).components().all(is_inside),
+            "the plan names {:?}, which is not in the cache folder: write the plan again",
+            file.path
+        );
+        let hash = &file.hash;
+        let is_hash = hash.len() == 64 && hash.bytes().all(|byte| byte.is_ascii_hexdigit());
+        ensure!(is_hash, "the plan names {hash:?}, which is no hash: write the plan again");
+        let to = cache.join(&file.path);
+        if to.exists() {
+            return Ok(false);
+        }
+        let folder = to.parent().unwrap_or(cache);
+        fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+        let from = self.object(hash);
+        copy_checked(&from, &to, hash).with_context(|| {
+            format!("cannot get {} from {}; `memtransfer plan --store` puts it there", file.path, from.display())
+        })?;
+        Ok(true)
+    }
+}
+
+/// BLAKE3 of a file, as hexadecimal digits, and its size.
+fn hash_of(file: &Path) -> Result<(String, u64)> {
+    let read = || {
+        let mut hasher = blake3::Hasher::new();
+        let bytes = io::copy(&mut File::open(file)?, &mut hasher)?;
+        Ok::<_, io::Error>((hasher.finalize().to_hex().to_string(), bytes))
+    };
+    read().with_context(|| format!("cannot read {}", file.display()))
+}
+
+/// Copies `from` to `to`, which appears only when all of it is there and has the hash.
+fn copy_checked(from: &Path, to: &Path, hash: &str) -> Result<()> {
+    let folder = to.parent().context("a file without a folder")?;
+    let mut draft = tempfile::NamedTempFile::new_in(folder)?;
+    io::copy(&mut File::open(from)?, draft.as_file_mut())?;
+    draft.as_file().sync_all()?;
+    let (found, bytes) = hash_of(draft.path())?;
+    ensure!(found == hash, "its {bytes} bytes have the hash {found} instead of {hash}: remove it");
+    draft.persist(to)?;
+    Ok(())
+}
+
+impl Shipment {
+    /// Puts what the workers of a run with `settings` need into `store`: `documents`, and with `encoder` what memories that
+    /// match views need. `cache` is the cache folder.
+    ///
+    /// # Errors
+    /// When something cannot be read or written.
+    pub fn pack(
+        store: &Store,
+        cache: &Path,
+        settings: &RunSettings,
+        documents: &[PathBuf],
+        encoder: bool,
+    ) -> Result<Self> {
+        let mut files = Vec::new();
+        // Documents of another folder than the cache's travel with that folder.
+        for document in documents {
+            if let Ok(path) = document.strip_prefix(cache) {
+                files.push(store.add(document, path.display().to_string())?);
+            }
+        }
+        let mut embeddings = None;
+        if encoder {
+            let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+            let written = folder.path().join("embeddings");
+            for file in encoder_files(settings, &written)? {
+                // A model of the user's own is named by --encoder-file on every machine.
+                if let Ok(path) = file.strip_prefix(cache) {
+                    files.push(store.add(&file, path.display().to_string())?);
+                }
+            }
+            let (hash, _) = hash_of(&written)?;
+            let path = format!("{EMBEDDINGS}/{hash}");
+            files.push(store.add(&written, path.clone())?);
+            embeddings = Some(path);
+        }
+        Ok(Self { store: store.address(), files, embeddings })
+    }
+
+    /// Copies what the cache folder `cache` lacks from the plan's store, or from `store`. Workers of one machine wait for each
+    /// other, so that each file is copied once. Returns how many were.
+    ///
+    /// # Errors
+    /// When a file is missing or damaged.
+    pub fn fetch(&self, store: Option<&str>, cache: &Path) -> Result<usize> {
+        let store = Store::open(store.unwrap_or(&self.store))?;
+        let path = cache.join("fetch.lock");
+        let failed = || format!("cannot lock {}", path.display());
+        fs::create_dir_all(cache).with_context(failed)?;
+        let lock = File::options().create(true).append(true).open(&path).with_context(failed)?;
+        lock.lock().with_context(failed)?;
+        let mut fetched = 0;
+        for file in &self.files {
+            fetched += usize::from(store.fetch(file, cache)?);
+        }
+        Ok(fetched)
+    }
+
+    /// The file of the embeddings in the cache folder `cache`.
+    pub fn embeddings_in(&self, cache: &Path) -> Option<PathBuf> {
+        self.embeddings.as_ref().map(|path| cache.join(path))
+    }
+}
+
+/// Writes the embeddings that are known here to the file `written`; returns the files of the encoder.
+fn encoder_files(settings: &RunSettings, written: &Path) -> Result<Vec<PathBuf>> {
+    let given = [
+        ("--assets", settings.assets.as_ref().map(|path| path.display().to_string())),
+        ("--encoder", Some(settings.encoder.clone())),
+        ("--encoder-file", settings.encoder_file.as_ref().map(|path| path.display().to_string())),
+        ("--provider", settings.provider.clone()),
+        ("--out", Some(written.display().to_string())),
+    ];
+    let mut args = vec!["embeddings".into()];
+    for (flag, value) in given {
+        args.extend(value.into_iter().flat_map(|value| [flag.into(), value.into()]));
+    }
+    let Launch { program, args, .. } = Launch::sibling(Role::Memory, "memory-proc", args)?;
+    let output = Command::new(&program).args(args).stderr(std::process::Stdio::inherit()).output();
+    let output = output.with_context(|| format!("cannot start {}", program.display()))?;
+    ensure!(output.status.success(), "memory-proc could not write the embeddings that are known");
+    serde_json::from_slice(&output.stdout).context("memory-proc lists files that cannot be read")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A store with one file, and an empty cache folder.
+    fn stored() -> (tempfile::TempDir, Store, StoredFile, PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("model");
+        fs::write(&file, "weights").unwrap();
+        let store = Store::open(&format!("file://{}/store", folder.path().display())).unwrap();
+        let stored = store.add(&file, "models/model".into()).unwrap();
+        assert_eq!(store.add(&file, "models/model".into()).unwrap(), stored);
+        let cache = folder.path().join("cache");
+        (folder, store, stored, cache)
+    }
+
+    #[test]
+    fn a_file_is_fetched_once_and_only_whole() {
+        let (_folder, store, file, cache) = stored();
+        let shipment = Shipment { store: store.address(), files: vec![file], embeddings: None };
+        assert_eq!(shipment.fetch(None, &cache).unwrap(), 1);
+        assert_eq!(fs::read_to_string(cache.join("models/model")).unwrap(), "weights");
+        assert_eq!(shipment.fetch(Some("/nowhere"), &cache).unwrap(), 0);
+
+        fs::remove_file(cache.join("models/model")).unwrap();
+        fs::write(store.object(&shipment.files[0].hash), "weighty").unwrap();
+        let error = format!("{:#}", shipment.fetch(None, &cache).unwrap_err());
+        assert!(error.contains("instead of") && error.contains("remove it"), "{error}");
+        assert_eq!(fs::read_dir(cache.join("models")).unwrap().count(), 0);
+        fs::remove_file(store.object(&shipment.files[0].hash)).unwrap();
+        let error = format!("{:#}", shipment.fetch(None, &cache).unwrap_err());
+        assert!(error.contains("cannot get models/model from"), "{error}");
+    }
+
+    #[test]
+    fn a_plan_writes_nothing_outside_the_cache_folder() {
+        let (folder, store, file, cache) = stored();
+        let inside = folder.path().join("x").display().to_string();
+        for path in ["../x", "models/../../x", &inside] {
+            let file = StoredFile { path: path.to_owned(), ..file.clone() };
+            let error = store.fetch(&file, &cache).unwrap_err().to_string();
+            assert!(error.contains("not in the cache folder"), "{error}");
+        }
+        let file = StoredFile { hash: "../cache".into(), ..file };
+        assert!(store.fetch(&file, &cache).unwrap_err().to_string().contains("no hash"));
+        assert!(Store::open("s3://bucket").unwrap_err().to_string().contains("mount"));
+    }
+}
