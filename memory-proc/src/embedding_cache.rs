@@ -135,7 +135,8 @@ impl EmbeddingCache {
     ) -> anyhow::Result<usize> {
         let shown = file.display();
         let bytes = std::fs::read(file).with_context(|| format!("cannot read {shown}"))?;
-        let rest = bytes.strip_prefix(SHIPPED).with_context(|| format!("{shown} has no embeddings"))?;
+        let rest =
+            bytes.strip_prefix(SHIPPED).with_context(|| format!("{shown} has no embeddings"))?;
         let rest = rest.strip_prefix(model).with_context(|| {
             format!("the embeddings in {shown} are of another encoder: write the plan again")
         })?;
@@ -367,7 +368,8 @@ mod tests {
         assert_holds(&open(folder.path()), 0..5);
 
         let mut cache = EmbeddingCache::in_memory();
-        let mut refused = |model| cache.add_shipped(&file, &model, DIMENSION).unwrap_err().to_string();
+        let mut refused =
+            |model| cache.add_shipped(&file, &model, DIMENSION).unwrap_err().to_string();
         assert!(refused([4; 32]).contains("of another encoder"));
         std::fs::write(&file, &bytes[..bytes.len() - 1]).unwrap();
         assert!(refused(model).contains("cut off"));

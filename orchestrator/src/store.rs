@@ -103,7 +103,11 @@ impl Store {
         fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
         let from = self.object(hash);
         copy_checked(&from, &to, hash).with_context(|| {
-            format!("cannot get {} from {}; `memtransfer plan --store` puts it there", file.path, from.display())
+            format!(
+                "cannot get {} from {}; `memtransfer plan --store` puts it there",
+                file.path,
+                from.display()
+            )
         })?;
         Ok(true)
     }

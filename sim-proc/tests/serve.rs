@@ -3,6 +3,9 @@
 #![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::os::unix::fs::MetadataExt;
+use std::path::PathBuf;
 use std::sync::mpsc::{Receiver as Permissions, channel};
 
 use anyhow::Result;
@@ -563,6 +566,71 @@ fn the_renderer_writes_into_the_frame_store() {
     assert!(frames_rendered > 6 && frames_evicted >= frames_rendered - 6);
     let copied = if facts["frame path"] == "direct" { 0 } else { frames_rendered };
     assert_eq!(pixel_bytes_copied, copied * size.bytes() as u64, "{facts:?}");
+}
+
+/// Simulators share views through a folder: the first renders them, the next reads them, and one that finds a damaged file
+/// renders the view again.
+#[test]
+fn views_that_another_simulator_has_rendered_are_read_from_files() {
+    let size = FrameSize { width: 128, height: 96 };
+    let settings = RenderSettings {
+        width_px: size.width,
+        height_px: size.height,
+        backend: Some(Backend::Cpu),
+        ..RenderSettings::default()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path().to_owned();
+    let case = CaseSet::shipped().cases[0].clone();
+    let variant = Variant::closing(case.barricade.iter().copied());
+    let mut renderer = Renderer::new(&Warehouse::shipped(), settings.clone()).unwrap();
+    let mut walk = || {
+        let (settings, root) = (settings.clone(), root.clone());
+        let mut sim = simulator_with(
+            |attach| attach.frame = size,
+            false,
+            move |_| RenderSetup::open(&worlds(), settings, Some(&root)),
+        );
+        sim.handshake();
+        let mut command = reset(0, 1, 1, case.blocked.start);
+        let mut expected = vec![0; size.bytes()];
+        for (&action, step) in case.blocked.actions.iter().zip(1..) {
+            let seen = sim.ask(&command);
+            let pose = Pose::try_from(seen.pose).unwrap();
+            let destination = Destination::Memory(&mut expected);
+            let view = ViewSpec { pose, variant: &variant, stock: 0 };
+            renderer.render(&mut [RenderJob { view, destination }]).unwrap();
+            let frame = sim.neighbours.stores[0].get(seen.frame).unwrap().unwrap();
+            assert!(frame.pixels() == expected, "{pose}");
+            assert_eq!(frame.content_hash()[..], blake3::hash(&expected).as_bytes()[..16]);
+            command = act(0, 1, step, action);
+        }
+        sim.stop();
+    };
+    // Which files there are: a file that is written again is another one.
+    let files = || {
+        let of_renderer = fs::read_dir(folder.path()).unwrap().next().unwrap().unwrap().path();
+        let files = fs::read_dir(of_renderer).unwrap().map(|file| file.unwrap());
+        let files = files.map(|file| (file.path(), file.metadata().unwrap().ino()));
+        files.collect::<BTreeMap<PathBuf, u64>>()
+    };
+    walk();
+    let kept = files();
+    assert!(kept.len() > 5);
+    walk();
+    assert_eq!(files(), kept);
+    for (number, path) in kept.keys().enumerate() {
+        let mut bytes = fs::read(path).unwrap();
+        match number % 3 {
+            0 => bytes.truncate(bytes.len() / 2),
+            1 => *bytes.last_mut().unwrap() ^= 1,
+            _ => bytes.clear(),
+        }
+        fs::write(path, bytes).unwrap();
+    }
+    walk();
+    assert!(files().keys().eq(kept.keys()));
+    assert!(files().iter().all(|(path, inode)| kept[path] != *inode));
 }
 
 /// The other warehouse has its own floor plan, stock and scene, in one frame store with the tested one.

@@ -165,8 +165,16 @@ fn a_stream_is_executed_whole() {
 fn a_worker_gets_what_it_needs_from_the_plans_store() {
     let bench = Bench::new();
     fs::write(bench.out("suite.toml"), SMALL).unwrap();
-    let settings =
-        ["--suite", "./suite.toml", "--policy", "grounded", "--memory", "summary,episodic", "--limit", "3"];
+    let settings = [
+        "--suite",
+        "./suite.toml",
+        "--policy",
+        "grounded",
+        "--memory",
+        "summary,episodic",
+        "--limit",
+        "3",
+    ];
     // The first machine knows documents and embeddings after this.
     bench.run(&[&["run"], &settings[..], &["--out", "whole", "--lanes", "1"]].concat()).expect(0);
     let plan = ["--out", "plan.json", "--unit-episodes", "100", "--store", "store"];
@@ -237,7 +245,11 @@ fn what_is_missing_disagrees_or_differs_is_named() {
     }
     assert!(!units.out("mixed").exists());
     let warned = units.bench.run(&merge).expect(0);
-    assert!(warned.stderr.contains("warning: pixels and embeddings may differ"), "{}", warned.stderr);
+    assert!(
+        warned.stderr.contains("warning: pixels and embeddings may differ"),
+        "{}",
+        warned.stderr
+    );
 
     // Other assets, or another plan's unit.
     let other = units.out("other-assets");

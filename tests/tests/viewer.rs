@@ -464,7 +464,10 @@ fn an_episode_that_arrives_late_does_not_replace_the_page_opened_since() {
     browser.answer_held();
     // The episode arrives, and everything that waited for it goes on.
     browser.wait_for("memtransfer.load('run1/episodes/0').then(() => new Promise((done) => setTimeout(() => done(true))))");
-    assert_eq!(browser.value(&format!("document.querySelector('.transport') === null && {sorted}")), true);
+    assert_eq!(
+        browser.value(&format!("document.querySelector('.transport') === null && {sorted}")),
+        true
+    );
     assert_eq!(browser.value("location.hash"), "#sort=steps");
     // Loaded now, it is shown at once.
     browser.click("td a.mark");

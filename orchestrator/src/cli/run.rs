@@ -216,7 +216,16 @@ impl RunPlan {
             }
         };
         let SelectedCases { world, streams, .. } = selection;
-        Ok(Some(Self { settings, world, streams, episodes, unit: None, shipped_embeddings: None, prices, started }))
+        Ok(Some(Self {
+            settings,
+            world,
+            streams,
+            episodes,
+            unit: None,
+            shipped_embeddings: None,
+            prices,
+            started,
+        }))
     }
 
     /// The external memories.
