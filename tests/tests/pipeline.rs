@@ -80,7 +80,10 @@ fn wait_for_episodes(run: &Path) {
 #[test]
 fn a_closed_terminal_stops_a_run_and_nohup_lets_it_go_on() {
     let bench = Bench::new();
-    let args = |out| [&slice(out, "4")[..], &["--frame-size", "64"]].concat();
+    let args = |out| {
+        let small = ["--memory", "working,full-context", "--frame-size", "64", "--runs", "4"];
+        [&slice(out, "1")[..], &small].concat()
+    };
     let mut child = bench.start(&args("closed"));
     wait_for_episodes(&bench.out("closed"));
     hang_up(child.id());
