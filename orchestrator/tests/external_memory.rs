@@ -259,6 +259,7 @@ fn check_only_the_memory_suffers(seen: &Seen, ending: &Ending, said: &[&str]) {
 #[test]
 fn the_orchestrator_creates_its_services_before_others_can_join() {
     let scratch = ScratchRun::new(&Role::CHILDREN, |attach| attach.external_memories = vec![0]);
+    Attach::withdraw(&scratch.attach().root).unwrap();
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
     let conditions = [(Condition::logged("working/original/unchanged/none").unwrap(), 1)];
     let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
