@@ -92,11 +92,9 @@ impl Progress {
                 let columns = terminal_size::terminal_size_of(std::io::stderr());
                 let columns = columns.map_or(COLUMNS, |(width, _)| usize::from(width.0));
                 erase_line();
-                eprint!("{}", bar(done, total, &line(), columns));
-                // An error does no harm: this is only a display.
-                let _ = std::io::stderr().flush();
+                write_to_stderr(&bar(done, total, &line(), columns));
             }
-            ProgressTarget::Lines => eprintln!("{}", line()),
+            ProgressTarget::Lines => say(&line()),
             ProgressTarget::Nothing => {}
         }
     }
@@ -106,21 +104,32 @@ impl Progress {
         if self.target == ProgressTarget::Bar && self.shown.take().is_some() {
             erase_line();
         }
-        eprintln!("{note}");
+        say(note);
     }
 
     /// Removes the bar; where there are lines, prints the `last` one.
     pub fn close(self, last: impl FnOnce() -> String) {
         match self.target {
             ProgressTarget::Bar if self.shown.is_some() => erase_line(),
-            ProgressTarget::Lines if self.shown.is_some() => eprintln!("{}", last()),
+            ProgressTarget::Lines if self.shown.is_some() => say(&last()),
             ProgressTarget::Bar | ProgressTarget::Lines | ProgressTarget::Nothing => {}
         }
     }
 }
 
 fn erase_line() {
-    eprint!("\r\x1b[2K");
+    write_to_stderr("\r\x1b[2K");
+}
+
+/// Prints a message to stderr. A message that cannot be printed is lost, and does no harm: the terminal may be closed while
+/// a run is stopping, or going on.
+pub fn say(message: &str) {
+    write_to_stderr(&format!("{message}\n"));
+}
+
+fn write_to_stderr(text: &str) {
+    let mut stderr = std::io::stderr().lock();
+    let _ = stderr.write_all(text.as_bytes()).and_then(|()| stderr.flush());
 }
 
 /// A bar and a text, in as many columns as there are.

@@ -16,6 +16,7 @@ use crate::lanes::{AnsweredRequest, FinishedEpisode, PendingAnswer, Stamps};
 use crate::machine::Machine;
 use crate::monitor::Monitor;
 use crate::pipeline::{Ending, Facts, MemoryState, Observer, Participant};
+use crate::progress::say;
 use crate::trace::RunTrace;
 
 /// Problems that are printed one by one; a process that sends invalid messages may do so often.
@@ -86,7 +87,7 @@ impl<'a> RunSession<'a> {
         latency.records(session).try_for_each(|record| self.folder.measured(&record))?;
         if let Some(trace) = self.trace {
             let path = trace.finish()?;
-            eprintln!("trace: {} (open it with https://ui.perfetto.dev)", path.display());
+            say(&format!("trace: {} (open it with https://ui.perfetto.dev)", path.display()));
         }
         let (finished, reason) = (self.finished, reason.to_owned());
         Ok(self.folder.note(SessionEvent::Ended { finished, errors, reason, shutdown_reports })?)

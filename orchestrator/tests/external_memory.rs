@@ -23,7 +23,7 @@ use orchestrator::plan::plan;
 use results::conditions::Condition;
 use shm_types::description::{DESCRIPTION_FILE, memory_folder};
 use shm_types::message::{
-    EXTERNAL, ErrorReport, ErrorReportKind, Handshake, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig,
+    EXTERNAL, ErrorReport, ErrorReportKind, Heartbeat, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig,
     Observation, RequestId, Role, write_text,
 };
 use shm_types::{Attach, Bus, MemoryDescription};
@@ -260,10 +260,11 @@ fn check_only_the_memory_suffers(seen: &Seen, ending: &Ending, said: &[&str]) {
 #[test]
 fn the_orchestrator_creates_its_services_before_others_can_join() {
     let scratch = ScratchRun::new(&Role::CHILDREN, |attach| attach.external_memories = vec![0]);
+    Attach::withdraw(&scratch.attach().root).unwrap();
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-    let condition = Condition::logged("working/original/unchanged/none").unwrap();
+    let conditions = [(Condition::logged("working/original/unchanged/none").unwrap(), 1)];
     let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
-    let episodes = plan(&[(condition, 1)], &[0], &ids, 1);
+    let episodes = plan(&conditions, &[0], &ids, 1);
     let mut lanes = Lanes::new(&warehouse, &cases, RULES, 1);
     let name: ExternalName = MEMORY.parse().unwrap();
     let description = MemoryDescription { name: MEMORY.to_owned(), ..MemoryDescription::default() };
@@ -290,8 +291,8 @@ fn the_orchestrator_creates_its_services_before_others_can_join() {
                 }
             };
             let bus = Bus::join_external_memory(attach, 0).unwrap();
-            let handshakes = bus.sender::<Handshake>().unwrap();
-            let attached = handshakes.is_complete();
+            let heartbeats = bus.sender::<Heartbeat>().unwrap();
+            let attached = heartbeats.is_complete();
             stop.store(true, Ordering::Relaxed);
             attached
         });

@@ -246,9 +246,7 @@ fn runs_keep_to_one_limit_of_their_server() {
         bench.command(&args)
     };
     let mut first = limited("first").spawn().unwrap();
-    eventually("two requests of the first run", || {
-        (hanging.load(SeqCst) == LIMIT).then_some(())
-    });
+    eventually("two requests of the first run", || (hanging.load(SeqCst) == LIMIT).then_some(()));
     let other = limited("second").spawn().unwrap();
     let sessions = bench.out("second").join("sessions.jsonl");
     eventually("the second run to be ready", || {

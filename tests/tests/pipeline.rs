@@ -80,14 +80,27 @@ fn wait_for_episodes(run: &Path) {
 #[test]
 fn a_closed_terminal_stops_a_run_and_nohup_lets_it_go_on() {
     let bench = Bench::new();
-    let args = |out| [&slice(out, "4")[..], &["--frame-size", "64"]].concat();
-    let mut child = bench.start(&args("closed"));
-    wait_for_episodes(&bench.out("closed"));
+    let args = |out| {
+        let small = ["--memory", "working,full-context", "--frame-size", "64", "--runs", "4"];
+        [&slice(out, "1")[..], &small].concat()
+    };
+    let child = bench.start(&args("stopped"));
+    wait_for_episodes(&bench.out("stopped"));
     hang_up(child.id());
     hang_up(child.id());
-    child.wait().unwrap();
     let ended = Ended::of(child);
     assert!(ended.stderr.contains("SIGHUP"), "{}", ended.stderr);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+
+    // A terminal that is really closed: nothing more can be printed.
+    let command = bench.command(&args("closed"));
+    let mut terminal = Command::new("python3");
+    terminal.args(["-c", IN_A_TERMINAL]).arg(bench.out("closed").join("episodes.jsonl"));
+    terminal.arg(command.get_program()).args(command.get_args());
+    terminal.current_dir(bench.folder.path()).env("MEMTRANSFER_RUN_DIR", bench.registry.path());
+    Ended::of(terminal.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()).expect(0);
+    let sessions = fs::read_to_string(bench.out("closed").join("sessions.jsonl")).unwrap();
+    assert!(sessions.contains("\"reason\":\"SIGHUP\""), "{sessions}");
     assert_eq!(bench.leftovers(), Vec::<String>::new());
     bench.run(&args("closed")).expect(0);
 
@@ -102,6 +115,23 @@ fn a_closed_terminal_stops_a_run_and_nohup_lets_it_go_on() {
     Ended::of(child).expect(0);
     assert_eq!(sorted_log(&bench.out("kept")), sorted_log(&bench.out("closed")));
 }
+
+/// Executes a command in a terminal, and closes the terminal when the log has two lines.
+const IN_A_TERMINAL: &str = r#"
+import os, pty, select, sys
+log, *command = sys.argv[1:]
+pid, terminal = pty.fork()
+if pid == 0:
+    os.execv(command[0], command)
+lines = 0
+while lines < 2:
+    if select.select([terminal], [], [], 0.01)[0]:
+        os.read(terminal, 65536)
+    if os.path.exists(log):
+        lines = open(log).read().count("\n")
+os.close(terminal)
+os.waitpid(pid, 0)
+"#;
 
 fn hang_up(pid: u32) {
     let pid = Pid::from_raw(pid.cast_signed()).unwrap();

@@ -121,7 +121,9 @@ fn run_drills(
     }
     let chosen: Vec<&Drill> = DRILLS
         .iter()
-        .filter(|drill| arguments.drills.is_empty() || arguments.drills.iter().any(|name| name == drill.name))
+        .filter(|drill| {
+            arguments.drills.is_empty() || arguments.drills.iter().any(|name| name == drill.name)
+        })
         .collect();
     ensure!(
         arguments.flags.is_empty() || chosen.len() == 1,
@@ -174,9 +176,9 @@ fn results(folder: &Path) -> anyhow::Result<Vec<Results>> {
         match fs::read_to_string(&path) {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
             text => {
-                let results = text.map_err(anyhow::Error::from).and_then(|text| {
-                    serde_json::from_str(&text).map_err(anyhow::Error::from)
-                });
+                let results = text
+                    .map_err(anyhow::Error::from)
+                    .and_then(|text| serde_json::from_str(&text).map_err(anyhow::Error::from));
                 all.push(results.with_context(|| path.display().to_string())?);
             }
         }
@@ -187,10 +189,11 @@ fn results(folder: &Path) -> anyhow::Result<Vec<Results>> {
 
 /// The page with these results in place of the earlier ones.
 fn with_results(page: &str, results: &[Results]) -> anyhow::Result<String> {
-    let parts = page.split_once(BEGIN).and_then(|(before, rest)| {
-        rest.split_once(END).map(|(_, after)| (before, after))
-    });
-    let (before, after) = parts.with_context(|| format!("{PAGE} has no lines {BEGIN} and {END}"))?;
+    let parts = page
+        .split_once(BEGIN)
+        .and_then(|(before, rest)| rest.split_once(END).map(|(_, after)| (before, after)));
+    let (before, after) =
+        parts.with_context(|| format!("{PAGE} has no lines {BEGIN} and {END}"))?;
     let mut text = String::new();
     for result in results {
         write_result(&mut text, result)?;

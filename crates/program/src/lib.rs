@@ -3,7 +3,7 @@
 
 mod appearance;
 
-use std::io::{self, IsTerminal};
+use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
 
 use tracing_subscriber::filter::{LevelFilter, Targets};
@@ -38,7 +38,8 @@ pub fn log_to_stderr() {
 pub fn run(name: &str, main: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitCode {
     log_to_stderr();
     main().unwrap_or_else(|error| {
-        eprintln!("{name}: {}", printable(&format!("{error:#}")));
+        // A terminal that was closed does not change how the program ends.
+        let _ = writeln!(io::stderr(), "{name}: {}", printable(&format!("{error:#}")));
         ExitCode::from(2)
     })
 }

@@ -34,7 +34,7 @@ use crate::launch;
 use crate::monitor::Monitor;
 use crate::pipeline::{self, Ending};
 use crate::plan::PlannedEpisode;
-use crate::progress::Progress;
+use crate::progress::{Progress, say};
 use crate::selection::SelectedCases;
 use crate::session::RunSession;
 use crate::settings::{self, Layer, resolve};
@@ -302,7 +302,7 @@ impl RunPlan {
         let opened = RunFolder::open(&settings.out, manifest, options.fresh)?;
         let Opened { mut folder, finished, requests, notes } = opened;
         for note in notes {
-            eprintln!("{note}");
+            say(&note);
         }
         documents.copy_to(&RunFolder::documents_of(folder.dir()))?;
         drop(documents);
@@ -322,7 +322,7 @@ impl RunPlan {
             let logged = RunFolder::prompts_of(folder.dir());
             let logged = logged.exists().then_some(&*logged);
             if let Some(note) = prompt_log_note(finished.len(), missing.len(), logged) {
-                eprintln!("{note}");
+                say(&note);
             }
         }
         let prices = folder.manifest().prices.as_ref();
@@ -337,7 +337,7 @@ impl RunPlan {
             let total = finished.len() + missing.len();
             if !finished.is_empty() && !options.quiet {
                 let (out, done) = (settings.out.display(), finished.len());
-                eprintln!("resuming {out}: {done} of {total} episodes are finished");
+                say(&format!("resuming {out}: {done} of {total} episodes are finished"));
             }
             let counts = EpisodeCounts {
                 planned: total as u64,
@@ -440,27 +440,27 @@ impl RunPlan {
         let log = RunLog::read(&self.settings.out)?;
         let (done, planned) = (log.episodes.len(), log.manifest.episodes as usize);
         if let Some(signal) = signals.received() {
-            eprintln!(
+            say(&format!(
                 "stopped by {}: {done} of {planned} episodes are finished and kept in {}. To resume:\n  {}",
                 signals::name(signal),
                 self.settings.out.display(),
                 same_command()
-            );
+            ));
             return Ok(Exit::Signal(signal));
         }
         print(&results::report::summary(&log))?;
         if let Some(why) = halted {
-            eprintln!(
+            say(&format!(
                 "stopped: {why}\nFinished episodes are kept. To resume:\n  {}",
                 same_command()
-            );
+            ));
         } else if done < planned {
-            eprintln!(
+            say(&format!(
                 "{} of {planned} episodes could not be finished, and count neither as success nor as failure. To \
                  run them again:\n  {}",
                 planned - done,
                 same_command()
-            );
+            ));
         }
         Ok(if done >= planned { Exit::Complete } else { Exit::Failed })
     }
@@ -493,14 +493,14 @@ fn note_omissions(settings: &RunSettings) {
         group.routes.contains(&Route::Blocked) && group.starts.contains(&Start::Original)
     };
     if groups.iter().any(blocked_original) {
-        eprintln!("blocked routes exist for the new start only: left out for the original start");
+        say("blocked routes exist for the new start only: left out for the original start");
     }
     let without_demonstrations = |group: &Group| {
         group.demos.contains(&Demonstrations::NONE)
             && group.memory.iter().any(|memory| memory.uses_demonstrations())
     };
     if groups.iter().any(without_demonstrations) {
-        eprintln!("memories of demonstrations need some: left out with `--demos none`");
+        say("memories of demonstrations need some: left out with `--demos none`");
     }
 }
 
@@ -540,12 +540,12 @@ fn start_memories(
 /// Reports that a signal came while something was being done before the first episode.
 pub(super) fn stopped_before_episodes(signals: &Signals, meanwhile: &str) -> Exit {
     let signal = signals.received().unwrap_or_default();
-    eprintln!(
+    say(&format!(
         "stopped by {} while {meanwhile}, before the first episode. Documents that were complete are kept. To \
          resume:\n  {}",
         signals::name(signal),
         same_command()
-    );
+    ));
     Exit::Signal(signal)
 }
 

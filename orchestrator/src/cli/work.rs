@@ -14,6 +14,7 @@ use super::run::{
     Executed, RunOptions, RunPlan, STARTING_MEMORIES, same_command, stopped_before_episodes,
 };
 use super::{Exit, print};
+use crate::progress::say;
 use crate::settings::{Layer, on_this_machine};
 use crate::signals::{self, Signals};
 use crate::units::{ReadPlan, UnitPlan};
@@ -93,12 +94,12 @@ pub(super) fn run(args: WorkArgs) -> Result<Exit> {
             (None, Some(why)) => format!("stopped: {why}"),
             (None, None) => "some episodes could not be finished".to_owned(),
         };
-        eprintln!(
+        say(&format!(
             "unit {}: {why}; {done} of {planned} episodes are finished and kept in {}. To resume:\n  {}",
             args.unit,
             part.display(),
             same_command()
-        );
+        ));
         return Ok(signals.received().map_or(Exit::Failed, Exit::Signal));
     }
     finish_unit(&part, &whole)?;

@@ -13,8 +13,7 @@ use crate::report::Report;
 use crate::runs::{Run, Sandbox};
 
 const TITLE: &str = "Full disks, and files that are not what they should be";
-const TEXT: &str =
-    "The run folder, the cache and shared memory lie in small file systems (tmpfs, 1 to 64 MiB) in a mount namespace of \
+const TEXT: &str = "The run folder, the cache and shared memory lie in small file systems (tmpfs, 1 to 64 MiB) in a mount namespace of \
      their own, which are filled to a few KiB before or during a run. A run that cannot go on must say what is full, and the \
      same command after making room must end with the log of an undisturbed run. The same holds for read-only folders, \
      folders of other users, symbolic links and folders where a file is expected, and a limit on memory.";
@@ -42,11 +41,10 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
         command.arg(program).args(args).env(INSIDE, "yes");
         command
     };
-    let probe = unshare(
+    let mut probe = unshare(
         Path::new("/bin/sh"),
         &["-c".to_owned(), "mount -t tmpfs -o size=1m tmpfs /mnt".to_owned()],
     );
-    let mut probe = probe;
     let probe = probe.output();
     if !probe.as_ref().is_ok_and(|output| output.status.success()) {
         let why = match probe {
@@ -74,7 +72,12 @@ fn inside(extent: &Extent) -> Result<Report, String> {
             return Ok(report);
         }
         let outcome = full_run_folder(&sandbox, &small, kib);
-        conclude(&mut report, "run folder full", &format!("a run folder with {kib} KiB left"), outcome);
+        conclude(
+            &mut report,
+            "run folder full",
+            &format!("a run folder with {kib} KiB left"),
+            outcome,
+        );
     }
     for &kib in left {
         if extent.is_over(&report) {
@@ -83,10 +86,16 @@ fn inside(extent: &Extent) -> Result<Report, String> {
         let outcome = full_cache(&mut sandbox, kib);
         conclude(&mut report, "cache full", &format!("a cache with {kib} KiB left"), outcome);
     }
-    let shared: &[(u64, &str)] = if extent.is_quick { &[(8, "8m")] } else { &[(1, "1m"), (8, "8m"), (24, "24m")] };
+    let shared: &[(u64, &str)] =
+        if extent.is_quick { &[(8, "8m")] } else { &[(1, "1m"), (8, "8m"), (24, "24m")] };
     for &(mib, size) in shared {
         let outcome = small_shared_memory(&mut sandbox, size);
-        conclude(&mut report, "shared memory too small", &format!("{mib} MiB of shared memory"), outcome);
+        conclude(
+            &mut report,
+            "shared memory too small",
+            &format!("{mib} MiB of shared memory"),
+            outcome,
+        );
     }
     let moments: &[u64] = if extent.is_quick { &[] } else { &[100, 250, 400, 600, 800] };
     for &ms in moments {
@@ -94,12 +103,19 @@ fn inside(extent: &Extent) -> Result<Report, String> {
             return Ok(report);
         }
         let outcome = shared_memory_fills(&mut sandbox, Duration::from_millis(ms));
-        conclude(&mut report, "shared memory fills up", &format!("shared memory full after {ms} ms"), outcome);
+        conclude(
+            &mut report,
+            "shared memory fills up",
+            &format!("shared memory full after {ms} ms"),
+            outcome,
+        );
     }
     let outcome = read_only(&sandbox, &small);
     conclude(&mut report, "read-only folder", "a read-only folder", outcome);
-    for name in ["manifest.json", "episodes.jsonl", "timings.jsonl", "sessions.jsonl", "logs", "lock"] {
-        for (class, is_link) in [("a folder or a file of the wrong kind", false), ("symbolic link", true)] {
+    for name in ["manifest.json", "episodes.jsonl", "timings.jsonl", "sessions.jsonl", "logs"] {
+        for (class, is_link) in
+            [("a folder or a file of the wrong kind", false), ("symbolic link", true)]
+        {
             if extent.is_quick && name != "episodes.jsonl" {
                 continue;
             }
@@ -210,7 +226,7 @@ fn small_shared_memory(sandbox: &mut Sandbox, size: &str) -> Result<(), String> 
         let run = sandbox.run();
         let ended = start(sandbox, &run)?;
         if ended.status != Some(0) {
-            expect_error(&ended, &["enlarge it"])?;
+            expect_error(&ended, &["enlarge it", "make it larger"])?;
         }
         command(Command::new("mount").args(["-o", "remount,size=4g", "/dev/shm"]))?;
         sandbox.check_recovery(&run, &ended, false)
@@ -253,13 +269,19 @@ fn read_only(sandbox: &Sandbox, small: &Path) -> Result<(), String> {
     outcome
 }
 
-/// A folder, or a link to a file elsewhere, in the place of a file of the run folder (and a file in the place of a folder).
+/// A finished run in whose folder another file is put in the place of `name`: a link to a file elsewhere, or a folder where
+/// a file is expected, or a file where a folder is. The file elsewhere is not changed, and the run is as it was once its own
+/// file is back.
 fn wrong_kind(sandbox: &mut Sandbox, name: &str, is_link: bool) -> Result<(), String> {
     let failed = |error: std::io::Error| error.to_string();
     let run = sandbox.run();
+    let first = start(sandbox, &run)?;
+    if first.status != Some(0) {
+        return Err(format!("an undisturbed run fails: {}", first.stderr));
+    }
     let (place, elsewhere) = (run.out.join(name), sandbox.folder().join("elsewhere"));
-    fs::create_dir(&run.out).map_err(failed)?;
-    let _ = fs::remove_file(&elsewhere);
+    let own = sandbox.folder().join("own");
+    fs::rename(&place, &own).map_err(failed)?;
     fs::write(&elsewhere, "mine\n").map_err(failed)?;
     match (is_link, name) {
         (true, _) => symlink(&elsewhere, &place).map_err(failed)?,
@@ -268,16 +290,18 @@ fn wrong_kind(sandbox: &mut Sandbox, name: &str, is_link: bool) -> Result<(), St
     }
     let ended = start(sandbox, &run)?;
     let text = fs::read_to_string(&elsewhere).map_err(failed)?;
-    if is_link && text != "mine\n" {
-        return Err(format!("the file that a link names was changed; status {:?}", ended.status));
+    if text != "mine\n" {
+        return Err(format!("the file elsewhere now has {text:?}; status {:?}", ended.status));
     }
     if ended.status != Some(0) {
-        expect_error(&ended, &[name, "is not a run folder", "not empty"])?;
+        expect_error(&ended, &[name])?;
     }
-    match (is_link, name) {
-        (false, "logs") | (true, _) => fs::remove_file(&place).map_err(failed)?,
-        (false, _) => fs::remove_dir_all(&place).map_err(failed)?,
+    let kind = fs::symlink_metadata(&place).map_err(failed)?;
+    match kind.is_dir() {
+        true => fs::remove_dir_all(&place).map_err(failed)?,
+        false => fs::remove_file(&place).map_err(failed)?,
     }
+    fs::rename(&own, &place).map_err(failed)?;
     sandbox.check_recovery(&run, &ended, false)
 }
 

@@ -11,8 +11,7 @@ use crate::runs::Sandbox;
 use crate::{Extent, Random};
 
 const TITLE: &str = "Kills and failing calls at every point of the protocol";
-const TEXT: &str =
-    "A library that is loaded into every process of a run lists the calls that change a file, shared memory or a socket. \
+const TEXT: &str = "A library that is loaded into every process of a run lists the calls that change a file, shared memory or a socket. \
      Then, for each program, each call and each kind of path, one process is killed before or after the first, second, \
      middle or last such call, or the call fails with ENOSPC, EIO or EMFILE. The run, or the same command again, must end \
      with the log of an undisturbed run, and leave nothing behind.";
@@ -87,7 +86,8 @@ fn calls(sandbox: &mut Sandbox) -> Result<BTreeMap<Call, u64>, String> {
         return Err(format!("a run whose calls are listed fails: {}", ended.stderr));
     }
     sandbox.check_log(&run)?;
-    let text = fs::read_to_string(&list).map_err(|error| format!("no calls are listed: {error}"))?;
+    let text =
+        fs::read_to_string(&list).map_err(|error| format!("no calls are listed: {error}"))?;
     let mut calls = BTreeMap::new();
     for line in text.lines() {
         if let Some((program, call)) = line.split_once(' ') {

@@ -16,8 +16,7 @@ use crate::runs::{Run, Sandbox};
 use crate::{Extent, Random};
 
 const TITLE: &str = "Kills at random moments";
-const TEXT: &str =
-    "Short runs, each disturbed once at a random moment. The run, or the same command again, must end with the log of an \
+const TEXT: &str = "Short runs, each disturbed once at a random moment. The run, or the same command again, must end with the log of an \
      undisturbed run; then `memtransfer clean` must leave no shared memory, no folder and no process.";
 
 /// The programs of a run, as what they are in it.
@@ -29,15 +28,14 @@ const VICTIMS: [(&str, &str); 5] = [
     ("external memory", "misbehaving-memory"),
 ];
 
-/// Disturbances of a quick drill.
-const QUICK: u64 = 10;
-
 /// Disturbances of a whole drill, if its time allows: with none that does harm, fewer than one in a thousand does (at 95 %
 /// confidence).
 const WHOLE: u64 = 3000;
 
-/// The longest wait for a message, in seconds, of a run in which a process is stopped for good.
-const IMPATIENT: &str = "5";
+/// Time limits, in seconds, of a run in which a process is stopped for good: of an answer, and of the start, which takes
+/// longer on a loaded machine.
+const ANSWER: &str = "5";
+const START: &str = "30";
 
 #[derive(Clone, Copy, PartialEq)]
 enum Disturbance {
@@ -52,9 +50,8 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
     let mut report = Report::new(TITLE, TEXT);
     let mut sandbox = Sandbox::new()?;
     let mut random = Random::new(extent.seed);
-    let most = if extent.is_quick { QUICK } else { WHOLE };
     let mut turn = 0;
-    while report.faults() < most && !extent.is_over(&report) {
+    while report.faults() < WHOLE && !extent.is_over(&report) {
         let (role, program) = VICTIMS[turn % VICTIMS.len()];
         let disturbance = match (turn / VICTIMS.len()) % 6 {
             3 => Disturbance::StopAndContinue,
@@ -65,10 +62,13 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
             },
             _ => Disturbance::Kill,
         };
-        // A quick drill has one turn of each kind.
         turn += 1;
+        // A quick drill has a kill of each process and two of the disturbances that do not wait for a time limit.
         if extent.is_quick && turn == VICTIMS.len() {
             turn = 5 * VICTIMS.len();
+        }
+        if extent.is_quick && turn > 5 * VICTIMS.len() + 2 {
+            break;
         }
         // Also shortly after the end of an undisturbed run: runs that are disturbed, or listed, take longer.
         let moment = random.fraction() * 1.1 * sandbox.usual;
@@ -111,8 +111,9 @@ fn disturb(
 ) -> Result<bool, String> {
     let mut run = sandbox.run();
     if disturbance == Disturbance::StopForGood {
-        // In front of the other flags, which `clean` and the second command have as well.
-        run.args.extend(["--step-timeout", IMPATIENT, "--memory-timeout", IMPATIENT].map(str::to_owned));
+        let limits =
+            ["--step-timeout", ANSWER, "--memory-timeout", ANSWER, "--start-timeout", START];
+        run.args.extend(limits.map(str::to_owned));
     }
     if disturbance == Disturbance::KillParent {
         return kill_parent(sandbox, &run, moment);
@@ -131,7 +132,10 @@ fn disturb(
             let second = Ended::of(sandbox.start(&run, &[])?);
             // The first one may be over meanwhile; then the second has nothing to do.
             if second.status != Some(0) && second.status != Some(2) {
-                return Err(format!("the second run ended with {:?}: {}", second.status, second.stderr));
+                return Err(format!(
+                    "the second run ended with {:?}: {}",
+                    second.status, second.stderr
+                ));
             }
             second.status == Some(2)
         }
@@ -183,7 +187,11 @@ fn kill_parent(sandbox: &Sandbox, run: &Run, moment: Duration) -> Result<bool, S
     let pid_file = sandbox.folder().join("pid");
     let _ = fs::remove_file(&pid_file);
     let mut shell = Command::new("/bin/sh");
-    shell.args(["-c", "\"$@\" & echo $! > \"$PID_FILE.new\"; mv \"$PID_FILE.new\" \"$PID_FILE\"; wait", "sh"]);
+    shell.args([
+        "-c",
+        "\"$@\" & echo $! > \"$PID_FILE.new\"; mv \"$PID_FILE.new\" \"$PID_FILE\"; wait",
+        "sh",
+    ]);
     shell.arg(command.get_program()).args(command.get_args());
     sandbox.in_sandbox(&mut shell);
     shell.env("PID_FILE", &pid_file);

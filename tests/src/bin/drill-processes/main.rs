@@ -15,6 +15,9 @@ use std::process::ExitCode;
 
 use report::Report;
 
+/// No new disturbance begins in a quick drill after so many minutes.
+const QUICK_MINUTES: f64 = 0.6;
+
 /// How much a drill does, and where it writes what it finds.
 pub(crate) struct Extent {
     /// A small part, in about half a minute.
@@ -61,7 +64,7 @@ fn run() -> Result<bool, String> {
     while let Some(flag) = arguments.next() {
         if flag == "--quick" {
             extent.is_quick = true;
-            extent.minutes = extent.minutes.min(2.0);
+            extent.minutes = extent.minutes.min(QUICK_MINUTES);
             extent.command += " --quick";
             continue;
         }

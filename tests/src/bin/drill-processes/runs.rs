@@ -40,9 +40,9 @@ impl Sandbox {
     pub(crate) fn new() -> Result<Self, String> {
         let folder = PathBuf::from(format!("/tmp/mtd{}", std::process::id()));
         let mut sandbox = Self { folder, runs: 0, reference: Vec::new(), usual: 0.0 };
-        sandbox.prepare().map_err(|error| {
-            format!("cannot prepare {}: {error}", sandbox.folder.display())
-        })?;
+        sandbox
+            .prepare()
+            .map_err(|error| format!("cannot prepare {}: {error}", sandbox.folder.display()))?;
         // The first run also fills the cache of embeddings.
         for _ in 0..2 {
             let run = sandbox.run();
@@ -171,7 +171,10 @@ impl Sandbox {
             status = again.status;
         }
         if status != Some(0) {
-            return Err(format!("not complete after {REPETITIONS} more times; at first: {}", ended.stderr));
+            return Err(format!(
+                "not complete after {REPETITIONS} more times; at first: {}",
+                ended.stderr
+            ));
         }
         self.check_log(run)?;
         fs::remove_dir_all(&run.out).map_err(|error| format!("{}: {error}", run.out.display()))?;
