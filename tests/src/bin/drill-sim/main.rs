@@ -81,10 +81,15 @@ struct Totals {
 }
 
 fn main() -> ExitCode {
-    program::run("drill-sim", || {
-        let found = run(&Arguments::parse())?;
-        Ok(if found == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
-    })
+    // No log: what processes warn of is what the faults are for.
+    match run(&Arguments::parse()) {
+        Ok(0) => ExitCode::SUCCESS,
+        Ok(_) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("drill-sim: {error:#}");
+            ExitCode::from(2)
+        }
+    }
 }
 
 /// Runs the trials; returns how many failed.
@@ -94,8 +99,7 @@ fn run(arguments: &Arguments) -> Result<usize> {
     // Panics are caught, and are violations.
     std::panic::set_hook(Box::new(|_| {}));
     let files = tempfile::Builder::new().prefix("drill").tempdir_in("/dev/shm").context("/dev/shm")?;
-    let registry = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").context("/tmp")?;
-    let place = Place { folder: files.path().to_owned(), registry: registry.path().join("r") };
+    let place = Place { folder: files.path().to_owned(), registry: files.path().join("r") };
     std::os::unix::fs::DirBuilderExt::mode(&mut std::fs::DirBuilder::new(), 0o700)
         .create(&place.registry)?;
     let scenarios = Scenario::all(files.path())?;
@@ -116,9 +120,10 @@ fn run(arguments: &Arguments) -> Result<usize> {
         );
         ensure!(outcome.account.digest == first.account.digest, "{}: not repeatable", scenario.name);
         eprintln!(
-            "{}: {} episodes, {} points, {} operations on files, {:.1} s of virtual time",
+            "{}: {} episodes of {}, {} points, {} operations on files, {:.1} s of virtual time",
             scenario.name,
             outcome.log.len(),
+            scenario.episodes.len(),
             outcome.account.steps,
             outcome.account.operations,
             outcome.account.virtual_ns as f64 / 1e9

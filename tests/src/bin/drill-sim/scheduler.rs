@@ -422,7 +422,12 @@ impl State {
                         task.stalled_until_ns = 0;
                     }
                 }
-                Trouble::PowerLoss => self.power_fails = true,
+                Trouble::PowerLoss => {
+                    self.power_fails = true;
+                    self.tasks[0].is_doomed = true;
+                    self.tasks[0].activity = Activity::Ready;
+                    self.tasks[0].stalled_until_ns = 0;
+                }
                 Trouble::Disk(_) => {}
             }
             self.note(trouble.class(), format!("{trouble:?}"));

@@ -194,7 +194,7 @@ fn session(
         memory_timeout: Duration::from_secs(settings.memory_timeout.into()),
     };
     let counts = EpisodeCounts { planned: missing.len() as u64, ..EpisodeCounts::default() };
-    let monitor = Monitor::new(folder.dir(), attach.lanes, counts, Progress::new(true));
+    let monitor = Monitor::new(folder.dir(), attach.lanes, counts, Progress::silent());
     let budget = Budget::new(None, None, &requests);
     let size = (attach.lanes, attach.frame_capacity);
     let mut session = RunSession::new(&mut folder, monitor, budget, None, size);
