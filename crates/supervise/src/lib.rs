@@ -231,11 +231,7 @@ impl Children {
     ///
     /// # Errors
     /// As [`Self::start`].
-    pub fn start_with(
-        launcher: &dyn Launcher,
-        launches: &[Launch],
-        logs: &Path,
-    ) -> Result<Self> {
+    pub fn start_with(launcher: &dyn Launcher, launches: &[Launch], logs: &Path) -> Result<Self> {
         fs::create_dir_all(logs).with_context(|| format!("cannot create {}", logs.display()))?;
         let mut children = Self::default();
         for launch in launches {
@@ -278,7 +274,9 @@ impl Children {
     /// Waits at most `timeout` for all children to end, and kills the others.
     pub fn wait_or_kill(self, timeout: Duration) {
         let deadline = Instant::now() + timeout;
-        while Instant::now() < deadline && self.processes.iter().any(|child| child.process.is_alive()) {
+        while Instant::now() < deadline
+            && self.processes.iter().any(|child| child.process.is_alive())
+        {
             sleep(Duration::from_millis(2));
         }
     }
