@@ -23,8 +23,8 @@ use std::time::Duration;
 
 use anyhow::{Result, bail};
 use domain::{ExternalName, MemoryKind};
-use shm_types::{Attach, clock};
 use shm_types::message::{Heartbeat, Role, ShutdownReport};
+use shm_types::{Attach, clock};
 use supervise::{Children, Launch, Launcher};
 
 use crate::external_memory::ExternalMemory;

@@ -61,6 +61,8 @@ enum ProgressTarget {
     Bar,
     Lines,
     Nothing,
+    /// As `Nothing`, and no notes.
+    Silence,
 }
 
 impl Progress {
@@ -74,12 +76,17 @@ impl Progress {
         Self { target, phase: String::new(), shown: None }
     }
 
+    /// A display that never shows anything, not even notes.
+    pub fn silent() -> Self {
+        Self { target: ProgressTarget::Silence, ..Self::new(true) }
+    }
+
     /// Shows `line`, with `done` of `total` in the bar. A new `phase` is shown at once, everything else at intervals.
     pub fn show(&mut self, phase: &str, (done, total): (u64, u64), line: impl FnOnce() -> String) {
         let interval = match self.target {
             ProgressTarget::Bar => DRAW_INTERVAL,
             ProgressTarget::Lines => LINE_INTERVAL,
-            ProgressTarget::Nothing => return,
+            ProgressTarget::Nothing | ProgressTarget::Silence => return,
         };
         let is_new = self.phase != phase;
         if !is_new && self.shown.is_some_and(|shown| shown.elapsed() < interval) {
@@ -95,12 +102,15 @@ impl Progress {
                 write_to_stderr(&bar(done, total, &line(), columns));
             }
             ProgressTarget::Lines => say(&line()),
-            ProgressTarget::Nothing => {}
+            ProgressTarget::Nothing | ProgressTarget::Silence => {}
         }
     }
 
     /// Prints a message that stays, above the bar; also where no progress is shown.
     pub fn note(&mut self, note: &str) {
+        if self.target == ProgressTarget::Silence {
+            return;
+        }
         if self.target == ProgressTarget::Bar && self.shown.take().is_some() {
             erase_line();
         }
@@ -112,7 +122,10 @@ impl Progress {
         match self.target {
             ProgressTarget::Bar if self.shown.is_some() => erase_line(),
             ProgressTarget::Lines if self.shown.is_some() => say(&last()),
-            ProgressTarget::Bar | ProgressTarget::Lines | ProgressTarget::Nothing => {}
+            ProgressTarget::Bar
+            | ProgressTarget::Lines
+            | ProgressTarget::Nothing
+            | ProgressTarget::Silence => {}
         }
     }
 }

@@ -39,11 +39,7 @@ pub struct Listener {
 }
 
 impl Listener {
-    pub(crate) fn new(
-        node: &Node<Ipc>,
-        attach: &Attach,
-        waiter: Waiter,
-    ) -> Result<Self, BusError> {
+    pub(crate) fn new(node: &Node<Ipc>, attach: &Attach, waiter: Waiter) -> Result<Self, BusError> {
         let role = waiter.0;
         let port = service(node, attach, waiter)?.listener_builder().create();
         let port = port.map_err(|error| match error {

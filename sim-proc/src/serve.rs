@@ -138,11 +138,7 @@ impl<'a> Simulator<'a> {
         })
     }
 
-    fn serve_until_stop(
-        &mut self,
-        setup: RenderSetup,
-        warm_views: bool,
-    ) -> Result<()> {
+    fn serve_until_stop(&mut self, setup: RenderSetup, warm_views: bool) -> Result<()> {
         let RenderSetup { mut workers, on_serve_thread, batch_views, find_changes, facts } = setup;
         let notifier = Arc::new(self.bus.notifier(Role::Sim)?);
         let wake = move || {

@@ -232,11 +232,7 @@ impl Children {
     ///
     /// # Errors
     /// As [`Self::start`].
-    pub fn start_with(
-        launcher: &dyn Launcher,
-        launches: &[Launch],
-        logs: &Path,
-    ) -> Result<Self> {
+    pub fn start_with(launcher: &dyn Launcher, launches: &[Launch], logs: &Path) -> Result<Self> {
         // What programs print may be private.
         let created = DirBuilder::new().recursive(true).mode(0o700).create(logs);
         created.with_context(|| format!("cannot create {}", logs.display()))?;
@@ -281,7 +277,9 @@ impl Children {
     /// Waits at most `timeout` for all children to end, and kills the others.
     pub fn wait_or_kill(self, timeout: Duration) {
         let deadline = Instant::now() + timeout;
-        while Instant::now() < deadline && self.processes.iter().any(|child| child.process.is_alive()) {
+        while Instant::now() < deadline
+            && self.processes.iter().any(|child| child.process.is_alive())
+        {
             sleep(Duration::from_millis(2));
         }
     }

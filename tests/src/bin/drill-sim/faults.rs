@@ -37,7 +37,7 @@ pub(crate) enum Trouble {
     Jump(u64),
     /// An operation on a file goes wrong.
     Disk(Damage),
-    /// When a session of the run has died, the last line of a journal is lost or torn.
+    /// All processes die, and the last lines of journals are lost or torn.
     PowerLoss,
 }
 
@@ -131,11 +131,6 @@ impl Plan {
             };
             let most = if matches!(trouble, Trouble::Disk(_)) { operations } else { steps };
             faults.push(Fault { at: 1 + below(most + most / 3), trouble });
-            if trouble == Trouble::PowerLoss {
-                // It takes effect when the session has died.
-                let at = 1 + below(steps);
-                faults.push(Fault { at, trouble: Trouble::Death(Process::Orchestrator) });
-            }
         }
         faults.sort_by_key(|fault| fault.at);
         Self { scenario, lanes, spare_frames, preemption, faults }

@@ -156,7 +156,9 @@ impl RenderWorker for PatternWorker {
             let WirePose(pose) = (*pose).into();
             let name = format!("{stock} {pose:?} {:?}", variant.closed());
             let name = *blake3::hash(name.as_bytes()).as_bytes();
-            slot.pixels_mut().chunks_mut(name.len()).for_each(|row| row.copy_from_slice(&name[..row.len()]));
+            slot.pixels_mut()
+                .chunks_mut(name.len())
+                .for_each(|row| row.copy_from_slice(&name[..row.len()]));
         }
         Ok(0)
     }
@@ -178,7 +180,8 @@ fn encoder_facts() -> EncoderFacts {
 /// An embedding of the pattern.
 fn embed(image: Image<'_>) -> Result<Embedding> {
     ensure!(image.rgba.len() > DIMENSION, "an empty image");
-    let raw: Vec<f32> = image.rgba[..DIMENSION].iter().map(|&byte| f32::from(byte) - 127.5).collect();
+    let raw: Vec<f32> =
+        image.rgba[..DIMENSION].iter().map(|&byte| f32::from(byte) - 127.5).collect();
     Embedding::normalised(&raw).context("an embedding of length zero")
 }
 

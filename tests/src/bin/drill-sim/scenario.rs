@@ -107,7 +107,8 @@ impl Scenario {
         let text = |path: &Path| path.display().to_string();
         let flags = [
             ("suite", text(&file)),
-            ("policy", "random".to_owned()),
+            // The digest policy uses what memory supplies, as this one does.
+            ("policy", "grounded".to_owned()),
             ("assets", text(assets)),
             ("out", text(&folder.join("run"))),
             ("step-timeout", "30".to_owned()),

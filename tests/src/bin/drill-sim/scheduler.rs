@@ -146,7 +146,12 @@ pub(crate) struct Account {
 
 impl Scheduler {
     /// A scheduler that draws from `seed`; `preemption` of 1,024 points let it pick another process.
-    pub(crate) fn new(seed: u64, preemption: u32, faults: Vec<Fault>, most_steps: u64) -> Arc<Self> {
+    pub(crate) fn new(
+        seed: u64,
+        preemption: u32,
+        faults: Vec<Fault>,
+        most_steps: u64,
+    ) -> Arc<Self> {
         let state = State {
             tasks: Vec::new(),
             running: 0,
@@ -190,7 +195,10 @@ impl Scheduler {
     }
 
     /// Executes the orchestrator on the calling thread. Returns how it ended, and the processes that outlive it.
-    pub(crate) fn execute<T>(self: &Arc<Self>, orchestrator: impl FnOnce() -> T) -> (Ended<T>, usize) {
+    pub(crate) fn execute<T>(
+        self: &Arc<Self>,
+        orchestrator: impl FnOnce() -> T,
+    ) -> (Ended<T>, usize) {
         {
             let mut state = self.state();
             state.tasks.clear();
@@ -226,7 +234,8 @@ impl Scheduler {
         let is_doomed = state.tasks[me].is_doomed;
         drop(state);
         PLACE.set(Some((self.clone(), me)));
-        let outcome = if is_doomed { Ended::Killed } else { ended(catch_unwind(AssertUnwindSafe(serve))) };
+        let outcome =
+            if is_doomed { Ended::Killed } else { ended(catch_unwind(AssertUnwindSafe(serve))) };
         PLACE.set(None);
         let status = match outcome {
             Ended::Returned(status) => status,
@@ -322,11 +331,14 @@ impl Scheduler {
             Operation::Write(length) if length > 0 => draw % length,
             _ => 0,
         };
-        let fails = |error: Box<dyn FnOnce() -> io::Error>| Some(DiskFault::Fails { written, error });
+        let fails =
+            |error: Box<dyn FnOnce() -> io::Error>| Some(DiskFault::Fails { written, error });
         match damage {
             Damage::ShortReads => Some(DiskFault::ShortReads),
             Damage::Full => fails(Box::new(|| io::ErrorKind::StorageFull.into())),
-            Damage::Broken => fails(Box::new(|| io::Error::other("Input/output error (os error 5)"))),
+            Damage::Broken => {
+                fails(Box::new(|| io::Error::other("Input/output error (os error 5)")))
+            }
             Damage::TornByDeath => fails(Box::new(|| resume_unwind(Box::new(Killed)))),
         }
     }
@@ -403,9 +415,11 @@ impl State {
 
     /// Lets the faults happen that are due.
     fn fire(&mut self) {
-        while let Some(at) = self.faults.iter().position(|fault| {
-            fault.at <= self.steps && !matches!(fault.trouble, Trouble::Disk(_))
-        }) {
+        while let Some(at) = self
+            .faults
+            .iter()
+            .position(|fault| fault.at <= self.steps && !matches!(fault.trouble, Trouble::Disk(_)))
+        {
             let trouble = self.faults.remove(at).trouble;
             match trouble {
                 Trouble::Jump(ms) => self.now_ns += ms * 1_000_000,
@@ -422,7 +436,12 @@ impl State {
                         task.stalled_until_ns = 0;
                     }
                 }
-                Trouble::PowerLoss => self.power_fails = true,
+                Trouble::PowerLoss => {
+                    self.power_fails = true;
+                    self.tasks[0].is_doomed = true;
+                    self.tasks[0].activity = Activity::Ready;
+                    self.tasks[0].stalled_until_ns = 0;
+                }
                 Trouble::Disk(_) => {}
             }
             self.note(trouble.class(), format!("{trouble:?}"));
@@ -473,7 +492,9 @@ fn ended<T>(outcome: Result<T, Box<dyn Any + Send>>) -> Ended<T> {
         Err(payload) if payload.is::<Killed>() => Ended::Killed,
         Err(payload) => Ended::Panicked(match payload.downcast::<String>() {
             Ok(why) => *why,
-            Err(payload) => payload.downcast::<&str>().map_or_else(|_| "?".to_owned(), |why| (*why).to_owned()),
+            Err(payload) => {
+                payload.downcast::<&str>().map_or_else(|_| "?".to_owned(), |why| (*why).to_owned())
+            }
         }),
     }
 }

@@ -1,5 +1,6 @@
 //! One trial: a run among the faults of a seed, resumed until it ends, and what has to be true afterwards.
 
+use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -44,6 +45,17 @@ pub(crate) struct Place {
     pub(crate) registry: PathBuf,
 }
 
+impl Place {
+    /// Runs that are registered, and the shared memory of the runs called `names`.
+    fn leftovers(&self, names: &[String]) -> Result<Vec<String>> {
+        let mut left = memtransfer_tests::shared_memory_of(names);
+        for entry in fs::read_dir(&self.registry)? {
+            left.push(format!("the run in {} is left", entry?.path().display()));
+        }
+        Ok(left)
+    }
+}
+
 /// What came of a trial.
 pub(crate) struct Outcome {
     pub(crate) violations: Vec<String>,
@@ -76,12 +88,14 @@ pub(crate) fn execute(
     let scheduler = Scheduler::new(seed, plan.preemption, plan.faults.clone(), MOST_STEPS);
     let settings = RunSettings { out: out.clone(), lanes: plan.lanes, ..scenario.settings.clone() };
     let mut violations = Vec::new();
+    let names = RefCell::new(Vec::new());
     let mut sessions = 0;
     let mut is_complete = false;
     while !is_complete && sessions < MOST_SESSIONS && violations.is_empty() {
         sessions += 1;
         let before = (Resources::now()?, scheduler.account());
-        let (ended, left) = scheduler.execute(|| session(scenario, &settings, plan, (&scheduler, plant), place));
+        let (ended, left) = scheduler
+            .execute(|| session(scenario, &settings, plan, (&scheduler, plant), (place, &names)));
         let after = (Resources::now()?, scheduler.account());
         let fired = after.1.trace.len() > before.1.trace.len();
         violations.extend(after.1.trace.iter().filter(|line| line.starts_with("PANIC")).cloned());
@@ -108,7 +122,7 @@ pub(crate) fn execute(
             violations.push(format!("{left} processes outlive session {sessions}"));
         }
         violations.extend(before.0.changes(&after.0));
-        violations.extend(leftovers(&place.registry)?);
+        violations.extend(place.leftovers(&names.borrow())?);
     }
     if !is_complete && violations.is_empty() {
         violations.push(format!("the run is not complete after {sessions} sessions"));
@@ -123,13 +137,13 @@ pub(crate) fn execute(
     Ok(Outcome { violations, account: scheduler.account(), sessions, log })
 }
 
-/// One session of the run, as `memtransfer run` executes it.
+/// One session of the run, as `memtransfer run` executes it. Adds the name that it is registered by to `names`.
 fn session(
     scenario: &Scenario,
     settings: &RunSettings,
     plan: &Plan,
     (scheduler, plant): (&Arc<Scheduler>, Option<Plant>),
-    place: &Place,
+    (place, names): (&Place, &RefCell<Vec<String>>),
 ) -> Result<SessionEnd> {
     let world = &scenario.selected.world;
     let streams = scenario.selected.streams.as_ref();
@@ -148,6 +162,7 @@ fn session(
         return Ok(SessionEnd::Complete);
     }
     let run = RunDir::create(&place.registry)?;
+    names.borrow_mut().push(run.name());
     let mut settings = settings.clone();
     settings.frame_budget = None;
     let mut attach = launch::attach(&settings, (world, streams), &missing, (&run, &[]), None)?;
@@ -194,7 +209,7 @@ fn session(
         memory_timeout: Duration::from_secs(settings.memory_timeout.into()),
     };
     let counts = EpisodeCounts { planned: missing.len() as u64, ..EpisodeCounts::default() };
-    let monitor = Monitor::new(folder.dir(), attach.lanes, counts, Progress::new(true));
+    let monitor = Monitor::new(folder.dir(), attach.lanes, counts, Progress::silent());
     let budget = Budget::new(None, None, &requests);
     let size = (attach.lanes, attach.frame_capacity);
     let mut session = RunSession::new(&mut folder, monitor, budget, None, size);
@@ -251,7 +266,8 @@ fn damage(plant: Plant, out: &Path) -> Result<()> {
 /// Cuts part or all of the last line off the journals of the run in `out`: it was written and not yet flushed when the
 /// power failed. `seed` decides how much.
 fn lose_last_lines(out: &Path, seed: u64) -> Result<()> {
-    let journals = [RunFolder::episodes_of(out), RunFolder::timings_of(out)];
+    let sessions = out.join("sessions.jsonl");
+    let journals = [RunFolder::episodes_of(out), RunFolder::timings_of(out), sessions];
     for (number, path) in (0..).zip(journals) {
         let Ok(text) = fs::read(&path) else { continue };
         let before = text.strip_suffix(b"\n").unwrap_or(&text);
@@ -276,14 +292,7 @@ impl Resources {
     }
 
     fn changes(&self, now: &Self) -> Option<String> {
-        (self != now).then(|| format!("a session left something open: {self:?} before, {now:?} after"))
+        (self != now)
+            .then(|| format!("a session left something open: {self:?} before, {now:?} after"))
     }
-}
-
-/// Runs that are registered in `registry`, and shared memory of runs of this program.
-fn leftovers(registry: &Path) -> Result<Vec<String>> {
-    let entries = fs::read_dir(registry)?.map(|entry| Ok(entry?.file_name().into_string().unwrap_or_default()));
-    let runs: Vec<String> = entries.collect::<Result<_>>()?;
-    let shared = memtransfer_tests::shared_memory_of(&runs);
-    Ok(runs.into_iter().map(|run| format!("run {run} was left in the registry")).chain(shared).collect())
 }

@@ -1,0 +1,33 @@
+//! The simulated drill: a few seeds hold, and defects that are planted are found.
+
+use std::process::{Command, Stdio};
+
+use memtransfer_tests::{Bench, Ended, program};
+use serde_json::Value;
+
+/// Runs `drill-sim` with `args`. Returns its exit status and its summary.
+fn drill(bench: &Bench, args: &[&str]) -> (Option<i32>, Value) {
+    let summary = bench.out("summary.json");
+    let mut command = Command::new(program("drill-sim"));
+    command.args(args).arg("--json").arg(&summary).stdin(Stdio::null());
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let ended = Ended::of(child);
+    let text = std::fs::read_to_string(&summary);
+    let text = text.unwrap_or_else(|error| panic!("{error}: {}", ended.stderr));
+    (ended.status, serde_json::from_str(&text).unwrap())
+}
+
+#[test]
+fn runs_among_faults_have_the_log_of_an_undisturbed_run_and_planted_defects_are_found() {
+    let bench = Bench::new();
+    let (status, summary) = drill(&bench, &["--seeds", "8"]);
+    assert_eq!(summary["violations"], Value::Array(Vec::new()));
+    assert_eq!((status, &summary["figures"]["seeds"]), (Some(0), &Value::from(8)));
+    assert!(summary["faults"].as_object().is_some_and(|faults| faults.len() > 3), "{summary:#}");
+
+    for defect in ["lost-line", "doubled-line", "left-open", "other-decisions"] {
+        let (status, summary) = drill(&bench, &["--seed", "1", "--plant", defect]);
+        assert_eq!(status, Some(1), "{defect} was not found: {summary:#}");
+        assert_eq!(summary["violations"].as_array().map(Vec::len), Some(1), "{summary:#}");
+    }
+}
