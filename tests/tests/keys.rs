@@ -117,8 +117,10 @@ fn a_key_is_in_no_file_no_output_and_no_list_of_processes() {
     }
     // The answers were written, with a mask in the key's place.
     let masked = |name: &str| {
-        let of = written.iter().filter(|file| file.components().any(|part| part.as_os_str() == name));
-        of.filter(|file| String::from_utf8_lossy(&fs::read(file).unwrap()).contains("[key]")).count()
+        let of =
+            written.iter().filter(|file| file.components().any(|part| part.as_os_str() == name));
+        of.filter(|file| String::from_utf8_lossy(&fs::read(file).unwrap()).contains("[key]"))
+            .count()
     };
     assert!(masked("prompts") > 0 && masked("replies") > 0 && masked("pages") > 0);
     for private in ["finished/prompts", "finished/prompts/images", "finished/logs", "replies"] {

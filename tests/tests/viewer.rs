@@ -259,10 +259,13 @@ fn every_text_of_a_run_that_is_read_at_all_is_shown_as_text() {
     let key = records(&run)[0]["key"].clone();
     let error = json!({"key": "k", "session": 1, "error": "e"}).to_string() + "\n";
     fs::write(run.join("errors.jsonl"), error).unwrap();
-    let request = json!({"key": key, "step": 0, "session": 1, "outcome": "acted"}).to_string() + "\n";
+    let request =
+        json!({"key": key, "step": 0, "session": 1, "outcome": "acted"}).to_string() + "\n";
     fs::write(run.join("requests.jsonl"), request).unwrap();
     let mut poisoned = 0;
-    for name in ["manifest.json", "errors.jsonl", "sessions.jsonl", "timings.jsonl", "episodes.jsonl"] {
+    for name in
+        ["manifest.json", "errors.jsonl", "sessions.jsonl", "timings.jsonl", "episodes.jsonl"]
+    {
         let file = run.join(name);
         let text = fs::read_to_string(&file).unwrap();
         let documents = if name == "manifest.json" { vec![&*text] } else { text.lines().collect() };
@@ -300,10 +303,13 @@ fn every_text_of_a_run_that_is_read_at_all_is_shown_as_text() {
         entry["exchange"] = json!({"messages": [message], "reply": "r", "unread": "u"});
         entry["failed"] = "f".into();
         let is_hash = |text: &Value| text.as_str().is_some_and(domain::prompt_log::is_hash);
-        let hashes = |entry: &Value| entry.to_string().split('"').filter(|text| is_hash(&(*text).into())).count();
+        let hashes = |entry: &Value| {
+            entry.to_string().split('"').filter(|text| is_hash(&(*text).into())).count()
+        };
         let known = hashes(&entry);
         poisoned += poison(&mut entry, &mut |entry| {
-            hashes(entry) == known && serde_json::from_value::<PromptLogEntry>(entry.clone()).is_ok()
+            hashes(entry) == known
+                && serde_json::from_value::<PromptLogEntry>(entry.clone()).is_ok()
         });
         let entry: PromptLogEntry = serde_json::from_value(entry).unwrap();
         lines += &(serde_json::to_string(&entry).unwrap() + "\n");
@@ -343,7 +349,11 @@ fn every_text_of_a_run_that_is_read_at_all_is_shown_as_text() {
     assert!(prompts.matches("window.hacked=1").count() > 3, "{prompts}");
     check(&mut browser, "an episode's page");
     assert_no_problem(&mut browser);
-    for page in [bench.out("pages/run1/report.html"), run.join("report/report.html"), bench.out("board.html")] {
+    for page in [
+        bench.out("pages/run1/report.html"),
+        run.join("report/report.html"),
+        bench.out("board.html"),
+    ] {
         let text = fs::read_to_string(&page).unwrap();
         assert!(text.contains("window.hacked=1"), "{} shows no text of the run", page.display());
         browser.open(&format!("file://{}", page.display()));

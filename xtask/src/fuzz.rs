@@ -101,7 +101,8 @@ fn build(workspace: &Workspace, folder: &Path) -> anyhow::Result<Option<PathBuf>
 
 /// The names of the targets: those of the corpora.
 fn targets(corpus: &Path) -> anyhow::Result<Vec<String>> {
-    let listed = fs::read_dir(corpus).with_context(|| format!("cannot list {}", corpus.display()))?;
+    let listed =
+        fs::read_dir(corpus).with_context(|| format!("cannot list {}", corpus.display()))?;
     let mut names = Vec::new();
     for entry in listed {
         names.push(entry?.file_name().to_string_lossy().into_owned());
@@ -126,7 +127,8 @@ fn fuzz(
         fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display()))?;
     }
     let log = folder.join(format!("{name}.log"));
-    let output = fs::File::create(&log).with_context(|| format!("cannot create {}", log.display()))?;
+    let output =
+        fs::File::create(&log).with_context(|| format!("cannot create {}", log.display()))?;
     let mut command = Command::new(program);
     command
         .arg(format!("-runs={}", arguments.inputs))

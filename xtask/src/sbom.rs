@@ -51,8 +51,8 @@ pub(crate) fn write(pins: &Pins, workspace: &Workspace) -> anyhow::Result<()> {
     });
     let out = workspace.root().join("target/sbom/memtransfer.cdx.json");
     let folder = out.parent().context("a file without a folder")?;
-    let written = std::fs::create_dir_all(folder)
-        .and_then(|()| std::fs::write(&out, format!("{bom:#}\n")));
+    let written =
+        std::fs::create_dir_all(folder).and_then(|()| std::fs::write(&out, format!("{bom:#}\n")));
     written.with_context(|| format!("cannot write {}", out.display()))?;
     println!("{}: {} components", out.display(), listed.len());
     Ok(())
@@ -103,7 +103,8 @@ fn sums(lock: &Path) -> anyhow::Result<BTreeMap<(String, String), String>> {
         version: String,
         checksum: Option<String>,
     }
-    let text = std::fs::read_to_string(lock).with_context(|| format!("cannot read {}", lock.display()))?;
+    let text =
+        std::fs::read_to_string(lock).with_context(|| format!("cannot read {}", lock.display()))?;
     let lock: Lock = toml::from_str(&text).context("cannot use Cargo.lock")?;
     let sum = |locked: Locked| Some(((locked.name, locked.version), locked.checksum?));
     Ok(lock.package.into_iter().filter_map(sum).collect())
@@ -111,7 +112,8 @@ fn sums(lock: &Path) -> anyhow::Result<BTreeMap<(String, String), String>> {
 
 /// The wheels that files in the cache folder are taken from.
 fn wheels(pins: &Pins) -> impl Iterator<Item = Value> {
-    let platforms = pins.file.iter().flat_map(|file| file.platform.values().map(move |of| (file, of)));
+    let platforms =
+        pins.file.iter().flat_map(|file| file.platform.values().map(move |of| (file, of)));
     platforms.filter_map(|(file, of)| {
         let wheel = of.wheel.as_ref()?;
         let (name, version) = wheel.package.split_once("==")?;

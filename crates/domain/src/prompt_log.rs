@@ -283,7 +283,9 @@ mod tests {
     #[test]
     fn a_hash_is_32_hexadecimal_digits() {
         assert!(is_hash(&hex([0xa7; 16])));
-        for text in ["", "../../../../etc/passwd", &"0".repeat(31), &"g".repeat(32), &"/".repeat(32)] {
+        for text in
+            ["", "../../../../etc/passwd", &"0".repeat(31), &"g".repeat(32), &"/".repeat(32)]
+        {
             assert!(!is_hash(text), "{text}");
         }
     }

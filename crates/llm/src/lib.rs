@@ -15,9 +15,9 @@ mod cache;
 mod client;
 mod endpoint;
 mod error;
+pub mod fingerprint;
 #[doc(hidden)]
 pub mod fuzzing;
-pub mod fingerprint;
 mod http;
 mod pool;
 pub mod probe;

@@ -56,6 +56,9 @@ mod tests {
 
     #[test]
     fn control_characters_do_not_reach_the_terminal() {
-        assert_eq!(printable("Größe:\t7\n\u{1b}[2J\r\u{9b}1m"), "Größe:\t7\n\u{fffd}[2J\u{fffd}\u{fffd}1m");
+        assert_eq!(
+            printable("Größe:\t7\n\u{1b}[2J\r\u{9b}1m"),
+            "Größe:\t7\n\u{fffd}[2J\u{fffd}\u{fffd}1m"
+        );
     }
 }

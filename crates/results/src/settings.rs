@@ -148,7 +148,11 @@ impl RunSettings {
             ("keyframes", self.keyframes, MAX_NUMBER),
             ("memory-images", self.memory_images.unwrap_or(0), MAX_NUMBER),
             ("max-steps", self.max_steps, MAX_NUMBER),
-            ("window", largest(|group| group.window.iter().copied().max().unwrap_or(0)), MAX_NUMBER),
+            (
+                "window",
+                largest(|group| group.window.iter().copied().max().unwrap_or(0)),
+                MAX_NUMBER,
+            ),
             ("runs", largest(|group| group.runs), MAX_NUMBER),
             ("streams", of_stream(|stream| stream.streams), MAX_FACTOR),
             ("blocks", of_stream(|stream| stream.blocks), MAX_FACTOR),
@@ -162,7 +166,9 @@ impl RunSettings {
         let products = self.groups.iter().map(Group::product);
         let conditions = products.fold(0, usize::saturating_add);
         if conditions > MAX_CONDITIONS {
-            return Err(format!("{conditions} conditions, and at most {MAX_CONDITIONS} are possible"));
+            return Err(format!(
+                "{conditions} conditions, and at most {MAX_CONDITIONS} are possible"
+            ));
         }
         Ok(())
     }

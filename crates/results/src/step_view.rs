@@ -248,7 +248,8 @@ mod tests {
                 "repeat": 1, "seed": 5, "instruction": "Find a cone.", "pose": "3,5,N", "feedback": "",
                 "frame": frame, "starts_as_demonstrated": false, "window": [], "items": [item],
             });
-            let timing = serde_json::to_value(domain::prompt_log::RecordedTiming::default()).unwrap();
+            let timing =
+                serde_json::to_value(domain::prompt_log::RecordedTiming::default()).unwrap();
             let entry = json!({
                 "episode": 1, "step": 0, "lane": 0, "request": request, "timing": timing,
             });

@@ -110,8 +110,10 @@ pub(super) fn merged(input: &[u8]) {
         .chain(["plan.json".to_owned()])
         .collect();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
-    let first: Vec<(String, &[u8])> =
-        given().into_iter().map(|(name, content)| (format!("{}/{name}", units[0]), content)).collect();
+    let first: Vec<(String, &[u8])> = given()
+        .into_iter()
+        .map(|(name, content)| (format!("{}/{name}", units[0]), content))
+        .collect();
     let first: Vec<(&str, &[u8])> =
         first.iter().map(|(name, content)| (name.as_str(), *content)).collect();
     with_files(&first, &names, input, |folder| {
@@ -122,7 +124,9 @@ pub(super) fn merged(input: &[u8]) {
         manifest.unit = None;
         let _ = folders.check(2, &plan, &mut manifest);
         let episodes: Vec<UnitEpisode> = (0..2)
-            .filter_map(|unit| Some((unit, RunLog::read(&folder.join(&units[unit as usize])).ok()?)))
+            .filter_map(|unit| {
+                Some((unit, RunLog::read(&folder.join(&units[unit as usize])).ok()?))
+            })
             .flat_map(|(unit, log)| {
                 log.episodes.into_iter().map(move |record| UnitEpisode { key: record.key, unit })
             })
@@ -161,7 +165,8 @@ const SECRET: &str = "a secret beside the run";
 
 /// A run is refused, or every page of it is data that the front end can read, and shows nothing from outside of the run.
 pub(super) fn viewer_run(input: &[u8]) {
-    let names = [&JOURNALS[..], &["streams.json", "prompts/session-1/", "prompts/documents/"]].concat();
+    let names =
+        [&JOURNALS[..], &["streams.json", "prompts/session-1/", "prompts/documents/"]].concat();
     with_files(&given(), &names, input, |folder| {
         let outside = folder.with_file_name("secret");
         for extension in ["txt", "json", "png"] {

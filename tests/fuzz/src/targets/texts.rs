@@ -73,7 +73,10 @@ pub(super) fn suite(input: &[u8]) {
         let again: RunSettings = serde_json::from_str(&text).unwrap();
         assert_eq!(again, resolved.settings);
         let runs = again.runs();
-        assert_eq!(plan(&runs, &[0], &["t01-01"], again.seed).take(100).count() > 0, !runs.is_empty());
+        assert_eq!(
+            plan(&runs, &[0], &["t01-01"], again.seed).take(100).count() > 0,
+            !runs.is_empty()
+        );
     });
 }
 

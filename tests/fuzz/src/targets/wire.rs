@@ -4,7 +4,6 @@ use std::sync::{Arc, OnceLock};
 
 use bytemuck::Zeroable;
 use conformance::messages;
-use conformance::scripted::{ScriptedSim, request};
 use domain::{Action, Arm, DocumentKind, Feedback, Heading, Pose, Representation};
 use memory_proc::bank::{Bank, Viewpoint};
 use memory_proc::demonstrations::Demonstration;
@@ -19,7 +18,8 @@ use shm_types::documents::{Content, Document};
 use shm_types::fuzzing::{check_bank, document, document_bytes};
 use shm_types::message::{
     DocumentId, ExternalAnswer, Handshake, MAX_EXTERNAL_MEMORIES, MAX_ITEMS, MAX_SOURCES,
-    MAX_STEPS, Observation, RequestId, Role, StepCommand, WirePose, read_text, write_text,
+    MAX_STEPS, NO_FRAME, Observation, RequestId, Role, StepCommand, StepKind, WirePose, read_text,
+    write_text,
 };
 use sim_proc::worlds::Worlds;
 use warehouse::{CaseSet, Variant, Warehouse, step};
@@ -48,8 +48,8 @@ const RULES: Rules = Rules {
 };
 
 fn planned(choice: u8) -> PlannedEpisode {
-    let memory =
-        [Representation::Working, Representation::Episodic, Representation::Hybrid][choice as usize % 3];
+    let memory = [Representation::Working, Representation::Episodic, Representation::Hybrid]
+        [choice as usize % 3];
     let demonstrations = match memory {
         Representation::Working => Demonstrations::NONE,
         _ => Demonstrations::ORIGINAL,
@@ -73,6 +73,31 @@ fn planned(choice: u8) -> PlannedEpisode {
     }
 }
 
+/// The simulator's answer to a command of the orchestrator.
+fn honest(command: &StepCommand, pose: &mut Pose) -> Observation {
+    let &StepCommand { lane, episode, step: number, last, action, .. } = command;
+    let case = command.variant.checked_sub(1).map(|case| &world().cases.cases[case as usize]);
+    let closed = case.into_iter().flat_map(|case| case.barricade.iter().copied());
+    let mut feedback = match StepKind::try_from(command.kind).unwrap() {
+        StepKind::Reset => Feedback::Start,
+        StepKind::Act | StepKind::Stay => Feedback::NotUnderstood,
+    };
+    if feedback == Feedback::Start {
+        *pose = command.start.try_into().unwrap();
+    } else if let Ok(action) = Action::try_from(action) {
+        let layout = &world().warehouse.layout;
+        (*pose, feedback) = step(layout, &Variant::closing(closed), *pose, action);
+    }
+    let frame = if last == 1 { NO_FRAME } else { 1 };
+    let seen = messages::observation(RequestId { lane, episode, step: number }, frame);
+    Observation { pose: (*pose).into(), feedback: feedback as u8, action, last, ..seen }
+}
+
+/// What an observation asks for.
+fn request(&Observation { lane, episode, step, .. }: &Observation) -> RequestId {
+    RequestId { lane, episode, step }
+}
+
 /// The orchestrator's lanes between honest answers and changed ones. A finished episode has a record without
 /// contradictions, whatever was answered.
 pub(super) fn orchestrator(input: &[u8]) {
@@ -80,11 +105,7 @@ pub(super) fn orchestrator(input: &[u8]) {
     let mut input = Input(input);
     let World { warehouse, cases } = world();
     let mut lanes = Lanes::new(warehouse, cases, RULES, LANES);
-    let mut sim = ScriptedSim::new(|variant: u32, pose, action| {
-        let case = variant.checked_sub(1).and_then(|case| cases.cases.get(case as usize));
-        let closed = case.into_iter().flat_map(|case| case.barricade.iter().copied());
-        step(&warehouse.layout, &Variant::closing(closed), pose, action)
-    });
+    let mut poses = [Pose::new(0, 0, Heading::N); LANES];
     let mut commands: [Option<StepCommand>; LANES] = [None; LANES];
     let mut seen: [Option<Observation>; LANES] = [None; LANES];
     let mut now = 1;
@@ -98,7 +119,7 @@ pub(super) fn orchestrator(input: &[u8]) {
         }
         let turn = match (what % 4, commands[lane], seen[lane]) {
             (0, Some(command), _) => {
-                let observation = sim.observe(&command);
+                let observation = honest(&command, &mut poses[lane]);
                 seen[lane] = Some(observation);
                 lanes.observed(&input.changed(observation))
             }
@@ -111,7 +132,8 @@ pub(super) fn orchestrator(input: &[u8]) {
             }
             (3, _, Some(seen)) => {
                 let RequestId { lane, episode, .. } = request(&seen);
-                let report = shm_types::message::SnapshotReport { lane, episode, ..Zeroable::zeroed() };
+                let report =
+                    shm_types::message::SnapshotReport { lane, episode, ..Zeroable::zeroed() };
                 lanes.learned(&input.changed(report))
             }
             _ => Ok(Turn::Wait),
@@ -333,7 +355,8 @@ pub(super) fn blocks(input: &[u8]) {
         1 => {
             let [demonstrations, steps, dimension, text_bytes] =
                 [input.byte(), input.byte(), input.byte(), input.byte()].map(u32::from);
-            let header = BankHeader { id: 1, demonstrations, steps, dimension, text_bytes, reserved: 0 };
+            let header =
+                BankHeader { id: 1, demonstrations, steps, dimension, text_bytes, reserved: 0 };
             let header = input.changed(header);
             let words: Vec<u64> = input
                 .0

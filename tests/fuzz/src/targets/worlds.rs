@@ -40,15 +40,17 @@ pub(super) fn streams(input: &[u8]) {
     let (warehouse, cases) = world();
     let Ok(set) = StreamSet::parse(text, warehouse, cases) else { return };
     assert_eq!(set.states(warehouse).unwrap().len(), set.worlds.len());
-    assert!(set.cases().iter().all(|&case| (case as usize) < cases.cases.len()));
     for (number, stream) in (0..).zip(&set.streams) {
+        assert!(stream.cases().iter().all(|&case| (case as usize) < cases.cases.len()));
+        for event in stream.blocks.iter().flat_map(|block| &block.events) {
+            assert!(!event.describe(warehouse).is_empty());
+        }
         for order in [Order::Drawn, Order::Reversed, Order::Shuffled] {
             let mut blocks = set.order(number, order);
             blocks.sort_unstable();
             assert!(blocks.into_iter().eq(0..stream.blocks.len() as u32));
         }
     }
-    let _ = set.describe(warehouse);
     assert_eq!(StreamSet::parse(&set.to_text(), warehouse, cases).unwrap(), set);
 }
 
@@ -64,7 +66,8 @@ pub(super) fn elsewhere(input: &[u8]) {
         // Lines `AT TEXT`: the characters from there on are replaced.
         for (at, new) in changes.lines().filter_map(|line| line.split_once(' ')) {
             let Ok(at) = at.parse::<usize>() else { continue };
-            let (at, end) = (at % changed.len(), (at % changed.len() + new.len()).min(changed.len()));
+            let (at, end) =
+                (at % changed.len(), (at % changed.len() + new.len()).min(changed.len()));
             if changed.is_char_boundary(at) && changed.is_char_boundary(end) {
                 changed.replace_range(at..end, new);
             }
