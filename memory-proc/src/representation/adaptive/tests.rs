@@ -1,3 +1,5 @@
+use std::fs;
+
 use domain::{Heading, Pose};
 use peer::memory::EpisodeEnd;
 use search::Embedding;

@@ -121,6 +121,7 @@ fn take_part(
                 streams: files.streams.clone(),
                 elsewhere: None,
                 snapshots: files.snapshots.clone(),
+                shipped_embeddings: None,
                 limits: ExternalLimits::default(),
             };
             let bus = Bus::join(Attach::read(&settings.attach)?, Role::Memory)?;
@@ -174,6 +175,7 @@ fn encoder_facts() -> EncoderFacts {
         threads: 1,
         dimension: DIMENSION,
         fingerprint: [0; 32],
+        model_fingerprint: [0; 32],
     }
 }
 
