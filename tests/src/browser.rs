@@ -130,11 +130,12 @@ impl Browser {
         }
     }
 
-    /// Lets the requests that are held go on.
+    /// Lets the requests that are held go on, and holds no more.
     pub fn answer_held(&mut self) {
         for request in std::mem::take(&mut self.held) {
             self.send("Fetch.continueRequest", json!({ "requestId": request }));
         }
+        self.send("Fetch.disable", json!({}));
     }
 
     /// The value of a JavaScript expression.

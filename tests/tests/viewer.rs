@@ -465,6 +465,10 @@ fn an_episode_that_arrives_late_does_not_replace_the_page_opened_since() {
     let mut browser = Browser::start(1000, 800);
     browser.open(&served.url);
     browser.wait_for("document.querySelectorAll('td a.mark').length > 0");
+    let name = browser.value(
+        "(() => { const key = new URLSearchParams(document.querySelector('td a.mark').hash.slice(1)).get('key'); \
+         return `run1/episodes/${memtransfer.runs[0].episodes.findIndex((one) => one[0] === key)}`; })()",
+    );
     browser.hold("*/episodes/*");
     browser.click("td a.mark");
     browser.wait_for_held();
@@ -473,7 +477,9 @@ fn an_episode_that_arrives_late_does_not_replace_the_page_opened_since() {
     browser.wait_for(sorted);
     browser.answer_held();
     // The episode arrives, and everything that waited for it goes on.
-    browser.wait_for("memtransfer.load('run1/episodes/0').then(() => new Promise((done) => setTimeout(() => done(true))))");
+    browser.wait_for(&format!(
+        "memtransfer.load({name}).then(() => new Promise((done) => setTimeout(() => done(true))))"
+    ));
     assert_eq!(
         browser.value(&format!("document.querySelector('.transport') === null && {sorted}")),
         true
