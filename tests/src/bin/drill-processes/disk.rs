@@ -24,6 +24,9 @@ const INSIDE: &str = "DRILL_NAMESPACE";
 /// KiB that a full file system has left.
 const LEFT: [u64; 6] = [0, 4, 12, 24, 40, 64];
 
+/// How often to ask for all of the space that is left.
+const ATTEMPTS_TO_FILL: u32 = 1000;
+
 /// The name of the file that fills a file system.
 const BALLAST: &str = "ballast";
 
@@ -153,14 +156,25 @@ fn command(command: &mut Command) -> Result<(), String> {
     }
 }
 
-/// Fills the file system of `folder` up to `kib` KiB.
+/// Fills the file system of `folder` up to `kib` KiB, also while others write to it.
 fn fill(folder: &Path, kib: u64) -> Result<(), String> {
     let failed = |error: std::io::Error| format!("cannot fill {}: {error}", folder.display());
-    let space = rustix::fs::statvfs(folder).map_err(|error| failed(error.into()))?;
-    let bytes = (space.f_bavail * space.f_frsize).saturating_sub(kib << 10);
     let file = fs::File::create(folder.join(BALLAST)).map_err(failed)?;
-    rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, bytes.max(1))
-        .map_err(|error| failed(error.into()))
+    let mut filled = 0;
+    for _ in 0..ATTEMPTS_TO_FILL {
+        let space = rustix::fs::statvfs(folder).map_err(|error| failed(error.into()))?;
+        let bytes = (space.f_bavail * space.f_frsize).saturating_sub(kib << 10);
+        if bytes == 0 {
+            break;
+        }
+        match rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), filled, bytes) {
+            Ok(()) => filled += bytes,
+            // Another process was faster.
+            Err(rustix::io::Errno::NOSPC) => {}
+            Err(error) => return Err(failed(error.into())),
+        }
+    }
+    Ok(())
 }
 
 fn make_room(folder: &Path) -> Result<(), String> {
@@ -243,8 +257,9 @@ fn shared_memory_fills(sandbox: &mut Sandbox, moment: Duration) -> Result<(), St
         let run = sandbox.run();
         let child = sandbox.start(&run, &[])?;
         std::thread::sleep(moment);
-        fill(shared, 0)?;
+        let filled = fill(shared, 0);
         let ended = Ended::of(child);
+        filled?;
         if ended.status != Some(0) {
             expect_error(&ended, &["/dev/shm", "shared memory"])?;
         }

@@ -61,6 +61,7 @@ fn run() -> Result<bool, String> {
         json: PathBuf::from("/dev/null"),
         command: format!("cargo xtask drill {drill}"),
     };
+    let mut given = String::new();
     while let Some(flag) = arguments.next() {
         if flag == "--quick" {
             extent.is_quick = true;
@@ -69,6 +70,9 @@ fn run() -> Result<bool, String> {
             continue;
         }
         let value = arguments.next().ok_or_else(|| format!("{flag} needs a value"))?;
+        if flag != "--json" {
+            given += &format!(" {flag} {value}");
+        }
         let wrong = || format!("{flag} is {value}, and must be a number");
         match flag.as_str() {
             "--json" => extent.json = value.into(),
@@ -76,6 +80,9 @@ fn run() -> Result<bool, String> {
             "--minutes" => extent.minutes = value.parse().map_err(|_| wrong())?,
             _ => return Err(format!("unknown flag {flag}")),
         }
+    }
+    if !given.is_empty() {
+        extent.command += &format!(" --{given}");
     }
     let report = match drill.as_str() {
         "grid" => grid::drill(&extent)?,
