@@ -19,7 +19,7 @@ use orchestrator::progress::Progress;
 use orchestrator::session::RunSession;
 use orchestrator::status::EpisodeCounts;
 use orchestrator::streams::Remaining;
-use results::log::{Opened, RunFolder, RunLog};
+use results::log::{Opened, RunFolder, RunLog, SessionEvent, SessionRecord, read_journal};
 use results::settings::RunSettings;
 use shm_types::RunDir;
 use shm_types::message::Role;
@@ -36,6 +36,9 @@ const MOST_STEPS: u64 = 3_000_000;
 
 /// Sessions after which a run counts as one that never ends.
 const MOST_SESSIONS: usize = 24;
+
+/// The journal of sessions in a run folder.
+const SESSIONS_FILE: &str = "sessions.jsonl";
 
 /// Where trials keep their files.
 pub(crate) struct Place {
@@ -67,6 +70,8 @@ pub(crate) struct Outcome {
 
 /// How a session ended.
 enum SessionEnd {
+    /// All episodes were in the log already.
+    NothingMissing,
     /// All episodes are in the log.
     Complete,
     /// Some are missing, for these reasons.
@@ -103,7 +108,13 @@ pub(crate) fn execute(
             _ if after.1.is_hanging => violations.push(format!(
                 "the run hangs: {MOST_STEPS} points of the scheduler were passed in session {sessions}"
             )),
-            Ended::Returned(Ok(SessionEnd::Complete)) => is_complete = true,
+            Ended::Returned(Ok(SessionEnd::NothingMissing)) => is_complete = true,
+            Ended::Returned(Ok(SessionEnd::Complete)) => {
+                is_complete = true;
+                if !fired {
+                    violations.extend(problems(&out)?);
+                }
+            }
             Ended::Returned(Ok(SessionEnd::Incomplete(why))) if !fired => {
                 violations.push(format!("session {sessions} without a fault left episodes out: {why}"));
             }
@@ -159,7 +170,7 @@ fn session(
     }
     let Remaining { missing, learned } = Remaining::of(&scenario.episodes, &finished)?;
     if missing.is_empty() {
-        return Ok(SessionEnd::Complete);
+        return Ok(SessionEnd::NothingMissing);
     }
     let run = RunDir::create(&place.registry)?;
     names.borrow_mut().push(run.name());
@@ -223,6 +234,25 @@ fn session(
     Ok(if why.is_empty() { SessionEnd::Complete } else { SessionEnd::Incomplete(why.join("; ")) })
 }
 
+/// What the last session of the run in `out`, which had no fault, reports as one.
+fn problems(out: &Path) -> Result<Vec<String>> {
+    let records = read_journal::<SessionRecord>(&out.join(SESSIONS_FILE), |_| Ok(()))?.entries;
+    let last = records.iter().map(|record| record.session).max();
+    let of_last = records.iter().filter(|record| Some(record.session) == last);
+    let problem = |record: &SessionRecord| match &record.event {
+        SessionEvent::Failed { reason, .. } => {
+            Some(format!("a generation without a fault failed: {reason}"))
+        }
+        SessionEvent::Ended { shutdown_reports, .. } => {
+            let errors = |counts: &BTreeMap<String, u64>| counts.get("error_reports") != Some(&0);
+            let reported = shutdown_reports.iter().find(|(_, counts)| errors(counts));
+            reported.map(|(role, _)| format!("{role} reported errors without a fault"))
+        }
+        _ => None,
+    };
+    Ok(of_last.filter_map(problem).collect())
+}
+
 /// The lines of the episode log in `out`, sorted.
 fn sorted_log(out: &Path) -> Result<Vec<String>> {
     let path = RunFolder::episodes_of(out);
@@ -266,7 +296,7 @@ fn damage(plant: Plant, out: &Path) -> Result<()> {
 /// Cuts part or all of the last line off the journals of the run in `out`: it was written and not yet flushed when the
 /// power failed. `seed` decides how much.
 fn lose_last_lines(out: &Path, seed: u64) -> Result<()> {
-    let sessions = out.join("sessions.jsonl");
+    let sessions = out.join(SESSIONS_FILE);
     let journals = [RunFolder::episodes_of(out), RunFolder::timings_of(out), sessions];
     for (number, path) in (0..).zip(journals) {
         let Ok(text) = fs::read(&path) else { continue };
