@@ -98,6 +98,7 @@ pub(crate) fn execute(
     let mut is_complete = false;
     while !is_complete && sessions < MOST_SESSIONS && violations.is_empty() {
         sessions += 1;
+        let lengths = lengths(&out);
         let before = (Resources::now()?, scheduler.account());
         let (ended, left) = scheduler
             .execute(|| session(scenario, &settings, plan, (&scheduler, plant), (place, &names)));
@@ -124,7 +125,7 @@ pub(crate) fn execute(
             Ended::Returned(Ok(SessionEnd::Incomplete(_)) | Err(_)) => {}
             Ended::Killed => {
                 if scheduler.take_power_failure() {
-                    lose_last_lines(&out, seed)?;
+                    lose_last_lines(&out, &scheduler, lengths, seed)?;
                 }
             }
             Ended::Panicked(why) => violations.push(format!("the orchestrator panicked: {why}")),
@@ -293,16 +294,31 @@ fn damage(plant: Plant, out: &Path) -> Result<()> {
     Ok(fs::write(path, lines.join("\n") + "\n")?)
 }
 
-/// Cuts part or all of the last line off the journals of the run in `out`: it was written and not yet flushed when the
-/// power failed. `seed` decides how much.
-fn lose_last_lines(out: &Path, seed: u64) -> Result<()> {
-    let sessions = out.join(SESSIONS_FILE);
-    let journals = [RunFolder::episodes_of(out), RunFolder::timings_of(out), sessions];
-    for (number, path) in (0..).zip(journals) {
+/// The journals of the run in `out` whose last lines may not be on the disk when the power fails.
+fn journals(out: &Path) -> [PathBuf; 3] {
+    [RunFolder::episodes_of(out), RunFolder::timings_of(out), out.join(SESSIONS_FILE)]
+}
+
+/// Bytes in each journal.
+fn lengths(out: &Path) -> [usize; 3] {
+    journals(out).map(|path| fs::metadata(path).map_or(0, |file| file.len() as usize))
+}
+
+/// Cuts part or all of the last line off the journals of the run in `out`, if it was written by the session that began
+/// with these `lengths` and not flushed when the power failed. `seed` decides how much.
+fn lose_last_lines(
+    out: &Path,
+    scheduler: &Scheduler,
+    lengths: [usize; 3],
+    seed: u64,
+) -> Result<()> {
+    for ((path, length), shift) in journals(out).into_iter().zip(lengths).zip(0..) {
         let Ok(text) = fs::read(&path) else { continue };
         let before = text.strip_suffix(b"\n").unwrap_or(&text);
-        let begin = before.iter().rposition(|&byte| byte == b'\n').map_or(0, |last| last + 1);
-        let lost = (seed >> number) as usize % (text.len() - begin + 1);
+        let last = before.iter().rposition(|&byte| byte == b'\n').map_or(0, |last| last + 1);
+        let flushed = scheduler.flushed(&path) as usize;
+        let kept = last.max(length).max(flushed).min(text.len());
+        let lost = (seed >> shift) as usize % (text.len() - kept + 1);
         fs::write(&path, &text[..text.len() - lost])?;
     }
     Ok(())
