@@ -19,6 +19,8 @@ pub enum Operation {
     Write(usize),
     /// A file or folder is flushed to the disk.
     Sync,
+    /// Another thread is asked to flush a file.
+    SyncSoon,
     /// A file or folder gets another name.
     Rename,
 }
@@ -117,12 +119,12 @@ pub fn sync_path(path: &Path) -> io::Result<()> {
     File::open(path)?.sync_all()
 }
 
-/// Checks whether a flush of `path` that another thread does would fail in a drill.
+/// Called where another thread is asked to flush `path`, which may fail in a drill.
 ///
 /// # Errors
 /// In a drill.
-pub fn check_sync(path: &Path) -> io::Result<()> {
-    check(Operation::Sync, path)
+pub fn check_sync_soon(path: &Path) -> io::Result<()> {
+    check(Operation::SyncSoon, path)
 }
 
 /// Gives `from` the name `to`, in place of any file of that name.

@@ -232,8 +232,8 @@ impl RunFolder {
         self.finished.len() as u64
     }
 
-    /// Records finished episodes; they survive any kill of the process. If a model was asked, requests and episodes
-    /// are on the disk when this returns, otherwise some milliseconds later.
+    /// Records finished episodes; they survive any kill of the process. If a model was asked, or a memory has learned from
+    /// one, requests and episodes are on the disk when this returns, otherwise some milliseconds later.
     ///
     /// # Errors
     /// When an operation of the system fails.
@@ -247,11 +247,16 @@ impl RunFolder {
         if cost {
             self.requests.sync()?;
         }
+        // Memory removes the last snapshot but one when it learns again: no later snapshot may be on the disk without this
+        // record.
+        let learned = episodes.iter().any(|(record, _)| {
+            record.stream.as_ref().is_some_and(|stream| stream.snapshot.is_some())
+        });
         for (record, _) in episodes {
             assert!(self.finished.insert(record.key.clone()), "{} was run twice", record.key);
             self.episodes.append(record)?;
         }
-        if cost {
+        if cost || learned {
             self.episodes.sync()?;
         } else {
             self.episodes.sync_soon()?;

@@ -102,7 +102,7 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
     /// # Errors
     /// When the system refused an earlier flush, or another thread.
     pub fn sync_soon(&mut self) -> Result<(), LogError> {
-        durable::check_sync(&self.path).map_err(system("flush", &self.path))?;
+        durable::check_sync_soon(&self.path).map_err(system("flush", &self.path))?;
         let flusher = match self.flusher.take() {
             Some(flusher) => flusher,
             None => Flusher::start(&self.file).map_err(system("flush", &self.path))?,

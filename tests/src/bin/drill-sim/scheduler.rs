@@ -8,10 +8,11 @@
 use std::any::Any;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
+use std::fs;
 use std::io;
 use std::os::unix::process::ExitStatusExt;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -73,8 +74,14 @@ impl Simulation for Hooks {
 }
 
 impl Faults for Hooks {
-    fn fault(&self, operation: Operation, _: &Path) -> Option<DiskFault> {
-        place().and_then(|(scheduler, me)| scheduler.disk(me, operation))
+    fn fault(&self, operation: Operation, path: &Path) -> Option<DiskFault> {
+        let (scheduler, me) = place()?;
+        let fault = scheduler.disk(me, operation);
+        if operation == Operation::Sync && fault.is_none() {
+            let length = fs::metadata(path).map_or(0, |file| file.len());
+            scheduler.state().flushed.insert(path.to_owned(), length);
+        }
+        fault
     }
 }
 
@@ -101,6 +108,8 @@ struct State {
     /// Faults that came, in words with the time.
     trace: Vec<String>,
     fired: BTreeMap<&'static str, u64>,
+    /// Bytes of files that are on the disk.
+    flushed: BTreeMap<PathBuf, u64>,
     /// Whether the power fails when the session dies.
     power_fails: bool,
     /// Hash of all decisions, to tell whether two executions were the same.
@@ -165,10 +174,16 @@ impl Scheduler {
             faults,
             trace: Vec::new(),
             fired: BTreeMap::new(),
+            flushed: BTreeMap::new(),
             power_fails: false,
             digest: 0,
         };
         Arc::new(Self { state: Mutex::new(state) })
+    }
+
+    /// Bytes of the file `path` that were on the disk when it was last flushed.
+    pub(crate) fn flushed(&self, path: &Path) -> u64 {
+        self.state().flushed.get(path).copied().unwrap_or(0)
     }
 
     /// Whether the power has failed since the last call.

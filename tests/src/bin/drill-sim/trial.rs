@@ -19,7 +19,7 @@ use orchestrator::progress::Progress;
 use orchestrator::session::RunSession;
 use orchestrator::status::EpisodeCounts;
 use orchestrator::streams::Remaining;
-use results::log::{Opened, RunFolder, RunLog};
+use results::log::{Opened, RunFolder, RunLog, SessionEvent, SessionRecord, read_journal};
 use results::settings::RunSettings;
 use shm_types::RunDir;
 use shm_types::message::Role;
@@ -36,6 +36,9 @@ const MOST_STEPS: u64 = 3_000_000;
 
 /// Sessions after which a run counts as one that never ends.
 const MOST_SESSIONS: usize = 24;
+
+/// The journal of sessions in a run folder.
+const SESSIONS_FILE: &str = "sessions.jsonl";
 
 /// Where trials keep their files.
 pub(crate) struct Place {
@@ -67,6 +70,8 @@ pub(crate) struct Outcome {
 
 /// How a session ended.
 enum SessionEnd {
+    /// All episodes were in the log already.
+    NothingMissing,
     /// All episodes are in the log.
     Complete,
     /// Some are missing, for these reasons.
@@ -93,6 +98,7 @@ pub(crate) fn execute(
     let mut is_complete = false;
     while !is_complete && sessions < MOST_SESSIONS && violations.is_empty() {
         sessions += 1;
+        let lengths = lengths(&out);
         let before = (Resources::now()?, scheduler.account());
         let (ended, left) = scheduler
             .execute(|| session(scenario, &settings, plan, (&scheduler, plant), (place, &names)));
@@ -103,7 +109,13 @@ pub(crate) fn execute(
             _ if after.1.is_hanging => violations.push(format!(
                 "the run hangs: {MOST_STEPS} points of the scheduler were passed in session {sessions}"
             )),
-            Ended::Returned(Ok(SessionEnd::Complete)) => is_complete = true,
+            Ended::Returned(Ok(SessionEnd::NothingMissing)) => is_complete = true,
+            Ended::Returned(Ok(SessionEnd::Complete)) => {
+                is_complete = true;
+                if !fired {
+                    violations.extend(problems(&out)?);
+                }
+            }
             Ended::Returned(Ok(SessionEnd::Incomplete(why))) if !fired => {
                 violations.push(format!("session {sessions} without a fault left episodes out: {why}"));
             }
@@ -113,7 +125,7 @@ pub(crate) fn execute(
             Ended::Returned(Ok(SessionEnd::Incomplete(_)) | Err(_)) => {}
             Ended::Killed => {
                 if scheduler.take_power_failure() {
-                    lose_last_lines(&out, seed)?;
+                    lose_last_lines(&out, &scheduler, lengths, seed)?;
                 }
             }
             Ended::Panicked(why) => violations.push(format!("the orchestrator panicked: {why}")),
@@ -159,7 +171,7 @@ fn session(
     }
     let Remaining { missing, learned } = Remaining::of(&scenario.episodes, &finished)?;
     if missing.is_empty() {
-        return Ok(SessionEnd::Complete);
+        return Ok(SessionEnd::NothingMissing);
     }
     let run = RunDir::create(&place.registry)?;
     names.borrow_mut().push(run.name());
@@ -223,6 +235,25 @@ fn session(
     Ok(if why.is_empty() { SessionEnd::Complete } else { SessionEnd::Incomplete(why.join("; ")) })
 }
 
+/// What the last session of the run in `out`, which had no fault, reports as one.
+fn problems(out: &Path) -> Result<Vec<String>> {
+    let records = read_journal::<SessionRecord>(&out.join(SESSIONS_FILE), |_| Ok(()))?.entries;
+    let last = records.iter().map(|record| record.session).max();
+    let of_last = records.iter().filter(|record| Some(record.session) == last);
+    let problem = |record: &SessionRecord| match &record.event {
+        SessionEvent::Failed { reason, .. } => {
+            Some(format!("a generation without a fault failed: {reason}"))
+        }
+        SessionEvent::Ended { shutdown_reports, .. } => {
+            let errors = |counts: &BTreeMap<String, u64>| counts.get("error_reports") != Some(&0);
+            let reported = shutdown_reports.iter().find(|(_, counts)| errors(counts));
+            reported.map(|(role, _)| format!("{role} reported errors without a fault"))
+        }
+        _ => None,
+    };
+    Ok(of_last.filter_map(problem).collect())
+}
+
 /// The lines of the episode log in `out`, sorted.
 fn sorted_log(out: &Path) -> Result<Vec<String>> {
     let path = RunFolder::episodes_of(out);
@@ -263,16 +294,31 @@ fn damage(plant: Plant, out: &Path) -> Result<()> {
     Ok(fs::write(path, lines.join("\n") + "\n")?)
 }
 
-/// Cuts part or all of the last line off the journals of the run in `out`: it was written and not yet flushed when the
-/// power failed. `seed` decides how much.
-fn lose_last_lines(out: &Path, seed: u64) -> Result<()> {
-    let sessions = out.join("sessions.jsonl");
-    let journals = [RunFolder::episodes_of(out), RunFolder::timings_of(out), sessions];
-    for (number, path) in (0..).zip(journals) {
+/// The journals of the run in `out` whose last lines may not be on the disk when the power fails.
+fn journals(out: &Path) -> [PathBuf; 3] {
+    [RunFolder::episodes_of(out), RunFolder::timings_of(out), out.join(SESSIONS_FILE)]
+}
+
+/// Bytes in each journal.
+fn lengths(out: &Path) -> [usize; 3] {
+    journals(out).map(|path| fs::metadata(path).map_or(0, |file| file.len() as usize))
+}
+
+/// Cuts part or all of the last line off the journals of the run in `out`, if it was written by the session that began
+/// with these `lengths` and not flushed when the power failed. `seed` decides how much.
+fn lose_last_lines(
+    out: &Path,
+    scheduler: &Scheduler,
+    lengths: [usize; 3],
+    seed: u64,
+) -> Result<()> {
+    for ((path, length), shift) in journals(out).into_iter().zip(lengths).zip(0..) {
         let Ok(text) = fs::read(&path) else { continue };
         let before = text.strip_suffix(b"\n").unwrap_or(&text);
-        let begin = before.iter().rposition(|&byte| byte == b'\n').map_or(0, |last| last + 1);
-        let lost = (seed >> number) as usize % (text.len() - begin + 1);
+        let last = before.iter().rposition(|&byte| byte == b'\n').map_or(0, |last| last + 1);
+        let flushed = scheduler.flushed(&path) as usize;
+        let kept = last.max(length).max(flushed).min(text.len());
+        let lost = (seed >> shift) as usize % (text.len() - kept + 1);
         fs::write(&path, &text[..text.len() - lost])?;
     }
     Ok(())
