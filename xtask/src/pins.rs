@@ -93,7 +93,7 @@ pub(crate) struct FilePin {
     #[serde(default)]
     pub(crate) wanted: Wanted,
     /// By platform (`linux-x86_64`), or `any`.
-    platform: BTreeMap<String, PlatformPin>,
+    pub(crate) platform: BTreeMap<String, PlatformPin>,
 }
 
 /// A [`FilePin`] on one platform.
