@@ -144,10 +144,13 @@ pub(super) fn merged(input: &[u8]) {
 pub(super) fn leaderboard(input: &[u8]) {
     with_files(&[], &["a.json", "b.json"], input, |folder| {
         let Ok(found) = leaderboard::read(&[folder.to_owned()]) else { return };
-        let board = leaderboard::Board::new(&found.entries);
         let page = folder.join("board.html");
-        leaderboard::write_page(&board, &page).unwrap();
-        is_harmless(&fs::read_to_string(page).unwrap());
+        // The page has a script of its own, and no text of an entry adds another.
+        let scripts = |entries: &[leaderboard::Entry]| {
+            leaderboard::write_page(&leaderboard::Board::new(entries), &page).unwrap();
+            fs::read_to_string(&page).unwrap().to_lowercase().matches("<script").count()
+        };
+        assert_eq!(scripts(&found.entries), scripts(&[]));
     });
 }
 
@@ -232,7 +235,8 @@ pub(super) fn viewer_path(input: &[u8]) {
         if let Ok(Some(file)) = site.file(path) {
             let secret = SECRET.as_bytes();
             assert!(!file.bytes.windows(secret.len()).any(|part| part == secret), "{path}");
-            assert!(!path.contains(".."), "{path:?} leads out of the site, and is answered");
+            let place = path.split('?').next().unwrap_or_default();
+            assert!(!place.contains(".."), "{path:?} leads out of the site, and is answered");
         }
     });
 }
