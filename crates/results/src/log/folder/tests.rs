@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::log::manifest::MANIFEST_FILE;
-use crate::log::testing::{manifest, record, request, timings};
+use crate::log::testing::{manifest, record, request, stream_record, timings};
 use crate::log::{DocumentFacts, RunLog};
 
 fn keys(records: &[EpisodeRecord]) -> Vec<&str> {
@@ -41,6 +41,35 @@ fn a_run_continues_where_it_was_killed() {
     let opened = open(true);
     assert!(opened.finished.is_empty());
     assert!(opened.notes[0].contains("(2 finished episodes)"), "{:?}", opened.notes);
+}
+
+/// A disk that cannot flush the logs in folders called `unflushable`.
+struct Unflushable;
+
+impl durable::Faults for Unflushable {
+    fn fault(&self, operation: durable::Operation, path: &Path) -> Option<durable::Fault> {
+        let is_flush = operation == durable::Operation::Sync && path.ends_with(EPISODES_FILE);
+        (is_flush && path.parent().is_some_and(|dir| dir.ends_with("unflushable"))).then(|| {
+            let error = Box::new(|| std::io::Error::other("input/output error"));
+            durable::Fault::Fails { written: 0, error }
+        })
+    }
+}
+
+#[test]
+fn an_episode_that_a_memory_learned_from_is_on_the_disk_before_the_next_one_begins() {
+    assert!(durable::inject(Box::new(Unflushable)));
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path().join("unflushable");
+    let mut folder = RunFolder::open(&dir, manifest(), false).unwrap().folder;
+    let mut finish = |case, snapshot| {
+        let mut record = stream_record(case, true);
+        record.stream.as_mut().unwrap().snapshot = snapshot;
+        folder.finish(&[(record.clone(), timings(&record))])
+    };
+    finish("t01-01", None).unwrap();
+    let error = finish("t01-02", Some("00".repeat(16))).unwrap_err().to_string();
+    assert!(error.starts_with("cannot flush "), "the flush was awaited: {error}");
 }
 
 #[test]
