@@ -41,7 +41,12 @@ impl<I: Clone> EmbeddedViews<I> {
     }
 
     /// Whether all of `viewpoints` are [known](Self::known); `ready` counts those that are, the first ones.
-    pub(crate) fn are_known(&self, viewpoints: &[Viewpoint], ready: &mut usize, embeds: bool) -> bool {
+    pub(crate) fn are_known(
+        &self,
+        viewpoints: &[Viewpoint],
+        ready: &mut usize,
+        embeds: bool,
+    ) -> bool {
         let is_known = |&viewpoint: &Viewpoint| {
             let view = self.pinned.get(viewpoint);
             view.is_some_and(|view| !embeds || self.embeddings.get(&view.content).is_some())

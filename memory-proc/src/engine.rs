@@ -26,8 +26,8 @@ use crate::worlds::Worlds;
 use search::{ContentHash, Embedding};
 use shm_types::Note;
 use shm_types::message::{
-    ExternalAnswer, ExternalBuilt, ExternalStored, FrameId, MemoryEpisodeConfig,
-    Observation, Recall, RecallTrace, SnapshotReport, ViewRequest,
+    ExternalAnswer, ExternalBuilt, ExternalStored, FrameId, MemoryEpisodeConfig, Observation,
+    Recall, RecallTrace, SnapshotReport, ViewRequest,
 };
 
 /// The lanes of a run. `I` is a source of a frame's pixels, which the engine passes on to the encoder.

@@ -8,9 +8,11 @@ use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::Child;
 
+use domain::prompt_log::PromptLogEntry;
 use memtransfer_tests::browser::Browser;
-use memtransfer_tests::{Bench, Ended, eventually, kill};
-use serde_json::Value;
+use memtransfer_tests::{Bench, Ended, eventually, kill, records};
+use results::log::RunLog;
+use serde_json::{Value, json};
 
 /// A run on blocked routes, in which some agents run into the barricade.
 fn blocked(bench: &Bench, out: &str, memory: &str, more: &[&str]) -> PathBuf {
@@ -213,6 +215,151 @@ fn text_of_a_run_is_never_read_as_a_page() {
     assert_eq!(prompts.matches(TEXT).count(), 3, "{prompts}");
     assert!(prompts.contains("Window of past steps"));
     assert_eq!(browser.value("window.hacked === undefined"), true);
+    assert_no_problem(&mut browser);
+}
+
+/// What no page may read as anything but text.
+const HOSTILE: &str = "\"'><img src=x onerror=window.hacked=1><script>window.hacked=1</script></script>&lt;<svg onload=window.hacked=1>";
+
+/// Puts [`HOSTILE`] into every text of a JSON value, one after the other, where `is_read` accepts the result.
+fn poison(value: &mut Value, is_read: &mut dyn FnMut(&Value) -> bool) -> usize {
+    fn places(value: &Value, at: &str, found: &mut Vec<String>) {
+        match value {
+            Value::String(_) => found.push(at.to_owned()),
+            Value::Array(list) => {
+                list.iter().enumerate().for_each(|(i, of)| places(of, &format!("{at}/{i}"), found));
+            }
+            Value::Object(fields) => fields.iter().for_each(|(name, of)| {
+                let name = name.replace('~', "~0").replace('/', "~1");
+                places(of, &format!("{at}/{name}"), found);
+            }),
+            _ => {}
+        }
+    }
+    let mut found = Vec::new();
+    places(value, "", &mut found);
+    let mut poisoned = 0;
+    for place in found {
+        let was = std::mem::replace(value.pointer_mut(&place).unwrap(), HOSTILE.into());
+        if is_read(value) {
+            poisoned += 1;
+        } else {
+            *value.pointer_mut(&place).unwrap() = was;
+        }
+    }
+    poisoned
+}
+
+#[test]
+fn every_text_of_a_run_that_is_read_at_all_is_shown_as_text() {
+    let bench = Bench::new();
+    let run = blocked(&bench, "r", "full-context", &["--log-prompts", "--cases", "t01-01"]);
+    let good = |run: &Path| RunLog::read(run).is_ok_and(|log| log.damaged.is_empty());
+    assert!(good(&run));
+    let key = records(&run)[0]["key"].clone();
+    let error = json!({"key": "k", "session": 1, "error": "e"}).to_string() + "\n";
+    fs::write(run.join("errors.jsonl"), error).unwrap();
+    let request =
+        json!({"key": key, "step": 0, "session": 1, "outcome": "acted"}).to_string() + "\n";
+    fs::write(run.join("requests.jsonl"), request).unwrap();
+    let mut poisoned = 0;
+    for name in
+        ["manifest.json", "errors.jsonl", "sessions.jsonl", "timings.jsonl", "episodes.jsonl"]
+    {
+        let file = run.join(name);
+        let text = fs::read_to_string(&file).unwrap();
+        let documents = if name == "manifest.json" { vec![&*text] } else { text.lines().collect() };
+        let mut values: Vec<Value> =
+            documents.iter().map(|text| serde_json::from_str(text).unwrap()).collect();
+        if name == "manifest.json" {
+            values[0]["processes"]["policy"]["policy"] = "p".into();
+            values[0]["processes"]["policy"][HOSTILE] = "fact".into();
+            values[0]["commit"] = "c".into();
+        }
+        for number in 0..values.len() {
+            let mut all = values.clone();
+            let mut value = all[number].clone();
+            poisoned += poison(&mut value, &mut |value| {
+                // Timings belong to their episode by their key.
+                if name == "timings.jsonl" && value["key"] == HOSTILE {
+                    return false;
+                }
+                all[number] = value.clone();
+                let lines: String = all.iter().map(|value| format!("{value}\n")).collect();
+                fs::write(&file, lines).unwrap();
+                good(&run)
+            });
+            values[number] = value;
+        }
+        let lines: String = values.iter().map(|value| format!("{value}\n")).collect();
+        fs::write(&file, lines).unwrap();
+        assert!(good(&run), "{name}");
+    }
+    let log = run.join("prompts/session-1/generation-1.jsonl");
+    let mut lines = String::new();
+    for line in fs::read_to_string(&log).unwrap().lines() {
+        let mut entry: Value = serde_json::from_str(line).unwrap();
+        let message = json!({"role": "r", "parts": [{"text": "t"}]});
+        entry["exchange"] = json!({"messages": [message], "reply": "r", "unread": "u"});
+        entry["failed"] = "f".into();
+        let is_hash = |text: &Value| text.as_str().is_some_and(domain::prompt_log::is_hash);
+        let hashes = |entry: &Value| {
+            entry.to_string().split('"').filter(|text| is_hash(&(*text).into())).count()
+        };
+        let known = hashes(&entry);
+        poisoned += poison(&mut entry, &mut |entry| {
+            hashes(entry) == known
+                && serde_json::from_value::<PromptLogEntry>(entry.clone()).is_ok()
+        });
+        let entry: PromptLogEntry = serde_json::from_value(entry).unwrap();
+        lines += &(serde_json::to_string(&entry).unwrap() + "\n");
+    }
+    fs::write(&log, lines).unwrap();
+    for document in fs::read_dir(run.join("prompts/documents")).unwrap() {
+        let path = document.unwrap().path();
+        if path.extension().is_some_and(|extension| extension == "txt") {
+            fs::write(path, HOSTILE).unwrap();
+        }
+    }
+    assert!(poisoned > 100, "{poisoned}");
+
+    let folder = run.to_str().unwrap();
+    let url = bundle(&bench, &[&run], &[]);
+    bench.run(&["report", folder]).expect(0);
+    bench.run(&["export", folder, "--format", "leaderboard", "--out", "entry.json"]).expect(0);
+    bench.run(&["leaderboard", "entry.json", "--out", "board.html"]).expect(0);
+    let shown = bench.run(&["show", folder, "t01-01", "0"]);
+    assert!(shown.status.is_some_and(|status| status < 3), "{}", shown.stderr);
+
+    let mut browser = Browser::start(1000, 800);
+    let check = |browser: &mut Browser, what: &str| {
+        let harmless = "window.hacked === undefined \
+            && document.querySelector('img[src=x], svg[onload], a[href^=\"javascript:\"]') === null";
+        assert_eq!(browser.value(harmless), true, "{what}");
+    };
+    browser.open(&url);
+    browser.wait_for("document.querySelectorAll('td a.mark').length > 0");
+    let page = browser.text("main");
+    assert!(page.matches("window.hacked=1").count() > 3, "{page}");
+    check(&mut browser, "the run's page");
+    browser.click("td a.mark");
+    browser.click(".prompts summary");
+    browser.wait_for("document.querySelectorAll('.prompts pre').length >= 2");
+    let prompts = browser.text(".prompts");
+    assert!(prompts.matches("window.hacked=1").count() > 3, "{prompts}");
+    check(&mut browser, "an episode's page");
+    assert_no_problem(&mut browser);
+    for page in [
+        bench.out("pages/run1/report.html"),
+        run.join("report/report.html"),
+        bench.out("board.html"),
+    ] {
+        let text = fs::read_to_string(&page).unwrap();
+        assert!(text.contains("window.hacked=1"), "{} shows no text of the run", page.display());
+        browser.open(&format!("file://{}", page.display()));
+        browser.wait_for("document.readyState === 'complete'");
+        check(&mut browser, &page.display().to_string());
+    }
     assert_no_problem(&mut browser);
 }
 
