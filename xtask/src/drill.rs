@@ -9,35 +9,44 @@ use anyhow::{Context, ensure};
 use clap::Args;
 use serde::Deserialize;
 
+use crate::fuzz::{self, FuzzArguments};
 use crate::workspace::{Workspace, succeeds};
 
-/// A drill: a program of the workspace and its arguments. The program also gets `--json FILE`.
+/// A drill and how it is run.
 struct Drill {
     name: &'static str,
-    /// The crate that has the program.
-    package: &'static str,
-    program: &'static str,
-    arguments: &'static [&'static str],
-    /// Further arguments of a quick drill, of some half a minute.
-    quick: &'static [&'static str],
+    kind: Kind,
 }
 
-/// All drills, in the order in which they run. One whose program the workspace does not have is left out.
+enum Kind {
+    /// A program of the tests, which also gets `--json FILE`.
+    Program {
+        program: &'static str,
+        arguments: &'static [&'static str],
+        /// Further arguments of a whole drill.
+        whole: &'static [&'static str],
+        /// Further arguments of a quick drill, of some half a minute.
+        quick: &'static [&'static str],
+    },
+    /// [`fuzz`], whose programs take minutes to build: never quick.
+    Fuzz,
+}
+
+/// The crate of the programs.
+const PROGRAMS: &str = "memtransfer-tests";
+
+/// All drills, in the order in which they run.
 const DRILLS: &[Drill] = &[
     Drill {
         name: "sim",
-        package: "drill-sim",
-        program: "drill-sim",
-        arguments: &[],
-        quick: &["--seeds", "20"],
+        kind: Kind::Program {
+            program: "drill-sim",
+            arguments: &[],
+            whole: &["--seeds", "5000"],
+            quick: &["--seeds", "20"],
+        },
     },
-    Drill {
-        name: "fuzz",
-        package: "drill-fuzz",
-        program: "drill-fuzz",
-        arguments: &[],
-        quick: &["--quick"],
-    },
+    Drill { name: "fuzz", kind: Kind::Fuzz },
     of_processes("grid", &["grid"]),
     of_processes("kills", &["kills"]),
     of_processes("disk", &["disk"]),
@@ -45,13 +54,8 @@ const DRILLS: &[Drill] = &[
 ];
 
 const fn of_processes(name: &'static str, arguments: &'static [&'static str]) -> Drill {
-    Drill {
-        name,
-        package: "memtransfer-tests",
-        program: "drill-processes",
-        arguments,
-        quick: &["--quick"],
-    }
+    let program = "drill-processes";
+    Drill { name, kind: Kind::Program { program, arguments, whole: &[], quick: &["--quick"] } }
 }
 
 /// The page, and the lines in it between which the results stand.
@@ -64,7 +68,7 @@ pub(crate) struct DrillArguments {
     /// The drills to run [default: all]
     #[arg(value_parser = names())]
     drills: Vec<String>,
-    /// A small part of each drill, together in under three minutes
+    /// A small part of each drill but fuzzing, together in under three minutes
     #[arg(long)]
     quick: bool,
     /// Write the results into docs/reliability.md, also those of drills that ran before
@@ -73,7 +77,7 @@ pub(crate) struct DrillArguments {
     /// Run no drill: only `--write`
     #[arg(long, requires = "write")]
     only_write: bool,
-    /// Further flags for the program of one drill, for example `-- --seed 2 --minutes 30`
+    /// Further flags for the program of one drill, for example `-- --minutes 30`
     #[arg(last = true)]
     flags: Vec<String>,
 }
@@ -115,40 +119,34 @@ fn run_drills(
     workspace: &Workspace,
     folder: &Path,
 ) -> anyhow::Result<bool> {
-    #[derive(Deserialize)]
-    struct Package {
-        name: String,
-    }
     let chosen: Vec<&Drill> = DRILLS
         .iter()
-        .filter(|drill| {
-            arguments.drills.is_empty() || arguments.drills.iter().any(|name| name == drill.name)
+        .filter(|drill| match &*arguments.drills {
+            [] => !(arguments.quick && matches!(drill.kind, Kind::Fuzz)),
+            names => names.iter().any(|name| name == drill.name),
         })
         .collect();
     ensure!(
         arguments.flags.is_empty() || chosen.len() == 1,
         "flags after `--` are those of one drill: name it"
     );
-    let packages: Vec<Package> = workspace.packages(&["--no-deps"])?;
-    let (there, missing): (Vec<&Drill>, Vec<&Drill>) = chosen
-        .into_iter()
-        .partition(|drill| packages.iter().any(|package| package.name == drill.package));
-    for drill in missing {
-        eprintln!("drill {}: left out, the workspace has no crate {}", drill.name, drill.package);
-    }
-    let mut crates: Vec<&str> = there.iter().map(|drill| drill.package).collect();
-    crates.dedup();
-    if !workspace.build_programs(&crates)? {
+    if !workspace.build_programs(&[PROGRAMS])? {
         return Ok(false);
     }
     let mut failed = Vec::new();
-    for drill in there {
+    for drill in chosen {
         eprintln!("drill {}", drill.name);
-        let mut command = workspace.at_root(&workspace.program(drill.program)?, drill.arguments);
-        command.args(if arguments.quick { drill.quick } else { &[] });
-        command.args(&arguments.flags);
-        command.arg("--json").arg(folder.join(drill.name).with_extension("json"));
-        if !succeeds(&mut command)? {
+        let json = folder.join(drill.name).with_extension("json");
+        let passed = match drill.kind {
+            Kind::Fuzz => fuzz::run(&FuzzArguments::parse(&arguments.flags), &json, workspace)?,
+            Kind::Program { program, arguments: first, whole, quick } => {
+                let mut command = workspace.at_root(&workspace.program(program)?, first);
+                command.args(if arguments.quick { quick } else { whole });
+                command.args(&arguments.flags).arg("--json").arg(json);
+                succeeds(&mut command)?
+            }
+        };
+        if !passed {
             failed.push(drill.name);
         }
     }

@@ -1,4 +1,4 @@
-//! `fuzz`: builds the fuzz targets with libFuzzer and coverage counters, runs them, and writes what they found.
+//! The drill `fuzz`: builds the fuzz targets with libFuzzer and coverage counters, runs them, and writes what they found.
 //!
 //! The compiler's own coverage pass is enough, so the toolchain of the build serves. The programs have a target folder of
 //! their own, `target/fuzz`, which also keeps the inputs that reached something new: the next run begins with them.
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, bail, ensure};
-use clap::Args;
+use clap::Parser;
 use serde_json::json;
 
 use crate::workspace::{Workspace, succeeds};
@@ -34,17 +34,25 @@ const MEMORY_MIB: u32 = 2048;
 const INPUT_SECONDS: u32 = 20;
 
 /// What to run, and how long.
-#[derive(Args)]
+#[derive(Parser)]
+#[command(name = "cargo xtask drill fuzz --", no_binary_name = true)]
 pub(crate) struct FuzzArguments {
     /// Number of inputs to each target
     #[arg(long, value_name = "N", default_value_t = 20_000)]
-    pub(crate) inputs: u64,
+    inputs: u64,
     /// Only this target; can be repeated [default: all of them]
     #[arg(long, value_name = "NAME")]
-    pub(crate) target: Vec<String>,
+    target: Vec<String>,
     /// Most minutes for each target
     #[arg(long, value_name = "M")]
-    pub(crate) minutes: Option<u64>,
+    minutes: Option<u64>,
+}
+
+impl FuzzArguments {
+    /// Those of a command line's flags; a wrong one ends the program.
+    pub(crate) fn parse(flags: &[String]) -> Self {
+        Self::parse_from(flags)
+    }
 }
 
 /// What one target did.
@@ -57,8 +65,12 @@ struct Fuzzed {
     failure: Option<String>,
 }
 
-/// Builds the programs, runs every target and writes `target/drill/fuzz.json`. Returns whether everything held.
-pub(crate) fn run(arguments: &FuzzArguments, workspace: &Workspace) -> anyhow::Result<bool> {
+/// Builds the programs, runs every target and writes the results to `out`. Returns whether everything held.
+pub(crate) fn run(
+    arguments: &FuzzArguments,
+    out: &Path,
+    workspace: &Workspace,
+) -> anyhow::Result<bool> {
     let folder = workspace.root().join("target/fuzz");
     let Some(program) = build(workspace, &folder)? else { return Ok(false) };
     let corpus = workspace.root().join("tests/fuzz/corpus");
@@ -79,8 +91,7 @@ pub(crate) fn run(arguments: &FuzzArguments, workspace: &Workspace) -> anyhow::R
         }
         all.insert(name.clone(), fuzzed);
     }
-    let out = workspace.root().join("target/drill/fuzz.json");
-    write(&out, &all, &command(arguments))?;
+    write(out, &all, &command(arguments))?;
     eprintln!("wrote {}", out.display());
     Ok(all.values().all(|fuzzed| fuzzed.failure.is_none()))
 }
@@ -184,7 +195,7 @@ fn read(log: &str) -> Fuzzed {
 }
 
 fn command(arguments: &FuzzArguments) -> String {
-    let mut command = format!("cargo xtask fuzz --inputs {}", arguments.inputs);
+    let mut command = format!("cargo xtask drill fuzz -- --inputs {}", arguments.inputs);
     for name in &arguments.target {
         command += &format!(" --target {name}");
     }
@@ -214,8 +225,6 @@ fn write(out: &Path, all: &BTreeMap<String, Fuzzed>, command: &str) -> anyhow::R
         },
         "violations": violations,
     });
-    let parent = out.parent().context("a file without a folder")?;
-    fs::create_dir_all(parent).with_context(|| format!("cannot create {}", parent.display()))?;
     let text = serde_json::to_string_pretty(&page)? + "\n";
     fs::write(out, text).with_context(|| format!("cannot write {}", out.display()))
 }

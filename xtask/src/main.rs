@@ -80,8 +80,6 @@ enum Task {
     Wheel,
     /// Check links between crates, citations, format, lints, docs and licences
     Check,
-    /// Pass random inputs, guided by coverage, to everything that reads bytes, and write target/drill/fuzz.json
-    Fuzz(fuzz::FuzzArguments),
     /// Write the software bill of materials in CycloneDX 1.5, target/sbom/memtransfer.cdx.json
     Sbom,
     /// What CI runs: `check`, then `test`
@@ -137,7 +135,6 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
             drill::run(arguments, &workspace)
         }
         Task::Wheel => python::build_wheel(&workspace),
-        Task::Fuzz(arguments) => fuzz::run(arguments, &workspace),
         Task::Sbom => sbom::write(&pins, &workspace).map(|()| true),
         Task::Check => check::run(&workspace),
         Task::Ci => {

@@ -2,7 +2,7 @@
 //!
 //! A target passes its input to a reader and asserts what must hold for any bytes: an answer or an error, never a panic;
 //! what is written is read back equal; nothing is read outside of the folder at hand. Memory and time are limited by the
-//! fuzz program. `cargo test` runs every target on its corpus; `cargo xtask fuzz` on new inputs, guided by coverage.
+//! fuzz program. `cargo test` runs every target on its corpus; `cargo xtask drill fuzz` on new inputs, guided by coverage.
 
 #![expect(clippy::unwrap_used, reason = "a target reports what it finds by panicking")]
 
