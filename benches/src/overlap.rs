@@ -20,7 +20,7 @@ use crate::Bench;
 use crate::embed;
 use crate::figure::{Better, FigureBound, Measurement};
 use crate::render;
-use crate::runs::{Timing, ended_well, lines, new_cache};
+use crate::runs::{TimingLine, ended_well, lines, new_cache};
 use crate::search::threads;
 use crate::session::BenchSession;
 
@@ -127,7 +127,7 @@ fn execute(session: &BenchSession<'_>, cache: &Path, flags: &[&str]) -> Result<R
     let wall = began.elapsed().as_secs_f64();
     let busy = (work_of_children()? - before) / (wall * threads() as f64);
     let folder = session.scratch().join("run");
-    let timings: Vec<Timing> = lines(&folder.join("timings.jsonl"))?;
+    let timings: Vec<TimingLine> = lines(&folder.join("timings.jsonl"))?;
     let first = timings.iter().map(|timing| timing.started_ns).min();
     let last = timings.iter().map(|timing| timing.ended_ns).max();
     let (first, last) = first.zip(last).context("no episode was executed")?;

@@ -20,9 +20,9 @@ use serde_json::{Value, json};
 use shm_types::attach::{DEFAULT_WINDOW, FrameSize, PAGE_BYTES};
 use sim_proc::render_workers::open_renderers;
 use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, Samples, ViewSpec};
-use sim_proc::view_cache::{ViewCache, ViewKey};
+use sim_proc::view_cache::{FrameKey, ViewCache};
 use sim_proc::view_control::every_pose;
-use sim_proc::worlds::World;
+use sim_proc::worlds::WorldParts;
 use warehouse::{Variant, Warehouse};
 
 use crate::Bench;
@@ -275,8 +275,9 @@ pub(crate) fn render_process(arguments: &[String]) -> Result<()> {
 /// A step to a resident view: the simulator's bookkeeping alone.
 fn repeated(session: &mut BenchSession<'_>) -> Result<Measurement> {
     let layout = Warehouse::shipped().layout;
-    let keys: Vec<ViewKey> =
-        every_pose(&layout).map(|pose| ViewKey::World { world: World::UNCHANGED, pose }).collect();
+    let keys: Vec<FrameKey> = every_pose(&layout)
+        .map(|pose| FrameKey::WorldParts { world: WorldParts::UNCHANGED, pose })
+        .collect();
     let mut views = ViewCache::new(keys.len(), LANES, DEFAULT_WINDOW as usize);
     for (frame, &view) in (1..).zip(&keys) {
         views.pin_for_memory(view);
@@ -299,7 +300,7 @@ fn repeated(session: &mut BenchSession<'_>) -> Result<Measurement> {
 }
 
 /// Mean duration of a step in nanoseconds: lanes take turns, each step far from the last view.
-fn look_up_ns(views: &mut ViewCache, keys: &[ViewKey], steps: usize) -> Result<f64> {
+fn look_up_ns(views: &mut ViewCache, keys: &[FrameKey], steps: usize) -> Result<f64> {
     /// A prime, so that every view is visited.
     const STRIDE: usize = 367;
     let began = Instant::now();

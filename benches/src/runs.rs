@@ -98,7 +98,7 @@ pub fn new_cache(folder: &Path) -> Result<()> {
 
 /// A line of `timings.jsonl`, reduced to what is used here.
 #[derive(Debug, Clone, Copy, Deserialize)]
-pub(crate) struct Timing {
+pub(crate) struct TimingLine {
     pub(crate) started_ns: u64,
     pub(crate) ended_ns: u64,
     steps: u32,
@@ -110,7 +110,7 @@ pub(crate) struct Timing {
 /// # Errors
 /// When the folder cannot be read, or the run is too short to have a steady state.
 pub fn steady_rate(folder: &Path) -> Result<f64> {
-    rate(&lines::<Timing>(&folder.join("timings.jsonl"))?)
+    rate(&lines::<TimingLine>(&folder.join("timings.jsonl"))?)
         .with_context(|| format!("{} is too short to have a steady state", folder.display()))
 }
 
@@ -125,7 +125,7 @@ pub(crate) fn lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> {
 
 /// The rate between the start of the episode at the first quartile and the start of the last one. The steps of an
 /// episode count as spread evenly over its duration.
-fn rate(timings: &[Timing]) -> Option<f64> {
+fn rate(timings: &[TimingLine]) -> Option<f64> {
     let mut starts: Vec<u64> = timings.iter().map(|timing| timing.started_ns).collect();
     starts.sort_unstable();
     let (from, to) = (*starts.get(starts.len() / 4)?, *starts.last()?);
@@ -150,14 +150,14 @@ mod tests {
     #[test]
     fn the_rate_is_that_of_the_steady_part() {
         // Two lanes of ten steps per second each, after an idle first second.
-        let episode = |started_s: u64, lane_offset: u64| Timing {
+        let episode = |started_s: u64, lane_offset: u64| TimingLine {
             started_ns: (started_s * 10 + lane_offset) * 100_000_000,
             ended_ns: (started_s * 10 + 10 + lane_offset) * 100_000_000,
             steps: 10,
         };
-        let mut timings: Vec<Timing> =
+        let mut timings: Vec<TimingLine> =
             (1..20).flat_map(|s| [episode(s, 0), episode(s, 5)]).collect();
-        timings.push(Timing { started_ns: 0, ended_ns: 1_000_000_000, steps: 1 });
+        timings.push(TimingLine { started_ns: 0, ended_ns: 1_000_000_000, steps: 1 });
         let rate = rate(&timings).unwrap();
         assert!((rate - 20.0).abs() < 0.5, "{rate}");
     }
@@ -165,6 +165,6 @@ mod tests {
     #[test]
     fn a_run_of_one_episode_has_none() {
         assert_eq!(rate(&[]), None);
-        assert_eq!(rate(&[Timing { started_ns: 5, ended_ns: 9, steps: 4 }]), None);
+        assert_eq!(rate(&[TimingLine { started_ns: 5, ended_ns: 9, steps: 4 }]), None);
     }
 }

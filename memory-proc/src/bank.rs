@@ -12,13 +12,13 @@ use shm_types::message::{FrameId, NO_ACTION, NO_FRAME};
 
 pub use warehouse::Viewpoint;
 
-use crate::demonstrations::Demonstration;
+use crate::demonstrations::ReplayedDemonstration;
 
 /// Demonstrations, and where their views are seen from.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Bank {
+pub struct ReplayedBank {
     /// The demonstrations, numbered from 0.
-    pub demonstrations: Vec<Arc<Demonstration>>,
+    pub demonstrations: Vec<Arc<ReplayedDemonstration>>,
     /// The viewpoints of those that the bank was made of, each once, sorted.
     pub viewpoints: Vec<Viewpoint>,
 }
@@ -34,10 +34,10 @@ pub struct KnownView {
     pub embedding: Option<Embedding>,
 }
 
-impl Bank {
+impl ReplayedBank {
     /// A bank of these demonstrations.
-    pub fn new(demonstrations: impl IntoIterator<Item: Into<Arc<Demonstration>>>) -> Self {
-        let demonstrations: Vec<Arc<Demonstration>> =
+    pub fn new(demonstrations: impl IntoIterator<Item: Into<Arc<ReplayedDemonstration>>>) -> Self {
+        let demonstrations: Vec<Arc<ReplayedDemonstration>> =
             demonstrations.into_iter().map(Into::into).collect();
         let mut viewpoints: Vec<Viewpoint> =
             demonstrations.iter().flat_map(|demonstration| demonstration.viewpoints()).collect();
@@ -80,7 +80,7 @@ pub(crate) struct Collecting {
 }
 
 impl Collecting {
-    pub(crate) fn new(bank: &Bank) -> Self {
+    pub(crate) fn new(bank: &ReplayedBank) -> Self {
         let waiting = bank.viewpoints.iter().copied().collect();
         Self { found: HashMap::new(), waiting, pinned: Vec::new() }
     }
@@ -98,7 +98,7 @@ impl Collecting {
 /// The steps of a bank's demonstrations, one demonstration after the other, with their views.
 #[derive(Debug)]
 pub struct BankSteps<'a> {
-    bank: &'a Bank,
+    bank: &'a ReplayedBank,
     steps: Vec<DemonstrationStep>,
     embeddings: Arc<Embeddings>,
     frames: Vec<FrameId>,
@@ -109,7 +109,7 @@ pub type Embeddings = HashMap<ContentHash, Embedding>;
 
 impl<'a> BankSteps<'a> {
     /// The steps without views.
-    pub fn without_views(bank: &'a Bank) -> Self {
+    pub fn without_views(bank: &'a ReplayedBank) -> Self {
         let steps = bank.demonstrations.iter().flat_map(|demonstration| {
             let states = demonstration.poses.iter().zip(&demonstration.feedback).enumerate();
             states.map(|(at, (&pose, &feedback))| DemonstrationStep {
@@ -123,7 +123,7 @@ impl<'a> BankSteps<'a> {
     }
 
     /// Each demonstration with its place in the lists.
-    fn places(&self) -> impl Iterator<Item = (&'a Demonstration, Range<usize>)> {
+    fn places(&self) -> impl Iterator<Item = (&'a ReplayedDemonstration, Range<usize>)> {
         let mut first = 0;
         self.bank.demonstrations.iter().map(move |demonstration| {
             let place = first..first + demonstration.poses.len();

@@ -16,7 +16,7 @@ use crate::bank::Viewpoint;
 
 /// A replayed demonstration, or an episode that a memory has learned from.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Demonstration {
+pub struct ReplayedDemonstration {
     /// Its case's index; of an episode, its position in its sequence.
     pub case: u32,
     /// Its [number](warehouse::Start::demonstration) in that case; [`EXPERIENCE`](shm_types::message::EXPERIENCE) for an episode.
@@ -35,7 +35,7 @@ pub struct Demonstration {
     pub actions: Vec<Option<Action>>,
 }
 
-impl Demonstration {
+impl ReplayedDemonstration {
     /// Where its views are seen from.
     pub fn viewpoints(&self) -> impl Iterator<Item = Viewpoint> + '_ {
         self.poses.iter().map(|&pose| Viewpoint { variant: self.variant, pose })
@@ -58,7 +58,7 @@ pub fn selected(
     cases: &CaseSet,
     index: u32,
     selection: u32,
-) -> Option<Vec<Demonstration>> {
+) -> Option<Vec<ReplayedDemonstration>> {
     cases.cases.get(index as usize)?;
     let histories = cases.histories(index as usize, Demonstrations::from_bits(selection)?);
     histories.into_iter().map(|history| replayed(warehouse, cases, history)).collect()
@@ -70,7 +70,7 @@ pub fn of_all_cases(
     warehouse: &Warehouse,
     cases: &CaseSet,
     selection: u32,
-) -> Option<Vec<Demonstration>> {
+) -> Option<Vec<ReplayedDemonstration>> {
     let selection = Demonstrations::from_bits(selection)?;
     histories(warehouse, cases, cases.histories_of_all(selection).into_iter())
 }
@@ -80,7 +80,7 @@ pub(crate) fn histories(
     warehouse: &Warehouse,
     cases: &CaseSet,
     histories: impl Iterator<Item = History>,
-) -> Option<Vec<Demonstration>> {
+) -> Option<Vec<ReplayedDemonstration>> {
     let mut known = HashSet::new();
     let each_once = histories.filter(|history| known.insert(*history));
     each_once.map(|history| replayed(warehouse, cases, history)).collect()
@@ -91,10 +91,10 @@ pub(crate) fn replayed(
     warehouse: &Warehouse,
     cases: &CaseSet,
     history: History,
-) -> Option<Demonstration> {
+) -> Option<ReplayedDemonstration> {
     let of = cases.demonstrated(warehouse, history)?;
     let replay = of.replay();
-    Some(Demonstration {
+    Some(ReplayedDemonstration {
         case: history.case as u32,
         number: history.start as u16,
         variant: of.variant,

@@ -19,10 +19,10 @@ use crate::episode::{
 };
 use crate::external::{BankState, ExternalMemories, ToExternal, query_message};
 use crate::items::{Assembler, DocumentSupplier};
-use crate::sequences::{Bound, Sequences, StreamPart};
+use crate::sequences::{Bound, SequenceEpisode, SequenceMemories};
 use crate::snapshots::SnapshotFolder;
 use crate::views::{Arrival, PinnedView};
-use crate::worlds::Worlds;
+use crate::worlds::WorldStates;
 use search::{ContentHash, Embedding};
 use shm_types::Note;
 use shm_types::message::{
@@ -32,7 +32,7 @@ use shm_types::message::{
 
 /// The lanes of a run. `I` is a source of a frame's pixels, which the engine passes on to the encoder.
 pub struct Engine<I> {
-    worlds: Worlds,
+    worlds: WorldStates,
     lanes: Vec<EngineLane>,
     /// Lanes with a pending observation.
     pending: BTreeSet<u32>,
@@ -43,7 +43,7 @@ pub struct Engine<I> {
     urgent: VecDeque<(ContentHash, I)>,
     in_flight: HashSet<ContentHash>,
     externals: ExternalMemories,
-    sequences: Sequences,
+    sequences: SequenceMemories,
     /// Reports of memories that have learned.
     learned: Vec<SnapshotReport>,
     /// Episodes that cannot go on.
@@ -89,7 +89,7 @@ impl<I: Clone> Engine<I> {
     /// Creates an engine for `lanes` lanes, with room for `views` demonstration views. Without a folder for `snapshots`, no
     /// memory can learn.
     pub fn new(
-        worlds: Worlds,
+        worlds: WorldStates,
         lanes: u32,
         views: usize,
         embeddings: EmbeddingCache,
@@ -105,7 +105,7 @@ impl<I: Clone> Engine<I> {
             urgent: VecDeque::new(),
             in_flight: HashSet::new(),
             externals,
-            sequences: Sequences::new(snapshots, lanes),
+            sequences: SequenceMemories::new(snapshots, lanes),
             learned: Vec::new(),
             failures: Vec::new(),
         }
@@ -497,7 +497,7 @@ impl<I: Clone> Engine<I> {
         let Some(episode) = &mut lanes[lane as usize].running else {
             return Ok(LaneProgress::Gone);
         };
-        let is_new = |part: &StreamPart| !part.begun;
+        let is_new = |part: &SequenceEpisode| !part.begun;
         if episode.pending.is_some() && episode.stream.as_ref().is_some_and(is_new) {
             let mut bound = sequences.bind(episode, worlds, documents, (externals, clock()))?;
             if let Bound::Waiting = bound {

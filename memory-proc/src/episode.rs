@@ -14,12 +14,12 @@ use shm_types::message::{
 };
 use warehouse::{Demonstrations, Progress};
 
-use crate::bank::{Bank, BankSteps, KnownView, Viewpoint};
+use crate::bank::{BankSteps, KnownView, ReplayedBank, Viewpoint};
 use crate::demonstrations;
 use crate::items::{AssembledRecall, Budgets, CheckedAnswer, DocumentSupplier, PublishedTexts};
 use crate::representation::{MemorySettings, built_in};
-use crate::sequences::{KeptMemory, Recording, SequenceMemory, StreamPart};
-use crate::worlds::{BankOrigin, Worlds};
+use crate::sequences::{KeptMemory, Recording, SequenceEpisode, SequenceMemory};
+use crate::worlds::{BankOrigin, WorldStates};
 
 /// A message that cannot be used. The text names the value and what was expected.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -112,9 +112,9 @@ pub(crate) struct MemoryEpisode {
     pub(crate) lane: u32,
     pub(crate) memory: EpisodeMemory,
     /// Its part in a stream; `None` outside of streams.
-    pub(crate) stream: Option<StreamPart>,
+    pub(crate) stream: Option<SequenceEpisode>,
     /// What the memory can name: the demonstrations that it is built from. In a stream: from the first step on.
-    pub(crate) bank: Arc<Bank>,
+    pub(crate) bank: Arc<ReplayedBank>,
     /// Whether all views of the bank are pinned while the episode runs.
     pub(crate) pins_bank: bool,
     /// Whether the memory uses embeddings.
@@ -151,7 +151,7 @@ pub(crate) struct CurrentStep {
 /// What an external memory needs of an episode's bank.
 pub(crate) struct ExternalBank {
     pub(crate) id: u64,
-    pub(crate) bank: Arc<Bank>,
+    pub(crate) bank: Arc<ReplayedBank>,
     pub(crate) pins_bank: bool,
     pub(crate) embeds: bool,
 }
@@ -160,12 +160,12 @@ impl MemoryEpisode {
     /// The episode that a message announces. `external` finds the bank of an external memory.
     pub(crate) fn announced(
         config: &MemoryEpisodeConfig,
-        worlds: &Worlds,
+        worlds: &WorldStates,
         external: impl FnOnce(Demonstrations) -> Result<ExternalBank, Unusable>,
     ) -> Result<Self, Unusable> {
         let MemoryEpisodeConfig { case, demonstrations, lane, .. } = *config;
         let refused = |what: String| unusable!("config of episode {}: {what}", config.episode);
-        let Worlds { warehouse, cases, .. } = worlds;
+        let WorldStates { warehouse, cases, .. } = worlds;
         let unknown = || {
             refused(format!(
                 "case {case} with demonstrations {demonstrations:#b}, but there are {} cases, and no such set for \
@@ -202,7 +202,7 @@ impl MemoryEpisode {
                     .ok_or_else(unknown)?;
                 let memory = BuiltInMemory::Announced { settings, set };
                 let memory = EpisodeMemory::BuiltIn { representation, memory };
-                (memory, Arc::new(Bank::new(chosen)), embeds, embeds)
+                (memory, Arc::new(ReplayedBank::new(chosen)), embeds, embeds)
             }
         };
         let stream = match &memory {
@@ -243,7 +243,11 @@ impl MemoryEpisode {
     }
 
     /// Checks and takes the next observation.
-    pub(crate) fn observe(&mut self, seen: &Observation, worlds: &Worlds) -> Result<(), Unusable> {
+    pub(crate) fn observe(
+        &mut self,
+        seen: &Observation,
+        worlds: &WorldStates,
+    ) -> Result<(), Unusable> {
         let Observation { episode, step, frame, .. } = *seen;
         let broken =
             |what: String| unusable!("observation of episode {episode}, step {step}: {what}");
@@ -504,8 +508,8 @@ pub(crate) fn build_built_in(
 fn stream_part(
     config: &MemoryEpisodeConfig,
     set: Demonstrations,
-    worlds: &Worlds,
-) -> Result<StreamPart, String> {
+    worlds: &WorldStates,
+) -> Result<SequenceEpisode, String> {
     let arm = Arm::try_from(config.arm).map_err(|error| error.to_string())?;
     let feedback = FeedbackLevel::try_from(config.feedback).map_err(|error| error.to_string())?;
     if worlds.state(config.variant).is_none() {
@@ -515,7 +519,7 @@ fn stream_part(
         ));
     }
     let learns = arm == Arm::Learning && config.learns == 1;
-    Ok(StreamPart {
+    Ok(SequenceEpisode {
         sequence: config.sequence,
         snapshot: config.snapshot,
         origin: BankOrigin::new(arm, config.stream, config.block, set),
@@ -531,14 +535,14 @@ fn stream_part(
 fn bank_part(
     config: &MemoryEpisodeConfig,
     set: Demonstrations,
-    worlds: &Worlds,
+    worlds: &WorldStates,
     (representation, settings): (Representation, &MemorySettings),
-) -> StreamPart {
+) -> SequenceEpisode {
     let origin = BankOrigin::bank(&worlds.cases, config.case, set);
     let MemorySettings { horizon, segment, hits, keyframes, .. } = settings;
     let mut hasher = DefaultHasher::new();
     (origin, representation as u8, horizon, *segment as u8, hits, keyframes).hash(&mut hasher);
-    StreamPart {
+    SequenceEpisode {
         // Outside of the numbers of sequences.
         sequence: hasher.finish() | 1 << 63,
         snapshot: Default::default(),

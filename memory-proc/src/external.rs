@@ -20,7 +20,7 @@ use shm_types::message::{
 use shm_types::{BankContent, MemoryDescription, Note};
 use warehouse::{CaseSet, Demonstrations, Warehouse};
 
-use crate::bank::{Bank, BankSteps, Collecting, KnownView, Viewpoint};
+use crate::bank::{BankSteps, Collecting, KnownView, ReplayedBank, Viewpoint};
 use crate::demonstrations;
 use crate::engine::LaneProgress;
 use crate::episode::{
@@ -92,7 +92,7 @@ pub(crate) struct HostBank {
     index: u8,
     /// The case, unless the bank is of all cases, and the set; `None`: it belongs to a sequence.
     of: Option<(Option<u32>, Demonstrations)>,
-    pub(crate) bank: Arc<Bank>,
+    pub(crate) bank: Arc<ReplayedBank>,
     pub(crate) pins_bank: bool,
     pub(crate) embeds: bool,
     with_frames: bool,
@@ -117,7 +117,7 @@ pub(crate) enum BankState {
 
 impl HostBank {
     /// What to do with the bank before anything is known about its views.
-    fn first_state(scope: Scope, embeds: bool, bank: &Bank) -> BankState {
+    fn first_state(scope: Scope, embeds: bool, bank: &ReplayedBank) -> BankState {
         match scope {
             Scope::All if embeds => BankState::Collecting(Collecting::new(bank)),
             Scope::Case | Scope::All => BankState::Waiting { ready: 0 },
@@ -187,7 +187,7 @@ impl ExternalMemories {
                 };
                 let chosen =
                     chosen.ok_or_else(|| unusable!("demonstrations {set}, which do not exist"))?;
-                let bank = Arc::new(Bank::new(chosen));
+                let bank = Arc::new(ReplayedBank::new(chosen));
                 let pins_bank = scope == Scope::Case && (embeds || frames);
                 let with_frames = pins_bank && frames;
                 let state = HostBank::first_state(scope, embeds, &bank);
@@ -283,7 +283,7 @@ impl ExternalMemories {
     pub(crate) fn publish_for_sequence(
         &mut self,
         index: u8,
-        bank: &Arc<Bank>,
+        bank: &Arc<ReplayedBank>,
         steps: BankSteps<'_>,
         now_ns: u64,
     ) -> u64 {
@@ -416,7 +416,11 @@ impl ExternalMemories {
     }
 
     /// Ends the building of a bank. Returns the bank if its views were pinned to build it.
-    pub(crate) fn finish(&mut self, id: u64, outcome: Result<u64, Reason>) -> Option<Arc<Bank>> {
+    pub(crate) fn finish(
+        &mut self,
+        id: u64,
+        outcome: Result<u64, Reason>,
+    ) -> Option<Arc<ReplayedBank>> {
         let bank = self.banks.get_mut(&id)?;
         self.unbuilt.remove(&id);
         let state = match outcome {

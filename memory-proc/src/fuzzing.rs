@@ -3,9 +3,9 @@
 use peer::memory::Item;
 use shm_types::message::ExternalAnswer;
 
-use crate::demonstrations::Demonstration;
-use crate::sequences::Experience;
-use crate::worlds::Worlds;
+use crate::demonstrations::ReplayedDemonstration;
+use crate::sequences::StoredExperience;
+use crate::worlds::WorldStates;
 
 /// The items of an external memory's answer with the note `note`, whose references are not checked yet.
 ///
@@ -19,8 +19,11 @@ pub fn answered_items(answer: &ExternalAnswer, note: &[u8]) -> Result<Vec<Item>,
 ///
 /// # Errors
 /// When the file is not valid, or an episode cannot take place in `worlds`.
-pub fn experiences(text: &[u8], worlds: &Worlds) -> Result<Vec<Demonstration>, String> {
-    let experiences: Vec<Experience> =
+pub fn experiences(
+    text: &[u8],
+    worlds: &WorldStates,
+) -> Result<Vec<ReplayedDemonstration>, String> {
+    let experiences: Vec<StoredExperience> =
         serde_json::from_slice(text).map_err(|error| error.to_string())?;
     let replayed = experiences.iter().map(|experience| experience.replayed(worlds));
     replayed.collect::<Option<_>>().ok_or_else(|| "an episode cannot take place".to_owned())

@@ -15,8 +15,8 @@ use shm_types::message::{
     NO_DOCUMENT, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, TrajectoryStep,
 };
 
-use crate::bank::{Bank, Viewpoint};
-use crate::demonstrations::Demonstration;
+use crate::bank::{ReplayedBank, Viewpoint};
+use crate::demonstrations::ReplayedDemonstration;
 
 /// Publishes the documents that recalls name.
 pub trait DocumentSupplier {
@@ -89,7 +89,7 @@ impl CheckedAnswer {
     ///
     /// # Errors
     /// When an item names something that is not in the bank, or there are too many items or sources.
-    pub fn new(given: Vec<Item>, bank: &Bank, budgets: Budgets) -> Result<Self, String> {
+    pub fn new(given: Vec<Item>, bank: &ReplayedBank, budgets: Budgets) -> Result<Self, String> {
         let mut sources = 0;
         for (number, item) in given.iter().enumerate() {
             sources += check(item, bank).map_err(|what| format!("item {number} {what}"))?;
@@ -131,7 +131,7 @@ impl CheckedAnswer {
 }
 
 /// The items of the recall for the kept ones of `given`.
-fn parts(given: &[Item], kept: &[usize], bank: &Bank) -> Vec<Part> {
+fn parts(given: &[Item], kept: &[usize], bank: &ReplayedBank) -> Vec<Part> {
     let is_frame = |&&number: &&usize| matches!(given[number], Item::Frame { .. });
     let mut room = MAX_STEPS.saturating_sub(kept.iter().filter(is_frame).count());
     let mut parts: Vec<Part> = Vec::new();
@@ -171,7 +171,7 @@ impl Part {
 }
 
 /// Checks the references of an item; returns the number of its sources.
-fn check(item: &Item, bank: &Bank) -> Result<usize, String> {
+fn check(item: &Item, bank: &ReplayedBank) -> Result<usize, String> {
     match item {
         Item::Text { sources, .. } => {
             sources.iter().try_for_each(|source| demonstration(source, bank).map(drop))?;
@@ -218,7 +218,10 @@ fn finite(distance: Option<f32>) -> Result<usize, String> {
 }
 
 /// The demonstration of a source, if it has these steps.
-fn demonstration<'b>(source: &Source, bank: &'b Bank) -> Result<&'b Demonstration, String> {
+fn demonstration<'b>(
+    source: &Source,
+    bank: &'b ReplayedBank,
+) -> Result<&'b ReplayedDemonstration, String> {
     let &Source { demonstration: number, first, count } = source;
     let all = &bank.demonstrations;
     let demonstration = all.get(number as usize).ok_or_else(|| {
@@ -249,7 +252,7 @@ fn amount(item: &Item) -> Amount {
 }
 
 /// Where the views that a checked item shows are seen from.
-fn views(item: &Item, bank: &Bank) -> Vec<Viewpoint> {
+fn views(item: &Item, bank: &ReplayedBank) -> Vec<Viewpoint> {
     let at = |of: u32, step: u32| bank.demonstrations[of as usize].viewpoint(step);
     match item {
         Item::Text { .. } | Item::Steps { views: Views::None, .. } => Vec::new(),
@@ -287,7 +290,7 @@ pub type PublishedTexts = HashMap<Arc<str>, (DocumentId, u32)>;
 /// Puts recalls together.
 pub struct Assembler<'a> {
     /// The demonstrations that the memory was built from.
-    pub bank: &'a Bank,
+    pub bank: &'a ReplayedBank,
     /// Lane and number of the episode.
     pub episode: (u32, u64),
     /// The texts that were published for the episode.
@@ -481,7 +484,7 @@ impl AssembledRecall {
         (first, count)
     }
 
-    fn add_sources(&mut self, item: &Item, bank: &Bank, number: u8, kind: ItemKind) {
+    fn add_sources(&mut self, item: &Item, bank: &ReplayedBank, number: u8, kind: ItemKind) {
         let (sources, distance) = match item {
             Item::Text { sources, .. } => (sources.clone(), None),
             Item::Steps { source, distance, .. } => (vec![*source], *distance),
@@ -490,7 +493,7 @@ impl AssembledRecall {
             }
         };
         for Source { demonstration, first, count } in sources {
-            let &Demonstration { case, number: of, .. } =
+            let &ReplayedDemonstration { case, number: of, .. } =
                 &*bank.demonstrations[demonstration as usize];
             self.sources[self.sources_len as usize] = RecalledSource {
                 case,

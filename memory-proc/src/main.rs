@@ -27,11 +27,11 @@ use search::synthetic::SyntheticVectors;
 #[command(name = "memory-proc", version)]
 struct MemoryArguments {
     #[command(subcommand)]
-    verb: MemoryVerb,
+    verb: MemoryProcVerb,
 }
 
 #[derive(Subcommand)]
-enum MemoryVerb {
+enum MemoryProcVerb {
     /// Serve a run until it stops. Started by `memtransfer run`
     Serve {
         /// The run's folder, which holds attach.json
@@ -292,9 +292,9 @@ fn main() -> ExitCode {
     program::run("memory-proc", || run(MemoryArguments::parse().verb).map(|()| ExitCode::SUCCESS))
 }
 
-fn run(verb: MemoryVerb) -> anyhow::Result<()> {
+fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
     match verb {
-        MemoryVerb::Serve {
+        MemoryProcVerb::Serve {
             attach,
             documents,
             streams,
@@ -325,26 +325,34 @@ fn run(verb: MemoryVerb) -> anyhow::Result<()> {
             };
             serve(&settings)
         }
-        MemoryVerb::Embed { files, repeat, encoder } => {
+        MemoryProcVerb::Embed { files, repeat, encoder } => {
             let manifest = match &encoder.assets {
                 None => EncoderManifest::shipped()?,
                 Some(folder) => EncoderManifest::load(folder)?,
             };
             embed_command::run(&files, repeat, &manifest, &encoder.settings()?)
         }
-        MemoryVerb::Embeddings { out, encoder } => {
+        MemoryProcVerb::Embeddings { out, encoder } => {
             let manifest = match &encoder.assets {
                 None => EncoderManifest::shipped()?,
                 Some(folder) => EncoderManifest::load(folder)?,
             };
             embed_command::ship(&out, &manifest, &encoder.settings()?)
         }
-        MemoryVerb::Profile(arguments) => profile(arguments),
-        MemoryVerb::Vectors { vectors, entries, queries } => {
+        MemoryProcVerb::Profile(arguments) => profile(arguments),
+        MemoryProcVerb::Vectors { vectors, entries, queries } => {
             let mut out = std::io::BufWriter::with_capacity(1 << 20, std::io::stdout().lock());
             search_profile::write_vectors(&vectors.vectors()?, entries.get(), queries, &mut out)
         }
-        MemoryVerb::Build { attach, assets, elsewhere, appearance, documents, wanted, builder } => {
+        MemoryProcVerb::Build {
+            attach,
+            assets,
+            elsewhere,
+            appearance,
+            documents,
+            wanted,
+            builder,
+        } => {
             let appearance = appearance.into();
             let (recipe, mut builder) = builder.builder()?;
             let settings =

@@ -23,14 +23,14 @@ use serde::{Deserialize, Serialize};
 use shm_types::message::{EXPERIENCE, SnapshotId, SnapshotReport};
 use warehouse::{Demonstrations, Progress, step};
 
-use crate::bank::{Bank, BankSteps, Collecting};
-use crate::demonstrations::Demonstration;
+use crate::bank::{BankSteps, Collecting, ReplayedBank};
+use crate::demonstrations::ReplayedDemonstration;
 use crate::episode::{EpisodeMemory, MemoryEpisode, PendingStage, Reason, build_built_in};
 use crate::external::ExternalMemories;
 use crate::items::DocumentSupplier;
 use crate::representation::MemorySettings;
 use crate::snapshots::SnapshotFolder;
-use crate::worlds::{BankOrigin, Worlds};
+use crate::worlds::{BankOrigin, WorldStates};
 
 /// Banks that are kept when no memory waits for them.
 const KEPT_BANKS: usize = 16;
@@ -43,7 +43,7 @@ const EXPERIENCE_FILE: &str = "experience.json";
 const MEMORY_FOLDER: &str = "memory";
 
 /// What an episode of a stream has beside what every episode has.
-pub(crate) struct StreamPart {
+pub(crate) struct SequenceEpisode {
     pub(crate) sequence: u64,
     /// The snapshot that it begins with; zero: the memory as it was built.
     pub(crate) snapshot: SnapshotId,
@@ -57,7 +57,7 @@ pub(crate) struct StreamPart {
     pub(crate) begun: bool,
 }
 
-/// An episode so far, step by step, as in a [`Demonstration`].
+/// An episode so far, step by step, as in a [`ReplayedDemonstration`].
 #[derive(Debug, Default)]
 pub(crate) struct Recording {
     pub(crate) poses: Vec<Pose>,
@@ -83,7 +83,7 @@ impl Recording {
 /// An episode that a memory has learned from, as it is stored: it is acted out again when it is read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Experience {
+pub(crate) struct StoredExperience {
     case: u32,
     variant: u32,
     position: u32,
@@ -96,8 +96,8 @@ pub(crate) struct Experience {
 /// Stands for an action that could not be read.
 const NO_LETTER: char = '-';
 
-impl Experience {
-    fn new(episode: &MemoryEpisode, part: &StreamPart, recording: &Recording) -> Self {
+impl StoredExperience {
+    fn new(episode: &MemoryEpisode, part: &SequenceEpisode, recording: &Recording) -> Self {
         let letter = |action: &Option<Action>| action.map_or(NO_LETTER, Action::letter);
         let Pose { cell, heading } = recording.poses[0];
         Self {
@@ -110,13 +110,13 @@ impl Experience {
     }
 
     /// Acts it out again.
-    pub(crate) fn replayed(&self, worlds: &Worlds) -> Option<Demonstration> {
+    pub(crate) fn replayed(&self, worlds: &WorldStates) -> Option<ReplayedDemonstration> {
         let case = worlds.cases.cases.get(self.case as usize)?;
         let (warehouse, variant) = worlds.state(self.variant)?;
         let [x, y, heading] = self.start;
         let mut pose = Pose::new(x, y, heading.try_into().ok()?);
         let mut progress = Progress::new(warehouse, &case.task, pose.cell);
-        let mut made = Demonstration {
+        let mut made = ReplayedDemonstration {
             case: self.position,
             number: EXPERIENCE,
             variant: self.variant,
@@ -148,7 +148,7 @@ impl Experience {
 /// The bank of a stream, and the embeddings of its views.
 #[derive(Debug)]
 pub(crate) struct StreamBank {
-    bank: Arc<Bank>,
+    bank: Arc<ReplayedBank>,
     pub(crate) collecting: Collecting,
 }
 
@@ -166,8 +166,8 @@ impl StreamBank {
 pub(crate) struct SequenceMemory {
     origin: BankOrigin,
     /// The demonstrations that it was built from, then the episodes that it has learned from.
-    pub(crate) bank: Arc<Bank>,
-    experiences: Vec<Experience>,
+    pub(crate) bank: Arc<ReplayedBank>,
+    experiences: Vec<StoredExperience>,
     snapshot: SnapshotId,
     /// The episode that it learns from now: until that ends it is in no state that a snapshot has.
     learning: Option<u64>,
@@ -208,7 +208,7 @@ pub(crate) enum Bound {
 }
 
 /// The memories of the sequences that run, and the banks of their streams.
-pub(crate) struct Sequences {
+pub(crate) struct SequenceMemories {
     snapshots: Option<SnapshotFolder>,
     memories: BTreeMap<u64, SequenceMemory>,
     /// Memories without an episode that are kept.
@@ -221,7 +221,7 @@ pub(crate) struct Sequences {
     dropped: Vec<u64>,
 }
 
-impl Sequences {
+impl SequenceMemories {
     pub(crate) fn new(snapshots: Option<SnapshotFolder>, lanes: u32) -> Self {
         let kept = lanes as usize;
         Self {
@@ -265,7 +265,7 @@ impl Sequences {
     pub(crate) fn bind(
         &mut self,
         episode: &mut MemoryEpisode,
-        worlds: &Worlds,
+        worlds: &WorldStates,
         documents: &mut dyn DocumentSupplier,
         (externals, now_ns): (&mut ExternalMemories, u64),
     ) -> anyhow::Result<Bound> {
@@ -350,9 +350,9 @@ impl Sequences {
     /// The memory of a sequence as its snapshot has it. `Ok(None)` while views of its bank are not known.
     fn create(
         &mut self,
-        part: &StreamPart,
+        part: &SequenceEpisode,
         (representation, mut settings, set): (Representation, MemorySettings, Demonstrations),
-        worlds: &Worlds,
+        worlds: &WorldStates,
         documents: &mut dyn DocumentSupplier,
     ) -> anyhow::Result<Result<Option<SequenceMemory>, String>> {
         let embeds = representation.matches_views();
@@ -373,9 +373,9 @@ impl Sequences {
     /// The same for an external memory, which is built and loads on its own.
     fn create_external(
         &mut self,
-        part: &StreamPart,
+        part: &SequenceEpisode,
         index: u8,
-        worlds: &Worlds,
+        worlds: &WorldStates,
         (externals, now_ns): (&mut ExternalMemories, u64),
     ) -> Result<Option<SequenceMemory>, String> {
         let embeds = externals.embeds(index);
@@ -402,13 +402,13 @@ impl Sequences {
         &mut self,
         origin: BankOrigin,
         embeds: bool,
-        worlds: &Worlds,
+        worlds: &WorldStates,
     ) -> Result<&StreamBank, String> {
         let key = (origin, embeds);
         let made = match self.banks.iter().position(|(known, _)| *known == key) {
             Some(at) => self.banks.remove(at),
             None => {
-                let bank = Arc::new(Bank::new(worlds.demonstrations(origin)?));
+                let bank = Arc::new(ReplayedBank::new(worlds.demonstrations(origin)?));
                 let collecting =
                     if embeds { Collecting::new(&bank) } else { Collecting::default() };
                 (key, StreamBank { bank, collecting })
@@ -495,7 +495,7 @@ fn is_loaded(
 
 impl SequenceMemory {
     /// A memory that has been built, or is being built, and has not learned.
-    const fn new(origin: BankOrigin, bank: Arc<Bank>, memory: KeptMemory) -> Self {
+    const fn new(origin: BankOrigin, bank: Arc<ReplayedBank>, memory: KeptMemory) -> Self {
         Self {
             origin,
             bank,
@@ -510,7 +510,7 @@ impl SequenceMemory {
     fn learn(
         &mut self,
         episode: &MemoryEpisode,
-        part: &StreamPart,
+        part: &SequenceEpisode,
         folder: &SnapshotFolder,
         (externals, now_ns): (&mut ExternalMemories, u64),
     ) -> Result<Option<SnapshotReport>, Reason> {
@@ -570,9 +570,9 @@ impl SequenceMemory {
     }
 
     /// Appends an episode to the bank.
-    fn record(&mut self, episode: &MemoryEpisode, part: &StreamPart, recording: &Recording) {
+    fn record(&mut self, episode: &MemoryEpisode, part: &SequenceEpisode, recording: &Recording) {
         let Recording { poses, feedback, stages, actions, .. } = recording;
-        let learned = Demonstration {
+        let learned = ReplayedDemonstration {
             case: part.position,
             number: EXPERIENCE,
             variant: part.variant,
@@ -583,7 +583,7 @@ impl SequenceMemory {
             actions: actions.clone(),
         };
         Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(learned));
-        self.experiences.push(Experience::new(episode, part, recording));
+        self.experiences.push(StoredExperience::new(episode, part, recording));
     }
 
     /// Writes the host's part of a snapshot. Returns the folder for the memory's own.
@@ -603,8 +603,8 @@ impl SequenceMemory {
     fn load(
         &mut self,
         folder: Option<&SnapshotFolder>,
-        part: &StreamPart,
-        worlds: &Worlds,
+        part: &SequenceEpisode,
+        worlds: &WorldStates,
     ) -> Result<(), String> {
         if part.snapshot == SnapshotId::default() {
             return Ok(());
@@ -635,7 +635,7 @@ impl SequenceMemory {
     }
 }
 
-fn read_experiences(snapshot: &Path) -> Result<Vec<Experience>, String> {
+fn read_experiences(snapshot: &Path) -> Result<Vec<StoredExperience>, String> {
     let text = durable::read(&snapshot.join(EXPERIENCE_FILE)).map_err(|error| error.to_string())?;
     serde_json::from_slice(&text).map_err(|error| error.to_string())
 }

@@ -44,7 +44,7 @@ use crate::external::{ExternalLimits, ExternalMemories, ToExternal};
 use crate::manifest::EncoderManifest;
 use crate::paths::CacheFolder;
 use crate::snapshots::SnapshotFolder;
-use crate::worlds::Worlds;
+use crate::worlds::WorldStates;
 
 /// The longest wait for an event. Nothing depends on it; it bounds the time until a lost event is noticed.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
@@ -319,13 +319,13 @@ impl<'a> MemoryServer<'a> {
         let room = room_for_views(attach);
         let externals = external_memories(attach, settings.limits, encoder.as_ref())?;
         let worlds = match &settings.streams {
-            None => Worlds::unchanging(warehouse, cases),
+            None => WorldStates::unchanging(warehouse, cases),
             Some(file) => {
                 let text = std::fs::read_to_string(file)
                     .with_context(|| format!("cannot read {}", file.display()))?;
                 let streams = StreamSet::parse(&text, &warehouse, &cases)
                     .with_context(|| file.display().to_string())?;
-                Worlds::new(warehouse, cases, streams)?
+                WorldStates::new(warehouse, cases, streams)?
             }
         };
         let snapshots = settings.snapshots.clone().map(SnapshotFolder::new);

@@ -11,17 +11,17 @@ use warehouse::{
     Warehouse, WorldState,
 };
 
-use crate::demonstrations::{Demonstration, histories, replayed};
+use crate::demonstrations::{ReplayedDemonstration, histories, replayed};
 
 /// The warehouse, its cases, and the world states and streams of a run.
 #[derive(Debug)]
-pub struct Worlds {
+pub struct WorldStates {
     pub(crate) warehouse: Warehouse,
     pub(crate) cases: CaseSet,
     streams: StreamSet,
     states: Vec<WorldState>,
     /// The demonstrations of banks.
-    replayed: RefCell<HashMap<History, Arc<Demonstration>>>,
+    replayed: RefCell<HashMap<History, Arc<ReplayedDemonstration>>>,
 }
 
 /// What a bank is made of.
@@ -63,7 +63,7 @@ impl BankOrigin {
     }
 }
 
-impl Worlds {
+impl WorldStates {
     /// The worlds of a run without streams.
     pub fn unchanging(warehouse: Warehouse, cases: CaseSet) -> Self {
         let streams = StreamSet { seed: 0, worlds: Vec::new(), streams: Vec::new() };
@@ -106,7 +106,7 @@ impl Worlds {
     pub(crate) fn demonstrations(
         &self,
         origin: BankOrigin,
-    ) -> Result<Vec<Arc<Demonstration>>, String> {
+    ) -> Result<Vec<Arc<ReplayedDemonstration>>, String> {
         let BankOrigin { stream: number, set, kind } = origin;
         if let OriginKind::OfCase { case } = kind {
             return self.of_case(case, set).ok_or_else(|| format!("there is no bank {set}"));
@@ -138,7 +138,11 @@ impl Worlds {
     }
 
     /// The demonstrations of a bank outside of streams. Each is replayed once, however many banks hold it.
-    fn of_case(&self, case: Option<u32>, set: Demonstrations) -> Option<Vec<Arc<Demonstration>>> {
+    fn of_case(
+        &self,
+        case: Option<u32>,
+        set: Demonstrations,
+    ) -> Option<Vec<Arc<ReplayedDemonstration>>> {
         let of = match case {
             Some(case) => self.cases.histories(case as usize, set),
             None => self.cases.common_bank(set.bank_size()?),
@@ -163,7 +167,7 @@ impl Worlds {
         block: u32,
         cases: &[u32],
         set: Demonstrations,
-    ) -> Option<Vec<Demonstration>> {
+    ) -> Option<Vec<ReplayedDemonstration>> {
         let block = self.streams.streams[stream as usize].blocks.get(block as usize)?;
         let number = self.streams.variant(block.world, self.cases.cases.len());
         let (warehouse, variant) = self.state(number)?;
@@ -177,7 +181,7 @@ impl Worlds {
             }
             let trajectory: Trajectory = planner.plan(begin, &case.task)?;
             let replay = trajectory.replay(warehouse, &case.task, &variant);
-            Some(Demonstration {
+            Some(ReplayedDemonstration {
                 case: index,
                 number: start as u16,
                 variant: number,

@@ -10,7 +10,7 @@ use shm_types::message::{Heartbeat, Role};
 use crate::lanes::{PendingAnswer, Stamps};
 use crate::latency::{RecallLatencies, StepLatencies};
 use crate::pipeline::{MemoryState, Participant};
-use crate::progress::Progress;
+use crate::progress::ProgressDisplay;
 use crate::status::{EpisodeCounts, LiveStatus, ProcessStatus, StageLatency, StatusFile};
 
 /// Time between two updates of the status file.
@@ -23,7 +23,7 @@ const RUNNING: &str = "running episodes";
 #[derive(Debug)]
 pub struct Monitor {
     status: LiveStatus,
-    progress: Progress,
+    progress: ProgressDisplay,
     file: StatusFile,
     /// Of the steps since the last update.
     recent: StepLatencies,
@@ -43,7 +43,7 @@ pub struct Monitor {
 
 impl Monitor {
     /// The monitor of a session in the folder `run`.
-    pub fn new(run: &Path, lanes: u32, episodes: EpisodeCounts, progress: Progress) -> Self {
+    pub fn new(run: &Path, lanes: u32, episodes: EpisodeCounts, progress: ProgressDisplay) -> Self {
         let now = Instant::now();
         let pid = std::process::id();
         Self {
@@ -199,7 +199,7 @@ mod tests {
     fn the_status_file_contains_steps_lanes_and_loads() {
         let run = tempfile::tempdir().unwrap();
         let episodes = EpisodeCounts { planned: 100, earlier: (40, 1), ..EpisodeCounts::default() };
-        let mut monitor = Monitor::new(run.path(), 8, episodes, Progress::new(true));
+        let mut monitor = Monitor::new(run.path(), 8, episodes, ProgressDisplay::new(true));
         monitor.updated.0 -= INTERVAL;
         monitor.stepped(&Stamps::new(1, 0, Representation::Working.into()));
         monitor.pending(&[PendingAnswer {

@@ -7,12 +7,12 @@ use crate::documents::BuildStage;
 
 /// Shows how far the building of documents is.
 #[derive(Debug)]
-pub struct BuildProgress(Progress);
+pub struct BuildProgress(ProgressDisplay);
 
 impl BuildProgress {
     /// A display that shows nothing yet, and never anything if `quiet`.
     pub fn new(quiet: bool) -> Self {
-        Self(Progress::new(quiet))
+        Self(ProgressDisplay::new(quiet))
     }
 
     /// Shows `stage`.
@@ -50,7 +50,7 @@ const COLUMNS: usize = 100;
 
 /// The display of progress.
 #[derive(Debug)]
-pub struct Progress {
+pub struct ProgressDisplay {
     target: ProgressTarget,
     phase: String,
     shown: Option<Instant>,
@@ -65,7 +65,7 @@ enum ProgressTarget {
     Silence,
 }
 
-impl Progress {
+impl ProgressDisplay {
     /// A display that shows nothing yet, and never anything if `quiet`.
     pub fn new(quiet: bool) -> Self {
         let target = match quiet {

@@ -26,7 +26,7 @@ const MAX_RENDERERS: usize = 8;
 pub(crate) struct Lanes {
     warehouse: Warehouse,
     cases: CaseSet,
-    lanes: Vec<Option<Episode>>,
+    lanes: Vec<Option<EnvironmentEpisode>>,
     renderers: Vec<LaneRenderer>,
     /// The views of all lanes, RGB. Never reallocated, because arrays show it.
     views: Box<[u8]>,
@@ -35,7 +35,7 @@ pub(crate) struct Lanes {
 }
 
 /// The episode of a lane.
-struct Episode {
+struct EnvironmentEpisode {
     variant: Variant,
     pose: Pose,
     progress: Progress,
@@ -51,8 +51,8 @@ struct LaneRenderer {
 
 impl LaneRenderer {
     /// Draws what the agent of `episode` sees into `view`, RGB.
-    fn draw(&mut self, episode: &mut Episode, view: &mut [u8]) -> anyhow::Result<()> {
-        let Episode { variant, pose, .. } = &*episode;
+    fn draw(&mut self, episode: &mut EnvironmentEpisode, view: &mut [u8]) -> anyhow::Result<()> {
+        let EnvironmentEpisode { variant, pose, .. } = &*episode;
         let view_spec = ViewSpec { pose: *pose, variant, stock: 0 };
         let destination = Destination::Memory(&mut self.pixels);
         self.renderer.render(&mut [RenderJob { view: view_spec, destination }])?;
@@ -66,9 +66,9 @@ impl LaneRenderer {
 }
 
 /// Column, row and heading of a pose.
-type Place = (u8, u8, u8);
+type PoseTuple = (u8, u8, u8);
 
-fn place(pose: Pose) -> Place {
+fn place(pose: Pose) -> PoseTuple {
     (pose.cell.x, pose.cell.y, pose.heading as u8)
 }
 
@@ -150,13 +150,13 @@ impl Lanes {
     }
 
     /// Begins an episode where the reference `reference` of case `case` starts. Returns the instruction and the pose.
-    fn begin(&mut self, lane: usize, case: &str, reference: &str) -> PyResult<(String, Place)> {
+    fn begin(&mut self, lane: usize, case: &str, reference: &str) -> PyResult<(String, PoseTuple)> {
         let case = self.cases.case(case);
         let case = case.ok_or_else(|| invalid("there is no such case"))?;
         let start = Start::ALL.into_iter().find(|start| start.name() == reference);
         let start = start.ok_or_else(|| invalid("there is no such reference"))?;
         let pose = case.trajectory(start).start;
-        let episode = Episode {
+        let episode = EnvironmentEpisode {
             variant: case.variant(start),
             pose,
             progress: Progress::new(&self.warehouse, &case.task, pose.cell),
@@ -168,7 +168,7 @@ impl Lanes {
     }
 
     /// Executes an action. Returns the pose, the feedback and whether the task is complete.
-    fn act(&mut self, lane: usize, action: u8) -> PyResult<(Place, u8, bool)> {
+    fn act(&mut self, lane: usize, action: u8) -> PyResult<(PoseTuple, u8, bool)> {
         let action = Action::try_from(action).map_err(invalid)?;
         let episode = self.lanes.get_mut(lane).and_then(Option::as_mut);
         let episode = episode.ok_or_else(|| no_lane(lane))?;
@@ -198,7 +198,7 @@ fn no_lane(lane: usize) -> PyErr {
 /// Shares the views among the renderers, each on a thread of its own.
 fn draw_all(
     renderers: &mut [LaneRenderer],
-    stale: Vec<(&mut Episode, &mut [u8])>,
+    stale: Vec<(&mut EnvironmentEpisode, &mut [u8])>,
 ) -> anyhow::Result<()> {
     if let ([renderer, ..], 1) | ([renderer], _) = (&mut *renderers, stale.len()) {
         return stale.into_iter().try_for_each(|(episode, view)| renderer.draw(episode, view));

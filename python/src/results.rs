@@ -6,13 +6,13 @@ use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyList;
 use results::log::{LogError, RunLog};
-use results::report::{Frame, Values, episodes_frame, timings_frame};
+use results::report::{DataFrame, Values, episodes_frame, timings_frame};
 
 /// A column: its name, the kind of its values, and the values, `None` where there is none.
-type Column<'py> = (String, &'static str, Bound<'py, PyList>);
+type DataColumn<'py> = (String, &'static str, Bound<'py, PyList>);
 
 /// The manifest and the sessions as JSON, then the columns of the episodes and of the timings.
-type Run<'py> = (String, String, Vec<Column<'py>>, Vec<Column<'py>>);
+type Run<'py> = (String, String, Vec<DataColumn<'py>>, Vec<DataColumn<'py>>);
 
 /// Reads the run in `folder`.
 #[pyfunction]
@@ -30,7 +30,7 @@ pub(crate) fn read_run(py: Python<'_>, folder: PathBuf) -> PyResult<Run<'_>> {
     Ok((manifest, sessions, columns(py, episodes_frame(log))?, columns(py, timings_frame(log))?))
 }
 
-fn columns(py: Python<'_>, table: Frame) -> PyResult<Vec<Column<'_>>> {
+fn columns(py: Python<'_>, table: DataFrame) -> PyResult<Vec<DataColumn<'_>>> {
     let columns = table.columns.into_iter().map(|column| {
         let (kind, values) = match column.values {
             Values::Text(values) => ("text", PyList::new(py, values)?),

@@ -5,7 +5,7 @@ use domain::{Action, Feedback, Pose};
 use shm_types::message::{StepCommand, StepKind};
 use warehouse::step;
 
-use crate::worlds::{World, Worlds};
+use crate::worlds::{WorldParts, Worlds};
 
 /// The outcome of a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -13,7 +13,7 @@ pub struct Stepped {
     /// The lane.
     pub lane: usize,
     /// World of its episode.
-    pub world: World,
+    pub world: WorldParts,
     /// The agent's pose.
     pub pose: Pose,
     /// The response to the action.
@@ -25,21 +25,21 @@ pub struct Stepped {
 }
 
 #[derive(Debug, Clone, Copy)]
-struct LaneEpisode {
+struct SimulatedEpisode {
     episode: u64,
     step: u32,
-    world: World,
+    world: WorldParts,
     pose: Pose,
 }
 
 /// All lanes of a run, and the worlds that their episodes are in.
 #[derive(Debug)]
-pub struct Lanes {
+pub struct SimulatedLanes {
     worlds: Worlds,
-    lanes: Vec<Option<LaneEpisode>>,
+    lanes: Vec<Option<SimulatedEpisode>>,
 }
 
-impl Lanes {
+impl SimulatedLanes {
     /// `lanes` idle lanes in `worlds`.
     pub fn new(worlds: Worlds, lanes: usize) -> Self {
         Self { worlds, lanes: vec![None; lanes] }
@@ -54,7 +54,7 @@ impl Lanes {
     ///
     /// # Errors
     /// When there is no such variant, or no agent can stand there.
-    pub fn standing(&self, number: u32, pose: Pose) -> Result<World, String> {
+    pub fn standing(&self, number: u32, pose: Pose) -> Result<WorldParts, String> {
         let world = self
             .worlds
             .variant(number)
@@ -91,46 +91,49 @@ impl Lanes {
                 let closed = self.worlds.closed(now.world);
                 let layout = self.worlds.layout_of(now.world);
                 let (pose, feedback) = step(layout, closed, now.pose, action);
-                (LaneEpisode { pose, step: command.step, ..now }, feedback)
+                (SimulatedEpisode { pose, step: command.step, ..now }, feedback)
             }
             StepKind::Stay => {
                 let now = following(command, now)?;
-                (LaneEpisode { step: command.step, ..now }, Feedback::NotUnderstood)
+                (SimulatedEpisode { step: command.step, ..now }, Feedback::NotUnderstood)
             }
         };
         let ends = command.last != 0;
         self.lanes[lane] = (!ends).then_some(next);
-        let LaneEpisode { world, pose, .. } = next;
+        let SimulatedEpisode { world, pose, .. } = next;
         Ok(Stepped { lane, world, pose, feedback, begins: kind == StepKind::Reset, ends })
     }
 
     fn reset(
         &self,
         command: &StepCommand,
-        now: Option<LaneEpisode>,
-    ) -> Result<LaneEpisode, String> {
+        now: Option<SimulatedEpisode>,
+    ) -> Result<SimulatedEpisode, String> {
         let &StepCommand { episode, step, variant, .. } = command;
         let pose = Pose::try_from(command.start).map_err(|unknown| unknown.to_string())?;
         let world = self.standing(variant, pose)?;
         if step != 0 {
             return Err(out_of_order(now));
         }
-        Ok(LaneEpisode { episode, step, world, pose })
+        Ok(SimulatedEpisode { episode, step, world, pose })
     }
 }
 
 /// The lane's episode, if `command` is its next one.
-fn following(command: &StepCommand, now: Option<LaneEpisode>) -> Result<LaneEpisode, String> {
+fn following(
+    command: &StepCommand,
+    now: Option<SimulatedEpisode>,
+) -> Result<SimulatedEpisode, String> {
     now.filter(|now| {
         now.episode == command.episode && now.step.checked_add(1) == Some(command.step)
     })
     .ok_or_else(|| out_of_order(now))
 }
 
-fn out_of_order(now: Option<LaneEpisode>) -> String {
+fn out_of_order(now: Option<SimulatedEpisode>) -> String {
     match now {
         None => "the lane is in no episode".to_owned(),
-        Some(LaneEpisode { episode, step, .. }) => {
+        Some(SimulatedEpisode { episode, step, .. }) => {
             format!("the lane is in episode {episode} after step {step}")
         }
     }
@@ -146,16 +149,16 @@ mod tests {
 
     use super::*;
 
-    fn lanes() -> Lanes {
+    fn lanes() -> SimulatedLanes {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-        Lanes::new(Worlds::new(&warehouse, &cases, Vec::new()), 2)
+        SimulatedLanes::new(Worlds::new(&warehouse, &cases, Vec::new()), 2)
     }
 
-    fn start(lanes: &Lanes) -> Pose {
+    fn start(lanes: &SimulatedLanes) -> Pose {
         Pose { cell: lanes.worlds.layout().free_cells().next().unwrap(), heading: Heading::N }
     }
 
-    fn reset(lanes: &Lanes, lane: u32, episode: u64) -> StepCommand {
+    fn reset(lanes: &SimulatedLanes, lane: u32, episode: u64) -> StepCommand {
         StepCommand {
             lane,
             episode,

@@ -10,7 +10,7 @@ use sim_proc::views_command::{self, ViewsArgs};
 /// The simulator of MemTransfer: steps the world and renders what the agent sees.
 #[derive(Debug, Parser)]
 #[command(name = "sim-proc", version)]
-struct Cli {
+struct SimulatorCli {
     #[command(subcommand)]
     command: Command,
 }
@@ -27,7 +27,7 @@ enum Command {
 
 fn main() -> ExitCode {
     program::run("sim-proc", || {
-        match Cli::parse().command {
+        match SimulatorCli::parse().command {
             Command::Serve(args) => serve_command::run(args)?,
             Command::Render(args) => render_command::run(&args)?,
             Command::Views(args) => views_command::run(&args)?,

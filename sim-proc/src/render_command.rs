@@ -42,7 +42,7 @@ impl RendererArgs {
 #[derive(Debug, clap::Args)]
 pub struct RenderArgs {
     #[command(flatten)]
-    subject: Subject,
+    subject: RenderSubject,
 
     /// Which of the case's trajectories: original, opposite, nearby, distant, test or blocked.
     #[arg(long, value_name = "NAME", default_value = "original", requires = "case", value_parser = parse_start)]
@@ -70,7 +70,7 @@ pub struct RenderArgs {
 
 #[derive(Debug, clap::Args)]
 #[group(required = true, multiple = false)]
-struct Subject {
+struct RenderSubject {
     /// One view, from this pose: column,row,heading; for example 3,12,N.
     #[arg(long, value_name = "X,Y,H")]
     pose: Option<Pose>,

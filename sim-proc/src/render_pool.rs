@@ -11,7 +11,7 @@ use shm_types::process::monotonic_ns;
 use warehouse::Variant;
 
 use crate::renderer::{ViewSpec, VisibleChanges};
-use crate::view_cache::ViewKey;
+use crate::view_cache::FrameKey;
 
 /// Requests that wait for each worker in addition to those it works on, so that it never idles. More would delay later
 /// requests that are more urgent.
@@ -68,7 +68,7 @@ pub struct RenderSetup {
 /// A view to be rendered.
 #[derive(Debug)]
 pub(crate) struct RenderRequest {
-    pub(crate) view: ViewKey,
+    pub(crate) view: FrameKey,
     /// What the view shows (stock, closed passages, pose); `None` is uniform grey.
     pub(crate) world: Option<(u32, Variant, Pose)>,
     pub(crate) slot: FrameSlot,
@@ -88,7 +88,7 @@ pub(crate) struct RenderedBatch {
 /// A view that has been rendered.
 #[derive(Debug)]
 pub(crate) struct RenderedView {
-    pub(crate) view: ViewKey,
+    pub(crate) view: FrameKey,
     pub(crate) slot: FrameSlot,
     /// The first 16 bytes of the BLAKE3 hash of the pixels.
     pub(crate) content_hash: [u8; 16],

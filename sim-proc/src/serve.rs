@@ -26,15 +26,15 @@ use shm_types::{
     Sender, Spans,
 };
 
-use crate::lanes::{Lanes, Stepped};
+use crate::lanes::{SimulatedLanes, Stepped};
 use crate::render_pool::{
     FindChanges, RenderPool, RenderRequest, RenderSetup, RenderedBatch, RenderedView,
 };
 use crate::renderer::ViewSpec;
-use crate::view_cache::{ViewCache, ViewKey};
+use crate::view_cache::{FrameKey, ViewCache};
 use crate::view_control::{ViewControl, every_pose};
 use crate::wakeups::Wakeups;
-use crate::worlds::{World, Worlds};
+use crate::worlds::{WorldParts, Worlds};
 
 /// The longest sleep of the loop. Nothing relies on waking this often.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
@@ -70,12 +70,12 @@ pub fn serve(
 /// An answer and the view that it waits for.
 #[derive(Debug)]
 struct Pending {
-    view: Option<ViewKey>,
-    answer: PendingAnswer,
+    view: Option<FrameKey>,
+    answer: PendingView,
 }
 
 #[derive(Debug)]
-enum PendingAnswer {
+enum PendingView {
     Observation(Observation),
     /// Pose and world variant of a requested view.
     View(WirePose, u32),
@@ -94,7 +94,7 @@ struct Simulator<'a> {
     reporter: ErrorReporter,
     heartbeats: Heartbeats,
     spans: Spans,
-    lanes: Lanes,
+    lanes: SimulatedLanes,
     control: ViewControl,
     views: ViewCache,
     pending: Vec<Pending>,
@@ -108,7 +108,7 @@ struct Rendering {
     pool: RenderPool,
     find_changes: FindChanges,
     /// For every view asked for so far, the view with the same pixels that stands for it.
-    same_as: FxHashMap<ViewKey, ViewKey>,
+    same_as: FxHashMap<FrameKey, FrameKey>,
 }
 
 impl<'a> Simulator<'a> {
@@ -129,7 +129,7 @@ impl<'a> Simulator<'a> {
             heartbeats: Heartbeats::new(bus)?,
             spans: Spans::open(attach, Role::Sim).context("cannot write spans for the trace")?,
             control: ViewControl::new(attach.frame_control, worlds.layout()),
-            lanes: Lanes::new(worlds, lanes),
+            lanes: SimulatedLanes::new(worlds, lanes),
             views: ViewCache::new(attach.frame_capacity as usize, lanes, window),
             pending: Vec::new(),
             frames_rendered: 0,
@@ -175,8 +175,8 @@ impl<'a> Simulator<'a> {
     /// Renders every view of the unchanged world. All are resident afterwards, and none is pinned.
     fn render_every_view(&mut self, pool: &mut RenderPool) -> Result<()> {
         let poses = every_pose(self.lanes.worlds().layout());
-        let views: Vec<ViewKey> =
-            poses.map(|pose| ViewKey::World { world: World::UNCHANGED, pose }).collect();
+        let views: Vec<FrameKey> =
+            poses.map(|pose| FrameKey::WorldParts { world: WorldParts::UNCHANGED, pose }).collect();
         let (needed, capacity) = (views.len(), self.views.capacity());
         ensure!(
             needed <= capacity,
@@ -250,9 +250,9 @@ impl<'a> Simulator<'a> {
                 let pose = Pose::try_from(request.pose).map_err(|unknown| problem(&unknown))?;
                 let world =
                     self.lanes.standing(request.variant, pose).map_err(|bad| problem(&bad))?;
-                let view = self.with_same_pixels(ViewKey::World { world, pose }, rendering);
+                let view = self.with_same_pixels(FrameKey::WorldParts { world, pose }, rendering);
                 self.views.pin_for_memory(view);
-                let answer = PendingAnswer::View(pose.into(), request.variant);
+                let answer = PendingView::View(pose.into(), request.variant);
                 self.pending.push(Pending { view: Some(view), answer });
             }
             ViewRequestKind::Release => {
@@ -290,7 +290,7 @@ impl<'a> Simulator<'a> {
             self.views.clear_lane(lane);
             // Drop observations of an abandoned episode.
             self.pending.retain(|Pending { answer, .. }| {
-                !matches!(answer, PendingAnswer::Observation(waiting) if waiting.lane == command.lane)
+                !matches!(answer, PendingView::Observation(waiting) if waiting.lane == command.lane)
             });
         }
         let view = (!ends).then(|| {
@@ -317,24 +317,24 @@ impl<'a> Simulator<'a> {
             last: u8::from(ends),
             reserved: 0,
         };
-        self.pending.push(Pending { view, answer: PendingAnswer::Observation(observation) });
+        self.pending.push(Pending { view, answer: PendingView::Observation(observation) });
         Ok(())
     }
 
     /// The view that stands for `view`: where no changed bay is visible the stock looks unchanged, and where no barricade
     /// is visible no passage looks closed.
-    fn with_same_pixels(&self, view: ViewKey, rendering: &mut Rendering) -> ViewKey {
-        let ViewKey::World { world, pose } = view else { return view };
+    fn with_same_pixels(&self, view: FrameKey, rendering: &mut Rendering) -> FrameKey {
+        let FrameKey::WorldParts { world, pose } = view else { return view };
         let Rendering { find_changes, same_as, .. } = rendering;
         *same_as.entry(view).or_insert_with(|| {
-            let World { stock, closing } = world;
+            let WorldParts { stock, closing } = world;
             let variant = self.lanes.worlds().closed(world);
             let shown = find_changes(ViewSpec { pose, variant, stock });
-            let world = World {
+            let world = WorldParts {
                 stock: if shown.stock { stock } else { 0 },
                 closing: if shown.barricades { closing } else { 0 },
             };
-            ViewKey::World { world, pose }
+            FrameKey::WorldParts { world, pose }
         })
     }
 
@@ -358,11 +358,11 @@ impl<'a> Simulator<'a> {
             let frame = view.map_or(Some(NO_FRAME), |view| self.views.frame(view));
             match (frame, answer) {
                 (None, answer) => self.pending.push(Pending { view, answer }),
-                (Some(frame), PendingAnswer::View(pose, variant)) => {
+                (Some(frame), PendingView::View(pose, variant)) => {
                     self.resident.send(&View { frame, pose, variant })?;
                     self.wakeups.add(Role::Memory);
                 }
-                (Some(frame), PendingAnswer::Observation(observation)) => {
+                (Some(frame), PendingView::Observation(observation)) => {
                     let observation = Observation { frame, sent_ns: monotonic_ns(), ..observation };
                     self.observations.send(&observation)?;
                     self.wakeups.add_for_observation(observation.last != 0);
@@ -376,10 +376,10 @@ impl<'a> Simulator<'a> {
     fn request_missing(&mut self, pool: &mut RenderPool) -> Result<()> {
         for view in self.views.take_missing(pool.room()) {
             let world = match view {
-                ViewKey::World { world, pose } => {
+                FrameKey::WorldParts { world, pose } => {
                     Some((world.stock, self.lanes.worlds().closed(world).clone(), pose))
                 }
-                ViewKey::Blank => None,
+                FrameKey::Blank => None,
             };
             pool.send(RenderRequest { view, world, slot: self.loan()? })?;
         }
@@ -407,7 +407,7 @@ impl<'a> Simulator<'a> {
         self.frames_rendered += 1;
         for Pending { view: awaited, answer } in &mut self.pending {
             if *awaited == Some(view)
-                && let PendingAnswer::Observation(observation) = answer
+                && let PendingView::Observation(observation) = answer
             {
                 // The view may have been rendered before the agent arrived.
                 observation.rendered_ns = rendered_ns.max(observation.stepped_ns);

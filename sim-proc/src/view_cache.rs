@@ -1,6 +1,6 @@
 //! The cache of rendered views: which are resident, which must stay, and which are to be rendered next.
 //!
-//! A view is identified by what it shows ([`ViewKey`]) and, once rendered, by its frame. It is *pinned* while it is among
+//! A view is identified by what it shows ([`FrameKey`]) and, once rendered, by its frame. It is *pinned* while it is among
 //! the last views of a running lane or memory has pinned it. Unpinned views stay as long as there is room and are evicted
 //! in the order in which they were unpinned. This is bookkeeping only: nothing here renders, sends or waits.
 
@@ -10,15 +10,15 @@ use domain::Pose;
 use rustc_hash::FxHashMap;
 use shm_types::message::FrameId;
 
-use crate::worlds::World;
+use crate::worlds::WorldParts;
 
 /// What a frame shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum ViewKey {
+pub enum FrameKey {
     /// A world from a pose.
-    World {
+    WorldParts {
         /// The world.
-        world: World,
+        world: WorldParts,
         /// The pose.
         pose: Pose,
     },
@@ -76,16 +76,16 @@ pub struct ViewCache {
     capacity: usize,
     /// Last views of a lane that stay pinned.
     pinned_per_lane: usize,
-    views: FxHashMap<ViewKey, CachedView>,
-    keys: FxHashMap<FrameId, ViewKey>,
+    views: FxHashMap<FrameKey, CachedView>,
+    keys: FxHashMap<FrameId, FrameKey>,
     /// Resident views without a pin, by when they were unpinned.
-    idle: BTreeMap<u64, ViewKey>,
+    idle: BTreeMap<u64, FrameKey>,
     clock: u64,
     /// The last views of each lane, oldest first.
-    lanes: Vec<VecDeque<ViewKey>>,
+    lanes: Vec<VecDeque<FrameKey>>,
     /// To be rendered: what lanes wait for, then what memory waits for. May hold keys of views that have been dropped.
-    urgent: VecDeque<ViewKey>,
-    later: VecDeque<ViewKey>,
+    urgent: VecDeque<FrameKey>,
+    later: VecDeque<FrameKey>,
 }
 
 impl ViewCache {
@@ -106,7 +106,7 @@ impl ViewCache {
     }
 
     /// Makes `view` the current view of `lane`.
-    pub fn show(&mut self, lane: usize, view: ViewKey) {
+    pub fn show(&mut self, lane: usize, view: FrameKey) {
         self.pin(view).lane_pins += 1;
         if self.views[&view].state == ViewState::Missing {
             self.urgent.push_back(view);
@@ -127,7 +127,7 @@ impl ViewCache {
     }
 
     /// Pins `view` for memory, which has to release it as often.
-    pub fn pin_for_memory(&mut self, view: ViewKey) {
+    pub fn pin_for_memory(&mut self, view: FrameKey) {
         self.pin(view).memory_pins += 1;
         if self.views[&view].state == ViewState::Missing {
             self.later.push_back(view);
@@ -148,7 +148,7 @@ impl ViewCache {
     }
 
     /// The frame of `view`, if it is resident.
-    pub fn frame(&self, view: ViewKey) -> Option<FrameId> {
+    pub fn frame(&self, view: FrameKey) -> Option<FrameId> {
         match self.views.get(&view)?.state {
             ViewState::Resident(frame) => Some(frame),
             ViewState::Missing | ViewState::Rendering => None,
@@ -172,7 +172,7 @@ impl ViewCache {
 
     /// Takes up to `most` views to be rendered, first those that lanes wait for. Each must be
     /// [inserted](ViewCache::insert) afterwards.
-    pub fn take_missing(&mut self, most: usize) -> Vec<ViewKey> {
+    pub fn take_missing(&mut self, most: usize) -> Vec<FrameKey> {
         let mut taken = Vec::new();
         while taken.len() < most
             && let Some(view) = self.urgent.pop_front().or_else(|| self.later.pop_front())
@@ -188,7 +188,7 @@ impl ViewCache {
     }
 
     /// Makes a view that was taken to be rendered resident as `frame`.
-    pub fn insert(&mut self, view: ViewKey, frame: FrameId) {
+    pub fn insert(&mut self, view: FrameKey, frame: FrameId) {
         let Some(entry) = self.views.get_mut(&view) else { return };
         entry.state = ViewState::Resident(frame);
         self.keys.insert(frame, view);
@@ -218,7 +218,7 @@ impl ViewCache {
     }
 
     /// The entry of a view, created if there is none, and no longer idle.
-    fn pin(&mut self, view: ViewKey) -> &mut CachedView {
+    fn pin(&mut self, view: FrameKey) -> &mut CachedView {
         let entry = self.views.entry(view).or_insert(CachedView {
             state: ViewState::Missing,
             lane_pins: 0,
@@ -230,7 +230,7 @@ impl ViewCache {
     }
 
     /// Removes a pin. A view without pins becomes idle if it is resident, and is dropped if it waits to be rendered.
-    fn unpin(&mut self, view: ViewKey, remove_pin: impl FnOnce(&mut CachedView)) {
+    fn unpin(&mut self, view: FrameKey, remove_pin: impl FnOnce(&mut CachedView)) {
         let Some(entry) = self.views.get_mut(&view) else { return };
         remove_pin(entry);
         if entry.is_pinned() {
@@ -259,8 +259,8 @@ mod tests {
 
     use super::*;
 
-    fn view(n: u8) -> ViewKey {
-        ViewKey::World { world: World::UNCHANGED, pose: Pose::new(n, 0, Heading::N) }
+    fn view(n: u8) -> FrameKey {
+        FrameKey::WorldParts { world: WorldParts::UNCHANGED, pose: Pose::new(n, 0, Heading::N) }
     }
 
     /// "Renders" everything that is missing; frames are numbered from `first`.
@@ -393,7 +393,7 @@ mod tests {
                     }
                     Op::Render(most) => {
                         for taken in views.take_missing(most) {
-                            let ViewKey::World { pose, .. } = taken else { unreachable!() };
+                            let FrameKey::WorldParts { pose, .. } = taken else { unreachable!() };
                             let n = usize::from(pose.cell.x);
                             prop_assert!(frames[n].is_none());
                             next += 1;

@@ -6,8 +6,8 @@ use domain::{Heading, Pose};
 use shm_types::FrameControl;
 use warehouse::{Layout, Variant};
 
-use crate::view_cache::ViewKey;
-use crate::worlds::World;
+use crate::view_cache::FrameKey;
+use crate::worlds::WorldParts;
 
 /// Chooses the view of an observation.
 #[derive(Debug)]
@@ -31,9 +31,9 @@ impl ViewControl {
     }
 
     /// The view that a lane at `pose` gets in `world`, whose closed passages are `variant`.
-    pub fn view(&self, world: World, variant: &Variant, pose: Pose) -> ViewKey {
+    pub fn view(&self, world: WorldParts, variant: &Variant, pose: Pose) -> FrameKey {
         let pose = match self {
-            Self::Blank => return ViewKey::Blank,
+            Self::Blank => return FrameKey::Blank,
             Self::Rendered => pose,
             Self::Swapped(successors) => {
                 // No agent can stand inside a barricade, so views from there are skipped.
@@ -42,7 +42,7 @@ impl ViewControl {
                 others.find(|other| !variant.is_closed(other.cell)).unwrap_or(pose)
             }
         };
-        ViewKey::World { world, pose }
+        FrameKey::WorldParts { world, pose }
     }
 }
 
@@ -83,17 +83,17 @@ mod tests {
     fn controls_choose_the_true_view_grey_or_another_view() {
         let Warehouse { layout, .. } = Warehouse::shipped();
         let shown = |kind, pose| {
-            ViewControl::new(kind, &layout).view(World::UNCHANGED, &Variant::UNCHANGED, pose)
+            ViewControl::new(kind, &layout).view(WorldParts::UNCHANGED, &Variant::UNCHANGED, pose)
         };
         let pose = poses(&layout)[5];
         assert_eq!(
             shown(FrameControl::Rendered, pose),
-            ViewKey::World { world: World::UNCHANGED, pose }
+            FrameKey::WorldParts { world: WorldParts::UNCHANGED, pose }
         );
-        assert_eq!(shown(FrameControl::Blank, pose), ViewKey::Blank);
+        assert_eq!(shown(FrameControl::Blank, pose), FrameKey::Blank);
         assert_ne!(
             shown(FrameControl::Swapped, pose),
-            ViewKey::World { world: World::UNCHANGED, pose }
+            FrameKey::WorldParts { world: WorldParts::UNCHANGED, pose }
         );
     }
 
@@ -115,10 +115,11 @@ mod tests {
         let Warehouse { layout, .. } = Warehouse::shipped();
         let control = ViewControl::new(FrameControl::Swapped, &layout);
         for (case, closing) in CaseSet::shipped().cases.iter().zip(1..) {
-            let world = World { stock: 0, closing };
+            let world = WorldParts { stock: 0, closing };
             let variant = Variant::closing(case.barricade.iter().copied());
             for pose in poses(&layout) {
-                let ViewKey::World { world: of, pose: other } = control.view(world, &variant, pose)
+                let FrameKey::WorldParts { world: of, pose: other } =
+                    control.view(world, &variant, pose)
                 else {
                     panic!("a view of the world")
                 };

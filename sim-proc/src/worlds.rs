@@ -60,14 +60,14 @@ impl WorldsArgs {
 
 /// A world by its parts, each as an index into those of [`Worlds`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct World {
+pub struct WorldParts {
     /// The hall and what stands on its shelves.
     pub stock: u32,
     /// Which passages are closed.
     pub closing: u32,
 }
 
-impl World {
+impl WorldParts {
     /// The unchanged world.
     pub const UNCHANGED: Self = Self { stock: 0, closing: 0 };
 }
@@ -80,9 +80,9 @@ pub struct Worlds {
     /// No closed passage first.
     closings: Vec<Variant>,
     /// By number of the world variant on the wire.
-    variants: Vec<World>,
+    variants: Vec<WorldParts>,
     /// The warehouse in which tasks are only demonstrated, if there is one.
-    elsewhere: Option<World>,
+    elsewhere: Option<WorldParts>,
 }
 
 impl Worlds {
@@ -101,10 +101,10 @@ impl Worlds {
         let (mut stocks, stock_of) = distinct(stocks, stock_key);
         let (closings, closing_of) = distinct(closings, Variant::clone);
         let variants = stock_of.into_iter().zip(closing_of);
-        let variants = variants.map(|(stock, closing)| World { stock, closing }).collect();
+        let variants = variants.map(|(stock, closing)| WorldParts { stock, closing }).collect();
         let elsewhere = cases.elsewhere.as_ref().map(|elsewhere| {
             stocks.push(elsewhere.warehouse().clone());
-            World { stock: stocks.len() as u32 - 1, closing: 0 }
+            WorldParts { stock: stocks.len() as u32 - 1, closing: 0 }
         });
         Self { stocks, closings, variants, elsewhere }
     }
@@ -118,7 +118,7 @@ impl Worlds {
     ///
     /// # Panics
     /// When `world` is not one of these.
-    pub fn layout_of(&self, world: World) -> &Layout {
+    pub fn layout_of(&self, world: WorldParts) -> &Layout {
         &self.stocks[world.stock as usize].layout
     }
 
@@ -144,7 +144,7 @@ impl Worlds {
     }
 
     /// World variant `number`, if there is one.
-    pub fn variant(&self, number: u32) -> Option<World> {
+    pub fn variant(&self, number: u32) -> Option<WorldParts> {
         if number == ELSEWHERE_VARIANT {
             return self.elsewhere;
         }
@@ -155,7 +155,7 @@ impl Worlds {
     ///
     /// # Panics
     /// When `world` is not one of these.
-    pub fn closed(&self, world: World) -> &Variant {
+    pub fn closed(&self, world: WorldParts) -> &Variant {
         &self.closings[world.closing as usize]
     }
 }
@@ -184,8 +184,8 @@ mod tests {
     fn every_case_has_its_barricade_and_equal_worlds_are_one() {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
         let worlds = Worlds::new(&warehouse, &cases, Vec::new());
-        assert_eq!(worlds.variant(0), Some(World::UNCHANGED));
-        assert_eq!(worlds.closed(World::UNCHANGED), &Variant::UNCHANGED);
+        assert_eq!(worlds.variant(0), Some(WorldParts::UNCHANGED));
+        assert_eq!(worlds.closed(WorldParts::UNCHANGED), &Variant::UNCHANGED);
         for (case, number) in cases.cases.iter().zip(1..) {
             let world = worlds.variant(number).unwrap();
             assert_eq!(worlds.closed(world).closed(), case.barricade);
@@ -229,7 +229,7 @@ mod tests {
         let closing = worlds.variant(1).unwrap().closing;
         let expected = [(0, closing), (1, closing), (2, 0), (1, 0)];
         for (number, (stock, closing)) in (first..).zip(expected) {
-            assert_eq!(worlds.variant(number), Some(World { stock, closing }));
+            assert_eq!(worlds.variant(number), Some(WorldParts { stock, closing }));
         }
         assert_eq!(worlds.variant(first + 4), None);
         let standpoint = warehouse.items[3].standpoint;

@@ -15,10 +15,10 @@ use crate::workspace::{Workspace, succeeds};
 /// A drill and how it is run.
 struct Drill {
     name: &'static str,
-    kind: Kind,
+    kind: DrillKind,
 }
 
-enum Kind {
+enum DrillKind {
     /// A program of the tests, which also gets `--json FILE`.
     Program {
         program: &'static str,
@@ -39,14 +39,14 @@ const PROGRAMS: &str = "memtransfer-tests";
 const DRILLS: &[Drill] = &[
     Drill {
         name: "sim",
-        kind: Kind::Program {
+        kind: DrillKind::Program {
             program: "drill-sim",
             arguments: &[],
             whole: &["--seeds", "5000"],
             quick: &["--seeds", "20"],
         },
     },
-    Drill { name: "fuzz", kind: Kind::Fuzz },
+    Drill { name: "fuzz", kind: DrillKind::Fuzz },
     of_processes("grid", &["grid"]),
     of_processes("kills", &["kills"]),
     of_processes("disk", &["disk"]),
@@ -55,7 +55,7 @@ const DRILLS: &[Drill] = &[
 
 const fn of_processes(name: &'static str, arguments: &'static [&'static str]) -> Drill {
     let program = "drill-processes";
-    Drill { name, kind: Kind::Program { program, arguments, whole: &[], quick: &["--quick"] } }
+    Drill { name, kind: DrillKind::Program { program, arguments, whole: &[], quick: &["--quick"] } }
 }
 
 /// The page, and the lines in it between which the results stand.
@@ -88,7 +88,7 @@ fn names() -> Vec<&'static str> {
 
 /// What a drill found.
 #[derive(Deserialize)]
-struct Results {
+struct DrillResults {
     title: String,
     command: String,
     text: String,
@@ -122,7 +122,7 @@ fn run_drills(
     let chosen: Vec<&Drill> = DRILLS
         .iter()
         .filter(|drill| match &*arguments.drills {
-            [] => !(arguments.quick && matches!(drill.kind, Kind::Fuzz)),
+            [] => !(arguments.quick && matches!(drill.kind, DrillKind::Fuzz)),
             names => names.iter().any(|name| name == drill.name),
         })
         .collect();
@@ -138,8 +138,10 @@ fn run_drills(
         eprintln!("drill {}", drill.name);
         let json = folder.join(drill.name).with_extension("json");
         let passed = match drill.kind {
-            Kind::Fuzz => fuzz::run(&FuzzArguments::parse(&arguments.flags), &json, workspace)?,
-            Kind::Program { program, arguments: first, whole, quick } => {
+            DrillKind::Fuzz => {
+                fuzz::run(&FuzzArguments::parse(&arguments.flags), &json, workspace)?
+            }
+            DrillKind::Program { program, arguments: first, whole, quick } => {
                 let mut command = workspace.at_root(&workspace.program(program)?, first);
                 command.args(if arguments.quick { quick } else { whole });
                 command.args(&arguments.flags).arg("--json").arg(json);
@@ -167,7 +169,7 @@ fn results_folder(workspace: &Workspace) -> anyhow::Result<PathBuf> {
 }
 
 /// The results in `folder`, in the order of the drills.
-fn results(folder: &Path) -> anyhow::Result<Vec<Results>> {
+fn results(folder: &Path) -> anyhow::Result<Vec<DrillResults>> {
     let mut all = Vec::new();
     for drill in DRILLS {
         let path = folder.join(drill.name).with_extension("json");
@@ -186,7 +188,7 @@ fn results(folder: &Path) -> anyhow::Result<Vec<Results>> {
 }
 
 /// The page with these results in place of the earlier ones.
-fn with_results(page: &str, results: &[Results]) -> anyhow::Result<String> {
+fn with_results(page: &str, results: &[DrillResults]) -> anyhow::Result<String> {
     let parts = page
         .split_once(BEGIN)
         .and_then(|(before, rest)| rest.split_once(END).map(|(_, after)| (before, after)));
@@ -199,8 +201,8 @@ fn with_results(page: &str, results: &[Results]) -> anyhow::Result<String> {
     Ok(format!("{before}{BEGIN}\n\n{text}{END}{after}"))
 }
 
-fn write_result(text: &mut String, result: &Results) -> std::fmt::Result {
-    let Results { title, command, text: about, faults, figures, violations } = result;
+fn write_result(text: &mut String, result: &DrillResults) -> std::fmt::Result {
+    let DrillResults { title, command, text: about, faults, figures, violations } = result;
     writeln!(text, "### {title}\n\n{about}\n\n    {command}\n")?;
     writeln!(text, "| figure | |\n|---|---:|")?;
     for (name, value) in figures {
@@ -246,7 +248,7 @@ mod tests {
     fn results_replace_those_between_the_marks() {
         let json = r#"{"title": "Kills", "command": "cargo xtask drill kills", "text": "Runs.",
             "faults": {"memory killed": 12}, "figures": {"runs": 3000, "minutes": 2.5}, "violations": []}"#;
-        let results: Results = serde_json::from_str(json).unwrap();
+        let results: DrillResults = serde_json::from_str(json).unwrap();
         let page = format!("# Page\n{BEGIN}\nold\n{END}\nend\n");
         let page = with_results(&page, &[results]).unwrap();
         let expected = format!(

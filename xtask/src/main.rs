@@ -43,14 +43,14 @@ use crate::workspace::Workspace;
 )]
 struct TaskArguments {
     #[command(subcommand)]
-    verb: Task,
+    verb: Verb,
     /// What set-up installs [default: xtask/setup.toml]
     #[arg(long, value_name = "FILE", global = true)]
     pins: Option<PathBuf>,
 }
 
 #[derive(Subcommand)]
-enum Task {
+enum Verb {
     /// Install what is missing: system packages, ONNX Runtime, the default encoder
     Setup {
         /// Also install what tests need: a Vulkan driver, Chromium, ffmpeg, Python packages and a small language model
@@ -109,7 +109,7 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
     let pins = Pins::load(&pins_path)?;
 
     match &arguments.verb {
-        Task::Setup { tests, lerobot } => {
+        Verb::Setup { tests, lerobot } => {
             let purpose = if *tests { Purpose::Tests } else { Purpose::Use };
             setup::install_missing(purpose, &pins, &cache, &workspace)?;
             if *lerobot {
@@ -117,32 +117,32 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
             }
             Ok(true)
         }
-        Task::Demo { run_flags } => {
+        Verb::Demo { run_flags } => {
             setup::install_missing(Purpose::Use, &pins, &cache, &workspace)?;
             demo::run(&workspace, run_flags)
         }
-        Task::Test { test_arguments } => {
+        Verb::Test { test_arguments } => {
             setup::install_missing(Purpose::Tests, &pins, &cache, &workspace)?;
             test::run(&workspace, test_arguments)
         }
-        Task::Bench(arguments) => {
+        Verb::Bench(arguments) => {
             let purpose = if arguments.no_baselines { Purpose::Use } else { Purpose::Benches };
             setup::install_missing(purpose, &pins, &cache, &workspace)?;
             bench::run(arguments, &pins, &cache, &workspace)
         }
-        Task::Drill(arguments) => {
+        Verb::Drill(arguments) => {
             setup::install_missing(Purpose::Use, &pins, &cache, &workspace)?;
             drill::run(arguments, &workspace)
         }
-        Task::Wheel => python::build_wheel(&workspace),
-        Task::Sbom => sbom::write(&pins, &workspace).map(|()| true),
-        Task::Check => check::run(&workspace),
-        Task::Ci => {
+        Verb::Wheel => python::build_wheel(&workspace),
+        Verb::Sbom => sbom::write(&pins, &workspace).map(|()| true),
+        Verb::Check => check::run(&workspace),
+        Verb::Ci => {
             let checked = check::run(&workspace)?;
             setup::install_missing(Purpose::Tests, &pins, &cache, &workspace)?;
             Ok(test::run(&workspace, &[])? && checked)
         }
-        Task::VitB16Untrained => {
+        Verb::VitB16Untrained => {
             setup::install_on_demand("vit-b16-untrained", &pins, &cache, &workspace).map(|()| true)
         }
     }

@@ -96,7 +96,7 @@ pub fn write(file: &mut File, path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// Writes a file that holds `bytes`, in place of any that is there.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn write_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
     write(&mut File::create(path)?, path, bytes)
 }

@@ -105,7 +105,7 @@ impl Episodes {
             write_whole(path, |draft| {
                 let mut sink: Box<dyn EpisodeSink> = match format {
                     EpisodeFormat::Mcap => {
-                        Box::new(mcap::Recording::create(draft, &self.log, timing)?)
+                        Box::new(mcap::McapRecording::create(draft, &self.log, timing)?)
                     }
                     EpisodeFormat::Mp4 => Box::new(video::Film::create(draft, timing)?),
                 };

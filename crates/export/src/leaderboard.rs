@@ -7,8 +7,8 @@ mod board;
 mod entry;
 mod page;
 
-pub use board::{Board, Section, Table};
-pub use entry::{Entry, Figure, Policy, Score};
+pub use board::{Board, BoardSection, BoardTable};
+pub use entry::{Entry, EntryFigure, EntryPolicy, Score};
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -32,21 +32,21 @@ use serde_json::{Value, json};
 
 use crate::episodes::{EpisodeSink, Moments, Timing, events};
 use file::{ChannelId, McapFile};
-use foxglove::Instant;
+use foxglove::LogTime;
 
 /// Nanoseconds in a second.
 const SECOND: u64 = 1_000_000_000;
 
 /// An MCAP file of episodes.
-pub(crate) struct Recording {
+pub(crate) struct McapRecording {
     file: McapFile<BufWriter<File>>,
-    channels: Channels,
+    channels: McapChannels,
     step_ns: u64,
     /// When the next episode begins.
     begins_ns: u64,
 }
 
-struct Channels {
+struct McapChannels {
     camera: ChannelId,
     transforms: ChannelId,
     pose: ChannelId,
@@ -56,7 +56,7 @@ struct Channels {
 }
 
 #[derive(Serialize)]
-struct Step<'a> {
+struct McapStep<'a> {
     episode: &'a str,
     step: u32,
     x: u8,
@@ -71,7 +71,7 @@ struct Step<'a> {
 }
 
 #[derive(Serialize)]
-struct Episode<'a> {
+struct McapEpisode<'a> {
     key: &'a str,
     instruction: &'a str,
     condition: String,
@@ -86,7 +86,7 @@ struct Episode<'a> {
     reference: u32,
 }
 
-impl Recording {
+impl McapRecording {
     /// A file at `path` of episodes of `log`.
     pub(crate) fn create(path: &Path, log: &RunLog, timing: Timing) -> Result<Self> {
         let file =
@@ -96,7 +96,7 @@ impl Recording {
             let schema = foxglove::descriptor_set();
             file.channel(topic, &format!("foxglove.{message}"), "protobuf", &schema, "protobuf")
         };
-        let channels = Channels {
+        let channels = McapChannels {
             camera: foxglove("/camera", "CompressedImage"),
             transforms: foxglove("/tf", "FrameTransform"),
             pose: foxglove("/pose", "PoseInFrame"),
@@ -120,8 +120,8 @@ impl Recording {
         Ok(Self { file, channels, step_ns, begins_ns: 0 })
     }
 
-    fn instant(&self, step: u32) -> Instant {
-        Instant { ns: self.begins_ns + u64::from(step) * self.step_ns }
+    fn instant(&self, step: u32) -> LogTime {
+        LogTime { ns: self.begins_ns + u64::from(step) * self.step_ns }
     }
 }
 
@@ -183,11 +183,11 @@ fn episode_schema() -> Value {
     )
 }
 
-impl EpisodeSink for Recording {
+impl EpisodeSink for McapRecording {
     fn episode(&mut self, moments: &Moments<'_>) -> Result<()> {
         let record = moments.record;
         let failure = Failure::of(record);
-        let about = Episode {
+        let about = McapEpisode {
             key: &record.key,
             instruction: &moments.instruction,
             condition: record.condition().to_string(),
@@ -214,7 +214,7 @@ impl EpisodeSink for Recording {
             self.file.message(self.channels.transforms, at.ns, &foxglove::agent(at, pose));
             self.file.message(self.channels.pose, at.ns, &foxglove::pose(at, pose));
             let supplied = sources(words.next().unwrap_or_default());
-            let data = Step {
+            let data = McapStep {
                 episode: &record.key,
                 step,
                 x: pose.cell.x,

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use results::log::RunLog;
-use results::report::{Frame, episodes_frame, steps_frame};
+use results::report::{DataFrame, episodes_frame, steps_frame};
 
 use crate::files::write_whole;
 
@@ -27,7 +27,7 @@ impl TableFormat {
         }
     }
 
-    fn write(self, frame: &Frame, out: impl Write) -> io::Result<()> {
+    fn write(self, frame: &DataFrame, out: impl Write) -> io::Result<()> {
         match self {
             Self::Csv => frame.write_csv(out),
             Self::Parquet => frame.write_parquet(out),

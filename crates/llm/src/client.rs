@@ -12,7 +12,7 @@ use crate::cache::{CacheKey, ReplyCache};
 use crate::endpoint::Endpoint;
 use crate::error::{AskError, AttemptError};
 use crate::http::{HttpClient, jitter};
-use crate::pool::{ServerPool, Turn};
+use crate::pool::{RequestTurn, ServerPool};
 use crate::reply::ChatReply;
 use crate::request::ChatRequest;
 use crate::server::{Attempts, Next, ServerState};
@@ -217,7 +217,7 @@ impl Shared {
         let number = self.requests.fetch_add(1, Ordering::Relaxed);
         let mut attempts = Attempts::new(number, Instant::now());
         loop {
-            let Turn { server, deadline, slot } = self.wait_for_turn(&mut attempts)?;
+            let RequestTurn { server, deadline, slot } = self.wait_for_turn(&mut attempts)?;
             let (sent, sent_ns) = (Instant::now(), monotonic_ns());
             let outcome = self.http[server].attempt(request, deadline);
             drop(slot);
@@ -243,7 +243,7 @@ impl Shared {
     }
 
     /// Waits until the request may be sent.
-    fn wait_for_turn(&self, attempts: &mut Attempts) -> Result<Turn, AskError> {
+    fn wait_for_turn(&self, attempts: &mut Attempts) -> Result<RequestTurn, AskError> {
         let mut pool = self.lock();
         pool.enqueue(attempts);
         loop {

@@ -28,7 +28,7 @@ struct PooledServer {
 
 /// The right to send a request once.
 #[derive(Debug)]
-pub(crate) struct Turn {
+pub(crate) struct RequestTurn {
     /// The server's place in the pool.
     pub(crate) server: usize,
     /// The attempt's deadline.
@@ -66,7 +66,7 @@ impl ServerPool {
         &mut self,
         attempts: &mut Attempts,
         now: Instant,
-    ) -> Result<Result<Turn, Option<Instant>>, AskError> {
+    ) -> Result<Result<RequestTurn, Option<Instant>>, AskError> {
         let mut order: Vec<usize> = (0..self.servers.len()).collect();
         order.sort_by_key(|server| self.servers[*server].state.in_flight());
         let mut stopped = None;
@@ -98,7 +98,7 @@ impl ServerPool {
             };
             let deadline = server.state.start(attempts);
             self.servers.iter_mut().for_each(|server| server.state.forget(attempts));
-            return Ok(Ok(Turn { server: index, deadline, slot }));
+            return Ok(Ok(RequestTurn { server: index, deadline, slot }));
         }
         match stopped {
             Some(error) if self.servers.iter().all(|server| server.state.is_stopped()) => {

@@ -1,6 +1,6 @@
 //! Reports about runs, from their logs alone.
 //!
-//! Three steps: [`score`](crate::score) computes, `sections/` arranges figures into a [`Document`] of sections, tables
+//! Three steps: [`score`](crate::score) computes, `sections/` arranges figures into a [`ReportDocument`] of sections, tables
 //! and plots, and one file for each format writes it: `html.rs`, `markdown.rs`, `csv.rs`, `parquet.rs`, `terminal.rs`.
 //! The published figures are data ([`Published`], `assets/published.toml`).
 //!
@@ -26,8 +26,11 @@ mod testing;
 mod tests;
 
 pub use data::{episodes_frame, timings_frame};
-pub use document::{Block, Cell, Column, Document, Figure, Group, Missing, Row, Section, Table};
-pub use frame::{Frame, Series, Values};
+pub use document::{
+    Group, Missing, ReportBlock, ReportDocument, ReportFigure, ReportSection, Table, TableCell,
+    TableColumn, TableRow,
+};
+pub use frame::{DataFrame, Series, Values};
 pub use plot::{Curve, Curves, curves};
 pub use plot::{Stack, StackRow, stack};
 pub use published::{Published, PublishedCondition, PublishedSpread};
@@ -68,7 +71,7 @@ pub enum ReportError {
 }
 
 /// The report about `logs` as a document.
-pub fn document(logs: &[RunLog], published: &Published) -> Document {
+pub fn document(logs: &[RunLog], published: &Published) -> ReportDocument {
     arrange(&views(logs, published))
 }
 
@@ -76,7 +79,7 @@ pub fn document(logs: &[RunLog], published: &Published) -> Document {
 ///
 /// # Errors
 /// When the template fails, which would be a bug.
-pub fn page(document: &Document) -> Result<String, ReportError> {
+pub fn page(document: &ReportDocument) -> Result<String, ReportError> {
     let template = |source| ReportError::Template { page: "the page", source };
     html::render(document).map_err(template)
 }
@@ -91,7 +94,7 @@ fn views<'a>(logs: &'a [RunLog], published: &'a Published) -> Vec<ScoredRun<'a>>
     (1..).zip(logs).map(view).collect()
 }
 
-fn arrange(views: &[ScoredRun<'_>]) -> Document {
+fn arrange(views: &[ScoredRun<'_>]) -> ReportDocument {
     let mut sections = Vec::new();
     match views {
         [view] => sections.extend(sections::sections(view)),
@@ -100,7 +103,7 @@ fn arrange(views: &[ScoredRun<'_>]) -> Document {
     sections.push(sections::method());
     sections.extend(views.iter().map(sections::provenance));
     let names: Vec<String> = views.iter().map(|view| run_name(view.log)).collect();
-    Document { title: format!("MemTransfer: {}", names.join(", ")), sections }
+    ReportDocument { title: format!("MemTransfer: {}", names.join(", ")), sections }
 }
 
 /// Writes the report about `logs` into the folder `dir`, which is made if need be; files of an earlier report there
@@ -122,7 +125,7 @@ pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
     let views = views(logs, &published);
     let document = arrange(&views);
     let template = |page| move |source| ReportError::Template { page, source };
-    let out = Folder { dir };
+    let out = ReportFolder { dir };
     let page =
         out.text("report.html", &html::render(&document).map_err(template("report.html"))?)?;
     out.text("report.md", &markdown::render(&document).map_err(template("report.md"))?)?;
@@ -147,11 +150,11 @@ pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
 }
 
 /// The folder that a report is written into.
-struct Folder<'a> {
+struct ReportFolder<'a> {
     dir: &'a Path,
 }
 
-impl Folder<'_> {
+impl ReportFolder<'_> {
     fn text(&self, name: &str, content: &str) -> Result<PathBuf, ReportError> {
         self.stream(name, |file| io::Write::write_all(file, content.as_bytes()))
     }

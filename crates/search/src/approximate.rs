@@ -11,7 +11,7 @@ use usearch::{IndexOptions, MetricKind, ScalarKind};
 
 use crate::exact;
 use crate::index::{Index, Neighbour, Query};
-use crate::kernels::Level;
+use crate::kernels::SimdLevel;
 use crate::quantized::{QuantizedMatrix, record_distance};
 
 /// How a graph is built and searched.
@@ -129,7 +129,7 @@ impl<'a> ApproximateIndex<'a> {
         let candidates = self.graph.expansion_search().max(wanted);
         let found = self.graph.search(&self.quantized.query_record(vector), candidates);
         let found = found.map_err(failed)?.keys.into_iter().map(|key| key as usize);
-        let nearest = exact::scan_some(Level::best(), rows, found, vector, wanted);
+        let nearest = exact::scan_some(SimdLevel::best(), rows, found, vector, wanted);
         Ok(self.index.in_order(nearest, query, wanted))
     }
 
@@ -147,7 +147,7 @@ impl<'a> ApproximateIndex<'a> {
 /// Makes a graph of records measure the distance of the quantized vectors.
 #[expect(unsafe_code, reason = "the library hands over two raw pointers")]
 fn measure_records(graph: &mut usearch::Index) {
-    let (bytes, level) = (graph.dimensions(), Level::best());
+    let (bytes, level) = (graph.dimensions(), SimdLevel::best());
     let metric = move |a: *const u8, b: *const u8| {
         // SAFETY: a graph calls its metric with two of its vectors, or one and a query; each has as many bytes as
         // the graph has dimensions.

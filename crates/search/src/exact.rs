@@ -6,7 +6,7 @@
 
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
-use crate::kernels::{self, BLOCK_ROWS, Level};
+use crate::kernels::{self, BLOCK_ROWS, SimdLevel};
 use crate::matrix::{FloatLine, Matrix, padded};
 use crate::quantized::{QuantizedMatrix, QuantizedQuery};
 
@@ -56,7 +56,7 @@ impl NearestRows {
 }
 
 /// Measures all rows.
-pub(crate) fn scan(level: Level, rows: &Matrix, query: &[f32], wanted: usize) -> NearestRows {
+pub(crate) fn scan(level: SimdLevel, rows: &Matrix, query: &[f32], wanted: usize) -> NearestRows {
     let query: Vec<FloatLine> = padded(query).collect();
     let mut nearest = NearestRows::new(wanted);
     let mut distances = [0.0; ROWS_TOGETHER];
@@ -73,7 +73,7 @@ pub(crate) fn scan(level: Level, rows: &Matrix, query: &[f32], wanted: usize) ->
 
 /// Measures the given rows only.
 pub(crate) fn scan_some(
-    level: Level,
+    level: SimdLevel,
     rows: &Matrix,
     some: impl Iterator<Item = usize>,
     query: &[f32],
@@ -91,7 +91,7 @@ pub(crate) fn scan_some(
 
 /// Finds the nearest rows of several queries in one pass over the quantized rows, on `threads` threads.
 pub(crate) fn scan_quantized(
-    level: Level,
+    level: SimdLevel,
     rows: &Matrix,
     quantized: &QuantizedMatrix,
     queries: &[&[f32]],
@@ -114,7 +114,7 @@ pub(crate) fn scan_quantized(
 
 /// A pass over the quantized rows.
 struct QuantizedScan<'a> {
-    level: Level,
+    level: SimdLevel,
     rows: &'a Matrix,
     quantized: &'a QuantizedMatrix,
     wanted: usize,
@@ -305,7 +305,7 @@ mod tests {
             rows.iter().for_each(|row| store.push(row.as_slice()));
             let expected: Vec<_> =
                 queries.iter().map(|query| naive(&rows, query, wanted)).collect();
-            for level in Level::all() {
+            for level in SimdLevel::all() {
                 for (query, expected) in queries.iter().zip(&expected) {
                     let best = scan(level, &store, query.as_slice(), wanted);
                     prop_assert_eq!(&sorted_bits(best), expected, "{:?}, original vectors", level);
@@ -329,14 +329,14 @@ mod tests {
             prop_assume!(!rows.is_empty());
             let mut store = Matrix::default();
             rows.iter().for_each(|row| store.push(row.as_slice()));
-            let estimates = |level: Level| {
+            let estimates = |level: SimdLevel| {
                 let quantized = QuantizedMatrix::new(level, &store, 1);
                 let query = quantized.query(query.as_slice());
                 let blocks = (0..quantized.blocks()).map(|block| quantized.block(block));
                 let all = blocks.flat_map(|block| block.estimates(level, &query));
                 all.take(store.len()).map(f32::to_bits).collect::<Vec<_>>()
             };
-            let all: Vec<_> = Level::all().into_iter().map(estimates).collect();
+            let all: Vec<_> = SimdLevel::all().into_iter().map(estimates).collect();
             prop_assert!(all.windows(2).all(|pair| pair[0] == pair[1]));
         }
     }
@@ -355,7 +355,7 @@ mod tests {
         };
         let mut store = Matrix::default();
         (0..4096).for_each(|_| store.push(random().as_slice()));
-        let level = Level::best();
+        let level = SimdLevel::best();
         let quantized = QuantizedMatrix::new(level, &store, 1);
         let query = random();
         let nearest = scan(level, &store, query.as_slice(), 1).limit();

@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 
 use crate::embedding::{ContentHash, Embedding};
 use crate::exact::{self, NearestRows};
-use crate::kernels::Level;
+use crate::kernels::SimdLevel;
 use crate::matrix::Matrix;
 use crate::quantized::QuantizedMatrix;
 
@@ -188,7 +188,8 @@ impl Index {
     }
 
     pub(crate) fn quantized(&self) -> &QuantizedMatrix {
-        let quantize = || QuantizedMatrix::new(Level::best(), &self.rows, self.quantized_threads());
+        let quantize =
+            || QuantizedMatrix::new(SimdLevel::best(), &self.rows, self.quantized_threads());
         self.quantized.get_or_init(quantize)
     }
 
@@ -210,7 +211,7 @@ impl Index {
         }
         let dimension = self.rows.dimension();
         assert!(queries.iter().all(|query| query.len() == dimension), "another encoder's query");
-        let (level, rows) = (Level::best(), &self.rows);
+        let (level, rows) = (SimdLevel::best(), &self.rows);
         if self.uses_quantized(queries.len()) {
             let threads = self.quantized_threads();
             return exact::scan_quantized(level, rows, self.quantized(), queries, wanted, threads);

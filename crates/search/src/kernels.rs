@@ -31,7 +31,7 @@ pub(crate) struct QuantizedVector {
 
 /// A set of vector instructions that this processor has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Level(Instructions);
+pub(crate) struct SimdLevel(Instructions);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Instructions {
@@ -42,10 +42,10 @@ enum Instructions {
     Avx512,
 }
 
-impl Level {
+impl SimdLevel {
     /// The widest level of this processor.
     pub(crate) fn best() -> Self {
-        static BEST: std::sync::OnceLock<Level> = std::sync::OnceLock::new();
+        static BEST: std::sync::OnceLock<SimdLevel> = std::sync::OnceLock::new();
         *BEST.get_or_init(|| Self::all().into_iter().max().unwrap_or(Self(Instructions::Portable)))
     }
 
@@ -84,7 +84,7 @@ macro_rules! dispatch {
 
 /// Writes the distance of `query` to each of the rows.
 pub(crate) fn distances(
-    level: Level,
+    level: SimdLevel,
     query: &[FloatLine],
     rows: &[FloatLine],
     distances: &mut [f32],
@@ -99,7 +99,7 @@ pub(crate) fn distances(
 
 /// Quantizes a vector: writes one stored code (the code plus [`CODE_ZERO`]) for each number of it.
 pub(crate) fn quantize(
-    level: Level,
+    level: SimdLevel,
     vector: &[f32],
     centre: &[f32],
     codes: &mut [u8],
@@ -115,7 +115,7 @@ pub(crate) fn quantize(
 /// Writes the products of a query's codes with the stored codes of each row of a block, less `excess`: what
 /// [`CODE_ZERO`] adds to each of them. The number of steps is even.
 pub(crate) fn dot_products(
-    level: Level,
+    level: SimdLevel,
     block: &[CodeLine],
     query: &[[i8; 4]],
     excess: i32,
@@ -130,7 +130,7 @@ pub(crate) fn dot_products(
 }
 
 /// The product of two vectors of stored codes, less what [`CODE_ZERO`] adds to them. Their length is a multiple of 64.
-pub(crate) fn dot_product(level: Level, a: &[u8], b: &[u8]) -> i32 {
+pub(crate) fn dot_product(level: SimdLevel, a: &[u8], b: &[u8]) -> i32 {
     dispatch!(
         level,
         portable::dot_product(a, b),
@@ -141,7 +141,7 @@ pub(crate) fn dot_product(level: Level, a: &[u8], b: &[u8]) -> i32 {
 
 /// Which rows of a block reach the threshold, one bit each: `product * scale * query_scale + threshold >= half_norm`.
 pub(crate) fn candidates(
-    level: Level,
+    level: SimdLevel,
     products: &[i32; BLOCK_ROWS],
     (scales, half_norms): (&[f32; BLOCK_ROWS], &[f32; BLOCK_ROWS]),
     query_scale: f32,

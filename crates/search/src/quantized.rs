@@ -12,7 +12,7 @@
 //! of a vector that has been measured, `x` is farther away and its original numbers are not read. The bound holds for
 //! any data; the data decides only how many vectors it rules out.
 
-use crate::kernels::{self, BLOCK_ROWS, CODE_ZERO, Level, QuantizedVector};
+use crate::kernels::{self, BLOCK_ROWS, CODE_ZERO, QuantizedVector, SimdLevel};
 use crate::matrix::{CodeLine, Matrix};
 use crate::pages;
 
@@ -24,7 +24,7 @@ const RECORD_TAIL: usize = 8;
 
 /// Quantized rows, in blocks of [`BLOCK_ROWS`].
 pub(crate) struct QuantizedMatrix {
-    level: Level,
+    level: SimdLevel,
     centre: Vec<f32>,
     /// Steps of four codes in a row; even.
     steps: usize,
@@ -57,7 +57,7 @@ pub(crate) struct QuantizedQuery {
 
 impl QuantizedMatrix {
     /// Quantizes all rows of a matrix, on `threads` threads.
-    pub(crate) fn new(level: Level, rows: &Matrix, threads: usize) -> Self {
+    pub(crate) fn new(level: SimdLevel, rows: &Matrix, threads: usize) -> Self {
         let steps = rows.dimension().div_ceil(8).max(1) * 2;
         let blocks = rows.len().div_ceil(BLOCK_ROWS);
         let centre = mean(rows);
@@ -189,7 +189,7 @@ impl QuantizedMatrix {
 }
 
 /// Half the squared distance between the quantized vectors of two records, up to rounding.
-pub(crate) fn record_distance(level: Level, a: &[u8], b: &[u8]) -> f32 {
+pub(crate) fn record_distance(level: SimdLevel, a: &[u8], b: &[u8]) -> f32 {
     let split = |record: &[u8]| {
         let (codes, tail) = record.split_at(record.len() - RECORD_TAIL);
         let number =
@@ -203,7 +203,12 @@ pub(crate) fn record_distance(level: Level, a: &[u8], b: &[u8]) -> f32 {
 
 impl RowBlock<'_> {
     /// Which rows reach a [threshold](QuantizedMatrix::threshold), one bit each.
-    pub(crate) fn candidates(self, level: Level, query: &QuantizedQuery, threshold: f32) -> u64 {
+    pub(crate) fn candidates(
+        self,
+        level: SimdLevel,
+        query: &QuantizedQuery,
+        threshold: f32,
+    ) -> u64 {
         let products = self.products(level, query);
         kernels::candidates(
             level,
@@ -217,7 +222,7 @@ impl RowBlock<'_> {
     /// How near each row seems: the greater, the smaller the distance of the quantized vectors. NaN past the last row.
     pub(crate) fn estimates(
         self,
-        level: Level,
+        level: SimdLevel,
         query: &QuantizedQuery,
     ) -> impl Iterator<Item = f32> {
         let products = self.products(level, query);
@@ -226,7 +231,7 @@ impl RowBlock<'_> {
         })
     }
 
-    fn products(self, level: Level, query: &QuantizedQuery) -> [i32; BLOCK_ROWS] {
+    fn products(self, level: SimdLevel, query: &QuantizedQuery) -> [i32; BLOCK_ROWS] {
         let mut products = [0; BLOCK_ROWS];
         kernels::dot_products(level, self.lines, &query.codes, query.excess, &mut products);
         products
@@ -244,7 +249,7 @@ struct BlockRange<'a> {
 }
 
 impl BlockRange<'_> {
-    fn fill(&mut self, level: Level, rows: &Matrix, centre: &[f32]) {
+    fn fill(&mut self, level: SimdLevel, rows: &Matrix, centre: &[f32]) {
         let lines_per_block = self.lines.len() / (self.scales.len() / BLOCK_ROWS);
         let mut codes = vec![CODE_ZERO; lines_per_block];
         let end = rows.len().min(self.first_row + self.scales.len());

@@ -43,7 +43,7 @@ pub fn write_bundle(site: &mut Site, dir: &Path, selection: Selection) -> Result
     if !is_empty && !dir.join(MARK).is_file() {
         bail!("{} holds files and no earlier pages of a run: choose another --out", dir.display());
     }
-    let mut folder = Folder { dir, bundle: Bundle::default() };
+    let mut folder = BundleFolder { dir, bundle: Bundle::default() };
     if !is_empty {
         for place in 1..=2 {
             let earlier = dir.join(folder_of(place));
@@ -68,12 +68,12 @@ pub fn write_bundle(site: &mut Site, dir: &Path, selection: Selection) -> Result
 }
 
 /// The folder that is written into.
-struct Folder<'a> {
+struct BundleFolder<'a> {
     dir: &'a Path,
     bundle: Bundle,
 }
 
-impl Folder<'_> {
+impl BundleFolder<'_> {
     fn write(&mut self, path: &str, file: &File) -> Result<()> {
         let target = self.dir.join(path);
         let write = || {

@@ -5,9 +5,9 @@ mod prompts;
 mod run;
 
 pub(crate) use episode::view_keys;
-pub use episode::{Demonstration, EpisodeData, FailureData, LoggedEpisode};
+pub use episode::{DemonstrationData, EpisodeData, FailureData, LoggedEpisode};
 pub use prompts::{PromptData, image_hashes, prompts};
-pub use run::{EpisodeRow, RunData, row};
+pub use run::{EpisodeCell, RunData, row};
 
 use domain::{Cell, Heading, Pose};
 

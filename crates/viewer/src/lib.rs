@@ -1,7 +1,7 @@
 //! Pages that show a run: a grid of its episodes, each episode step by step, two of them side by side.
 //!
 //! [`Site`] turns run folders into files: data as scripts ([`data`]), views rendered from poses ([`replay::frames`]), and a front
-//! end without a build step (`web/`). [`write_bundle`] writes them to a folder that opens from the disk, [`Server`] answers
+//! end without a build step (`web/`). [`write_bundle`] writes them to a folder that opens from the disk, [`ViewServer`] answers
 //! requests with the same files, made when they are asked for.
 //!
 //! What is not here: figures and tables (`results`), pixels (`sim-proc views`, a child process).
@@ -12,5 +12,5 @@ mod server;
 mod site;
 
 pub use bundle::{Bundle, write_bundle};
-pub use server::{Address, Server};
+pub use server::{Address, ViewServer};
 pub use site::{File, Site};

@@ -44,14 +44,14 @@ impl FromStr for Address {
 }
 
 /// A server that listens, and serves nothing yet.
-pub struct Server {
+pub struct ViewServer {
     listener: TcpListener,
     address: SocketAddr,
     /// What a client must know, if the server listens beyond this machine.
     token: Option<String>,
 }
 
-impl std::fmt::Debug for Server {
+impl std::fmt::Debug for ViewServer {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Server").field("address", &self.address).finish_non_exhaustive()
     }
@@ -60,7 +60,7 @@ impl std::fmt::Debug for Server {
 /// The name of the cookie with the token.
 const COOKIE: &str = "memtransfer-token";
 
-impl Server {
+impl ViewServer {
     /// Listens at `address`.
     ///
     /// # Errors
@@ -93,8 +93,11 @@ impl Server {
 
     async fn accept(self, site: Site) -> std::io::Result<()> {
         let listener = tokio::net::TcpListener::from_std(self.listener)?;
-        let answers =
-            Rc::new(Answers { address: self.address, token: self.token, site: RefCell::new(site) });
+        let answers = Rc::new(SiteService {
+            address: self.address,
+            token: self.token,
+            site: RefCell::new(site),
+        });
         loop {
             let stream = match listener.accept().await {
                 Ok((stream, _)) => stream,
@@ -114,17 +117,17 @@ impl Server {
     }
 }
 
-type Answer = Response<Full<Bytes>>;
+type HttpResponse = Response<Full<Bytes>>;
 
 /// What is answered to whom.
-struct Answers {
+struct SiteService {
     address: SocketAddr,
     token: Option<String>,
     site: RefCell<Site>,
 }
 
-impl Answers {
-    fn answer(&self, request: &Request<Incoming>) -> Answer {
+impl SiteService {
+    fn answer(&self, request: &Request<Incoming>) -> HttpResponse {
         if !matches!(*request.method(), Method::GET | Method::HEAD) {
             return status(StatusCode::METHOD_NOT_ALLOWED, "only GET is answered");
         }
@@ -176,7 +179,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 const REPORT_POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'; \
                              base-uri 'none'; form-action 'none'";
 
-fn page(path: &str, file: File) -> Answer {
+fn page(path: &str, file: File) -> HttpResponse {
     let policy = if path.ends_with("report.html") { REPORT_POLICY } else { POLICY };
     let cache = if path.contains("/views/") { "max-age=3600" } else { "no-store" };
     let headers = [
@@ -187,7 +190,7 @@ fn page(path: &str, file: File) -> Answer {
     answer(StatusCode::OK, file.bytes, &headers)
 }
 
-fn status(code: StatusCode, text: &str) -> Answer {
+fn status(code: StatusCode, text: &str) -> HttpResponse {
     let headers = [
         (header::CONTENT_TYPE, "text/plain; charset=utf-8"),
         (header::CONTENT_SECURITY_POLICY, "default-src 'none'"),
@@ -195,7 +198,7 @@ fn status(code: StatusCode, text: &str) -> Answer {
     answer(code, format!("{text}\n").into_bytes(), &headers)
 }
 
-fn answer(code: StatusCode, content: Vec<u8>, headers: &[(HeaderName, &str)]) -> Answer {
+fn answer(code: StatusCode, content: Vec<u8>, headers: &[(HeaderName, &str)]) -> HttpResponse {
     let always = [
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::REFERRER_POLICY, "no-referrer"),

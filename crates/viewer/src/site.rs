@@ -35,7 +35,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 use warehouse::map;
 
-use crate::data::{EpisodeData, EpisodeRow, LoggedEpisode, PromptData, RunData, prompts, row};
+use crate::data::{EpisodeCell, EpisodeData, LoggedEpisode, PromptData, RunData, prompts, row};
 
 /// Views and the images of prompts.
 const VIEW_FORMAT: ViewFormat = ViewFormat { edge: 320, quality: 62 };
@@ -352,7 +352,7 @@ impl RunPages {
         let from: Option<usize> = query.strip_prefix("from=").and_then(|from| from.parse().ok());
         let restarted = self.read_growth()?;
         let from = from.filter(|&from| from <= self.log.episodes.len() && !restarted);
-        let rows: Vec<EpisodeRow> = self
+        let rows: Vec<EpisodeCell> = self
             .log
             .episodes
             .iter()

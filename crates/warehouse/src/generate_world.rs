@@ -142,7 +142,7 @@ fn layout_text(draw: &mut Draw, width: usize, height: usize, corridors: Option<u
     // Corridors line up, or every other bank is shifted so that they do not, like in the shipped warehouse.
     let shifted = draw.below(3) > 0;
     let first = draw.below(2);
-    let mut names = Names::new(banks, corridors);
+    let mut names = AisleNames::new(banks, corridors);
     let mut aisles = vec![NamedAisle::crossing('s', "South aisle")];
     let end = format!("%{}%", "#".repeat(width - 2));
     // Rows from the south.
@@ -210,12 +210,12 @@ fn shares(draw: &mut Draw, total: usize, weights: &[usize]) -> Vec<usize> {
 }
 
 /// Marks and names of corridors: `Aisle A` and on, or bank and number, `Aisle A1` and on, where the letters do not suffice.
-struct Names {
+struct AisleNames {
     marks: Box<dyn Iterator<Item = char>>,
     numbered: bool,
 }
 
-impl Names {
+impl AisleNames {
     fn new(banks: usize, corridors: usize) -> Self {
         let taken = |mark: &char| !['n', 's', 'x'].contains(mark);
         let marks = ('A'..='Z').chain('a'..='z').filter(taken).chain('\u{c0}'..='\u{17f}');

@@ -20,7 +20,7 @@ pub(crate) struct Visits {
 
 /// The tables for the phases of a task.
 #[derive(Debug)]
-pub(crate) struct Order {
+pub(crate) struct PhaseOrder {
     phases: Vec<PhaseTable>,
 }
 
@@ -35,7 +35,7 @@ struct PhaseTable {
     to_go: Vec<u32>,
 }
 
-impl Order {
+impl PhaseOrder {
     /// Computes the tables from the last phase to the first. `tail` is the cost after the last item.
     pub(crate) fn new(phases: &[PhaseSets], leg: Leg<'_>, tail: &dyn Fn(u16) -> u32) -> Self {
         let mut tables: Vec<PhaseTable> = Vec::new();

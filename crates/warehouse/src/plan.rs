@@ -22,7 +22,7 @@ use domain::{Cell, Pose};
 
 use crate::case::Trajectory;
 use crate::dynamics::{Variant, step};
-use crate::order::{Order, PhaseSets, Visits};
+use crate::order::{PhaseOrder, PhaseSets, Visits};
 pub use crate::route::Prices;
 use crate::route::{CostField, Graph};
 use crate::task::{Phase, Task};
@@ -43,7 +43,7 @@ pub struct Planner<'w> {
 /// One way to complete a task. The cheapest is the plan.
 #[derive(Debug)]
 struct Choice {
-    order: Order,
+    order: PhaseOrder,
     /// The field towards the first item, if it is not the ordinary one.
     approach: Option<CostField>,
 }
@@ -140,8 +140,8 @@ impl<'w> Planner<'w> {
         choices
     }
 
-    fn order(&self, sets: &[PhaseSets], tail: &dyn Fn(u16) -> u32) -> Order {
-        Order::new(sets, &|from, to| self.leg(from, to), tail)
+    fn order(&self, sets: &[PhaseSets], tail: &dyn Fn(u16) -> u32) -> PhaseOrder {
+        PhaseOrder::new(sets, &|from, to| self.leg(from, to), tail)
     }
 
     /// The pose in which item `id` is visited. Where headings do not matter, it stands for all four.

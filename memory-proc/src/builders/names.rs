@@ -6,7 +6,7 @@ use plates::{ItemName, Plate, item_names};
 
 /// Names of types and categories.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(super) struct Names {
+pub(super) struct CatalogueNames {
     types: BTreeSet<String>,
     categories: BTreeSet<String>,
 }
@@ -32,7 +32,7 @@ impl std::fmt::Display for PlateLabel<'_> {
     }
 }
 
-impl Names {
+impl CatalogueNames {
     /// The names in `instruction`.
     pub(super) fn of(instruction: &str) -> Self {
         let mut names = Self::default();
@@ -74,11 +74,11 @@ mod tests {
     #[test]
     fn the_names_in_every_shipped_instruction_are_found() {
         let catalogue = &Warehouse::shipped().catalogue;
-        let mut names = Names::default();
+        let mut names = CatalogueNames::default();
         for case in &CaseSet::shipped().cases {
             let instruction = case.task.instruction(catalogue);
-            let own = Names::of(&instruction);
-            assert!(own != Names::default(), "{instruction}");
+            let own = CatalogueNames::of(&instruction);
+            assert!(own != CatalogueNames::default(), "{instruction}");
             assert!(own.types.iter().all(|name| catalogue.type_named(name).is_some()), "{own:?}");
             let known = |name: &String| catalogue.category_named(name).is_some();
             assert!(own.categories.iter().all(known), "{own:?}");
@@ -90,11 +90,11 @@ mod tests {
     #[test]
     fn a_plate_has_the_most_specific_name_that_was_mentioned() {
         let plate = Plate::new("barrels", "blue barrel");
-        let label = |instruction| Names::of(instruction).label(plate).to_string();
+        let label = |instruction| CatalogueNames::of(instruction).label(plate).to_string();
         assert_eq!(label("Find a blue barrel."), "blue barrel");
         assert_eq!(label("Find any item of the category barrels."), "barrels item");
         assert_eq!(label("Find a red barrel."), "item");
-        let mut both = Names::of("Find a blue barrel.");
+        let mut both = CatalogueNames::of("Find a blue barrel.");
         both.add("Find any item of the category barrels.");
         assert_eq!(both.label(plate), PlateLabel::Type("blue barrel"));
         assert_eq!(both.category(plate), Some("barrels"));

@@ -104,7 +104,7 @@ fn code_of(Pose { cell, heading }: Pose) -> [u8; 3] {
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Trajectory {
+struct OwnTrajectory {
     /// The number under which items name it.
     number: u32,
     instruction: String,
@@ -117,7 +117,7 @@ struct Trajectory {
     views: Vec<Embedding>,
 }
 
-impl Trajectory {
+impl OwnTrajectory {
     /// The embedding of a step's view.
     fn view(&self, step: usize) -> Option<&[f32]> {
         self.views.get(step).map(Embedding::as_slice)
@@ -155,7 +155,7 @@ struct Running {
 struct State {
     episodes: u32,
     dimension: usize,
-    trajectories: Vec<Trajectory>,
+    trajectories: Vec<OwnTrajectory>,
 }
 
 #[derive(Debug)]
@@ -173,7 +173,7 @@ pub(super) struct Adaptive {
     /// Of the demonstrations, until it is built.
     embeddings: Arc<Embeddings>,
     /// In the order of their numbers.
-    trajectories: Vec<Trajectory>,
+    trajectories: Vec<OwnTrajectory>,
     running: BTreeMap<u64, Running>,
     /// The steps that can be supplied, by instruction; `None`: of all trajectories. Made when first needed. An entry's
     /// demonstration is a position in `trajectories`.
@@ -334,7 +334,7 @@ impl Adaptive {
             step.stage = sub_goals.map(completed);
         }
         let confirmed = self.episodes;
-        let own = Trajectory { number, instruction, is_own: true, confirmed, steps, views };
+        let own = OwnTrajectory { number, instruction, is_own: true, confirmed, steps, views };
         self.trajectories.push(own);
     }
 
@@ -380,7 +380,7 @@ impl Memory for Adaptive {
                 content: step.content_hash,
                 ..StoredStep::new(step.pose, step.action, step.feedback)
             });
-            self.trajectories.push(Trajectory {
+            self.trajectories.push(OwnTrajectory {
                 number,
                 instruction: of.instruction.to_owned(),
                 is_own: false,

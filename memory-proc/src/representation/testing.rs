@@ -10,14 +10,14 @@ use shm_types::message::DocumentId;
 use warehouse::Demonstrations;
 
 use super::MemorySettings;
-use crate::bank::{Bank, BankSteps, KnownView};
-use crate::demonstrations::Demonstration;
+use crate::bank::{BankSteps, KnownView, ReplayedBank};
+use crate::demonstrations::ReplayedDemonstration;
 use crate::items::DocumentSupplier;
 
 /// A demonstration of case 8: north from (3, `from`) for `steps` steps; sub-goal 1 is completed at step 2.
-pub(crate) fn demonstration(number: u16, from: u8, steps: u8) -> Demonstration {
+pub(crate) fn demonstration(number: u16, from: u8, steps: u8) -> ReplayedDemonstration {
     let all = 0..=steps;
-    Demonstration {
+    ReplayedDemonstration {
         case: 8,
         number,
         variant: 0,
@@ -47,9 +47,9 @@ pub(crate) fn settings() -> MemorySettings {
 /// Builds a memory without views.
 pub(crate) fn build(
     memory: &mut dyn Memory,
-    demonstrations: &[Demonstration],
+    demonstrations: &[ReplayedDemonstration],
 ) -> Result<(), MemoryError> {
-    let bank = Bank::new(demonstrations.to_vec());
+    let bank = ReplayedBank::new(demonstrations.to_vec());
     memory.build(&BankSteps::without_views(&bank).demonstrations())
 }
 
@@ -57,10 +57,10 @@ pub(crate) fn build(
 pub(crate) fn build_with_views<M: Memory>(
     new: impl FnOnce(&MemorySettings) -> M,
     settings: &MemorySettings,
-    demonstrations: &[Demonstration],
+    demonstrations: &[ReplayedDemonstration],
     view: impl Fn(Pose) -> KnownView,
 ) -> M {
-    let bank = Bank::new(demonstrations.to_vec());
+    let bank = ReplayedBank::new(demonstrations.to_vec());
     let steps = bank.with_views(|viewpoint| Some(view(viewpoint.pose))).unwrap();
     let mut memory = new(&MemorySettings { embeddings: steps.embeddings(), ..settings.clone() });
     memory.build(&steps.demonstrations()).unwrap();

@@ -25,7 +25,7 @@ Examples:
   memtransfer generate world --seed 7 --size 24x40 --out my-assets")]
 pub(super) struct GenerateArgs {
     #[command(subcommand)]
-    what: Option<What>,
+    what: Option<GenerateWhat>,
     /// The seed
     #[arg(long, value_name = "N", default_value_t = SHIPPED_SEED)]
     seed: u64,
@@ -40,14 +40,14 @@ pub(super) struct GenerateArgs {
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum GenerateWhat {
     /// Generate a warehouse and its cases: a folder for --assets
     World(world::WorldGenerateArgs),
 }
 
 pub(super) fn run(args: &GenerateArgs) -> anyhow::Result<Exit> {
     match &args.what {
-        Some(What::World(args)) => world::run(args),
+        Some(GenerateWhat::World(args)) => world::run(args),
         None => cases(args),
     }
 }

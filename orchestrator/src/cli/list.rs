@@ -26,14 +26,14 @@ Examples:
   memtransfer ls runs")]
 pub(super) struct ListArgs {
     #[command(subcommand)]
-    what: What,
+    what: ListWhat,
     /// Print JSON
     #[arg(long, global = true)]
     json: bool,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum ListWhat {
     /// Cases: instruction, starting poses, lengths of the reference routes
     Cases(WorldArgs),
     /// The demonstrations of other tasks in each case's mixed sets
@@ -77,14 +77,14 @@ struct Listing {
 
 pub(super) fn run(args: &ListArgs) -> anyhow::Result<Exit> {
     let listing = match &args.what {
-        What::Cases(world) => cases(&world.load()?),
-        What::Histories(world) => histories(&world.load()?),
-        What::Tasks(world) => tasks(&world.load()?),
-        What::Items(world) => items(&world.load()?),
-        What::Suites => suites()?,
-        What::Conditions { suite } => conditions(suite)?,
-        What::Streams { suite, seed } => streams(suite, *seed)?,
-        What::Runs { dir } => runs(dir)?,
+        ListWhat::Cases(world) => cases(&world.load()?),
+        ListWhat::Histories(world) => histories(&world.load()?),
+        ListWhat::Tasks(world) => tasks(&world.load()?),
+        ListWhat::Items(world) => items(&world.load()?),
+        ListWhat::Suites => suites()?,
+        ListWhat::Conditions { suite } => conditions(suite)?,
+        ListWhat::Streams { suite, seed } => streams(suite, *seed)?,
+        ListWhat::Runs { dir } => runs(dir)?,
     };
     if args.json {
         print_json(&listing.objects())?;

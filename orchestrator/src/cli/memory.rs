@@ -46,7 +46,7 @@ enum MemoryVerb {
     /// List documents, and whether they fit the current frame size and assets
     Ls(LsArgs),
     /// Print a document, and its provenance to stderr
-    Show(ShowArgs),
+    Show(DocumentArgs),
 }
 
 #[derive(Debug, Args)]
@@ -132,7 +132,7 @@ struct LsArgs {
 }
 
 #[derive(Debug, Args)]
-struct ShowArgs {
+struct DocumentArgs {
     /// summary or semantic
     #[arg(value_name = "KIND", value_parser = kind)]
     kind: DocumentKind,
@@ -279,7 +279,7 @@ fn ls(args: LsArgs) -> Result<Exit> {
     Ok(Exit::Complete)
 }
 
-fn show(args: ShowArgs) -> Result<Exit> {
+fn show(args: DocumentArgs) -> Result<Exit> {
     let selection = match (args.builder, args.model) {
         (Some(BuilderName::Extractive), Some(_)) => bail!("--model needs --builder model"),
         (Some(BuilderName::Model), model) | (None, model @ Some(_)) => {

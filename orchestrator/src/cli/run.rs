@@ -34,7 +34,7 @@ use crate::launch;
 use crate::monitor::Monitor;
 use crate::pipeline::{self, Ending};
 use crate::plan::PlannedEpisode;
-use crate::progress::{Progress, say};
+use crate::progress::{ProgressDisplay, say};
 use crate::selection::SelectedCases;
 use crate::session::RunSession;
 use crate::settings::{self, Layer, resolve};
@@ -364,7 +364,7 @@ impl RunPlan {
     ) -> Result<Option<String>> {
         let Self { settings, world, streams, started, unit, shipped_embeddings, .. } = self;
         let Remaining { missing, learned } = remaining;
-        let mut progress = Progress::new(options.quiet);
+        let mut progress = ProgressDisplay::new(options.quiet);
         let (own, children);
         let (run, memories): (&RunDir, &[ExternalMemory]) = match started {
             Some(started) => {
@@ -511,7 +511,7 @@ fn start_memories(
     options: &RunOptions,
     signals: &Signals,
 ) -> Result<Option<StartedMemories>> {
-    let mut progress = Progress::new(options.quiet);
+    let mut progress = ProgressDisplay::new(options.quiet);
     let logs = if options.dry_run {
         if std::mem::take(&mut settings.external_memory) {
             progress.note(

@@ -9,7 +9,7 @@ use clap::Args;
 use replay::frames::ViewProgram;
 use replay::{RecordedRun, Selection};
 use supervise::{QUIET_DRIVER, sibling};
-use viewer::{Address, Server, Site, write_bundle};
+use viewer::{Address, Site, ViewServer, write_bundle};
 
 use super::{Exit, print};
 
@@ -62,7 +62,7 @@ pub(super) fn run(args: &ViewArgs) -> Result<Exit> {
         args.open(&bundle.page.display().to_string());
         return Ok(Exit::Complete);
     }
-    let server = Server::listen(args.serve.unwrap_or_default())?;
+    let server = ViewServer::listen(args.serve.unwrap_or_default())?;
     print(&server.url())?;
     eprintln!("serving until Ctrl-C");
     args.open(&server.url());

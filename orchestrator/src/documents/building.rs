@@ -52,7 +52,7 @@ pub(super) fn build(
     check_shared_memory(attach.shared_memory_bytes())?;
     attach.write(&attach.root)?;
     let bus = Bus::join(attach, Role::Orchestrator)?;
-    let inbox = Inbox::new(&bus)?;
+    let inbox = BuildInbox::new(&bus)?;
     report(BuildStage::Starting);
     let launches = launches(request, recipe, folder.path(), names, run.path())?;
     let children = Children::start(&launches, &folder.path().join("logs"))?;
@@ -99,14 +99,14 @@ fn launches(
 }
 
 /// The messages of a build.
-struct Inbox {
+struct BuildInbox {
     handshakes: Receiver<Handshake>,
     heartbeats: Receiver<Heartbeat>,
     error_reports: Receiver<ErrorReport>,
     shutdown_reports: Receiver<ShutdownReport>,
 }
 
-impl Inbox {
+impl BuildInbox {
     fn new(bus: &Bus) -> Result<Self> {
         Ok(Self {
             handshakes: bus.receiver()?,
@@ -120,7 +120,7 @@ impl Inbox {
 /// A build that is running. Fields are dropped in order: processes end before the services that they use.
 struct Build<'a> {
     children: Children,
-    inbox: Inbox,
+    inbox: BuildInbox,
     bus: &'a Bus,
     /// The last reported stage.
     last_report: Option<BuildStage>,

@@ -6,33 +6,33 @@ use anyhow::Result;
 use domain::MemoryKind;
 use results::latency::LatencySummary;
 use results::report::{
-    Block, Cell, Column, Curve, Curves, Document, Figure, Group, Row, Section, Stack, StackRow,
-    Table, curves, stack,
+    Curve, Curves, Group, ReportBlock, ReportDocument, ReportFigure, ReportSection, Stack,
+    StackRow, Table, TableCell, TableColumn, TableRow, curves, stack,
 };
 
 use super::recorder::{AccessLatency, AccessPart, StepClass};
 use super::{AccessRun, CacheState, Profile};
 
 /// The page, before it has a form.
-pub(super) fn document(profile: &Profile) -> Result<Document> {
+pub(super) fn document(profile: &Profile) -> Result<ReportDocument> {
     let mut sections = vec![about(profile), floors(profile)];
     sections.push(memories(profile)?);
     sections.extend(waiting(profile));
     sections.extend(lanes(profile)?);
     sections.extend(sizes(profile)?);
-    Ok(Document { title: "MemTransfer: access to memory".to_owned(), sections })
+    Ok(ReportDocument { title: "MemTransfer: access to memory".to_owned(), sections })
 }
 
-fn about(profile: &Profile) -> Section {
+fn about(profile: &Profile) -> ReportSection {
     let mut blocks = vec![
-        Block::Text(
+        ReportBlock::Text(
             "An access begins when the simulator has published an observation, and ends when the policy has the \
              recall that answers it. Its parts are the messages there and back (wire), the embeddings that the answer \
              needs (embedding), the nearest remembered view (search), and the recall itself (assembly). All processes \
              stamp their messages with the same clock."
                 .to_owned(),
         ),
-        Block::Terms(vec![
+        ReportBlock::Terms(vec![
             ("machine".to_owned(), profile.machine.summary()),
             ("program".to_owned(), {
                 let commit = profile.commit.as_deref().unwrap_or("unknown");
@@ -54,12 +54,15 @@ fn about(profile: &Profile) -> Section {
         ]),
     ];
     blocks.extend(
-        profile.problems.iter().map(|problem| Block::Notice(format!("Not measured: {problem}"))),
+        profile
+            .problems
+            .iter()
+            .map(|problem| ReportBlock::Notice(format!("Not measured: {problem}"))),
     );
-    Section::new("s-about", "What was measured", blocks)
+    ReportSection::new("s-about", "What was measured", blocks)
 }
 
-fn floors(profile: &Profile) -> Section {
+fn floors(profile: &Profile) -> ReportSection {
     let floors = &profile.floors;
     let gb = |bytes: f64| format!("{:.1} GB/s", bytes / 1e9);
     let rows = vec![
@@ -70,7 +73,7 @@ fn floors(profile: &Profile) -> Section {
     ];
     let caption = "What this machine achieves at best, measured in the same session.";
     let table = Table::of_text("t-floors", caption, (&["floor"], &["figure"]), rows);
-    Section::new("s-floors", "The machine's floors", vec![Block::Table(table)])
+    ReportSection::new("s-floors", "The machine's floors", vec![ReportBlock::Table(table)])
 }
 
 /// The run with one lane, blocking.
@@ -78,18 +81,18 @@ fn single_lane(profile: &Profile, caches: CacheState) -> Option<&AccessRun> {
     profile.runs.iter().find(|run| run.caches == caches && run.lanes == 1 && run.spin_us == 0)
 }
 
-fn memories(profile: &Profile) -> Result<Section> {
+fn memories(profile: &Profile) -> Result<ReportSection> {
     let mut blocks = Vec::new();
     for caches in [CacheState::Warm, CacheState::Cold] {
         let Some(run) = single_lane(profile, caches) else { continue };
-        blocks.push(Block::Figure(stacked(run)?));
-        blocks.push(Block::Table(distribution(run)));
+        blocks.push(ReportBlock::Figure(stacked(run)?));
+        blocks.push(ReportBlock::Table(distribution(run)));
     }
-    Ok(Section::new("s-memories", "By memory", blocks))
+    Ok(ReportSection::new("s-memories", "By memory", blocks))
 }
 
 /// The parts of later steps, stacked.
-fn stacked(run: &AccessRun) -> Result<Figure> {
+fn stacked(run: &AccessRun) -> Result<ReportFigure> {
     let parts = [AccessPart::Wire, AccessPart::Embedding, AccessPart::Search, AccessPart::Assembly];
     // Cold, the few steps that wait for an embedding matter; warm, a median is not moved by outliers.
     let (name, value): (_, fn(&LatencySummary) -> f64) = match run.caches {
@@ -117,11 +120,11 @@ fn stacked(run: &AccessRun) -> Result<Figure> {
 fn distribution(run: &AccessRun) -> Table {
     let groups = run.memories().into_iter().map(|memory| {
         let of = |latency: &&AccessLatency| latency.memory == memory;
-        let rows: Vec<Row> = run
+        let rows: Vec<TableRow> = run
             .latencies
             .iter()
             .filter(of)
-            .map(|latency| Row {
+            .map(|latency| TableRow {
                 label: format!("{} {}", latency.step, latency.part),
                 published: false,
                 cells: cells(&latency.times),
@@ -138,13 +141,13 @@ fn distribution(run: &AccessRun) -> Table {
             run.steps
         ),
         stubs: vec!["Memory".to_owned(), "Steps and part".to_owned()],
-        columns: TIMES.iter().map(|name| Column::new(*name)).collect(),
+        columns: TIMES.iter().map(|name| TableColumn::new(*name)).collect(),
         groups: groups.collect(),
     }
 }
 
 /// Blocking beside polling.
-fn waiting(profile: &Profile) -> Option<Section> {
+fn waiting(profile: &Profile) -> Option<ReportSection> {
     let runs: Vec<&AccessRun> = profile
         .runs
         .iter()
@@ -157,7 +160,7 @@ fn waiting(profile: &Profile) -> Option<Section> {
         let row = |memory: MemoryKind| {
             let total = find(run, memory, StepClass::Later, AccessPart::Total)?;
             let label = memory.to_string();
-            Some(Row { label, published: false, cells: cells(total) })
+            Some(TableRow { label, published: false, cells: cells(total) })
         };
         Group {
             label: Some(run.name()),
@@ -170,13 +173,13 @@ fn waiting(profile: &Profile) -> Option<Section> {
                   processes than cores, those that poll keep the others from working."
             .to_owned(),
         stubs: vec!["Waiting".to_owned(), "Memory".to_owned()],
-        columns: TIMES.iter().map(|name| Column::new(*name)).collect(),
+        columns: TIMES.iter().map(|name| TableColumn::new(*name)).collect(),
         groups: groups.collect(),
     };
-    Some(Section::new("s-waiting", "Blocking and polling", vec![Block::Table(table)]))
+    Some(ReportSection::new("s-waiting", "Blocking and polling", vec![ReportBlock::Table(table)]))
 }
 
-fn lanes(profile: &Profile) -> Result<Option<Section>> {
+fn lanes(profile: &Profile) -> Result<Option<ReportSection>> {
     let runs: Vec<&AccessRun> = profile
         .runs
         .iter()
@@ -212,23 +215,23 @@ fn lanes(profile: &Profile) -> Result<Option<Section>> {
         (run.lanes.to_string(), cells)
     });
     let caption = "Throughput from the first command to the last decision, first steps included.";
-    Ok(Some(Section::new(
+    Ok(Some(ReportSection::new(
         "s-lanes",
         "Against lanes",
         vec![
-            Block::Text(
+            ReportBlock::Text(
                 "With many lanes a step waits for others, in queues and for cores: latency grows together with \
                  throughput."
                     .to_owned(),
             ),
-            Block::Figure(plot("f-lanes-p50", "The median", |times| times.p50_us)),
-            Block::Figure(plot("f-lanes-p99", "The 99th percentile", |times| times.p99_us)),
-            Block::Table(Table::of_text("t-lanes", caption, (&["Lanes"], &["steps", "steps/s"]), rows)),
+            ReportBlock::Figure(plot("f-lanes-p50", "The median", |times| times.p50_us)),
+            ReportBlock::Figure(plot("f-lanes-p99", "The 99th percentile", |times| times.p99_us)),
+            ReportBlock::Table(Table::of_text("t-lanes", caption, (&["Lanes"], &["steps", "steps/s"]), rows)),
         ],
     )))
 }
 
-fn sizes(profile: &Profile) -> Result<Option<Section>> {
+fn sizes(profile: &Profile) -> Result<Option<ReportSection>> {
     if profile.searches.is_empty() {
         return Ok(None);
     }
@@ -304,20 +307,20 @@ fn sizes(profile: &Profile) -> Result<Option<Section>> {
     let caption = "Searches alone, among real embeddings and seeded neighbours of them. A run searches exactly; recall is the \
                    share of that which an approximate search finds. GB/s: what an exact search reads.";
     let table = Table::of_text("t-sizes", caption, (&["Search and entries"], &columns), rows);
-    Ok(Some(Section::new(
+    Ok(Some(ReportSection::new(
         "s-sizes",
         "Against the size of the memory",
-        vec![Block::Figure(figure), Block::Table(table)],
+        vec![ReportBlock::Figure(figure), ReportBlock::Table(table)],
     )))
 }
 
 /// The columns of a distribution.
 const TIMES: [&str; 7] = ["count", "mean", "p50", "p90", "p99", "p99.9", "max"];
 
-fn cells(times: &LatencySummary) -> Vec<Cell> {
+fn cells(times: &LatencySummary) -> Vec<TableCell> {
     let shown = [times.p50_us, times.p90_us, times.p99_us, times.p999_us, times.max_us].map(us);
     let first = [times.count.to_string(), us(times.mean_us)];
-    first.into_iter().chain(shown).map(Cell::Value).collect()
+    first.into_iter().chain(shown).map(TableCell::Value).collect()
 }
 
 /// The latency of a part of the accesses to a memory, if there were any.

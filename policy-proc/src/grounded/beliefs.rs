@@ -6,7 +6,7 @@ use domain::{Cell, Pose};
 use peer::{Item, Request};
 use plates::{ItemName, Landmark};
 
-use super::demonstration::{RelativePath, RelativePaths, SuppliedStep};
+use super::demonstration::{RelativePath, RelativePaths, RememberedStep};
 use super::instruction::NavigationGoal;
 use super::knowledge::{Doubt, Knowledge, KnowledgeBase, standpoints_among};
 use super::local_map::LocalMap;
@@ -50,7 +50,7 @@ impl Beliefs {
 
         let (mut segments, mut located) = (Vec::new(), Vec::new());
         for item in request.items {
-            let supplied: Vec<SuppliedStep<'_>> = match item {
+            let supplied: Vec<RememberedStep<'_>> = match item {
                 Item::Text(_) => continue,
                 Item::Steps(supplied) => {
                     supplied.steps.iter().map(|step| (step.frame, step.action)).collect()
@@ -110,7 +110,7 @@ fn placed_views(
 
 /// The supplied demonstration and where it began, if `views` tell.
 fn locate(
-    supplied: &[SuppliedStep<'_>],
+    supplied: &[RememberedStep<'_>],
     views: &[Arc<PlacedFrame>],
     caches: &mut PolicyCaches,
 ) -> Option<(Arc<RelativePath>, Pose)> {

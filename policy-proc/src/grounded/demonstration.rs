@@ -23,7 +23,7 @@ const LEAST_AGREEING: u32 = 3;
 const SAME_VIEW: u32 = 1000;
 
 /// One step as memory supplies it: the view, if it is kept, and the expert's action, if it is known.
-pub(super) type SuppliedStep<'a> = (Option<FrameView<'a>>, Option<Action>);
+pub(super) type RememberedStep<'a> = (Option<FrameView<'a>>, Option<Action>);
 
 /// A demonstration, or a segment of one, in coordinates in which it begins at `START`.
 #[derive(Debug)]
@@ -38,7 +38,7 @@ pub(super) struct RelativePath {
 }
 
 impl RelativePath {
-    fn new(serial: u64, supplied: &[SuppliedStep<'_>], cache: &mut FrameCache) -> Self {
+    fn new(serial: u64, supplied: &[RememberedStep<'_>], cache: &mut FrameCache) -> Self {
         let mut demonstration =
             Self { serial, path: Vec::new(), views: Vec::new(), landmarks: Vec::new() };
         let mut pose = Some(START);
@@ -151,7 +151,7 @@ pub(super) struct RelativePaths {
 impl RelativePaths {
     pub(super) fn get(
         &mut self,
-        supplied: &[SuppliedStep<'_>],
+        supplied: &[RememberedStep<'_>],
         views: &mut FrameCache,
     ) -> Arc<RelativePath> {
         let id = supplied.iter().map(|(frame, action)| (frame.map(|frame| frame.id), *action));
@@ -210,7 +210,7 @@ mod tests {
         let poses: Vec<Pose> =
             (0..6).map(|y| Pose::new(start.cell.x, start.cell.y + y, start.heading)).collect();
         let pictures = pictures(&poses);
-        let supplied: Vec<SuppliedStep<'_>> = (0..6)
+        let supplied: Vec<RememberedStep<'_>> = (0..6)
             .map(|at| {
                 let keyframe = keyframes.contains(&at).then(|| frame(&pictures[at], at as u64));
                 (keyframe, (at < 5).then_some(Action::Forward))

@@ -16,13 +16,15 @@ use shm_types::{BankContent, MemoryDescription};
 use supervise::Children;
 
 use super::answers::Supplied;
-use super::{Demonstrated, MemoryRole, TestedMemory, demonstrated, pose, wait_for_description};
+use super::{
+    MemoryRole, ScriptedDemonstration, TestedMemory, demonstrated, pose, wait_for_description,
+};
 use crate::LANES;
 use crate::checks::{Check, another_wire_version, clear_away, orchestrator_ends, stops};
 use crate::messages::{external_episode, last_query, query};
 use crate::subject::{CheckResult, TestedRole, Trouble, next, wait_for_exit, wrong};
 
-type Kit<'a> = crate::Kit<'a, MemoryRole>;
+type MemoryKit<'a> = crate::Kit<'a, MemoryRole>;
 
 /// The instruction of an ordinary episode.
 const INSTRUCTION: &str = "Find a blue barrel.";
@@ -216,11 +218,11 @@ pub(crate) const CHECKS: &[Check<MemoryRole>] = &[
 ];
 
 /// Three demonstrations of ten steps.
-fn ordinary() -> Vec<Demonstrated> {
+fn ordinary() -> Vec<ScriptedDemonstration> {
     (0..3).map(|number| demonstrated(INSTRUCTION, number, 10)).collect()
 }
 
-fn description(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn description(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let (run, _) = kit.another_run()?;
     let folder = MemoryRole::folder(run.path());
     fs::create_dir_all(&folder).map_err(anyhow::Error::from)?;
@@ -248,13 +250,13 @@ fn description(kit: &mut Kit<'_>) -> CheckResult<String> {
     Ok(format!("{name} {version}, scope {scope}, {uses}, {not}deterministic{learns}"))
 }
 
-fn builds(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn builds(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     subject.remember(&ordinary())?;
     clear_away(subject)
 }
 
-fn a_query(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn a_query(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let bank = subject.remember(&ordinary())?;
     let id = subject.begin(0, bank, INSTRUCTION)?;
@@ -272,7 +274,7 @@ fn end(subject: &mut TestedMemory<'_>, id: RequestId) -> CheckResult<()> {
     subject.notify()
 }
 
-fn an_episode(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn an_episode(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let bank = subject.remember(&ordinary())?;
     let mut id = subject.begin(1, bank, INSTRUCTION)?;
@@ -284,7 +286,7 @@ fn an_episode(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn times(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn times(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let bank = subject.remember(&ordinary())?;
     let id = subject.begin(1, bank, INSTRUCTION)?;
@@ -300,7 +302,7 @@ fn times(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn many_lanes(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn many_lanes(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let bank = subject.remember(&ordinary())?;
     for lane in 0..LANES {
@@ -312,7 +314,7 @@ fn many_lanes(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn interleaved(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn interleaved(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let bank = subject.remember(&ordinary())?;
     let mut queries = Vec::new();
@@ -332,7 +334,7 @@ fn interleaved(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn small_banks(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn small_banks(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let large = subject.remember(&ordinary())?;
     let mut banks = vec![large];
@@ -355,7 +357,7 @@ fn small_banks(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn new_episode(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn new_episode(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let bank = subject.remember(&ordinary())?;
     let other = subject.remember(&[demonstrated("Find a red cone.", 4, 6)])?;
@@ -374,7 +376,7 @@ fn new_episode(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn late_queries(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn late_queries(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let bank = subject.remember(&ordinary())?;
     let old = subject.begin(3, bank, INSTRUCTION)?;
@@ -390,10 +392,10 @@ fn late_queries(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn many_demonstrations(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn many_demonstrations(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let tasks = ["Find a blue barrel.", "Find a red cone.", "Go to aisle 3, then to the gate."];
-    let demonstrations: Vec<Demonstrated> = (0..1000)
+    let demonstrations: Vec<ScriptedDemonstration> = (0..1000)
         .map(|number| demonstrated(tasks[number as usize % tasks.len()], number, 12))
         .collect();
     let began = monotonic_ns();
@@ -415,14 +417,15 @@ fn many_demonstrations(kit: &mut Kit<'_>) -> CheckResult<String> {
     Ok(format!("built in {built:.0} ms, answers a query in {answered:.1} ms"))
 }
 
-fn mixed_histories(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn mixed_histories(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let own = demonstrated(INSTRUCTION, 0, 10);
-    let back = Demonstrated {
+    let back = ScriptedDemonstration {
         instruction: "Go back to the gate.".to_owned(),
         views: own.views.iter().rev().copied().collect(),
     };
-    let stays = Demonstrated { views: vec![7; 5], ..demonstrated("Wait at the gate.", 0, 1) };
+    let stays =
+        ScriptedDemonstration { views: vec![7; 5], ..demonstrated("Wait at the gate.", 0, 1) };
     let mut demonstrations = vec![own.clone(), back, own, stays];
     for (number, task) in (10..).zip(["Find a red cone.", "Find a pallet jack.", "Find the exit."])
     {
@@ -440,13 +443,13 @@ fn mixed_histories(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn texts(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn texts(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let full = "ß".repeat(MAX_INSTRUCTION / 2);
     let long = "Walk along the shelf — then turn; ".repeat(300);
     let said = ["Geh zum blauen Faß, dann zurück.", "青い樽を探してください 🛢", &full, "", " "];
     let told = said.into_iter().chain([long.as_str()]);
-    let demonstrations: Vec<Demonstrated> =
+    let demonstrations: Vec<ScriptedDemonstration> =
         (0..).zip(told).map(|(number, text)| demonstrated(text, number, 4)).collect();
     let bank = subject.remember(&demonstrations)?;
     for instruction in said {
@@ -456,7 +459,7 @@ fn texts(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn budgets(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn budgets(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let bank = subject.remember(&ordinary())?;
     let mut dropped = Vec::new();
@@ -494,7 +497,7 @@ fn items_that_do_not_fit(items: &[Supplied], mut images: usize, mut text: usize)
     dropped
 }
 
-fn frames_are_released(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn frames_are_released(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let chunks = kit.attach.frame_chunks() as u64;
     let subject = kit.subject()?;
     let bank = subject.remember(&ordinary())?;
@@ -519,7 +522,7 @@ fn frames_are_released(kit: &mut Kit<'_>) -> CheckResult<String> {
     Ok(format!("{shown} frames in a store of {chunks}"))
 }
 
-fn banks_are_released(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn banks_are_released(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     kit.kill_subject();
     kit.attach.lanes = 1;
     let outcome = kit.subject().and_then(|subject| {
@@ -577,7 +580,7 @@ impl Invalid {
     }
 }
 
-fn invalid_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn invalid_messages(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let bank = subject.remember(&ordinary())?;
     let mut ignored = Vec::new();
@@ -629,7 +632,7 @@ fn invalid_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn same_query_again(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn same_query_again(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let first = subject.remember(&ordinary())?;
     let mut answers = Vec::new();
@@ -670,7 +673,7 @@ const NO_LEARNING: &str = "it does not learn, as it says";
 const LEARNED: [u64; 4] = [3, 4, 71, 72];
 
 /// Plays an episode that the memory of `bank` learns from, and has it saved into a new folder.
-fn learn(kit: &mut Kit<'_>, bank: u64, success: bool) -> CheckResult<PathBuf> {
+fn learn(kit: &mut MemoryKit<'_>, bank: u64, success: bool) -> CheckResult<PathBuf> {
     let subject = kit.subject()?;
     let learning = Learning::Learns as u32;
     let begun = ExternalEpisode { learning, ..external_episode(0, 0, bank, INSTRUCTION) };
@@ -692,7 +695,7 @@ fn learn(kit: &mut Kit<'_>, bank: u64, success: bool) -> CheckResult<PathBuf> {
 }
 
 /// Has the memory of `bank` saved into a new folder.
-fn save(kit: &mut Kit<'_>, bank: u64) -> CheckResult<PathBuf> {
+fn save(kit: &mut MemoryKit<'_>, bank: u64) -> CheckResult<PathBuf> {
     let root = kit.attach.root.clone();
     let mut folders = (0..).map(|number| root.join(format!("snapshot-{number}")));
     let folder = folders.find(|folder| !folder.exists()).unwrap_or(root);
@@ -702,7 +705,7 @@ fn save(kit: &mut Kit<'_>, bank: u64) -> CheckResult<PathBuf> {
 }
 
 /// What the memory of `bank` supplies in an episode that reads only.
-fn evaluated(kit: &mut Kit<'_>, bank: u64) -> CheckResult<Vec<Vec<Supplied>>> {
+fn evaluated(kit: &mut MemoryKit<'_>, bank: u64) -> CheckResult<Vec<Vec<Supplied>>> {
     let subject = kit.subject()?;
     let learning = Learning::ReadsOnly as u32;
     let begun = ExternalEpisode { learning, ..external_episode(1, 0, bank, INSTRUCTION) };
@@ -759,7 +762,7 @@ fn compare_answers(one: &[Vec<Supplied>], other: &[Vec<Supplied>], when: &str) -
     }
 }
 
-fn learns_and_saves(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn learns_and_saves(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     if !subject.role.description.learns {
         return Ok(NO_LEARNING.to_owned());
@@ -772,7 +775,7 @@ fn learns_and_saves(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(kit.subject()?)
 }
 
-fn loads_what_it_has_saved(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn loads_what_it_has_saved(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let MemoryDescription { learns, deterministic, .. } = subject.role.description;
     if !learns {
@@ -798,7 +801,7 @@ fn loads_what_it_has_saved(kit: &mut Kit<'_>) -> CheckResult<String> {
     Ok(String::new())
 }
 
-fn evaluates_without_learning(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn evaluates_without_learning(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let MemoryDescription { learns, deterministic, .. } = subject.role.description;
     if !learns {
@@ -817,7 +820,7 @@ fn evaluates_without_learning(kit: &mut Kit<'_>) -> CheckResult<String> {
     Ok(String::new())
 }
 
-fn restart(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn restart(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let before = subject.role.description.clone();
     let bank = subject.remember(&ordinary())?;
@@ -837,7 +840,7 @@ fn restart(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn run_does_not_begin(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn run_does_not_begin(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let (run, _) = kit.another_run()?;
     let folder = MemoryRole::folder(run.path());
     fs::create_dir_all(&folder).map_err(anyhow::Error::from)?;

@@ -64,7 +64,7 @@ pub(crate) struct MemoryRole {
 
 /// An answer and the note that it names.
 #[derive(Debug, Clone)]
-pub(crate) struct MemoryAnswer {
+pub(crate) struct ReceivedAnswer {
     pub(crate) message: ExternalAnswer,
     note: Result<Vec<u8>, String>,
 }
@@ -82,7 +82,7 @@ impl TestedRole for MemoryRole {
     const WAITS_FOR_RUN: bool = true;
 
     type Neighbours = MemoryNeighbours;
-    type Answer = MemoryAnswer;
+    type Answer = ReceivedAnswer;
 
     fn settings(attach: Attach) -> Attach {
         Attach { external_memories: vec![INDEX], ..attach }
@@ -126,7 +126,7 @@ impl TestedRole for MemoryRole {
     fn receive(
         &mut self,
         neighbours: &mut MemoryNeighbours,
-    ) -> CheckResult<Vec<(RequestId, MemoryAnswer)>> {
+    ) -> CheckResult<Vec<(RequestId, ReceivedAnswer)>> {
         // A note is published before the message that names it.
         let (built, answers) = (neighbours.built.drain()?, neighbours.answers.drain()?);
         let stored = neighbours.stored.drain()?;
@@ -142,12 +142,12 @@ impl TestedRole for MemoryRole {
         let answers = answers.into_iter().map(|message| {
             let ExternalAnswer { lane, episode, step, .. } = message;
             let note = self.note_of(&message);
-            (RequestId { lane, episode, step }, MemoryAnswer { message, note })
+            (RequestId { lane, episode, step }, ReceivedAnswer { message, note })
         });
         Ok(answers.collect())
     }
 
-    fn check(&self, id: RequestId, answer: &MemoryAnswer) -> Result<(), String> {
+    fn check(&self, id: RequestId, answer: &ReceivedAnswer) -> Result<(), String> {
         self.supplied(id, answer).map(drop)
     }
 
@@ -155,7 +155,7 @@ impl TestedRole for MemoryRole {
         self.views.clear();
     }
 
-    fn refusal(MemoryAnswer { message, note }: &MemoryAnswer) -> Option<String> {
+    fn refusal(ReceivedAnswer { message, note }: &ReceivedAnswer) -> Option<String> {
         let reason = || match note {
             Ok(note) => String::from_utf8_lossy(note).into_owned(),
             Err(error) => error.clone(),
@@ -229,7 +229,7 @@ impl MemoryRole {
     pub(crate) fn supplied(
         &self,
         id: RequestId,
-        answer: &MemoryAnswer,
+        answer: &ReceivedAnswer,
     ) -> Result<Vec<Supplied>, String> {
         let bank = self.episodes.get(&id.episode).and_then(|bank| self.banks.get(bank));
         let demonstrations = bank.map_or(&[][..], Vec::as_slice);
@@ -267,16 +267,19 @@ pub(crate) fn wait_for_description(
 
 /// A demonstration to remember.
 #[derive(Debug, Clone)]
-pub(crate) struct Demonstrated {
+pub(crate) struct ScriptedDemonstration {
     pub(crate) instruction: String,
     /// The seeds of the views of its steps.
     pub(crate) views: Vec<u64>,
 }
 
 /// A demonstration of `steps` steps, with views of its own.
-pub(crate) fn demonstrated(instruction: &str, number: u64, steps: u64) -> Demonstrated {
+pub(crate) fn demonstrated(instruction: &str, number: u64, steps: u64) -> ScriptedDemonstration {
     let first = 1000 * number;
-    Demonstrated { instruction: instruction.to_owned(), views: (first..first + steps).collect() }
+    ScriptedDemonstration {
+        instruction: instruction.to_owned(),
+        views: (first..first + steps).collect(),
+    }
 }
 
 /// The pose from which the view of `seed` is seen.
@@ -318,11 +321,14 @@ impl TestedMemory<'_> {
     }
 
     /// The content of a bank, with what the memory asked for.
-    pub(crate) fn content(&mut self, demonstrations: &[Demonstrated]) -> CheckResult<BankContent> {
+    pub(crate) fn content(
+        &mut self,
+        demonstrations: &[ScriptedDemonstration],
+    ) -> CheckResult<BankContent> {
         let mut content = BankContent::default();
         let embeds = self.role.description.embeddings;
         let knows_content = embeds || self.shows_frames();
-        for Demonstrated { instruction, views } in demonstrations {
+        for ScriptedDemonstration { instruction, views } in demonstrations {
             content.demonstrations.push(BankDemonstration {
                 first_step: content.steps.len() as u32,
                 steps: views.len() as u32,
@@ -388,7 +394,10 @@ impl TestedMemory<'_> {
     }
 
     /// Publishes a bank and waits until it is built. Returns its id.
-    pub(crate) fn remember(&mut self, demonstrations: &[Demonstrated]) -> CheckResult<u64> {
+    pub(crate) fn remember(
+        &mut self,
+        demonstrations: &[ScriptedDemonstration],
+    ) -> CheckResult<u64> {
         let content = self.content(demonstrations)?;
         let id = self.publish_bank(&content)?;
         self.wait_for_banks()?;

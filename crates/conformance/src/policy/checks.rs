@@ -15,7 +15,7 @@ use crate::checks::{Check, another_wire_version, clear_away, orchestrator_ends, 
 use crate::messages::{item, last, observation, supplied, supply};
 use crate::subject::{CheckResult, Trouble, next, wrong};
 
-type Kit<'a> = crate::Kit<'a, PolicyRole>;
+type PolicyKit<'a> = crate::Kit<'a, PolicyRole>;
 
 /// Checks without which the others make no sense.
 pub(crate) const REQUIRED_CHECKS: usize = 2;
@@ -164,7 +164,7 @@ fn plain(subject: &mut TestedPolicy<'_>, seed: u64) -> CheckResult<RequestScene>
     Ok(RequestScene { frame: subject.view(seed)?, ..RequestScene::default() })
 }
 
-fn a_step(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn a_step(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let scene = plain(subject, 1)?;
     let id = subject.begin(0, 1, INSTRUCTION)?;
@@ -176,7 +176,7 @@ fn a_step(kit: &mut Kit<'_>) -> CheckResult<String> {
     })
 }
 
-fn an_episode(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn an_episode(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let mut id = subject.begin(1, 2, INSTRUCTION)?;
     for seed in 0..8 {
@@ -193,7 +193,7 @@ fn an_episode(kit: &mut Kit<'_>) -> CheckResult<String> {
 /// A larger number of attempts for one decision is a counting mistake.
 const MAX_ATTEMPTS: u32 = 1000;
 
-fn counts(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn counts(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let (frame, segment) = (subject.view(11)?, subject.views(12..15)?);
     let scene = RequestScene { frame, segment, ..RequestScene::default() };
@@ -214,7 +214,7 @@ fn counts(kit: &mut Kit<'_>) -> CheckResult<String> {
     Ok(String::new())
 }
 
-fn many_lanes(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn many_lanes(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let frames = subject.views(0..8)?;
     for lane in 0..LANES {
@@ -227,7 +227,7 @@ fn many_lanes(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn interleaved(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn interleaved(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let scene = plain(subject, 3)?;
     let mut requests = Vec::new();
@@ -260,7 +260,7 @@ fn interleaved(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn new_episode(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn new_episode(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let scene = plain(subject, 4)?;
     // The episode ends before it is answered.
@@ -285,7 +285,7 @@ fn new_episode(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn late_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn late_messages(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let scene = plain(subject, 5)?;
     let old = subject.begin(3, 1, INSTRUCTION)?;
@@ -299,7 +299,7 @@ fn late_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn slow_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn slow_messages(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let scene = plain(subject, 6)?;
     let id = subject.begin(4, 1, INSTRUCTION)?;
@@ -317,7 +317,7 @@ fn slow_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn long_documents(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn long_documents(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let text = |line: &str| line.repeat((1 << 20) / line.len());
     let summary = text("The blue barrels stand in aisle 3, bay 7 — second from the north. ");
@@ -340,7 +340,7 @@ fn long_documents(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn keyframes(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn keyframes(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let views = subject.views(100..140)?;
     let id = subject.begin(8, 1, INSTRUCTION)?;
@@ -364,7 +364,7 @@ fn keyframes(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn every_item(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn every_item(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let views = subject.views(400..400 + MAX_STEPS as u64)?;
     let mut id = subject.begin(16, 1, INSTRUCTION)?;
@@ -415,7 +415,7 @@ fn every_item(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn windows(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn windows(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let views = subject.views(200..202 + MAX_WINDOW as u64)?;
     let segment = subject.views(300..300 + MAX_SEGMENT as u64)?;
@@ -431,7 +431,7 @@ fn windows(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn instructions(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn instructions(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let scene = plain(subject, 9)?;
     let full = "ß".repeat(MAX_INSTRUCTION / 2);
@@ -443,7 +443,7 @@ fn instructions(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn frames_are_released(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn frames_are_released(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let chunks = kit.attach.frame_chunks() as usize;
     let subject = kit.subject()?;
     let mut shown = 0;
@@ -461,7 +461,7 @@ fn frames_are_released(kit: &mut Kit<'_>) -> CheckResult<String> {
     Ok(format!("{shown} frames in a store of {chunks}"))
 }
 
-fn invalid_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn invalid_messages(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let scene = plain(subject, 10)?;
     let text = subject.document(None, &Content::Note("— a note".to_owned()))?;
@@ -522,7 +522,7 @@ fn invalid_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn same_request_again(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn same_request_again(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let mut answers = Vec::new();
     for round in 0..6 {
@@ -554,7 +554,7 @@ fn same_request_again(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-fn restart(kit: &mut Kit<'_>) -> CheckResult<String> {
+fn restart(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let scene = plain(subject, 19)?;
     let id = subject.begin(0, 1, INSTRUCTION)?;

@@ -6,18 +6,18 @@ use std::collections::{BTreeMap, BTreeSet};
 use results::table::table;
 use serde_json::Value;
 
-use super::{Entry, Figure, Score};
+use super::{Entry, EntryFigure, Score};
 
 /// A leaderboard.
 #[derive(Debug)]
 pub struct Board {
     /// Its sections. Figures of different sections cannot be compared.
-    pub sections: Vec<Section>,
+    pub sections: Vec<BoardSection>,
 }
 
 /// The entries with one protocol.
 #[derive(Debug)]
-pub struct Section {
+pub struct BoardSection {
     /// The suite.
     pub suite: String,
     /// The first digits of the hash of the protocol.
@@ -27,23 +27,23 @@ pub struct Section {
     /// In what it differs from the first section of the same suite, if there is one.
     pub differs: Vec<String>,
     /// Its tables.
-    pub tables: Vec<Table>,
+    pub tables: Vec<BoardTable>,
 }
 
 /// Results with one start and route.
 #[derive(Debug)]
-pub struct Table {
+pub struct BoardTable {
     /// Start and route in words.
     pub title: String,
     /// The figures that any row has.
-    pub columns: Vec<&'static Column>,
+    pub columns: Vec<&'static BoardColumn>,
     /// The rows, by the first figure, the best first.
-    pub rows: Vec<Row>,
+    pub rows: Vec<BoardRow>,
 }
 
 /// A column of figures.
 #[derive(Debug, PartialEq, Eq)]
-pub struct Column {
+pub struct BoardColumn {
     name: &'static str,
     /// Its heading, with the unit.
     pub title: &'static str,
@@ -52,7 +52,7 @@ pub struct Column {
 
 /// A result.
 #[derive(Debug)]
-pub struct Row {
+pub struct BoardRow {
     /// The run.
     pub run: String,
     /// When it began.
@@ -71,29 +71,29 @@ pub struct Row {
     pub count: usize,
     /// As many as the run has.
     pub planned: usize,
-    figures: Vec<Option<Figure>>,
+    figures: Vec<Option<EntryFigure>>,
 }
 
 /// All figures in the order of their columns.
-static COLUMNS: [Column; 13] = [
-    Column { name: "sr", title: "Success, %", digits: 1 },
-    Column { name: "spl", title: "SPL", digits: 3 },
-    Column { name: "success", title: "Success, %", digits: 1 },
-    Column { name: "acc", title: "ACC, %", digits: 1 },
-    Column { name: "bwt", title: "BWT, points", digits: 1 },
-    Column { name: "fwt", title: "FWT, points", digits: 1 },
-    Column { name: "forgetting", title: "Forgetting, points", digits: 1 },
-    Column { name: "t_ndtw", title: "t-nDTW", digits: 3 },
-    Column { name: "follow", title: "Follow, %", digits: 1 },
-    Column { name: "recovery", title: "Recovery, %", digits: 1 },
-    Column { name: "steps", title: "Steps", digits: 1 },
-    Column { name: "images_per_request", title: "Images a request", digits: 1 },
-    Column { name: "tokens_per_100", title: "Tokens for 100 cases", digits: 0 },
+static COLUMNS: [BoardColumn; 13] = [
+    BoardColumn { name: "sr", title: "Success, %", digits: 1 },
+    BoardColumn { name: "spl", title: "SPL", digits: 3 },
+    BoardColumn { name: "success", title: "Success, %", digits: 1 },
+    BoardColumn { name: "acc", title: "ACC, %", digits: 1 },
+    BoardColumn { name: "bwt", title: "BWT, points", digits: 1 },
+    BoardColumn { name: "fwt", title: "FWT, points", digits: 1 },
+    BoardColumn { name: "forgetting", title: "Forgetting, points", digits: 1 },
+    BoardColumn { name: "t_ndtw", title: "t-nDTW", digits: 3 },
+    BoardColumn { name: "follow", title: "Follow, %", digits: 1 },
+    BoardColumn { name: "recovery", title: "Recovery, %", digits: 1 },
+    BoardColumn { name: "steps", title: "Steps", digits: 1 },
+    BoardColumn { name: "images_per_request", title: "Images a request", digits: 1 },
+    BoardColumn { name: "tokens_per_100", title: "Tokens for 100 cases", digits: 0 },
 ];
 
 /// A cell as it is shown and sorted.
 #[derive(Debug, PartialEq)]
-pub struct Cell {
+pub struct BoardCell {
     /// The mean; empty if it was not measured.
     pub figure: String,
     /// The 95 % interval; empty if there is none.
@@ -102,14 +102,14 @@ pub struct Cell {
     pub value: String,
 }
 
-impl Row {
+impl BoardRow {
     /// The cells of `columns`.
-    pub fn cells(&self, columns: &[&'static Column]) -> Vec<Cell> {
-        let cell = |(figure, column): (&Option<Figure>, &&Column)| {
+    pub fn cells(&self, columns: &[&'static BoardColumn]) -> Vec<BoardCell> {
+        let cell = |(figure, column): (&Option<EntryFigure>, &&BoardColumn)| {
             let shown = |value: f64| format!("{value:.*}", column.digits);
             let interval = figure.and_then(|figure| figure.low.zip(figure.high));
             let interval = interval.map(|(low, high)| format!("[{}, {}]", shown(low), shown(high)));
-            Cell {
+            BoardCell {
                 figure: figure.map(|figure| shown(figure.mean)).unwrap_or_default(),
                 interval: interval.unwrap_or_default(),
                 value: figure.map(|figure| figure.mean.to_string()).unwrap_or_default(),
@@ -151,7 +151,7 @@ impl Board {
             };
             first.entry(suite).or_insert((entry, id.clone()));
             let shown = entry.protocol.iter().map(|(name, value)| (name.clone(), word(value)));
-            sections.push(Section {
+            sections.push(BoardSection {
                 suite: (*suite).to_owned(),
                 id,
                 protocol: shown.collect(),
@@ -212,7 +212,7 @@ fn word(value: &Value) -> String {
     }
 }
 
-fn tables(entries: &[&Entry]) -> Vec<Table> {
+fn tables(entries: &[&Entry]) -> Vec<BoardTable> {
     let mut settings: BTreeMap<String, Vec<(&Entry, &Score)>> = BTreeMap::new();
     for &entry in entries {
         for score in &entry.scores {
@@ -223,17 +223,19 @@ fn tables(entries: &[&Entry]) -> Vec<Table> {
             settings.entry(title).or_default().push((entry, score));
         }
     }
-    settings.into_iter().map(|(title, scores)| Table::new(title, &scores)).collect()
+    settings.into_iter().map(|(title, scores)| BoardTable::new(title, &scores)).collect()
 }
 
-impl Table {
+impl BoardTable {
     fn new(title: String, scores: &[(&Entry, &Score)]) -> Self {
-        let is_measured =
-            |column: &&Column| scores.iter().any(|(_, one)| one.figures.contains_key(column.name));
-        let columns: Vec<&'static Column> = COLUMNS.iter().filter(is_measured).collect();
-        let mut rows: Vec<Row> =
+        let is_measured = |column: &&BoardColumn| {
+            scores.iter().any(|(_, one)| one.figures.contains_key(column.name))
+        };
+        let columns: Vec<&'static BoardColumn> = COLUMNS.iter().filter(is_measured).collect();
+        let mut rows: Vec<BoardRow> =
             scores.iter().map(|(entry, score)| row(entry, score, &columns)).collect();
-        let first = |row: &Row| row.figures.first().copied().flatten().map(|figure| figure.mean);
+        let first =
+            |row: &BoardRow| row.figures.first().copied().flatten().map(|figure| figure.mean);
         rows.sort_by(|a, b| {
             let by_figure = first(b).partial_cmp(&first(a)).unwrap_or(Ordering::Equal);
             by_figure.then_with(|| (&a.run, &a.memory).cmp(&(&b.run, &b.memory)))
@@ -263,14 +265,14 @@ impl Table {
     }
 }
 
-fn row(entry: &Entry, score: &Score, columns: &[&'static Column]) -> Row {
+fn row(entry: &Entry, score: &Score, columns: &[&'static BoardColumn]) -> BoardRow {
     // memory/start/route/demonstrations, then what deviates.
     let mut words = score.condition.split('/');
     let memory = words.next().unwrap_or_default().to_owned();
     let demonstrations = words.nth(2).unwrap_or_default().to_owned();
     let version = entry.memories.get(&memory);
     let memory = version.map_or(memory.clone(), |version| format!("{memory} {version}"));
-    Row {
+    BoardRow {
         run: entry.run.clone(),
         date: entry.date.clone().unwrap_or_default(),
         policy: entry.policy.name.clone(),
@@ -304,7 +306,7 @@ mod tests {
             entry("other", true, 2),
         ]);
         assert_eq!(board.sections.len(), 2);
-        let runs = |section: &Section| {
+        let runs = |section: &BoardSection| {
             section.tables[0].rows.iter().map(|row| row.run.clone()).collect::<Vec<_>>()
         };
         assert_eq!(runs(&board.sections[0]), ["strong", "weak"]);

@@ -26,7 +26,7 @@ pub struct Entry {
     /// When it began: UTC date and time.
     pub date: Option<String>,
     /// What ran.
-    pub policy: Policy,
+    pub policy: EntryPolicy,
     /// What must agree in runs that are compared.
     pub protocol: BTreeMap<String, Value>,
     /// The commit of the program.
@@ -53,7 +53,7 @@ pub struct Entry {
 
 /// A policy.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Policy {
+pub struct EntryPolicy {
     /// Its kind, with the name of a model or of an external policy.
     pub name: String,
     /// Whether it is a scripted stand-in for a model.
@@ -70,12 +70,12 @@ pub struct Score {
     /// As many as the whole run has.
     pub planned: usize,
     /// The figures, by name; one that was not measured is absent.
-    pub figures: BTreeMap<String, Figure>,
+    pub figures: BTreeMap<String, EntryFigure>,
 }
 
 /// A figure.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Figure {
+pub struct EntryFigure {
     /// Its mean.
     pub mean: f64,
     /// The sample standard deviation over repetitions.
@@ -89,20 +89,20 @@ pub struct Figure {
     pub high: Option<f64>,
 }
 
-impl Figure {
+impl EntryFigure {
     fn new(mean: f64, std: Option<f64>, interval: Option<Interval>) -> Self {
         let (low, high) = interval.map(|interval| (interval.low, interval.high)).unzip();
         Self { mean, std, low, high }
     }
 }
 
-impl From<Spread> for Figure {
+impl From<Spread> for EntryFigure {
     fn from(spread: Spread) -> Self {
         Self::new(spread.mean, spread.std, spread.interval)
     }
 }
 
-impl From<Estimate> for Figure {
+impl From<Estimate> for EntryFigure {
     fn from(estimate: Estimate) -> Self {
         Self::new(estimate.mean, None, estimate.interval)
     }
@@ -136,7 +136,7 @@ impl Entry {
             format: FORMAT,
             run: run_name(log),
             date: log.began_unix_s().map(date),
-            policy: Policy {
+            policy: EntryPolicy {
                 name: log.policy_label(),
                 stand_in: stand_in.is_some_and(|fact| fact == "true"),
             },
@@ -193,12 +193,12 @@ impl Entry {
     }
 }
 
-fn figures<const N: usize>(of: [(&str, Option<Figure>); N]) -> BTreeMap<String, Figure> {
+fn figures<const N: usize>(of: [(&str, Option<EntryFigure>); N]) -> BTreeMap<String, EntryFigure> {
     of.into_iter().filter_map(|(name, figure)| Some((name.to_owned(), figure?))).collect()
 }
 
 fn of_condition(score: &ConditionScore) -> Score {
-    let spread = |spread: Option<Spread>| spread.map(Figure::from);
+    let spread = |spread: Option<Spread>| spread.map(EntryFigure::from);
     Score {
         condition: score.condition.to_string(),
         count: score.episodes,
@@ -208,7 +208,7 @@ fn of_condition(score: &ConditionScore) -> Score {
             ("spl", spread(Some(score.spl))),
             ("follow", spread(score.blocked.and_then(|blocked| blocked.follow))),
             ("recovery", spread(score.blocked.and_then(|blocked| blocked.recovery))),
-            ("steps", score.mean_steps.map(|mean| Figure::new(mean, None, None))),
+            ("steps", score.mean_steps.map(|mean| EntryFigure::new(mean, None, None))),
             ("images_per_request", spread(score.images_per_request)),
             ("tokens_per_100", spread(score.tokens_per_100)),
         ]),
@@ -216,7 +216,7 @@ fn of_condition(score: &ConditionScore) -> Score {
 }
 
 fn of_stream(score: &StreamScore) -> Score {
-    let estimate = |estimate: Option<Estimate>| estimate.map(Figure::from);
+    let estimate = |estimate: Option<Estimate>| estimate.map(EntryFigure::from);
     Score {
         condition: score.condition.to_string(),
         count: score.sequences,

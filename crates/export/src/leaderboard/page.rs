@@ -7,7 +7,7 @@ use super::Board;
 
 #[derive(Template)]
 #[template(path = "leaderboard.html")]
-struct Page<'a> {
+struct BoardPage<'a> {
     board: &'a Board,
     style: &'static str,
     script: &'static str,
@@ -18,7 +18,7 @@ struct Page<'a> {
 /// # Errors
 /// When the template fails, which would be a bug.
 pub(super) fn render(board: &Board) -> Result<String> {
-    let page = Page {
+    let page = BoardPage {
         board,
         style: include_str!("../../templates/leaderboard.css"),
         script: include_str!("../../templates/leaderboard.js"),

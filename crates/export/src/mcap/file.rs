@@ -36,7 +36,7 @@ pub(super) struct McapFile<W> {
     /// Schemas and channels, as records.
     declared: Vec<u8>,
     channels: u16,
-    chunk: Chunk,
+    chunk: McapChunk,
     /// Records of the summary.
     indexes: Vec<u8>,
     chunks: u32,
@@ -46,7 +46,7 @@ pub(super) struct McapFile<W> {
 }
 
 #[derive(Default)]
-struct Chunk {
+struct McapChunk {
     records: Vec<u8>,
     /// By channel: time, and place in the records.
     index: BTreeMap<ChannelId, Vec<(u64, u64)>>,
@@ -55,9 +55,9 @@ struct Chunk {
 
 /// The content of a record under construction.
 #[derive(Default)]
-struct Content(Vec<u8>);
+struct RecordContent(Vec<u8>);
 
-impl Content {
+impl RecordContent {
     fn u16(mut self, value: u16) -> Self {
         self.0.extend(value.to_le_bytes());
         self
@@ -113,7 +113,7 @@ impl<W: Write> McapFile<W> {
             position: 0,
             declared: Vec::new(),
             channels: 0,
-            chunk: Chunk::default(),
+            chunk: McapChunk::default(),
             indexes: Vec::new(),
             chunks: 0,
             metadata: 0,
@@ -121,7 +121,7 @@ impl<W: Write> McapFile<W> {
             times: None,
         };
         file.write(&MAGIC)?;
-        file.write(&Content::default().text("").text("memtransfer").record(Op::Header))?;
+        file.write(&RecordContent::default().text("").text("memtransfer").record(Op::Header))?;
         Ok(file)
     }
 
@@ -142,8 +142,9 @@ impl<W: Write> McapFile<W> {
         let id = self.channels;
         self.channels += 1;
         // The number 0 means no schema.
-        let schema = Content::default().u16(id + 1).text(name).text(encoding).data(schema);
-        let channel = Content::default().u16(id).u16(id + 1).text(topic).text(messages).data(&[]);
+        let schema = RecordContent::default().u16(id + 1).text(name).text(encoding).data(schema);
+        let channel =
+            RecordContent::default().u16(id).u16(id + 1).text(topic).text(messages).data(&[]);
         self.declared.extend(schema.record(Op::Schema));
         self.declared.extend(channel.record(Op::Channel));
         ChannelId(id)
@@ -153,9 +154,9 @@ impl<W: Write> McapFile<W> {
     pub(super) fn metadata(&mut self, name: &str, facts: &[(&str, &str)]) -> io::Result<()> {
         let facts = facts
             .iter()
-            .fold(Content::default(), |facts, (name, value)| facts.text(name).text(value));
-        let record = Content::default().text(name).data(&facts.0).record(Op::Metadata);
-        let index = Content::default().u64(self.position).u64(record.len() as u64).text(name);
+            .fold(RecordContent::default(), |facts, (name, value)| facts.text(name).text(value));
+        let record = RecordContent::default().text(name).data(&facts.0).record(Op::Metadata);
+        let index = RecordContent::default().u64(self.position).u64(record.len() as u64).text(name);
         self.indexes.extend(index.record(Op::MetadataIndex));
         self.metadata += 1;
         self.write(&record)
@@ -167,7 +168,8 @@ impl<W: Write> McapFile<W> {
             self.chunk.records.extend(&self.declared);
         }
         let sequence = self.counts.entry(channel).or_default();
-        let message = Content::default().u16(channel.0).u32(*sequence as u32).u64(at_ns).u64(at_ns);
+        let message =
+            RecordContent::default().u16(channel.0).u32(*sequence as u32).u64(at_ns).u64(at_ns);
         *sequence += 1;
         let place = self.chunk.records.len() as u64;
         self.chunk.index.entry(channel).or_default().push((at_ns, place));
@@ -178,22 +180,22 @@ impl<W: Write> McapFile<W> {
 
     /// Writes the chunk and its indexes.
     pub(super) fn end_chunk(&mut self) -> io::Result<()> {
-        let Chunk { records, index, times } = std::mem::take(&mut self.chunk);
+        let McapChunk { records, index, times } = std::mem::take(&mut self.chunk);
         let size = records.len() as u64;
         let chunk =
-            Content::default().times(times).u64(size).u32(0).text("").u64(size).raw(&records);
+            RecordContent::default().times(times).u64(size).u32(0).text("").u64(size).raw(&records);
         let (chunk, begins) = (chunk.record(Op::Chunk), self.position);
         self.write(&chunk)?;
-        let (indexes_begin, mut offsets) = (self.position, Content::default());
+        let (indexes_begin, mut offsets) = (self.position, RecordContent::default());
         for (channel, messages) in index {
             offsets = offsets.u16(channel.0).u64(self.position);
             let places = messages
                 .iter()
-                .fold(Content::default(), |places, &(at, place)| places.u64(at).u64(place));
-            let record = Content::default().u16(channel.0).data(&places.0);
+                .fold(RecordContent::default(), |places, &(at, place)| places.u64(at).u64(place));
+            let record = RecordContent::default().u16(channel.0).data(&places.0);
             self.write(&record.record(Op::MessageIndex))?;
         }
-        let entry = Content::default().times(times).u64(begins).u64(chunk.len() as u64);
+        let entry = RecordContent::default().times(times).u64(begins).u64(chunk.len() as u64);
         let entry = entry.data(&offsets.0).u64(self.position - indexes_begin);
         let entry = entry.text("").u64(size).u64(size);
         self.indexes.extend(entry.record(Op::ChunkIndex));
@@ -203,13 +205,13 @@ impl<W: Write> McapFile<W> {
 
     /// Writes the summary.
     pub(super) fn finish(mut self) -> io::Result<()> {
-        self.write(&Content::default().u32(0).record(Op::DataEnd))?;
+        self.write(&RecordContent::default().u32(0).record(Op::DataEnd))?;
         let summary = self.position;
-        let counts = self
-            .counts
-            .iter()
-            .fold(Content::default(), |counts, (channel, count)| counts.u16(channel.0).u64(*count));
-        let statistics = Content::default()
+        let counts =
+            self.counts.iter().fold(RecordContent::default(), |counts, (channel, count)| {
+                counts.u16(channel.0).u64(*count)
+            });
+        let statistics = RecordContent::default()
             .u64(self.counts.values().sum())
             .u16(self.channels)
             .u32(self.channels.into())
@@ -222,7 +224,7 @@ impl<W: Write> McapFile<W> {
         records.extend(statistics.record(Op::Statistics));
         records.append(&mut self.indexes);
         self.write(&records)?;
-        self.write(&Content::default().u64(summary).u64(0).u32(0).record(Op::Footer))?;
+        self.write(&RecordContent::default().u64(summary).u64(0).u32(0).record(Op::Footer))?;
         self.write(&MAGIC)?;
         self.out.flush()
     }

@@ -4,7 +4,7 @@
 
 use domain::{Heading, Pose};
 
-use super::protobuf::Message;
+use super::protobuf::ProtobufMessage;
 use crate::episodes::Level;
 
 /// Height of the camera above the floor, in metres (specification, section 2).
@@ -12,7 +12,7 @@ const CAMERA_HEIGHT: f64 = 1.2;
 
 /// A time, in nanoseconds from the beginning of the file.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Instant {
+pub(super) struct LogTime {
     pub(super) ns: u64,
 }
 
@@ -107,7 +107,7 @@ const LEVELS: [&str; 6] = ["UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATA
 
 /// The `FileDescriptorSet` that describes all messages.
 pub(super) fn descriptor_set() -> Vec<u8> {
-    Message::of(|set| {
+    ProtobufMessage::of(|set| {
         set.nested(1, |file| {
             file.text(1, "google/protobuf/timestamp.proto");
             file.text(2, "google.protobuf");
@@ -127,7 +127,7 @@ pub(super) fn descriptor_set() -> Vec<u8> {
 }
 
 /// Writes a `DescriptorProto`.
-fn describe(out: &mut Message, (name, fields): (&str, Fields)) {
+fn describe(out: &mut ProtobufMessage, (name, fields): (&str, Fields)) {
     out.text(1, name);
     for &(name, number, kind) in fields {
         out.nested(2, |field| {
@@ -153,14 +153,14 @@ fn describe(out: &mut Message, (name, fields): (&str, Fields)) {
     }
 }
 
-fn timestamp(out: &mut Message, at: Instant) {
+fn timestamp(out: &mut ProtobufMessage, at: LogTime) {
     out.nested(1, |time| {
         time.whole(1, at.ns / super::SECOND);
         time.whole(2, at.ns % super::SECOND);
     });
 }
 
-fn vector(out: &mut Message, field: u32, values: &[f64]) {
+fn vector(out: &mut ProtobufMessage, field: u32, values: &[f64]) {
     out.nested(field, |vector| {
         (1..).zip(values).for_each(|(axis, value)| vector.double(axis, *value));
     });
@@ -183,8 +183,8 @@ fn position(pose: Pose) -> [f64; 3] {
 }
 
 /// `foxglove.CompressedImage`: a view.
-pub(super) fn image(at: Instant, jpeg: &[u8]) -> Vec<u8> {
-    Message::of(|message| {
+pub(super) fn image(at: LogTime, jpeg: &[u8]) -> Vec<u8> {
+    ProtobufMessage::of(|message| {
         timestamp(message, at);
         message.data(2, jpeg);
         message.text(3, "jpeg");
@@ -193,22 +193,22 @@ pub(super) fn image(at: Instant, jpeg: &[u8]) -> Vec<u8> {
 }
 
 /// `foxglove.FrameTransform`: where the agent is.
-pub(super) fn agent(at: Instant, pose: Pose) -> Vec<u8> {
+pub(super) fn agent(at: LogTime, pose: Pose) -> Vec<u8> {
     transform(at, ["warehouse", "agent"], position(pose), yaw(pose.heading))
 }
 
 /// `foxglove.FrameTransform`: where the camera is on the agent. Its z axis points forward, its x axis to the right.
-pub(super) fn camera_mount(at: Instant) -> Vec<u8> {
+pub(super) fn camera_mount(at: LogTime) -> Vec<u8> {
     transform(at, ["agent", "camera"], [0.0, 0.0, CAMERA_HEIGHT], [-0.5, 0.5, -0.5, 0.5])
 }
 
 fn transform(
-    at: Instant,
+    at: LogTime,
     [parent, child]: [&str; 2],
     translation: [f64; 3],
     rotation: [f64; 4],
 ) -> Vec<u8> {
-    Message::of(|message| {
+    ProtobufMessage::of(|message| {
         timestamp(message, at);
         message.text(2, parent);
         message.text(3, child);
@@ -218,8 +218,8 @@ fn transform(
 }
 
 /// `foxglove.PoseInFrame`: the pose of the agent.
-pub(super) fn pose(at: Instant, pose: Pose) -> Vec<u8> {
-    Message::of(|message| {
+pub(super) fn pose(at: LogTime, pose: Pose) -> Vec<u8> {
+    ProtobufMessage::of(|message| {
         timestamp(message, at);
         message.text(2, "warehouse");
         message.nested(3, |inner| {
@@ -230,13 +230,13 @@ pub(super) fn pose(at: Instant, pose: Pose) -> Vec<u8> {
 }
 
 /// `foxglove.Log`: an event of the episode `name`.
-pub(super) fn log(at: Instant, level: Level, text: &str, name: &str) -> Vec<u8> {
+pub(super) fn log(at: LogTime, level: Level, text: &str, name: &str) -> Vec<u8> {
     let level = match level {
         Level::Info => 2,
         Level::Warning => 3,
         Level::Error => 4,
     };
-    Message::of(|message| {
+    ProtobufMessage::of(|message| {
         timestamp(message, at);
         message.whole(2, level);
         message.text(3, text);

@@ -2,11 +2,11 @@
 
 /// A message under construction. Fields with the value 0 may be left out.
 #[derive(Debug, Default)]
-pub(super) struct Message {
+pub(super) struct ProtobufMessage {
     bytes: Vec<u8>,
 }
 
-impl Message {
+impl ProtobufMessage {
     /// The message that `write` writes.
     pub(super) fn of(write: impl FnOnce(&mut Self)) -> Vec<u8> {
         let mut message = Self::default();

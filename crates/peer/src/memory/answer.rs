@@ -8,14 +8,14 @@ use shm_types::message::{
 use super::{Item, MemoryError, Source, Views};
 
 /// An answer that has not been sent.
-pub(super) struct Answer {
+pub(super) struct UnsentAnswer {
     /// The message, without what identifies it.
     pub(super) message: ExternalAnswer,
     /// The texts of its items.
     pub(super) note: Vec<u8>,
 }
 
-impl Answer {
+impl UnsentAnswer {
     /// No items.
     pub(super) fn empty() -> Self {
         let message = ExternalAnswer { tokens: NOT_MEASURED, ..Zeroable::zeroed() };

@@ -17,7 +17,7 @@ use shm_types::{
     Sender,
 };
 
-use super::answer::Answer;
+use super::answer::UnsentAnswer;
 use super::{
     Demonstration, DemonstrationStep, Episode, EpisodeEnd, Memory, MemoryError, MemoryMethod,
     PastStep, Query, Step,
@@ -51,7 +51,7 @@ pub(super) struct MemorySession<'s> {
     memories: HashMap<u64, Option<Box<dyn Memory + 's>>>,
     /// By the id of the bank: why the memory could not learn from its last episode.
     unlearned: HashMap<u64, MemoryError>,
-    lanes: Vec<Option<LaneEpisode>>,
+    lanes: Vec<Option<AskedEpisode>>,
     /// By lane: episodes whose first query has not been read.
     announced: HashMap<u32, VecDeque<ExternalEpisode>>,
     /// What is to be saved or loaded after the queries that wait.
@@ -62,7 +62,7 @@ pub(super) struct MemorySession<'s> {
 }
 
 /// The episode that runs in a lane.
-struct LaneEpisode {
+struct AskedEpisode {
     id: u64,
     bank: u64,
     instruction: String,
@@ -197,7 +197,7 @@ impl<'s> MemorySession<'s> {
             Some(None) => Err(MemoryError::new("the memory could not be built")),
             None => Err(MemoryError::new(format_args!("bank {bank} was not received"))),
         };
-        *place = Some(LaneEpisode {
+        *place = Some(AskedEpisode {
             id: episode,
             bank,
             instruction: instruction.to_owned(),
@@ -269,7 +269,7 @@ impl<'s> MemorySession<'s> {
             }
             return Ok(false);
         }
-        self.send(id, answer.unwrap_or_else(Answer::failed), received_ns)?;
+        self.send(id, answer.unwrap_or_else(UnsentAnswer::failed), received_ns)?;
         Ok(true)
     }
 
@@ -300,7 +300,12 @@ impl<'s> MemorySession<'s> {
         Ok(())
     }
 
-    fn send(&mut self, id: RequestId, answer: Answer, received_ns: u64) -> Result<(), ServeError> {
+    fn send(
+        &mut self,
+        id: RequestId,
+        answer: UnsentAnswer,
+        received_ns: u64,
+    ) -> Result<(), ServeError> {
         let RequestId { lane, episode, step } = id;
         let mut message = ExternalAnswer { episode, lane, step, received_ns, ..answer.message };
         if !answer.note.is_empty() {
@@ -322,7 +327,7 @@ impl<'s> MemorySession<'s> {
     }
 }
 
-impl LaneEpisode {
+impl AskedEpisode {
     /// Passes a step to the memory and asks it, unless it is the last step.
     ///
     /// # Errors
@@ -333,7 +338,7 @@ impl LaneEpisode {
         frame: Option<&Arc<Frame>>,
         memory: Option<&mut Box<dyn Memory + '_>>,
         window: usize,
-    ) -> Result<Answer, MemoryError> {
+    ) -> Result<UnsentAnswer, MemoryError> {
         if let Some(failure) = &self.failure {
             return Err(failure.clone());
         }
@@ -348,7 +353,7 @@ impl LaneEpisode {
         frame: Option<&Arc<Frame>>,
         memory: Option<&mut Box<dyn Memory + '_>>,
         window: usize,
-    ) -> Result<Answer, MemoryError> {
+    ) -> Result<UnsentAnswer, MemoryError> {
         let &ExternalQuery { lane, episode, step, embedding_len, .. } = message;
         let memory = memory.ok_or_else(|| MemoryError::new("there is no memory of the bank"))?;
         let pose = Pose::try_from(message.pose).map_err(MemoryError::new)?;
@@ -377,7 +382,7 @@ impl LaneEpisode {
             memory.observe(&now)?;
         }
         if message.last == 1 {
-            return Ok(Answer::empty());
+            return Ok(UnsentAnswer::empty());
         }
         let Some(frame) = frame else {
             let id = message.frame;
@@ -393,7 +398,7 @@ impl LaneEpisode {
         };
         let items = memory.recall(&query)?;
         self.last = Some((step, pose, frame.clone()));
-        let mut answer = Answer::of(&items)?;
+        let mut answer = UnsentAnswer::of(&items)?;
         answer.message.store_bytes = memory.store_bytes().unwrap_or(0);
         answer.message.tokens = memory.tokens().unwrap_or(NOT_MEASURED);
         Ok(answer)

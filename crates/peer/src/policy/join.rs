@@ -57,7 +57,7 @@ pub(super) struct LaneEpisode {
 
 /// A past step: its view, the action taken there (`None` if the answer could not be read) and the feedback to it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct PastStep {
+pub(super) struct JoinedStep {
     pub(super) frame: FrameId,
     pub(super) action: Option<Action>,
     pub(super) feedback: Feedback,
@@ -198,7 +198,7 @@ impl ItemContent {
 struct Lane {
     episode: Option<Arc<LaneEpisode>>,
     /// Steps before the current one, oldest first.
-    window: VecDeque<PastStep>,
+    window: VecDeque<JoinedStep>,
     /// The current step.
     current: Option<Observed>,
     /// Whether the current step waits for its recall.
@@ -218,7 +218,7 @@ pub(super) struct Ready {
     pub(super) lane: u32,
     pub(super) episode: Arc<LaneEpisode>,
     pub(super) observed: Observed,
-    pub(super) window: Vec<PastStep>,
+    pub(super) window: Vec<JoinedStep>,
     pub(super) recalled: Recalled,
 }
 
@@ -290,7 +290,7 @@ impl Join {
             return Err(BadMessage::Order { lane: number, step, expected });
         }
         if let Some(past) = lane.current {
-            lane.window.push_back(PastStep { frame: past.frame, action, feedback });
+            lane.window.push_back(JoinedStep { frame: past.frame, action, feedback });
             if lane.window.len() > episode.window {
                 lane.window.pop_front();
             }
@@ -423,7 +423,7 @@ mod tests {
             windows.push(join.take_ready().pop().unwrap().window);
         }
         let past =
-            |step: u64, action| PastStep { frame: 100 + step, action, feedback: Feedback::Moved };
+            |step: u64, action| JoinedStep { frame: 100 + step, action, feedback: Feedback::Moved };
         let first = past(0, Some(Action::Backward));
         let (second, third) = (past(1, None), past(2, Some(Action::Right)));
         let expected = [vec![], vec![first], vec![first, second], vec![second, third]];

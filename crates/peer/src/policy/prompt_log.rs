@@ -32,7 +32,7 @@ fn at(path: &Path) -> impl FnOnce(io::Error) -> PromptLogError + '_ {
 }
 
 /// An open prompt log.
-pub(super) struct PromptLog {
+pub(super) struct PromptLogWriter {
     /// The folder of all sessions.
     prompts: PathBuf,
     path: PathBuf,
@@ -41,7 +41,7 @@ pub(super) struct PromptLog {
     stored: HashSet<PathBuf>,
 }
 
-impl PromptLog {
+impl PromptLogWriter {
     /// Opens the log if the run asks for one.
     pub(super) fn open(attach: &Attach) -> Result<Option<Self>, PromptLogError> {
         let Some(session) = &attach.prompts else { return Ok(None) };

@@ -16,7 +16,7 @@ use shm_types::{Bus, Document, DocumentError, DocumentStore, ErrorReporter, Rece
 use super::answers::{AnswerEvent, Answers};
 use super::join::{Join, Ready, Recalled};
 use super::pinned::{PinnedStep, with_batch};
-use super::prompt_log::{PromptLog, PromptLogError};
+use super::prompt_log::{PromptLogError, PromptLogWriter};
 use super::{Batch, Decider, Decision, Usage};
 use crate::connection::{Connection, Session};
 use crate::run::ServeError;
@@ -48,7 +48,7 @@ pub(super) struct PolicySession<'p, P: ?Sized> {
 /// The state of the prompt log.
 enum Log {
     Off,
-    On(PromptLog),
+    On(PromptLogWriter),
     /// It cannot be written, and the run was asked to stop. No further request is passed to the policy and no answer
     /// leaves, so that no step is without its entry.
     Broken,
@@ -67,7 +67,7 @@ struct OpenRequest {
 
 impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
     pub(super) fn new(policy: &'p mut P, bus: &Bus) -> Result<Self, ServeError> {
-        let log = PromptLog::open(bus.attach())?.map_or(Log::Off, Log::On);
+        let log = PromptLogWriter::open(bus.attach())?.map_or(Log::Off, Log::On);
         let (answers, events) =
             Answers::new(bus.notifier(Role::Policy)?, matches!(log, Log::On(_)));
         let lanes = bus.attach().lanes;

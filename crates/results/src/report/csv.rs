@@ -3,7 +3,7 @@
 use std::io::Write;
 
 use super::document::Table;
-use super::frame::Frame;
+use super::frame::DataFrame;
 
 /// Writes a printed table: its labels, its cells as text, and a mark where there is no figure.
 ///
@@ -19,7 +19,9 @@ pub(super) fn write_table(table: &Table, out: impl Write) -> csv::Result<()> {
     for group in &table.groups {
         for row in &group.rows {
             let labels = group.label.iter().chain([&row.label]).cloned();
-            writer.write_record(labels.chain(row.cells.iter().map(super::document::Cell::text)))?;
+            writer.write_record(
+                labels.chain(row.cells.iter().map(super::document::TableCell::text)),
+            )?;
         }
     }
     writer.flush()?;
@@ -30,7 +32,7 @@ pub(super) fn write_table(table: &Table, out: impl Write) -> csv::Result<()> {
 ///
 /// # Errors
 /// When writing fails.
-pub(super) fn write_frame(frame: &Frame, out: impl Write) -> csv::Result<()> {
+pub(super) fn write_frame(frame: &DataFrame, out: impl Write) -> csv::Result<()> {
     let mut writer = csv::Writer::from_writer(out);
     writer.write_record(frame.columns.iter().map(|column| &column.name))?;
     for row in 0..frame.rows() {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::frame::{Frame, FrameBuilder};
+use super::frame::{DataFrame, FrameBuilder};
 use super::view::ScoredRun;
 use crate::compare::run_name;
 use crate::conditions::Condition;
@@ -16,12 +16,12 @@ use crate::score::{
 
 /// An episode of a run: finished, or given up.
 #[derive(Debug)]
-enum EpisodeRow<'a> {
+enum EpisodeTableRow<'a> {
     Finished(&'a EpisodeRecord, Option<&'a EpisodeTimings>),
     GivenUp(&'a EpisodeError),
 }
 
-impl<'a> EpisodeRow<'a> {
+impl<'a> EpisodeTableRow<'a> {
     fn record(&self) -> Option<&'a EpisodeRecord> {
         match self {
             Self::Finished(record, _) => Some(record),
@@ -57,20 +57,19 @@ type Count = fn(&EpisodeRecord) -> u64;
 
 /// A row for each episode of the runs. An episode that was given up has the ending `given-up`, its key, its condition
 /// and its error, and no other figure.
-pub fn episodes_frame(logs: &[RunLog]) -> Frame {
+pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
     let mut rows = Vec::new();
     for log in logs {
         let timings: BTreeMap<&str, &EpisodeTimings> =
             log.timings.iter().map(|timings| (timings.key.as_str(), timings)).collect();
         let name = run_name(log);
-        let finished = log
-            .episodes
-            .iter()
-            .map(|record| EpisodeRow::Finished(record, timings.get(record.key.as_str()).copied()));
-        let given_up = log.errors.iter().map(EpisodeRow::GivenUp);
+        let finished = log.episodes.iter().map(|record| {
+            EpisodeTableRow::Finished(record, timings.get(record.key.as_str()).copied())
+        });
+        let given_up = log.errors.iter().map(EpisodeTableRow::GivenUp);
         rows.extend(finished.chain(given_up).map(|episode| (name.clone(), episode)));
     }
-    fn of<'a>((_, episode): &(String, EpisodeRow<'a>)) -> Option<&'a EpisodeRecord> {
+    fn of<'a>((_, episode): &(String, EpisodeTableRow<'a>)) -> Option<&'a EpisodeRecord> {
         episode.record()
     }
     let mut frame = FrameBuilder::new(&rows);
@@ -88,8 +87,8 @@ pub fn episodes_frame(logs: &[RunLog]) -> Frame {
     frame.flag("success", |row| Some(of(row)?.is_success()));
     frame.real("spl", |row| Some(path_weight(of(row)?)));
     frame.text("error", |(_, episode)| match episode {
-        EpisodeRow::Finished(..) => None,
-        EpisodeRow::GivenUp(error) => Some(error.error.clone()),
+        EpisodeTableRow::Finished(..) => None,
+        EpisodeTableRow::GivenUp(error) => Some(error.error.clone()),
     });
     frame.text("failure", |row| Some(Failure::of(of(row)?)?.name().to_owned()));
     frame.whole("steps", |row| Some(of(row)?.steps.into()));
@@ -134,7 +133,7 @@ pub fn episodes_frame(logs: &[RunLog]) -> Frame {
     ];
     for (name, count) in recalled {
         frame.whole(name, |(_, episode)| match episode {
-            EpisodeRow::Finished(_, Some(timings)) if !timings.recalls.is_none() => {
+            EpisodeTableRow::Finished(_, Some(timings)) if !timings.recalls.is_none() => {
                 i64::try_from(count(&timings.recalls)?).ok()
             }
             _ => None,
@@ -146,7 +145,7 @@ pub fn episodes_frame(logs: &[RunLog]) -> Frame {
     add_stream(&mut frame, |row| of(row)?.stream.as_ref());
     for (index, stage) in Stages::NAMES.into_iter().enumerate() {
         frame.real(format!("{stage}_us"), |(_, episode)| match episode {
-            EpisodeRow::Finished(_, Some(timings)) => {
+            EpisodeTableRow::Finished(_, Some(timings)) => {
                 Some(timings.stages.values()[index] as f64 / 1000.0)
             }
             _ => None,
@@ -156,7 +155,7 @@ pub fn episodes_frame(logs: &[RunLog]) -> Frame {
 }
 
 /// A row for each episode of the runs: when and where it ran, and the nanoseconds of all its steps in each stage.
-pub fn timings_frame(logs: &[RunLog]) -> Frame {
+pub fn timings_frame(logs: &[RunLog]) -> DataFrame {
     let rows: Vec<(String, &EpisodeTimings)> = logs
         .iter()
         .flat_map(|log| log.timings.iter().map(move |timings| (run_name(log), timings)))
@@ -185,7 +184,7 @@ pub fn timings_frame(logs: &[RunLog]) -> Frame {
 }
 
 /// A row for each condition of the runs, with every figure and the published ones.
-pub(super) fn conditions(views: &[ScoredRun<'_>]) -> Frame {
+pub(super) fn conditions(views: &[ScoredRun<'_>]) -> DataFrame {
     let rows: Vec<(&ScoredRun<'_>, &ConditionScore)> = views
         .iter()
         .flat_map(|view| view.scores.conditions.iter().map(move |score| (view, score)))
@@ -299,7 +298,7 @@ fn add_stream<T>(frame: &mut FrameBuilder<'_, T>, of: impl Fn(&T) -> Option<&Str
 }
 
 /// A row for each condition of the runs' streams, with every figure.
-pub(super) fn streams(views: &[ScoredRun<'_>]) -> Frame {
+pub(super) fn streams(views: &[ScoredRun<'_>]) -> DataFrame {
     let rows: Vec<(&ScoredRun<'_>, &StreamScore)> = views
         .iter()
         .filter_map(|view| Some((view, view.scores.streams.as_ref()?)))

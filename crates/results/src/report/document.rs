@@ -1,41 +1,41 @@
 //! The document model: sections of text, tables and figures, rendered as HTML, Markdown, CSV and in a terminal.
 //!
-//! A [`Cell`] cannot be empty: where there is no figure, it gives the reason.
+//! A [`TableCell`] cannot be empty: where there is no figure, it gives the reason.
 
 /// A whole report.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Document {
+pub struct ReportDocument {
     /// The title.
     pub title: String,
     /// The sections, in order.
-    pub sections: Vec<Section>,
+    pub sections: Vec<ReportSection>,
 }
 
-impl Document {
+impl ReportDocument {
     /// All tables, in order.
     pub fn tables(&self) -> impl Iterator<Item = &Table> {
         self.blocks().filter_map(|block| match block {
-            Block::Table(table) => Some(table),
+            ReportBlock::Table(table) => Some(table),
             _ => None,
         })
     }
 
     /// All figures, in order.
-    pub fn figures(&self) -> impl Iterator<Item = &Figure> {
+    pub fn figures(&self) -> impl Iterator<Item = &ReportFigure> {
         self.blocks().filter_map(|block| match block {
-            Block::Figure(figure) => Some(figure),
+            ReportBlock::Figure(figure) => Some(figure),
             _ => None,
         })
     }
 
-    fn blocks(&self) -> impl Iterator<Item = &Block> {
+    fn blocks(&self) -> impl Iterator<Item = &ReportBlock> {
         self.sections.iter().flat_map(|section| &section.blocks)
     }
 }
 
 /// A section.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Section {
+pub struct ReportSection {
     /// Unique in the document; usable in a link.
     pub id: String,
     /// 2 for a section, 3 for one inside the section before it.
@@ -43,19 +43,19 @@ pub struct Section {
     /// Its heading.
     pub title: String,
     /// The content.
-    pub blocks: Vec<Block>,
+    pub blocks: Vec<ReportBlock>,
 }
 
-impl Section {
+impl ReportSection {
     /// Makes a top-level section.
-    pub fn new(id: impl Into<String>, title: impl Into<String>, blocks: Vec<Block>) -> Self {
+    pub fn new(id: impl Into<String>, title: impl Into<String>, blocks: Vec<ReportBlock>) -> Self {
         Self { id: id.into(), level: 2, title: title.into(), blocks }
     }
 }
 
 /// A part of a section.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Block {
+pub enum ReportBlock {
     /// A paragraph.
     Text(String),
     /// A paragraph that must not be missed.
@@ -65,7 +65,7 @@ pub enum Block {
     /// A table.
     Table(Table),
     /// A figure.
-    Figure(Figure),
+    Figure(ReportFigure),
 }
 
 /// A table.
@@ -78,14 +78,14 @@ pub struct Table {
     /// The headings of the label columns: two where rows come in groups, else one.
     pub stubs: Vec<String>,
     /// The other columns.
-    pub columns: Vec<Column>,
+    pub columns: Vec<TableColumn>,
     /// The rows.
     pub groups: Vec<Group>,
 }
 
 /// A column.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Column {
+pub struct TableColumn {
     /// A heading shared with its neighbours, or empty.
     pub over: String,
     /// Its own heading.
@@ -100,23 +100,23 @@ pub struct Group {
     /// Their common label; `None` in tables with one label column.
     pub label: Option<String>,
     /// The rows.
-    pub rows: Vec<Row>,
+    pub rows: Vec<TableRow>,
 }
 
 /// A row.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
+pub struct TableRow {
     /// The label.
     pub label: String,
     /// Whether the figures are the published ones, not a run's.
     pub published: bool,
     /// One cell per column.
-    pub cells: Vec<Cell>,
+    pub cells: Vec<TableCell>,
 }
 
 /// A cell.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Cell {
+pub enum TableCell {
     /// A figure or a word.
     Value(String),
     /// A figure with an interval.
@@ -169,7 +169,7 @@ impl Missing {
     }
 }
 
-impl Cell {
+impl TableCell {
     /// The cell as one line of text.
     pub fn text(&self) -> String {
         match self {
@@ -182,7 +182,7 @@ impl Cell {
 
 /// A figure.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Figure {
+pub struct ReportFigure {
     /// Unique in the document; the name of its SVG file.
     pub id: String,
     /// The caption.
@@ -202,16 +202,16 @@ impl Table {
         (stubs, columns): (&[&str], &[&str]),
         rows: impl IntoIterator<Item = (String, Vec<String>)>,
     ) -> Self {
-        let row = |(label, cells): (String, Vec<String>)| Row {
+        let row = |(label, cells): (String, Vec<String>)| TableRow {
             label,
             published: false,
-            cells: cells.into_iter().map(Cell::Value).collect(),
+            cells: cells.into_iter().map(TableCell::Value).collect(),
         };
         Self {
             id: id.into(),
             caption: caption.into(),
             stubs: stubs.iter().map(|stub| (*stub).to_owned()).collect(),
-            columns: columns.iter().map(|name| Column::new(*name)).collect(),
+            columns: columns.iter().map(|name| TableColumn::new(*name)).collect(),
             groups: vec![Group { label: None, rows: rows.into_iter().map(row).collect() }],
         }
     }
@@ -228,13 +228,14 @@ impl Table {
     /// columns without a figure. `None` when nothing is left.
     pub fn pruned(mut self) -> Option<Self> {
         for group in &mut self.groups {
-            group.rows.retain(|row| row.published || row.cells.iter().any(Cell::is_figure));
+            group.rows.retain(|row| row.published || row.cells.iter().any(TableCell::is_figure));
         }
         self.groups.retain(|group| group.rows.iter().any(|row| !row.published));
         let rows = || self.groups.iter().flat_map(|group| &group.rows);
         let was_run = |column: usize| {
             rows().any(|row| {
-                !row.published && row.cells.get(column) != Some(&Cell::Missing(Missing::NotRun))
+                !row.published
+                    && row.cells.get(column) != Some(&TableCell::Missing(Missing::NotRun))
             })
         };
         let kept: Vec<bool> = (0..self.columns.len()).map(was_run).collect();
@@ -259,13 +260,13 @@ impl Table {
     }
 
     /// The number of the cell's reason in [`Table::notes`], from 1.
-    pub fn note_of(&self, cell: &Cell) -> Option<usize> {
+    pub fn note_of(&self, cell: &TableCell) -> Option<usize> {
         let reason = cell.missing()?.reason()?;
         Some(1 + self.notes().iter().position(|note| *note == reason)?)
     }
 
     /// All cells, row by row.
-    pub fn cells(&self) -> impl Iterator<Item = &Cell> {
+    pub fn cells(&self) -> impl Iterator<Item = &TableCell> {
         self.groups.iter().flat_map(|group| &group.rows).flat_map(|row| &row.cells)
     }
 
@@ -292,7 +293,7 @@ fn keep<T>(list: &mut Vec<T>, kept: &[bool]) {
     list.retain(|_| kept.next().is_none_or(|kept| *kept));
 }
 
-impl Cell {
+impl TableCell {
     /// Whether it is a figure, or would be one if it had been measured or defined.
     fn is_figure(&self) -> bool {
         !matches!(self, Self::Missing(Missing::NotRun | Missing::NotApplicable(_)))
@@ -306,7 +307,7 @@ impl Cell {
     }
 }
 
-impl Column {
+impl TableColumn {
     /// A column of its own.
     pub fn new(name: impl Into<String>) -> Self {
         Self { over: String::new(), name: name.into(), is_text: false }

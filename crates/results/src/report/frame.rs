@@ -6,7 +6,7 @@ use super::{csv, parquet};
 
 /// A table of values.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Frame {
+pub struct DataFrame {
     /// Its columns, all of the same length.
     pub columns: Vec<Series>,
 }
@@ -63,7 +63,7 @@ impl Values {
     }
 }
 
-/// Makes a [`Frame`] of a list, column by column.
+/// Makes a [`DataFrame`] of a list, column by column.
 #[derive(Debug)]
 pub(super) struct FrameBuilder<'a, T> {
     rows: &'a [T],
@@ -95,12 +95,12 @@ impl<'a, T> FrameBuilder<'a, T> {
         self.columns.push(Series { name: name.into(), values });
     }
 
-    pub(super) fn finish(self) -> Frame {
-        Frame { columns: self.columns }
+    pub(super) fn finish(self) -> DataFrame {
+        DataFrame { columns: self.columns }
     }
 }
 
-impl Frame {
+impl DataFrame {
     /// Writes it as CSV; an absent value is an empty field.
     ///
     /// # Errors

@@ -2,12 +2,12 @@
 
 use askama::Template;
 
-use super::document::{Block, Cell, Document};
+use super::document::{ReportBlock, ReportDocument, TableCell};
 
 #[derive(Template)]
 #[template(path = "report.html")]
 struct HtmlPage<'a> {
-    document: &'a Document,
+    document: &'a ReportDocument,
     style: &'static str,
 }
 
@@ -15,6 +15,6 @@ struct HtmlPage<'a> {
 ///
 /// # Errors
 /// When the template fails, which would be a bug.
-pub(super) fn render(document: &Document) -> askama::Result<String> {
+pub(super) fn render(document: &ReportDocument) -> askama::Result<String> {
     HtmlPage { document, style: include_str!("../../templates/report.css") }.render()
 }

@@ -2,19 +2,19 @@
 
 use askama::Template;
 
-use super::document::{Block, Cell, Document, Table};
+use super::document::{ReportBlock, ReportDocument, Table, TableCell};
 
 #[derive(Template)]
 #[template(path = "report.md", escape = "none")]
 struct Markdown<'a> {
-    document: &'a Document,
+    document: &'a ReportDocument,
 }
 
 /// The page. Figures are files beside it: `figures/<id>.svg`.
 ///
 /// # Errors
 /// When the template fails, which would be a bug.
-pub(super) fn render(document: &Document) -> askama::Result<String> {
+pub(super) fn render(document: &ReportDocument) -> askama::Result<String> {
     let text = Markdown { document }.render()?;
     // A template leaves empty lines where its instructions stood.
     let mut lines: Vec<&str> = Vec::new();
@@ -51,7 +51,7 @@ fn line(cells: impl Iterator<Item = String>) -> String {
     format!("| {} |", cells.join(" | "))
 }
 
-fn cell_text(table: &Table, cell: &Cell) -> String {
+fn cell_text(table: &Table, cell: &TableCell) -> String {
     match table.note_of(cell) {
         None => cell.text(),
         Some(note) => format!("{} ({note})", cell.text()),

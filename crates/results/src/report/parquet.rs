@@ -6,7 +6,7 @@
 
 use std::io::{self, Write};
 
-use super::frame::{Frame, Values};
+use super::frame::{DataFrame, Values};
 
 const MAGIC: &[u8; 4] = b"PAR1";
 
@@ -14,14 +14,14 @@ const MAGIC: &[u8; 4] = b"PAR1";
 ///
 /// # Errors
 /// When writing fails.
-pub(super) fn write_frame(frame: &Frame, mut out: impl Write) -> io::Result<()> {
+pub(super) fn write_frame(frame: &DataFrame, mut out: impl Write) -> io::Result<()> {
     out.write_all(MAGIC)?;
     let mut offset = MAGIC.len();
     let mut chunks = Vec::new();
     for series in &frame.columns {
         let page = page(&series.values);
         out.write_all(&page)?;
-        chunks.push(Chunk { offset, bytes: page.len() });
+        chunks.push(ColumnChunk { offset, bytes: page.len() });
         offset += page.len();
     }
     let footer = footer(frame, &chunks);
@@ -31,7 +31,7 @@ pub(super) fn write_frame(frame: &Frame, mut out: impl Write) -> io::Result<()> 
 }
 
 /// Where a column is in the file.
-struct Chunk {
+struct ColumnChunk {
     offset: usize,
     bytes: usize,
 }
@@ -89,7 +89,7 @@ fn bits(flags: &[bool]) -> Vec<u8> {
 }
 
 /// `FileMetaData`.
-fn footer(frame: &Frame, chunks: &[Chunk]) -> Vec<u8> {
+fn footer(frame: &DataFrame, chunks: &[ColumnChunk]) -> Vec<u8> {
     let rows = frame.rows() as i64;
     let mut meta = Thrift::default();
     meta.i32(1, 1);
@@ -243,7 +243,7 @@ mod tests {
     #[test]
     fn a_small_file_has_the_bytes_that_were_read_with_pyarrow() {
         let series = |name: &str, values| Series { name: name.to_owned(), values };
-        let frame = Frame {
+        let frame = DataFrame {
             columns: vec![
                 series("key", Values::Text(vec![Some("a".into()), Some("ä".into())])),
                 series("steps", Values::Whole(vec![Some(7), None])),

@@ -24,7 +24,7 @@ mod transfer;
 pub(super) use method::method;
 pub(super) use runs::runs;
 
-use super::document::{Block, Section};
+use super::document::{ReportBlock, ReportSection};
 use super::view::ScoredRun;
 
 pub(super) use blocked::blocked_table;
@@ -42,7 +42,7 @@ pub(super) use supplied::supplied_table;
 pub(super) use time::time_table;
 
 /// A section's name in links, its heading, and the function that makes its content.
-type SectionEntry = (&'static str, &'static str, fn(&ScoredRun<'_>) -> Vec<Block>);
+type SectionEntry = (&'static str, &'static str, fn(&ScoredRun<'_>) -> Vec<ReportBlock>);
 
 const PARTS: [SectionEntry; 15] = [
     ("overview", "What was run", overview::blocks),
@@ -67,13 +67,16 @@ const BEYOND_THE_PAPER: [&str; 2] = ["conflict", "growth"];
 
 /// All sections about the run. Those of the paper without any figure of the run are named in one line of the first section,
 /// except where all its episodes are of streams.
-pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<Section> {
+pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<ReportSection> {
     let mut sections = Vec::new();
     let mut not_run = Vec::new();
     for (id, title, blocks) in PARTS {
         let blocks = blocks(view);
-        if blocks.iter().any(|block| matches!(block, Block::Table(_) | Block::Figure(_))) {
-            sections.push(Section::new(view.id(&format!("s-{id}")), title, blocks));
+        if blocks
+            .iter()
+            .any(|block| matches!(block, ReportBlock::Table(_) | ReportBlock::Figure(_)))
+        {
+            sections.push(ReportSection::new(view.id(&format!("s-{id}")), title, blocks));
         } else if !BEYOND_THE_PAPER.contains(&id) {
             not_run.push(title);
         }
@@ -82,7 +85,7 @@ pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<Section> {
     let is_silent = not_run.is_empty() || is_of_streams;
     if let (Some(first), false) = (sections.first_mut(), is_silent) {
         let text = format!("This run has no conditions for: {}.", not_run.join("; "));
-        first.blocks.push(Block::Text(text));
+        first.blocks.push(ReportBlock::Text(text));
     }
     sections.extend(elsewhere::section(view));
     // After the overview.
@@ -92,10 +95,10 @@ pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<Section> {
 }
 
 /// The section about the origin of the run's figures.
-pub(super) fn provenance(view: &ScoredRun<'_>) -> Section {
+pub(super) fn provenance(view: &ScoredRun<'_>) -> ReportSection {
     let title = match view.prefix.as_str() {
         "" => "Provenance".to_owned(),
         _ => format!("Provenance of {}", crate::compare::run_name(view.log)),
     };
-    Section::new(view.id("s-provenance"), title, provenance::blocks(view))
+    ReportSection::new(view.id("s-provenance"), title, provenance::blocks(view))
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use domain::{Action, Feedback, Pose};
 
-use super::frame::{Frame, FrameBuilder};
+use super::frame::{DataFrame, FrameBuilder};
 use crate::compare::run_name;
 use crate::log::{EpisodeRecord, RequestRecord, RunLog};
 
@@ -29,7 +29,7 @@ impl StepRow<'_> {
 
 /// A row for each moment of the finished episodes of `log`: the start, and after every step. `docs/exports.md` describes
 /// the columns.
-pub fn steps_frame(log: &RunLog) -> Frame {
+pub fn steps_frame(log: &RunLog) -> DataFrame {
     let name = run_name(log);
     let asked: BTreeSet<&str> = log.episodes.iter().map(|record| record.key.as_str()).collect();
     // The last one of a step: requests of attempts that were given up come before those of the finished one.

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::document::{Cell, Table};
+use super::document::{Table, TableCell};
 use super::published::Published;
 use super::sections::{
     adaptation_table, blocked_table, conditions_table, conflict_table, differences_table,
@@ -113,9 +113,9 @@ fn in_text(from: &Table) -> TextTable {
             let label = group.label.as_ref().map(|label| if index == 0 { label } else { "" });
             let own = (!is_paired).then_some(row.label.as_str());
             let cells = row.cells.iter().map(|cell| match cell {
-                Cell::Value(value) => value.clone(),
-                Cell::Sure { figure, interval } => format!("{figure}\n{interval}"),
-                Cell::Missing(_) => "-".to_owned(),
+                TableCell::Value(value) => value.clone(),
+                TableCell::Sure { figure, interval } => format!("{figure}\n{interval}"),
+                TableCell::Missing(_) => "-".to_owned(),
             });
             to.add_row(label.into_iter().chain(own).map(str::to_owned).chain(cells));
         }

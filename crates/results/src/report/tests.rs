@@ -18,7 +18,7 @@ fn only(names: &[&str]) -> Vec<(Condition, u32)> {
 }
 
 /// Every cell with its place.
-fn cells(document: &Document) -> Vec<(String, &Cell)> {
+fn cells(document: &ReportDocument) -> Vec<(String, &TableCell)> {
     let of = |table: &'_ Table| -> Vec<String> {
         table
             .groups
@@ -50,7 +50,7 @@ fn the_paper_suite_fills_every_cell() {
     }
     for (place, cell) in cells {
         assert!(!cell.text().trim().is_empty(), "{place} is empty");
-        assert_ne!(*cell, Cell::Missing(Missing::NotRun), "{place}: the whole suite was run");
+        assert_ne!(*cell, TableCell::Missing(Missing::NotRun), "{place}: the whole suite was run");
     }
     for figure in document.figures() {
         assert!(
@@ -69,7 +69,7 @@ fn what_was_not_run_is_left_out_and_named_in_one_line() {
         document.sections.iter().map(|section| section.title.as_str()).collect();
     assert!(!titles.contains(&"RQ2: a blocked route"), "{titles:?}");
     let line = document.sections[0].blocks.iter().find_map(|block| match block {
-        Block::Text(text) if text.starts_with("This run has no conditions for") => Some(text),
+        ReportBlock::Text(text) if text.starts_with("This run has no conditions for") => Some(text),
         _ => None,
     });
     insta::assert_snapshot!(line.unwrap(), @"This run has no conditions for: RQ1: a start that was not demonstrated; RQ2: a blocked route; Design choices.");
@@ -107,7 +107,7 @@ fn demonstrations_elsewhere_are_compared_with_those_of_here_and_with_none() {
     let table = here.tables().find(|table| table.id == "elsewhere").unwrap();
     let rows = table.groups.iter().flat_map(|group| {
         group.rows.iter().map(move |row| {
-            let cells: Vec<String> = row.cells.iter().map(Cell::text).collect();
+            let cells: Vec<String> = row.cells.iter().map(TableCell::text).collect();
             format!("{}: {}: {}", group.label.as_deref().unwrap(), row.label, cells.join(" | "))
         })
     });
@@ -163,7 +163,7 @@ fn external_memories_stand_in_every_table_after_the_built_in_ones() {
     let supplied = document.tables().find(|table| table.id == "supplied").unwrap();
     let labels: Vec<&str> = supplied.groups[0].rows.iter().map(|row| row.label.as_str()).collect();
     assert_eq!(labels, ["Working memory", "Episodic", "bm25", "top-3"]);
-    let cells: Vec<String> = supplied.groups[0].rows[3].cells.iter().map(Cell::text).collect();
+    let cells: Vec<String> = supplied.groups[0].rows[3].cells.iter().map(TableCell::text).collect();
     assert_eq!(cells[5..], ["40", "50", "120.6", "n/m"].map(str::to_owned));
     let pairs = document.tables().find(|table| table.id == "external-pairs").unwrap();
     let labels: Vec<&str> =
@@ -228,7 +228,7 @@ fn two_runs_stand_beside_each_other_and_are_paired() {
     assert_eq!(rows.len(), 1, "they share one condition");
     assert_eq!(rows[0].label, "episodic/new/unchanged/4");
     // The same made-up episodes on both sides: no difference, no case better or worse, p = 1.
-    let cells: Vec<String> = rows[0].cells.iter().map(Cell::text).collect();
+    let cells: Vec<String> = rows[0].cells.iter().map(TableCell::text).collect();
     assert_eq!((cells[0].as_str(), cells[7].as_str(), cells[9].as_str()), ("20", "0", "1.000"));
     let mut ids: Vec<&String> = document.tables().map(|table| &table.id).collect();
     ids.extend(document.figures().map(|figure| &figure.id));
@@ -315,7 +315,7 @@ fn a_run_of_streams_has_its_own_sections_and_no_row_in_the_others() {
     }
     let notice = document.sections[1].blocks.first();
     let expected = "Streams: 1 of 96 sequences are not complete and enter no figure; the same command continues the run.";
-    assert_eq!(notice, Some(&Block::Notice(expected.to_owned())));
+    assert_eq!(notice, Some(&ReportBlock::Notice(expected.to_owned())));
     let summary = summary(&log);
     insta::assert_snapshot!("summary_of_streams", summary);
     let wide = summary.lines().find(|line| line.chars().count() > 100);

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use domain::{ExternalName, MemoryKind, Representation};
 
-use super::document::{Cell, Column, Group, Missing, Row};
+use super::document::{Group, Missing, TableCell, TableColumn, TableRow};
 use super::published::{Published, PublishedCondition, PublishedSpread};
 use crate::conditions::Condition;
 use crate::log::RunLog;
@@ -52,8 +52,12 @@ impl ScoredRun<'_> {
     }
 
     /// A cell of this run: the `figure` of the condition called `name`, or that it was not run.
-    pub(super) fn ours(&self, name: &str, figure: impl Fn(&ConditionScore) -> Cell) -> Cell {
-        self.score(name).map_or(Cell::Missing(Missing::NotRun), figure)
+    pub(super) fn ours(
+        &self,
+        name: &str,
+        figure: impl Fn(&ConditionScore) -> TableCell,
+    ) -> TableCell {
+        self.score(name).map_or(TableCell::Missing(Missing::NotRun), figure)
     }
 
     /// A published cell: the `figure` of the condition called `name`, or why there is none.
@@ -61,21 +65,21 @@ impl ScoredRun<'_> {
         &self,
         name: &str,
         figure: impl Fn(&PublishedCondition) -> Option<String>,
-    ) -> Cell {
+    ) -> TableCell {
         let published = self.published.of(name).and_then(figure);
-        published.map_or_else(|| unpublished(name), Cell::Value)
+        published.map_or_else(|| unpublished(name), TableCell::Value)
     }
 
     /// A row of this run for each of `memories`, and a published one for each built-in memory.
     pub(super) fn pairs(
         &self,
         memories: &[MemoryKind],
-        ours: impl Fn(MemoryKind) -> Vec<Cell>,
-        theirs: impl Fn(MemoryKind) -> Vec<Cell>,
+        ours: impl Fn(MemoryKind) -> Vec<TableCell>,
+        theirs: impl Fn(MemoryKind) -> Vec<TableCell>,
     ) -> Vec<Group> {
         let group = |&memory: &MemoryKind| {
-            let ours = Row { label: OURS.to_owned(), published: false, cells: ours(memory) };
-            let theirs = memory.built_in().map(|_| Row {
+            let ours = TableRow { label: OURS.to_owned(), published: false, cells: ours(memory) };
+            let theirs = memory.built_in().map(|_| TableRow {
                 label: THEIRS.to_owned(),
                 published: true,
                 cells: theirs(memory),
@@ -122,11 +126,11 @@ pub(super) fn name(memory: MemoryKind, rest: &str, demonstrations: &str) -> Stri
 }
 
 /// Why the paper prints no figure of the condition called `name`.
-fn unpublished(name: &str) -> Cell {
+fn unpublished(name: &str) -> TableCell {
     let has = |part: &str| name.split('/').any(|word| word == part);
     let memory = name.split('/').next().and_then(|memory| memory.parse().ok());
     let is_external = memory.is_some_and(|memory: MemoryKind| memory.external().is_some());
-    Cell::Missing(Missing::NotReported(if is_external {
+    TableCell::Missing(Missing::NotReported(if is_external {
         "the paper has no such memory"
     } else if has("hybrid") && (has("4") || has("blocked")) {
         "Hybrid with four demonstrations was not evaluated (serving constraints, section Limitations)"
@@ -141,22 +145,22 @@ fn unpublished(name: &str) -> Cell {
 }
 
 /// `95.3 ± 0.6` with its interval below.
-pub(super) fn sure(spread: Spread, digits: usize) -> Cell {
+pub(super) fn sure(spread: Spread, digits: usize) -> TableCell {
     let figure = spread_text(spread, digits);
     match spread.interval {
-        Some(found) => Cell::Sure { figure, interval: interval_text(found, digits) },
-        None => Cell::Value(figure),
+        Some(found) => TableCell::Sure { figure, interval: interval_text(found, digits) },
+        None => TableCell::Value(figure),
     }
 }
 
 /// The same, or the reason why there is no figure.
-pub(super) fn sure_or(spread: Option<Spread>, digits: usize, missing: Missing) -> Cell {
-    spread.map_or(Cell::Missing(missing), |spread| sure(spread, digits))
+pub(super) fn sure_or(spread: Option<Spread>, digits: usize, missing: Missing) -> TableCell {
+    spread.map_or(TableCell::Missing(missing), |spread| sure(spread, digits))
 }
 
 /// A plain figure, or the reason why there is none.
-pub(super) fn plain_or(value: Option<f64>, digits: usize, missing: Missing) -> Cell {
-    value.map_or(Cell::Missing(missing), |value| Cell::Value(format!("{value:.digits$}")))
+pub(super) fn plain_or(value: Option<f64>, digits: usize, missing: Missing) -> TableCell {
+    value.map_or(TableCell::Missing(missing), |value| TableCell::Value(format!("{value:.digits$}")))
 }
 
 /// Mean and standard deviation over runs.
@@ -198,21 +202,21 @@ pub(super) fn p_value(p: f64) -> String {
 }
 
 /// Columns of success rate and SPL for each of `settings`.
-pub(super) fn rate_columns(settings: &[&str]) -> Vec<Column> {
-    let both = |over: &&str| [Column::under(*over, "SR %"), Column::under(*over, "SPL")];
+pub(super) fn rate_columns(settings: &[&str]) -> Vec<TableColumn> {
+    let both = |over: &&str| [TableColumn::under(*over, "SR %"), TableColumn::under(*over, "SPL")];
     settings.iter().flat_map(both).collect()
 }
 
 /// The run's cells under those columns, of the condition called `name`.
-pub(super) fn our_rates(view: &ScoredRun<'_>, name: &str) -> [Cell; 2] {
+pub(super) fn our_rates(view: &ScoredRun<'_>, name: &str) -> [TableCell; 2] {
     [
         view.ours(name, |score| sure(score.sr, 1)),
-        view.ours(name, |score| Cell::Value(format!("{:.3}", score.spl.mean))),
+        view.ours(name, |score| TableCell::Value(format!("{:.3}", score.spl.mean))),
     ]
 }
 
 /// The published cells under those columns.
-pub(super) fn their_rates(view: &ScoredRun<'_>, name: &str) -> [Cell; 2] {
+pub(super) fn their_rates(view: &ScoredRun<'_>, name: &str) -> [TableCell; 2] {
     [
         view.theirs(name, |published| published.sr.map(published_text)),
         view.theirs(name, |published| published.spl.map(|spl| format!("{spl:.3}"))),

@@ -39,9 +39,9 @@ use crate::conditions::{Condition, Demonstrations};
 use crate::key::Order;
 use crate::log::{EpisodeTimings, RunLog};
 use estimate::{by_stream, difference};
-use matrix::Matrix;
+use matrix::ResultMatrix;
 use online::part;
-use sequence::{Sequence, SequenceId, Sequences, success_rate};
+use sequence::{CompleteSequences, Sequence, SequenceId, success_rate};
 
 /// The scores of a run's streams.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -166,7 +166,7 @@ pub(super) fn score(
     log: &RunLog,
     timings: &BTreeMap<&str, &EpisodeTimings>,
 ) -> Option<StreamScores> {
-    let found = Sequences::by_condition(log);
+    let found = CompleteSequences::by_condition(log);
     let complete = || found.values().flat_map(|sequences| sequences.complete.keys());
     let streams: BTreeSet<u32> = complete().map(|id| id.stream).collect();
     let records = log.episodes.iter().filter_map(|record| record.stream.as_ref());
@@ -194,14 +194,15 @@ fn planned(log: &RunLog) -> usize {
 
 fn score_condition(
     condition: Condition,
-    found: &BTreeMap<Condition, Sequences<'_>>,
+    found: &BTreeMap<Condition, CompleteSequences<'_>>,
     timings: &BTreeMap<&str, &EpisodeTimings>,
 ) -> StreamScore {
     let sequences = &found[&condition];
     let estimate = |figure: &dyn Fn(SequenceId, &Sequence<'_>) -> Option<f64>| {
         Estimate::of(&by_stream(sequences, figure))
     };
-    let of_matrix = |figure: fn(&Matrix) -> Option<f64>| estimate(&|_, s| figure(&Matrix::of(s)));
+    let of_matrix =
+        |figure: fn(&ResultMatrix) -> Option<f64>| estimate(&|_, s| figure(&ResultMatrix::of(s)));
     let paired = |condition: Option<Condition>, id| found.get(&condition?)?.complete.get(&id);
     // A condition is not compared with itself: that is 0 by definition, not by measurement.
     let other = |with: Condition| Some(with).filter(|with| *with != condition);
@@ -220,10 +221,12 @@ fn score_condition(
         success: estimate(&|_, s| success_rate(s.learning())),
         before: estimate(&|_, s| success_rate(part(s, false))),
         after: estimate(&|_, s| success_rate(part(s, true))),
-        average: of_matrix(Matrix::average),
-        backward: of_matrix(Matrix::backward),
-        forward: estimate(&|id, s| Matrix::of(s).forward(&Matrix::of(paired(baseline, id)?))),
-        forgetting: of_matrix(Matrix::forgetting),
+        average: of_matrix(ResultMatrix::average),
+        backward: of_matrix(ResultMatrix::backward),
+        forward: estimate(&|id, s| {
+            ResultMatrix::of(s).forward(&ResultMatrix::of(paired(baseline, id)?))
+        }),
+        forgetting: of_matrix(ResultMatrix::forgetting),
         t_ndtw: estimate(&|_, s| path::t_ndtw(s)),
         regret: estimate(&|id, s| online::regret(s, paired(oracle, id)?)),
         lag: estimate(&|_, s| online::lag(s)),
@@ -232,7 +235,7 @@ fn score_condition(
         stale_after: estimate(&|_, s| online::stale(part(s, true))),
         orders: orders(sequences),
         order_spread: order_spread(sequences, &|s| success_rate(s.learning())),
-        order_spread_average: order_spread(sequences, &|s| Matrix::of(s).average()),
+        order_spread_average: order_spread(sequences, &|s| ResultMatrix::of(s).average()),
         matrix: mean_matrix(sequences),
         rounds: rounds(sequences),
         costs,
@@ -240,19 +243,19 @@ fn score_condition(
 }
 
 /// The sequences in `order`.
-fn in_order<'a>(sequences: &Sequences<'a>, order: Order) -> Sequences<'a> {
+fn in_order<'a>(sequences: &CompleteSequences<'a>, order: Order) -> CompleteSequences<'a> {
     let of_order = sequences.complete.iter().filter(|(id, _)| id.order == order);
-    Sequences { complete: of_order.map(|(id, s)| (*id, s.clone())).collect(), planned: 0 }
+    CompleteSequences { complete: of_order.map(|(id, s)| (*id, s.clone())).collect(), planned: 0 }
 }
 
-fn orders(sequences: &Sequences<'_>) -> Vec<OrderScore> {
+fn orders(sequences: &CompleteSequences<'_>) -> Vec<OrderScore> {
     let of = |order: Order| {
         let sequences = in_order(sequences, order);
         let over_streams = |figure: &dyn Fn(&Sequence<'_>) -> Option<f64>| {
             mean(by_stream(&sequences, |_, s| figure(s)).into_values())
         };
         let success = over_streams(&|s| success_rate(s.learning()));
-        let average = over_streams(&|s| Matrix::of(s).average());
+        let average = over_streams(&|s| ResultMatrix::of(s).average());
         (!sequences.complete.is_empty()).then_some(OrderScore { order, success, average })
     };
     Order::ALL.into_iter().filter_map(of).collect()
@@ -262,7 +265,7 @@ fn orders(sequences: &Sequences<'_>) -> Vec<OrderScore> {
 /// repetitions. Only of streams that have it in at least three orders (at least three, one of them reversed: as Evo-Memory,
 /// arXiv 2511.20857, varies the order of tasks).
 fn order_spread(
-    sequences: &Sequences<'_>,
+    sequences: &CompleteSequences<'_>,
     figure: &dyn Fn(&Sequence<'_>) -> Option<f64>,
 ) -> Option<Estimate> {
     let mut streams: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
@@ -281,13 +284,13 @@ fn order_spread(
 }
 
 /// R, each cell a mean over the streams that have it.
-fn mean_matrix(sequences: &Sequences<'_>) -> Vec<Vec<Option<f64>>> {
+fn mean_matrix(sequences: &CompleteSequences<'_>) -> Vec<Vec<Option<f64>>> {
     let blocks = sequences.complete.values().map(|s| s.blocks() as usize).max().unwrap_or(0);
-    let cell = |i, j| mean(by_stream(sequences, |_, s| Matrix::of(s).at(i, j)).into_values());
+    let cell = |i, j| mean(by_stream(sequences, |_, s| ResultMatrix::of(s).at(i, j)).into_values());
     (0..=blocks).map(|i| (1..=blocks).map(|j| cell(i, j)).collect()).collect()
 }
 
-fn rounds(sequences: &Sequences<'_>) -> Vec<RoundScore> {
+fn rounds(sequences: &CompleteSequences<'_>) -> Vec<RoundScore> {
     let drawn = in_order(sequences, Order::Drawn);
     let found: BTreeSet<(u32, u32)> =
         drawn.complete.values().flat_map(|s| online::rounds(s).into_keys()).collect();
@@ -304,7 +307,7 @@ fn rounds(sequences: &Sequences<'_>) -> Vec<RoundScore> {
 
 /// The pairs to compare, first minus second: what learns with the frozen Episodic memory and with its own frozen arm; the
 /// oracle with what learns; the frozen arm with no memory and with wrong histories.
-fn pairs(found: &BTreeMap<Condition, Sequences<'_>>) -> Vec<(Condition, Condition)> {
+fn pairs(found: &BTreeMap<Condition, CompleteSequences<'_>>) -> Vec<(Condition, Condition)> {
     let mut pairs = Vec::new();
     for condition in found.keys() {
         let arm = |arm| condition.with_arm(arm);
@@ -327,7 +330,7 @@ fn pairs(found: &BTreeMap<Condition, Sequences<'_>>) -> Vec<(Condition, Conditio
 }
 
 fn compare(
-    found: &BTreeMap<Condition, Sequences<'_>>,
+    found: &BTreeMap<Condition, CompleteSequences<'_>>,
     a: Condition,
     b: Condition,
 ) -> Option<StreamDifference> {
@@ -344,6 +347,6 @@ fn compare(
         streams: streams.len(),
         before: difference(first, second, |s| success_rate(part(s, false))),
         after: difference(first, second, |s| success_rate(part(s, true))),
-        average: difference(first, second, |s| Matrix::of(s).average()),
+        average: difference(first, second, |s| ResultMatrix::of(s).average()),
     })
 }

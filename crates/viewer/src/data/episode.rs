@@ -68,7 +68,7 @@ pub struct EpisodeData {
     /// By step: the cells that came into view, as row * columns + column.
     seen: Vec<Vec<u16>>,
     /// What memory was built from, as far as it is known.
-    demonstrations: Vec<Demonstration>,
+    demonstrations: Vec<DemonstrationData>,
     /// By step: what memory supplied for the next action, as an index into the demonstrations and a step in it. Empty where the
     /// log has no sources.
     supplied: Vec<Vec<(usize, u32)>>,
@@ -111,7 +111,7 @@ struct TargetData {
 
 /// A demonstration, or an earlier episode of the sequence.
 #[derive(Debug, Serialize)]
-pub struct Demonstration {
+pub struct DemonstrationData {
     title: String,
     /// The key of the earlier episode.
     episode: Option<String>,
@@ -154,7 +154,7 @@ struct RequestData {
 
 /// What makes a demonstration one of several.
 #[derive(PartialEq, Eq, PartialOrd, Ord)]
-enum Origin {
+enum DemonstrationOrigin {
     Demonstration(usize, Start),
     Episode(u32),
 }
@@ -204,7 +204,7 @@ impl EpisodeData {
             let mean = |total: u64| total / u64::from(timings.steps.max(1)) / 1000;
             Stages::NAMES.into_iter().zip(timings.stages.values().map(mean)).collect()
         });
-        let mut demonstrations: Vec<Demonstration> =
+        let mut demonstrations: Vec<DemonstrationData> =
             memory.found.into_iter().map(|(_, demonstration)| demonstration).collect();
         for one in &mut demonstrations {
             one.views = one.at.iter().map(|pose| file_name((one.variant, *pose))).collect();
@@ -287,7 +287,7 @@ struct Remembered<'a> {
     world: &'a RunWorld,
     record: &'a EpisodeRecord,
     state: &'a WorldState,
-    found: Vec<(Origin, Demonstration)>,
+    found: Vec<(DemonstrationOrigin, DemonstrationData)>,
 }
 
 impl Remembered<'_> {
@@ -321,7 +321,11 @@ impl Remembered<'_> {
         words.split_whitespace().map(of_step).collect()
     }
 
-    fn find(&mut self, origin: Origin, make: impl FnOnce() -> Demonstration) -> usize {
+    fn find(
+        &mut self,
+        origin: DemonstrationOrigin,
+        make: impl FnOnce() -> DemonstrationData,
+    ) -> usize {
         self.found.iter().position(|(known, _)| *known == origin).unwrap_or_else(|| {
             self.found.push((origin, make()));
             self.found.len() - 1
@@ -331,7 +335,7 @@ impl Remembered<'_> {
     /// The index of a demonstration of case number `of`; `own` is the episode's case.
     fn demonstration(&mut self, of: usize, start: Start, own: usize) -> usize {
         let (world, state, record) = (self.world, self.state, self.record);
-        self.find(Origin::Demonstration(of, start), || {
+        self.find(DemonstrationOrigin::Demonstration(of, start), || {
             let case = &world.cases.cases[of];
             let is_planned = record.arm == Arm::Oracle;
             let from = case.trajectory(start);
@@ -352,7 +356,7 @@ impl Remembered<'_> {
             let other = if of == own { String::new() } else { format!(" of {}", case.id) };
             let planned = if is_planned { ", planned in this world" } else { "" };
             let can_be_stale = !is_planned && start != Start::Elsewhere;
-            Demonstration {
+            DemonstrationData {
                 title: format!("{} demonstration{other}{planned}", start.name()),
                 episode: None,
                 stale: can_be_stale && !state.completes(&trajectory, &case.task),
@@ -369,14 +373,14 @@ impl Remembered<'_> {
     /// The index of the episode at `position` of the sequence, whose record is `past`.
     fn episode(&mut self, position: u32, past: &EpisodeRecord) -> usize {
         let (world, state) = (self.world, self.state);
-        self.find(Origin::Episode(position), || {
+        self.find(DemonstrationOrigin::Episode(position), || {
             let at = past.poses();
             let actions = past.actions.chars().filter_map(domain::Action::from_letter);
             let trajectory = Trajectory { start: past.start_pose, actions: actions.collect() };
             let case = world.case(past).ok();
             let stale = past.is_success()
                 && case.is_some_and(|(_, case)| !state.completes(&trajectory, &case.task));
-            Demonstration {
+            DemonstrationData {
                 title: format!("episode at position {position}, {}", past.case),
                 episode: Some(past.key.clone()),
                 stale,
@@ -397,7 +401,7 @@ fn led(
     horizon: u32,
     record: &EpisodeRecord,
     state: &WorldState,
-    demonstrations: &[Demonstration],
+    demonstrations: &[DemonstrationData],
     supplied: &[Vec<(usize, u32)>],
 ) -> Option<LedData> {
     let tried_at = record.tried_closed_at? as usize;

@@ -15,10 +15,10 @@ use serde::Serialize;
 pub struct PromptData {
     step: u32,
     hinted: bool,
-    view: Image,
-    window: Vec<Image>,
-    items: Vec<Item>,
-    messages: Vec<Message>,
+    view: ImageData,
+    window: Vec<ImageData>,
+    items: Vec<ItemData>,
+    messages: Vec<MessageData>,
     reply: Option<String>,
     unread: Option<String>,
     facts: Vec<(&'static str, String)>,
@@ -29,27 +29,27 @@ pub struct PromptData {
 
 /// An image by its hash, with a caption.
 #[derive(Debug, Serialize)]
-struct Image {
+struct ImageData {
     image: Option<Hash>,
     caption: String,
 }
 
 #[derive(Debug, Serialize)]
-struct Item {
+struct ItemData {
     title: String,
     text: Option<String>,
-    images: Vec<Image>,
+    images: Vec<ImageData>,
 }
 
 #[derive(Debug, Serialize)]
-struct Message {
+struct MessageData {
     role: String,
-    parts: Vec<Part>,
+    parts: Vec<PartData>,
 }
 
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "lowercase")]
-enum Part {
+enum PartData {
     Text(String),
     Image(Hash),
 }
@@ -82,17 +82,17 @@ fn prompt_data(step: u32, prompt: RecordedPrompt) -> PromptData {
     let window = request.window.iter().map(|past| {
         let action = past.action.as_deref().unwrap_or("not understood");
         let caption = format!("{action}: {}", past.feedback);
-        Image { image: Some(past.frame.clone()), caption }
+        ImageData { image: Some(past.frame.clone()), caption }
     });
-    let message = |message: &domain::prompt_log::RecordedMessage| Message {
+    let message = |message: &domain::prompt_log::RecordedMessage| MessageData {
         role: message.role.clone(),
         parts: message
             .parts
             .iter()
             .filter_map(|part| match part {
-                RecordedPart::Text(text) => Some(Part::Text(text.clone())),
-                RecordedPart::Stored(hash) => Some(Part::Text(prompt.text(hash).to_owned())),
-                RecordedPart::Image(hash) => Some(Part::Image(hash.clone())),
+                RecordedPart::Text(text) => Some(PartData::Text(text.clone())),
+                RecordedPart::Stored(hash) => Some(PartData::Text(prompt.text(hash).to_owned())),
+                RecordedPart::Image(hash) => Some(PartData::Image(hash.clone())),
                 // Never in a log: images are stored as files.
                 RecordedPart::Png(_) => None,
             })
@@ -101,7 +101,7 @@ fn prompt_data(step: u32, prompt: RecordedPrompt) -> PromptData {
     PromptData {
         step,
         hinted: request.starts_as_demonstrated,
-        view: Image { image: Some(request.frame.clone()), caption: String::new() },
+        view: ImageData { image: Some(request.frame.clone()), caption: String::new() },
         window: window.collect(),
         items: request.items.iter().map(|item| item_data(item, &prompt)).collect(),
         messages: exchange.iter().flat_map(|one| &one.messages).map(message).collect(),
@@ -112,11 +112,11 @@ fn prompt_data(step: u32, prompt: RecordedPrompt) -> PromptData {
     }
 }
 
-fn item_data(item: &RecordedItem, prompt: &RecordedPrompt) -> Item {
+fn item_data(item: &RecordedItem, prompt: &RecordedPrompt) -> ItemData {
     let image = |(index, seen): (usize, &RecordedView)| {
         let action = seen.action.as_deref().unwrap_or_default();
         let caption = format!("{index}. {action}").trim_end().to_owned();
-        Image { image: seen.frame.clone(), caption }
+        ImageData { image: seen.frame.clone(), caption }
     };
     let row = |steps: &[RecordedView]| steps.iter().enumerate().map(image).collect();
     let (text, images) = match item {
@@ -125,8 +125,8 @@ fn item_data(item: &RecordedItem, prompt: &RecordedPrompt) -> Item {
         RecordedItem::Trajectory(hash) => (None, row(prompt.trajectory(hash))),
         RecordedItem::Frame { frame, caption } => {
             let caption = prompt.text(caption).to_owned();
-            (None, vec![Image { image: Some(frame.clone()), caption }])
+            (None, vec![ImageData { image: Some(frame.clone()), caption }])
         }
     };
-    Item { title: title(item, prompt), text, images }
+    ItemData { title: title(item, prompt), text, images }
 }

@@ -34,7 +34,7 @@ pub struct RunData {
     map: (f64, f64, u8, u8),
     /// The folder of its views.
     views: String,
-    episodes: Vec<EpisodeRow>,
+    episodes: Vec<EpisodeCell>,
     /// Key and error of each episode that was given up.
     given_up: Vec<(String, String)>,
     /// What the reader must know.
@@ -61,7 +61,7 @@ struct CaseData {
 
 /// An episode: key, index of the condition, index of the case, repetition, outcome, steps, length of the reference, whether
 /// its views are there, and its place in a stream or nothing.
-pub type EpisodeRow = (String, usize, usize, u32, usize, u32, u32, u8, String);
+pub type EpisodeCell = (String, usize, usize, u32, usize, u32, u32, u8, String);
 
 impl RunData {
     /// The data of `log` with these `conditions`, whose views are in the folder `views`.
@@ -116,7 +116,7 @@ pub fn row(
     conditions: &[Condition],
     record: &EpisodeRecord,
     has_views: bool,
-) -> Option<EpisodeRow> {
+) -> Option<EpisodeCell> {
     let condition = record.condition();
     let place = record.stream.as_ref().map(|stream| stream.key_place().to_string());
     Some((

@@ -8,7 +8,7 @@ use domain::Cell;
 use plates::Plate;
 
 use super::super::floor::{Floor, Stretch};
-use super::super::names::{Names, PlateLabel};
+use super::super::names::{CatalogueNames, PlateLabel};
 use super::super::survey::{Survey, SurveyedBay};
 use super::super::transcript::{Transcript, TranscriptStep};
 use super::category_digits;
@@ -25,7 +25,7 @@ const REGION_GAP: u8 = 3;
 /// Facts as they are found.
 #[derive(Debug, Default)]
 pub(super) struct FoundFacts {
-    names: Names,
+    names: CatalogueNames,
     survey: Survey,
     floor: Floor,
     /// Steps to the first sub-goal, for each demonstration that completed one.
@@ -113,7 +113,7 @@ fn by_category(bays: &[SurveyedBay]) -> BTreeMap<[u8; 3], Vec<SurveyedBay>> {
     categories
 }
 
-fn kinds(names: &Names, bays: &[SurveyedBay]) -> Vec<Kind> {
+fn kinds(names: &CatalogueNames, bays: &[SurveyedBay]) -> Vec<Kind> {
     let mut kinds = Vec::new();
     for bays in by_category(bays).into_values() {
         for region in regions(bays) {

@@ -7,7 +7,7 @@ use domain::{Cell, Heading, Pose};
 use plates::Plate;
 
 use super::super::floor::{Floor, Stretch};
-use super::super::names::{Names, PlateLabel};
+use super::super::names::{CatalogueNames, PlateLabel};
 use super::super::survey::{Survey, SurveyedBay};
 use super::super::transcript::Transcript;
 use super::{category_digits, type_digits};
@@ -20,7 +20,7 @@ Positions are (column, row): columns grow east, rows grow north. An item is reac
 /// The summary so far.
 #[derive(Debug, Default)]
 pub(super) struct SummaryDraft {
-    names: Names,
+    names: CatalogueNames,
     survey: Survey,
     floor: Floor,
     routes: Vec<Route>,
@@ -66,7 +66,7 @@ impl SummaryDraft {
 
     /// What was reached when `count` sub-goals were completed at a cell: the items, as far as they are known.
     fn reached(&self, route: &Route, count: u32, at: Cell, last: bool) -> Vec<String> {
-        let asked = Names::of(&route.instruction);
+        let asked = CatalogueNames::of(&route.instruction);
         let returns = last && at == route.start.cell && route.instruction.contains("you started");
         let targets = self.survey.at(at).filter(|&plate| asked.label(plate) != PlateLabel::Unnamed);
         let targets = targets.map(|plate| format!("reached {} at {at}", self.names.label(plate)));

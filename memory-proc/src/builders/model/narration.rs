@@ -7,13 +7,13 @@ use domain::{Action, Feedback};
 use plates::{Landmark, Plate};
 
 use crate::builders::Transcript;
-use crate::builders::names::Names;
+use crate::builders::names::CatalogueNames;
 
 /// Narrates demonstration `number`. Consecutive equal steps without an event become one line, and an item is named when
 /// it is first seen. Names are those in the demonstration's own instruction.
 pub(super) fn narrate(number: usize, transcript: &Transcript) -> String {
     let Transcript { instruction, steps } = transcript;
-    let names = Names::of(instruction);
+    let names = CatalogueNames::of(instruction);
     let mut text = format!("## Demonstration {number}\nTask: \"{instruction}\"\n");
     let mut repeated: Option<(Action, u32)> = None;
     let mut known: BTreeSet<Landmark> = BTreeSet::new();

@@ -79,7 +79,7 @@ impl Rig {
     pub(super) fn with_externals(lanes: u32, room: usize, externals: ExternalMemories) -> Self {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
         let embeddings = EmbeddingCache::in_memory();
-        let worlds = Worlds::unchanging(warehouse, cases);
+        let worlds = WorldStates::unchanging(warehouse, cases);
         Self::with(Engine::new(worlds, lanes, room, embeddings, externals, None))
     }
 

@@ -18,7 +18,7 @@ use crate::external::{ExternalLimits, ExternalMemories};
 /// The cases of the stream, and the block in whose world the test passage of the first is closed.
 const CASES: [u32; 3] = [3, 5, 20];
 
-pub(super) fn worlds() -> Worlds {
+pub(super) fn worlds() -> WorldStates {
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
     let mut closed: Vec<Cell> = cases.cases[3].barricade.clone();
     closed.sort_unstable();
@@ -28,7 +28,7 @@ pub(super) fn worlds() -> Worlds {
         worlds: vec![WorldChange::default(), WorldChange { closed, stock: Vec::new() }],
         streams: vec![Stream { blocks: vec![block(0), block(1)] }],
     };
-    Worlds::new(warehouse, cases, streams).unwrap()
+    WorldStates::new(warehouse, cases, streams).unwrap()
 }
 
 /// A run with a stream, its folder of snapshots, and what has been reported.
@@ -127,7 +127,7 @@ fn an_arm_decides_what_the_memory_is_built_from() {
         all.demonstrations(crate::worlds::BankOrigin::new(arm, 0, block, Demonstrations::ORIGINAL))
     };
     let of =
-        |made: &[std::sync::Arc<crate::demonstrations::Demonstration>]| -> Vec<(u32, u16, u32)> {
+        |made: &[std::sync::Arc<crate::demonstrations::ReplayedDemonstration>]| -> Vec<(u32, u16, u32)> {
             made.iter().map(|made| (made.case, made.number, made.variant)).collect()
         };
     let original = [(3, 0, 0), (5, 0, 0), (20, 0, 0)];

@@ -6,10 +6,10 @@ use std::sync::{Arc, OnceLock};
 use documents::DocumentFile;
 use domain::{Action, Feedback, Heading, Pose, Representation, SegmentContent};
 use llm::{ChatRequest, ReplyCache, fuzzing};
-use memory_proc::bank::Bank;
+use memory_proc::bank::ReplayedBank;
 use memory_proc::embedding_cache::{EmbeddingCache, stored};
 use memory_proc::representation::{MemorySettings, built_in};
-use memory_proc::worlds::Worlds;
+use memory_proc::worlds::WorldStates;
 use peer::memory::{Query, Step};
 use png_file::{Channels, RgbaImage, encode};
 use prompt::{UnreadAnswer, read_answer};
@@ -131,7 +131,7 @@ pub(super) fn snapshot(input: &[u8]) {
             let replayed = memory_proc::fuzzing::experiences(&text, worlds());
             for demonstration in replayed.into_iter().flatten() {
                 assert_eq!(demonstration.poses.len(), demonstration.actions.len() + 1);
-                let _ = Bank::new([demonstration]);
+                let _ = ReplayedBank::new([demonstration]);
             }
         }
         let settings = MemorySettings {
@@ -176,10 +176,10 @@ pub(super) fn snapshot(input: &[u8]) {
     });
 }
 
-fn worlds() -> &'static Worlds {
+fn worlds() -> &'static WorldStates {
     thread_local! {
-        static WORLDS: &'static Worlds =
-            Box::leak(Box::new(Worlds::unchanging(Warehouse::shipped(), CaseSet::shipped())));
+        static WORLDS: &'static WorldStates =
+            Box::leak(Box::new(WorldStates::unchanging(Warehouse::shipped(), CaseSet::shipped())));
     }
     WORLDS.with(|worlds| *worlds)
 }

@@ -5,8 +5,8 @@ use std::sync::{Arc, OnceLock};
 use bytemuck::Zeroable;
 use conformance::messages;
 use domain::{Action, Arm, DocumentKind, Feedback, Heading, Pose, Representation};
-use memory_proc::bank::{Bank, Viewpoint};
-use memory_proc::demonstrations::Demonstration;
+use memory_proc::bank::{ReplayedBank, Viewpoint};
+use memory_proc::demonstrations::ReplayedDemonstration;
 use memory_proc::items::{Assembler, Budgets, CheckedAnswer, DocumentSupplier, PublishedTexts};
 use orchestrator::lanes::{AnswerError, Lanes, Rules, Turn};
 use orchestrator::plan::PlannedEpisode;
@@ -168,7 +168,7 @@ pub(super) fn orchestrator(input: &[u8]) {
 pub(super) fn sim(input: &[u8]) {
     static WORLDS: OnceLock<Worlds> = OnceLock::new();
     let worlds = WORLDS.get_or_init(|| Worlds::new(&world().warehouse, &world().cases, Vec::new()));
-    let mut lanes = sim_proc::lanes::Lanes::new(worlds.clone(), 2);
+    let mut lanes = sim_proc::lanes::SimulatedLanes::new(worlds.clone(), 2);
     let start = world().warehouse.layout.free_cells().next().unwrap();
     let mut input = Input(input);
     let mut next = [0_u32; 2];
@@ -267,9 +267,9 @@ impl DocumentSupplier for Published {
     }
 }
 
-fn bank() -> &'static Bank {
-    static BANK: OnceLock<Bank> = OnceLock::new();
-    let made = |(number, steps): (u16, u8)| Demonstration {
+fn bank() -> &'static ReplayedBank {
+    static BANK: OnceLock<ReplayedBank> = OnceLock::new();
+    let made = |(number, steps): (u16, u8)| ReplayedDemonstration {
         case: 8,
         number,
         variant: 0,
@@ -279,7 +279,7 @@ fn bank() -> &'static Bank {
         stages: vec![0; usize::from(steps) + 1],
         actions: vec![Some(Action::Forward); usize::from(steps)],
     };
-    BANK.get_or_init(|| Bank::new([(0, 9), (3, 4), (1, 60)].map(made)))
+    BANK.get_or_init(|| ReplayedBank::new([(0, 9), (3, 4), (1, 60)].map(made)))
 }
 
 /// An external memory's answer, up to the recall: within the budgets, and every part of it exists.

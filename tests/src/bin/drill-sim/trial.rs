@@ -15,7 +15,7 @@ use orchestrator::lanes::Lanes;
 use orchestrator::launch;
 use orchestrator::monitor::Monitor;
 use orchestrator::pipeline::{Ending, PipelineOptions, run_episodes};
-use orchestrator::progress::Progress;
+use orchestrator::progress::ProgressDisplay;
 use orchestrator::session::RunSession;
 use orchestrator::status::EpisodeCounts;
 use orchestrator::streams::Remaining;
@@ -221,7 +221,7 @@ fn session(
         memory_timeout: Duration::from_secs(settings.memory_timeout.into()),
     };
     let counts = EpisodeCounts { planned: missing.len() as u64, ..EpisodeCounts::default() };
-    let monitor = Monitor::new(folder.dir(), attach.lanes, counts, Progress::silent());
+    let monitor = Monitor::new(folder.dir(), attach.lanes, counts, ProgressDisplay::silent());
     let budget = Budget::new(None, None, &requests);
     let size = (attach.lanes, attach.frame_capacity);
     let mut session = RunSession::new(&mut folder, monitor, budget, None, size);

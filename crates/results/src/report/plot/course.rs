@@ -2,7 +2,7 @@
 
 use super::curves::{draw_curve, legend};
 use super::{BOTTOM, RIGHT, Stroke, Svg, TextAnchor, TextStyle, WIDTH, escaped};
-use crate::report::document::Figure;
+use crate::report::document::ReportFigure;
 
 /// A plot of curves over blocks.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,7 +29,7 @@ const HEIGHT: i32 = 260;
 const AXIS: i32 = 60;
 
 /// Draws the plot.
-pub(in crate::report) fn course(plot: &Course) -> Figure {
+pub(in crate::report) fn course(plot: &Course) -> ReportFigure {
     let names: Vec<(&str, bool)> =
         plot.curves.iter().map(|curve| (curve.name.as_str(), curve.is_bound)).collect();
     let mut body = Svg::new(0);
@@ -68,7 +68,7 @@ pub(in crate::report) fn course(plot: &Course) -> Figure {
         format!("{}: {}", curve.name, values.join(", "))
     });
     let alt = escaped(&format!("{} {}", plot.caption, in_words.collect::<Vec<_>>().join("; ")));
-    Figure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
+    ReportFigure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Curves on two logarithmic axes, distinguished by the shapes of their points.
 
 use super::{BOTTOM, Paint, RIGHT, Stroke, Svg, TextAnchor, TextStyle, WIDTH};
-use crate::report::document::Figure;
+use crate::report::document::ReportFigure;
 
 /// A plot of curves.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -73,7 +73,7 @@ impl Scale {
 }
 
 /// Draws the plot.
-pub fn curves(plot: &Curves) -> Figure {
+pub fn curves(plot: &Curves) -> ReportFigure {
     let above = |point: &(f64, f64)| point.0 > 0.0 && point.1 > 0.0;
     let points = |curve: &Curve| curve.points.iter().copied().filter(above).collect::<Vec<_>>();
     let shown: Vec<(&Curve, Vec<(f64, f64)>)> =
@@ -99,7 +99,7 @@ pub fn curves(plot: &Curves) -> Figure {
         format!("{}: {}", curve.name, points.join(", "))
     });
     let alt = format!("{} {}", plot.caption, in_words.collect::<Vec<_>>().join("; "));
-    Figure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
+    ReportFigure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
 }
 
 fn draw_axes(svg: &mut Svg, plot: &Curves, across: &Scale, up: &Scale) {

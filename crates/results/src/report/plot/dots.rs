@@ -1,7 +1,7 @@
 //! Dots with error bars: a row for each condition, a shape for each source.
 
 use super::{BOTTOM, LEFT, Paint, Stroke, Svg, TextAnchor, TextStyle, ValueAxis};
-use crate::report::document::Figure;
+use crate::report::document::ReportFigure;
 
 /// A plot of dots.
 #[derive(Debug)]
@@ -40,7 +40,7 @@ const HEADING: i32 = 26;
 const LEGEND: i32 = 34;
 
 /// Draws the plot.
-pub(in crate::report) fn dots(plot: &Dots) -> Figure {
+pub(in crate::report) fn dots(plot: &Dots) -> ReportFigure {
     let headings = plot.rows.iter().filter(|row| row.heading.is_some()).count() as i32;
     let bottom = LEGEND + headings * HEADING + plot.rows.len() as i32 * ROW + 4;
     let axis = ValueAxis { from: plot.range.0, to: plot.range.1 };
@@ -58,7 +58,7 @@ pub(in crate::report) fn dots(plot: &Dots) -> Figure {
     }
     let rows = plot.rows.iter().map(|row| in_words(row, &plot.series));
     let alt = format!("{} {}", plot.caption, rows.collect::<Vec<_>>().join("; "));
-    Figure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
+    ReportFigure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
 }
 
 /// Lists the sources that have a dot.

@@ -1,7 +1,7 @@
 //! Stacked bars: a row for each bar, parts in the same order everywhere, with their numbers on them.
 
 use super::{BOTTOM, LEFT, Paint, Svg, TextAnchor, TextStyle, ValueAxis};
-use crate::report::document::Figure;
+use crate::report::document::ReportFigure;
 
 /// A plot of stacked bars.
 #[derive(Debug)]
@@ -34,7 +34,7 @@ const LEGEND_ROW: i32 = 22;
 const LEGEND_COLUMNS: usize = 3;
 
 /// Draws the plot. Parts that no bar has are left out, from the legend too.
-pub fn stack(plot: &Stack) -> Figure {
+pub fn stack(plot: &Stack) -> ReportFigure {
     let lengths = || plot.rows.iter().filter_map(|row| row.lengths.as_deref());
     let present: Vec<usize> = (0..plot.parts.len())
         .filter(|&part| lengths().any(|lengths| lengths.get(part).is_some_and(|l| *l > 0.0)))
@@ -57,7 +57,7 @@ pub fn stack(plot: &Stack) -> Figure {
     }
     let rows: Vec<String> = plot.rows.iter().map(|row| in_words(row, &plot.parts)).collect();
     let alt = format!("{} {}", plot.caption, rows.join("; "));
-    Figure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
+    ReportFigure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
 }
 
 fn draw_row(svg: &mut Svg, axis: &ValueAxis, row: &StackRow, present: &[usize], y: i32) {

@@ -1,6 +1,6 @@
 //! Table `tab:rq2`: what a blocked route does to each representation.
 
-use crate::report::document::{Block, Cell, Column, Missing, Table};
+use crate::report::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
 use crate::report::view::{
     ScoredRun, interval_text, name, pair_stubs, published_text, signed, sure_or,
 };
@@ -14,8 +14,8 @@ const NOTHING_TO_RETAIN: Missing =
 pub(super) const NONE_TRIED: Missing =
     Missing::Undefined("no episode tried to enter a closed cell, so none could recover");
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
-    blocked_table(view).map(Block::Table).into_iter().collect()
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
+    blocked_table(view).map(ReportBlock::Table).into_iter().collect()
 }
 
 /// The paper's table with the run's figures; `None` where no blocked route was run.
@@ -23,9 +23,9 @@ pub(in crate::report) fn blocked_table(view: &ScoredRun<'_>) -> Option<Table> {
     let blocked = |representation| name(representation, "new/blocked", "4");
     let unchanged = |representation| name(representation, "new/unchanged", "4");
     let ours = |representation| {
-        let cell = |figure: &dyn Fn(&BlockedScore) -> Cell| {
+        let cell = |figure: &dyn Fn(&BlockedScore) -> TableCell| {
             view.ours(&blocked(representation), |score| {
-                score.blocked.as_ref().map_or(Cell::Missing(NEEDS_BOTH), figure)
+                score.blocked.as_ref().map_or(TableCell::Missing(NEEDS_BOTH), figure)
             })
         };
         let no_retention = match view.score(&unchanged(representation)) {
@@ -59,7 +59,7 @@ pub(in crate::report) fn blocked_table(view: &ScoredRun<'_>) -> Option<Table> {
                   95 % in brackets."
             .to_owned(),
         stubs: pair_stubs(),
-        columns: ["Δ", "Retention", "Follow %", "Recovery %"].map(Column::new).to_vec(),
+        columns: ["Δ", "Retention", "Follow %", "Recovery %"].map(TableColumn::new).to_vec(),
         groups: view.pairs(&view.memories(), ours, theirs),
     };
     table.pruned()
@@ -70,12 +70,12 @@ fn derived(
     shown: impl Fn(f64) -> String,
     digits: usize,
     missing: &Missing,
-) -> Cell {
+) -> TableCell {
     match found {
-        None => Cell::Missing(missing.clone()),
+        None => TableCell::Missing(missing.clone()),
         Some(Derived { value, interval: Some(interval) }) => {
-            Cell::Sure { figure: shown(value), interval: interval_text(interval, digits) }
+            TableCell::Sure { figure: shown(value), interval: interval_text(interval, digits) }
         }
-        Some(Derived { value, interval: None }) => Cell::Value(shown(value)),
+        Some(Derived { value, interval: None }) => TableCell::Value(shown(value)),
     }
 }

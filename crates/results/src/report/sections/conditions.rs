@@ -2,16 +2,18 @@
 
 use super::main_table::{NO_REQUESTS, NO_TOKENS};
 use crate::conditions::{Condition, Route};
-use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
+use crate::report::document::{
+    Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow,
+};
 use crate::report::view::{ScoredRun, interval_text, plain_or, spread_text, title};
 use crate::score::ConditionScore;
 
 const NO_RETRIEVAL: Missing = Missing::NotApplicable("nothing is retrieved under this condition");
 const ONE_CASE: Missing = Missing::NotMeasured("one case says nothing about others");
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let mut table = conditions_table(view);
-    table.columns.extend(["Mtok", "Unreadable %", "Other tasks %"].map(Column::new));
+    table.columns.extend(["Mtok", "Unreadable %", "Other tasks %"].map(TableColumn::new));
     let rows = table.groups.iter_mut().flat_map(|group| &mut group.rows);
     for (row, score) in rows.zip(&view.scores.conditions) {
         row.cells.extend([
@@ -25,7 +27,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
                      tokens per 100 cases (Mtok), percentage of unreadable answers and of retrievals from another \
                      task's history: means. conditions.csv and conditions.parquet hold every figure in full."
         .to_owned();
-    table.pruned().map(Block::Table).into_iter().collect()
+    table.pruned().map(ReportBlock::Table).into_iter().collect()
 }
 
 /// The conditions by memory with success rate, interval, SPL, steps and images.
@@ -40,25 +42,25 @@ pub(in crate::report) fn conditions_table(view: &ScoredRun<'_>) -> Table {
         id: view.id("conditions"),
         caption: String::new(),
         stubs: vec!["Memory".to_owned(), "Start, route, demonstrations".to_owned()],
-        columns: ["N", "SR %", "95 % CI", "SPL", "Steps", "Img"].map(Column::new).to_vec(),
+        columns: ["N", "SR %", "95 % CI", "SPL", "Steps", "Img"].map(TableColumn::new).to_vec(),
         groups: groups.map(group).collect(),
     }
 }
 
-fn row(score: &ConditionScore) -> Row {
+fn row(score: &ConditionScore) -> TableRow {
     let episodes = match score.planned > score.episodes {
         true => format!("{}/{}", score.episodes, score.planned),
         false => score.episodes.to_string(),
     };
-    let interval = score.sr.interval.map(|interval| Cell::Value(interval_text(interval, 1)));
-    Row {
+    let interval = score.sr.interval.map(|interval| TableCell::Value(interval_text(interval, 1)));
+    TableRow {
         label: setting(&score.condition),
         published: false,
         cells: vec![
-            Cell::Value(episodes),
-            Cell::Value(spread_text(score.sr, 1)),
-            interval.unwrap_or(Cell::Missing(ONE_CASE)),
-            Cell::Value(format!("{:.3}", score.spl.mean)),
+            TableCell::Value(episodes),
+            TableCell::Value(spread_text(score.sr, 1)),
+            interval.unwrap_or(TableCell::Missing(ONE_CASE)),
+            TableCell::Value(format!("{:.3}", score.spl.mean)),
             plain_or(score.mean_steps, 1, NO_REQUESTS),
             plain_or(score.images_per_request.map(|images| images.mean), 1, NO_REQUESTS),
         ],

@@ -3,12 +3,14 @@
 use super::blocked::NONE_TRIED;
 use super::mixed::NO_RETRIEVAL;
 use crate::conditions::{Condition, Demonstrations, Route};
-use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
+use crate::report::document::{
+    Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow,
+};
 use crate::report::view::{ScoredRun, sure, sure_or, title};
 use crate::score::{ConditionScore, HISTORIES};
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
-    conflict_table(view).map(Block::Table).into_iter().collect()
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
+    conflict_table(view).map(ReportBlock::Table).into_iter().collect()
 }
 
 /// Success on both routes and use of outdated demonstrations, by memory and demonstrations; `None` where there is no
@@ -26,15 +28,15 @@ pub(in crate::report) fn conflict_table(view: &ScoredRun<'_>) -> Option<Table> {
         };
         let (unchanged, blocked) = (on(Route::Unchanged), on(Route::Blocked));
         let rate = |score: Option<&ConditionScore>| {
-            score.map_or(Cell::Missing(Missing::NotRun), |score| sure(score.sr, 1))
+            score.map_or(TableCell::Missing(Missing::NotRun), |score| sure(score.sr, 1))
         };
         let of_blocked = blocked.and_then(|score| score.blocked);
         let (follow, stale) = match of_blocked {
-            None => (Cell::Missing(Missing::NotRun), Cell::Missing(Missing::NotRun)),
+            None => (TableCell::Missing(Missing::NotRun), TableCell::Missing(Missing::NotRun)),
             Some(found) => (
                 sure_or(found.follow, 1, NONE_TRIED),
                 match memory.retrieves() {
-                    false => Cell::Missing(NO_RETRIEVAL),
+                    false => TableCell::Missing(NO_RETRIEVAL),
                     true => sure_or(found.stale, 1, Missing::Undefined("nothing was retrieved")),
                 },
             ),
@@ -45,7 +47,11 @@ pub(in crate::report) fn conflict_table(view: &ScoredRun<'_>) -> Option<Table> {
             other => other.to_string().replace('-', ", "),
         };
         let cells = vec![rate(unchanged), rate(blocked), follow, stale];
-        (unchanged.is_some() || blocked.is_some()).then_some(Row { label, published: false, cells })
+        (unchanged.is_some() || blocked.is_some()).then_some(TableRow {
+            label,
+            published: false,
+            cells,
+        })
     };
     let groups = view.memories().into_iter().map(|memory| {
         let sets = [Demonstrations::NONE].into_iter().chain(HISTORIES);
@@ -64,10 +70,10 @@ pub(in crate::report) fn conflict_table(view: &ScoredRun<'_>) -> Option<Table> {
         ),
         stubs: vec!["Memory".to_owned(), "Demonstrations".to_owned()],
         columns: vec![
-            Column::under("SR %", "unchanged"),
-            Column::under("SR %", "blocked"),
-            Column::new("Follow %"),
-            Column::new("Stale %"),
+            TableColumn::under("SR %", "unchanged"),
+            TableColumn::under("SR %", "blocked"),
+            TableColumn::new("Follow %"),
+            TableColumn::new("Stale %"),
         ],
         groups: groups.filter(|group| !group.rows.is_empty()).collect(),
     })

@@ -4,7 +4,9 @@ use domain::MemoryKind;
 
 use super::main_table::{NO_REQUESTS, mega};
 use crate::conditions::Variation;
-use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
+use crate::report::document::{
+    Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow,
+};
 use crate::report::view::{ScoredRun, name, pair_stubs, plain_or, title};
 use crate::score::RequestScore;
 
@@ -13,21 +15,24 @@ const SETTINGS: [(&str, &str, &str); 2] = [
     ("New start, 4 demos", "new/unchanged", "4"),
 ];
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let settings = &view.log.manifest.settings;
     let columns = SETTINGS.iter().flat_map(|(over, _, _)| {
-        ["Images", "Mtok", "Unreadable %"].map(|name| Column::under(*over, name))
+        ["Images", "Mtok", "Unreadable %"].map(|name| TableColumn::under(*over, name))
     });
-    let mut columns: Vec<Column> = columns.collect();
-    columns.insert(0, Column::new("Full window"));
+    let mut columns: Vec<TableColumn> = columns.collect();
+    columns.insert(0, TableColumn::new("Full window"));
     let names = |representation| {
         SETTINGS.map(|(_, rest, demonstrations)| name(representation, rest, demonstrations))
     };
     let ours = |representation: MemoryKind| {
         let most = 1 + Variation::STANDARD.window + settings.memory_images_of(representation);
         let was_run = names(representation).iter().any(|name| view.score(name).is_some());
-        let full =
-            if was_run { Cell::Value(most.to_string()) } else { Cell::Missing(Missing::NotRun) };
+        let full = if was_run {
+            TableCell::Value(most.to_string())
+        } else {
+            TableCell::Missing(Missing::NotRun)
+        };
         let mut cells = vec![full];
         for name in names(representation) {
             cells.push(view.ours(&name, |score| {
@@ -62,7 +67,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         groups: view.pairs(&view.memories(), ours, theirs),
     };
     let tables = [table.pruned(), requests_table(view)];
-    tables.into_iter().flatten().map(Block::Table).collect()
+    tables.into_iter().flatten().map(ReportBlock::Table).collect()
 }
 
 /// Figures of the requests, a column for each memory; `None` where no model was asked.
@@ -71,19 +76,19 @@ pub(in crate::report) fn requests_table(view: &ScoredRun<'_>) -> Option<Table> {
     let by_memory = RequestScore::by_memory(view.log);
     let scores: Vec<&RequestScore> =
         by_memory.iter().map(|(_, score)| score).chain([&all]).collect();
-    type Figure = fn(&RequestScore) -> Cell;
+    type Figure = fn(&RequestScore) -> TableCell;
     let mut figures: Vec<(String, Figure)> = [
-        ("Requests", (|s| Cell::Value(s.usage.requests.to_string())) as Figure),
-        ("From the response cache", |s| Cell::Value(s.usage.replayed.to_string())),
-        ("Retries", |s| Cell::Value(s.usage.retries().to_string())),
+        ("Requests", (|s| TableCell::Value(s.usage.requests.to_string())) as Figure),
+        ("From the response cache", |s| TableCell::Value(s.usage.replayed.to_string())),
+        ("Retries", |s| TableCell::Value(s.usage.retries().to_string())),
         ("Tokens of a prompt", |s| plain_or(s.prompt_tokens_each, 0, UNKNOWN)),
         ("of which memory, %", |s| plain_or(s.memory_share, 1, UNKNOWN)),
         ("of which reusable, %", |s| plain_or(s.reusable_share, 1, UNKNOWN)),
         ("of which cached, %", |s| plain_or(s.cached_share, 1, UNKNOWN)),
-        ("Images left out", |s| Cell::Value(s.images_dropped.to_string())),
-        ("Unreadable answers", |s| Cell::Value(s.unread.unreadable.to_string())),
-        ("Empty answers", |s| Cell::Value(s.unread.empty.to_string())),
-        ("Refusals", |s| Cell::Value(s.unread.refused.to_string())),
+        ("Images left out", |s| TableCell::Value(s.images_dropped.to_string())),
+        ("Unreadable answers", |s| TableCell::Value(s.unread.unreadable.to_string())),
+        ("Empty answers", |s| TableCell::Value(s.unread.empty.to_string())),
+        ("Refusals", |s| TableCell::Value(s.unread.refused.to_string())),
         ("Latency p50, ms", |s| plain_or(s.latency_p50_ms, 0, NOTHING_SENT)),
         ("Latency p90, ms", |s| plain_or(s.latency_p90_ms, 0, NOTHING_SENT)),
         ("Million tokens", |s| {
@@ -94,11 +99,12 @@ pub(in crate::report) fn requests_table(view: &ScoredRun<'_>) -> Option<Table> {
     .map(|(label, figure)| (label.to_owned(), figure))
     .to_vec();
     if let Some(prices) = &view.log.manifest.prices {
-        let cost: Figure =
-            |s| s.cost.map_or(Cell::Missing(UNKNOWN), |cost| Cell::Value(cost.to_string()));
+        let cost: Figure = |s| {
+            s.cost.map_or(TableCell::Missing(UNKNOWN), |cost| TableCell::Value(cost.to_string()))
+        };
         figures.push((format!("Cost, {}", prices.currency), cost));
     }
-    let row = |(label, figure): (String, Figure)| Row {
+    let row = |(label, figure): (String, Figure)| TableRow {
         label,
         published: false,
         cells: scores.iter().map(|score| figure(score)).collect(),
@@ -113,7 +119,7 @@ pub(in crate::report) fn requests_table(view: &ScoredRun<'_>) -> Option<Table> {
                   attempt that was answered. Million tokens: prompts and completions together."
             .to_owned(),
         stubs: vec!["Figure".to_owned()],
-        columns: columns.map(Column::new).collect(),
+        columns: columns.map(TableColumn::new).collect(),
         groups: vec![Group { label: None, rows: figures.into_iter().map(row).collect() }],
     })
 }

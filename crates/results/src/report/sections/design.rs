@@ -2,7 +2,7 @@
 
 use domain::{MemoryKind, Representation};
 
-use crate::report::document::{Block, Group, Row, Table};
+use crate::report::document::{Group, ReportBlock, Table, TableRow};
 use crate::report::plot::Dots;
 use crate::report::sections::main_table::{dots_if_any, rate_rows};
 use crate::report::view::{
@@ -11,9 +11,9 @@ use crate::report::view::{
 
 const ORIGINAL: &str = "original/unchanged";
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let choices = choices(view);
-    let row = |(choice, name): &(String, String)| Row {
+    let row = |(choice, name): &(String, String)| TableRow {
         label: choice.clone(),
         published: false,
         cells: our_rates(view, name).into_iter().chain(their_rates(view, name)).collect(),
@@ -42,7 +42,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         series: vec![OURS.to_owned(), THEIRS.to_owned()],
         rows: rows.collect(),
     });
-    table.pruned().map(Block::Table).into_iter().chain(figure).collect()
+    table.pruned().map(ReportBlock::Table).into_iter().chain(figure).collect()
 }
 
 /// The conditions by heading, each with what is varied and its name.

@@ -2,7 +2,7 @@
 
 use domain::{MemoryKind, Representation};
 
-use crate::report::document::{Block, Group, Section, Table};
+use crate::report::document::{Group, ReportBlock, ReportSection, Table};
 use crate::report::sections::pairs::{columns, row};
 use crate::report::view::{ScoredRun, name, title};
 
@@ -10,7 +10,7 @@ const SETTING: &str = "new/unchanged";
 const ELSEWHERE: &str = "elsewhere";
 
 /// The section, if the run has such demonstrations from the new start.
-pub(super) fn section(view: &ScoredRun<'_>) -> Option<Section> {
+pub(super) fn section(view: &ScoredRun<'_>) -> Option<ReportSection> {
     let has_run = |name: &String| {
         view.scores.conditions.iter().any(|score| score.condition.to_string() == *name)
     };
@@ -44,5 +44,5 @@ pub(super) fn section(view: &ScoredRun<'_>) -> Option<Section> {
     };
     let table = table.pruned()?;
     let heading = "Demonstrations in another warehouse";
-    Some(Section::new(view.id("s-elsewhere"), heading, vec![Block::Table(table)]))
+    Some(ReportSection::new(view.id("s-elsewhere"), heading, vec![ReportBlock::Table(table)]))
 }

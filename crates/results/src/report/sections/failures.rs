@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use domain::MemoryKind;
 
-use crate::report::document::{Block, Table};
+use crate::report::document::{ReportBlock, Table};
 use crate::report::plot::{Stack, StackRow, stack};
 use crate::report::sections::conditions::setting;
 use crate::report::view::{ScoredRun, title};
@@ -13,7 +13,7 @@ use crate::score::{ConditionScore, Failure, worst_cases};
 /// Cases in the table of the worst.
 const WORST: usize = 10;
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let Some(table) = failures_table(view) else { return Vec::new() };
     let text = "Each failed episode is of one kind: the first rule that applies, in the order of the rows. First comes \
                 how an episode went wrong, then what was missing.";
@@ -21,12 +21,12 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         .iter()
         .filter(|kind| table.groups[0].rows.iter().any(|row| row.label == kind.name()));
     let terms = present.map(|kind| (kind.name().to_owned(), kind.meaning().to_owned()));
-    let mut blocks = vec![Block::Text(text.to_owned()), Block::Terms(terms.collect())];
+    let mut blocks = vec![ReportBlock::Text(text.to_owned()), ReportBlock::Terms(terms.collect())];
     let bars = view.scores.conditions.iter().map(|score| StackRow {
         label: format!("{}: {}", title(score.condition.memory), setting(&score.condition)),
         lengths: Some(shares(score)),
     });
-    blocks.push(Block::Figure(stack(&Stack {
+    blocks.push(ReportBlock::Figure(stack(&Stack {
         id: view.id("failures-figure"),
         caption: "Kinds of failure as a percentage of the finished episodes of each condition. The remainder \
                   succeeded."
@@ -36,8 +36,8 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         parts: Failure::ALL.iter().map(|kind| kind.name().to_owned()).collect(),
         rows: bars.collect(),
     })));
-    blocks.push(Block::Table(table));
-    blocks.extend(worst_table(view, WORST).map(Block::Table));
+    blocks.push(ReportBlock::Table(table));
+    blocks.extend(worst_table(view, WORST).map(ReportBlock::Table));
     blocks
 }
 

@@ -2,7 +2,7 @@
 
 use warehouse::TaskGroup;
 
-use crate::report::document::{Block, Cell, Column, Missing, Table};
+use crate::report::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
 use crate::report::view::{ScoredRun, name, pair_stubs};
 
 const HEADINGS: [(TaskGroup, &str); 4] = [
@@ -12,14 +12,14 @@ const HEADINGS: [(TaskGroup, &str); 4] = [
     (TaskGroup::Revisit, "Revisit (T9)"),
 ];
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let columns = HEADINGS.iter().flat_map(|(_, heading)| {
-        ["unchanged", "blocked"].map(|route| Column::under(*heading, route))
+        ["unchanged", "blocked"].map(|route| TableColumn::under(*heading, route))
     });
     let names = |representation| {
         ["new/unchanged", "new/blocked"].map(|rest| name(representation, rest, "4"))
     };
-    let each = |representation, cell: &dyn Fn(TaskGroup, &str) -> Cell| {
+    let each = |representation, cell: &dyn Fn(TaskGroup, &str) -> TableCell| {
         let names = names(representation);
         let both = |(group, _): &(TaskGroup, &str)| names.each_ref().map(|name| cell(*group, name));
         HEADINGS.iter().flat_map(both).collect::<Vec<_>>()
@@ -30,8 +30,8 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
                 let found = score.groups.iter().find(|found| found.group == group);
                 let missing =
                     Missing::NotMeasured("the run's selection of cases has none of this group");
-                found.map_or(Cell::Missing(missing), |found| {
-                    Cell::Value(format!("{:.0}", found.sr.mean))
+                found.map_or(TableCell::Missing(missing), |found| {
+                    TableCell::Value(format!("{:.0}", found.sr.mean))
                 })
             })
         })
@@ -52,5 +52,5 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         columns: columns.collect(),
         groups: view.pairs(&view.memories(), ours, theirs),
     };
-    table.pruned().map(Block::Table).into_iter().collect()
+    table.pruned().map(ReportBlock::Table).into_iter().collect()
 }

@@ -2,7 +2,9 @@
 
 use super::main_table::{dots_if_any, rate_rows};
 use super::mixed::NO_RETRIEVAL;
-use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
+use crate::report::document::{
+    Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow,
+};
 use crate::report::plot::{Curve, Curves, Dots, curves};
 use crate::report::view::{OURS, ScoredRun, plain_or, sure, title};
 use crate::score::GrowthScore;
@@ -13,7 +15,7 @@ const NO_TOKENS: Missing =
     Missing::NotMeasured("this run's policy counts no tokens (a scripted policy has none)");
 const NO_TYPE: Missing = Missing::NotMeasured("the ids of cases do not begin with their type");
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let groups: Vec<&[GrowthScore]> = by_memory(view).collect();
     let rows = groups.iter().flat_map(|scores| {
         let labelled: Vec<(String, String)> =
@@ -40,7 +42,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         (!shown.is_empty()).then(|| {
             let (name, unit) = up.split_once(", ").unwrap_or((up, ""));
             let id = name.to_lowercase();
-            Block::Figure(curves(&Curves {
+            ReportBlock::Figure(curves(&Curves {
                 id: view.id(&format!("growth-{id}")),
                 caption: format!(
                     "{name} against the number of demonstrations in the bank ({unit})."
@@ -53,7 +55,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     };
     let latency = curve("Search, us", |one| one.search_us);
     let store = curve("Store, KiB", |one| Some(one.store_bytes? as f64 / 1024.0));
-    let table = growth_table(view).map(Block::Table);
+    let table = growth_table(view).map(ReportBlock::Table);
     table.into_iter().chain(success).chain(latency).chain(store).collect()
 }
 
@@ -83,11 +85,11 @@ pub(in crate::report) fn growth_table(view: &ScoredRun<'_>) -> Option<Table> {
     let row = |one: &GrowthScore| {
         let retrieves = one.score.condition.memory.retrieves();
         let share = |value: Option<f64>, missing| match retrieves {
-            false => Cell::Missing(NO_RETRIEVAL),
+            false => TableCell::Missing(NO_RETRIEVAL),
             true => plain_or(value, 1, missing),
         };
         let kib = one.store_bytes.map(|bytes| bytes as f64 / 1024.0);
-        Row {
+        TableRow {
             label: label(one),
             published: false,
             cells: vec![
@@ -108,10 +110,10 @@ pub(in crate::report) fn growth_table(view: &ScoredRun<'_>) -> Option<Table> {
             rows: scores.iter().map(row).collect(),
         })
         .collect();
-    let mut columns = vec![Column::new("SR %")];
-    columns.extend(["own case", "same type"].map(|name| Column::under("Sources %", name)));
-    columns.extend(["search, us", "recall, us"].map(|name| Column::under("Time", name)));
-    columns.extend(["Store, KiB", "Images", "Tokens"].map(Column::new));
+    let mut columns = vec![TableColumn::new("SR %")];
+    columns.extend(["own case", "same type"].map(|name| TableColumn::under("Sources %", name)));
+    columns.extend(["search, us", "recall, us"].map(|name| TableColumn::under("Time", name)));
+    columns.extend(["Store, KiB", "Images", "Tokens"].map(TableColumn::new));
     (!groups.is_empty()).then(|| Table {
         id: view.id("growth"),
         caption: "The same cases by the number of demonstrations in the bank; a larger bank holds the smaller ones. Sources: \

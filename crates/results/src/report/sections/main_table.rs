@@ -1,6 +1,6 @@
 //! Table `tab:main`: six representations in the four settings of the three questions, with what they cost.
 
-use crate::report::document::{Block, Cell, Column, Missing, Table};
+use crate::report::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
 use crate::report::plot::{Dot, DotRow, Dots, dots};
 use crate::report::view::{
     OURS, ScoredRun, THEIRS, name, our_rates, pair_stubs, rate_columns, their_rates, title,
@@ -20,9 +20,12 @@ pub(super) const NO_TOKENS: Missing =
 pub(super) const NO_REQUESTS: Missing =
     Missing::NotMeasured("no policy was asked: the expert replays the reference");
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
-    let mut columns =
-        vec![Column::new("Img"), Column::under("Mtok", "1 demo"), Column::under("Mtok", "4 demos")];
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
+    let mut columns = vec![
+        TableColumn::new("Img"),
+        TableColumn::under("Mtok", "1 demo"),
+        TableColumn::under("Mtok", "4 demos"),
+    ];
     columns.extend(rate_columns(&SETTINGS.map(|(heading, _, _)| heading)));
     let of = |representation, (_, rest, demonstrations): (&str, &str, &str)| {
         name(representation, rest, demonstrations)
@@ -72,12 +75,12 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         series: vec![OURS.to_owned(), THEIRS.to_owned()],
         rows: rows.collect(),
     });
-    table.pruned().map(Block::Table).into_iter().chain(figure).collect()
+    table.pruned().map(ReportBlock::Table).into_iter().chain(figure).collect()
 }
 
 /// The plot, if it has rows.
-pub(super) fn dots_if_any(plot: Dots) -> Option<Block> {
-    (!plot.rows.is_empty()).then(|| Block::Figure(dots(&plot)))
+pub(super) fn dots_if_any(plot: Dots) -> Option<ReportBlock> {
+    (!plot.rows.is_empty()).then(|| ReportBlock::Figure(dots(&plot)))
 }
 
 /// The rows of a plot of success rates: one for each of the `conditions` (label, name) that was run, with the
@@ -112,19 +115,19 @@ pub(super) fn dot(series: usize, spread: Spread) -> Dot {
     Dot { series, value: spread.mean, range: interval.or(deviation) }
 }
 
-fn images(view: &ScoredRun<'_>, one: &str, four: &str) -> Cell {
+fn images(view: &ScoredRun<'_>, one: &str, four: &str) -> TableCell {
     let Some(score) = view.score(one).or_else(|| view.score(four)) else {
-        return Cell::Missing(Missing::NotRun);
+        return TableCell::Missing(Missing::NotRun);
     };
-    score
-        .images_per_request
-        .map_or(Cell::Missing(NO_REQUESTS), |images| Cell::Value(format!("{:.1}", images.mean)))
+    score.images_per_request.map_or(TableCell::Missing(NO_REQUESTS), |images| {
+        TableCell::Value(format!("{:.1}", images.mean))
+    })
 }
 
 /// Million tokens a hundred cases.
-pub(super) fn mega(view: &ScoredRun<'_>, name: &str) -> Cell {
+pub(super) fn mega(view: &ScoredRun<'_>, name: &str) -> TableCell {
     view.ours(name, |score| {
         let tokens = score.tokens_per_100.map(|tokens| format!("{:.1}", tokens.mean / 1e6));
-        tokens.map_or(Cell::Missing(NO_TOKENS), Cell::Value)
+        tokens.map_or(TableCell::Missing(NO_TOKENS), TableCell::Value)
     })
 }

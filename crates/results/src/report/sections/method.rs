@@ -1,10 +1,10 @@
 //! How the figures are defined.
 
-use crate::report::document::{Block, Section};
+use crate::report::document::{ReportBlock, ReportSection};
 use crate::score::{RESAMPLES, SEED};
 
 /// The section with the definitions.
-pub(in crate::report) fn method() -> Section {
+pub(in crate::report) fn method() -> ReportSection {
     let term = |term: &str, meaning: &str| (term.to_owned(), meaning.to_owned());
     let terms = vec![
         term(
@@ -64,15 +64,15 @@ pub(in crate::report) fn method() -> Section {
                    and if all succeeded.";
     let marks = "In the tables: not run, the run has no such condition; n/m, not measured; —, not published; undef., \
                  undefined; n/a, does not exist. The reason stands below each table.";
-    Section {
+    ReportSection {
         id: "s-method".to_owned(),
         level: 2,
         title: "Definitions".to_owned(),
         blocks: vec![
-            Block::Terms(terms),
-            Block::Text(intervals),
-            Block::Text(missing.to_owned()),
-            Block::Text(marks.to_owned()),
+            ReportBlock::Terms(terms),
+            ReportBlock::Text(intervals),
+            ReportBlock::Text(missing.to_owned()),
+            ReportBlock::Text(marks.to_owned()),
         ],
     }
 }

@@ -1,6 +1,6 @@
 //! Figure `fig:rq3` and its numbers: four demonstrations, of which two are replaced by other tasks' histories.
 
-use crate::report::document::{Block, Cell, Column, Missing, Table};
+use crate::report::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
 use crate::report::plot::Dots;
 use crate::report::sections::main_table::{dots_if_any, rate_rows};
 use crate::report::view::{
@@ -14,7 +14,7 @@ pub(super) const NO_RETRIEVAL: Missing = Missing::NotApplicable(
     "of the built-in memories only Episodic retrieves; the others supply the same at each step",
 );
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let names = |representation| SETS.map(|(_, set)| name(representation, "new/unchanged", set));
     let rows = view.historical().into_iter().flat_map(|representation| {
         let labelled: Vec<_> = SETS
@@ -35,16 +35,16 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         series: vec![OURS.to_owned(), THEIRS.to_owned()],
         rows: rows.collect(),
     });
-    let mut columns = SETS.map(|(heading, _)| Column::under("SR %", heading)).to_vec();
+    let mut columns = SETS.map(|(heading, _)| TableColumn::under("SR %", heading)).to_vec();
     columns.extend(
-        SETS[1..].iter().map(|(heading, _)| Column::under("From other tasks, %", *heading)),
+        SETS[1..].iter().map(|(heading, _)| TableColumn::under("From other tasks, %", *heading)),
     );
     let ours = |representation| {
         let names = names(representation);
-        let mut cells: Vec<Cell> =
+        let mut cells: Vec<TableCell> =
             names.iter().map(|name| view.ours(name, |score| sure(score.sr, 1))).collect();
         cells.extend(names[1..].iter().map(|name| match representation.retrieves() {
-            false => Cell::Missing(NO_RETRIEVAL),
+            false => TableCell::Missing(NO_RETRIEVAL),
             true => view.ours(name, |score| {
                 let missing = Missing::NotMeasured("nothing was retrieved");
                 sure_or(score.from_other_cases, 1, missing)
@@ -54,10 +54,10 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     };
     let theirs = |representation| {
         let names = names(representation);
-        let mut cells: Vec<Cell> =
+        let mut cells: Vec<TableCell> =
             names.iter().map(|name| view.theirs(name, |p| p.sr.map(published_text))).collect();
         cells.extend(names[1..].iter().map(|name| match representation.retrieves() {
-            false => Cell::Missing(NO_RETRIEVAL),
+            false => TableCell::Missing(NO_RETRIEVAL),
             true => view.theirs(name, |p| p.from_others.map(published_text)),
         }));
         cells
@@ -72,5 +72,5 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         columns,
         groups: view.pairs(&view.historical(), ours, theirs),
     };
-    figure.into_iter().chain(table.pruned().map(Block::Table)).collect()
+    figure.into_iter().chain(table.pruned().map(ReportBlock::Table)).collect()
 }

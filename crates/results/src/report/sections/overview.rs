@@ -7,7 +7,9 @@ use domain::{Appearance, Representation};
 
 use crate::conditions::{Condition, Frames, PolicyKind};
 use crate::log::{EpisodeRecord, ExternalMemoryFacts, Manifest};
-use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
+use crate::report::document::{
+    Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow,
+};
 use crate::report::view::{ScoredRun, title};
 
 /// Notices for the reader of the figures: the policy, controls, missing episodes, damaged lines.
@@ -82,8 +84,8 @@ fn standing(manifest: &Manifest) -> Vec<String> {
     lines
 }
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
-    let mut blocks: Vec<Block> = notices(view).into_iter().map(Block::Notice).collect();
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
+    let mut blocks: Vec<ReportBlock> = notices(view).into_iter().map(ReportBlock::Notice).collect();
     let (settings, scores) = (&view.log.manifest.settings, &view.scores);
     let cases = scores.conditions.iter().map(|score| score.cases).max().unwrap_or(0);
     let runs = scores.conditions.iter().map(|score| score.runs).max().unwrap_or(0);
@@ -97,36 +99,39 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let speed = match scores.steps_per_s {
         Some(rate) => {
             let rate = steps_per_second(rate);
-            Cell::Value(format!("{rate} steps/s with {} lanes", settings.lanes))
+            TableCell::Value(format!("{rate} steps/s with {} lanes", settings.lanes))
         }
-        None => Cell::Missing(Missing::NotMeasured("the log holds no timings")),
+        None => TableCell::Missing(Missing::NotMeasured("the log holds no timings")),
     };
     let facts = [
-        ("Policy", Cell::Value(settings.policy.to_string())),
-        ("Suite", Cell::Value(settings.suite.to_string())),
-        ("Conditions", Cell::Value(conditions.len().to_string())),
-        ("Cases", Cell::Value(cases.to_string())),
-        ("Runs of each condition, at most", Cell::Value(runs.to_string())),
-        ("Episodes finished", Cell::Value(format!("{} of {}", scores.finished, scores.planned))),
-        ("Episodes given up", Cell::Value(scores.errored.to_string())),
+        ("Policy", TableCell::Value(settings.policy.to_string())),
+        ("Suite", TableCell::Value(settings.suite.to_string())),
+        ("Conditions", TableCell::Value(conditions.len().to_string())),
+        ("Cases", TableCell::Value(cases.to_string())),
+        ("Runs of each condition, at most", TableCell::Value(runs.to_string())),
+        (
+            "Episodes finished",
+            TableCell::Value(format!("{} of {}", scores.finished, scores.planned)),
+        ),
+        ("Episodes given up", TableCell::Value(scores.errored.to_string())),
         ("Speed", speed),
     ];
     let streams = scores.streams.iter().flat_map(|found| {
         [
-            ("Streams", Cell::Value(found.streams.to_string())),
+            ("Streams", TableCell::Value(found.streams.to_string())),
             (
                 "Sequences complete",
-                Cell::Value(format!("{} of {}", found.sequences, found.planned)),
+                TableCell::Value(format!("{} of {}", found.sequences, found.planned)),
             ),
         ]
     });
     let facts = facts.into_iter().chain(streams);
-    blocks.push(Block::Table(facts_table(view.id("facts"), "Summary of the run.", facts)));
+    blocks.push(ReportBlock::Table(facts_table(view.id("facts"), "Summary of the run.", facts)));
     let task = "An agent has an instruction such as “Visit a blue barrel, then an orange cone.”, its pose and what it sees. \
                  A memory was built from expert demonstrations before; at every step the policy gets a part of it in \
                  addition to the last few steps. The tables show how much that helps where a demonstration matches, and \
                  where it does not.";
-    blocks.push(Block::Text(task.to_owned()));
+    blocks.push(ReportBlock::Text(task.to_owned()));
     let memory = |representation: &Representation| {
         let RepresentationInfo { stores, supplies, .. } = representation.describe();
         let meaning = format!("stores {stores}; supplies {supplies}");
@@ -148,7 +153,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         conditions.iter().any(|condition| condition.memory == **representation)
     };
     let terms = Representation::ALL.iter().filter(has_run).map(memory).chain(external);
-    blocks.push(Block::Terms(terms.collect()));
+    blocks.push(ReportBlock::Terms(terms.collect()));
     blocks
 }
 
@@ -161,16 +166,16 @@ pub(in crate::report) fn steps_per_second(rate: f64) -> String {
 pub(super) fn facts_table(
     id: String,
     caption: &str,
-    facts: impl IntoIterator<Item = (impl Into<String>, Cell)>,
+    facts: impl IntoIterator<Item = (impl Into<String>, TableCell)>,
 ) -> Table {
-    let row = |(label, cell): (_, Cell)| -> Row {
-        Row { label: Into::into(label), published: false, cells: vec![cell] }
+    let row = |(label, cell): (_, TableCell)| -> TableRow {
+        TableRow { label: Into::into(label), published: false, cells: vec![cell] }
     };
     Table {
         id,
         caption: caption.to_owned(),
         stubs: vec!["Fact".to_owned()],
-        columns: vec![Column::text("Value")],
+        columns: vec![TableColumn::text("Value")],
         groups: vec![Group { label: None, rows: facts.into_iter().map(row).collect() }],
     }
 }

@@ -4,7 +4,9 @@ use domain::{ExternalName, MemoryKind, Representation};
 
 use crate::compare::compare_conditions;
 use crate::conditions::Condition;
-use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
+use crate::report::document::{
+    Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow,
+};
 use crate::report::sections::conditions::setting;
 use crate::report::view::{ScoredRun, interval_text, name, p_value, signed, title};
 use crate::score::{Comparison, FigureDifference};
@@ -25,10 +27,10 @@ const COMPARED: [(&str, Setting, Setting); 5] = [
     ("confusable − 4 relevant", ("new/unchanged", "confusable"), ("new/unchanged", "4")),
 ];
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let group = |&representation: &MemoryKind| {
         let of = |(rest, demonstrations): (&str, &str)| name(representation, rest, demonstrations);
-        let mut rows: Vec<Row> = COMPARED
+        let mut rows: Vec<TableRow> = COMPARED
             .iter()
             .map(|&(label, a, b)| (label, of(a), of(b)))
             // Working memory has no demonstrations, so some of these are the same condition twice.
@@ -53,7 +55,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         columns: columns(),
         groups: view.memories().iter().map(group).collect(),
     };
-    [table.pruned(), against_others(view)].into_iter().flatten().map(Block::Table).collect()
+    [table.pruned(), against_others(view)].into_iter().flatten().map(ReportBlock::Table).collect()
 }
 
 /// Each external memory against every other memory of the run, in each setting that both have; `None` without external
@@ -90,38 +92,44 @@ fn against_others(view: &ScoredRun<'_>) -> Option<Table> {
     table.pruned()
 }
 
-pub(super) fn columns() -> Vec<Column> {
-    let mut columns = vec![Column::new("Cases")];
+pub(super) fn columns() -> Vec<TableColumn> {
+    let mut columns = vec![TableColumn::new("Cases")];
     for over in ["SR %", "SPL"] {
-        columns.extend(["first", "second", "difference"].map(|name| Column::under(over, name)));
+        columns
+            .extend(["first", "second", "difference"].map(|name| TableColumn::under(over, name)));
     }
-    columns.extend(["Better", "Worse", "p"].map(Column::new));
+    columns.extend(["Better", "Worse", "p"].map(TableColumn::new));
     columns
 }
 
-pub(super) fn row(view: &ScoredRun<'_>, label: &str, a: &str, b: &str) -> Row {
+pub(super) fn row(view: &ScoredRun<'_>, label: &str, a: &str, b: &str) -> TableRow {
     let compared = compare_conditions((view.log, a), (view.log, b));
     let cells = match &compared {
         Ok(compared) => cells(compared),
-        Err(_) => vec![Cell::Missing(Missing::NotRun); columns().len()],
+        Err(_) => vec![TableCell::Missing(Missing::NotRun); columns().len()],
     };
-    Row { label: label.to_owned(), published: false, cells }
+    TableRow { label: label.to_owned(), published: false, cells }
 }
 
 /// The cells of a comparison under [`columns`].
-pub(super) fn cells(compared: &Comparison) -> Vec<Cell> {
+pub(super) fn cells(compared: &Comparison) -> Vec<TableCell> {
     let Comparison { cases, sr, spl, more_under_a, more_under_b, p, .. } = compared;
     let three = |FigureDifference { a, b, mean, interval }: &FigureDifference, digits: usize| {
         let figure = signed(*mean, digits);
         let difference = match interval {
-            None => Cell::Value(figure),
-            Some(found) => Cell::Sure { figure, interval: interval_text(*found, digits) },
+            None => TableCell::Value(figure),
+            Some(found) => TableCell::Sure { figure, interval: interval_text(*found, digits) },
         };
-        [Cell::Value(format!("{a:.digits$}")), Cell::Value(format!("{b:.digits$}")), difference]
+        [
+            TableCell::Value(format!("{a:.digits$}")),
+            TableCell::Value(format!("{b:.digits$}")),
+            difference,
+        ]
     };
-    let mut cells = vec![Cell::Value(cases.to_string())];
+    let mut cells = vec![TableCell::Value(cases.to_string())];
     cells.extend(three(sr, 1).into_iter().chain(three(spl, 3)));
-    cells
-        .extend([more_under_a.to_string(), more_under_b.to_string(), p_value(*p)].map(Cell::Value));
+    cells.extend(
+        [more_under_a.to_string(), more_under_b.to_string(), p_value(*p)].map(TableCell::Value),
+    );
     cells
 }

@@ -4,10 +4,10 @@ use serde_json::Value;
 
 use super::overview::facts_table;
 use crate::log::SessionEvent;
-use crate::report::document::{Block, Cell, Missing};
+use crate::report::document::{Missing, ReportBlock, TableCell};
 use crate::report::view::ScoredRun;
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let (log, manifest) = (view.log, &view.log.manifest);
     let failures = log
         .sessions
@@ -17,22 +17,22 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let sessions = log.sessions.iter().map(|record| record.session).max();
     let commit = manifest.commit.clone();
     let mut facts = vec![
-        ("run folder".to_owned(), Cell::Value(log.dir.display().to_string())),
-        ("program version".to_owned(), Cell::Value(manifest.version.clone())),
+        ("run folder".to_owned(), TableCell::Value(log.dir.display().to_string())),
+        ("program version".to_owned(), TableCell::Value(manifest.version.clone())),
         (
             "commit".to_owned(),
             commit.map_or(
-                Cell::Missing(Missing::NotMeasured("the program was not run from a checkout")),
-                Cell::Value,
+                TableCell::Missing(Missing::NotMeasured("the program was not run from a checkout")),
+                TableCell::Value,
             ),
         ),
-        ("wire version".to_owned(), Cell::Value(manifest.wire_version.to_string())),
+        ("wire version".to_owned(), TableCell::Value(manifest.wire_version.to_string())),
         (
             "sessions".to_owned(),
             sessions.map_or(
-                Cell::Missing(Missing::NotMeasured("the log holds no sessions")),
+                TableCell::Missing(Missing::NotMeasured("the log holds no sessions")),
                 |sessions| {
-                    Cell::Value(format!("{sessions}, with {failures} restarts after a fault"))
+                    TableCell::Value(format!("{sessions}, with {failures} restarts after a fault"))
                 },
             ),
         ),
@@ -44,17 +44,18 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
                 Value::Array(groups) if key == "groups" => {
                     facts.extend(groups.iter().map(group_fact))
                 }
-                value => facts.push((format!("setting {key}"), Cell::Value(words(&value)))),
+                value => facts.push((format!("setting {key}"), TableCell::Value(words(&value)))),
             }
         }
     }
-    let hash =
-        |(name, hash): (&String, &String)| (format!("BLAKE3 of {name}"), Cell::Value(hash.clone()));
+    let hash = |(name, hash): (&String, &String)| {
+        (format!("BLAKE3 of {name}"), TableCell::Value(hash.clone()))
+    };
     facts.extend(manifest.hashes.iter().map(hash));
     for (name, memory) in &manifest.memories {
         if let Ok(Value::Object(said)) = serde_json::to_value(memory) {
             let fact = |(fact, value): (&String, &Value)| {
-                (format!("memory {name} {fact}"), Cell::Value(words(value)))
+                (format!("memory {name} {fact}"), TableCell::Value(words(value)))
             };
             facts.extend(said.iter().map(fact));
         }
@@ -62,15 +63,15 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     for (role, said) in &manifest.processes {
         let fact = |(fact, value): (&String, &String)| {
             let value = if value.is_empty() { "nothing" } else { value };
-            (format!("{role} {fact}"), Cell::Value(value.to_owned()))
+            (format!("{role} {fact}"), TableCell::Value(value.to_owned()))
         };
         facts.extend(said.iter().map(fact));
     }
     let caption = "What the run depended on, from its manifest.";
-    vec![Block::Table(facts_table(view.id("provenance"), caption, facts))]
+    vec![ReportBlock::Table(facts_table(view.id("provenance"), caption, facts))]
 }
 
-fn group_fact(group: &Value) -> (String, Cell) {
+fn group_fact(group: &Value) -> (String, TableCell) {
     let (mut name, mut said) = (String::new(), Vec::new());
     for (key, value) in group.as_object().into_iter().flatten() {
         match key.as_str() {
@@ -78,7 +79,7 @@ fn group_fact(group: &Value) -> (String, Cell) {
             key => said.push(format!("{key}: {}", words(value))),
         }
     }
-    (format!("setting group{name}"), Cell::Value(said.join("; ")))
+    (format!("setting group{name}"), TableCell::Value(said.join("; ")))
 }
 
 /// A value of a setting in readable form.

@@ -6,26 +6,28 @@ use super::overview::notices;
 use super::pairs::{cells, columns};
 use crate::compare::{compare_runs, differing_settings, run_name};
 use crate::conditions::Condition;
-use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Section, Table};
+use crate::report::document::{
+    Group, Missing, ReportBlock, ReportSection, Table, TableCell, TableColumn, TableRow,
+};
 use crate::report::sections::conditions::setting;
 use crate::report::view::{ScoredRun, sure, title};
 
 /// The section about all runs together.
-pub(in crate::report) fn runs(views: &[ScoredRun<'_>]) -> Section {
+pub(in crate::report) fn runs(views: &[ScoredRun<'_>]) -> ReportSection {
     let mut blocks = Vec::new();
     for view in views {
         let name = run_name(view.log);
         let lines = notices(view).into_iter();
-        blocks.extend(lines.map(|line| Block::Notice(format!("{name}: {line}"))));
+        blocks.extend(lines.map(|line| ReportBlock::Notice(format!("{name}: {line}"))));
     }
-    blocks.push(Block::Table(overview(views)));
-    blocks.push(Block::Table(side_by_side(views)));
+    blocks.push(ReportBlock::Table(overview(views)));
+    blocks.push(ReportBlock::Table(side_by_side(views)));
     for (later, second) in views.iter().enumerate() {
         for first in &views[..later] {
             blocks.extend(compared(first, second));
         }
     }
-    Section::new("s-runs", "The runs side by side", blocks)
+    ReportSection::new("s-runs", "The runs side by side", blocks)
 }
 
 fn overview(views: &[ScoredRun<'_>]) -> Table {
@@ -56,10 +58,10 @@ fn side_by_side(views: &[ScoredRun<'_>]) -> Table {
     let conditions: Vec<Condition> = conditions.into_iter().collect();
     let row = |condition: &Condition| {
         let cells = views.iter().flat_map(|view| match view.scores.of(condition) {
-            Some(score) => [sure(score.sr, 1), Cell::Value(format!("{:.3}", score.spl.mean))],
-            None => [Cell::Missing(Missing::NotRun), Cell::Missing(Missing::NotRun)],
+            Some(score) => [sure(score.sr, 1), TableCell::Value(format!("{:.3}", score.spl.mean))],
+            None => [TableCell::Missing(Missing::NotRun), TableCell::Missing(Missing::NotRun)],
         });
-        Row { label: setting(condition), published: false, cells: cells.collect() }
+        TableRow { label: setting(condition), published: false, cells: cells.collect() }
     };
     let group = |conditions: &[Condition]| Group {
         label: conditions.first().map(|condition| title(condition.memory)),
@@ -67,7 +69,7 @@ fn side_by_side(views: &[ScoredRun<'_>]) -> Table {
     };
     let columns = views.iter().flat_map(|view| {
         let name = run_name(view.log);
-        [Column::under(name.clone(), "SR %"), Column::under(name, "SPL")]
+        [TableColumn::under(name.clone(), "SR %"), TableColumn::under(name, "SPL")]
     });
     Table {
         id: "side-by-side".to_owned(),
@@ -79,23 +81,23 @@ fn side_by_side(views: &[ScoredRun<'_>]) -> Table {
     }
 }
 
-fn compared(first: &ScoredRun<'_>, second: &ScoredRun<'_>) -> Vec<Block> {
+fn compared(first: &ScoredRun<'_>, second: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let (a, b) = (run_name(first.log), run_name(second.log));
     let compared = match compare_runs(first.log, second.log) {
         Ok(compared) => compared,
-        Err(error) => return vec![Block::Notice(format!("No comparison: {error}."))],
+        Err(error) => return vec![ReportBlock::Notice(format!("No comparison: {error}."))],
     };
     let differing = differing_settings(first.log, second.log).into_iter().map(|one| {
         let (key, there, here) = (one.key, one.there, one.here);
-        Block::Notice(format!("{key} differs: {there} in {a}, {here} in {b}."))
+        ReportBlock::Notice(format!("{key} differs: {there} in {a}, {here} in {b}."))
     });
-    let mut blocks: Vec<Block> = differing.collect();
-    let rows = compared.iter().map(|compared| Row {
+    let mut blocks: Vec<ReportBlock> = differing.collect();
+    let rows = compared.iter().map(|compared| TableRow {
         label: compared.a.trim_start_matches(&format!("{a}: ")).to_owned(),
         published: false,
         cells: cells(compared),
     });
-    blocks.push(Block::Table(Table {
+    blocks.push(ReportBlock::Table(Table {
         id: format!("compare-{}{}", first.prefix, second.prefix.trim_end_matches('-')),
         caption: format!(
             "{a} minus {b}, on the conditions and cases that both have. SR in percentage points. Better, worse: cases \

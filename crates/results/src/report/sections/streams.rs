@@ -13,19 +13,22 @@ pub(in crate::report) use success::{differences_table, success_table};
 use domain::{Arm, FeedbackLevel};
 
 use crate::conditions::{Condition, Variation};
-use crate::report::document::{Block, Cell, Group, Missing, Row, Section, Table};
+use crate::report::document::{
+    Group, Missing, ReportBlock, ReportSection, Table, TableCell, TableRow,
+};
 use crate::report::view::{ScoredRun, interval_text, title};
 use crate::score::{Estimate, StreamScore, StreamScores};
 
 const NOTHING_RETRIEVED: Missing = Missing::Undefined("nothing was retrieved");
 
 /// The sections about streams; none for a run without.
-pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<Section> {
+pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<ReportSection> {
     let Some(scores) = &view.scores.streams else { return Vec::new() };
-    let mut blocks: Vec<Block> = incomplete(view).into_iter().map(Block::Notice).collect();
-    blocks.push(Block::Text(introduction(scores)));
+    let mut blocks: Vec<ReportBlock> =
+        incomplete(view).into_iter().map(ReportBlock::Notice).collect();
+    blocks.push(ReportBlock::Text(introduction(scores)));
     blocks.extend(success::blocks(view, scores));
-    let mut sections = vec![Section::new(view.id("s-streams"), "Streams", blocks)];
+    let mut sections = vec![ReportSection::new(view.id("s-streams"), "Streams", blocks)];
     for (id, title, blocks) in [
         (
             "retention",
@@ -41,8 +44,8 @@ pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<Section> {
         ("necessity", "Streams: cases that need memory", cost::necessity_blocks(view, scores)),
     ] {
         if !blocks.is_empty() {
-            let section = Section::new(view.id(&format!("s-{id}")), title, blocks);
-            sections.push(Section { level: 3, ..section });
+            let section = ReportSection::new(view.id(&format!("s-{id}")), title, blocks);
+            sections.push(ReportSection { level: 3, ..section });
         }
     }
     sections
@@ -102,16 +105,20 @@ fn short(condition: &Condition) -> String {
 fn by_condition(
     scores: &StreamScores,
     table: Table,
-    row: impl Fn(&StreamScore) -> Option<Vec<Cell>>,
+    row: impl Fn(&StreamScore) -> Option<Vec<TableCell>>,
 ) -> Table {
     let of_memory = scores
         .conditions
         .chunk_by(|a, b| a.condition.memory == b.condition.memory)
         .filter_map(|scores| {
-            let rows: Vec<Row> = scores
+            let rows: Vec<TableRow> = scores
                 .iter()
                 .filter_map(|score| {
-                    Some(Row { label: arm(&score.condition), published: false, cells: row(score)? })
+                    Some(TableRow {
+                        label: arm(&score.condition),
+                        published: false,
+                        cells: row(score)?,
+                    })
                 })
                 .collect();
             let label = scores.first().map(|score| title(score.condition.memory));
@@ -125,12 +132,14 @@ fn by_condition(
 }
 
 /// A figure with its interval, or why there is none.
-fn sure(estimate: Option<Estimate>, digits: usize, missing: Missing) -> Cell {
-    let Some(Estimate { mean, interval, .. }) = estimate else { return Cell::Missing(missing) };
+fn sure(estimate: Option<Estimate>, digits: usize, missing: Missing) -> TableCell {
+    let Some(Estimate { mean, interval, .. }) = estimate else {
+        return TableCell::Missing(missing);
+    };
     let figure = minus(mean, digits);
     match interval {
-        Some(found) => Cell::Sure { figure, interval: interval_text(found, digits) },
-        None => Cell::Value(figure),
+        Some(found) => TableCell::Sure { figure, interval: interval_text(found, digits) },
+        None => TableCell::Value(figure),
     }
 }
 

@@ -1,6 +1,8 @@
 //! What each memory supplied, how long that took, and how large it is.
 
-use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
+use crate::report::document::{
+    Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow,
+};
 use crate::report::view::{ScoredRun, plain_or, title};
 use crate::score::MemoryScore;
 
@@ -8,14 +10,14 @@ const BUILT_IN: Missing =
     Missing::NotApplicable("a built-in memory has no messages of its own, and asks no model");
 const NOT_TOLD: Missing = Missing::NotMeasured("the memory does not tell it");
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
-    supplied_table(view).map(Block::Table).into_iter().collect()
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
+    supplied_table(view).map(ReportBlock::Table).into_iter().collect()
 }
 
 /// A row for each memory; `None` where nothing was supplied, or the log is an earlier one.
 pub(in crate::report) fn supplied_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = MemoryScore::by_memory(view.log);
-    let rows: Vec<Row> = scores
+    let rows: Vec<TableRow> = scores
         .iter()
         .map(|(memory, score)| {
             let is_external = memory.external().is_some();
@@ -23,15 +25,15 @@ pub(in crate::report) fn supplied_table(view: &ScoredRun<'_>) -> Option<Table> {
                 plain_or(value, 0, if is_external { missing } else { BUILT_IN })
             };
             let store = score.store_bytes.map(|bytes| bytes as f64 / 1024.0);
-            Row {
+            TableRow {
                 label: title(*memory),
                 published: false,
                 cells: vec![
-                    Cell::Value(format!("{:.2}", score.items_each)),
-                    Cell::Value(format!("{:.2}", score.images_each)),
-                    Cell::Value(format!("{:.0}", score.text_each)),
-                    Cell::Value(score.items_dropped.to_string()),
-                    Cell::Value(format!("{:.0}", score.recall_us)),
+                    TableCell::Value(format!("{:.2}", score.items_each)),
+                    TableCell::Value(format!("{:.2}", score.images_each)),
+                    TableCell::Value(format!("{:.0}", score.text_each)),
+                    TableCell::Value(score.items_dropped.to_string()),
+                    TableCell::Value(format!("{:.0}", score.recall_us)),
                     external(score.method_us, NOT_TOLD),
                     external(score.wire_us, NOT_TOLD),
                     plain_or(store, 1, NOT_TOLD),
@@ -52,7 +54,7 @@ pub(in crate::report) fn supplied_table(view: &ScoredRun<'_>) -> Option<Table> {
                   size that the memory told. Tokens: of its own requests to a model, mean of an answer."
             .to_owned(),
         stubs: vec!["Memory".to_owned()],
-        columns: columns.into_iter().chain(["Tokens"]).map(Column::new).collect(),
+        columns: columns.into_iter().chain(["Tokens"]).map(TableColumn::new).collect(),
         groups: vec![Group { label: None, rows }],
     })
 }

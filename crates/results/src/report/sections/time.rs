@@ -3,7 +3,9 @@
 use domain::MemoryKind;
 
 use crate::log::Stages;
-use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
+use crate::report::document::{
+    Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow,
+};
 use crate::report::plot::{Stack, StackRow, stack};
 use crate::report::view::{ScoredRun, title};
 use crate::score::StageTimes;
@@ -13,7 +15,7 @@ const WORK: [&str; 5] = ["dynamics", "render", "embed", "search", "decide"];
 
 const NO_STAGE: Missing = Missing::NotApplicable("this memory or policy has no such stage");
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let Some(table) = time_table(view) else { return Vec::new() };
     let bar = |(memory, times): (MemoryKind, StageTimes)| {
         let work = WORK.map(|stage| times.stage(stage).unwrap_or(0.0) / 1000.0);
@@ -32,19 +34,21 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         parts: WORK.iter().copied().chain(["between"]).map(str::to_owned).collect(),
         rows: StageTimes::by_memory(view.log).into_iter().map(bar).collect(),
     });
-    vec![Block::Figure(figure), Block::Table(table)]
+    vec![ReportBlock::Figure(figure), ReportBlock::Table(table)]
 }
 
 /// A row for each stage, a column for each memory; `None` when nothing was timed.
 pub(in crate::report) fn time_table(view: &ScoredRun<'_>) -> Option<Table> {
     let times = StageTimes::by_memory(view.log);
-    let row = |label: &str, us: &dyn Fn(&StageTimes) -> Option<f64>| Row {
+    let row = |label: &str, us: &dyn Fn(&StageTimes) -> Option<f64>| TableRow {
         label: label.to_owned(),
         published: false,
         cells: times
             .iter()
             .map(|(_, times)| us(times))
-            .map(|us| us.map_or(Cell::Missing(NO_STAGE), |us| Cell::Value(format!("{us:.0}"))))
+            .map(|us| {
+                us.map_or(TableCell::Missing(NO_STAGE), |us| TableCell::Value(format!("{us:.0}")))
+            })
             .collect(),
     };
     let stages = Stages::NAMES.iter().map(|stage| row(stage, &|times| times.stage(stage)));
@@ -57,7 +61,7 @@ pub(in crate::report) fn time_table(view: &ScoredRun<'_>) -> Option<Table> {
                   cost. Depends on the machine and on the number of lanes."
             .to_owned(),
         stubs: vec!["Stage".to_owned()],
-        columns: times.iter().map(|(memory, _)| Column::new(title(*memory))).collect(),
+        columns: times.iter().map(|(memory, _)| TableColumn::new(title(*memory))).collect(),
         groups: vec![Group { label: None, rows }],
     })
 }

@@ -1,6 +1,6 @@
 //! Table `tab:transfer` (RQ1): the test stays at the original start, the demonstration's start changes.
 
-use crate::report::document::{Block, Table};
+use crate::report::document::{ReportBlock, Table};
 use crate::report::plot::Dots;
 use crate::report::sections::main_table::{dots_if_any, rate_rows};
 use crate::report::view::{
@@ -14,7 +14,7 @@ const DEMONSTRATIONS: [(&str, &str); 4] = [
     ("Distant start", "distant"),
 ];
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let names = |representation| {
         DEMONSTRATIONS.map(|(_, which)| name(representation, "original/unchanged", which))
     };
@@ -54,5 +54,5 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         series: vec![OURS.to_owned(), THEIRS.to_owned()],
         rows: rows.collect(),
     });
-    table.pruned().map(Block::Table).into_iter().chain(figure).collect()
+    table.pruned().map(ReportBlock::Table).into_iter().chain(figure).collect()
 }

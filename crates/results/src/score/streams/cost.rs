@@ -8,7 +8,7 @@ use domain::Arm;
 use serde::Serialize;
 
 use super::estimate::by_stream;
-use super::sequence::{Sequences, StreamEpisode};
+use super::sequence::{CompleteSequences, StreamEpisode};
 use crate::log::EpisodeTimings;
 use crate::score::spread::mean;
 
@@ -30,7 +30,7 @@ pub struct StreamCost {
 
 /// The cost of the condition with these `sequences`, in `arm`, after each number of blocks.
 pub(super) fn costs(
-    sequences: &Sequences<'_>,
+    sequences: &CompleteSequences<'_>,
     arm: Arm,
     timings: &BTreeMap<&str, &EpisodeTimings>,
 ) -> Vec<StreamCost> {

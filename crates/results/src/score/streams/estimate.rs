@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use super::sequence::{Sequence, SequenceId, Sequences};
+use super::sequence::{CompleteSequences, Sequence, SequenceId};
 use crate::score::bootstrap::intervals;
 use crate::score::compare::FigureDifference;
 use crate::score::interval::Interval;
@@ -43,7 +43,7 @@ fn interval(values: &[f64]) -> Option<Interval> {
 
 /// The mean of `figure` over the sequences of each stream in which it is defined.
 pub(super) fn by_stream<'a>(
-    sequences: &Sequences<'a>,
+    sequences: &CompleteSequences<'a>,
     figure: impl Fn(SequenceId, &Sequence<'a>) -> Option<f64>,
 ) -> BTreeMap<u32, f64> {
     let mut values: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
@@ -59,8 +59,8 @@ pub(super) fn by_stream<'a>(
 /// The difference of `figure` between the sequences of `a` and the paired ones of `b`, over the pairs in which both are
 /// defined; None if there are none.
 pub(super) fn difference<'a>(
-    a: &Sequences<'a>,
-    b: &Sequences<'a>,
+    a: &CompleteSequences<'a>,
+    b: &CompleteSequences<'a>,
     figure: impl Fn(&Sequence<'a>) -> Option<f64>,
 ) -> Option<FigureDifference> {
     let both = |id: SequenceId, sequence: &Sequence<'a>| {

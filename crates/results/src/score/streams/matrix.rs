@@ -9,11 +9,11 @@ use crate::score::spread::mean;
 
 /// R of one sequence: `rows[i][j - 1]`.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Matrix {
+pub(super) struct ResultMatrix {
     pub(super) rows: Vec<Vec<Option<f64>>>,
 }
 
-impl Matrix {
+impl ResultMatrix {
     pub(super) fn of(sequence: &Sequence<'_>) -> Self {
         let blocks = sequence.blocks();
         let cell = |after: u32, place: u32| {

@@ -6,7 +6,7 @@ use domain::Arm;
 use serde::Serialize;
 
 use super::estimate::{Estimate, by_stream};
-use super::sequence::{Sequences, StreamEpisode, success_rate};
+use super::sequence::{CompleteSequences, StreamEpisode, success_rate};
 use super::without_memory;
 use crate::conditions::Condition;
 
@@ -38,21 +38,21 @@ pub struct NecessitySuccess {
 }
 
 /// A case in a block of a stream.
-type Place<'a> = (u32, u32, &'a str);
+type BlockCase<'a> = (u32, u32, &'a str);
 
-fn place<'a>(episode: &StreamEpisode<'a>) -> Place<'a> {
+fn place<'a>(episode: &StreamEpisode<'a>) -> BlockCase<'a> {
     (episode.stream.stream, episode.stream.block, &episode.record.case)
 }
 
 /// Certifies the cases of every memory that has an oracle arm and was run beside no memory.
-pub(super) fn necessity(conditions: &BTreeMap<Condition, Sequences<'_>>) -> Vec<Necessity> {
+pub(super) fn necessity(conditions: &BTreeMap<Condition, CompleteSequences<'_>>) -> Vec<Necessity> {
     let oracles = conditions.iter().filter(|(condition, _)| condition.arm == Arm::Oracle);
-    let of = |(oracle, sequences): (&Condition, &Sequences<'_>)| {
+    let of = |(oracle, sequences): (&Condition, &CompleteSequences<'_>)| {
         let without = conditions.get(&without_memory(oracle)?)?;
         let (with, without) = (rates(sequences), rates(without));
-        let both: BTreeSet<Place<'_>> =
+        let both: BTreeSet<BlockCase<'_>> =
             with.keys().filter(|place| without.contains_key(*place)).copied().collect();
-        let certified: BTreeSet<Place<'_>> = both
+        let certified: BTreeSet<BlockCase<'_>> = both
             .iter()
             .filter(|place| with[*place] > 50.0 && without[*place] < 50.0)
             .copied()
@@ -78,8 +78,8 @@ pub(super) fn necessity(conditions: &BTreeMap<Condition, Sequences<'_>>) -> Vec<
 }
 
 /// The success rate in percent of each case in each block, over learning episodes.
-fn rates<'a>(sequences: &Sequences<'a>) -> BTreeMap<Place<'a>, f64> {
-    let mut episodes: BTreeMap<Place<'_>, Vec<StreamEpisode<'_>>> = BTreeMap::new();
+fn rates<'a>(sequences: &CompleteSequences<'a>) -> BTreeMap<BlockCase<'a>, f64> {
+    let mut episodes: BTreeMap<BlockCase<'_>, Vec<StreamEpisode<'_>>> = BTreeMap::new();
     for episode in sequences.complete.values().flat_map(|sequence| sequence.learning()) {
         episodes.entry(place(&episode)).or_default().push(episode);
     }
@@ -89,7 +89,7 @@ fn rates<'a>(sequences: &Sequences<'a>) -> BTreeMap<Place<'a>, f64> {
         .collect()
 }
 
-fn on(sequences: &Sequences<'_>, places: &BTreeSet<Place<'_>>) -> Option<Estimate> {
+fn on(sequences: &CompleteSequences<'_>, places: &BTreeSet<BlockCase<'_>>) -> Option<Estimate> {
     let streams = by_stream(sequences, |_, sequence| {
         success_rate(sequence.learning().filter(|episode| places.contains(&place(episode))))
     });

@@ -30,12 +30,12 @@ pub(super) struct Sequence<'a> {
 
 /// The complete sequences of a condition, and the number of all, those that have not begun included.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Sequences<'a> {
+pub(super) struct CompleteSequences<'a> {
     pub(super) complete: BTreeMap<SequenceId, Sequence<'a>>,
     pub(super) planned: usize,
 }
 
-impl<'a> Sequences<'a> {
+impl<'a> CompleteSequences<'a> {
     /// The sequences of each condition that has an episode of a stream in `log`.
     ///
     /// A sequence is complete if it has every position, as many as the settings of the run say.

@@ -2,7 +2,7 @@
 
 use super::{NOTHING_RETRIEVED, by_condition, sure};
 use crate::key::Order;
-use crate::report::document::{Block, Cell, Column, Missing, Table};
+use crate::report::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
 use crate::report::view::{ScoredRun, plain_or};
 use crate::score::{OrderScore, StreamScore, StreamScores};
 
@@ -12,17 +12,17 @@ const NO_REFERENCE: Missing =
     Missing::NotMeasured("an episode's record does not have the actions of its reference");
 const TWO_ORDERS: Missing = Missing::Undefined("no stream was run in three orders");
 
-pub(super) fn blocks(view: &ScoredRun<'_>, _: &StreamScores) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>, _: &StreamScores) -> Vec<ReportBlock> {
     let tables = [adaptation_table(view), orders_table(view)];
-    tables.into_iter().flatten().map(Block::Table).collect()
+    tables.into_iter().flatten().map(ReportBlock::Table).collect()
 }
 
 /// Adaptation lag and stale reuse.
 pub(in crate::report) fn adaptation_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = view.scores.streams.as_ref()?;
-    let mut columns = vec![Column::new("Lag"), Column::new("Adapted %")];
-    columns.extend(["all", "after events"].map(|name| Column::under("Stale %", name)));
-    columns.push(Column::new("t-nDTW"));
+    let mut columns = vec![TableColumn::new("Lag"), TableColumn::new("Adapted %")];
+    columns.extend(["all", "after events"].map(|name| TableColumn::under("Stale %", name)));
+    columns.push(TableColumn::new("t-nDTW"));
     let table = Table {
         id: view.id("stream-adaptation"),
         caption: "Learning episodes. Lag: episodes from the start of a block to the first success of a case whose \
@@ -54,7 +54,7 @@ pub(in crate::report) fn orders_table(view: &ScoredRun<'_>) -> Option<Table> {
     let names = || Order::ALL.iter().map(|order| order.word()).chain(["range"]);
     let columns = ["Success %", "ACC"]
         .into_iter()
-        .flat_map(|over| names().map(move |name| Column::under(over, name)));
+        .flat_map(|over| names().map(move |name| TableColumn::under(over, name)));
     let table = Table {
         id: view.id("stream-orders"),
         caption: "Success of the learning episodes, and average success after the last block (ACC), by the order of the \
@@ -69,7 +69,7 @@ pub(in crate::report) fn orders_table(view: &ScoredRun<'_>) -> Option<Table> {
         let of = |figure: fn(&OrderScore) -> Option<f64>| {
             Order::ALL.map(|order| match score.orders.iter().find(|one| one.order == order) {
                 Some(found) => plain_or(figure(found), 1, TWO_ORDERS),
-                None => Cell::Missing(Missing::NotRun),
+                None => TableCell::Missing(Missing::NotRun),
             })
         };
         let mut cells = of(|order| order.success).to_vec();

@@ -1,7 +1,9 @@
 //! What memory costs against its size, and which cases need it.
 
 use super::{arm, is_tested, short, sure};
-use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
+use crate::report::document::{
+    Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow,
+};
 use crate::report::plot::{Curve, Curves, curves};
 use crate::report::view::{ScoredRun, plain_or, title};
 use crate::score::{Necessity, NecessitySuccess, StreamCost, StreamScore, StreamScores};
@@ -12,9 +14,9 @@ const NO_TOKENS: Missing =
     Missing::NotMeasured("this run's policy counts no tokens (a scripted policy has none)");
 const NO_CASE: Missing = Missing::Undefined("no case is certified");
 
-pub(super) fn blocks(view: &ScoredRun<'_>, scores: &StreamScores) -> Vec<Block> {
-    let figure = cost_figure(view, scores).map(Block::Figure);
-    figure.into_iter().chain(cost_table(view, scores).map(Block::Table)).collect()
+pub(super) fn blocks(view: &ScoredRun<'_>, scores: &StreamScores) -> Vec<ReportBlock> {
+    let figure = cost_figure(view, scores).map(ReportBlock::Figure);
+    figure.into_iter().chain(cost_table(view, scores).map(ReportBlock::Table)).collect()
 }
 
 fn tested(scores: &StreamScores) -> impl Iterator<Item = &StreamScore> {
@@ -22,11 +24,11 @@ fn tested(scores: &StreamScores) -> impl Iterator<Item = &StreamScore> {
 }
 
 fn cost_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<Table> {
-    let row = |cost: &StreamCost| Row {
+    let row = |cost: &StreamCost| TableRow {
         label: format!("after {}", cost.after),
         published: false,
         cells: vec![
-            Cell::Value(format!("{:.0}", cost.episodes)),
+            TableCell::Value(format!("{:.0}", cost.episodes)),
             plain_or(cost.recall_us, 1, NO_RECALL),
             plain_or(cost.store_bytes.map(|bytes| bytes / 1024.0), 1, NO_STORE),
             plain_or(cost.tokens, 0, NO_TOKENS),
@@ -44,14 +46,14 @@ fn cost_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<Table> {
                   memory in a request, an estimate."
             .to_owned(),
         stubs: vec!["Memory, arm".to_owned(), "Blocks learned".to_owned()],
-        columns: ["Episodes", "Recall, us", "Store, KiB", "Tokens"].map(Column::new).to_vec(),
+        columns: ["Episodes", "Recall, us", "Store, KiB", "Tokens"].map(TableColumn::new).to_vec(),
         groups: tested(scores).map(group).collect(),
     };
     table.pruned()
 }
 
 /// Recall latency against the number of episodes, of memories that grow.
-fn cost_figure(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<crate::report::Figure> {
+fn cost_figure(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<crate::report::ReportFigure> {
     let curve = |score: &StreamScore| {
         let point = |cost: &StreamCost| Some((cost.episodes, cost.recall_us?));
         let points: Vec<(f64, f64)> = score.costs.iter().filter_map(point).collect();
@@ -71,8 +73,8 @@ fn cost_figure(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<crate::rep
     })
 }
 
-pub(super) fn necessity_blocks(view: &ScoredRun<'_>, _: &StreamScores) -> Vec<Block> {
-    necessity_table(view).map(Block::Table).into_iter().collect()
+pub(super) fn necessity_blocks(view: &ScoredRun<'_>, _: &StreamScores) -> Vec<ReportBlock> {
+    necessity_table(view).map(ReportBlock::Table).into_iter().collect()
 }
 
 /// The share of cases that need memory, and success on those.
@@ -81,20 +83,20 @@ pub(in crate::report) fn necessity_table(view: &ScoredRun<'_>) -> Option<Table> 
     let group = |necessity: &Necessity| {
         let Necessity { oracle, cases, certified, success } = necessity;
         let share = 100.0 * *certified as f64 / *cases as f64;
-        let row = |one: &NecessitySuccess| Row {
+        let row = |one: &NecessitySuccess| TableRow {
             label: arm(&one.condition),
             published: false,
             cells: vec![
-                Cell::Value(format!("{certified} of {cases}")),
-                Cell::Value(format!("{share:.1}")),
+                TableCell::Value(format!("{certified} of {cases}")),
+                TableCell::Value(format!("{share:.1}")),
                 sure(one.all, 1, NO_CASE),
                 sure(one.certified, 1, NO_CASE),
             ],
         };
         Group { label: Some(title(oracle.memory)), rows: success.iter().map(row).collect() }
     };
-    let mut columns = vec![Column::new("Certified"), Column::new("Share %")];
-    columns.extend(["all cases", "certified"].map(|name| Column::under("Success %", name)));
+    let mut columns = vec![TableColumn::new("Certified"), TableColumn::new("Share %")];
+    columns.extend(["all cases", "certified"].map(|name| TableColumn::under("Success %", name)));
     let table = Table {
         id: view.id("necessity"),
         caption: "Cases in blocks of which most learning episodes fail without memory and most succeed with the oracle arm: \

@@ -1,7 +1,9 @@
 //! The matrix R; average success, transfer and forgetting.
 
 use super::{arm, by_condition, minus, sure};
-use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
+use crate::report::document::{
+    Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow,
+};
 use crate::report::view::{ScoredRun, title};
 use crate::score::{StreamScore, StreamScores};
 
@@ -10,9 +12,9 @@ const NO_BASELINE: Missing =
     Missing::NotApplicable("forward transfer is against no memory, where that was run");
 const NOT_EVALUATED: Missing = Missing::Undefined("no case of the block was evaluated");
 
-pub(super) fn blocks(view: &ScoredRun<'_>, scores: &StreamScores) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>, scores: &StreamScores) -> Vec<ReportBlock> {
     let tables = [transfer_table(view), matrix_table(view, scores)];
-    tables.into_iter().flatten().map(Block::Table).collect()
+    tables.into_iter().flatten().map(ReportBlock::Table).collect()
 }
 
 /// ACC, BWT, FWT and forgetting.
@@ -26,7 +28,7 @@ pub(in crate::report) fn transfer_table(view: &ScoredRun<'_>) -> Option<Table> {
                   best earlier success on a block minus the last (Lopez-Paz and Ranzato 2017; Chaudhry et al. 2018)."
             .to_owned(),
         stubs: Vec::new(),
-        columns: ["ACC", "BWT", "FWT", "Forgetting"].map(Column::new).to_vec(),
+        columns: ["ACC", "BWT", "FWT", "Forgetting"].map(TableColumn::new).to_vec(),
         groups: Vec::new(),
     };
     let row = |score: &StreamScore| {
@@ -44,13 +46,15 @@ pub(in crate::report) fn transfer_table(view: &ScoredRun<'_>) -> Option<Table> {
 /// R: a group for each condition, a row for each number of blocks learned, a column for each block.
 fn matrix_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<Table> {
     let blocks = scores.conditions.iter().map(|score| score.matrix.len()).max()?.checked_sub(1)?;
-    let row = |(learned, cells): (usize, &Vec<Option<f64>>)| Row {
+    let row = |(learned, cells): (usize, &Vec<Option<f64>>)| TableRow {
         label: format!("after {learned}"),
         published: false,
         cells: (0..blocks)
             .map(|block| {
                 let cell = cells.get(block).copied().flatten();
-                cell.map_or(Cell::Missing(NOT_EVALUATED), |cell| Cell::Value(minus(cell, 1)))
+                cell.map_or(TableCell::Missing(NOT_EVALUATED), |cell| {
+                    TableCell::Value(minus(cell, 1))
+                })
             })
             .collect(),
     };
@@ -65,7 +69,7 @@ fn matrix_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<Table> {
                   learn differs from row to row by chance alone."
             .to_owned(),
         stubs: vec!["Memory, arm".to_owned(), "Blocks learned".to_owned()],
-        columns: (1..=blocks).map(|block| Column::under("Block, by place", block.to_string())).collect(),
+        columns: (1..=blocks).map(|block| TableColumn::under("Block, by place", block.to_string())).collect(),
         groups: scores.conditions.iter().filter(|score| score.average.is_some()).map(group).collect(),
     };
     table.pruned()

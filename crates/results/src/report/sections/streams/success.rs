@@ -4,7 +4,9 @@ use domain::{Arm, MemoryKind, Representation};
 
 use super::{by_condition, is_tested, short, sure};
 use crate::conditions::Condition;
-use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
+use crate::report::document::{
+    Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow,
+};
 use crate::report::plot::{Course, CourseCurve, course};
 use crate::report::view::{ScoredRun, interval_text, signed, title};
 use crate::score::{FigureDifference, RoundScore, StreamScore, StreamScores};
@@ -14,21 +16,25 @@ const NO_ORACLE: Missing = Missing::NotApplicable(
     "regret is against the oracle arm of the same memory, where that was run",
 );
 
-pub(super) fn blocks(view: &ScoredRun<'_>, scores: &StreamScores) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>, scores: &StreamScores) -> Vec<ReportBlock> {
     let mut memories: Vec<MemoryKind> =
         scores.conditions.iter().map(|score| score.condition.memory).collect();
     memories.retain(|memory| memory.uses_demonstrations());
     memories.dedup();
-    let mut blocks: Vec<Block> =
+    let mut blocks: Vec<ReportBlock> =
         memories.into_iter().filter_map(|memory| rounds_figure(view, scores, memory)).collect();
     blocks.extend(running_figure(view, scores));
     let tables = [success_table(view), differences_table(view)];
-    blocks.extend(tables.into_iter().flatten().map(Block::Table));
+    blocks.extend(tables.into_iter().flatten().map(ReportBlock::Table));
     blocks
 }
 
 /// Success by learning round: the arms of `memory`, frozen Episodic beside them, and no memory in gray.
-fn rounds_figure(view: &ScoredRun<'_>, scores: &StreamScores, memory: MemoryKind) -> Option<Block> {
+fn rounds_figure(
+    view: &ScoredRun<'_>,
+    scores: &StreamScores,
+    memory: MemoryKind,
+) -> Option<ReportBlock> {
     let is_shown = |score: &StreamScore| {
         let Condition { memory: own, arm, .. } = score.condition;
         let is_frozen_episodic = own == Representation::Episodic && arm == Arm::Frozen;
@@ -46,7 +52,7 @@ fn rounds_figure(view: &ScoredRun<'_>, scores: &StreamScores, memory: MemoryKind
     )
 }
 
-fn running_figure(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<Block> {
+fn running_figure(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<ReportBlock> {
     draw(
         view.id("stream-success-figure"),
         "Stream success: success over all learning episodes so far, as drawn, a mean over streams. Dashed: events. Gray: no \
@@ -64,7 +70,7 @@ fn draw<'a>(
     caption: String,
     scores: impl Iterator<Item = &'a StreamScore>,
     value: fn(&RoundScore) -> f64,
-) -> Option<Block> {
+) -> Option<ReportBlock> {
     let curve = |score: &StreamScore| {
         let rounds_of =
             |place| score.rounds.iter().filter(move |round| round.place == place).count();
@@ -87,17 +93,17 @@ fn draw<'a>(
         blocks: places.max()?,
         curves: scores.into_iter().map(curve).collect(),
     };
-    Some(Block::Figure(course(&plot)))
+    Some(ReportBlock::Figure(course(&plot)))
 }
 
 /// Success of the learning episodes: all, before events, after events.
 pub(in crate::report) fn success_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = view.scores.streams.as_ref()?;
-    let mut columns = vec![Column::new("Sequences")];
+    let mut columns = vec![TableColumn::new("Sequences")];
     columns.extend(
-        ["all", "before events", "after events"].map(|name| Column::under("Success %", name)),
+        ["all", "before events", "after events"].map(|name| TableColumn::under("Success %", name)),
     );
-    columns.push(Column::new("Regret"));
+    columns.push(TableColumn::new("Regret"));
     let table = Table {
         id: view.id("stream-success"),
         caption: "Success of the learning episodes, in percent. All: stream success at the end. Before events: in block 0; \
@@ -110,7 +116,7 @@ pub(in crate::report) fn success_table(view: &ScoredRun<'_>) -> Option<Table> {
     };
     let row = |score: &StreamScore| {
         Some(vec![
-            Cell::Value(match score.planned > score.sequences {
+            TableCell::Value(match score.planned > score.sequences {
                 true => format!("{}/{}", score.sequences, score.planned),
                 false => score.sequences.to_string(),
             }),
@@ -127,17 +133,17 @@ pub(in crate::report) fn success_table(view: &ScoredRun<'_>) -> Option<Table> {
 pub(in crate::report) fn differences_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = view.scores.streams.as_ref()?;
     let cell = |found: &Option<FigureDifference>| match found {
-        None => Cell::Missing(NO_BLOCK),
-        Some(FigureDifference { mean, interval: None, .. }) => Cell::Value(signed(*mean, 1)),
+        None => TableCell::Missing(NO_BLOCK),
+        Some(FigureDifference { mean, interval: None, .. }) => TableCell::Value(signed(*mean, 1)),
         Some(FigureDifference { mean, interval: Some(interval), .. }) => {
-            Cell::Sure { figure: signed(*mean, 1), interval: interval_text(*interval, 1) }
+            TableCell::Sure { figure: signed(*mean, 1), interval: interval_text(*interval, 1) }
         }
     };
-    let rows = scores.differences.iter().map(|found| Row {
+    let rows = scores.differences.iter().map(|found| TableRow {
         label: format!("{} − {}", short(&found.a), short(&found.b)),
         published: false,
         cells: vec![
-            Cell::Value(found.streams.to_string()),
+            TableCell::Value(found.streams.to_string()),
             cell(&found.before),
             cell(&found.after),
             cell(&found.average),
@@ -150,7 +156,7 @@ pub(in crate::report) fn differences_table(view: &ScoredRun<'_>) -> Option<Table
                   after the last (ACC). No interval: one stream, or all streams alike."
             .to_owned(),
         stubs: vec!["First − second".to_owned()],
-        columns: ["Streams", "Before events", "After events", "ACC"].map(Column::new).to_vec(),
+        columns: ["Streams", "Before events", "After events", "ACC"].map(TableColumn::new).to_vec(),
         groups: vec![Group { label: None, rows: rows.collect() }],
     };
     table.pruned()
