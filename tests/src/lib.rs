@@ -90,6 +90,16 @@ impl Bench {
         self.command(args).spawn().expect("memtransfer starts")
     }
 
+    /// Kills a run that was [started](Self::start), as `kill -9` does, and waits until no process of any run here is left.
+    pub fn kill_run(&self, child: Child) -> Ended {
+        kill(child.id());
+        let ended = Ended::of(child);
+        eventually("the child processes to end", || {
+            processes_of(self.registry.path()).is_empty().then_some(())
+        });
+        ended
+    }
+
     /// The run folder `name`.
     pub fn out(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)

@@ -109,10 +109,9 @@ fn check_kill_and_resume(bench: &Bench, reference: &[String], out: &str, cache: 
     let base_url = server.base_url();
     let args = slice(&base_url, out, cache);
     let run = bench.out(out);
-    let mut child = bench.start(&args);
+    let child = bench.start(&args);
     eventually("an episode to be finished", || (!episodes(&run).is_empty()).then_some(()));
-    memtransfer_tests::kill(child.id());
-    child.wait().unwrap();
+    bench.kill_run(child);
     bench.run(&args).expect(0);
 
     assert_eq!(sorted_log(&run), reference, "{out}");

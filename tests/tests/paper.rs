@@ -3,9 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 
-use memtransfer_tests::{
-    Bench, Ended, episodes, eventually, kill, processes_of, records, sorted_log,
-};
+use memtransfer_tests::{Bench, episodes, eventually, records, sorted_log};
 
 /// A case of each group of tasks: basic, multi-object, return loop, revisit.
 const CASES: &str = "t01-01,t03-02,t07-01,t09-05";
@@ -34,11 +32,7 @@ fn every_condition_of_the_paper_runs_resumes_and_is_reported() {
     eventually("some episodes to be finished", || {
         (episodes(&out).lines().count() >= 20).then_some(())
     });
-    kill(child.id());
-    Ended::of(child);
-    eventually("the child processes to end", || {
-        processes_of(bench.registry.path()).is_empty().then_some(())
-    });
+    bench.kill_run(child);
     let killed = sorted_log(&out).len();
     assert!((20..212).contains(&killed), "{killed} episodes before the kill");
     let resumed = bench.run(&run).expect(0);

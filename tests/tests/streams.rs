@@ -8,7 +8,7 @@ use std::path::Path;
 
 use memtransfer_tests::example_memories::{example, process_of_example, run, start};
 use memtransfer_tests::{
-    Bench, Ended, episodes, eventually, kill, process_of, processes_of, records, sorted_log,
+    Bench, Ended, episodes, eventually, kill, process_of, records, sorted_log,
 };
 
 /// One stream of two blocks, with a memory that learns and one that does not.
@@ -65,11 +65,7 @@ fn the_log_of_streams_depends_neither_on_lanes_nor_on_crashes() {
     for after in [30, 120, 200] {
         let child = bench.start(&arguments("killed", "4"));
         wait_for_episodes(&bench.out("killed"), after);
-        kill(child.id());
-        Ended::of(child);
-        eventually("the child processes to end", || {
-            processes_of(bench.registry.path()).is_empty().then_some(())
-        });
+        bench.kill_run(child);
     }
     bench.run(&arguments("killed", "4")).expect(0);
     assert_eq!(sorted_log(&bench.out("killed")), reference, "orchestrator killed");
@@ -150,11 +146,7 @@ fn a_memory_in_python_learns_and_no_crash_changes_the_log() {
     for after in [20, 90] {
         let child = start(&bench, &arguments("killed", "4"), &memories);
         wait_for_episodes(&bench.out("killed"), after);
-        kill(child.id());
-        Ended::of(child);
-        eventually("the child processes to end", || {
-            processes_of(bench.registry.path()).is_empty().then_some(())
-        });
+        bench.kill_run(child);
     }
     run(&bench, &arguments("killed", "8"), &memories).expect(0);
     assert_eq!(sorted_log(&bench.out("killed")), reference, "orchestrator killed");

@@ -7,9 +7,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use memtransfer_tests::{
-    Bench, Ended, episodes, eventually, kill, processes_of, program, repository, sorted_log,
-};
+use memtransfer_tests::{Bench, Ended, episodes, program, repository, sorted_log};
 
 /// Three memories from two starts, small.
 const SMALL: &str = r#"
@@ -76,12 +74,7 @@ impl Units {
             while child.try_wait().unwrap().is_none() && start.elapsed() < time {
                 std::thread::sleep(Duration::from_millis(5));
             }
-            kill(child.id());
-            let is_over = Ended::of(child).status.is_some();
-            eventually("the child processes to end", || {
-                processes_of(self.bench.registry.path()).is_empty().then_some(())
-            });
-            if is_over {
+            if self.bench.kill_run(child).status.is_some() {
                 return;
             }
             time *= 2;
