@@ -68,7 +68,7 @@ pub(crate) struct DrillArguments {
     /// The drills to run [default: all]
     #[arg(value_parser = names())]
     drills: Vec<String>,
-    /// A small part of each drill but fuzzing, together in under three minutes
+    /// A small part of each drill but fuzzing
     #[arg(long)]
     quick: bool,
     /// Write the results into docs/reliability.md, also those of drills that ran before
