@@ -84,7 +84,9 @@ fn a_closed_terminal_stops_a_run_and_nohup_lets_it_go_on() {
     };
     // More than the machine can do before the signal comes.
     let endless = "1000";
-    let child = bench.start(&args("stopped", endless));
+    // The tests themselves may have been started by nohup.
+    let listening = ["env", "--default-signal=HUP"];
+    let child = through(&bench, &listening, &args("stopped", endless)).spawn().unwrap();
     wait_for_episodes(&bench.out("stopped"));
     hang_up(child.id());
     hang_up(child.id());
@@ -93,26 +95,30 @@ fn a_closed_terminal_stops_a_run_and_nohup_lets_it_go_on() {
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 
     // A terminal that is really closed: nothing more can be printed.
-    let command = bench.command(&args("closed", endless));
-    let mut terminal = Command::new("python3");
-    terminal.args(["-c", IN_A_TERMINAL]).arg(bench.out("closed").join("episodes.jsonl"));
-    terminal.arg(command.get_program()).args(command.get_args());
-    terminal.current_dir(bench.folder.path()).env("MEMTRANSFER_RUN_DIR", bench.registry.path());
-    Ended::of(terminal.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()).expect(0);
+    let log = bench.out("closed").join("episodes.jsonl");
+    let terminal = ["env", "--default-signal=HUP", "python3", "-c", IN_A_TERMINAL];
+    let terminal = [&terminal[..], &[log.to_str().unwrap()]].concat();
+    let child = through(&bench, &terminal, &args("closed", endless)).spawn().unwrap();
+    Ended::of(child).expect(0);
     let sessions = fs::read_to_string(bench.out("closed").join("sessions.jsonl")).unwrap();
     assert!(sessions.contains("\"reason\":\"SIGHUP\""), "{sessions}");
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 
-    let command = bench.command(&args("kept", "20"));
-    let mut nohup = Command::new("nohup");
-    nohup.arg(command.get_program()).args(command.get_args());
-    nohup.current_dir(bench.folder.path()).env("MEMTRANSFER_RUN_DIR", bench.registry.path());
-    nohup.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    let child = nohup.spawn().unwrap();
+    let child = through(&bench, &["nohup"], &args("kept", "20")).spawn().unwrap();
     wait_for_episodes(&bench.out("kept"));
     hang_up(child.id());
     Ended::of(child).expect(0);
     assert_eq!(records(&bench.out("kept")).len(), 20 * 12);
+}
+
+/// `memtransfer` with `args`, started by another program.
+fn through(bench: &Bench, starter: &[&str], args: &[&str]) -> Command {
+    let command = bench.command(args);
+    let mut through = Command::new(starter[0]);
+    through.args(&starter[1..]).arg(command.get_program()).args(command.get_args());
+    through.current_dir(bench.folder.path()).env("MEMTRANSFER_RUN_DIR", bench.registry.path());
+    through.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    through
 }
 
 /// Executes a command in a terminal, and closes the terminal when the log has two lines.
