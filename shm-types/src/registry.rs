@@ -303,7 +303,7 @@ fn has_living_node(run: &Path) -> bool {
 }
 
 /// Removes the segments of the run in `root` that have no size and that no process has open. A process that is killed
-/// while it creates a segment leaves one, and whoever opens it later waits for its size without end.
+/// while it creates a segment leaves one, and a process that opens it later waits for its size without end.
 ///
 /// # Errors
 /// When shared memory cannot be listed, or a segment cannot be removed.
