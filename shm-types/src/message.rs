@@ -10,18 +10,25 @@
 
 use std::sync::Arc;
 
-use bytemuck::{Pod, Zeroable};
 use iceoryx2::prelude::ZeroCopySend;
 
-use domain::{Heading, Pose, UnknownCode};
-
 use crate::bus::{Bus, BusError};
-use crate::layout::{Field, FieldType, Struct, WireLayout, WireType, wire_struct};
+use crate::layout::{WireLayout, wire_struct};
 use crate::ports::{self, ReceiverPort, SenderPort};
 
 mod codes;
+mod counts;
+mod parts;
+mod pose;
+mod route;
+mod text;
 
 pub use codes::{CODE_SETS, ErrorReportKind, ItemKind, Learning, Role, StepKind, ViewRequestKind};
+pub use counts::DecisionCounts;
+pub use parts::*;
+pub use pose::WirePose;
+pub use route::{Description, Message, Traffic};
+pub use text::{read_text, write_text};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
 pub const WIRE_VERSION: u32 = 10;
@@ -97,53 +104,6 @@ pub struct RequestId {
     pub step: u32,
 }
 
-/// A message type, which has a service of its own. Implemented by the macro `messages!` only.
-pub trait Message: ZeroCopySend + Pod + core::fmt::Debug {
-    /// Last part of the service's name, after the generation.
-    const SERVICE: &'static str;
-    /// The roles that send it.
-    const FROM: &'static [Role];
-    /// The roles that receive it: each receives every message.
-    const TO: &'static [Role];
-    /// How many can wait for a receiver.
-    const TRAFFIC: Traffic;
-
-    /// Opens its sender; `index` is that of the external memory it sends to, if it sends to one.
-    #[doc(hidden)]
-    fn open_sender(bus: &Bus, index: u8) -> Result<Box<dyn SenderPort<Self>>, BusError>;
-
-    /// Opens a receiver, as [`Self::open_sender`].
-    #[doc(hidden)]
-    fn open_receiver(bus: &Bus, index: u8) -> Result<Arc<dyn ReceiverPort<Self>>, BusError>;
-}
-
-/// What bounds the number of waiting messages, and so the length of the queue
-/// ([`Attach::queue_len`](crate::Attach::queue_len)).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Traffic {
-    /// Two for each lane: the last of one episode and the first of the next.
-    Lanes,
-    /// Two for each frame of the store: a request and a release, or a view and an eviction.
-    Frames,
-    /// A few per run.
-    Few,
-}
-
-/// A message's layout and route.
-#[derive(Debug, Clone, Copy)]
-pub struct Description {
-    /// The layout.
-    pub layout: Struct,
-    /// As [`Message::SERVICE`].
-    pub service: &'static str,
-    /// As [`Message::FROM`].
-    pub from: &'static [Role],
-    /// As [`Message::TO`].
-    pub to: &'static [Role],
-    /// As [`Message::TRAFFIC`].
-    pub traffic: Traffic,
-}
-
 /// Declares messages: layout, name, service, route and size.
 macro_rules! messages {
     ($($(#[doc = $doc:literal])* $name:ident, $type_name:literal, $service:literal, $size:literal bytes,
@@ -181,167 +141,6 @@ macro_rules! messages {
             traffic: $name::TRAFFIC,
         }),*];
     };
-}
-
-/// A pose on the wire: column, row, heading code, and a zero.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
-#[repr(C)]
-#[type_name("memtransfer.WirePose")]
-pub struct WirePose(pub [u8; 4]);
-
-impl WireType for WirePose {
-    const SHAPE: FieldType = FieldType::Struct("WirePose");
-}
-
-impl WireLayout for WirePose {
-    const LAYOUT: Struct = {
-        const fn byte(offset: usize, name: &'static str, doc: &'static str) -> Field {
-            Field { name, shape: u8::SHAPE, offset, bytes: 1, doc }
-        }
-        Struct {
-            name: "WirePose",
-            type_name: "memtransfer.WirePose",
-            doc: "A pose: a cell and a heading.",
-            bytes: size_of::<Self>(),
-            align: align_of::<Self>(),
-            fields: &[
-                byte(0, "x", "Column, growing east."),
-                byte(1, "y", "Row, growing north."),
-                byte(2, "heading", "Code of the [`Heading`]."),
-                byte(3, "reserved", "Zero."),
-            ],
-        }
-    };
-}
-
-impl From<Pose> for WirePose {
-    fn from(pose: Pose) -> Self {
-        Self([pose.cell.x, pose.cell.y, pose.heading as u8, 0])
-    }
-}
-
-impl TryFrom<WirePose> for Pose {
-    type Error = UnknownCode;
-
-    fn try_from(WirePose([x, y, heading, _]): WirePose) -> Result<Self, UnknownCode> {
-        Ok(Self::new(x, y, Heading::try_from(heading)?))
-    }
-}
-
-wire_struct! {
-    /// One step of a demonstration in a [`Recall`].
-    SegmentStep, "memtransfer.SegmentStep", 16 bytes {
-        /// The remembered view, or [`NO_FRAME`].
-        frame: FrameId,
-        /// Code of the [`Action`](domain::Action) the expert took there, or [`NO_ACTION`]: at the end of the item, and
-        /// throughout an item of views alone.
-        action: u8,
-        /// Zero.
-        reserved: [u8; 7],
-    }
-}
-
-wire_struct! {
-    /// One item of what memory supplies for a step.
-    RecalledItem, "memtransfer.RecalledItem", 32 bytes {
-        /// Text and captioned frame: the document that holds the text. Trajectory: the document that holds the steps.
-        /// Otherwise, and for an empty caption, [`NO_DOCUMENT`].
-        document: DocumentId,
-        /// Distance between the item and the query; NaN if the memory tells none.
-        distance: f32,
-        /// First step: in [`Recall::steps`], or in the document of a trajectory.
-        first_step: u32,
-        /// Number of steps, at least 1; 1 for a captioned frame, 0 for a text. Those of a trajectory can belong to
-        /// several demonstrations, one after the other.
-        steps: u32,
-        /// First byte of the text in the document.
-        first_byte: u32,
-        /// Bytes of the text.
-        bytes: u32,
-        /// An [`ItemKind`] code.
-        kind: u8,
-        /// Steps and trajectory: 1 if they are a whole demonstration, from its start to its end.
-        whole: u8,
-        /// Zero.
-        reserved: [u8; 2],
-    }
-}
-
-wire_struct! {
-    /// Where an item comes from: consecutive steps of one demonstration.
-    RecalledSource, "memtransfer.RecalledSource", 16 bytes {
-        /// Index of the demonstration's case.
-        case: u32,
-        /// Distance between the item and the query; NaN if the memory tells none.
-        distance: f32,
-        /// The demonstration (0 original, 1 opposite, 2 nearby, 3 distant).
-        demonstration: u16,
-        /// Its first step.
-        first: u16,
-        /// Number of steps.
-        steps: u16,
-        /// Number of the item that comes from here, from 0.
-        item: u8,
-        /// The item's [`ItemKind`] code.
-        kind: u8,
-    }
-}
-
-wire_struct! {
-    /// One item of an [`ExternalAnswer`].
-    AnswerItem, "memtransfer.AnswerItem", 28 bytes {
-        /// Text and captioned frame: first byte of the text in the answer's note.
-        first_byte: u32,
-        /// Bytes of the text.
-        bytes: u32,
-        /// Steps and captioned frame: number of the demonstration in the bank.
-        demonstration: u32,
-        /// Its first step.
-        first_step: u32,
-        /// Number of steps; 1 for a captioned frame.
-        steps: u32,
-        /// Distance between the item and the query; NaN if it is not known.
-        distance: f32,
-        /// An [`ItemKind`] code; steps of any length are [`ItemKind::Steps`].
-        kind: u8,
-        /// Steps: 1 to supply their views; 2 to supply those whose numbers the answer's note holds, as `bytes / 4`
-        /// little-endian 32-bit numbers from `first_byte` on.
-        views: u8,
-        /// Steps: 1 to supply their actions.
-        actions: u8,
-        /// Zero.
-        reserved: u8,
-    }
-}
-
-wire_struct! {
-    /// Where a text item of an [`ExternalAnswer`] comes from: consecutive steps of one demonstration.
-    AnswerSource, "memtransfer.AnswerSource", 16 bytes {
-        /// Number of the item, from 0.
-        item: u32,
-        /// Number of the demonstration in the bank.
-        demonstration: u32,
-        /// Its first step.
-        first_step: u32,
-        /// Number of steps.
-        steps: u32,
-    }
-}
-
-wire_struct! {
-    /// One step of a demonstration in a [`DocumentKind::Trajectories`](domain::DocumentKind) document: the expert's
-    /// action, and its view if that is a keyframe.
-    TrajectoryStep: Eq, "memtransfer.TrajectoryStep", 16 bytes {
-        /// The view before the action, or [`NO_FRAME`] if it is not a keyframe.
-        frame: FrameId,
-        /// Code of the [`Action`](domain::Action) the expert took there, or [`NO_ACTION`] at the end of the
-        /// demonstration.
-        action: u8,
-        /// Which demonstration, from 0, in the order of the document.
-        trajectory: u8,
-        /// Zero.
-        reserved: [u8; 6],
-    }
 }
 
 messages! {
@@ -865,182 +664,5 @@ messages! {
     }
 }
 
-/// The counts of a [`Decision`] that are known and possible.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct DecisionCounts {
-    /// Images of the request.
-    pub images_asked: Option<u32>,
-    /// Images that the policy used.
-    pub images: Option<u32>,
-    /// Requests sent to a model's server.
-    pub attempts: Option<u32>,
-    /// Tokens of the prompt.
-    pub prompt_tokens: Option<u32>,
-    /// Tokens of the completion.
-    pub completion_tokens: Option<u32>,
-    /// Tokens of the prompt that the server took from its cache.
-    pub cached_tokens: Option<u32>,
-    /// Tokens of the prompt's images.
-    pub image_tokens: Option<u32>,
-    /// Tokens of the prompt that are memory.
-    pub memory_tokens: Option<u32>,
-    /// Tokens of the prompt that a server can reuse.
-    pub reusable_tokens: Option<u32>,
-}
-
-/// Larger counts of images, attempts or tokens in one decision are not possible.
-const MAX_COUNT: u32 = 1 << 24;
-
-impl Decision {
-    /// The counts: without those that are [`NOT_MEASURED`] or not possible, such as more images used than asked.
-    pub fn counts(&self) -> DecisionCounts {
-        let known = |count: u32| (count <= MAX_COUNT).then_some(count);
-        let images_asked = known(self.images_asked);
-        let fits = |images: &u32| images_asked.is_none_or(|asked| *images <= asked);
-        DecisionCounts {
-            images_asked,
-            images: known(self.images).filter(fits),
-            attempts: known(self.attempts),
-            prompt_tokens: known(self.prompt_tokens),
-            completion_tokens: known(self.completion_tokens),
-            cached_tokens: known(self.cached_tokens),
-            image_tokens: known(self.image_tokens),
-            memory_tokens: known(self.memory_tokens),
-            reusable_tokens: known(self.reusable_tokens),
-        }
-    }
-}
-
-/// Copies as much of `text` as fits into `buffer`, cut at a character boundary; returns the bytes used.
-pub fn write_text(buffer: &mut [u8], text: &str) -> u32 {
-    let mut end = text.len().min(buffer.len());
-    while !text.is_char_boundary(end) {
-        end -= 1;
-    }
-    buffer[..end].copy_from_slice(&text.as_bytes()[..end]);
-    end as u32
-}
-
-/// The text that the first `len` bytes of `buffer` hold.
-///
-/// # Errors
-/// When `len` is larger than the buffer or the bytes are not UTF-8: the sender is broken.
-pub fn read_text(buffer: &[u8], len: u32) -> Result<&str, UnknownCode> {
-    let broken = || UnknownCode::new(format_args!("a text of {len} bytes"), "UTF-8 that fits");
-    let bytes = buffer.get(..len as usize).ok_or_else(broken)?;
-    core::str::from_utf8(bytes).map_err(|_| broken())
-}
-
 #[cfg(test)]
-mod tests {
-    use proptest::prelude::*;
-
-    use super::*;
-    use domain::{Action, DocumentKind, Feedback, Outcome, SegmentContent};
-
-    /// Calls `$check::<M>($arguments)` for every message `M`.
-    macro_rules! every_message {
-        ($check:ident $(, $argument:expr)*) => {
-            every_message!(@ $check, ($($argument),*), StepCommand Observation MemoryEpisodeConfig PolicyEpisodeConfig
-                ViewRequest View Eviction Recall RecallTrace SnapshotReport ExternalEpisode ExternalQuery ExternalBuilt
-                ExternalStore ExternalStored ExternalAnswer
-                Heartbeat Decision Handshake ErrorReport ShutdownReport Stop)
-        };
-        (@ $check:ident, $arguments:tt, $($message:ident)*) => {$($check::<$message>$arguments;)*};
-    }
-
-    #[test]
-    fn codes_are_positions() {
-        for (code, role) in Role::ALL.iter().enumerate() {
-            assert_eq!(Role::try_from(code as u8), Ok(*role));
-        }
-        assert!(Role::try_from(5).is_err());
-        assert!(Outcome::try_from(NO_ACTION).is_err());
-        assert!(Action::try_from(NO_ACTION).is_err() && Feedback::try_from(NO_ACTION).is_err());
-    }
-
-    #[test]
-    fn counts_that_are_not_known_or_not_possible_are_absent() {
-        let decision = Decision {
-            images_asked: 4,
-            images: 3,
-            attempts: 1,
-            prompt_tokens: NOT_MEASURED,
-            ..Zeroable::zeroed()
-        };
-        let counts = decision.counts();
-        assert_eq!((counts.images_asked, counts.images), (Some(4), Some(3)));
-        assert_eq!((counts.attempts, counts.prompt_tokens), (Some(1), None));
-        let unknown = Decision {
-            images_asked: NOT_MEASURED,
-            images: NOT_MEASURED,
-            attempts: NOT_MEASURED,
-            ..decision
-        };
-        let counts = unknown.counts();
-        assert_eq!((counts.images_asked, counts.images, counts.attempts), (None, None, None));
-        assert_eq!(Decision { images: 5, ..decision }.counts().images, None);
-        assert_eq!(Decision { attempts: NOT_MEASURED - 1, ..decision }.counts().attempts, None);
-    }
-
-    #[test]
-    fn every_message_has_senders_and_receivers() {
-        fn check<M: Message>() {
-            assert!(!M::FROM.is_empty() && !M::TO.is_empty(), "{}", M::SERVICE);
-            assert!(M::FROM.iter().all(|role| !M::TO.contains(role)), "{}", M::SERVICE);
-        }
-        every_message!(check);
-    }
-
-    proptest! {
-        /// Whatever arrives is a value or an error.
-        #[test]
-        fn no_bytes_panic(bytes in proptest::collection::vec(any::<u8>(), 8192)) {
-            fn check<M: Message>(bytes: &[u8]) {
-                let message: M = bytemuck::pod_read_unaligned(&bytes[..size_of::<M>()]);
-                let _ = format!("{message:?}");
-            }
-            every_message!(check, &bytes);
-
-            for &byte in &bytes {
-                let _ = (StepKind::try_from(byte), ViewRequestKind::try_from(byte));
-                let _ = (Outcome::try_from(byte), Role::try_from(byte));
-                let _ = (Action::try_from(byte), Feedback::try_from(byte));
-                let _ = (DocumentKind::try_from(byte), SegmentContent::try_from(byte));
-                let _ = ErrorReportKind::try_from(byte);
-            }
-            for pose in bytes.chunks_exact(4) {
-                let wire: WirePose = bytemuck::pod_read_unaligned(pose);
-                if let Ok(pose) = Pose::try_from(wire) {
-                    prop_assert_eq!(&WirePose::from(pose).0[..3], &wire.0[..3]);
-                }
-            }
-            let handshake: Handshake = bytemuck::pod_read_unaligned(&bytes[..size_of::<Handshake>()]);
-            let _ = read_text(&handshake.facts, handshake.facts_len);
-            for len in 0..=u32::from(u8::MAX) {
-                if let Ok(text) = read_text(&bytes[..240], len) {
-                    let mut buffer = [0; 240];
-                    prop_assert_eq!(write_text(&mut buffer, text), len);
-                }
-            }
-        }
-
-        /// What is written is read, up to what fits.
-        #[test]
-        fn text_round_trips(text in any::<String>()) {
-            let mut buffer = [0; 24];
-            let used = write_text(&mut buffer, &text);
-            let read = read_text(&buffer, used).map_err(|e| TestCaseError::fail(e.to_string()))?;
-            prop_assert!(text.starts_with(read) && (read == text || read.len() > 20));
-        }
-    }
-
-    #[test]
-    fn text_is_cut_at_a_character_and_read_with_care() {
-        let mut buffer = [0; 4];
-        let used = write_text(&mut buffer, "abcé");
-        assert_eq!(read_text(&buffer, used), Ok("abc"));
-        assert!(read_text(&buffer, 5).is_err());
-        assert!(read_text(&[0xff; 4], 4).is_err());
-    }
-}
+mod tests;

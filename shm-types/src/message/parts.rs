@@ -1,0 +1,122 @@
+//! The structures that messages and documents consist of.
+
+use iceoryx2::prelude::ZeroCopySend;
+
+use super::*;
+use crate::layout::wire_struct;
+
+wire_struct! {
+    /// One step of a demonstration in a [`Recall`].
+    SegmentStep, "memtransfer.SegmentStep", 16 bytes {
+        /// The remembered view, or [`NO_FRAME`].
+        frame: FrameId,
+        /// Code of the [`Action`](domain::Action) the expert took there, or [`NO_ACTION`]: at the end of the item, and
+        /// throughout an item of views alone.
+        action: u8,
+        /// Zero.
+        reserved: [u8; 7],
+    }
+}
+
+wire_struct! {
+    /// One item of what memory supplies for a step.
+    RecalledItem, "memtransfer.RecalledItem", 32 bytes {
+        /// Text and captioned frame: the document that holds the text. Trajectory: the document that holds the steps.
+        /// Otherwise, and for an empty caption, [`NO_DOCUMENT`].
+        document: DocumentId,
+        /// Distance between the item and the query; NaN if the memory tells none.
+        distance: f32,
+        /// First step: in [`Recall::steps`], or in the document of a trajectory.
+        first_step: u32,
+        /// Number of steps, at least 1; 1 for a captioned frame, 0 for a text. Those of a trajectory can belong to
+        /// several demonstrations, one after the other.
+        steps: u32,
+        /// First byte of the text in the document.
+        first_byte: u32,
+        /// Bytes of the text.
+        bytes: u32,
+        /// An [`ItemKind`] code.
+        kind: u8,
+        /// Steps and trajectory: 1 if they are a whole demonstration, from its start to its end.
+        whole: u8,
+        /// Zero.
+        reserved: [u8; 2],
+    }
+}
+
+wire_struct! {
+    /// Where an item comes from: consecutive steps of one demonstration.
+    RecalledSource, "memtransfer.RecalledSource", 16 bytes {
+        /// Index of the demonstration's case.
+        case: u32,
+        /// Distance between the item and the query; NaN if the memory tells none.
+        distance: f32,
+        /// The demonstration (0 original, 1 opposite, 2 nearby, 3 distant).
+        demonstration: u16,
+        /// Its first step.
+        first: u16,
+        /// Number of steps.
+        steps: u16,
+        /// Number of the item that comes from here, from 0.
+        item: u8,
+        /// The item's [`ItemKind`] code.
+        kind: u8,
+    }
+}
+
+wire_struct! {
+    /// One item of an [`ExternalAnswer`].
+    AnswerItem, "memtransfer.AnswerItem", 28 bytes {
+        /// Text and captioned frame: first byte of the text in the answer's note.
+        first_byte: u32,
+        /// Bytes of the text.
+        bytes: u32,
+        /// Steps and captioned frame: number of the demonstration in the bank.
+        demonstration: u32,
+        /// Its first step.
+        first_step: u32,
+        /// Number of steps; 1 for a captioned frame.
+        steps: u32,
+        /// Distance between the item and the query; NaN if it is not known.
+        distance: f32,
+        /// An [`ItemKind`] code; steps of any length are [`ItemKind::Steps`].
+        kind: u8,
+        /// Steps: 1 to supply their views; 2 to supply those whose numbers the answer's note holds, as `bytes / 4`
+        /// little-endian 32-bit numbers from `first_byte` on.
+        views: u8,
+        /// Steps: 1 to supply their actions.
+        actions: u8,
+        /// Zero.
+        reserved: u8,
+    }
+}
+
+wire_struct! {
+    /// Where a text item of an [`ExternalAnswer`] comes from: consecutive steps of one demonstration.
+    AnswerSource, "memtransfer.AnswerSource", 16 bytes {
+        /// Number of the item, from 0.
+        item: u32,
+        /// Number of the demonstration in the bank.
+        demonstration: u32,
+        /// Its first step.
+        first_step: u32,
+        /// Number of steps.
+        steps: u32,
+    }
+}
+
+wire_struct! {
+    /// One step of a demonstration in a [`DocumentKind::Trajectories`](domain::DocumentKind) document: the expert's
+    /// action, and its view if that is a keyframe.
+    TrajectoryStep: Eq, "memtransfer.TrajectoryStep", 16 bytes {
+        /// The view before the action, or [`NO_FRAME`] if it is not a keyframe.
+        frame: FrameId,
+        /// Code of the [`Action`](domain::Action) the expert took there, or [`NO_ACTION`] at the end of the
+        /// demonstration.
+        action: u8,
+        /// Which demonstration, from 0, in the order of the document.
+        trajectory: u8,
+        /// Zero.
+        reserved: [u8; 6],
+    }
+}

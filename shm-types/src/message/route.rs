@@ -1,0 +1,58 @@
+//! What every message type tells: its service, its route and what bounds its queue.
+
+use std::sync::Arc;
+
+use bytemuck::Pod;
+use iceoryx2::prelude::ZeroCopySend;
+
+use super::Role;
+use crate::bus::{Bus, BusError};
+use crate::layout::Struct;
+use crate::ports::{ReceiverPort, SenderPort};
+
+/// A message type, which has a service of its own. Implemented by the macro `messages!` only.
+pub trait Message: ZeroCopySend + Pod + core::fmt::Debug {
+    /// Last part of the service's name, after the generation.
+    const SERVICE: &'static str;
+    /// The roles that send it.
+    const FROM: &'static [Role];
+    /// The roles that receive it: each receives every message.
+    const TO: &'static [Role];
+    /// How many can wait for a receiver.
+    const TRAFFIC: Traffic;
+
+    /// Opens its sender; `index` is that of the external memory it sends to, if it sends to one.
+    #[doc(hidden)]
+    fn open_sender(bus: &Bus, index: u8) -> Result<Box<dyn SenderPort<Self>>, BusError>;
+
+    /// Opens a receiver, as [`Self::open_sender`].
+    #[doc(hidden)]
+    fn open_receiver(bus: &Bus, index: u8) -> Result<Arc<dyn ReceiverPort<Self>>, BusError>;
+}
+
+/// What bounds the number of waiting messages, and so the length of the queue
+/// ([`Attach::queue_len`](crate::Attach::queue_len)).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Traffic {
+    /// Two for each lane: the last of one episode and the first of the next.
+    Lanes,
+    /// Two for each frame of the store: a request and a release, or a view and an eviction.
+    Frames,
+    /// A few per run.
+    Few,
+}
+
+/// A message's layout and route.
+#[derive(Debug, Clone, Copy)]
+pub struct Description {
+    /// The layout.
+    pub layout: Struct,
+    /// As [`Message::SERVICE`].
+    pub service: &'static str,
+    /// As [`Message::FROM`].
+    pub from: &'static [Role],
+    /// As [`Message::TO`].
+    pub to: &'static [Role],
+    /// As [`Message::TRAFFIC`].
+    pub traffic: Traffic,
+}
