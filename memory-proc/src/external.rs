@@ -9,13 +9,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytemuck::Zeroable;
-use peer::memory::{EpisodeEnd, Item, Source, Views};
+use peer::memory::{EpisodeEnd, Item};
 use search::Embedding;
 use shm_types::description::Scope;
 use shm_types::message::{
-    AnswerItem, AnswerSource, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery,
-    ExternalStore, ExternalStored, ItemKind, Learning, MAX_EMBEDDING, MAX_FOLDER, MAX_ITEMS,
-    MAX_SOURCES, MAX_SUB_GOALS, MemoryEpisodeConfig, NO_ACTION, NOT_MEASURED, write_text,
+    ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore, ExternalStored,
+    MAX_FOLDER, MAX_SUB_GOALS, MemoryEpisodeConfig, NOT_MEASURED, write_text,
 };
 use shm_types::{BankContent, MemoryDescription, Note};
 use warehouse::{CaseSet, Demonstrations, Warehouse};
@@ -24,9 +23,14 @@ use crate::bank::{BankSteps, Collecting, KnownView, ReplayedBank, Viewpoint};
 use crate::demonstrations;
 use crate::engine::LaneProgress;
 use crate::episode::{
-    CurrentStep, EpisodeMemory, ExternalBank, MemoryEpisode, PendingObservation, PendingStage,
-    Reason, Unusable, unusable,
+    EpisodeMemory, ExternalBank, MemoryEpisode, PendingObservation, PendingStage, Reason, Unusable,
+    unusable,
 };
+
+mod messages;
+
+use messages::episode_message;
+pub(crate) use messages::{query_message, read_items};
 
 /// How long an external memory may take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -574,146 +578,5 @@ fn readable(bytes: &[u8]) -> String {
         Ok("") => "it gives no reason".to_owned(),
         Ok(text) => text.to_owned(),
         Err(_) => "its reason is not UTF-8".to_owned(),
-    }
-}
-
-/// The message that announces an episode.
-fn episode_message(episode: &MemoryEpisode, bank: u64) -> Box<ExternalEpisode> {
-    let mut message = ExternalEpisode {
-        episode: episode.id,
-        bank,
-        seed: episode.seed,
-        lane: episode.lane,
-        text_budget: episode.budgets.text,
-        image_budget: episode.budgets.images,
-        repeat: episode.repeat,
-        learning: match &episode.stream {
-            None => Learning::OutsideOfStreams,
-            Some(_) if episode.learns() => Learning::Learns,
-            Some(_) => Learning::ReadsOnly,
-        } as u32,
-        ..Zeroable::zeroed()
-    };
-    message.instruction_len = write_text(&mut message.instruction, &episode.instruction);
-    Box::new(message)
-}
-
-/// The message that passes on the agent's state.
-pub(crate) fn query_message(
-    episode: &MemoryEpisode,
-    now: &CurrentStep,
-    embedding: Option<&Embedding>,
-    is_last: bool,
-) -> Box<ExternalQuery> {
-    let mut message = Box::new(ExternalQuery {
-        episode: episode.id,
-        frame: now.frame,
-        lane: episode.lane,
-        step: now.step,
-        pose: now.pose.into(),
-        feedback: now.feedback as u8,
-        action: now.action.map_or(NO_ACTION, |action| action as u8),
-        last: is_last.into(),
-        ..Zeroable::zeroed()
-    });
-    // Longer embeddings are refused before a run.
-    if let Some(numbers) =
-        embedding.map(Embedding::as_slice).filter(|all| all.len() <= MAX_EMBEDDING)
-    {
-        message.embedding[..numbers.len()].copy_from_slice(numbers);
-        message.embedding_len = numbers.len() as u32;
-    }
-    message
-}
-
-/// Reads the items of an answer with the note `note`. References are not checked.
-pub(crate) fn read_items(message: &ExternalAnswer, note: &[u8]) -> Result<Vec<Item>, String> {
-    let within = |what: &str, count: u32, most: usize| match count as usize {
-        count if count <= most => Ok(count),
-        count => Err(format!("it has {count} {what}, and at most {most} are allowed")),
-    };
-    let count = within("items", message.items_len, MAX_ITEMS)?;
-    let sources = &message.sources[..within("sources", message.sources_len, MAX_SOURCES)?];
-    let items = &message.items[..count];
-    for AnswerSource { item, .. } in sources {
-        let of = items.get(*item as usize);
-        if of.is_none_or(|of| of.kind != ItemKind::Text as u8) {
-            return Err(format!("a source is that of item {item}, which is no text"));
-        }
-    }
-    let read = |(number, item)| {
-        read_item(number, item, sources, note).map_err(|what| format!("item {number} {what}"))
-    };
-    (0..).zip(items).map(read).collect()
-}
-
-fn read_item(
-    number: u32,
-    item: &AnswerItem,
-    sources: &[AnswerSource],
-    note: &[u8],
-) -> Result<Item, String> {
-    let &AnswerItem { first_byte, bytes, demonstration, first_step: first, steps: count, .. } =
-        item;
-    let in_note = || {
-        let end = (first_byte as usize).checked_add(bytes as usize);
-        end.and_then(|end| note.get(first_byte as usize..end)).ok_or_else(|| {
-            format!("names {bytes} bytes from byte {first_byte} of a note of {} bytes", note.len())
-        })
-    };
-    let text = || -> Result<Arc<str>, String> {
-        let text = str::from_utf8(in_note()?);
-        text.map(Arc::from).map_err(|error| format!("holds a text that is not UTF-8: {error}"))
-    };
-    let distance = Some(item.distance).filter(|distance| !distance.is_nan());
-    match ItemKind::try_from(item.kind) {
-        Ok(ItemKind::Text) => {
-            let its_own = sources.iter().filter(|source| source.item == number);
-            let source = |source: &AnswerSource| Source {
-                demonstration: source.demonstration,
-                first: source.first_step,
-                count: source.steps,
-            };
-            Ok(Item::Text { text: text()?, sources: its_own.map(source).collect() })
-        }
-        Ok(ItemKind::Steps) => {
-            let views = match item.views {
-                0 => Views::None,
-                1 => Views::All,
-                2 => {
-                    let (numbers, []) = in_note()?.as_chunks() else {
-                        return Err(format!(
-                            "names its keyframes in {bytes} bytes, expected 4 for each"
-                        ));
-                    };
-                    let numbers = numbers.iter().map(|bytes| u32::from_le_bytes(*bytes));
-                    Views::Keyframes(numbers.collect())
-                }
-                code => return Err(format!("has the code {code} for its views, expected 0 to 2")),
-            };
-            let actions = match item.actions {
-                0 => false,
-                1 => true,
-                code => {
-                    return Err(format!("has the code {code} for its actions, expected 0 or 1"));
-                }
-            };
-            Ok(Item::Steps {
-                source: Source { demonstration, first, count },
-                views,
-                actions,
-                distance,
-            })
-        }
-        Ok(ItemKind::Frame) if count != 1 => {
-            Err(format!("is a captioned frame of {count} steps, expected 1"))
-        }
-        Ok(ItemKind::Frame) => {
-            Ok(Item::Frame { demonstration, step: first, caption: text()?, distance })
-        }
-        Ok(ItemKind::Trajectory) => {
-            Err("is a trajectory: steps of any length have the kind of steps".to_owned())
-        }
-        Err(error) => Err(format!("has no valid kind: {error}")),
     }
 }
