@@ -11,7 +11,8 @@ use domain::search_profile::{SearchLatency, SearchMeasurement};
 use hdrhistogram::Histogram;
 use search::synthetic::SyntheticVectors;
 use search::{
-    ApproximateIndex, Embedding, GraphOptions, Index, IndexBuilder, Neighbour, Query, ViewEntry,
+    ApproximateIndex, Embedding, GraphOptions, Index, IndexBuilder, Neighbour, SearchQuery,
+    ViewEntry,
 };
 
 /// Queries in one call, for the two measurements of each size.
@@ -134,10 +135,11 @@ impl SearchBench<'_> {
     fn measure(
         &self,
         batch: usize,
-        mut search: impl FnMut(&[Query<'_>]) -> anyhow::Result<()>,
+        mut search: impl FnMut(&[SearchQuery<'_>]) -> anyhow::Result<()>,
     ) -> anyhow::Result<SearchMeasurement> {
         let count = self.queries.len().max(batch);
-        let queries: Vec<Query<'_>> = self.queries.iter().cycle().take(count).map(query).collect();
+        let queries: Vec<SearchQuery<'_>> =
+            self.queries.iter().cycle().take(count).map(query).collect();
         let batches = queries.chunks_exact(batch);
         let warm_up = Instant::now();
         for batch in batches.clone().take(100) {
@@ -190,7 +192,8 @@ impl SearchBench<'_> {
 
     /// The shares of the nearest view and of the ten nearest views that a graph finds.
     fn recall(&self, graph: &ApproximateIndex<'_>) -> anyhow::Result<(f64, f64)> {
-        let queries: Vec<Query<'_>> = self.queries.iter().take(RECALL_QUERIES).map(query).collect();
+        let queries: Vec<SearchQuery<'_>> =
+            self.queries.iter().take(RECALL_QUERIES).map(query).collect();
         let exact = self.index.nearest_of_many(&queries, 10);
         let share = |wanted: usize| -> anyhow::Result<f64> {
             let approximate = graph.nearest_of_many(&queries, wanted)?;
@@ -212,8 +215,8 @@ fn print(measured: &SearchMeasurement, out: &mut impl Write) -> anyhow::Result<(
     out.flush().context("cannot write to standard output")
 }
 
-fn query(embedding: &Embedding) -> Query<'_> {
-    Query { embedding: embedding.as_slice(), stage: 0, elapsed: 0 }
+fn query(embedding: &Embedding) -> SearchQuery<'_> {
+    SearchQuery { embedding: embedding.as_slice(), stage: 0, elapsed: 0 }
 }
 
 /// Writes the vectors of a memory of `entries`, then those of some queries, as little-endian numbers.

@@ -41,7 +41,7 @@ pub struct RepresentationInfo {
     /// What is supplied at each step, in addition to the window.
     pub supplies: &'static str,
     /// The demonstrations it is built from.
-    pub source: Source,
+    pub built_from: BuiltFrom,
     /// The text documents it supplies, in order.
     pub documents: &'static [DocumentKind],
     /// The parts of demonstrations that it supplies.
@@ -50,7 +50,7 @@ pub struct RepresentationInfo {
 
 /// The demonstrations that a representation is built from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Source {
+pub enum BuiltFrom {
     /// None.
     Nothing,
     /// The selected ones of the episode's own case.
@@ -88,7 +88,7 @@ impl Representation {
             name: "working",
             stores: "the last h steps",
             supplies: "the window",
-            source: Source::Nothing,
+            built_from: BuiltFrom::Nothing,
             documents: &[],
             trajectories: Trajectories::Nothing,
         };
@@ -98,7 +98,7 @@ impl Representation {
                 name: "full-context",
                 stores: "all actions and the keyframes of the case's demonstrations",
                 supplies: "all of it",
-                source: Source::Case,
+                built_from: BuiltFrom::Case,
                 trajectories: Trajectories::Whole,
                 ..NOTHING
             },
@@ -106,7 +106,7 @@ impl Representation {
                 name: "summary",
                 stores: "one document of object locations, landmarks and routes",
                 supplies: "the whole document",
-                source: Source::AllCases,
+                built_from: BuiltFrom::AllCases,
                 documents: &[DocumentKind::Summary],
                 ..NOTHING
             },
@@ -114,7 +114,7 @@ impl Representation {
                 name: "semantic",
                 stores: "one document of general spatial and navigation knowledge",
                 supplies: "the whole document",
-                source: Source::AllCases,
+                built_from: BuiltFrom::AllCases,
                 documents: &[DocumentKind::Semantic],
                 ..NOTHING
             },
@@ -122,7 +122,7 @@ impl Representation {
                 name: "hybrid",
                 stores: "the summary and the semantic document",
                 supplies: "both documents",
-                source: Source::AllCases,
+                built_from: BuiltFrom::AllCases,
                 documents: &[DocumentKind::Summary, DocumentKind::Semantic],
                 ..NOTHING
             },
@@ -130,7 +130,7 @@ impl Representation {
                 name: "episodic",
                 stores: "every demonstration frame's embedding, with its trajectory",
                 supplies: "the stored view nearest to the current one, and the expert's continuation",
-                source: Source::Case,
+                built_from: BuiltFrom::Case,
                 trajectories: Trajectories::Segment,
                 ..NOTHING
             },
@@ -138,7 +138,7 @@ impl Representation {
                 name: "adaptive",
                 stores: "the same of the task's demonstrations and, in a stream, of its own successful episodes",
                 supplies: "as episodic; in a stream what it has confirmed, and nothing that it has seen contradicted",
-                source: Source::Case,
+                built_from: BuiltFrom::Case,
                 trajectories: Trajectories::Segment,
                 ..NOTHING
             },
@@ -152,7 +152,7 @@ impl Representation {
 
     /// Whether it is built from demonstrations.
     pub const fn uses_demonstrations(self) -> bool {
-        !matches!(self.describe().source, Source::Nothing)
+        !matches!(self.describe().built_from, BuiltFrom::Nothing)
     }
 
     /// Whether it is searched with the current view, so that views have to be embedded.

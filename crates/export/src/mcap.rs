@@ -26,7 +26,7 @@ use domain::Action;
 use results::compare::run_name;
 use results::log::RunLog;
 use results::score::Failure;
-use results::source::{Source, sources};
+use results::source::{SourceStep, sources};
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -224,7 +224,7 @@ impl EpisodeSink for McapRecording {
                 action: actions.next().and_then(Action::from_letter).map(Action::words),
                 sub_goals_met: record.sub_goals.iter().filter(|met| **met <= step).count(),
                 sub_goals: record.required,
-                sources: supplied.iter().map(Source::in_words).collect(),
+                sources: supplied.iter().map(SourceStep::in_words).collect(),
             };
             self.file.message(self.channels.step, at.ns, &serde_json::to_vec(&data)?);
             while let Some((_, level, words)) = events.next_if(|(happened, ..)| *happened <= step) {

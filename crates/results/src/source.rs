@@ -6,7 +6,7 @@ use warehouse::Start;
 
 /// A step of a demonstration, or of an earlier episode of the same sequence.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Source {
+pub enum SourceStep {
     /// `o12`: step 12 of the case's original demonstration; `t03-07:o12`: of another case's.
     Demonstration {
         /// The id of the other case.
@@ -26,7 +26,7 @@ pub enum Source {
 }
 
 /// The sources of one request: a word of the column. Empty for `-`. A part that cannot be read is left out.
-pub fn sources(word: &str) -> Vec<Source> {
+pub fn sources(word: &str) -> Vec<SourceStep> {
     word.split('+').filter_map(|part| part.parse().ok()).collect()
 }
 
@@ -35,7 +35,7 @@ pub fn sources(word: &str) -> Vec<Source> {
 #[error("`{0}` is not a source (write it like o12, t03-07:o12 or e12:3)")]
 pub struct BadSource(String);
 
-impl FromStr for Source {
+impl FromStr for SourceStep {
     type Err = BadSource;
 
     fn from_str(text: &str) -> Result<Self, BadSource> {
@@ -58,7 +58,7 @@ impl FromStr for Source {
     }
 }
 
-impl Source {
+impl SourceStep {
     /// It in words.
     pub fn in_words(&self) -> String {
         match self {
@@ -80,7 +80,7 @@ mod tests {
 
     #[test]
     fn every_source_is_named() {
-        let words = |word| sources(word).iter().map(Source::in_words).collect::<Vec<_>>();
+        let words = |word| sources(word).iter().map(SourceStep::in_words).collect::<Vec<_>>();
         insta::assert_snapshot!(words("o12+t03-07:n3+e4:0+?").join("\n"), @"
         view 12 of the demonstration `original`
         view 3 of the demonstration `nearby` of t03-07, another task
@@ -88,7 +88,7 @@ mod tests {
         ");
         assert!(words("-").is_empty());
         for text in ["", "o", "x3", "t3", "e4:", "é"] {
-            assert_eq!(text.parse::<Source>(), Err(BadSource(text.to_owned())));
+            assert_eq!(text.parse::<SourceStep>(), Err(BadSource(text.to_owned())));
         }
     }
 }

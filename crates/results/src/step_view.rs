@@ -24,7 +24,7 @@ use crate::log::{EpisodeRecord, EpisodeTimings, RunFolder, RunLog};
 
 /// One step.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct StepView {
+pub struct ShownStep {
     /// The episode's key.
     pub key: String,
     /// Steps taken before.
@@ -75,7 +75,7 @@ impl RecordedPrompt {
 ///
 /// # Errors
 /// When the episode has no such step, or a file of the prompt log cannot be used.
-pub fn look_up(log: &RunLog, record: &EpisodeRecord, step: u32) -> Result<StepView> {
+pub fn look_up(log: &RunLog, record: &EpisodeRecord, step: u32) -> Result<ShownStep> {
     if step >= record.steps {
         bail!(
             "{} has {} steps, so its steps are 0 to {}: there is no step {step}",
@@ -87,7 +87,7 @@ pub fn look_up(log: &RunLog, record: &EpisodeRecord, step: u32) -> Result<StepVi
     let (pose, feedback) = record.replay()[step as usize];
     let timings = log.timings.iter().find(|timings| timings.key == record.key);
     let retrieved = record.retrieved.as_deref();
-    Ok(StepView {
+    Ok(ShownStep {
         key: record.key.clone(),
         step,
         steps: record.steps,

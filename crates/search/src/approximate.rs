@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use usearch::{IndexOptions, MetricKind, ScalarKind};
 
 use crate::exact;
-use crate::index::{Index, Neighbour, Query};
+use crate::index::{Index, Neighbour, SearchQuery};
 use crate::kernels::SimdLevel;
 use crate::quantized::{QuantizedMatrix, record_distance};
 
@@ -98,7 +98,7 @@ impl<'a> ApproximateIndex<'a> {
     /// When a query's embedding has another dimension.
     pub fn nearest_of_many(
         &self,
-        queries: &[Query<'_>],
+        queries: &[SearchQuery<'_>],
         wanted: usize,
     ) -> Result<Vec<Vec<Neighbour>>, GraphError> {
         let threads = if queries.len() < 2 { 1 } else { self.threads };
@@ -118,7 +118,11 @@ impl<'a> ApproximateIndex<'a> {
         Ok(answers.into_iter().map(|answer| answer.1).collect())
     }
 
-    fn nearest(&self, query: &Query<'_>, wanted: usize) -> Result<Vec<Neighbour>, GraphError> {
+    fn nearest(
+        &self,
+        query: &SearchQuery<'_>,
+        wanted: usize,
+    ) -> Result<Vec<Neighbour>, GraphError> {
         let vector = query.embedding;
         let rows = self.index.rows();
         if rows.len() == 0 || wanted == 0 {
@@ -177,9 +181,9 @@ mod tests {
         let graph = ApproximateIndex::new(&index, GraphOptions::default(), two).unwrap();
         assert!(graph.bytes() > 3000 * 70);
         let embeddings: Vec<_> = (0..200).map(|number| vectors.query(number, 3000)).collect();
-        let queries: Vec<Query<'_>> = embeddings
+        let queries: Vec<SearchQuery<'_>> = embeddings
             .iter()
-            .map(|of| Query { embedding: of.as_slice(), stage: 0, elapsed: 0 })
+            .map(|of| SearchQuery { embedding: of.as_slice(), stage: 0, elapsed: 0 })
             .collect();
         let exact = index.nearest_of_many(&queries, 10);
         let mostly = graph.nearest_of_many(&queries, 10).unwrap();
@@ -199,7 +203,7 @@ mod tests {
             ApproximateIndex::new(&index, GraphOptions::default(), NonZeroUsize::MIN).unwrap();
         let vectors = SyntheticVectors::new(Vec::new(), 3, 5);
         let embedding = vectors.entry(0);
-        let query = Query { embedding: embedding.as_slice(), stage: 0, elapsed: 0 };
+        let query = SearchQuery { embedding: embedding.as_slice(), stage: 0, elapsed: 0 };
         assert_eq!(graph.nearest_of_many(&[query], 3).unwrap(), [vec![]]);
     }
 }

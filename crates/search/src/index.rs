@@ -23,7 +23,7 @@ pub struct ViewEntry {
 
 /// The current view, as far as it determines what is nearest.
 #[derive(Debug, Clone, Copy)]
-pub struct Query<'a> {
+pub struct SearchQuery<'a> {
     /// Its embedding.
     pub embedding: &'a [f32],
     /// Sub-goals completed so far.
@@ -144,7 +144,7 @@ impl Index {
     ///
     /// # Panics
     /// When the query's embedding has another dimension.
-    pub fn nearest(&self, query: Query<'_>) -> Option<Neighbour> {
+    pub fn nearest(&self, query: SearchQuery<'_>) -> Option<Neighbour> {
         let nearest = self.search(&[query.embedding], 1).pop()?;
         self.in_order(nearest, &query, 1).pop()
     }
@@ -154,7 +154,11 @@ impl Index {
     ///
     /// # Panics
     /// When a query's embedding has another dimension.
-    pub fn nearest_of_many(&self, queries: &[Query<'_>], wanted: usize) -> Vec<Vec<Neighbour>> {
+    pub fn nearest_of_many(
+        &self,
+        queries: &[SearchQuery<'_>],
+        wanted: usize,
+    ) -> Vec<Vec<Neighbour>> {
         let vectors: Vec<&[f32]> = queries.iter().map(|query| query.embedding).collect();
         let nearest = self.search(&vectors, wanted).into_iter().zip(queries);
         nearest.map(|(nearest, query)| self.in_order(nearest, query, wanted)).collect()
@@ -223,7 +227,7 @@ impl Index {
     pub(crate) fn in_order(
         &self,
         nearest: NearestRows,
-        query: &Query<'_>,
+        query: &SearchQuery<'_>,
         wanted: usize,
     ) -> Vec<Neighbour> {
         let rows = nearest.into_rows();
@@ -247,7 +251,7 @@ impl Index {
 }
 
 /// Orders views of equal distance: the least is the nearest.
-fn tie_order(entry: &ViewEntry, query: &Query<'_>) -> (u32, u32, u16, u16) {
+fn tie_order(entry: &ViewEntry, query: &SearchQuery<'_>) -> (u32, u32, u16, u16) {
     let stages = entry.stage.abs_diff(query.stage);
     let steps = u32::from(entry.step).abs_diff(query.elapsed);
     (stages, steps, entry.demonstration, entry.step)
@@ -271,7 +275,7 @@ mod tests {
     fn naive(
         views: &[(ViewEntry, usize)],
         palette: &[Embedding],
-        query: Query<'_>,
+        query: SearchQuery<'_>,
     ) -> Option<Neighbour> {
         let mut best: Option<Neighbour> = None;
         for &(entry, colour) in views {
@@ -317,7 +321,7 @@ mod tests {
             let free = Embedding::normalised(&raw);
             let embedding = if on_palette { Some(&palette[colour]) } else { free.as_ref() };
             let Some(embedding) = embedding else { return Ok(()) };
-            let query = Query { embedding: embedding.as_slice(), stage, elapsed };
+            let query = SearchQuery { embedding: embedding.as_slice(), stage, elapsed };
             let expected = naive(&views, &palette, query);
             let parts = |&(entry, colour): &(ViewEntry, usize)| (entry, [colour as u8; 16], &palette[colour]);
             prop_assert_eq!(Index::new(views.iter().map(parts)).nearest(query), expected);
@@ -331,7 +335,7 @@ mod tests {
         let views = [entry(0, 3, 0), entry(0, 9, 1), entry(1, 7, 1), entry(2, 7, 1)];
         let index = Index::new(views.iter().map(|&entry| (entry, [0; 16], &one)));
         let ask = |stage, elapsed| {
-            index.nearest(Query { embedding: one.as_slice(), stage, elapsed }).unwrap().entry
+            index.nearest(SearchQuery { embedding: one.as_slice(), stage, elapsed }).unwrap().entry
         };
         assert_eq!(ask(0, 9), views[0]);
         assert_eq!(ask(1, 9), views[1]);

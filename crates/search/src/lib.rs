@@ -21,7 +21,7 @@ pub mod synthetic;
 
 pub use approximate::{ApproximateIndex, GraphError, GraphOptions};
 pub use embedding::{ContentHash, Embedding, distance};
-pub use index::{Index, IndexBuilder, Neighbour, Query, ViewEntry};
+pub use index::{Index, IndexBuilder, Neighbour, SearchQuery, ViewEntry};
 
 /// Runs `work` on this thread and `threads - 1` others; the results, this thread's first.
 fn on_threads<T: Send>(threads: usize, work: impl Fn() -> T + Sync) -> Vec<T> {

@@ -223,7 +223,7 @@ impl Adaptive {
     /// The views nearest to the current one, the most preferred first.
     fn nearest(&mut self, query: &Query<'_>, embedding: &[f32]) -> Vec<Neighbour> {
         let (stage, elapsed) = (query.stage.unwrap_or(0), query.now.step);
-        let asked = search::Query { embedding, stage, elapsed };
+        let asked = search::SearchQuery { embedding, stage, elapsed };
         for instruction in [Some(query.instruction), None] {
             let key = instruction.map(str::to_owned);
             if !self.indexes.contains_key(&key) {
@@ -259,7 +259,7 @@ impl Adaptive {
 
     /// Orders views of equal distance as episodic memory does, except that an own episode whose stages are known is
     /// continued from the latest of several visits.
-    fn tie(&self, found: &Neighbour, query: &search::Query<'_>) -> (u32, u32, u16, u16) {
+    fn tie(&self, found: &Neighbour, query: &search::SearchQuery<'_>) -> (u32, u32, u16, u16) {
         let ViewEntry { demonstration, step, .. } = found.entry;
         let of = &self.trajectories[usize::from(demonstration)];
         let stage = of.steps[usize::from(step)].stage;

@@ -75,7 +75,7 @@ impl Memory for Episodic {
             return Err(MemoryError::new("the current view has not been embedded"));
         };
         let (stage, elapsed) = (query.stage.unwrap_or(0), query.now.step);
-        let query = search::Query { embedding, stage, elapsed };
+        let query = search::SearchQuery { embedding, stage, elapsed };
         let nearest = match self.hits {
             1 => index.nearest(query).into_iter().collect(),
             hits => index.nearest_of_many(&[query], hits).pop().unwrap_or_default(),

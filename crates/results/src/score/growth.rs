@@ -9,7 +9,7 @@ use super::spread::{mean, percentage};
 use super::trial::Trials;
 use crate::conditions::Condition;
 use crate::log::{EpisodeRecord, EpisodeTimings};
-use crate::source::{Source, sources};
+use crate::source::{SourceStep, sources};
 
 /// A memory with a bank of one size.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -71,8 +71,8 @@ fn of_condition(
         .flat_map(|record| {
             let words = record.retrieved.as_deref().unwrap_or_default().split(' ');
             words.flat_map(sources).filter_map(move |source| match source {
-                Source::Demonstration { case, .. } => Some((record, case)),
-                Source::Experience { .. } => None,
+                SourceStep::Demonstration { case, .. } => Some((record, case)),
+                SourceStep::Experience { .. } => None,
             })
         })
         .collect();

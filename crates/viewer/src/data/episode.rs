@@ -10,7 +10,7 @@ use results::events::Requirement;
 use results::key::EpisodeKey;
 use results::log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
 use results::score::Failure;
-use results::source::{Source, sources};
+use results::source::{SourceStep, sources};
 use serde::Serialize;
 use warehouse::{History, Start, Trajectory, WorldState, sight};
 
@@ -305,14 +305,14 @@ impl Remembered<'_> {
         let words = self.record.retrieved.as_deref().unwrap_or_default();
         let of_step = |word: &str| {
             let found = sources(word).into_iter().filter_map(|source| match source {
-                Source::Demonstration { case: other, start, step } => {
+                SourceStep::Demonstration { case: other, start, step } => {
                     let index = match other {
                         Some(id) => self.world.cases.index(&id)?,
                         None => case,
                     };
                     Some((self.demonstration(index, start, case), step))
                 }
-                Source::Experience { position, step } => {
+                SourceStep::Experience { position, step } => {
                     Some((self.episode(position, experience(position)?), step))
                 }
             });

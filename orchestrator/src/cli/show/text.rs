@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use domain::prompt_log::{RecordedItem, RecordedPart, RecordedView};
 
-use results::source::{Source, sources};
-use results::step_view::{RecordedPrompt, StepView, facts, title};
+use results::source::{SourceStep, sources};
+use results::step_view::{RecordedPrompt, ShownStep, facts, title};
 
 /// Characters of a text that are printed; JSON has all.
 const MOST: usize = 2000;
@@ -14,7 +14,7 @@ const MOST: usize = 2000;
 const DIGITS: usize = 8;
 
 /// Renders the step.
-pub(super) fn render(shown: &StepView) -> String {
+pub(super) fn render(shown: &ShownStep) -> String {
     let mut text = format!("{}, step {} of {}\n\n", shown.key, shown.step, shown.steps);
     let mut fact = |name: &str, value: &str| {
         let _ = writeln!(text, "{name:<10} {value}");
@@ -26,7 +26,7 @@ pub(super) fn render(shown: &StepView) -> String {
     fact("Feedback", shown.feedback);
     fact("Action", shown.action.unwrap_or("none that could be read: the agent stayed"));
     if let Some(retrieved) = &shown.retrieved {
-        let words: Vec<String> = sources(retrieved).iter().map(Source::in_words).collect();
+        let words: Vec<String> = sources(retrieved).iter().map(SourceStep::in_words).collect();
         let words = words.join("; ");
         fact("Retrieved", if words.is_empty() { "nothing" } else { &words });
     }
