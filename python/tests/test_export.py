@@ -1,4 +1,4 @@
-"""The command line of `memtransfer.export`. What it writes is opened in `tests/tests/python.rs`, with the libraries of the
+"""The command line of `memtransfer.export`. What it writes is opened in `tests/tests/end_to_end/python.rs`, with the libraries of the
 formats, which are not installed here."""
 
 from __future__ import annotations

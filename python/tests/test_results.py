@@ -1,4 +1,4 @@
-"""Folders that `memtransfer.results` cannot read. Reading real runs is tested in `tests/tests/python.rs`."""
+"""Folders that `memtransfer.results` cannot read. Reading real runs is tested in `tests/tests/end_to_end/python.rs`."""
 
 from __future__ import annotations
 

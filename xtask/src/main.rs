@@ -121,10 +121,7 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
             setup::install_missing(Purpose::Use, &pins, &cache, &workspace)?;
             demo::run(&workspace, run_flags)
         }
-        Verb::Test { test_arguments } => {
-            setup::install_missing(Purpose::Tests, &pins, &cache, &workspace)?;
-            test::run(&workspace, test_arguments)
-        }
+        Verb::Test { test_arguments } => test::run(&pins, &cache, &workspace, test_arguments),
         Verb::Bench(arguments) => {
             let purpose = if arguments.no_baselines { Purpose::Use } else { Purpose::Benches };
             setup::install_missing(purpose, &pins, &cache, &workspace)?;
@@ -139,8 +136,7 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
         Verb::Check => check::run(&workspace),
         Verb::Ci => {
             let checked = check::run(&workspace)?;
-            setup::install_missing(Purpose::Tests, &pins, &cache, &workspace)?;
-            Ok(test::run(&workspace, &[])? && checked)
+            Ok(test::run(&pins, &cache, &workspace, &[])? && checked)
         }
         Verb::VitB16Untrained => {
             setup::install_on_demand("vit-b16-untrained", &pins, &cache, &workspace).map(|()| true)

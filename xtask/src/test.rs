@@ -1,23 +1,42 @@
-//! `test`: builds the programs, runs every test, and prints a line of totals.
+//! `test`: sets up and builds at the same time, runs every test, and prints a line of totals.
 //!
 //! Cargo runs test binaries one after another. Tests that start several processes are serial within their binary.
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::Stdio;
+use std::thread;
 
 use anyhow::Context;
 
-use crate::workspace::Workspace;
+use crate::cache::Cache;
+use crate::pins::{Pins, Purpose};
+use crate::setup;
+use crate::workspace::{Workspace, succeeds};
 
-/// Runs the tests. Returns whether all passed.
-pub(crate) fn run(workspace: &Workspace, test_arguments: &[String]) -> anyhow::Result<bool> {
-    if !workspace.build_programs(&["memtransfer-tests"])? || !workspace.build_python_extension()? {
+/// What cargo tests: everything.
+const TESTS: [&str; 4] = ["test", "--release", "--workspace", "--no-fail-fast"];
+
+/// Sets up, builds and runs the tests. Returns whether all passed.
+pub(crate) fn run(
+    pins: &Pins,
+    cache: &Cache,
+    workspace: &Workspace,
+    test_arguments: &[String],
+) -> anyhow::Result<bool> {
+    // Set-up mostly waits for downloads, and nothing that it installs is needed to build.
+    let (set_up, built) = thread::scope(|scope| {
+        let set_up = scope.spawn(|| setup::install_missing(Purpose::Tests, pins, cache, workspace));
+        let built = build(workspace);
+        (set_up.join().expect("set-up does not panic"), built)
+    });
+    set_up?;
+    if !built? {
         return Ok(false);
     }
     eprintln!("testing");
-    let mut command =
-        workspace.cargo(&["test", "--release", "--workspace", "--no-fail-fast", "--"]);
-    let mut child = command
+    let mut child = workspace
+        .cargo(&TESTS)
+        .arg("--")
         .args(test_arguments)
         .stdout(Stdio::piped())
         .spawn()
@@ -46,6 +65,13 @@ pub(crate) fn run(workspace: &Workspace, test_arguments: &[String]) -> anyhow::R
         summary.passed, summary.failed, summary.ignored
     )?;
     Ok(passed)
+}
+
+/// Builds the programs, the Python package's extension and the tests. Returns whether all could be built.
+fn build(workspace: &Workspace) -> anyhow::Result<bool> {
+    Ok(workspace.build_programs(&["memtransfer-tests"])?
+        && workspace.build_python_extension()?
+        && succeeds(workspace.cargo(&TESTS).arg("--no-run"))?)
 }
 
 /// Totals over all test binaries, parsed from their output.

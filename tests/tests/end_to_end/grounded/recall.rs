@@ -6,7 +6,7 @@ use domain::Action;
 use peer::StepView;
 use warehouse::{Case, Start, Variant, Warehouse};
 
-use crate::views::{Image, Views};
+use super::views::{Image, Views};
 
 /// Actions after a retrieved view, and keyframes of all demonstrations together (specification, section 5).
 const HORIZON: usize = 6;

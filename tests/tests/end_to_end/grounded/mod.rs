@@ -3,8 +3,6 @@
 //!
 //! Pixel differences replace the encoder here.
 
-#![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
-
 mod documents;
 mod episodes;
 mod plates_read;

@@ -9,7 +9,7 @@ use domain::{DocumentKind, Pose};
 use memory_proc::builders::{DocumentBuilder, Extractive, FrameReading, transcripts};
 use warehouse::{Demonstrations, Variant, Viewpoint};
 
-use crate::views::Views;
+use super::views::Views;
 
 /// The document of `kind`, built from `demonstrations` of all cases.
 pub(crate) fn document(

@@ -1,7 +1,5 @@
 //! Streams through the real processes: a memory persists over the episodes of its sequence, and no crash changes the log.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;

@@ -1,7 +1,5 @@
 //! Whole runs: four processes, rendered frames, the real encoder.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
-
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};

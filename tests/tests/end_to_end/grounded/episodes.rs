@@ -3,7 +3,7 @@
 use domain::Representation;
 use warehouse::Start;
 
-use crate::runner::{Condition, Frames, Runner};
+use super::runner::{Condition, Frames, Runner};
 
 /// Every how many cases one is run: two of each task type.
 const EVERY: usize = 5;

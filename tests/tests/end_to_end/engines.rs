@@ -1,7 +1,5 @@
 //! The scripts of `memtransfer plan` for engines do what they say.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::fs;
 use std::process::{Command, Stdio};
 

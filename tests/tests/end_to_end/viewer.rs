@@ -1,7 +1,5 @@
 //! The pages of `memtransfer view` in a real browser.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;

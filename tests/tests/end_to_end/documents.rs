@@ -1,8 +1,6 @@
 //! Documents built by the whole program from rendered views, compared with the warehouse, and supplied in a
 //! run. A test may know the map; the builder does not.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,7 +1,5 @@
 //! Banks and conflicting demonstrations through the real processes.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::collections::BTreeMap;
 
 use memtransfer_tests::{Bench, records, sorted_log};

@@ -1,7 +1,5 @@
 //! A run divided into units, executed in any order and killed on the way, is the run of one machine.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};

@@ -4,7 +4,7 @@ use plates::{self, Landmark, Plate};
 use warehouse::sight::sees;
 use warehouse::{Item, Variant, Warehouse};
 
-use crate::views::{Views, poses};
+use super::views::{Views, poses};
 
 /// Every how many poses one is tested. Coprime to the number of headings, so that all headings occur.
 const EVERY: usize = 7;

@@ -10,9 +10,9 @@ use warehouse::{
     Case, CaseSet, Demonstrations, MAX_STEPS, Progress, Start, Variant, Warehouse, step,
 };
 
-use crate::documents;
-use crate::recall;
-use crate::views::{Image, Views, poses};
+use super::documents;
+use super::recall;
+use super::views::{Image, Views, poses};
 
 /// The frames that the policy gets.
 #[derive(Debug, Clone, Copy, PartialEq)]

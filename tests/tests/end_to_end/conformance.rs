@@ -1,8 +1,7 @@
 //! `memtransfer conformance` passes for policies and memories that keep to the wire, and names the faults of others.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::process::Command;
 
 use memtransfer_tests::{Bench, needs, program, records, repository};
@@ -211,16 +210,34 @@ fn build_example(name: &str) -> String {
     let example = repository("examples").join(name);
     std::fs::copy(repository("Cargo.lock"), example.join("Cargo.lock")).unwrap();
     let release = program("memtransfer").parent().unwrap().to_owned();
+    let mut profile = tempfile::Builder::new().suffix(".toml").tempfile().unwrap();
+    profile.write_all(workspace_profile().as_bytes()).unwrap();
     let built = Command::new(env!("CARGO"))
         .args(["build", "--release", "--offline", "--target-dir"])
         .arg(release.parent().unwrap())
-        .env("CARGO_PROFILE_RELEASE_DEBUG", "line-tables-only")
-        .env("CARGO_PROFILE_RELEASE_OVERFLOW_CHECKS", "true")
+        .arg("--config")
+        .arg(profile.path())
         .current_dir(&example)
         .output()
         .unwrap();
     assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
     program(name).to_str().unwrap().to_owned()
+}
+
+/// The profile of this workspace, as a file of settings for a package outside of it.
+fn workspace_profile() -> String {
+    let manifest = std::fs::read_to_string(repository("Cargo.toml")).unwrap();
+    let manifest: toml::Table = manifest.parse().unwrap();
+    let mut profile = manifest["profile"].clone();
+    // There, our crates are dependencies like others.
+    let packages = profile["release"]["package"].as_table_mut().unwrap();
+    for (name, dependency) in manifest["workspace"]["dependencies"].as_table().unwrap() {
+        if dependency.get("path").is_some() {
+            let package = packages.entry(name).or_insert_with(|| toml::Table::new().into());
+            package.as_table_mut().unwrap().insert("overflow-checks".to_owned(), true.into());
+        }
+    }
+    toml::Table::from_iter([("profile".to_owned(), profile)]).to_string()
 }
 
 #[test]

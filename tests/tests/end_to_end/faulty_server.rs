@@ -1,8 +1,6 @@
 //! Runs with a model whose server fails in many ways: nothing is lost or counted twice, and the log is the same as with
 //! a server that never fails.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
-
 use std::collections::hash_map::DefaultHasher;
 use std::fs;
 use std::hash::{Hash, Hasher};

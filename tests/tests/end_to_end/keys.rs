@@ -1,7 +1,5 @@
 //! A key of a model's server is sent to that server, and is nowhere else: in no file, no output and no list of processes.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};

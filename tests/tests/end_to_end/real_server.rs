@@ -2,8 +2,6 @@
 //! understands nothing of warehouses. The tests check that it receives the requests, that its answers are understood
 //! and counted, and that nothing is asked twice.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
-
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -1,7 +1,5 @@
 //! The simulated drill: a few seeds hold, and defects that are planted are found.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
-
 use std::process::{Command, Stdio};
 
 use memtransfer_tests::{Bench, Ended, program};

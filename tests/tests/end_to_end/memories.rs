@@ -1,7 +1,5 @@
 //! External memories in Python: the examples, what a memory is given, and what its faults cost.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;

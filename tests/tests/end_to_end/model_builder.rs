@@ -1,7 +1,5 @@
 //! Documents written by a model, with real processes and sockets: a scripted server and the builder.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
-
 use std::env;
 use std::fs;
 use std::path::Path;

@@ -1,7 +1,5 @@
 //! The example policies in Python: README's, and the one on plain iceoryx2.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use memtransfer_tests::{Bench, Ended, needs, records, repository, success_rate};
 
 /// Runs ten cases of the quick suite with the script as the policy; it finds the package in `package`.

@@ -1,7 +1,5 @@
 //! The Python package: its own tests, its types, its installation, and policies in Python in real runs.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};

@@ -2,8 +2,6 @@
 //! set-up. Its answers mean nothing. A proxy in between and the server's own counts show that the run's log tells the
 //! truth about what was sent and answered, and failures of the server lose nothing.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;

@@ -1,0 +1,30 @@
+//! The program as its users run it: real processes, shared memory, servers and browsers.
+//!
+//! One binary, because linking one for each file takes longer than compiling it.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod banks;
+mod conformance;
+mod documents;
+mod drill_sim;
+mod engines;
+mod example_policies;
+mod exports;
+mod external;
+mod faulty_server;
+mod grounded;
+mod instruments;
+mod keys;
+mod memories;
+mod model_builder;
+mod paper;
+mod pipeline;
+mod python;
+mod ray;
+mod real_server;
+mod streams;
+mod transfer;
+mod units;
+mod viewer;
+mod vision_server;
