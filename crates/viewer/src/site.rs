@@ -22,7 +22,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use domain::prompt_log::{image_file, is_hash};
 use png_file::RgbaImage;
-use replay::frames::{ViewFormat, ViewKey, ViewProgram, ViewRenderer, jpeg, world_arguments};
+use replay::frames::{ViewKey, ViewProgram, ViewRenderer, jpeg, world_arguments};
 use replay::{RecordedRun, RunWorld};
 use results::conditions::Condition;
 use results::key::EpisodeKey;

@@ -22,13 +22,13 @@ pub(crate) struct ViewFile {
 
 impl ViewFile {
     /// Its name.
-    pub fn name(self) -> String {
+    pub(crate) fn name(self) -> String {
         let name = file_name(self.view);
         if self.is_small { name.replace(".jpg", SMALL) } else { name }
     }
 
     /// The file with this name.
-    pub fn of_name(name: &str) -> Option<Self> {
+    pub(crate) fn of_name(name: &str) -> Option<Self> {
         let small = name.strip_suffix(SMALL);
         let view = match small {
             Some(start) => of_file_name(&format!("{start}.jpg")),
@@ -38,7 +38,7 @@ impl ViewFile {
     }
 
     /// Its content, made of the pixels of the whole view.
-    pub fn encode(self, rgba: &[u8]) -> Result<File> {
+    pub(crate) fn encode(self, rgba: &[u8]) -> Result<File> {
         let ViewFormat { edge, quality } = VIEW_FORMAT;
         let bytes = if self.is_small {
             jpeg((edge / 2, edge / 2), quality, &half(edge, rgba))?
