@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
 """What an open live page costs a run of 64 lanes: pairs of runs, without and with the page, in alternating order.
 
-    PATH=target/release:$PATH python3 benches/live_page.py --pairs 4
+    PATH=target/release:$PATH python3 benches/live_page.py --pairs 10
 
 Chromium runs before each run begins, with an empty page. With the live page, `memtransfer view --serve` starts when the first
 episode is in the log, and the page stays open until the run ends. Prints the wall time of each run, and the processor time
-that the browser and the server took meanwhile, as a share of all cores.
+that the browser and the server took meanwhile, as a share of all cores; at the end the median of the ratios with and without
+the page, and how far they spread.
 """
 
 import argparse
@@ -48,6 +49,14 @@ def cpu_s(root):
     return total / TICKS
 
 
+def quartiles(values):
+    """The lower and the upper quartile."""
+    if len(values) == 1:
+        return values[0], values[0]
+    low, _, high = statistics.quantiles(values, n=4, method="inclusive")
+    return low, high
+
+
 class Browser:
     def __init__(self, program, profile):
         command = [program, "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run"]
@@ -69,7 +78,7 @@ class Browser:
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--suite", default="rq2")
-    parser.add_argument("--pairs", type=int, default=4)
+    parser.add_argument("--pairs", type=int, default=10)
     parser.add_argument("--program", default="memtransfer")
     parser.add_argument("--browser", default=shutil.which("chromium") or "google-chrome")
     options = parser.parse_args()
@@ -111,8 +120,11 @@ def main():
                 (without, _), (with_page, share) = walls[False], walls[True]
                 pairs.append((with_page / without, share))
                 print(f"| {number + 1} | {without:.2f} | {with_page:.2f} | {with_page / without:.3f} | {100 * share:.1f} % |", flush=True)
-            ratio, share = (statistics.median(column) for column in zip(*pairs))
-            print(f"| median | | | {ratio:.3f} | {100 * share:.1f} % |")
+            ratios, shares = zip(*pairs)
+            low, high = quartiles(ratios)
+            print(f"\nmedian ratio {statistics.median(ratios):.3f} of {len(pairs)} pairs; quartiles {low:.3f} and {high:.3f}, "
+                  f"lowest {min(ratios):.3f}, highest {max(ratios):.3f}")
+            print(f"median share of all cores that browser and server took: {100 * statistics.median(shares):.1f} %")
         finally:
             browser.child.kill()
             browser.child.wait()

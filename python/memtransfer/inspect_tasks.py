@@ -31,6 +31,7 @@ from inspect_ai.model import (
     ContentImage,
     ContentText,
     GenerateConfig,
+    Model,
     ModelOutput,
     get_model,
 )
@@ -175,7 +176,7 @@ class _Model(Policy):
         prompt = render(request, self.image_budget)
         messages = _messages(prompt)
         try:
-            output = anyio.from_thread.run(get_model().generate, messages)
+            output = anyio.from_thread.run(_model().generate, messages)
         except Exception as error:  # Inspect decides what it means for the sample.
             self.raised = error
             return Failed(f"{type(error).__name__}: {error}")
@@ -190,6 +191,19 @@ class _Model(Policy):
         answer = Outcome.REFUSED if refused else read_answer(output.completion)
         rest: dict[str, Any] = {"images": prompt.images_sent, "usage": usage}
         return Decision(answer, **rest) if isinstance(answer, Action) else Decision(None, answer, **rest)
+
+
+def _model() -> Model:
+    """The model that Inspect evaluates."""
+    model = get_model()
+    if str(model).startswith("mockllm/"):
+        # Inspect counts the tokens of mock models with a table that tiktoken would download.
+        model.api.count_text_tokens = _count_characters
+    return model
+
+
+async def _count_characters(text: str) -> int:
+    return max(1, len(text) // 4)
 
 
 def _messages(prompt: Prompt) -> list[ChatMessage]:

@@ -95,6 +95,19 @@ impl ViewRenderer {
         mut take: impl FnMut(ViewKey, Vec<u8>) -> Result<()>,
     ) -> Result<()> {
         let ViewFormat { edge, quality } = self.format;
+        self.render_pixels(views, |view, rgba| take(view, jpeg((edge, edge), quality, rgba)?))
+    }
+
+    /// Renders `views` and passes red, green, blue and alpha of each to `take`, in order.
+    ///
+    /// # Errors
+    /// When the child process ends early, or `take` fails.
+    pub fn render_pixels(
+        &mut self,
+        views: &[ViewKey],
+        mut take: impl FnMut(ViewKey, &[u8]) -> Result<()>,
+    ) -> Result<()> {
+        let edge = self.format.edge;
         let ended = || anyhow!("the renderer ended early; its messages are above");
         let mut requests = self.requests.take().ok_or_else(ended)?;
         let requests = thread::scope(|scope| {
@@ -109,7 +122,7 @@ impl ViewRenderer {
             let mut rgba = vec![0; usize::from(edge) * usize::from(edge) * 4];
             for &view in views {
                 self.pixels.read_exact(&mut rgba).map_err(|_| ended())?;
-                take(view, jpeg((edge, edge), quality, &rgba)?)?;
+                take(view, &rgba)?;
             }
             asking.join().map_err(|_| ended())?.map_err(|_| ended())
         })?;
@@ -135,6 +148,20 @@ pub fn jpeg((width, height): (u16, u16), quality: u8, rgba: &[u8]) -> Result<Vec
     let mut bytes = Vec::new();
     Encoder::new(&mut bytes, quality).encode(rgba, width, height, ColorType::Rgba)?;
     Ok(bytes)
+}
+
+/// Half the width and height of a square image of `edge` pixels: the mean of each four. The edge is even.
+pub fn half(edge: u16, rgba: &[u8]) -> Vec<u8> {
+    let row = usize::from(edge) * 4;
+    let rows = rgba.chunks_exact(2 * row).map(|rows| rows.split_at(row));
+    let pixels = rows.flat_map(|(upper, lower)| upper.chunks_exact(8).zip(lower.chunks_exact(8)));
+    let mean = |(upper, lower): (&[u8], &[u8])| {
+        [0, 1, 2, 3].map(|channel| {
+            let four = [upper[channel], upper[channel + 4], lower[channel], lower[channel + 4]];
+            ((four.map(u16::from).iter().sum::<u16>() + 2) / 4) as u8
+        })
+    };
+    pixels.flat_map(mean).collect()
 }
 
 /// The name of the file of a view.
@@ -163,6 +190,14 @@ mod tests {
         for name in ["", "..", "17-3-12-W", "17-3-12-w.jpg", "-3-12-W.jpg", "017-3-12-W.jpg"] {
             assert_eq!(of_file_name(name), None, "{name}");
         }
+    }
+
+    #[test]
+    fn half_an_image_is_the_mean_of_each_four_pixels() {
+        let pixel = |grey: u8| [grey, grey + 1, 7, 255];
+        let image = [[0, 4, 100, 100], [8, 12, 100, 100], [9, 9, 50, 52], [9, 9, 54, 56]];
+        let rgba: Vec<u8> = image.as_flattened().iter().flat_map(|grey| pixel(*grey)).collect();
+        assert_eq!(half(4, &rgba), [6, 100, 9, 53].map(pixel).as_flattened());
     }
 
     #[test]

@@ -2,6 +2,7 @@
 //! views of its poses ([`frames`]), and which episodes to take ([`Selection`]).
 
 mod assets;
+mod changes;
 pub mod frames;
 mod selection;
 mod world;

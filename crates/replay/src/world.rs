@@ -7,11 +7,12 @@ use std::fs;
 use anyhow::{Context, Result};
 use results::conditions::Route;
 use results::log::{ELSEWHERE_HASH, EpisodeRecord, RunFolder, RunLog};
-use warehouse::stream::Block;
 use warehouse::{
     Case, CaseSet, ELSEWHERE_VARIANT, Elsewhere, Layout, StreamSet, Trajectory, Variant, Warehouse,
     WorldState,
 };
+
+use crate::changes::changes;
 
 /// The warehouse and the cases of a run, and its streams if it has any.
 #[derive(Debug)]
@@ -91,15 +92,19 @@ impl RunWorld {
         Ok(WorldState { warehouse: self.warehouse.clone(), variant })
     }
 
-    /// The block of the stream in which it took place.
-    pub fn block(&self, record: &EpisodeRecord) -> Option<&Block> {
-        let stream = record.stream.as_ref()?;
-        self.streams
-            .as_ref()?
-            .streams
-            .get(stream.stream as usize)?
-            .blocks
-            .get(stream.block as usize)
+    /// How the world of an episode of a stream differs from that of the block before in the order of its sequence, in words; for
+    /// the first block, from the unchanged world.
+    pub fn changes(&self, record: &EpisodeRecord) -> Vec<String> {
+        let found = record.stream.as_ref().zip(self.streams.as_ref());
+        let changes = found.and_then(|(part, set)| {
+            let before = match part.place.checked_sub(1) {
+                Some(before) => *set.order(part.stream, part.order).get(before as usize)?,
+                None => 0,
+            };
+            let stream = set.streams.get(part.stream as usize)?;
+            Some(changes(stream, before, part.block, &self.warehouse))
+        });
+        changes.unwrap_or_default()
     }
 
     /// The floor plan of the world variant with this number, if there is one.

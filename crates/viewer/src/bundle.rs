@@ -7,12 +7,13 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use domain::Pose;
 use replay::Selection;
-use replay::frames::file_name;
+use replay::frames::ViewKey;
 use results::step_view::PromptLog;
 use warehouse::ELSEWHERE_VARIANT;
 
-use crate::data::{image_hashes, view_keys};
+use crate::data::image_hashes;
 use crate::site::{FRONT_END, File, RunPages, Site, folder_of, image};
+use crate::view_file::ViewFile;
 
 /// What was written.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -67,6 +68,9 @@ pub fn write_bundle(site: &mut Site, dir: &Path, selection: Selection) -> Result
     Ok(folder.bundle)
 }
 
+/// The most thumbnails of demonstrations that an episode has, so that one of 40 steps stays below 1 MB.
+const DEMONSTRATION_VIEWS: usize = 150;
+
 /// The folder that is written into.
 struct BundleFolder<'a> {
     dir: &'a Path,
@@ -96,6 +100,7 @@ impl BundleFolder<'_> {
         for index in 0..run.log.episodes.len() {
             let is_chosen = chosen.contains(&index);
             let mut data = run.episode(index)?;
+            data.limit_demonstration_views(DEMONSTRATION_VIEWS);
             data.rename_views(|view| {
                 is_chosen.then(|| looks.get(view).cloned().unwrap_or_else(|| view.to_owned()))
             });
@@ -131,37 +136,42 @@ impl BundleFolder<'_> {
         run: &mut RunPages,
         chosen: &BTreeSet<usize>,
     ) -> Result<BTreeMap<String, String>> {
-        let mut names = BTreeSet::new();
+        let mut wanted = BTreeSet::new();
         for &index in chosen {
-            names.extend(run.episode(index)?.view_names().into_iter().map(str::to_owned));
+            let mut data = run.episode(index)?;
+            data.limit_demonstration_views(DEMONSTRATION_VIEWS);
+            wanted.extend(data.view_names().into_iter().filter_map(ViewFile::of_name));
         }
-        let wanted = view_keys(names.iter().map(String::as_str));
-        let here = wanted.iter().filter(|(variant, _)| *variant != ELSEWHERE_VARIANT);
+        let keys: BTreeSet<ViewKey> = wanted.iter().map(|file| file.view).collect();
+        let here = keys.iter().filter(|(variant, _)| *variant != ELSEWHERE_VARIANT);
         let poses: BTreeSet<Pose> = here.map(|(_, pose)| *pose).collect();
         // The unchanged world first: another world's view is left out where it looks the same.
         let mut views: Vec<_> = poses.into_iter().map(|pose| (0, pose)).collect();
-        views.extend(wanted.iter().filter(|(variant, _)| *variant != 0));
+        views.extend(keys.iter().filter(|(variant, _)| *variant != 0));
         let (mut unchanged, mut same) = (BTreeMap::new(), BTreeMap::new());
-        let used: BTreeSet<Pose> =
-            wanted.iter().filter(|(variant, _)| *variant == 0).map(|(_, pose)| *pose).collect();
         let mut written = BTreeSet::new();
-        run.render(&views, |view, bytes| {
+        run.render(&views, |view, rgba| {
             let (variant, pose) = view;
-            let (mut view, mut file) = (view, File { kind: "image/jpeg", bytes });
-            if variant == 0 && !used.contains(&pose) {
-                unchanged.insert(pose, file.bytes);
-                return Ok(());
-            }
-            if variant != 0 && unchanged.get(&pose) == Some(&file.bytes) {
-                same.insert(file_name(view), file_name((0, pose)));
-                view = (0, pose);
-            }
-            if written.insert(view) {
-                self.write(&format!("{name}/views/{}", file_name(view)), &file)?;
-                self.bundle.views += 1;
+            let whole = ViewFile { view, is_small: false }.encode(rgba)?.bytes;
+            let is_same = variant != 0 && unchanged.get(&pose) == Some(&whole);
+            let shown = if is_same { (0, pose) } else { view };
+            for is_small in [false, true] {
+                let (file, target) =
+                    (ViewFile { view, is_small }, ViewFile { view: shown, is_small });
+                if !wanted.contains(&file) {
+                    continue;
+                }
+                if is_same {
+                    same.insert(file.name(), target.name());
+                }
+                if written.insert(target) {
+                    let content = target.encode(rgba)?;
+                    self.write(&format!("{name}/views/{}", target.name()), &content)?;
+                    self.bundle.views += 1;
+                }
             }
             if variant == 0 {
-                unchanged.insert(pose, std::mem::take(&mut file.bytes));
+                unchanged.insert(pose, whole);
             }
             Ok(())
         })?;

@@ -4,7 +4,6 @@ mod episode;
 mod prompts;
 mod run;
 
-pub(crate) use episode::view_keys;
 pub use episode::{DemonstrationData, EpisodeData, FailureData, LoggedEpisode};
 pub use prompts::{PromptData, image_hashes, prompts};
 pub use run::{EpisodeCell, RunData, row};

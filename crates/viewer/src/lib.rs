@@ -10,6 +10,7 @@ mod bundle;
 pub mod data;
 mod server;
 mod site;
+mod view_file;
 
 pub use bundle::{Bundle, write_bundle};
 pub use server::{Address, ViewServer};

@@ -8,7 +8,7 @@
 //! | `run1/report.html` | the report |
 //! | `run1/episodes/N.js`, `run1/prompts/N.js` | episode number N, and its prompts |
 //! | `run1/maps/N.svg` | the floor with the items of world state N |
-//! | `run1/views/V-X-Y-H.jpg` | the view of a pose in world variant V |
+//! | `run1/views/V-X-Y-H.jpg`, `V-X-Y-H-small.jpg` | the view of a pose in world variant V, and its thumbnail |
 //! | `run1/images/HASH.jpg` | an image of a prompt |
 //! | `run1/new.json?from=N` | what has happened since N episodes, only from a server |
 //!
@@ -22,7 +22,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use domain::prompt_log::{image_file, is_hash};
 use png_file::RgbaImage;
-use replay::frames::{self, ViewFormat, ViewKey, ViewProgram, ViewRenderer, jpeg, world_arguments};
+use replay::frames::{ViewKey, ViewProgram, ViewRenderer, jpeg, world_arguments};
 use replay::{RecordedRun, RunWorld};
 use results::conditions::Condition;
 use results::key::EpisodeKey;
@@ -36,9 +36,7 @@ use serde_json::{Value, json};
 use warehouse::map;
 
 use crate::data::{EpisodeCell, EpisodeData, LoggedEpisode, PromptData, RunData, prompts, row};
-
-/// Views and the images of prompts.
-const VIEW_FORMAT: ViewFormat = ViewFormat { edge: 320, quality: 62 };
+use crate::view_file::{VIEW_FORMAT, ViewFile};
 
 /// The files of the front end.
 pub(crate) const FRONT_END: [(&str, &[u8]); 6] = [
@@ -167,13 +165,13 @@ impl LazyRenderer {
     fn render(
         &mut self,
         views: &[ViewKey],
-        take: impl FnMut(ViewKey, Vec<u8>) -> Result<()>,
+        take: impl FnMut(ViewKey, &[u8]) -> Result<()>,
     ) -> Result<()> {
         let mut renderer = match self.running.take() {
             Some(renderer) => renderer,
             None => ViewRenderer::start(&self.program, &self.arguments, VIEW_FORMAT)?,
         };
-        renderer.render(views, take)?;
+        renderer.render_pixels(views, take)?;
         // After an error the next view starts another.
         self.running = Some(renderer);
         Ok(())
@@ -247,8 +245,8 @@ impl RunPages {
             Some(("maps", name)) => {
                 number(name, ".svg").and_then(|ground| self.map(u32::try_from(ground).ok()?))
             }
-            Some(("views", name)) => match frames::of_file_name(name) {
-                Some(view) => self.view(view)?,
+            Some(("views", name)) => match ViewFile::of_name(name) {
+                Some(wanted) => self.view(wanted)?,
                 None => None,
             },
             Some(("images", name)) => match name.strip_suffix(".jpg") {
@@ -325,23 +323,23 @@ impl RunPages {
         Some(File::text("image/svg+xml", map::ground_svg(stock)))
     }
 
-    /// Renders `views` and passes each to `take`, in order.
+    /// Renders `views` and passes the pixels of each to `take`, in order.
     pub(crate) fn render(
         &mut self,
         views: &[ViewKey],
-        take: impl FnMut(ViewKey, Vec<u8>) -> Result<()>,
+        take: impl FnMut(ViewKey, &[u8]) -> Result<()>,
     ) -> Result<()> {
         self.renderer.render(views, take)
     }
 
-    fn view(&mut self, view: ViewKey) -> Result<Option<File>> {
-        let (variant, pose) = view;
+    fn view(&mut self, wanted: ViewFile) -> Result<Option<File>> {
+        let (variant, pose) = wanted.view;
         if !self.world.layout(variant).is_some_and(|layout| layout.is_free(pose.cell)) {
             return Ok(None);
         }
         let mut file = None;
-        self.render(&[view], |_, bytes| {
-            file = Some(File { kind: "image/jpeg", bytes });
+        self.render(&[wanted.view], |_, rgba| {
+            file = Some(wanted.encode(rgba)?);
             Ok(())
         })?;
         Ok(file)

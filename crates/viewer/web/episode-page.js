@@ -131,7 +131,10 @@ memtransfer.EpisodeView = class {
     if (episode.failure) {
       sentences.push(h("p", {}, h("b", {}, `Failed, ${episode.failure.kind}: `), `${episode.failure.meaning}. Decided at `, step(episode.failure.step), "."));
     }
-    if (episode.changes.length) sentences.push(h("p", {}, `In the stream as drawn, the world changes before this block: ${episode.changes.join("; ")}.`));
+    if (episode.changes.length) {
+      const since = episode.firstBlock ? "since the demonstrations" : "since the block before in this sequence";
+      sentences.push(h("p", {}, `What has changed in the world ${since}: ${episode.changes.join("; ")}.`));
+    }
     return sentences.length ? h("div", { class: "story" }, sentences) : null;
   }
 };

@@ -2,10 +2,12 @@
 
 use std::fs;
 use std::io::{BufRead, BufReader};
+use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use llm::scripted::{Reaction, Server};
+use memtransfer_tests::browser::Browser;
 use memtransfer_tests::{
     Bench, Ended, episodes, eventually, kill, needs, processes_with, program, records, sorted_log,
 };
@@ -138,7 +140,7 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
     // Inspect names the tasks of packages in folders of this name only.
     let place = bench.out("site-packages");
     install(&place);
-    let inspect = |args: &[&str]| {
+    let start = |args: &[&str]| {
         let programs = program("memtransfer").with_file_name("");
         let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
         let mut command = Command::new(needs::inspect_python());
@@ -153,11 +155,15 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
             .env("MEMTRANSFER_FRAME_SIZE", "64")
             .env("INSPECT_LOG_DIR", bench.out("logs"))
             .env("XDG_DATA_HOME", bench.out("data"))
+            // Without a network, and without what an earlier run may have downloaded.
+            .env("HTTPS_PROXY", "http://127.0.0.1:9")
+            .env("TIKTOKEN_CACHE_DIR", bench.out("tiktoken"))
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
-        Ended::of(command.spawn().expect("Python starts")).expect(0).stdout
+        command.spawn().expect("Python starts")
     };
+    let inspect = |args: &[&str]| Ended::of(start(args)).expect(0).stdout;
     let script = package().join("tests/inspect_suite.py");
     let log = inspect(&[script.to_str().unwrap()]);
     let dump = inspect(&["-m", "inspect_ai", "log", "dump", log.trim()]);
@@ -188,6 +194,34 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
         let run = bench.out("runs").join(format!("{}.1", sample["id"].as_str().unwrap()));
         assert_eq!(records(&run).len(), 1);
     }
+
+    // From the command line, and its log in Inspect View.
+    fs::remove_file(log.trim()).unwrap();
+    let mut eval = vec!["-m", "inspect_ai", "eval", "memtransfer/rq1", "--model", "mockllm/model"];
+    eval.extend(["--limit", "1", "--epochs", "1", "--display", "none"]);
+    inspect(&eval);
+    let [log] = &fs::read_dir(bench.out("logs")).unwrap().collect::<Vec<_>>()[..] else { panic!() };
+    let log = log.as_ref().unwrap().path();
+    let dump = inspect(&["-m", "inspect_ai", "log", "dump", log.to_str().unwrap()]);
+    let dump: Value = serde_json::from_str(&dump).unwrap();
+    assert_eq!(dump["status"], "success", "{}", dump["error"]);
+    let [sample] = &dump["samples"].as_array().unwrap()[..] else { panic!() };
+    assert_eq!(sample["metadata"]["episode"]["steps"], 5);
+    assert!(sample["model_usage"]["mockllm/model"]["input_tokens"].as_u64().unwrap() > 100);
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
+    let view = ["-m", "inspect_ai", "view", "start", "--host", "127.0.0.1", "--port", &port];
+    let mut view = start(&view);
+    let address = format!("127.0.0.1:{port}");
+    eventually("Inspect View", || TcpStream::connect(&address).ok());
+    let mut browser = Browser::start(1200, 800);
+    let name = log.file_name().unwrap().to_str().unwrap().to_owned();
+    browser.open(&format!("http://{address}/#/logs/{name}"));
+    let shows = |text: &str| format!("document.body.innerText.includes({text:?})");
+    browser.wait_for(&shows("Find a yellow fire extinguisher."));
+    assert_eq!(browser.value(&shows("mockllm/model")), true);
+    drop(browser);
+    view.kill().unwrap();
+    view.wait().unwrap();
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 

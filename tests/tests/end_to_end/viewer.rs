@@ -1,5 +1,6 @@
 //! The pages of `memtransfer view` in a real browser.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -73,7 +74,7 @@ fn five_clicks_lead_from_a_run_to_the_step_that_decided_a_failure() {
     // 4: where memory has it from.
     browser.click("section[aria-label=Memory] .source");
     browser.wait_for("document.querySelectorAll('.source-panel .film img').length > 0");
-    browser.wait_for("[...document.querySelectorAll('.source-panel .film img')].every((i) => i.naturalWidth === 320)");
+    browser.wait_for("[...document.querySelectorAll('.source-panel .film img')].every((i) => i.naturalWidth === 160)");
     assert!(browser.text(".source-panel h2").contains("demonstration"));
 
     // The address has the state: another page that opens it shows the same.
@@ -179,6 +180,90 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
     browser.open(&format!("{url}#page=episode&run=1&key=nothing"));
     browser.wait_for("document.querySelector('[role=alert]') !== null");
     assert_no_problem(&mut browser);
+}
+
+/// The value that a data script of a bundle passes to the page.
+fn data(pages: &Path, name: &str) -> Value {
+    let text = fs::read_to_string(pages.join(format!("{name}.js"))).unwrap();
+    let value = text.split_once(',').unwrap().1.trim_end().strip_suffix(");").unwrap();
+    serde_json::from_str(value).unwrap()
+}
+
+#[test]
+fn an_episode_of_40_steps_takes_less_than_a_megabyte() {
+    let bench = Bench::new();
+    let run = blocked(&bench, "r", MEMORIES, &["--max-steps", "40"]);
+    bundle(&bench, &[&run], &["--episodes", "all"]);
+    let pages = bench.out("pages");
+    let bytes = |file: &str| fs::metadata(pages.join("run1").join(file)).unwrap().len();
+    let count = records(&run).len();
+    let mut full_length = 0;
+    for index in 0..count {
+        let episode = data(&pages, &format!("run1/episodes/{index}"));
+        full_length += usize::from(episode["steps"] == 40);
+        let mut files: Vec<String> = vec![format!("episodes/{index}.js"), "maps/0.svg".into()];
+        let demonstrations = episode["demonstrations"].as_array().unwrap();
+        let mut views: Vec<&str> = demonstrations
+            .iter()
+            .chain([&episode])
+            .flat_map(|one| one["views"].as_array().unwrap())
+            .map(|name| name.as_str().unwrap())
+            .filter(|name| !name.is_empty())
+            .collect();
+        views.sort_unstable();
+        views.dedup();
+        files.extend(views.iter().map(|view| format!("views/{view}")));
+        let total: u64 = files.iter().map(|file| bytes(file)).sum();
+        assert!(total < 1_000_000, "{}: {total} bytes", episode["key"]);
+    }
+    assert!(full_length > 0);
+}
+
+#[test]
+fn events_of_a_stream_are_told_where_they_happen_in_the_order_of_the_sequence() {
+    const SUITE: &str = r#"
+memory = ["working"]
+arms = ["frozen"]
+starts = ["new"]
+max-steps = 2
+
+[stream]
+streams = 1
+blocks = 4
+cases-per-block = 1
+events = ["swap", "move"]
+rounds = 1
+orders = ["drawn", "reversed", "shuffled"]
+feedback = "success"
+"#;
+    let bench = Bench::new();
+    fs::write(bench.out("suite.toml"), SUITE).unwrap();
+    bench.run(&["run", "--suite", "./suite.toml", "--policy", "grounded", "--out", "r"]).expect(0);
+    let run = bench.out("r");
+    bundle(&bench, &[&run], &["--episodes", "0"]);
+    let drawn: Value =
+        serde_json::from_str(&fs::read_to_string(run.join("streams.json")).unwrap()).unwrap();
+    let place = |record: &Value| {
+        let part = &record["stream"];
+        (part["order"].as_str().unwrap().to_owned(), part["place"].as_u64().unwrap())
+    };
+    let block = |record: &Value| record["stream"]["block"].as_u64().unwrap() as usize;
+    let records = records(&run);
+    let blocks: BTreeMap<_, _> =
+        records.iter().map(|record| (place(record), block(record))).collect();
+    assert_eq!(blocks.len(), 3 * 4);
+    for (index, record) in records.iter().enumerate() {
+        let (order, place) = place(record);
+        let before = place.checked_sub(1).map_or(0, |before| blocks[&(order.clone(), before)]);
+        let way = [before, block(record)];
+        let between = way.iter().min().unwrap() + 1..=*way.iter().max().unwrap();
+        let events =
+            |block: usize| drawn["streams"][0]["blocks"][block]["events"].as_array().unwrap().len();
+        let episode = data(&bench.out("pages"), &format!("run1/episodes/{index}"));
+        assert_eq!(episode["firstBlock"], place == 0);
+        let changes = episode["changes"].as_array().unwrap().len();
+        assert_eq!(changes, between.map(events).sum::<usize>(), "{order} {way:?}: {episode}");
+    }
 }
 
 #[test]

@@ -5,7 +5,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use anyhow::Result;
 use domain::{Arm, Cell, Pose};
 use replay::RunWorld;
-use replay::frames::{ViewKey, file_name};
 use results::events::Requirement;
 use results::key::EpisodeKey;
 use results::log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
@@ -15,6 +14,7 @@ use serde::Serialize;
 use warehouse::{History, Start, Trajectory, WorldState, sight};
 
 use super::{PoseData, cell_data, pose_data};
+use crate::view_file::ViewFile;
 
 /// What the log has about an episode.
 #[derive(Debug)]
@@ -58,7 +58,10 @@ pub struct EpisodeData {
     tried_closed_at: Option<u32>,
     /// The closed cells.
     closed: Vec<(u8, u8)>,
-    /// What changed in the world before the episode, in words.
+    /// Whether it is of the first block of its sequence.
+    first_block: bool,
+    /// How its world differs from that of the block before in its sequence, or for the first block from the unchanged world, in
+    /// words.
     changes: Vec<String>,
     /// The items that the task is about.
     targets: Vec<TargetData>,
@@ -121,6 +124,7 @@ pub struct DemonstrationData {
     elsewhere: bool,
     poses: Vec<PoseData>,
     actions: String,
+    /// By step: the file of the thumbnail of the view. Empty where there are none; a name is empty where there is no file.
     views: Vec<String>,
     #[serde(skip)]
     variant: u32,
@@ -151,6 +155,9 @@ struct RequestData {
     attempts: Option<u32>,
     replayed: bool,
 }
+
+/// Steps of a demonstration that the page shows at once.
+const FILM: u32 = 6;
 
 /// What makes a demonstration one of several.
 #[derive(PartialEq, Eq, PartialOrd, Ord)]
@@ -196,10 +203,6 @@ impl EpisodeData {
         let mut memory = Remembered { world, record, state: &state, found: Vec::new() };
         let supplied = memory.supplied(case_index, experience);
         let failure = Failure::of(record);
-        let changes = world.block(record).map(|block| {
-            let words = block.events.iter().map(|event| event.describe(&world.warehouse));
-            words.collect()
-        });
         let stages = timings.map(|timings| {
             let mean = |total: u64| total / u64::from(timings.steps.max(1)) / 1000;
             Stages::NAMES.into_iter().zip(timings.stages.values().map(mean)).collect()
@@ -207,7 +210,7 @@ impl EpisodeData {
         let mut demonstrations: Vec<DemonstrationData> =
             memory.found.into_iter().map(|(_, demonstration)| demonstration).collect();
         for one in &mut demonstrations {
-            one.views = one.at.iter().map(|pose| file_name((one.variant, *pose))).collect();
+            one.views = view_names(one.variant, &one.at, true);
         }
         let variant = world.variant(record, case_index);
         Ok(Self {
@@ -239,7 +242,8 @@ impl EpisodeData {
             first_seen: record.first_seen.clone(),
             tried_closed_at: record.tried_closed_at,
             closed: state.variant.closed().iter().map(cell_data).collect(),
-            changes: changes.unwrap_or_default(),
+            first_block: record.stream.as_ref().is_some_and(|stream| stream.place == 0),
+            changes: world.changes(record),
             targets: targets.collect(),
             ground: RunWorld::ground(record),
             reference_path: reference_path.collect(),
@@ -248,7 +252,7 @@ impl EpisodeData {
             demonstrations,
             supplied,
             distance: record.distance,
-            views: poses.iter().map(|pose| file_name((variant, *pose))).collect(),
+            views: view_names(variant, &poses, false),
             facts: facts(record),
             stages: stages.unwrap_or_default(),
             requests: episode.requests.iter().map(|request| request_data(request)).collect(),
@@ -260,6 +264,37 @@ impl EpisodeData {
     pub fn view_names(&self) -> BTreeSet<&str> {
         let demonstrations = self.demonstrations.iter().flat_map(|one| &one.views);
         self.views.iter().chain(demonstrations).map(String::as_str).collect()
+    }
+
+    /// Leaves `most` views of demonstrations: first those of what led into a closed passage and of what was supplied, each with
+    /// those that the page shows beside it, then those of the demonstrations in order.
+    pub fn limit_demonstration_views(&mut self, most: usize) {
+        let led = self.led.iter().map(|led| {
+            (led.demonstration, led.from.unwrap_or_else(|| led.enters.saturating_sub(1)))
+        });
+        let supplied = self.supplied.iter().flatten().copied();
+        let beside = led.chain(supplied).flat_map(|(demonstration, step)| {
+            (step..step + FILM).map(move |step| (demonstration, step as usize))
+        });
+        let demonstrations = self.demonstrations.iter().enumerate();
+        let all = demonstrations
+            .flat_map(|(index, one)| (0..one.views.len()).map(move |step| (index, step)));
+        let mut kept = BTreeSet::new();
+        for (demonstration, step) in beside.chain(all) {
+            if kept.len() == most {
+                break;
+            }
+            if step < self.demonstrations[demonstration].views.len() {
+                kept.insert((demonstration, step));
+            }
+        }
+        for (index, one) in self.demonstrations.iter_mut().enumerate() {
+            for (step, view) in one.views.iter_mut().enumerate() {
+                if !kept.contains(&(index, step)) {
+                    view.clear();
+                }
+            }
+        }
     }
 
     /// The drawing of the floor.
@@ -424,6 +459,10 @@ fn led(
     })
 }
 
+fn view_names(variant: u32, poses: &[Pose], is_small: bool) -> Vec<String> {
+    poses.iter().map(|pose| ViewFile { view: (variant, *pose), is_small }.name()).collect()
+}
+
 fn facts(record: &EpisodeRecord) -> Vec<(&'static str, String)> {
     let mut facts = Vec::new();
     let mut count = |name, value: Option<u64>| {
@@ -465,11 +504,6 @@ fn request_data(request: &RequestRecord) -> RequestData {
         attempts: request.attempts,
         replayed: request.replayed,
     }
-}
-
-/// The views that an episode's data names, to be rendered.
-pub(crate) fn view_keys<'a>(names: impl IntoIterator<Item = &'a str>) -> Vec<ViewKey> {
-    names.into_iter().filter_map(replay::frames::of_file_name).collect()
 }
 
 #[cfg(test)]
@@ -530,6 +564,41 @@ mod tests {
         assert_eq!(data(Some(&format!("o{from} -")))["led"], Value::Null);
         assert_eq!(data(None)["led"]["from"], Value::Null);
         assert_eq!(data(None)["led"]["enters"], entered);
+    }
+
+    #[test]
+    fn views_of_what_was_supplied_are_the_last_to_be_left_out() {
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let mut record = record(&cases.cases[0].id, false);
+        (record.start_pose, record.actions) = (cases.cases[0].test.start, "L".to_owned());
+        (record.memory, record.steps) = (Representation::Episodic.into(), 1);
+        record.retrieved = Some("o4".to_owned());
+        let world = RunWorld::new(&log(Vec::new()), warehouse, cases).unwrap();
+        let episode = LoggedEpisode {
+            record: &record,
+            timings: None,
+            requests: Vec::new(),
+            horizon: 6,
+            prompts: false,
+        };
+        let mut data = EpisodeData::new(&world, &episode, |_| None).unwrap();
+        let kept = |data: &EpisodeData| -> Vec<(usize, usize)> {
+            let demonstrations = data.demonstrations.iter().enumerate();
+            let views = demonstrations.flat_map(|(index, one)| {
+                one.views.iter().enumerate().map(move |(step, view)| (index, step, view))
+            });
+            let kept = views.filter(|(_, _, view)| !view.is_empty());
+            kept.map(|(index, step, _)| (index, step)).collect()
+        };
+        let all = kept(&data).len();
+        data.limit_demonstration_views(all);
+        assert_eq!(kept(&data).len(), all);
+        let supplied = data.supplied[0][0].0;
+        data.limit_demonstration_views(7);
+        let mut expected: Vec<_> = (4..10).map(|step| (supplied, step)).chain([(0, 0)]).collect();
+        expected.sort_unstable();
+        assert_eq!(kept(&data), expected);
+        assert!(data.demonstrations[supplied].views[4].ends_with("-small.jpg"));
     }
 
     #[test]
