@@ -69,7 +69,7 @@ fn inside(extent: &Extent) -> Result<Report, String> {
     let mut sandbox = Sandbox::new()?;
     let small = sandbox.folder().join("small");
     fs::create_dir(&small).map_err(|error| error.to_string())?;
-    let left: &[u64] = if extent.is_quick { &LEFT[1..3] } else { &LEFT };
+    let left: &[u64] = if extent.is_quick { &LEFT[2..3] } else { &LEFT };
     for &kib in left {
         if extent.is_over(&report) {
             return Ok(report);

@@ -20,13 +20,17 @@ const TEXT: &str = "Short runs, each disturbed once at a random moment. The run,
      undisturbed run; then `memtransfer clean` must leave no shared memory, no folder and no process.";
 
 /// The programs of a run, as what they are in it.
-const VICTIMS: [(&str, &str); 5] = [
+const VICTIMS: [(&str, &str); 6] = [
     ("orchestrator", "memtransfer"),
     ("simulator", "sim-proc"),
     ("memory", "memory-proc"),
     ("policy", "policy-proc"),
     ("external memory", "misbehaving-memory"),
+    (EXTERNAL_POLICY, "policy-proc"),
 ];
+
+/// The policy of a run that does not know it: to the run it is some program.
+const EXTERNAL_POLICY: &str = "external policy";
 
 /// Disturbances of a whole drill, if its time allows: with none that does harm, fewer than one in a thousand does (at 95 %
 /// confidence).
@@ -73,7 +77,8 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
         // Also shortly after the end of an undisturbed run: runs that are disturbed, or listed, take longer.
         let moment = random.fraction() * 1.1 * sandbox.usual;
         let what = format!("{} at {moment:.3} s, seed {}", class(disturbance, role), extent.seed);
-        let outcome = disturb(&mut sandbox, disturbance, program, Duration::from_secs_f64(moment));
+        let outcome =
+            disturb(&mut sandbox, disturbance, (role, program), Duration::from_secs_f64(moment));
         report.add("runs", 1.0);
         match outcome {
             Ok(true) => report.fault(&class(disturbance, role)),
@@ -106,10 +111,13 @@ fn class(disturbance: Disturbance, role: &str) -> String {
 fn disturb(
     sandbox: &mut Sandbox,
     disturbance: Disturbance,
-    program: &str,
+    (role, program): (&str, &str),
     moment: Duration,
 ) -> Result<bool, String> {
     let mut run = sandbox.run();
+    if role == EXTERNAL_POLICY {
+        run.make_policy_external();
+    }
     if disturbance == Disturbance::StopForGood {
         let limits =
             ["--step-timeout", ANSWER, "--memory-timeout", ANSWER, "--start-timeout", START];

@@ -35,6 +35,16 @@ pub(crate) struct Run {
     pub(crate) args: Vec<String>,
 }
 
+impl Run {
+    /// Lets the same policy be a command of the user's.
+    pub(crate) fn make_policy_external(&mut self) {
+        let command = format!("{} serve --policy grounded", program("policy-proc").display());
+        if let Some(at) = self.args.iter().position(|arg| arg == "--policy") {
+            self.args.splice(at..at + 2, ["--policy-cmd".to_owned(), command]);
+        }
+    }
+}
+
 impl Sandbox {
     /// New folders, and an undisturbed run in them.
     pub(crate) fn new() -> Result<Self, String> {
