@@ -72,7 +72,9 @@ fn add_numbers(hasher: &mut blake3::Hasher, numbers: &[f32]) {
 fn add_step(hasher: &mut blake3::Hasher, step: &Step<'_>) {
     let Step { step: number, pose, last_action, feedback, .. } = step;
     hasher.update(format!("{number} {pose} {last_action:?} {feedback:?}").as_bytes());
-    step.frame.iter().for_each(|frame| drop(hasher.update(&pixels(frame))));
+    if let Some(frame) = &step.frame {
+        hasher.update(&pixels(frame));
+    }
     add_numbers(hasher, step.embedding.unwrap_or_default());
 }
 
@@ -84,8 +86,9 @@ impl Memory for DigestMemory {
             hasher.update(format!("{:?}", demonstration.steps).as_bytes());
             add_numbers(&mut hasher, demonstration.embeddings);
             for step in 0..demonstration.steps.len() {
-                let frame = demonstration.frame(step);
-                frame.iter().for_each(|frame| drop(hasher.update(&pixels(frame))));
+                if let Some(frame) = demonstration.frame(step) {
+                    hasher.update(&pixels(&frame));
+                }
             }
             self.learn(&hasher, demonstration.steps.len() as u32);
         }
@@ -114,7 +117,7 @@ impl Memory for DigestMemory {
         let digest = hasher.finalize();
         let draw = |place: usize, limit: u32| u32::from(digest.as_bytes()[place]) % limit.max(1);
         let text =
-            format!("{} {}", Action::ALL[draw(0, Action::ALL.len() as u32) as usize], digest);
+            format!("{} {}", Action::ALL[draw(0, Action::ALL.len() as u32) as usize].words(), digest);
         let mut items = vec![Item::text(text)];
         if let Some(&length) = self.lengths.get(draw(1, self.lengths.len() as u32) as usize)
             && length > 0
