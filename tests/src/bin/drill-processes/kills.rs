@@ -1,14 +1,13 @@
 //! Kills at random moments: of each process of a run, and of the process that started it; processes that are stopped for a
 //! while or for good; and a second run in the same folder at the same time.
 
-use std::ffi::OsStr;
 use std::fs;
 use std::path::Path;
 use std::process::{Child, Command};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use memtransfer_tests::{Ended, processes_of};
+use memtransfer_tests::Ended;
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::report::Report;
@@ -176,12 +175,7 @@ fn victim(sandbox: &Sandbox, orchestrator: &Child, program: &str) -> Option<Pid>
     if program == "memtransfer" {
         return Some(Pid::from_child(orchestrator));
     }
-    let is_it = |pid: &u32| {
-        let exe = fs::read_link(format!("/proc/{pid}/exe")).unwrap_or_default();
-        exe.file_name() == Some(OsStr::new(program))
-    };
-    let pid = processes_of(&sandbox.registry()).into_iter().find(is_it)?;
-    Pid::from_raw(i32::try_from(pid).ok()?)
+    Pid::from_raw(i32::try_from(sandbox.process(program)?).ok()?)
 }
 
 /// Sends a signal; returns whether the process was there.

@@ -1,7 +1,6 @@
 //! One long run of many short episodes, in which a process is killed again and again: nothing grows.
 
 use std::collections::BTreeMap;
-use std::ffi::OsStr;
 use std::fs;
 use std::path::Path;
 use std::thread;
@@ -96,7 +95,7 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
         if finished.all < at_kill.all + size.progress {
             continue;
         }
-        if is_due && let Some(pid) = process(sandbox.registry().as_path(), program) {
+        if is_due && let Some(pid) = sandbox.process(program) {
             memtransfer_tests::kill(pid);
             report.fault(&format!("{role} killed"));
         }
@@ -175,13 +174,6 @@ fn soak_run(sandbox: &mut Sandbox, size: &Size) -> Run {
     }
     run.args = args;
     run
-}
-
-fn process(registry: &Path, program: &str) -> Option<u32> {
-    processes_of(registry).into_iter().find(|pid| {
-        let exe = fs::read_link(format!("/proc/{pid}/exe")).unwrap_or_default();
-        exe.file_name() == Some(OsStr::new(program))
-    })
 }
 
 /// The measures, in the order of [`MEASURES`]; `None` when the run is over.

@@ -116,8 +116,11 @@ impl Memory for DigestMemory {
         }
         let digest = hasher.finalize();
         let draw = |place: usize, limit: u32| u32::from(digest.as_bytes()[place]) % limit.max(1);
-        let text =
-            format!("{} {}", Action::ALL[draw(0, Action::ALL.len() as u32) as usize].words(), digest);
+        let text = format!(
+            "{} {}",
+            Action::ALL[draw(0, Action::ALL.len() as u32) as usize].words(),
+            digest
+        );
         let mut items = vec![Item::text(text)];
         if let Some(&length) = self.lengths.get(draw(1, self.lengths.len() as u32) as usize)
             && length > 0
