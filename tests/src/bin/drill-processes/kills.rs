@@ -24,9 +24,11 @@ const VICTIMS: [(&str, &str); 6] = [
     ("simulator", "sim-proc"),
     ("memory", "memory-proc"),
     ("policy", "policy-proc"),
-    ("external memory", "misbehaving-memory"),
+    (EXTERNAL_MEMORY, "misbehaving-memory"),
     (EXTERNAL_POLICY, "policy-proc"),
 ];
+
+const EXTERNAL_MEMORY: &str = "external memory";
 
 /// The policy of a run that does not know it: to the run it is some program.
 const EXTERNAL_POLICY: &str = "external policy";
@@ -39,6 +41,9 @@ const WHOLE: u64 = 3000;
 /// longer on a loaded machine.
 const ANSWER: &str = "5";
 const START: &str = "30";
+
+/// How long an external memory is stopped at most.
+const STOP: Duration = Duration::from_secs(30);
 
 #[derive(Clone, Copy, PartialEq)]
 enum Disturbance {
@@ -100,6 +105,7 @@ fn class(disturbance: Disturbance, role: &str) -> String {
     match disturbance {
         Disturbance::Kill => format!("{role} killed"),
         Disturbance::StopAndContinue => format!("{role} stopped and continued"),
+        Disturbance::StopForGood if role == EXTERNAL_MEMORY => format!("{role} stopped for long"),
         Disturbance::StopForGood => format!("{role} stopped for good"),
         Disturbance::KillParent => "the parent of the orchestrator killed".to_owned(),
         Disturbance::SecondRun => "a second run in the same folder".to_owned(),
@@ -158,6 +164,17 @@ fn disturb(
                     }
                     // A stopped orchestrator is the user's wish, and continues.
                     _ if is_orchestrator => false,
+                    // It has ten minutes to build itself: longer than this drill waits.
+                    _ if role == EXTERNAL_MEMORY => {
+                        let stopped = signal(pid, Signal::STOP);
+                        let until = Instant::now() + STOP;
+                        while !has_ended(&mut child) && Instant::now() < until {
+                            thread::sleep(Duration::from_millis(20));
+                        }
+                        // It is not there if it was given up meanwhile.
+                        let _ = signal(pid, Signal::CONT);
+                        stopped
+                    }
                     _ => signal(pid, Signal::STOP),
                 };
                 was_killed = is_orchestrator && disturbance == Disturbance::Kill && took_place;
