@@ -160,7 +160,7 @@ pub fn choose(
 }
 
 /// Bytes of shared memory with so many frames.
-fn bytes(attach: &Attach, frames: u32) -> u64 {
+pub(crate) fn bytes(attach: &Attach, frames: u32) -> u64 {
     Attach { frame_capacity: frames, ..attach.clone() }.shared_memory_bytes()
 }
 

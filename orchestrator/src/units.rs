@@ -64,7 +64,15 @@ impl UnitPlan {
     /// When the file cannot be read, or is no plan of this format.
     pub fn read(path: &Path) -> Result<ReadPlan> {
         let bytes = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-        let plan: Self = serde_json::from_slice(&bytes).with_context(|| {
+        Self::parse(&bytes, path)
+    }
+
+    /// The plan that the file `path` holds, whose content is `bytes`.
+    ///
+    /// # Errors
+    /// When it is not a plan that this program can use.
+    pub fn parse(bytes: &[u8], path: &Path) -> Result<ReadPlan> {
+        let plan: Self = serde_json::from_slice(bytes).with_context(|| {
             format!("{} is no plan: `memtransfer plan --out FILE` writes one", path.display())
         })?;
         ensure!(
@@ -81,7 +89,7 @@ impl UnitPlan {
         );
         let size = plan.manifest.settings.check_size();
         size.map_err(Error::msg).with_context(|| format!("cannot use {}", path.display()))?;
-        Ok(ReadPlan { plan, digest: blake3::hash(&bytes).to_hex().to_string() })
+        Ok(ReadPlan { plan, digest: blake3::hash(bytes).to_hex().to_string() })
     }
 
     /// Writes it into the file `path`, all of it or nothing.

@@ -261,6 +261,9 @@ impl<M: Message> Sender<M> {
     /// As [`Sender::send`], without waiting for receivers.
     pub(crate) fn send_now(&self, message: &M) -> Result<(), BusError> {
         clock::pause();
+        if clock::is_simulated_queue_full(M::SERVICE) {
+            return Err(BusError::Full { service: M::SERVICE });
+        }
         delivered(M::SERVICE, self.port.receivers, self.port.sender.send(message))
     }
 }

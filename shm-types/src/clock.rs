@@ -24,6 +24,9 @@ pub trait Simulation: Send + Sync {
     /// Called before a message or notification is sent or received: another process may run first.
     fn pause(&self);
 
+    /// Whether the queue that a message is about to be sent to counts as full.
+    fn is_queue_full(&self, service: &'static str) -> bool;
+
     /// Waits until its clock has advanced by `time`, or until `waiter` is notified. Returns `false`, without waiting, on a
     /// thread that it does not schedule.
     fn wait(&self, waiter: Option<Waiter>, time: Duration) -> bool;
@@ -60,6 +63,16 @@ pub(crate) fn pause() {
     if let Some(simulation) = SIMULATION.get() {
         simulation.pause();
     }
+}
+
+/// Whether a simulation schedules the calling thread.
+pub fn is_simulated() -> bool {
+    SIMULATION.get().is_some_and(|simulation| simulation.now_ns().is_some())
+}
+
+/// Whether a simulation lets the queue of `service` count as full.
+pub(crate) fn is_simulated_queue_full(service: &'static str) -> bool {
+    SIMULATION.get().is_some_and(|simulation| simulation.is_queue_full(service))
 }
 
 /// In a simulation, waits as [`Simulation::wait`] does. Elsewhere returns `false` at once.
@@ -109,6 +122,7 @@ mod tests {
     fn the_clock_runs() {
         let first = monotonic_ns();
         assert!(first > 0 && monotonic_ns() >= first);
+        assert!(!is_simulated() && !is_simulated_queue_full("x"));
         let (then, time) = (Instant::now(), Duration::from_millis(1));
         sleep(time);
         assert!(then.elapsed() >= time && then + time <= Instant::now());

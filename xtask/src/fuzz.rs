@@ -90,8 +90,9 @@ pub(crate) fn run(
             eprintln!("{name} FAILED: {failure}");
         }
         all.insert(name.clone(), fuzzed);
+        // Also what is known if the drill is ended early.
+        write(out, &all, &command(arguments))?;
     }
-    write(out, &all, &command(arguments))?;
     eprintln!("wrote {}", out.display());
     Ok(all.values().all(|fuzzed| fuzzed.failure.is_none()))
 }
@@ -218,6 +219,7 @@ fn write(out: &Path, all: &BTreeMap<String, Fuzzed>, command: &str) -> anyhow::R
         "text": "Inputs to everything that reads bytes, made by libFuzzer and guided by coverage. What must hold: an answer \
                  or an error, no panic, 2 GiB and 20 seconds at most, and what is written is read back equal.",
         "faults": inputs,
+        "columns": ["target", "inputs"],
         "figures": {
             "targets": all.len(),
             "inputs": inputs.values().sum::<u64>(),

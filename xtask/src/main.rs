@@ -82,7 +82,7 @@ enum Verb {
     Check,
     /// Write the software bill of materials in CycloneDX 1.5, target/sbom/memtransfer.cdx.json
     Sbom,
-    /// What CI runs: `check`, then `test`
+    /// What CI runs: `check`, `test`, `drill --quick`
     Ci,
     /// Write an untrained ViT-B/16 with seeded weights, for tests and timing
     VitB16Untrained,
@@ -136,7 +136,8 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
         Verb::Check => check::run(&workspace),
         Verb::Ci => {
             let checked = check::run(&workspace)?;
-            Ok(test::run(&pins, &cache, &workspace, &[])? && checked)
+            let tested = test::run(&pins, &cache, &workspace, &[])?;
+            Ok(drill::run(&drill::DrillArguments::of_ci(), &workspace)? && tested && checked)
         }
         Verb::VitB16Untrained => {
             setup::install_on_demand("vit-b16-untrained", &pins, &cache, &workspace).map(|()| true)

@@ -163,7 +163,11 @@ impl DocumentFile {
         Self::parse(&text).map_err(|problem| DocumentFileError::Broken { path, problem })
     }
 
-    fn parse(json: &str) -> Result<Self, String> {
+    /// The document in the text of a file.
+    ///
+    /// # Errors
+    /// Why it is not usable.
+    pub fn parse(json: &str) -> Result<Self, String> {
         let value: serde_json::Value = serde_json::from_str(json).map_err(|e| e.to_string())?;
         // The format comes first: another format may have other fields.
         match value.get("format").and_then(serde_json::Value::as_u64) {

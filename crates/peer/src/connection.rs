@@ -5,7 +5,7 @@ use std::thread;
 use std::time::Duration;
 
 use bytemuck::Zeroable;
-use shm_types::clock::{Instant, sleep};
+use shm_types::clock::{self, Instant, sleep};
 use shm_types::message::{FrameId, Handshake, Heartbeat, Role, ShutdownReport, Stop};
 use shm_types::{
     Attach, Bus, BusError, ErrorReporter, Frame, FrameError, FrameStore, Heartbeats, Notifier,
@@ -116,7 +116,8 @@ struct SharedFrames(Arc<Mutex<FrameStore>>);
 impl SharedFrames {
     fn new(bus: &Bus) -> Result<Self, ServeError> {
         let frames = Arc::new(Mutex::new(FrameStore::new(bus)?));
-        if bus.role() == Role::ExternalMemory {
+        // A simulation has no such thread: the serve loop releases them, too.
+        if bus.role() == Role::ExternalMemory && !clock::is_simulated() {
             let frames = Arc::downgrade(&frames);
             thread::Builder::new()
                 .name("evictions".to_owned())

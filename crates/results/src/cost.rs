@@ -56,7 +56,11 @@ impl ModelPrices {
         Self::parse(&text, model).with_context(|| format!("the prices in {}", path.display()))
     }
 
-    fn parse(text: &str, model: &str) -> Result<Self> {
+    /// The prices of `model` in the text of a price file.
+    ///
+    /// # Errors
+    /// When it is not a price file, or has no price of the model.
+    pub fn parse(text: &str, model: &str) -> Result<Self> {
         let PriceFile { currency, model: models } = toml::from_str(text)?;
         for (index, entry) in models.iter().enumerate() {
             if models[..index].iter().any(|other| other.name == entry.name) {

@@ -11,13 +11,14 @@ use domain::ExternalName;
 use shm_types::clock::Instant;
 use shm_types::description::{DESCRIPTION_FILE, memory_folder};
 use shm_types::message::{Handshake, Role, WIRE_VERSION, read_text};
-use shm_types::process::{ProcessWatch, monotonic_ns};
+use shm_types::process::{ProcessWatch, check_shared_memory, monotonic_ns};
 use shm_types::{Attach, Bus, BusError, MemoryDescription, registry};
 use supervise::{ChildExit, Children, Launch};
 
 use super::generation::{Generation, Inbox, TICK, role};
 use super::{Facts, Failure, Participant, PipelineOptions, PipelineRun};
 use crate::external_memory::ExternalMemory;
+use crate::frame_budget;
 
 impl Generation {
     /// Starts the processes and waits until all are ready. `None` when asked to stop meanwhile.
@@ -25,6 +26,8 @@ impl Generation {
         attach: &Attach,
         run: &mut PipelineRun<'_, '_>,
     ) -> Result<Option<Self>, Failure> {
+        // Another program may have filled it since the last generation: this process, too, would end on SIGBUS.
+        check_shared_memory(frame_budget::bytes(attach, 0))?;
         let launches = memory_launches(attach, run)?;
         // What a killed process of an earlier generation left would otherwise stop this process, too.
         registry::remove_unfinished(&attach.root)?;

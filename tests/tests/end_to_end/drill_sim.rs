@@ -25,6 +25,11 @@ fn runs_among_faults_have_the_log_of_an_undisturbed_run_and_planted_defects_are_
     assert_eq!((status, &summary["figures"]["seeds"]), (Some(0), &Value::from(8)));
     assert!(summary["faults"].as_object().is_some_and(|faults| faults.len() > 3), "{summary:#}");
 
+    // A seed whose faults concern an external memory.
+    let (status, summary) = drill(&bench, &["--seed", "17"]);
+    assert_eq!((status, &summary["violations"]), (Some(0), &Value::Array(Vec::new())));
+    assert_eq!(summary["faults"]["death of an external memory"], Value::from(1), "{summary:#}");
+
     for defect in ["lost-line", "doubled-line", "left-open", "other-decisions"] {
         let (status, summary) = drill(&bench, &["--seed", "1", "--plant", defect]);
         assert_eq!(status, Some(1), "{defect} was not found: {summary:#}");

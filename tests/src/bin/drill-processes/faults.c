@@ -1,12 +1,12 @@
-/* Loaded into the processes of a run with LD_PRELOAD: lists the calls that change files, shared memory or sockets, and at
- * one of them kills, stops or fails the process.
+/* Loaded into the processes of a run with LD_PRELOAD: lists the calls that read or change files, shared memory or sockets,
+ * and at one of them kills, stops or fails the process, or reads or writes less than it asked for.
  *
  * Environment:
  *   DRILL_LIST=FILE     append a line "PROGRAM OPERATION PATTERN" to FILE for each call
  *   DRILL_PROGRAM=NAME  the program to act in, by the start of its name
  *   DRILL_CALL=OPERATION PATTERN
  *   DRILL_NUMBER=N      at the N-th such call of a process
- *   DRILL_ACTION=WHAT   kill-before, kill-after, stop, or the number of an error
+ *   DRILL_ACTION=WHAT   kill-before, kill-after, stop, short, or the number of an error
  *   DRILL_TOKEN=FILE    created by the process that acts: only one does
  *
  * A pattern is a path with every run of hexadecimal digits that has a decimal one replaced by '#'.
@@ -29,7 +29,7 @@
 #include <sys/un.h>
 #include <unistd.h>
 
-enum action { NOTHING, KILL_AFTER, FAIL };
+enum action { NOTHING, KILL_AFTER, FAIL, SHORT };
 
 static const char *list_file, *target_call, *token_file, *action_word;
 static long target_number;
@@ -80,6 +80,7 @@ static int is_uninteresting(const char *path) {
     size_t length = strlen(path);
     if (path[0] != '/') return 1; /* pipes and unnamed sockets */
     if (strncmp(path, "/proc/", 6) == 0 || strncmp(path, "/sys/", 5) == 0) return 1;
+    if (strncmp(path, "/usr/", 5) == 0 || strncmp(path, "/etc/", 5) == 0) return 1;
     if (strncmp(path, "/dev/", 5) == 0 && strncmp(path, "/dev/shm/", 9) != 0) return 1;
     return length > 4 && strcmp(path + length - 4, ".log") == 0;
 }
@@ -113,6 +114,7 @@ static enum action at_path(const char *operation, const char *path) {
                 if (strcmp(action_word, "kill-before") == 0) kill_self();
                 if (strcmp(action_word, "stop") == 0) syscall(SYS_kill, getpid(), SIGSTOP);
                 else if (strcmp(action_word, "kill-after") == 0) action = KILL_AFTER;
+                else if (strcmp(action_word, "short") == 0) action = SHORT;
                 else {
                     errno = atoi(action_word);
                     return FAIL;
@@ -160,6 +162,18 @@ static enum action at_socket(const char *operation, const struct sockaddr *addre
         return result;                            \
     } while (0)
 
+/* As CALL, of at most one byte where it is to be short. */
+#define TRANSFER(counted, call, short_call)       \
+    do {                                          \
+        enum action action = is_on ? counted : NOTHING; \
+        if (action == FAIL) return -1;            \
+        ssize_t result = action == SHORT ? short_call : call; \
+        if (action == KILL_AFTER) kill_self();    \
+        return result;                            \
+    } while (0)
+
+#define ONE(length) ((length) < 1 ? (length) : 1)
+
 static int changes(int flags) { return flags & (O_CREAT | O_WRONLY | O_RDWR | O_TRUNC | O_APPEND); }
 
 #define MODE(flags, mode)                                        \
@@ -174,13 +188,13 @@ static int changes(int flags) { return flags & (O_CREAT | O_WRONLY | O_RDWR | O_
 int open(const char *path, int flags, ...) {
     ORIGINAL(int, "open", const char *, int, ...);
     MODE(flags, mode);
-    CALL(int, changes(flags) ? at_path("open", path) : NOTHING, original(path, flags, mode));
+    CALL(int, at_path(changes(flags) ? "open" : "open-to-read", path), original(path, flags, mode));
 }
 
 int open64(const char *path, int flags, ...) {
     ORIGINAL(int, "open64", const char *, int, ...);
     MODE(flags, mode);
-    CALL(int, changes(flags) ? at_path("open", path) : NOTHING, original(path, flags, mode));
+    CALL(int, at_path(changes(flags) ? "open" : "open-to-read", path), original(path, flags, mode));
 }
 
 int shm_open(const char *name, int flags, mode_t mode) {
@@ -220,7 +234,22 @@ int fdatasync(int fd) {
 
 ssize_t write(int fd, const void *bytes, size_t length) {
     ORIGINAL(ssize_t, "write", int, const void *, size_t);
-    CALL(ssize_t, at_fd("write", fd), original(fd, bytes, length));
+    TRANSFER(at_fd("write", fd), original(fd, bytes, length), original(fd, bytes, ONE(length)));
+}
+
+ssize_t read(int fd, void *bytes, size_t length) {
+    ORIGINAL(ssize_t, "read", int, void *, size_t);
+    TRANSFER(at_fd("read", fd), original(fd, bytes, length), original(fd, bytes, ONE(length)));
+}
+
+ssize_t pread64(int fd, void *bytes, size_t length, off64_t at) {
+    ORIGINAL(ssize_t, "pread64", int, void *, size_t, off64_t);
+    TRANSFER(at_fd("read", fd), original(fd, bytes, length, at), original(fd, bytes, ONE(length), at));
+}
+
+ssize_t pwrite64(int fd, const void *bytes, size_t length, off64_t at) {
+    ORIGINAL(ssize_t, "pwrite64", int, const void *, size_t, off64_t);
+    TRANSFER(at_fd("write", fd), original(fd, bytes, length, at), original(fd, bytes, ONE(length), at));
 }
 
 ssize_t writev(int fd, const struct iovec *parts, int count) {

@@ -1,7 +1,7 @@
 //! The kill grid: each process of a run is killed before and after each kind of call with which it changes a file, shared
-//! memory or a socket; and each kind of call fails once.
+//! memory or a socket; each kind of call, also those that read, fails, and reads and writes are short.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 
 use memtransfer_tests::Ended;
@@ -11,15 +11,16 @@ use crate::runs::Sandbox;
 use crate::{Extent, Random};
 
 const TITLE: &str = "Kills and failing calls at every point of the protocol";
-const TEXT: &str = "A library that is loaded into every process of a run lists the calls that change a file, shared memory or a socket. \
-     Then, for each program, each call and each kind of path, one process is killed before or after the first, second, \
-     middle or last such call, or the call fails with ENOSPC, EIO or EMFILE. The run, or the same command again, must end \
+const TEXT: &str = "A library that is loaded into every process of a run lists the calls that read or change a file, shared memory or a \
+     socket. Then, for each program, each call and each kind of path, one process is killed before or after the first, \
+     second, middle or last such call, or the call fails with ENOSPC, EIO or EMFILE, or reads or writes one byte of what was \
+     asked for. The run, or the same command again, must end \
      with the log of an undisturbed run, and leave nothing behind.";
 
 /// Cells of a quick drill.
-const QUICK: usize = 10;
+const QUICK: usize = 8;
 
-/// Errors with which a call fails: EIO, EMFILE, ENOSPC.
+/// Errors with which a call fails: EIO, EMFILE, ENOSPC. Calls that only read fail with the first.
 const ERRORS: [(&str, i32); 3] = [("EIO", 5), ("EMFILE", 24), ("ENOSPC", 28)];
 
 /// A call of a program: what the library needs to find it.
@@ -95,8 +96,7 @@ fn calls(sandbox: &mut Sandbox) -> Result<BTreeMap<Call, u64>, String> {
             *calls.entry(Call { program, call }).or_default() += 1;
         }
     }
-    let programs: std::collections::BTreeSet<&str> =
-        calls.keys().map(|call: &Call| call.program.as_str()).collect();
+    let programs: BTreeSet<&str> = calls.keys().map(|call: &Call| call.program.as_str()).collect();
     for program in ["memtransfer", "sim-proc", "memory-proc", "policy-proc", "misbehaving-mem"] {
         if !programs.iter().any(|name| name.starts_with(program)) {
             return Err(format!("no call of {program} is listed, only those of {programs:?}"));
@@ -112,21 +112,24 @@ fn cells(calls: &BTreeMap<Call, u64>) -> Vec<Cell> {
         numbers.retain(|&number| (1..=count).contains(&number));
         numbers.sort_unstable();
         numbers.dedup();
-        for &number in &numbers {
+        let (operation, _) = call.call.split_once(' ').unwrap_or_default();
+        let changes = !matches!(operation, "open-to-read" | "read");
+        for &number in numbers.iter().filter(|_| changes) {
             for action in ["kill-before", "kill-after"] {
                 let class = format!("{} killed", role(&call.program));
                 let action = action.to_owned();
                 cells.push(Cell { call: call.clone(), number, action, class });
             }
         }
-        for (name, error) in ERRORS {
-            let number = numbers.last().copied().unwrap_or(1);
-            for number in [1, number] {
-                let (class, action) = (format!("a call fails with {name}"), error.to_string());
+        let errors = if changes { &ERRORS[..] } else { &ERRORS[..1] };
+        let fails =
+            |(name, error): &(&str, i32)| (format!("a call fails with {name}"), error.to_string());
+        let is_transfer = matches!(operation, "read" | "write");
+        let short = is_transfer.then(|| (format!("a short {operation}"), "short".to_owned()));
+        for (class, action) in errors.iter().map(fails).chain(short) {
+            for number in BTreeSet::from([1, count]) {
+                let (class, action) = (class.clone(), action.clone());
                 cells.push(Cell { call: call.clone(), number, action, class });
-                if count == 1 {
-                    break;
-                }
             }
         }
     }

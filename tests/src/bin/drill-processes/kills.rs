@@ -1,14 +1,13 @@
 //! Kills at random moments: of each process of a run, and of the process that started it; processes that are stopped for a
 //! while or for good; and a second run in the same folder at the same time.
 
-use std::ffi::OsStr;
 use std::fs;
 use std::path::Path;
 use std::process::{Child, Command};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use memtransfer_tests::{Ended, processes_of};
+use memtransfer_tests::Ended;
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::report::Report;
@@ -20,13 +19,19 @@ const TEXT: &str = "Short runs, each disturbed once at a random moment. The run,
      undisturbed run; then `memtransfer clean` must leave no shared memory, no folder and no process.";
 
 /// The programs of a run, as what they are in it.
-const VICTIMS: [(&str, &str); 5] = [
+const VICTIMS: [(&str, &str); 6] = [
     ("orchestrator", "memtransfer"),
     ("simulator", "sim-proc"),
     ("memory", "memory-proc"),
     ("policy", "policy-proc"),
-    ("external memory", "misbehaving-memory"),
+    (EXTERNAL_MEMORY, "misbehaving-memory"),
+    (EXTERNAL_POLICY, "policy-proc"),
 ];
+
+const EXTERNAL_MEMORY: &str = "external memory";
+
+/// The policy of a run that does not know it: to the run it is some program.
+const EXTERNAL_POLICY: &str = "external policy";
 
 /// Disturbances of a whole drill, if its time allows: with none that does harm, fewer than one in a thousand does (at 95 %
 /// confidence).
@@ -36,6 +41,9 @@ const WHOLE: u64 = 3000;
 /// longer on a loaded machine.
 const ANSWER: &str = "5";
 const START: &str = "30";
+
+/// How long an external memory is stopped at most.
+const STOP: Duration = Duration::from_secs(30);
 
 #[derive(Clone, Copy, PartialEq)]
 enum Disturbance {
@@ -73,7 +81,8 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
         // Also shortly after the end of an undisturbed run: runs that are disturbed, or listed, take longer.
         let moment = random.fraction() * 1.1 * sandbox.usual;
         let what = format!("{} at {moment:.3} s, seed {}", class(disturbance, role), extent.seed);
-        let outcome = disturb(&mut sandbox, disturbance, program, Duration::from_secs_f64(moment));
+        let outcome =
+            disturb(&mut sandbox, disturbance, (role, program), Duration::from_secs_f64(moment));
         report.add("runs", 1.0);
         match outcome {
             Ok(true) => report.fault(&class(disturbance, role)),
@@ -96,6 +105,7 @@ fn class(disturbance: Disturbance, role: &str) -> String {
     match disturbance {
         Disturbance::Kill => format!("{role} killed"),
         Disturbance::StopAndContinue => format!("{role} stopped and continued"),
+        Disturbance::StopForGood if role == EXTERNAL_MEMORY => format!("{role} stopped for long"),
         Disturbance::StopForGood => format!("{role} stopped for good"),
         Disturbance::KillParent => "the parent of the orchestrator killed".to_owned(),
         Disturbance::SecondRun => "a second run in the same folder".to_owned(),
@@ -106,10 +116,13 @@ fn class(disturbance: Disturbance, role: &str) -> String {
 fn disturb(
     sandbox: &mut Sandbox,
     disturbance: Disturbance,
-    program: &str,
+    (role, program): (&str, &str),
     moment: Duration,
 ) -> Result<bool, String> {
     let mut run = sandbox.run();
+    if role == EXTERNAL_POLICY {
+        run.make_policy_external();
+    }
     if disturbance == Disturbance::StopForGood {
         let limits =
             ["--step-timeout", ANSWER, "--memory-timeout", ANSWER, "--start-timeout", START];
@@ -151,6 +164,17 @@ fn disturb(
                     }
                     // A stopped orchestrator is the user's wish, and continues.
                     _ if is_orchestrator => false,
+                    // It has ten minutes to build itself: longer than this drill waits.
+                    _ if role == EXTERNAL_MEMORY => {
+                        let stopped = signal(pid, Signal::STOP);
+                        let until = Instant::now() + STOP;
+                        while !has_ended(&mut child) && Instant::now() < until {
+                            thread::sleep(Duration::from_millis(20));
+                        }
+                        // It is not there if it was given up meanwhile.
+                        let _ = signal(pid, Signal::CONT);
+                        stopped
+                    }
                     _ => signal(pid, Signal::STOP),
                 };
                 was_killed = is_orchestrator && disturbance == Disturbance::Kill && took_place;
@@ -168,12 +192,7 @@ fn victim(sandbox: &Sandbox, orchestrator: &Child, program: &str) -> Option<Pid>
     if program == "memtransfer" {
         return Some(Pid::from_child(orchestrator));
     }
-    let is_it = |pid: &u32| {
-        let exe = fs::read_link(format!("/proc/{pid}/exe")).unwrap_or_default();
-        exe.file_name() == Some(OsStr::new(program))
-    };
-    let pid = processes_of(&sandbox.registry()).into_iter().find(is_it)?;
-    Pid::from_raw(i32::try_from(pid).ok()?)
+    Pid::from_raw(i32::try_from(sandbox.process(program)?).ok()?)
 }
 
 /// Sends a signal; returns whether the process was there.

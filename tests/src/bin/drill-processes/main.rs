@@ -1,6 +1,6 @@
 //! Drills of real processes: short runs that are disturbed on purpose, and must end with the log of an undisturbed one.
 //!
-//! `drill-processes grid|kills|disk|soak [--quick] [--seed N] [--minutes M] --json FILE`. `cargo xtask drill` starts it.
+//! `drill-processes grid|kills|disk|soak [--quick] [--seed N] [--minutes M] [--episodes N] --json FILE`. `cargo xtask drill` starts it.
 //! Exit status: 0 no violation, 1 violations, 2 error.
 
 mod disk;
@@ -16,15 +16,17 @@ use std::process::ExitCode;
 use report::Report;
 
 /// No new disturbance begins in a quick drill after so many minutes.
-const QUICK_MINUTES: f64 = 0.6;
+const QUICK_MINUTES: f64 = 0.3;
 
 /// How much a drill does, and where it writes what it finds.
 pub(crate) struct Extent {
-    /// A small part, in about half a minute.
+    /// A small part, in about 20 seconds.
     is_quick: bool,
     seed: u64,
     /// Ends the drill after so many minutes, if it is not done before.
     minutes: f64,
+    /// Episodes of the soak.
+    episodes: u32,
     json: PathBuf,
     command: String,
 }
@@ -58,6 +60,7 @@ fn run() -> Result<bool, String> {
         is_quick: false,
         seed: 1,
         minutes: 600.0,
+        episodes: 100_000,
         json: PathBuf::from("/dev/null"),
         command: format!("cargo xtask drill {drill}"),
     };
@@ -78,6 +81,7 @@ fn run() -> Result<bool, String> {
             "--json" => extent.json = value.into(),
             "--seed" => extent.seed = value.parse().map_err(|_| wrong())?,
             "--minutes" => extent.minutes = value.parse().map_err(|_| wrong())?,
+            "--episodes" => extent.episodes = value.parse().map_err(|_| wrong())?,
             _ => return Err(format!("unknown flag {flag}")),
         }
     }

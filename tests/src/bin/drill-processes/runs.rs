@@ -1,5 +1,6 @@
 //! Runs in a sandbox, and what must be true after one that was disturbed.
 
+use std::ffi::OsStr;
 use std::fs;
 use std::io;
 use std::os::unix::fs::symlink;
@@ -33,6 +34,16 @@ pub(crate) struct Sandbox {
 pub(crate) struct Run {
     pub(crate) out: PathBuf,
     pub(crate) args: Vec<String>,
+}
+
+impl Run {
+    /// Lets the same policy be a command of the user's.
+    pub(crate) fn make_policy_external(&mut self) {
+        let command = format!("{} serve --policy grounded", program("policy-proc").display());
+        if let Some(at) = self.args.iter().position(|arg| arg == "--policy") {
+            self.args.splice(at..at + 2, ["--policy-cmd".to_owned(), command]);
+        }
+    }
 }
 
 impl Sandbox {
@@ -211,6 +222,19 @@ impl Sandbox {
             }
             std::thread::sleep(Duration::from_millis(5));
         }
+    }
+
+    /// The process of the run that has this program.
+    pub(crate) fn process(&self, program: &str) -> Option<u32> {
+        processes_of(&self.registry()).into_iter().find(|pid| {
+            let exe = fs::read_link(format!("/proc/{pid}/exe")).unwrap_or_default();
+            exe.file_name() == Some(OsStr::new(program))
+        })
+    }
+
+    /// Kills the process of the run that has this program, if it is there.
+    pub(crate) fn kill_program(&self, program: &str) {
+        self.process(program).into_iter().for_each(kill);
     }
 
     /// `memtransfer clean` leaves nothing.

@@ -1,7 +1,6 @@
 //! One long run of many short episodes, in which a process is killed again and again: nothing grows.
 
 use std::collections::BTreeMap;
-use std::ffi::OsStr;
 use std::fs;
 use std::path::Path;
 use std::thread;
@@ -41,6 +40,9 @@ const MEASURES: [(&str, f64); 6] = [
     ("names in shared memory", 48.0),
 ];
 
+/// Episodes of a case in one repetition.
+const MEMORIES_AND_STARTS: u32 = 6;
+
 /// Cases times repetitions, and the time and the number of finished episodes between kills: processes that are killed before
 /// anything is finished are given up after some times, rightly.
 struct Size {
@@ -54,14 +56,16 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
     let mut report = Report::new(TITLE, TEXT);
     let sandbox = &mut Sandbox::new()?;
     let size = match extent.is_quick {
-        true => Size { cases: 10, repetitions: 5, pause: Duration::from_secs(1), progress: 40 },
-        false => {
-            Size { cases: 100, repetitions: 167, pause: Duration::from_secs(15), progress: 100 }
-        }
+        true => Size { cases: 10, repetitions: 2, pause: Duration::from_secs(1), progress: 15 },
+        false => Size {
+            cases: 100,
+            repetitions: extent.episodes.div_ceil(100 * MEMORIES_AND_STARTS),
+            pause: Duration::from_secs(15),
+            progress: 100,
+        },
     };
     let run = soak_run(sandbox, &size);
-    let memories_and_starts = 6;
-    let planned = size.cases * size.repetitions * memories_and_starts;
+    let planned = size.cases * size.repetitions * MEMORIES_AND_STARTS;
 
     let mut command = sandbox.command(&run.args);
     let errors = sandbox.folder().join("soak.txt");
@@ -91,7 +95,7 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
         if finished.all < at_kill.all + size.progress {
             continue;
         }
-        if is_due && let Some(pid) = process(sandbox.registry().as_path(), program) {
+        if is_due && let Some(pid) = sandbox.process(program) {
             memtransfer_tests::kill(pid);
             report.fault(&format!("{role} killed"));
         }
@@ -170,13 +174,6 @@ fn soak_run(sandbox: &mut Sandbox, size: &Size) -> Run {
     }
     run.args = args;
     run
-}
-
-fn process(registry: &Path, program: &str) -> Option<u32> {
-    processes_of(registry).into_iter().find(|pid| {
-        let exe = fs::read_link(format!("/proc/{pid}/exe")).unwrap_or_default();
-        exe.file_name() == Some(OsStr::new(program))
-    })
 }
 
 /// The measures, in the order of [`MEASURES`]; `None` when the run is over.

@@ -37,6 +37,8 @@ pub(crate) enum Trouble {
     Jump(u64),
     /// An operation on a file goes wrong.
     Disk(Damage),
+    /// A message that is about to be sent finds its queue full.
+    FullQueue,
     /// All processes die, and the last lines of journals are lost or torn.
     PowerLoss,
 }
@@ -74,16 +76,33 @@ impl Damage {
 }
 
 impl Trouble {
+    /// Whether it happens to an operation of a process, and not by itself.
+    pub(crate) const fn is_of_an_operation(self) -> bool {
+        matches!(self, Self::Disk(_) | Self::FullQueue)
+    }
+
     pub(crate) fn class(self) -> &'static str {
         match self {
             Self::Death(Process::Orchestrator) => "death of the orchestrator",
+            Self::Death(Process::Child(Role::ExternalMemory)) => "death of an external memory",
             Self::Death(Process::Child(_)) => "death of another process",
             Self::Stall(..) => "stall of a process",
             Self::Jump(_) => "clock jump",
             Self::Disk(damage) => damage.class(),
+            Self::FullQueue => "full queue",
             Self::PowerLoss => "power loss",
         }
     }
+}
+
+/// What is known about a scenario before its trials.
+pub(crate) struct Undisturbed {
+    /// Points of the scheduler, and operations on files.
+    pub(crate) steps: u64,
+    pub(crate) operations: u64,
+    pub(crate) has_external_memory: bool,
+    /// The lines of the log, sorted.
+    pub(crate) log: Vec<String>,
 }
 
 /// What a seed decides beside the order of events.
@@ -95,19 +114,18 @@ pub(crate) struct Plan {
     pub(crate) spare_frames: u32,
     /// Of 1,024 points, how many let the scheduler pick another process.
     pub(crate) preemption: u32,
-    /// Whether processes spin before they wait.
     pub(crate) faults: Vec<Fault>,
 }
 
 impl Plan {
-    /// The plan of `seed` for one of `scenarios`. `usual` are the points and the operations on files of an undisturbed run
-    /// of each.
-    pub(crate) fn draw(seed: u64, usual: &[(u64, u64)]) -> Self {
+    /// The plan of `seed` for one of the scenarios that have these undisturbed runs.
+    pub(crate) fn draw(seed: u64, scenarios: &[Undisturbed]) -> Self {
         let mut draws = ChaCha8Rng::seed_from_u64(seed);
         draws.set_stream(STREAM);
         let mut below = |limit: u64| draws.next_u64() % limit;
-        let scenario = below(usual.len() as u64) as usize;
-        let (steps, operations) = usual[scenario];
+        let scenario = below(scenarios.len() as u64) as usize;
+        let Undisturbed { steps, operations, has_external_memory, .. } = scenarios[scenario];
+        let processes = if has_external_memory { 5 } else { 4 };
         let lanes = 1 + below(4) as u32;
         let spare_frames = [0, 1, 4, 64][below(4) as usize];
         let preemption = [2, 16, 128, 1024][below(4) as usize];
@@ -117,16 +135,18 @@ impl Plan {
                 0 => Process::Orchestrator,
                 1 => Process::Child(Role::Sim),
                 2 => Process::Child(Role::Memory),
-                _ => Process::Child(Role::Policy),
+                3 => Process::Child(Role::Policy),
+                _ => Process::Child(Role::ExternalMemory),
             };
-            let trouble = match below(12) {
-                0..3 => Trouble::Death(process(below(4))),
-                3 | 4 => Trouble::Stall(process(below(4)), 1 << below(18)),
+            let trouble = match below(13) {
+                0..3 => Trouble::Death(process(below(processes))),
+                3 | 4 => Trouble::Stall(process(below(processes)), 1 << below(18)),
                 5 => Trouble::Jump(1 << below(20)),
                 6 => Trouble::PowerLoss,
                 7 | 8 => Trouble::Disk(Damage::TornByDeath),
                 9 => Trouble::Disk(Damage::Full),
                 10 => Trouble::Disk(Damage::Broken),
+                11 => Trouble::FullQueue,
                 _ => Trouble::Disk(Damage::ShortReads),
             };
             let most = if matches!(trouble, Trouble::Disk(_)) { operations } else { steps };

@@ -1,13 +1,14 @@
 //! `drill-sim`: runs in which everything goes wrong, executed in one program, each exactly repeatable from its seed.
 //!
-//! Orchestrator, simulator, memory and policy are the real ones and exchange messages through iceoryx2. A scheduler
-//! executes them one at a time, in an order drawn from the seed and with a virtual clock (`scheduler`). The seed also draws
-//! faults: deaths, stalls, clock jumps, disks that are full or broken, writes that are torn (`faults`). The run is resumed
-//! until it ends. Then its log has to equal that of an undisturbed run, line by line, and nothing may be left open
+//! Orchestrator, simulator, memory, policy and an external memory are the real ones and exchange messages through iceoryx2.
+//! A scheduler executes them one at a time, in an order drawn from the seed and with a virtual clock (`scheduler`). The seed
+//! also draws faults: deaths, stalls, clock jumps, full queues, disks that are full or broken, writes that are torn
+//! (`faults`). The run is resumed until it ends. Then its log has to equal that of an undisturbed run, line by line, and nothing may be left open
 //! (`trial`). Faults of a seed that fails are removed one by one while it still fails.
 //!
 //! Pixels, embeddings and decisions come from stand-ins that cost nothing (`roles`), in small worlds (`scenario`).
 
+mod external;
 mod faults;
 mod roles;
 mod scenario;
@@ -25,13 +26,23 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, ValueEnum};
 
-use crate::faults::Plan;
+use crate::faults::{Plan, Undisturbed};
 use crate::scenario::Scenario;
 use crate::scheduler::Hooks;
 use crate::trial::{Outcome, Place, execute};
 
 /// How long one trial may take in real time: a process that blocks without the scheduler's knowledge is a bug, too.
 const REAL_LIMIT: Duration = Duration::from_secs(120);
+
+/// What the page of results says about the drill.
+const TEXT: &str = "Small runs in one program: the serve loops of the orchestrator, the simulator, memory, the policy and an external \
+     memory exchange messages through iceoryx2, and a scheduler executes them one at a time, in an order drawn from the \
+     seed and with a virtual clock. At every message sent or received another process may come first, so that messages of \
+     different services arrive in any order; in a quarter of the runs the frame store holds just the frames that can be \
+     named, so that every new view evicts another. The seed also draws up to six faults. The run is resumed until it is \
+     complete. Then its log must equal that of an undisturbed run, no file, thread or shared memory may be left open, no \
+     session without a fault may fail, and none may hang. The first seed is executed twice and must take the same course. \
+     A seed that fails is repeated without each of its faults, until each that is left is needed.";
 
 /// Simulated runs with deaths, stalls, clock jumps and failing disks
 #[derive(Debug, Parser)]
@@ -106,7 +117,7 @@ fn run(arguments: &Arguments) -> Result<usize> {
     let scenarios = Scenario::all(files.path())?;
     let current = watch_real_time();
 
-    let (mut usual, mut expected) = (Vec::new(), Vec::new());
+    let mut known = Vec::new();
     for scenario in &scenarios {
         let undisturbed =
             Plan { scenario: 0, lanes: 2, spare_frames: 64, preemption: 0, faults: Vec::new() };
@@ -133,8 +144,12 @@ fn run(arguments: &Arguments) -> Result<usize> {
             outcome.account.operations,
             outcome.account.virtual_ns as f64 / 1e9
         );
-        usual.push((outcome.account.steps, outcome.account.operations));
-        expected.push(outcome.log);
+        known.push(Undisturbed {
+            steps: outcome.account.steps,
+            operations: outcome.account.operations,
+            has_external_memory: !scenario.memories.is_empty(),
+            log: outcome.log,
+        });
     }
 
     let begun = Instant::now();
@@ -150,10 +165,10 @@ fn run(arguments: &Arguments) -> Result<usize> {
             break;
         }
         current.store(seed, Ordering::Relaxed);
-        let plan = Plan::draw(seed, &usual);
+        let plan = Plan::draw(seed, &known);
         let scenario = &scenarios[plan.scenario];
         let trial = |plan: &Plan| {
-            let expected = &expected[plan.scenario];
+            let expected = &known[plan.scenario].log;
             execute(scenario, plan, (seed, arguments.plant), &place, Some(expected))
         };
         let outcome = trial(&plan).with_context(|| format!("seed {seed}"))?;
@@ -182,7 +197,7 @@ fn run(arguments: &Arguments) -> Result<usize> {
         }
     }
     current.store(u64::MAX, Ordering::Relaxed);
-    let summary = totals.summary(begun.elapsed());
+    let summary = totals.summary(arguments, begun.elapsed());
     eprintln!("{summary:#}");
     if let Some(file) = &arguments.json {
         std::fs::write(file, format!("{summary:#}\n"))
@@ -237,19 +252,24 @@ impl Totals {
         }
     }
 
-    fn summary(&self, real: Duration) -> serde_json::Value {
-        let round = |seconds: f64| (seconds * 10.0).round() / 10.0;
-        let command: Vec<String> = std::env::args().skip(1).collect();
+    fn summary(&self, arguments: &Arguments, real: Duration) -> serde_json::Value {
+        let hours = |seconds: f64| (seconds / 360.0).round() / 10.0;
+        let mut command = format!("cargo xtask drill sim -- --seeds {}", self.seeds);
+        if arguments.first_seed > 0 {
+            command += &format!(" --first-seed {}", arguments.first_seed);
+        }
         serde_json::json!({
             "title": "Simulation",
-            "command": format!("drill-sim {}", command.join(" ")),
+            "command": command,
+            "text": TEXT,
             "faults": self.faults,
             "figures": {
                 "seeds": self.seeds,
-                "sessions": self.sessions,
+                "seeds an hour": (self.seeds as f64 * 3600.0 / real.as_secs_f64().max(1.0)).round(),
+                "sessions of runs": self.sessions,
                 "scheduling points": self.steps,
-                "virtual seconds": round(self.virtual_ns as f64 / 1e9),
-                "real seconds": round(real.as_secs_f64()),
+                "virtual hours": hours(self.virtual_ns as f64 / 1e9),
+                "real hours": hours(real.as_secs_f64()),
             },
             "violations": self.violations,
         })

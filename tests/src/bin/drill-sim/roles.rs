@@ -1,5 +1,5 @@
-//! What takes part in the simulated run: the real serve loops of simulator, memory and policy, with stand-ins for what
-//! computes pixels, embeddings and decisions.
+//! What takes part in the simulated run: the real serve loops of simulator, memory, policy and external memory, with
+//! stand-ins for what computes pixels, embeddings and decisions.
 
 use std::fmt;
 use std::fs::{self, File};
@@ -19,16 +19,16 @@ use peer::{Decision, FrameView, Item, Policy, Request};
 use search::Embedding;
 use shm_types::clock::monotonic_ns;
 use shm_types::message::{Role, WirePose};
-use shm_types::{Attach, Bus};
+use shm_types::{ATTACH_VARIABLE, Attach, Bus};
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use sim_proc::renderer::VisibleChanges;
 use sim_proc::serve::serve;
 use sim_proc::worlds::Worlds;
 use supervise::{Launch, Launcher, Process as Running};
 
-use crate::Plant;
 use crate::faults::Process;
 use crate::scheduler::Scheduler;
+use crate::{Plant, external};
 
 /// Numbers in an embedding.
 const DIMENSION: usize = 8;
@@ -58,7 +58,8 @@ impl fmt::Debug for InProcess {
 impl Launcher for InProcess {
     fn start(&self, launch: &Launch, log: &Path) -> Result<Box<dyn Running>> {
         let role = launch.role;
-        let root = launch.args.last().context("no folder to attach to")?.into();
+        let own = launch.env.iter().find(|(name, _)| name == ATTACH_VARIABLE).map(|(_, own)| own);
+        let root = own.or(launch.args.last()).context("no folder to attach to")?.into();
         let (worlds, files, plant) = (self.worlds.clone(), self.files.clone(), self.plant);
         let log = log.to_owned();
         let run = move || match take_part(role, root, worlds, &files, plant) {
@@ -131,7 +132,8 @@ fn take_part(
             })
         }
         Role::Policy => Ok(peer::serve(&mut DigestPolicy { plant }, &root)?),
-        Role::Orchestrator | Role::ExternalMemory => bail!("{} is not started", role.word()),
+        Role::ExternalMemory => Ok(peer::memory::serve(&external::method(), &root)?),
+        Role::Orchestrator => bail!("{} is not started", role.word()),
     }
 }
 
@@ -246,7 +248,7 @@ impl DigestPolicy {
 }
 
 /// The hash of the pixels. A frame that was overwritten while it can be named is a bug.
-fn pixels(frame: &FrameView<'_>) -> [u8; 16] {
+pub(crate) fn pixels(frame: &FrameView<'_>) -> [u8; 16] {
     let mut hash = [0; 16];
     if !frame.pixels.is_empty() {
         hash.copy_from_slice(&blake3::hash(frame.pixels).as_bytes()[..16]);

@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use orchestrator::external_memory::ExternalMemory;
 use orchestrator::plan::PlannedEpisode;
 use orchestrator::selection::SelectedCases;
 use orchestrator::settings::{Layer, resolve};
@@ -15,6 +16,8 @@ use shm_types::message::WIRE_VERSION;
 use sim_proc::worlds::Worlds;
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CATALOGUE_FILE, CaseSet, GeneratedWorld, LAYOUT_FILE};
+
+use crate::external;
 
 /// The seed of the warehouse.
 const WORLD_SEED: u64 = 3;
@@ -33,8 +36,8 @@ frame-size = 64
 encoder = "dinov2-s14"
 "#;
 
-/// Name and suite of each.
-const SUITES: [(&str, &str); 3] = [
+/// Name and suite of each; those called `external...` have an external memory, too.
+const SUITES: [(&str, &str); 5] = [
     (
         "paper",
         r#"
@@ -75,12 +78,43 @@ feedback = "success"
 evaluate = false
 "#,
     ),
+    (
+        "external",
+        r#"
+memory = ["episodic"]
+starts = ["original", "new"]
+routes = ["unchanged"]
+demos = ["original", "4"]
+limit = 2
+"#,
+    ),
+    (
+        "external-stream",
+        r#"
+memory = ["working"]
+arms = ["frozen", "learning"]
+starts = ["new"]
+routes = ["unchanged"]
+demos = ["original"]
+
+[stream]
+streams = 1
+blocks = 2
+cases-per-block = 1
+events = ["close"]
+rounds = 2
+orders = ["drawn"]
+feedback = "success"
+evaluate = true
+"#,
+    ),
 ];
 
 /// A run that trials execute.
 pub(crate) struct Scenario {
     pub(crate) name: &'static str,
     pub(crate) settings: RunSettings,
+    pub(crate) memories: Vec<ExternalMemory>,
     pub(crate) selected: SelectedCases,
     pub(crate) episodes: Vec<PlannedEpisode>,
     pub(crate) worlds: Worlds,
@@ -114,9 +148,15 @@ impl Scenario {
             ("step-timeout", "30".to_owned()),
             ("start-timeout", "60".to_owned()),
         ];
-        let layer = Layer::flags(flags.iter().map(|(key, value)| (*key, &**value)))?;
-        let settings = resolve([layer]).context(name)?.settings;
+        let is_external = name.starts_with("external");
+        let command = is_external.then_some(("memory-cmd", external::NAME));
+        let flags = flags.iter().map(|(key, value)| (*key, &**value)).chain(command);
+        let layer = Layer::flags(flags)?;
+        let mut settings = resolve([layer]).context(name)?.settings;
         let selected = SelectedCases::of(&settings).context(name)?;
+        let memories = if is_external { vec![external::memory()?] } else { Vec::new() };
+        let told = memories.iter().map(|memory| (memory.name, memory.description.learns));
+        settings.add_external_memories(&told.collect::<Vec<_>>());
         let episodes = selected.with_episodes(&settings, |episodes| episodes.collect());
         let states = match &selected.streams {
             Some(streams) => streams.set.states(&selected.world.warehouse)?,
@@ -124,7 +164,8 @@ impl Scenario {
         };
         let world = &selected.world;
         let worlds = Worlds::new(&world.warehouse, &world.cases, states);
-        Ok(Self { name, settings, selected, episodes, worlds, assets: assets.to_owned() })
+        let assets = assets.to_owned();
+        Ok(Self { name, settings, memories, selected, episodes, worlds, assets })
     }
 
     /// The run's manifest.
@@ -140,7 +181,7 @@ impl Scenario {
             settings: self.settings.clone(),
             hashes,
             documents: BTreeMap::new(),
-            memories: BTreeMap::new(),
+            memories: self.memories.iter().map(|memory| (memory.name, memory.facts())).collect(),
             prices: None,
             episodes: self.episodes.len() as u32,
             unit: None,

@@ -60,6 +60,10 @@ impl Simulation for Hooks {
         }
     }
 
+    fn is_queue_full(&self, service: &'static str) -> bool {
+        place().is_some_and(|(scheduler, me)| scheduler.is_queue_full(me, service))
+    }
+
     fn wait(&self, waiter: Option<Waiter>, time: Duration) -> bool {
         let Some((scheduler, me)) = place() else { return false };
         scheduler.wait(me, waiter, time);
@@ -327,6 +331,20 @@ impl Scheduler {
         }
     }
 
+    fn is_queue_full(&self, me: usize, service: &str) -> bool {
+        if thread::panicking() {
+            return false;
+        }
+        let mut state = self.state();
+        let steps = state.steps;
+        let due = |fault: &Fault| fault.at <= steps && fault.trouble == Trouble::FullQueue;
+        let Some(at) = state.faults.iter().position(due) else { return false };
+        state.faults.remove(at);
+        let process = state.tasks[me].process;
+        state.note(Trouble::FullQueue.class(), format!("{service}, sent by {process:?}"));
+        true
+    }
+
     fn disk(&self, me: usize, operation: Operation) -> Option<DiskFault> {
         if thread::panicking() {
             return None;
@@ -433,7 +451,7 @@ impl State {
         while let Some(at) = self
             .faults
             .iter()
-            .position(|fault| fault.at <= self.steps && !matches!(fault.trouble, Trouble::Disk(_)))
+            .position(|fault| fault.at <= self.steps && !fault.trouble.is_of_an_operation())
         {
             let trouble = self.faults.remove(at).trouble;
             match trouble {
@@ -457,7 +475,7 @@ impl State {
                     self.tasks[0].activity = Activity::Ready;
                     self.tasks[0].stalled_until_ns = 0;
                 }
-                Trouble::Disk(_) => {}
+                Trouble::Disk(_) | Trouble::FullQueue => {}
             }
             self.note(trouble.class(), format!("{trouble:?}"));
         }

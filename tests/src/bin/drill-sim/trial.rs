@@ -177,13 +177,14 @@ fn session(
     names.borrow_mut().push(run.name());
     let mut settings = settings.clone();
     settings.frame_budget = None;
-    let mut attach = launch::attach(&settings, (world, streams), &missing, (&run, &[]), None)?;
+    let mut attach =
+        launch::attach(&settings, (world, streams), &missing, (&run, &scenario.memories), None)?;
     let most = (settings.keyframes, settings.memory_image_budget());
     // Decided by all episodes, so that it is the same in every session.
     let demand =
         Demand::of(&attach, (&world.warehouse, &world.cases, streams), &scenario.episodes, most);
     attach.frame_capacity = demand.least(attach.lanes) + plan.spare_frames;
-    let rules = launch::rules(&settings, &[])?;
+    let rules = launch::rules(&settings, &scenario.memories)?;
     let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
     if let Some(streams) = streams {
         lanes = lanes.in_streams(streams);
@@ -217,7 +218,7 @@ fn session(
         start_timeout: Duration::from_secs(settings.start_timeout.into()),
         answer_timeout: timeout,
         decision_timeout: Some(timeout),
-        memories: Vec::new(),
+        memories: scenario.memories.clone(),
         memory_timeout: Duration::from_secs(settings.memory_timeout.into()),
     };
     let counts = EpisodeCounts { planned: missing.len() as u64, ..EpisodeCounts::default() };
