@@ -25,14 +25,33 @@ pub(super) struct SampleBlock<const M: usize> {
     pub(super) colour: [PixelLanes<u32>; M],
 }
 
+/// What is known about a block without reading its samples.
+#[derive(Clone, Copy)]
+pub(super) struct BlockState {
+    /// The depth of the farthest sample. Nothing behind it is visible.
+    pub(super) farthest: f32,
+    /// Whether the samples of each pixel have one colour: then the first sample's is theirs, and the others' are not
+    /// stored.
+    pub(super) is_flat: bool,
+}
+
+impl BlockState {
+    const UNTOUCHED: Self = Self { farthest: UNTOUCHED, is_flat: true };
+
+    /// Whether nothing has been drawn into the block: its samples are not stored either.
+    #[inline(always)]
+    pub(super) fn is_untouched(self) -> bool {
+        self.farthest == UNTOUCHED
+    }
+}
+
 /// An image with `M` samples per pixel.
 pub(super) struct SampledImage<const M: usize> {
     /// Blocks per row, and rows of blocks.
     pub(super) columns: usize,
     pub(super) rows: usize,
     blocks: Vec<SampleBlock<M>>,
-    /// The depth of each block's farthest sample. Nothing behind it is visible.
-    farthest: Vec<f32>,
+    states: Vec<BlockState>,
     background: u32,
 }
 
@@ -45,53 +64,59 @@ impl<const M: usize> SampledImage<M> {
             columns,
             rows,
             blocks: vec![empty; columns * rows],
-            farthest: vec![UNTOUCHED; columns * rows],
+            states: vec![BlockState::UNTOUCHED; columns * rows],
             background: 0,
         }
     }
 
-    /// Begins an image that is `background` where nothing is drawn. Blocks are cleared when something is first drawn into
-    /// them.
+    /// Begins an image that is `background` where nothing is drawn.
     pub(super) fn clear(&mut self, background: u32) {
-        self.farthest.fill(UNTOUCHED);
+        self.states.fill(BlockState::UNTOUCHED);
         self.background = background;
     }
 
     /// Whether something as near as `nearest` may be visible in block `place`.
     #[inline(always)]
     pub(super) fn may_show(&self, place: usize, nearest: f32) -> bool {
-        nearest > self.farthest[place]
+        nearest > self.states[place].farthest
     }
 
-    /// Block `place`, to be drawn into, and the depth of its farthest sample, to be updated.
+    /// Block `place`, whose samples may be all overwritten, and its state, to be updated. An untouched block has any
+    /// samples.
     #[inline(always)]
-    pub(super) fn block(&mut self, place: usize) -> (&mut SampleBlock<M>, &mut f32) {
-        let (block, farthest) = (&mut self.blocks[place], &mut self.farthest[place]);
-        if *farthest == UNTOUCHED {
-            *farthest = 0.0;
-            for sample in 0..M {
-                block.depth[sample] = [0.0; PIXELS];
-                block.colour[sample] = [self.background; PIXELS];
-            }
-        }
-        (block, farthest)
+    pub(super) fn block(&mut self, place: usize) -> (&mut SampleBlock<M>, &mut BlockState) {
+        (&mut self.blocks[place], &mut self.states[place])
+    }
+
+    /// The colour where nothing is drawn.
+    #[inline(always)]
+    pub(super) fn background(&self) -> u32 {
+        self.background
     }
 
     /// Writes the finished image: RGBA in rows from the top, as many as fit into `pixels`.
     #[inline(always)]
     pub(super) fn resolve<V: Simd>(&self, simd: V, pixels: &mut [u8]) {
         let row_bytes = self.columns * SIDE * 4;
-        for (row, band) in pixels.chunks_mut(row_bytes * SIDE).enumerate() {
-            for column in 0..self.columns {
-                let place = row * self.columns + column;
-                let mut mixed = [self.background; PIXELS];
-                if self.farthest[place] != UNTOUCHED {
-                    mix(simd, &self.blocks[place].colour).store_array(&mut mixed);
-                }
-                let lines = band.chunks_exact_mut(row_bytes);
-                for (line, mixed) in lines.zip(mixed.chunks_exact(SIDE)) {
-                    line[column * 4 * SIDE..][..4 * SIDE]
-                        .copy_from_slice(bytemuck::cast_slice(mixed));
+        let rows =
+            self.blocks.chunks_exact(self.columns).zip(self.states.chunks_exact(self.columns));
+        for (band, (blocks, states)) in pixels.chunks_mut(row_bytes * SIDE).zip(rows) {
+            let mut lines = band.chunks_exact_mut(row_bytes);
+            let mut lines: [_; SIDE] = std::array::from_fn(|_| {
+                lines.next().unwrap_or_default().chunks_exact_mut(4 * SIDE)
+            });
+            for (block, state) in blocks.iter().zip(states) {
+                let mixed = if state.is_untouched() {
+                    [self.background; PIXELS]
+                } else if M == 1 || state.is_flat {
+                    block.colour[0]
+                } else {
+                    mix(simd, &block.colour).to_array()
+                };
+                for (line, mixed) in lines.iter_mut().zip(mixed.as_chunks::<SIDE>().0) {
+                    if let Some(pixels) = line.next() {
+                        pixels.copy_from_slice(bytemuck::bytes_of(mixed));
+                    }
                 }
             }
         }
@@ -102,9 +127,6 @@ impl<const M: usize> SampledImage<M> {
 #[inline(always)]
 fn mix<V: Simd, const M: usize>(simd: V, samples: &[PixelLanes<u32>; M]) -> u32x16<V> {
     const EVERY_OTHER: u32 = 0x00ff_00ff;
-    if M == 1 {
-        return u32x16::load_array_ref(simd, &samples[0]);
-    }
     let half = u32x16::splat(simd, M as u32 / 2 * 0x0001_0001);
     let shift = M.trailing_zeros();
     let (mut even, mut odd) = (half, half);
@@ -135,6 +157,22 @@ mod tests {
     }
 
     #[test]
+    fn flat_blocks_show_their_first_sample() {
+        let mut canvas = SampledImage::<4>::new(64, 4);
+        let mut pixels = vec![0; 64 * 4 * 4];
+        canvas.clear(0);
+        let (block, state) = canvas.block(15);
+        block.colour = [1, 2, 3, 4].map(|sample| [sample << 4; PIXELS]);
+        state.farthest = 0.5;
+        for (is_flat, expected) in [(true, 0x10), (false, 0x28)] {
+            canvas.block(15).1.is_flat = is_flat;
+            dispatch!(Level::new(), simd => canvas.resolve(simd, &mut pixels));
+            let last = pixels.as_chunks::<4>().0.last();
+            assert_eq!(last, Some(&[expected, 0, 0, 0]));
+        }
+    }
+
+    #[test]
     fn untouched_blocks_show_the_background() {
         let mut canvas = SampledImage::<4>::new(64, 6);
         let mut pixels = vec![0; 64 * 6 * 4];
@@ -142,9 +180,9 @@ mod tests {
             canvas.clear(0xff33_2211);
             dispatch!(Level::new(), simd => canvas.resolve(simd, &mut pixels));
             assert!(pixels.chunks_exact(4).all(|pixel| pixel == [0x11, 0x22, 0x33, 0xff]));
-            let (block, farthest) = canvas.block(3);
+            let (block, state) = canvas.block(3);
             block.colour = [[0; PIXELS]; 4];
-            *farthest = 0.5;
+            state.farthest = 0.5;
             assert!(canvas.may_show(3, 0.6) && !canvas.may_show(3, 0.5));
         }
     }

@@ -199,17 +199,17 @@ impl Corners {
         simd: V,
         transform: &Transform<'_>,
         indices: &[u32],
-    ) -> [Corner; 3] {
-        let mut triangle = [Corner::NOWHERE; 3];
-        for (corner, &index) in triangle.iter_mut().zip(indices) {
-            let (sixteen, lane) = (index as usize / PIXELS, index as usize % PIXELS);
+    ) -> [&Corner; 3] {
+        for &index in indices {
+            let sixteen = index as usize / PIXELS;
             if self.stamps[sixteen] != self.now {
                 self.stamps[sixteen] = self.now;
                 transform.place(simd, &self.mesh[sixteen], &mut self.placed[sixteen]);
             }
-            *corner = self.placed[sixteen][lane];
         }
-        triangle
+        let at =
+            |i: usize| &self.placed[indices[i] as usize / PIXELS][indices[i] as usize % PIXELS];
+        [at(0), at(1), at(2)]
     }
 }
 
@@ -231,9 +231,11 @@ pub(super) struct Polygon {
 impl Polygon {
     /// Clips a triangle at every plane.
     #[inline(never)]
-    pub(super) fn inside(corners: &[Corner; 3], grid: &Grid) -> Self {
+    pub(super) fn inside(corners: [&Corner; 3], grid: &Grid) -> Self {
         let mut polygon = Self { corners: [Corner::NOWHERE; 3 + PLANES], len: 3 };
-        polygon.corners[..3].copy_from_slice(corners);
+        for (place, corner) in polygon.corners.iter_mut().zip(corners) {
+            *place = *corner;
+        }
         for plane in 0..PLANES {
             polygon.cut(plane);
         }

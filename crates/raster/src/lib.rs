@@ -183,13 +183,13 @@ impl Layers {
         for indices in view.list.plate.chunks_exact(3) {
             let shader = PlateShader { code: geometry.plate.vertices[indices[0] as usize].code };
             let corners = plate.triangle(simd, &transform, indices);
-            triangle::draw(simd, canvas, grid, &corners, &shader);
+            triangle::draw(simd, canvas, grid, corners, &shader);
         }
         for indices in view.list.text.chunks_exact(3) {
             let vertex = &geometry.text.vertices[indices[0] as usize];
             let shader = TextShader { lettering, ink: vertex.ink, paper: vertex.paper };
             let corners = text.triangle(simd, &transform, indices);
-            triangle::draw(simd, canvas, grid, &corners, &shader);
+            triangle::draw(simd, canvas, grid, corners, &shader);
         }
         let sides = view.barricades.iter().map(|&side| {
             let barricade = &geometry.solid.indices[geometry.barricade.clone()];
@@ -202,7 +202,7 @@ impl Layers {
             solid.forget();
             for indices in indices.chunks_exact(3) {
                 let corners = solid.triangle(simd, &transform, indices);
-                triangle::draw(simd, canvas, grid, &corners, &LitShader);
+                triangle::draw(simd, canvas, grid, corners, &LitShader);
             }
         }
         canvas.resolve(simd, pixels);

@@ -7,7 +7,7 @@ use fearless_simd::{
     Bytes, Select, Simd, SimdBase, SimdMask, f32x4, f32x16, f64x4, i32x16, mask32x16, u32x16, u64x4,
 };
 
-use super::canvas::{PixelLanes, SIDE, SampleBlock, SampledImage};
+use super::canvas::{BlockState, PIXELS, PixelLanes, SIDE, SampleBlock, SampledImage};
 use super::corner::{Corner, Grid, Polygon, TO_CUT};
 use super::shade::Shader;
 
@@ -31,7 +31,7 @@ pub(super) fn draw<V: Simd, const M: usize, H: Shader>(
     simd: V,
     canvas: &mut SampledImage<M>,
     grid: &Grid,
-    corners: &[Corner; 3],
+    corners: [&Corner; 3],
     shader: &H,
 ) {
     let [a, b, c] = corners;
@@ -39,16 +39,16 @@ pub(super) fn draw<V: Simd, const M: usize, H: Shader>(
     if a.beyond & b.beyond & c.beyond & !TO_CUT != 0 {
         return;
     }
-    let polygon;
-    let corners = if (a.beyond | b.beyond | c.beyond) & TO_CUT == 0 {
-        &corners[..]
-    } else {
-        polygon = Polygon::inside(corners, grid);
-        polygon.corners()
-    };
-    for i in 2..corners.len() {
+    let is_cut = (a.beyond | b.beyond | c.beyond) & TO_CUT != 0;
+    let polygon = is_cut.then(|| Polygon::inside(corners, grid));
+    let polygon = polygon.as_ref().map(Polygon::corners);
+    for i in 2..polygon.map_or(3, <[Corner]>::len) {
         // Rows count downwards, so this way round the doubled area is positive.
-        fill(simd, canvas, grid, [&corners[0], &corners[i], &corners[i - 1]], shader);
+        let triangle = match polygon {
+            None => [a, c, b],
+            Some(corners) => [&corners[0], &corners[i], &corners[i - 1]],
+        };
+        fill(simd, canvas, grid, triangle, shader);
     }
 }
 
@@ -69,6 +69,9 @@ struct Edges<V: Simd> {
 
 /// More than rounding can move the point where an edge crosses a row, in blocks.
 const SLACK: f64 = 1e-3;
+
+/// Triangles at most this many blocks wide are drawn without narrowing each row.
+const SLIM: i32 = 3;
 
 /// Adding this to an integer leaves its lowest bits as those of the sum.
 const TO_BITS: f64 = 6_755_399_441_055_744.0;
@@ -137,6 +140,12 @@ fn more(a: f64, b: f64) -> f64 {
 /// The smaller of two numbers that are not NaN.
 #[inline(always)]
 fn less(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
+/// As [`less`].
+#[inline(always)]
+fn less_f32(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
@@ -212,12 +221,29 @@ pub(super) struct Triangle<V: Simd, const M: usize> {
     pub(super) slopes: [f32x16<V>; 4],
     /// The change of nearness from the centre of a pixel to its samples.
     depths: [f32; M],
+    /// To the farthest sample of a block.
+    deepest: DepthOffset,
     /// The change of each edge function to each pixel of a block, and to the samples of a pixel.
     lanes: [i32x16<V>; 3],
     samples: [[i32; M]; 3],
     /// Minimum and maximum of the corners' values.
     pub(super) least: [f32; 4],
     pub(super) most: [f32; 4],
+}
+
+/// The change of nearness from the centre of a block's first pixel to a sample: to the sample's pixel, and within it.
+#[derive(Clone, Copy)]
+struct DepthOffset {
+    pixel: f32,
+    sample: f32,
+}
+
+impl DepthOffset {
+    /// The nearness there, rounded as for the samples of a block.
+    #[inline(always)]
+    fn from(self, nearness: f32) -> f32 {
+        self.pixel + (nearness + self.sample)
+    }
 }
 
 /// Offsets of the pixels of a block from the first, to the right and downwards.
@@ -281,6 +307,16 @@ fn fill<V: Simd, const M: usize, H: Shader>(
     for (depth, [dx, dy]) in depths.iter_mut().zip(samples::<M>()) {
         *depth = (rights[0] * (dx - 8) as f32 + downs[0] * (dy - 8) as f32) / 16.0;
     }
+    // Rounding keeps order, so these are the extremes of what is computed for the lanes.
+    let [across, along] = [rights[0], downs[0]].map(|change| change * (SIDE - 1) as f32);
+    let deepest = DepthOffset {
+        pixel: across.min(0.0) + along.min(0.0),
+        sample: depths.into_iter().fold(f32::INFINITY, f32::min),
+    };
+    let shallowest = DepthOffset {
+        pixel: across.max(0.0) + along.max(0.0),
+        sample: depths.into_iter().fold(f32::NEG_INFINITY, f32::max),
+    };
     let mut offsets = [[0; M]; 3];
     let mut lanes = [i32x16::splat(simd, 0); 3];
     for i in 0..3 {
@@ -295,44 +331,48 @@ fn fill<V: Simd, const M: usize, H: Shader>(
         plane,
         slopes,
         depths,
+        deepest,
         lanes,
         samples: offsets,
         least: va.min(vb).min(vc).to_array(),
         most: va.max(vb).max(vc).to_array(),
     };
 
-    // How much nearer the triangle can be within a block than at the centre of its first pixel: at samples up to half a pixel
-    // before that centre, and to the right of it and below; plus a margin for rounding.
     let nearest = a.nearness.max(b.nearness).max(c.nearness);
-    let [right, down] = [rights[0], downs[0]];
-    let nearer = SIDE as f32 * (right.max(0.0) + down.max(0.0))
-        + 0.5 * (right.abs() + down.abs())
-        + nearest * 1e-5;
+    let is_slim = last[0] - first[0] < SLIM;
     for row in first[1]..=last[1] {
         let starts = edges.start + edges.y * (f64::from(row) * step);
-        let [low, high] = edges.narrow(simd, starts, f64::from(first[0]), f64::from(last[0]));
-        if low > high {
-            continue;
-        }
-        // A block that an edge crosses is kept.
-        let (begin, end) = (to_whole(low.ceil()) as usize, to_whole(high.floor()) as usize + 1);
+        let (begin, end) = if is_slim {
+            (first[0] as usize, last[0] as usize + 1)
+        } else {
+            let [low, high] = edges.narrow(simd, starts, f64::from(first[0]), f64::from(last[0]));
+            if low > high {
+                continue;
+            }
+            // A block that an edge crosses is kept.
+            (to_whole(low.ceil()) as usize, to_whole(high.floor()) as usize + 1)
+        };
         let place = row as usize * canvas.columns;
         let y = (row as usize * SIDE) as f64 + 0.5;
         for number in begin..end {
             let at = [(number * SIDE) as f64 + 0.5, y];
             let nearness = triangle.plane.nearness(at);
-            let limit = if nearness + nearer < nearest { nearness + nearer } else { nearest };
-            if !canvas.may_show(place + number, limit) {
+            if !canvas.may_show(place + number, less_f32(shallowest.from(nearness), nearest)) {
                 continue;
             }
             let here = starts + edges.x * (number as f64 * step);
+            if here.simd_lt(-edges.rise).any_true() {
+                continue;
+            }
+            let is_inside = M > 1 && here.simd_ge(-edges.fall).all_true();
             // Far inside an edge the value is clamped to one that fits into 32 bits.
             let here = here.min(-edges.fall) + TO_BITS;
             let inside = here.bitcast::<u64x4<V>>().to_array();
             let inside = [inside[0] as i32, inside[1] as i32, inside[2] as i32];
-            let part = TrianglePart { simd, triangle: &triangle, at, nearness, inside };
-            let (block, farthest) = canvas.block(place + number);
-            part.draw(shader, block, farthest);
+            let part = TrianglePart { simd, triangle: &triangle, at, nearness, inside, is_inside };
+            let background = canvas.background();
+            let (block, state) = canvas.block(place + number);
+            part.draw(shader, block, state, background);
         }
     }
 }
@@ -346,36 +386,72 @@ pub(super) struct TrianglePart<'a, V: Simd, const M: usize> {
     pub(super) nearness: f32,
     /// The edge functions at the block's corner.
     inside: [i32; 3],
+    /// Whether the triangle covers the whole block.
+    is_inside: bool,
 }
 
 impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
     /// Draws the samples that are nearer than those already there.
     #[inline(always)]
-    fn draw(&self, shader: &impl Shader, block: &mut SampleBlock<M>, farthest: &mut f32) {
+    fn draw(
+        &self,
+        shader: &impl Shader,
+        block: &mut SampleBlock<M>,
+        state: &mut BlockState,
+        background: u32,
+    ) {
         let simd = self.simd;
-        let mut shows = [mask32x16::splat(simd, false); M];
         let mut depths = [f32x16::splat(simd, 0.0); M];
-        let mut any = mask32x16::splat(simd, false);
         for s in 0..M {
             depths[s] = self.triangle.slopes[0] + (self.nearness + self.triangle.depths[s]);
-            let before = f32x16::load_array_ref(simd, &block.depth[s]);
-            shows[s] = self.covered(s) & depths[s].simd_gt(before);
-            any |= shows[s];
         }
-        if !any.any_true() {
-            return;
+        let mut shows = [mask32x16::splat(simd, true); M];
+        // With one sample there is less to save than it costs to find out.
+        let mut shows_all = M > 1 && self.is_inside && state.is_untouched();
+        if !shows_all {
+            if state.is_untouched() {
+                block.depth = [[0.0; PIXELS]; M];
+                block.colour[0] = [background; PIXELS];
+                state.farthest = 0.0;
+            }
+            let mut any = mask32x16::splat(simd, false);
+            let mut all = mask32x16::splat(simd, true);
+            for s in 0..M {
+                let before = f32x16::load_array_ref(simd, &block.depth[s]);
+                shows[s] = depths[s].simd_gt(before);
+                if M == 1 || !self.is_inside {
+                    shows[s] &= self.covered(s);
+                }
+                any |= shows[s];
+                all &= shows[s];
+            }
+            if !any.any_true() {
+                return;
+            }
+            shows_all = M > 1 && all.all_true();
         }
         let colours = shader.colours(self);
+        if shows_all {
+            for s in 0..M {
+                depths[s].store_array(&mut block.depth[s]);
+            }
+            colours.store_array(&mut block.colour[0]);
+            *state =
+                BlockState { farthest: self.triangle.deepest.from(self.nearness), is_flat: true };
+            return;
+        }
         let mut least = f32x16::splat(simd, f32::INFINITY);
-        for s in 0..M {
+        // The first sample last: in a flat block it has the colours of all.
+        for s in (0..M).rev() {
             let before = f32x16::load_array_ref(simd, &block.depth[s]);
             let depth = shows[s].select(depths[s], before);
             depth.store_array(&mut block.depth[s]);
             least = least.min(depth);
-            let before = u32x16::load_array_ref(simd, &block.colour[s]);
+            let before = &block.colour[if state.is_flat { 0 } else { s }];
+            let before = u32x16::load_array_ref(simd, before);
             shows[s].select(colours, before).store_array(&mut block.colour[s]);
         }
-        *farthest = least.reduce_min();
+        *state = BlockState { farthest: least.reduce_min(), is_flat: false };
     }
 
     /// The pixels whose sample number `sample` is covered.

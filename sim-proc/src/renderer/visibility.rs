@@ -233,10 +233,11 @@ impl Columns {
         let [[x0, w0], [x1, w1]] = projected;
         let first = (column(x0) + 0.5).floor().max(0.0) as usize;
         let end = ((column(x1) + 0.5).floor().max(0.0) as usize).min(COLUMNS);
-        for i in first..end {
+        let Some(covered) = self.0.get_mut(first..end) else { return };
+        for (column, i) in covered.iter_mut().zip(first as u32..) {
             let x = (i as f32 + 0.5) / COLUMNS as f32 * 2.0 - 1.0;
             let w = w0 + (w1 - w0) * ((x - x0) / (x1 - x0)).clamp(0.0, 1.0);
-            self.0[i] = self.0[i].max(w);
+            *column = column.max(w);
         }
     }
 
