@@ -257,14 +257,15 @@ feedback = "success"
     let blocks: BTreeMap<_, _> =
         records.iter().map(|record| (place(record), block(record))).collect();
     assert_eq!(blocks.len(), 3 * 4);
-    for (index, record) in records.iter().enumerate() {
+    for index in 0..records.len() {
+        let episode = data(&bench.out("pages"), &format!("run1/episodes/{index}"));
+        let record = records.iter().find(|record| record["key"] == episode["key"]).unwrap();
         let (order, place) = place(record);
         let before = place.checked_sub(1).map_or(0, |before| blocks[&(order.clone(), before)]);
         let way = [before, block(record)];
         let between = way.iter().min().unwrap() + 1..=*way.iter().max().unwrap();
         let events =
             |block: usize| drawn["streams"][0]["blocks"][block]["events"].as_array().unwrap().len();
-        let episode = data(&bench.out("pages"), &format!("run1/episodes/{index}"));
         assert_eq!(episode["firstBlock"], place == 0);
         let changes = episode["changes"].as_array().unwrap().len();
         assert_eq!(changes, between.map(events).sum::<usize>(), "{order} {way:?}: {episode}");
