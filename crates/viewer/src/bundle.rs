@@ -69,7 +69,7 @@ pub fn write_bundle(site: &mut Site, dir: &Path, selection: Selection) -> Result
 }
 
 /// The most thumbnails of demonstrations that an episode has, so that one of 40 steps stays below 1 MB.
-const DEMONSTRATION_VIEWS: usize = 150;
+const DEMONSTRATION_VIEWS: usize = 72;
 
 /// The folder that is written into.
 struct BundleFolder<'a> {

@@ -6,7 +6,10 @@ use replay::frames::{ViewFormat, ViewKey, file_name, half, jpeg, of_file_name};
 use crate::site::File;
 
 /// Views and the images of prompts.
-pub(crate) const VIEW_FORMAT: ViewFormat = ViewFormat { edge: 320, quality: 62 };
+pub(crate) const VIEW_FORMAT: ViewFormat = ViewFormat { edge: 320, quality: 56 };
+
+/// The quality of thumbnails, in percent.
+const SMALL_QUALITY: u8 = 50;
 
 /// The end of the name of a thumbnail.
 const SMALL: &str = "-small.jpg";
@@ -41,7 +44,7 @@ impl ViewFile {
     pub(crate) fn encode(self, rgba: &[u8]) -> Result<File> {
         let ViewFormat { edge, quality } = VIEW_FORMAT;
         let bytes = if self.is_small {
-            jpeg((edge / 2, edge / 2), quality, &half(edge, rgba))?
+            jpeg((edge / 2, edge / 2), SMALL_QUALITY, &half(edge, rgba))?
         } else {
             jpeg((edge, edge), quality, rgba)?
         };

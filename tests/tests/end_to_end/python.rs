@@ -196,7 +196,7 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
     }
 
     // From the command line, and its log in Inspect View.
-    fs::remove_file(log.trim()).unwrap();
+    fs::remove_dir_all(bench.out("logs")).unwrap();
     let mut eval = vec!["-m", "inspect_ai", "eval", "memtransfer/rq1", "--model", "mockllm/model"];
     eval.extend(["--limit", "1", "--epochs", "1", "--display", "none"]);
     inspect(&eval);
