@@ -1,20 +1,28 @@
 //! What the workers of a plan need beside the programs, in a store that all of them reach: the encoder and its runtime,
 //! documents, and embeddings that are known.
 //!
-//! A store is a folder, given as a path or as file://PATH. Each file in it is named by the BLAKE3 hash of its bytes, so several
-//! plans share it and nothing in it ever changes. The plan lists what it needs. A worker copies what its cache folder lacks,
-//! checks it against the hash, and gives it its name only then.
+//! A store is a folder, given as a path or as file://PATH, or, with the feature `object-store`, the address of a bucket. Each file
+//! in it is named by the BLAKE3 hash of its bytes, so several plans share it and nothing in it ever changes. The plan lists what
+//! it needs. A worker copies what its cache folder lacks, checks it against the hash, and gives it its name only then.
+
+#[cfg(feature = "object-store")]
+mod bucket;
+#[cfg(not(feature = "object-store"))]
+#[path = "store/no_bucket.rs"]
+mod bucket;
 
 use std::fs::{self, File};
 use std::io;
 use std::path::{Component, Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use results::settings::RunSettings;
 use serde::{Deserialize, Serialize};
 use shm_types::message::Role;
 use supervise::Launch;
+
+use self::bucket::Bucket;
 
 /// The folder in the cache folder of embeddings that came with plans.
 const EMBEDDINGS: &str = "shipped-embeddings";
@@ -43,45 +51,64 @@ pub struct Shipment {
 }
 
 /// Files by their hash.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Store(PathBuf);
+#[derive(Debug)]
+pub struct Store {
+    address: String,
+    files: Files,
+}
+
+/// Where the files of a store are.
+#[derive(Debug)]
+enum Files {
+    Folder(PathBuf),
+    Bucket(Bucket),
+}
 
 impl Store {
-    /// The store `place`: a folder, or its file:// address.
+    /// The store `place`: a folder, its file:// address, or the address of a bucket.
     ///
     /// # Errors
-    /// When it is an address of another kind.
+    /// When it is an address of another kind, or this program was built without a client for it.
     pub fn open(place: &str) -> Result<Self> {
-        match place.split_once("://") {
-            None => std::path::absolute(place).map(Self).with_context(|| place.to_owned()),
-            Some(("file", path)) if path.starts_with('/') => Ok(Self(path.into())),
-            Some(_) => bail!(
-                "the store {place} is neither a folder nor file:///PATH; mount an object store as a folder (rclone \
-                 mount, s3fs, gcsfuse), or copy the folder there and back"
-            ),
-        }
+        let folder = match place.split_once("://") {
+            None => std::path::absolute(place).with_context(|| place.to_owned())?,
+            Some(("file", path)) if path.starts_with('/') => path.into(),
+            Some(_) => {
+                let files = Files::Bucket(Bucket::open(place)?);
+                return Ok(Self { address: place.to_owned(), files });
+            }
+        };
+        let address = format!("file://{}", folder.display());
+        Ok(Self { address, files: Files::Folder(folder) })
     }
 
     /// Its address.
-    pub fn address(&self) -> String {
-        format!("file://{}", self.0.display())
-    }
-
-    fn object(&self, hash: &str) -> PathBuf {
-        self.0.join(hash)
+    pub fn address(&self) -> &str {
+        &self.address
     }
 
     /// Copies `file` into the store, unless it is there. `path` is its place in the cache folder.
     fn add(&self, file: &Path, path: String) -> Result<StoredFile> {
         let (hash, bytes) = hash_of(file)?;
-        let object = self.object(&hash);
-        if fs::metadata(&object).is_ok_and(|facts| facts.len() == bytes) {
-            return Ok(StoredFile { path, hash, bytes });
-        }
-        let shown = object.display();
-        fs::create_dir_all(&self.0).with_context(|| format!("cannot make {}", self.0.display()))?;
-        copy_checked(file, &object, &hash).with_context(|| format!("cannot write {shown}"))?;
+        self.put(file, &hash, bytes)
+            .with_context(|| format!("cannot write {}/{hash}", self.address))?;
         Ok(StoredFile { path, hash, bytes })
+    }
+
+    /// Copies `file`, of which hash and size are known, unless a file with both is there.
+    fn put(&self, file: &Path, hash: &str, bytes: u64) -> Result<()> {
+        match &self.files {
+            Files::Folder(folder) => {
+                let object = folder.join(hash);
+                if fs::metadata(&object).is_ok_and(|facts| facts.len() == bytes) {
+                    return Ok(());
+                }
+                fs::create_dir_all(folder)?;
+                write_checked(&object, hash, |draft| copy_file(file, draft))
+            }
+            Files::Bucket(bucket) if bucket.size(hash)? == Some(bytes) => Ok(()),
+            Files::Bucket(bucket) => bucket.put(hash, file),
+        }
     }
 
     /// Copies `file` to its place in the folder `cache`, unless there is one. Returns whether it was copied.
@@ -101,12 +128,14 @@ impl Store {
         }
         let folder = to.parent().unwrap_or(cache);
         fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-        let from = self.object(hash);
-        copy_checked(&from, &to, hash).with_context(|| {
+        let get = |draft: &mut File| match &self.files {
+            Files::Folder(folder) => copy_file(&folder.join(hash), draft),
+            Files::Bucket(bucket) => bucket.get(hash, draft),
+        };
+        write_checked(&to, hash, get).with_context(|| {
             format!(
-                "cannot get {} from {}; `memtransfer plan --store` puts it there",
-                file.path,
-                from.display()
+                "cannot get {} from {}/{hash}; `memtransfer plan --store` puts it there",
+                file.path, self.address
             )
         })?;
         Ok(true)
@@ -123,11 +152,16 @@ fn hash_of(file: &Path) -> Result<(String, u64)> {
     read().with_context(|| format!("cannot read {}", file.display()))
 }
 
-/// Copies `from` to `to`, which appears only when all of it is there and has the hash.
-fn copy_checked(from: &Path, to: &Path, hash: &str) -> Result<()> {
+fn copy_file(from: &Path, draft: &mut File) -> Result<()> {
+    io::copy(&mut File::open(from)?, draft)?;
+    Ok(())
+}
+
+/// Writes the file `to`, which appears only when all of it is there and has the hash.
+fn write_checked(to: &Path, hash: &str, write: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
     let folder = to.parent().context("a file without a folder")?;
     let mut draft = tempfile::NamedTempFile::new_in(folder)?;
-    io::copy(&mut File::open(from)?, draft.as_file_mut())?;
+    write(draft.as_file_mut())?;
     draft.as_file().sync_all()?;
     let (found, bytes) = hash_of(draft.path())?;
     ensure!(found == hash, "its {bytes} bytes have the hash {found} instead of {hash}: remove it");
@@ -170,7 +204,7 @@ impl Shipment {
             files.push(store.add(&written, path.clone())?);
             embeddings = Some(path);
         }
-        Ok(Self { store: store.address(), files, embeddings })
+        Ok(Self { store: store.address().to_owned(), files, embeddings })
     }
 
     /// Copies what the cache folder `cache` lacks from the plan's store, or from `store`. Workers of one machine wait for each
@@ -236,18 +270,20 @@ mod tests {
 
     #[test]
     fn a_file_is_fetched_once_and_only_whole() {
-        let (_folder, store, file, cache) = stored();
-        let shipment = Shipment { store: store.address(), files: vec![file], embeddings: None };
+        let (folder, store, file, cache) = stored();
+        let shipment =
+            Shipment { store: store.address().to_owned(), files: vec![file], embeddings: None };
         assert_eq!(shipment.fetch(None, &cache).unwrap(), 1);
         assert_eq!(fs::read_to_string(cache.join("models/model")).unwrap(), "weights");
         assert_eq!(shipment.fetch(Some("/nowhere"), &cache).unwrap(), 0);
 
         fs::remove_file(cache.join("models/model")).unwrap();
-        fs::write(store.object(&shipment.files[0].hash), "weighty").unwrap();
+        let object = folder.path().join("store").join(&shipment.files[0].hash);
+        fs::write(&object, "weighty").unwrap();
         let error = format!("{:#}", shipment.fetch(None, &cache).unwrap_err());
         assert!(error.contains("instead of") && error.contains("remove it"), "{error}");
         assert_eq!(fs::read_dir(cache.join("models")).unwrap().count(), 0);
-        fs::remove_file(store.object(&shipment.files[0].hash)).unwrap();
+        fs::remove_file(object).unwrap();
         let error = format!("{:#}", shipment.fetch(None, &cache).unwrap_err());
         assert!(error.contains("cannot get models/model from"), "{error}");
     }
@@ -263,6 +299,22 @@ mod tests {
         }
         let file = StoredFile { hash: "../cache".into(), ..file };
         assert!(store.fetch(&file, &cache).unwrap_err().to_string().contains("no hash"));
-        assert!(Store::open("s3://bucket").unwrap_err().to_string().contains("mount"));
+    }
+
+    #[cfg(not(feature = "object-store"))]
+    #[test]
+    fn a_program_without_a_client_of_buckets_names_the_feature() {
+        let error = Store::open("s3://bucket").unwrap_err().to_string();
+        assert!(
+            error.contains("--features orchestrator/object-store") && error.contains("mount"),
+            "{error}"
+        );
+    }
+
+    #[cfg(feature = "object-store")]
+    #[test]
+    fn an_address_of_no_known_kind_is_refused() {
+        let error = format!("{:#}", Store::open("sftp://host/folder").unwrap_err());
+        assert!(error.contains("s3://BUCKET/FOLDER"), "{error}");
     }
 }

@@ -71,7 +71,7 @@ pub(crate) fn built_for(
     let output = workspace
         .cargo(&["tree", "--workspace", "--locked", "--target", platform])
         .args(["--edges", kinds, "--prefix", "none", "--format", "{p}"])
-        .args(["--features", "memtransfer-fuzz/libfuzzer"])
+        .args(["--features", "memtransfer-fuzz/libfuzzer,orchestrator/object-store"])
         .output()
         .context("cannot start cargo tree")?;
     if !output.status.success() {

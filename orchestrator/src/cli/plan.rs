@@ -41,9 +41,9 @@ pub(super) struct PlanArgs {
     #[arg(long, value_name = "N", default_value_t = UNIT_EPISODES, value_parser = clap::value_parser!(u32).range(1..))]
     unit_episodes: u32,
 
-    /// Put what workers need beside the programs into this folder, which they reach too: encoder,
-    /// documents, known embeddings
-    #[arg(long, value_name = "DIR")]
+    /// Put what workers need beside the programs into this folder or bucket, which they reach too:
+    /// encoder, documents, known embeddings
+    #[arg(long, value_name = "DIR|URL")]
     store: Option<String>,
 
     /// Print a Slurm array script that executes the units and merges them
