@@ -16,7 +16,7 @@ use std::process::ExitCode;
 use report::Report;
 
 /// No new disturbance begins in a quick drill after so many minutes.
-const QUICK_MINUTES: f64 = 0.3;
+const QUICK_MINUTES: f64 = 1.0;
 
 /// How much a drill does, and where it writes what it finds.
 pub(crate) struct Extent {
