@@ -397,7 +397,7 @@ impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
         &self,
         shader: &impl Shader,
         block: &mut SampleBlock<M>,
-        state: &mut BlockState,
+        state: BlockState<'_>,
         background: u32,
     ) {
         let simd = self.simd;
@@ -412,7 +412,7 @@ impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
             if state.is_untouched() {
                 block.depth = [[0.0; PIXELS]; M];
                 block.colour[0] = [background; PIXELS];
-                state.farthest = 0.0;
+                *state.farthest = 0.0;
             }
             let mut any = mask32x16::splat(simd, false);
             let mut all = mask32x16::splat(simd, true);
@@ -436,8 +436,8 @@ impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
                 depths[s].store_array(&mut block.depth[s]);
             }
             colours.store_array(&mut block.colour[0]);
-            *state =
-                BlockState { farthest: self.triangle.deepest.from(self.nearness), is_flat: true };
+            *state.farthest = self.triangle.deepest.from(self.nearness);
+            *state.is_flat = true;
             return;
         }
         let mut least = f32x16::splat(simd, f32::INFINITY);
@@ -447,11 +447,12 @@ impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
             let depth = shows[s].select(depths[s], before);
             depth.store_array(&mut block.depth[s]);
             least = least.min(depth);
-            let before = &block.colour[if state.is_flat { 0 } else { s }];
+            let before = &block.colour[if *state.is_flat { 0 } else { s }];
             let before = u32x16::load_array_ref(simd, before);
             shows[s].select(colours, before).store_array(&mut block.colour[s]);
         }
-        *state = BlockState { farthest: least.reduce_min(), is_flat: false };
+        *state.farthest = least.reduce_min();
+        *state.is_flat = M == 1;
     }
 
     /// The pixels whose sample number `sample` is covered.
