@@ -386,7 +386,7 @@ pub(super) struct TrianglePart<'a, V: Simd, const M: usize> {
     pub(super) nearness: f32,
     /// The edge functions at the block's corner.
     inside: [i32; 3],
-    /// Whether the triangle covers the whole block.
+    /// Whether the triangle is known to cover the whole block, which is asked with several samples only.
     is_inside: bool,
 }
 
