@@ -402,8 +402,8 @@ impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
     ) {
         let simd = self.simd;
         let mut depths = [f32x16::splat(simd, 0.0); M];
-        for s in 0..M {
-            depths[s] = self.triangle.slopes[0] + (self.nearness + self.triangle.depths[s]);
+        for (depth, offset) in depths.iter_mut().zip(self.triangle.depths) {
+            *depth = self.triangle.slopes[0] + (self.nearness + offset);
         }
         let mut shows = [mask32x16::splat(simd, true); M];
         // With one sample there is less to save than it costs to find out.
@@ -432,8 +432,8 @@ impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
         }
         let colours = shader.colours(self);
         if shows_all {
-            for s in 0..M {
-                depths[s].store_array(&mut block.depth[s]);
+            for (depth, place) in depths.into_iter().zip(&mut block.depth) {
+                depth.store_array(place);
             }
             colours.store_array(&mut block.colour[0]);
             *state.farthest = self.triangle.deepest.from(self.nearness);
