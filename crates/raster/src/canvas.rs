@@ -26,22 +26,19 @@ pub(super) struct SampleBlock<const M: usize> {
 }
 
 /// What is known about a block without reading its samples.
-#[derive(Clone, Copy)]
-pub(super) struct BlockState {
+pub(super) struct BlockState<'a> {
     /// The depth of the farthest sample. Nothing behind it is visible.
-    pub(super) farthest: f32,
+    pub(super) farthest: &'a mut f32,
     /// Whether the samples of each pixel have one colour: then the first sample's is theirs, and the others' are not
     /// stored.
-    pub(super) is_flat: bool,
+    pub(super) is_flat: &'a mut bool,
 }
 
-impl BlockState {
-    const UNTOUCHED: Self = Self { farthest: UNTOUCHED, is_flat: true };
-
+impl BlockState<'_> {
     /// Whether nothing has been drawn into the block: its samples are not stored either.
     #[inline(always)]
-    pub(super) fn is_untouched(self) -> bool {
-        self.farthest == UNTOUCHED
+    pub(super) fn is_untouched(&self) -> bool {
+        *self.farthest == UNTOUCHED
     }
 }
 
@@ -51,7 +48,9 @@ pub(super) struct SampledImage<const M: usize> {
     pub(super) columns: usize,
     pub(super) rows: usize,
     blocks: Vec<SampleBlock<M>>,
-    states: Vec<BlockState>,
+    /// The fields of [`BlockState`] lie apart, because depth is read far more often.
+    farthest: Vec<f32>,
+    is_flat: Vec<bool>,
     background: u32,
 }
 
@@ -64,28 +63,32 @@ impl<const M: usize> SampledImage<M> {
             columns,
             rows,
             blocks: vec![empty; columns * rows],
-            states: vec![BlockState::UNTOUCHED; columns * rows],
+            farthest: vec![UNTOUCHED; columns * rows],
+            is_flat: vec![true; columns * rows],
             background: 0,
         }
     }
 
     /// Begins an image that is `background` where nothing is drawn.
     pub(super) fn clear(&mut self, background: u32) {
-        self.states.fill(BlockState::UNTOUCHED);
+        self.farthest.fill(UNTOUCHED);
+        self.is_flat.fill(true);
         self.background = background;
     }
 
     /// Whether something as near as `nearest` may be visible in block `place`.
     #[inline(always)]
     pub(super) fn may_show(&self, place: usize, nearest: f32) -> bool {
-        nearest > self.states[place].farthest
+        nearest > self.farthest[place]
     }
 
     /// Block `place`, whose samples may be all overwritten, and its state, to be updated. An untouched block has any
     /// samples.
     #[inline(always)]
-    pub(super) fn block(&mut self, place: usize) -> (&mut SampleBlock<M>, &mut BlockState) {
-        (&mut self.blocks[place], &mut self.states[place])
+    pub(super) fn block(&mut self, place: usize) -> (&mut SampleBlock<M>, BlockState<'_>) {
+        let state =
+            BlockState { farthest: &mut self.farthest[place], is_flat: &mut self.is_flat[place] };
+        (&mut self.blocks[place], state)
     }
 
     /// The colour where nothing is drawn.
@@ -98,17 +101,16 @@ impl<const M: usize> SampledImage<M> {
     #[inline(always)]
     pub(super) fn resolve<V: Simd>(&self, simd: V, pixels: &mut [u8]) {
         let row_bytes = self.columns * SIDE * 4;
-        let rows =
-            self.blocks.chunks_exact(self.columns).zip(self.states.chunks_exact(self.columns));
-        for (band, (blocks, states)) in pixels.chunks_mut(row_bytes * SIDE).zip(rows) {
+        let rows = self.blocks.chunks_exact(self.columns).enumerate();
+        for (band, (row, blocks)) in pixels.chunks_mut(row_bytes * SIDE).zip(rows) {
             let mut lines = band.chunks_exact_mut(row_bytes);
             let mut lines: [_; SIDE] = std::array::from_fn(|_| {
                 lines.next().unwrap_or_default().chunks_exact_mut(4 * SIDE)
             });
-            for (block, state) in blocks.iter().zip(states) {
-                let mixed = if state.is_untouched() {
+            for (block, place) in blocks.iter().zip(row * self.columns..) {
+                let mixed = if self.farthest[place] == UNTOUCHED {
                     [self.background; PIXELS]
-                } else if M == 1 || state.is_flat {
+                } else if M == 1 || self.is_flat[place] {
                     block.colour[0]
                 } else {
                     mix(simd, &block.colour).to_array()
@@ -163,9 +165,9 @@ mod tests {
         canvas.clear(0);
         let (block, state) = canvas.block(15);
         block.colour = [1, 2, 3, 4].map(|sample| [sample << 4; PIXELS]);
-        state.farthest = 0.5;
+        *state.farthest = 0.5;
         for (is_flat, expected) in [(true, 0x10), (false, 0x28)] {
-            canvas.block(15).1.is_flat = is_flat;
+            *canvas.block(15).1.is_flat = is_flat;
             dispatch!(Level::new(), simd => canvas.resolve(simd, &mut pixels));
             let last = pixels.as_chunks::<4>().0.last();
             assert_eq!(last, Some(&[expected, 0, 0, 0]));
@@ -182,7 +184,7 @@ mod tests {
             assert!(pixels.chunks_exact(4).all(|pixel| pixel == [0x11, 0x22, 0x33, 0xff]));
             let (block, state) = canvas.block(3);
             block.colour = [[0; PIXELS]; 4];
-            state.farthest = 0.5;
+            *state.farthest = 0.5;
             assert!(canvas.may_show(3, 0.6) && !canvas.may_show(3, 0.5));
         }
     }

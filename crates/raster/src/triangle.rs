@@ -386,7 +386,7 @@ pub(super) struct TrianglePart<'a, V: Simd, const M: usize> {
     pub(super) nearness: f32,
     /// The edge functions at the block's corner.
     inside: [i32; 3],
-    /// Whether the triangle covers the whole block.
+    /// Whether the triangle is known to cover the whole block, which is asked with several samples only.
     is_inside: bool,
 }
 
@@ -397,13 +397,13 @@ impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
         &self,
         shader: &impl Shader,
         block: &mut SampleBlock<M>,
-        state: &mut BlockState,
+        state: BlockState<'_>,
         background: u32,
     ) {
         let simd = self.simd;
         let mut depths = [f32x16::splat(simd, 0.0); M];
-        for s in 0..M {
-            depths[s] = self.triangle.slopes[0] + (self.nearness + self.triangle.depths[s]);
+        for (depth, offset) in depths.iter_mut().zip(self.triangle.depths) {
+            *depth = self.triangle.slopes[0] + (self.nearness + offset);
         }
         let mut shows = [mask32x16::splat(simd, true); M];
         // With one sample there is less to save than it costs to find out.
@@ -412,7 +412,7 @@ impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
             if state.is_untouched() {
                 block.depth = [[0.0; PIXELS]; M];
                 block.colour[0] = [background; PIXELS];
-                state.farthest = 0.0;
+                *state.farthest = 0.0;
             }
             let mut any = mask32x16::splat(simd, false);
             let mut all = mask32x16::splat(simd, true);
@@ -432,12 +432,12 @@ impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
         }
         let colours = shader.colours(self);
         if shows_all {
-            for s in 0..M {
-                depths[s].store_array(&mut block.depth[s]);
+            for (depth, place) in depths.into_iter().zip(&mut block.depth) {
+                depth.store_array(place);
             }
             colours.store_array(&mut block.colour[0]);
-            *state =
-                BlockState { farthest: self.triangle.deepest.from(self.nearness), is_flat: true };
+            *state.farthest = self.triangle.deepest.from(self.nearness);
+            *state.is_flat = true;
             return;
         }
         let mut least = f32x16::splat(simd, f32::INFINITY);
@@ -447,11 +447,12 @@ impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
             let depth = shows[s].select(depths[s], before);
             depth.store_array(&mut block.depth[s]);
             least = least.min(depth);
-            let before = &block.colour[if state.is_flat { 0 } else { s }];
+            let before = &block.colour[if *state.is_flat { 0 } else { s }];
             let before = u32x16::load_array_ref(simd, before);
             shows[s].select(colours, before).store_array(&mut block.colour[s]);
         }
-        *state = BlockState { farthest: least.reduce_min(), is_flat: false };
+        *state.farthest = least.reduce_min();
+        *state.is_flat = M == 1;
     }
 
     /// The pixels whose sample number `sample` is covered.
