@@ -74,7 +74,7 @@ mod tests {
         let back = format!("move {name} from (3, 8) to (2, 8)");
         let [add, remove] = ["add", "remove"].map(|verb| format!("{verb} {name} at (2, 8)"));
         let changes = |from, to| changes(&stream, from, to, &warehouse);
-        assert_eq!(changes(0, 1), [close.clone()]);
+        assert_eq!(changes(0, 1), std::slice::from_ref(&close));
         assert_eq!(changes(1, 3), [there.clone(), add.clone(), open.clone()]);
         assert_eq!(changes(3, 1), [close, remove.clone(), back.clone()]);
         assert_eq!(changes(1, 0), [open]);
