@@ -66,7 +66,7 @@ fn building_process() {
 
 fn start(server: &Server, document: &Path) -> Child {
     Command::new(env::current_exe().unwrap())
-        .args(["--exact", "building_process"])
+        .args(["--exact", "model_builder::building_process"])
         .env(BASE_URL, server.base_url())
         .env(DOCUMENT, document)
         .env_remove("OPENAI_API_KEY")
