@@ -216,7 +216,7 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
     let mut browser = Browser::start(1200, 800);
     let name = log.file_name().unwrap().to_str().unwrap().to_owned();
     browser.open(&format!("http://{address}/#/logs/{name}"));
-    let shows = |text: &str| format!("document.body.innerText.includes({text:?})");
+    let shows = |text: &str| format!("!!document.body?.innerText.includes({text:?})");
     browser.wait_for(&shows("Find a yellow fire extinguisher."));
     assert_eq!(browser.value(&shows("mockllm/model")), true);
     drop(browser);
