@@ -1,7 +1,7 @@
 //! A folder of a bucket: S3 and what speaks its protocol, Google Cloud Storage, Azure.
 //!
 //! Credentials, region and endpoint come from the variables that the providers' own tools read (`AWS_ACCESS_KEY_ID`,
-//! `AWS_ENDPOINT_URL`, `GOOGLE_APPLICATION_CREDENTIALS`, `AZURE_STORAGE_ACCOUNT_NAME`, ...). A file is sent and fetched in parts,
+//! `AWS_ENDPOINT`, `GOOGLE_APPLICATION_CREDENTIALS`, `AZURE_STORAGE_ACCOUNT_NAME`, ...). A file is sent and fetched in parts,
 //! one in memory at a time, so no request takes long.
 
 use std::fs::File;
