@@ -15,6 +15,7 @@
 //! ([`Bus::join`](crate::Bus::join)), so no message can arrive before there is a listener to notify. A wait may also
 //! return without a notification: it is only a hint to look at the queues.
 
+use std::mem::ManuallyDrop;
 use std::time::Duration;
 
 use iceoryx2::node::Node;
@@ -25,6 +26,7 @@ use iceoryx2::service::port_factory::event::PortFactory;
 use crate::attach::Attach;
 use crate::clock::{self, Instant, Waiter};
 use crate::message::Role;
+use crate::panics;
 use crate::transport::{BusError, Ipc, service_name};
 
 /// Shortest sleep: the operating system takes a socket timeout of zero as "no timeout".
@@ -33,19 +35,39 @@ const SHORTEST_SLEEP: Duration = Duration::from_millis(1);
 /// Receives the notifications for one role.
 #[derive(Debug)]
 pub struct Listener {
-    port: listener::Listener<Ipc>,
+    port: ManuallyDrop<listener::Listener<Ipc>>,
     waiter: Waiter,
     spin: Duration,
 }
 
+impl Drop for Listener {
+    fn drop(&mut self) {
+        #[expect(
+            unsafe_code,
+            reason = "a destructor that may panic is called in a place of its own"
+        )]
+        // SAFETY: called once, and the port is not used afterwards.
+        let was_removed =
+            panics::caught(|| unsafe { ManuallyDrop::drop(&mut self.port) }).is_some();
+        if !was_removed {
+            tracing::warn!(
+                "the {}'s socket could not be removed; it stays until the run is removed",
+                self.waiter.0.word()
+            );
+        }
+    }
+}
+
 impl Listener {
     pub(crate) fn new(node: &Node<Ipc>, attach: &Attach, waiter: Waiter) -> Result<Self, BusError> {
+        panics::prepare();
         let role = waiter.0;
         let port = service(node, attach, waiter)?.listener_builder().create();
         let port = port.map_err(|error| match error {
             ListenerCreateError::ExceedsMaxSupportedListeners => BusError::Taken { role },
             e => BusError::open(format_args!("cannot listen to events of the {}", role.word()), e),
         })?;
+        let port = ManuallyDrop::new(port);
         Ok(Self { port, waiter, spin: Duration::from_micros(attach.wait.spin_us.into()) })
     }
 

@@ -27,6 +27,7 @@ pub mod heartbeats;
 pub mod layout;
 pub mod message;
 pub mod notes;
+mod panics;
 mod ports;
 pub mod process;
 pub mod registry;

@@ -4,6 +4,11 @@
 //! keeps a shared lock on that file, which the kernel releases when the process ends in any way. A process that can
 //! lock the file exclusively knows that the run is dead, and may remove the run's shared memory (all names with its
 //! prefix) and its folder. Processes in other languages that do not lock the file are found as iceoryx2 nodes.
+//!
+//! # Segments without a size
+//! A segment of shared memory is created by one system call and given its size by another. A process that is killed between
+//! the two, or whose second call fails, leaves a segment without a size, and iceoryx2 waits without end for the size of a
+//! segment that it opens. A thread of the run's owner removes such segments while the run goes on.
 
 use std::ffi::OsStr;
 use std::fs::{self, DirBuilder, File, TryLockError};
@@ -11,6 +16,8 @@ use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::thread;
 use std::time::Duration;
 
 use iceoryx2::node::{Node, NodeState};
@@ -27,6 +34,9 @@ const LOCK_FILE: &str = "lock";
 /// How long [`RunDir`]'s drop waits for the run's last processes before it leaves the run to a later [`clean`]. (A
 /// process that is being started holds its parent's locks for a moment.)
 const EXIT_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Time between two searches of a live run for segments without a size.
+const SWEEP_INTERVAL: Duration = Duration::from_millis(250);
 
 /// How often to look whether a process has an unfinished segment open, and the time between two looks.
 const LOOKS_AT_UNFINISHED: u32 = 100;
@@ -86,6 +96,8 @@ pub fn default_base() -> PathBuf {
 pub struct RunDir {
     path: PathBuf,
     lock: File,
+    /// Ends the thread that removes segments without a size.
+    _sweeper: mpsc::Sender<()>,
 }
 
 impl RunDir {
@@ -109,7 +121,8 @@ impl RunDir {
             let lock = File::create_new(&file)
                 .and_then(|lock| lock.lock_shared().map(|()| lock))
                 .map_err(system("cannot lock", &file))?;
-            return Ok(Self { path, lock });
+            let sweeper = start_sweeper(path.clone()).map_err(system("cannot watch", &path))?;
+            return Ok(Self { path, lock, _sweeper: sweeper });
         }
     }
 
@@ -302,12 +315,22 @@ fn has_living_node(run: &Path) -> bool {
     alive
 }
 
-/// Removes the segments of the run in `root` that have no size and that no process has open. A process that is killed
-/// while it creates a segment leaves one, and a process that opens it later waits for its size without end.
-///
-/// # Errors
-/// When shared memory cannot be listed, or a segment cannot be removed.
-pub fn remove_unfinished(root: &Path) -> Result<(), RegistryError> {
+/// Starts the thread that removes segments of the run in `root` that stay without a size, until the returned sender is
+/// dropped.
+fn start_sweeper(root: PathBuf) -> io::Result<mpsc::Sender<()>> {
+    let (sender, ended) = mpsc::channel();
+    thread::Builder::new().name("sweeper".to_owned()).spawn(move || {
+        while ended.recv_timeout(SWEEP_INTERVAL) == Err(RecvTimeoutError::Timeout) {
+            if let Err(error) = remove_unfinished(&root) {
+                tracing::warn!(%error, "shared memory cannot be searched for segments without a size");
+            }
+        }
+    })?;
+    Ok(sender)
+}
+
+/// Removes the segments of the run in `root` that have no size and that no process has open.
+fn remove_unfinished(root: &Path) -> Result<(), RegistryError> {
     let folder = Path::new(SHARED_MEMORY);
     for path in names_with_prefix(&prefix(root))?.into_iter().map(|name| folder.join(name)) {
         if has_no_size(&path) && is_abandoned(&path) {
@@ -322,8 +345,8 @@ fn has_no_size(segment: &Path) -> bool {
     fs::symlink_metadata(segment).is_ok_and(|about| about.is_file() && about.len() == 0)
 }
 
-/// Whether the process that created the segment without a size has ended. It would have it open all the time, and others
-/// that wait for its size have it open for a moment, again and again.
+/// Whether the process that created the segment without a size has ended or given up. It would have it open all the time,
+/// and others that wait for its size have it open for a moment, again and again.
 fn is_abandoned(segment: &Path) -> bool {
     for _ in 0..LOOKS_AT_UNFINISHED {
         if !has_no_size(segment) {

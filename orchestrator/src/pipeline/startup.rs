@@ -12,7 +12,7 @@ use shm_types::clock::Instant;
 use shm_types::description::{DESCRIPTION_FILE, memory_folder};
 use shm_types::message::{Handshake, Role, WIRE_VERSION, read_text};
 use shm_types::process::{ProcessWatch, check_shared_memory, monotonic_ns};
-use shm_types::{Attach, Bus, BusError, MemoryDescription, registry};
+use shm_types::{Attach, Bus, BusError, MemoryDescription};
 use supervise::{ChildExit, Children, Launch};
 
 use super::generation::{Generation, Inbox, TICK, role};
@@ -29,8 +29,6 @@ impl Generation {
         // Another program may have filled it since the last generation: this process, too, would end on SIGBUS.
         check_shared_memory(frame_budget::bytes(attach, 0))?;
         let launches = memory_launches(attach, run)?;
-        // What a killed process of an earlier generation left would otherwise stop this process, too.
-        registry::remove_unfinished(&attach.root)?;
         let bus = Bus::join(attach.clone(), Role::Orchestrator)?;
         let inbox = Inbox {
             observations: bus.receiver()?,

@@ -2,7 +2,7 @@
 //! memory or a socket; each kind of call, also those that read, fails, and reads and writes are short.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
+use std::{fmt, fs};
 
 use memtransfer_tests::Ended;
 
@@ -35,22 +35,53 @@ struct Call {
 #[derive(Clone)]
 struct Cell {
     call: Call,
+    /// Where the call is among the calls of its kind.
+    place: &'static str,
     number: u64,
     action: String,
     class: String,
+}
+
+impl Cell {
+    /// The cell that [`Display`](fmt::Display) writes as `text`.
+    fn parse(text: &str) -> Result<Self, String> {
+        let parse = || {
+            let (action, rest) = text.split_once(' ')?;
+            let (call, rest) = rest.rsplit_once(" no. ")?;
+            let (number, program) = rest.split_once(" of ")?;
+            let call = Call { program: program.to_owned(), call: call.to_owned() };
+            let action = action.to_owned();
+            let (number, class) = (number.parse().ok()?, action.clone());
+            Some(Self { call, place: "as named", number, class, action })
+        };
+        parse().ok_or_else(|| {
+            format!("{text:?} is not a cell: they are like \"28 open /tmp/mt# no. 2 of sim-proc\"")
+        })
+    }
+}
+
+impl fmt::Display for Cell {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { call: Call { program, call }, number, action, .. } = self;
+        write!(f, "{action} {call} no. {number} of {program}")
+    }
 }
 
 pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
     let mut report = Report::new(TITLE, TEXT);
     let mut sandbox = Sandbox::new()?;
     let calls = calls(&mut sandbox)?;
-    let mut cells = cells(&calls);
+    let mut cells = match &extent.cell {
+        Some(text) => vec![Cell::parse(text)?],
+        None => cells(&calls),
+    };
     report.add("points of the protocol", calls.len() as f64);
-    // In an order that depends on the seed, so that a drill that is ended early has tried a bit of everything.
-    let mut random = Random::new(extent.seed);
-    for place in (1..cells.len()).rev() {
-        cells.swap(place, random.below(place as u64 + 1) as usize);
-    }
+    // In an order of their own for each seed, so that a drill that is ended early has tried a bit of everything. How often a
+    // call is made varies a little, and must not change which cells come first.
+    cells.sort_by_cached_key(|cell| {
+        let Cell { call: Call { program, call }, place, action, .. } = cell;
+        Random::of(extent.seed, &format!("{program} {call} {place} {action}")).next()
+    });
     if extent.is_quick {
         cells.truncate(QUICK);
     }
@@ -59,10 +90,7 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
         if extent.is_over(&report) {
             break;
         }
-        let what = format!(
-            "{} {} no. {} of {}",
-            cell.action, cell.call.call, cell.number, cell.call.program
-        );
+        let what = cell.to_string();
         eprintln!("{} of {all}: {what}", index + 1);
         let outcome = disturb(&mut sandbox, &cell);
         report.add("cells", 1.0);
@@ -108,17 +136,17 @@ fn calls(sandbox: &mut Sandbox) -> Result<BTreeMap<Call, u64>, String> {
 fn cells(calls: &BTreeMap<Call, u64>) -> Vec<Cell> {
     let mut cells = Vec::new();
     for (call, &count) in calls {
-        let mut numbers = vec![1, 2, count / 2, count];
-        numbers.retain(|&number| (1..=count).contains(&number));
-        numbers.sort_unstable();
-        numbers.dedup();
+        let mut places = vec![("first", 1), ("last", count), ("second", 2), ("middle", count / 2)];
+        places.retain(|(_, number)| (1..=count).contains(number));
+        places.sort_by_key(|(_, number)| *number);
+        places.dedup_by_key(|(_, number)| *number);
         let (operation, _) = call.call.split_once(' ').unwrap_or_default();
         let changes = !matches!(operation, "open-to-read" | "read");
-        for &number in numbers.iter().filter(|_| changes) {
+        for &(place, number) in places.iter().filter(|_| changes) {
             for action in ["kill-before", "kill-after"] {
                 let class = format!("{} killed", role(&call.program));
                 let action = action.to_owned();
-                cells.push(Cell { call: call.clone(), number, action, class });
+                cells.push(Cell { call: call.clone(), place, number, action, class });
             }
         }
         let errors = if changes { &ERRORS[..] } else { &ERRORS[..1] };
@@ -127,9 +155,10 @@ fn cells(calls: &BTreeMap<Call, u64>) -> Vec<Cell> {
         let is_transfer = matches!(operation, "read" | "write");
         let short = is_transfer.then(|| (format!("a short {operation}"), "short".to_owned()));
         for (class, action) in errors.iter().map(fails).chain(short) {
-            for number in BTreeSet::from([1, count]) {
+            for &(place, number) in places.iter().filter(|(_, number)| [1, count].contains(number))
+            {
                 let (class, action) = (class.clone(), action.clone());
-                cells.push(Cell { call: call.clone(), number, action, class });
+                cells.push(Cell { call: call.clone(), place, number, action, class });
             }
         }
     }

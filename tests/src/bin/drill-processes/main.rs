@@ -1,6 +1,7 @@
 //! Drills of real processes: short runs that are disturbed on purpose, and must end with the log of an undisturbed one.
 //!
-//! `drill-processes grid|kills|disk|soak [--quick] [--seed N] [--minutes M] [--episodes N] --json FILE`. `cargo xtask drill` starts it.
+//! `drill-processes grid|kills|disk|soak [--quick] [--seed N] [--minutes M] [--episodes N] [--cell CELL] --json FILE`.
+//! `cargo xtask drill` starts it. `--cell` repeats one cell of the grid, as a violation names it.
 //! Exit status: 0 no violation, 1 violations, 2 error.
 
 mod disk;
@@ -27,6 +28,8 @@ pub(crate) struct Extent {
     minutes: f64,
     /// Episodes of the soak.
     episodes: u32,
+    /// The only cell of the grid.
+    cell: Option<String>,
     json: PathBuf,
     command: String,
 }
@@ -61,6 +64,7 @@ fn run() -> Result<bool, String> {
         seed: 1,
         minutes: 600.0,
         episodes: 100_000,
+        cell: None,
         json: PathBuf::from("/dev/null"),
         command: format!("cargo xtask drill {drill}"),
     };
@@ -82,6 +86,7 @@ fn run() -> Result<bool, String> {
             "--seed" => extent.seed = value.parse().map_err(|_| wrong())?,
             "--minutes" => extent.minutes = value.parse().map_err(|_| wrong())?,
             "--episodes" => extent.episodes = value.parse().map_err(|_| wrong())?,
+            "--cell" => extent.cell = Some(value),
             _ => return Err(format!("unknown flag {flag}")),
         }
     }
@@ -107,17 +112,17 @@ impl Random {
         Self(seed)
     }
 
+    /// Other numbers for each `name`, and the same ones again for the same.
+    pub(crate) fn of(seed: u64, name: &str) -> Self {
+        Self(name.bytes().fold(seed, |state, byte| Self(state ^ u64::from(byte)).next()))
+    }
+
     pub(crate) fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         z ^ (z >> 31)
-    }
-
-    /// A number below `end`.
-    pub(crate) fn below(&mut self, end: u64) -> u64 {
-        self.next() % end.max(1)
     }
 
     /// A number from 0 to 1.
