@@ -31,12 +31,18 @@ impl Workspace {
         &self.root
     }
 
-    /// `cargo ARGUMENTS...` at the root.
+    /// `cargo ARGUMENTS...` at the root, as if called directly: what the cargo that runs xtask says of xtask would make build
+    /// scripts run again that look at it, and build again what depends on them.
     pub(crate) fn cargo(&self, arguments: &[&str]) -> Command {
-        self.at_root(
-            std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()).as_ref(),
-            arguments,
-        )
+        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+        let mut command = self.at_root(cargo.as_ref(), arguments);
+        for (name, _) in std::env::vars_os() {
+            let bytes = name.as_encoded_bytes();
+            if bytes.starts_with(b"CARGO_PKG_") || bytes.starts_with(b"CARGO_MANIFEST_") {
+                command.env_remove(name);
+            }
+        }
+        command
     }
 
     /// The packages that `cargo metadata` lists with these flags.
