@@ -2,14 +2,13 @@
 //!
 //! The SDK prevents most of the faults, so this uses the bus directly.
 
-#![expect(clippy::unwrap_used, reason = "a memory for tests may end by panicking")]
-
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::Duration;
 
+use anyhow::{Context, bail, ensure};
 use bytemuck::Zeroable;
 use domain::Feedback;
 use shm_types::description::run_of_memory_folder;
@@ -34,17 +33,17 @@ const LEARNING: [&str; 4] =
 /// Text of a query that cannot be answered.
 const UNUSABLE: &str = "the query cannot be used";
 
-fn main() {
-    let mode = std::env::args().nth(1).unwrap();
-    let folder = PathBuf::from(std::env::var_os(ATTACH_VARIABLE).unwrap());
+fn main() -> anyhow::Result<()> {
+    let mode = std::env::args().nth(1).context("usage: misbehaving-memory FAULT")?;
+    let folder = PathBuf::from(std::env::var_os(ATTACH_VARIABLE).context(ATTACH_VARIABLE)?);
     if mode == "leaves-a-lock" {
         let lock = fs::File::create_new(folder.join("my.lock"));
         lock.unwrap_or_else(|_| fail("I run already"));
     }
-    describe(&mode, &folder);
-    let (run, index) = run_of_memory_folder(&folder).unwrap();
-    let attach = wait_for_run(&mode, run);
-    serve(&mode, attach, index);
+    describe(&mode, &folder)?;
+    let (run, index) = run_of_memory_folder(&folder).context("not the folder of a memory")?;
+    let attach = wait_for_run(&mode, run)?;
+    serve(&mode, attach, index)
 }
 
 fn fail(why: &str) -> ! {
@@ -52,7 +51,7 @@ fn fail(why: &str) -> ! {
     std::process::exit(3)
 }
 
-fn describe(mode: &str, folder: &Path) {
+fn describe(mode: &str, folder: &Path) -> anyhow::Result<()> {
     let description = MemoryDescription {
         name: mode.to_owned(),
         version: "1".to_owned(),
@@ -65,33 +64,37 @@ fn describe(mode: &str, folder: &Path) {
         "undescribed" => {}
         "nameless" => {
             let text = r#"{"name": "My Memory", "version": "1"}"#;
-            fs::write(folder.join("description.json"), text).unwrap();
+            fs::write(folder.join("description.json"), text)?;
         }
-        _ => description.write(folder).unwrap(),
+        _ => description.write(folder)?,
     }
+    Ok(())
 }
 
-fn wait_for_run(mode: &str, run: &Path) -> Attach {
+fn wait_for_run(mode: &str, run: &Path) -> anyhow::Result<Attach> {
     loop {
         let attach = if mode == "ignores-the-wire-version" {
-            fs::read_to_string(run.join("attach.json")).ok().map(|text| {
-                let attach: Attach = serde_json::from_str(&text).unwrap();
-                Attach { wire_version: WIRE_VERSION, root: run.to_owned(), ..attach }
+            let text = fs::read_to_string(run.join("attach.json")).ok();
+            let attach = text.map(|text| serde_json::from_str::<Attach>(&text)).transpose()?;
+            attach.map(|attach| Attach {
+                wire_version: WIRE_VERSION,
+                root: run.to_owned(),
+                ..attach
             })
         } else {
             match Attach::read(run) {
                 Ok(attach) => Some(attach),
                 Err(AttachError::File { .. }) => None,
-                Err(error) => panic!("{error}"),
+                Err(error) => bail!(error),
             }
         };
         if let Some(attach) = attach {
-            return attach;
+            return Ok(attach);
         }
         if mode == "hasty" {
             fail("there is no run");
         }
-        assert!(registry::is_alive(run) || mode == "waits-forever", "the run is over");
+        ensure!(registry::is_alive(run) || mode == "waits-forever", "the run is over");
         thread::sleep(Duration::from_millis(5));
     }
 }
@@ -107,33 +110,32 @@ struct Episode {
     learns: bool,
 }
 
-fn serve(mode: &str, attach: Attach, index: u8) {
-    let watch = ProcessWatch::new(attach.orchestrator_pid).unwrap();
+fn serve(mode: &str, attach: Attach, index: u8) -> anyhow::Result<()> {
+    let watch = ProcessWatch::new(attach.orchestrator_pid)?;
     let lanes = attach.lanes;
-    let bus = Bus::join_external_memory(attach, index).unwrap();
-    let mut bank_queue = BankReceiver::new(&bus).unwrap();
-    let episode_queue = bus.receiver::<ExternalEpisode>().unwrap();
-    let query_queue = bus.receiver::<ExternalQuery>().unwrap();
-    let stops = bus.receiver::<Stop>().unwrap();
-    let mut frames = FrameStore::new(&bus).unwrap();
-    let mut notes = NotePublisher::new(&bus).unwrap();
-    let built = bus.sender::<ExternalBuilt>().unwrap();
-    let stores = bus.receiver::<ExternalStore>().unwrap();
-    let stored = bus.sender::<ExternalStored>().unwrap();
-    let answers = bus.sender::<ExternalAnswer>().unwrap();
-    let mut errors = ErrorReporter::new(&bus).unwrap();
-    let orchestrator = bus.notifier(Role::Orchestrator).unwrap();
-    let host = bus.notifier(Role::Memory).unwrap();
+    let bus = Bus::join_external_memory(attach, index)?;
+    let mut bank_queue = BankReceiver::new(&bus)?;
+    let episode_queue = bus.receiver::<ExternalEpisode>()?;
+    let query_queue = bus.receiver::<ExternalQuery>()?;
+    let stops = bus.receiver::<Stop>()?;
+    let mut frames = FrameStore::new(&bus)?;
+    let mut notes = NotePublisher::new(&bus)?;
+    let built = bus.sender::<ExternalBuilt>()?;
+    let stores = bus.receiver::<ExternalStore>()?;
+    let stored = bus.sender::<ExternalStored>()?;
+    let answers = bus.sender::<ExternalAnswer>()?;
+    let mut errors = ErrorReporter::new(&bus)?;
+    let orchestrator = bus.notifier(Role::Orchestrator)?;
+    let host = bus.notifier(Role::Memory)?;
     if mode != "no-handshake" {
-        let handshake =
-            Handshake::new(Role::ExternalMemory, [("memory", mode.to_owned())]).unwrap();
+        let handshake = Handshake::new(Role::ExternalMemory, [("memory", mode.to_owned())])?;
         let handshake = Handshake {
             wire_version: handshake.wire_version + u32::from(mode == "old"),
             external: u32::from(index) + u32::from(mode == "wrong-index"),
             ..handshake
         };
-        bus.sender().unwrap().send(&handshake).unwrap();
-        orchestrator.notify().unwrap();
+        bus.sender()?.send(&handshake)?;
+        orchestrator.notify()?;
     }
     // By id: the steps of each demonstration.
     let mut banks: BTreeMap<u64, Vec<u32>> = BTreeMap::new();
@@ -144,9 +146,9 @@ fn serve(mode: &str, attach: Attach, index: u8) {
     let mut announced: Vec<ExternalEpisode> = Vec::new();
     let mut answered = 0;
     loop {
-        let to_store = stores.drain().unwrap();
-        let (queries, begun) = (query_queue.drain().unwrap(), episode_queue.drain().unwrap());
-        while let Some(bank) = bank_queue.take().unwrap() {
+        let to_store = stores.drain()?;
+        let (queries, begun) = (query_queue.drain()?, episode_queue.drain()?);
+        while let Some(bank) = bank_queue.take()? {
             let bank = match bank {
                 Ok(bank) => bank,
                 Err(error) => {
@@ -161,16 +163,18 @@ fn serve(mode: &str, attach: Attach, index: u8) {
             }
             let message = ExternalBuilt { bank: id, ..Zeroable::zeroed() };
             let reason = why_not(mode, &bank);
-            let failure =
-                reason.map_or(0, |why| notes.publish(u32::MAX, 0, why.as_bytes()).unwrap());
+            let failure = match reason {
+                Some(why) => notes.publish(u32::MAX, 0, why.as_bytes())?,
+                None => 0,
+            };
             match mode {
                 "builds-nothing" => {}
                 "builds-another" => {
-                    built.send(&ExternalBuilt { bank: id + 1, ..message }).unwrap();
+                    built.send(&ExternalBuilt { bank: id + 1, ..message })?;
                 }
-                _ => built.send(&ExternalBuilt { failure, ..message }).unwrap(),
+                _ => built.send(&ExternalBuilt { failure, ..message })?,
             }
-            host.notify().unwrap();
+            host.notify()?;
             let steps = bank.demonstrations().iter().map(|demonstration| demonstration.steps);
             banks.insert(id, steps.collect());
             if mode == "keeps-banks" {
@@ -303,7 +307,7 @@ fn serve(mode: &str, attach: Attach, index: u8) {
             }
             let note_lane = if mode == "wrong-note" { lane + 1 } else { lane };
             if lane < lanes {
-                usual.note = notes.publish(note_lane, episode, &note).unwrap();
+                usual.note = notes.publish(note_lane, episode, &note)?;
             }
             usual.sent_ns = if mode == "no-times" { 0 } else { monotonic_ns() };
             let sent = match mode {
@@ -322,11 +326,11 @@ fn serve(mode: &str, attach: Attach, index: u8) {
             };
             // A flood fills the queue.
             sent.iter().for_each(|answer| drop(answers.send(answer)));
-            host.notify().unwrap();
+            host.notify()?;
         }
         for message in to_store {
             let ExternalStore { bank, loads, folder_len, .. } = message;
-            let file = Path::new(read_text(&message.folder, folder_len).unwrap()).join("learned");
+            let file = Path::new(read_text(&message.folder, folder_len)?).join("learned");
             let known = learned.get(&bank).copied().unwrap_or(0);
             let text = match mode {
                 "saves-the-time" => format!("{known} {}", monotonic_ns()),
@@ -335,35 +339,35 @@ fn serve(mode: &str, attach: Attach, index: u8) {
             match (mode, loads) {
                 ("saves-nothing", 0) => continue,
                 ("loads-nothing", 1) => {}
-                (_, 0) => fs::write(file, text).unwrap(),
+                (_, 0) => fs::write(file, text)?,
                 _ => {
-                    let text = fs::read_to_string(file).unwrap();
-                    let count = text.split(' ').next().unwrap().parse().unwrap();
+                    let text = fs::read_to_string(file)?;
+                    let count = text.split(' ').next().unwrap_or_default().parse()?;
                     learned.insert(bank, count);
                 }
             }
-            stored.send(&ExternalStored { bank, ..Zeroable::zeroed() }).unwrap();
-            host.notify().unwrap();
+            stored.send(&ExternalStored { bank, ..Zeroable::zeroed() })?;
+            host.notify()?;
         }
         if mode != "keeps-frames" {
             let _ = frames.apply_evictions();
         }
-        if stops.next().unwrap().is_some() && mode != "ignores-stop" {
+        if stops.next()?.is_some() && mode != "ignores-stop" {
             if mode != "no-shutdown-report" {
                 let shutdown_report = ShutdownReport {
                     role: Role::ExternalMemory as u32,
                     external: index.into(),
                     ..Zeroable::zeroed()
                 };
-                bus.sender().unwrap().send(&shutdown_report).unwrap();
-                orchestrator.notify().unwrap();
+                bus.sender()?.send(&shutdown_report)?;
+                orchestrator.notify()?;
             }
-            return;
+            return Ok(());
         }
         if watch.has_ended() && mode != "outlives" {
-            return;
+            return Ok(());
         }
-        bus.listener().wait(Duration::from_millis(200)).unwrap();
+        bus.listener().wait(Duration::from_millis(200))?;
     }
 }
 
