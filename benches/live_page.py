@@ -113,18 +113,20 @@ def main():
         try:
             run("warm", False)
             pairs = []
-            print("| pair | without, s | with, s | ratio | browser and server, share of all cores |\n|---|---|---|---|---|")
+            print("| pair | without, s | with, s | ratio | share of all cores without | with |\n|---|---|---|---|---|---|")
             for number in range(options.pairs):
                 order = [False, True] if number % 2 == 0 else [True, False]
                 walls = {has_page: run(f"run-{number}-{has_page}", has_page) for has_page in order}
-                (without, _), (with_page, share) = walls[False], walls[True]
-                pairs.append((with_page / without, share))
-                print(f"| {number + 1} | {without:.2f} | {with_page:.2f} | {with_page / without:.3f} | {100 * share:.1f} % |", flush=True)
-            ratios, shares = zip(*pairs)
+                (without, idle), (with_page, share) = walls[False], walls[True]
+                ratio = with_page / without
+                pairs.append((ratio, share - idle))
+                shares = f"{100 * idle:.1f} % | {100 * share:.1f} %"
+                print(f"| {number + 1} | {without:.2f} | {with_page:.2f} | {ratio:.3f} | {shares} |", flush=True)
+            ratios, added = zip(*pairs)
             low, high = quartiles(ratios)
             print(f"\nmedian ratio {statistics.median(ratios):.3f} of {len(pairs)} pairs; quartiles {low:.3f} and {high:.3f}, "
                   f"lowest {min(ratios):.3f}, highest {max(ratios):.3f}")
-            print(f"median share of all cores that browser and server took: {100 * statistics.median(shares):.1f} %")
+            print(f"median share of all cores that the page added: {100 * statistics.median(added):.1f} %")
         finally:
             browser.child.kill()
             browser.child.wait()

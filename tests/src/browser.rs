@@ -4,7 +4,7 @@
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -12,11 +12,11 @@ use rustix::fs::{CWD, FileType, Mode, mknodat};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::{WATCHDOG, eventually, needs};
+use crate::{KilledOnDrop, WATCHDOG, eventually, needs};
 
 /// A browser with one page.
 pub struct Browser {
-    child: Child,
+    _child: KilledOnDrop,
     commands: File,
     answers: BufReader<File>,
     sent: u64,
@@ -53,8 +53,16 @@ impl Browser {
         let commands = File::options().write(true).open(commands).expect("its commands");
         let answers = BufReader::new(File::open(answers).expect("its answers"));
         let (sent, session, problems, held) = (0, None, Vec::new(), Vec::new());
-        let mut browser =
-            Self { child, commands, answers, sent, session, problems, held, _profile: profile };
+        let mut browser = Self {
+            _child: KilledOnDrop(child),
+            commands,
+            answers,
+            sent,
+            session,
+            problems,
+            held,
+            _profile: profile,
+        };
         let target = browser.send("Target.createTarget", json!({ "url": "about:blank" }));
         let attach = json!({ "targetId": target["targetId"], "flatten": true });
         let attached = browser.send("Target.attachToTarget", attach);
@@ -246,13 +254,5 @@ impl Browser {
         // Events before this answer have arrived.
         self.value("0");
         &self.problems
-    }
-}
-
-impl Drop for Browser {
-    fn drop(&mut self) {
-        // It may have ended already.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }

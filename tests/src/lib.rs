@@ -175,6 +175,17 @@ impl Ended {
     }
 }
 
+/// A process that is killed when this is dropped, also by a test that fails.
+pub struct KilledOnDrop(pub Child);
+
+impl Drop for KilledOnDrop {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
 /// Kills process `pid` as `kill -9` does.
 pub fn kill(pid: u32) {
     let pid = i32::try_from(pid).ok().and_then(rustix::process::Pid::from_raw);

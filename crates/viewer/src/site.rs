@@ -142,9 +142,12 @@ pub(crate) struct RunPages {
     renderer: LazyRenderer,
 }
 
-/// The journals of a run that may go on.
+/// The journals of a run that may go on. Of timings and requests there are many, and they are for episode pages and the
+/// report: they are read when one is asked for, so that an open run page costs the run little.
 #[derive(Debug)]
 struct Growth {
+    /// Whether the run was started afresh since the page last asked.
+    restarted: bool,
     episodes: JournalTail<EpisodeRecord>,
     timings: JournalTail<EpisodeTimings>,
     requests: JournalTail<RequestRecord>,
@@ -227,16 +230,19 @@ impl RunPages {
         };
         let file = match path.split_once('/') {
             None if path == "run.js" => Some(self.run(folder, |_| true)?),
-            None if path == "report.html" => Some(self.report()?),
+            None if path == "report.html" => {
+                self.read_details()?;
+                Some(self.report()?)
+            }
             None if path == "new.json" => Some(self.news(query)?),
             Some(("episodes", name)) => match number(name, ".js") {
-                Some(index) if index < self.log.episodes.len() => {
+                Some(index) if self.has_episode(index)? => {
                     Some(Self::episode_file(folder, index, &self.episode(index)?)?)
                 }
                 _ => None,
             },
             Some(("prompts", name)) => match number(name, ".js") {
-                Some(index) if index < self.log.episodes.len() => {
+                Some(index) if self.has_episode(index)? => {
                     let prompts = self.prompts(index, &mut PromptLog::of(&self.log))?;
                     Some(Self::prompts_file(folder, index, &prompts)?)
                 }
@@ -348,7 +354,9 @@ impl RunPages {
     /// What the run has added since it had as many episodes as `query` says.
     fn news(&mut self, query: &str) -> Result<File> {
         let from: Option<usize> = query.strip_prefix("from=").and_then(|from| from.parse().ok());
-        let restarted = self.read_growth()?;
+        self.read_episodes()?;
+        let restarted =
+            self.growth.as_mut().is_some_and(|growth| std::mem::take(&mut growth.restarted));
         let from = from.filter(|&from| from <= self.log.episodes.len() && !restarted);
         let rows: Vec<EpisodeCell> = self
             .log
@@ -366,20 +374,16 @@ impl RunPages {
         Ok(File::text("application/json", serde_json::to_vec(&news)?))
     }
 
-    /// Reads what the journals have gained. Returns whether the run was started afresh.
-    fn read_growth(&mut self) -> Result<bool> {
-        let Some(growth) = &mut self.growth else { return Ok(false) };
-        let (Some(episodes), Some(timings), Some(requests)) =
-            (growth.episodes.read_new()?, growth.timings.read_new()?, growth.requests.read_new()?)
-        else {
-            self.log = RunLog::read(&self.log.dir)?;
-            self.growth = Some(Growth::new(&self.log));
-            self.sequences.clear();
-            self.timings.clear();
-            self.requests.clear();
-            self.index((0, 0, 0));
-            return Ok(true);
-        };
+    /// Whether there is an episode number `index`; if so, reads what has been recorded of it.
+    fn has_episode(&mut self, index: usize) -> Result<bool> {
+        self.read_details()?;
+        Ok(index < self.log.episodes.len())
+    }
+
+    /// Reads the episodes that were added.
+    fn read_episodes(&mut self) -> Result<()> {
+        let Some(growth) = &mut self.growth else { return Ok(()) };
+        let Some(episodes) = growth.episodes.read_new()? else { return self.start_afresh() };
         let log = &mut self.log;
         let from = (log.episodes.len(), log.timings.len(), log.requests.len());
         for record in episodes {
@@ -388,13 +392,39 @@ impl RunPages {
                 log.episodes.push(record);
             }
         }
+        self.index(from);
+        Ok(())
+    }
+
+    /// Reads the episodes, timings and requests that were added.
+    fn read_details(&mut self) -> Result<()> {
+        self.read_episodes()?;
+        let Some(growth) = &mut self.growth else { return Ok(()) };
+        let (Some(timings), Some(requests)) =
+            (growth.timings.read_new()?, growth.requests.read_new()?)
+        else {
+            return self.start_afresh();
+        };
+        let log = &mut self.log;
+        let from = (log.episodes.len(), log.timings.len(), log.requests.len());
         let known = &self.timings;
         log.timings.extend(timings.into_iter().filter(|one| !known.contains_key(&one.key)));
         let known = growth.known_requests.min(requests.len());
         growth.known_requests -= known;
         log.requests.extend(requests.into_iter().skip(known));
         self.index(from);
-        Ok(false)
+        Ok(())
+    }
+
+    /// Reads everything again, because the run was started afresh.
+    fn start_afresh(&mut self) -> Result<()> {
+        self.log = RunLog::read(&self.log.dir)?;
+        self.growth = Some(Growth { restarted: true, ..Growth::new(&self.log) });
+        self.sequences.clear();
+        self.timings.clear();
+        self.requests.clear();
+        self.index((0, 0, 0));
+        Ok(())
     }
 }
 
@@ -402,6 +432,7 @@ impl Growth {
     /// What the run folder of `log` gains; what `log` has is read again once, and left out.
     fn new(log: &RunLog) -> Self {
         Self {
+            restarted: false,
             episodes: JournalTail::new(RunFolder::episodes_of(&log.dir)),
             timings: JournalTail::new(RunFolder::timings_of(&log.dir)),
             requests: JournalTail::new(RunFolder::requests_of(&log.dir)),

@@ -9,7 +9,8 @@ use std::process::{Child, Command, Stdio};
 use llm::scripted::{Reaction, Server};
 use memtransfer_tests::browser::Browser;
 use memtransfer_tests::{
-    Bench, Ended, episodes, eventually, kill, needs, processes_with, program, records, sorted_log,
+    Bench, Ended, KilledOnDrop, episodes, eventually, kill, needs, processes_with, program,
+    records, sorted_log,
 };
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
@@ -210,7 +211,7 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
     assert!(sample["model_usage"]["mockllm/model"]["input_tokens"].as_u64().unwrap() > 100);
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
     let view = ["-m", "inspect_ai", "view", "start", "--host", "127.0.0.1", "--port", &port];
-    let mut view = start(&view);
+    let view = KilledOnDrop(start(&view));
     let address = format!("127.0.0.1:{port}");
     eventually("Inspect View", || TcpStream::connect(&address).ok());
     let mut browser = Browser::start(1200, 800);
@@ -219,9 +220,7 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
     let shows = |text: &str| format!("!!document.body?.innerText.includes({text:?})");
     browser.wait_for(&shows("Find a yellow fire extinguisher."));
     assert_eq!(browser.value(&shows("mockllm/model")), true);
-    drop(browser);
-    view.kill().unwrap();
-    view.wait().unwrap();
+    drop((browser, view));
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 

@@ -5,11 +5,10 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
-use std::process::Child;
 
 use domain::prompt_log::PromptLogEntry;
 use memtransfer_tests::browser::Browser;
-use memtransfer_tests::{Bench, Ended, eventually, kill, records};
+use memtransfer_tests::{Bench, Ended, KilledOnDrop, eventually, records};
 use results::log::RunLog;
 use serde_json::{Value, json};
 
@@ -453,7 +452,7 @@ fn every_text_of_a_run_that_is_read_at_all_is_shown_as_text() {
 
 /// `memtransfer view` as a server.
 struct Served {
-    child: Child,
+    _child: KilledOnDrop,
     url: String,
 }
 
@@ -462,7 +461,7 @@ impl Served {
         let mut child = bench.start(args);
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        Self { child, url: line.trim().to_owned() }
+        Self { _child: KilledOnDrop(child), url: line.trim().to_owned() }
     }
 
     fn host(&self) -> &str {
@@ -478,13 +477,6 @@ impl Served {
         stream.read_to_end(&mut answer).unwrap();
         let answer = String::from_utf8_lossy(&answer).into_owned();
         (answer.split(' ').nth(1).unwrap().parse().unwrap(), answer)
-    }
-}
-
-impl Drop for Served {
-    fn drop(&mut self) {
-        kill(self.child.id());
-        self.child.wait().unwrap();
     }
 }
 
