@@ -17,7 +17,7 @@ use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, RecvTimeoutError};
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use iceoryx2::node::{Node, NodeState};
@@ -96,8 +96,8 @@ pub fn default_base() -> PathBuf {
 pub struct RunDir {
     path: PathBuf,
     lock: File,
-    /// Ends the thread that removes segments without a size.
-    _sweeper: mpsc::Sender<()>,
+    /// Removes segments without a size; `None` in a simulation, which schedules all threads itself.
+    sweeper: Option<Sweeper>,
 }
 
 impl RunDir {
@@ -121,8 +121,9 @@ impl RunDir {
             let lock = File::create_new(&file)
                 .and_then(|lock| lock.lock_shared().map(|()| lock))
                 .map_err(system("cannot lock", &file))?;
-            let sweeper = start_sweeper(path.clone()).map_err(system("cannot watch", &path))?;
-            return Ok(Self { path, lock, _sweeper: sweeper });
+            let sweeper = (!clock::is_simulated()).then(|| Sweeper::start(path.clone()));
+            let sweeper = sweeper.transpose().map_err(system("cannot watch", &path))?;
+            return Ok(Self { path, lock, sweeper });
         }
     }
 
@@ -166,6 +167,7 @@ impl RunDir {
 
 impl Drop for RunDir {
     fn drop(&mut self) {
+        self.sweeper = None;
         match self.remove() {
             Ok(true) => {}
             Ok(false) => tracing::warn!(
@@ -315,18 +317,35 @@ fn has_living_node(run: &Path) -> bool {
     alive
 }
 
-/// Starts the thread that removes segments of the run in `root` that stay without a size, until the returned sender is
-/// dropped.
-fn start_sweeper(root: PathBuf) -> io::Result<mpsc::Sender<()>> {
-    let (sender, ended) = mpsc::channel();
-    thread::Builder::new().name("sweeper".to_owned()).spawn(move || {
-        while ended.recv_timeout(SWEEP_INTERVAL) == Err(RecvTimeoutError::Timeout) {
-            if let Err(error) = remove_unfinished(&root) {
-                tracing::warn!(%error, "shared memory cannot be searched for segments without a size");
+/// A thread that removes the segments of a run that stay without a size. Dropping it ends the thread.
+#[derive(Debug)]
+struct Sweeper {
+    stop: Option<mpsc::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Sweeper {
+    /// Starts the thread for the run in `root`.
+    fn start(root: PathBuf) -> io::Result<Self> {
+        let (stop, stopped) = mpsc::channel();
+        let thread = thread::Builder::new().name("sweeper".to_owned()).spawn(move || {
+            while stopped.recv_timeout(SWEEP_INTERVAL) == Err(RecvTimeoutError::Timeout) {
+                if let Err(error) = remove_unfinished(&root) {
+                    tracing::warn!(%error, "shared memory cannot be searched for segments without a size");
+                }
             }
+        })?;
+        Ok(Self { stop: Some(stop), thread: Some(thread) })
+    }
+}
+
+impl Drop for Sweeper {
+    fn drop(&mut self) {
+        self.stop = None;
+        if self.thread.take().is_some_and(|thread| thread.join().is_err()) {
+            tracing::warn!("the thread that removes segments without a size panicked");
         }
-    })?;
-    Ok(sender)
+    }
 }
 
 /// Removes the segments of the run in `root` that have no size and that no process has open.
