@@ -21,7 +21,7 @@ fn script(name: &str) -> String {
 pub fn command(bench: &Bench, args: &[&str], memories: &[String]) -> Command {
     let mut command = bench.command(args);
     command.args(memories.iter().flat_map(|memory| ["--memory-cmd", memory]));
-    command.env("PYTHONPATH", repository("python")).env("PYTHONDONTWRITEBYTECODE", "1");
+    command.env("PYTHONPATH", repository("python"));
     command
 }
 

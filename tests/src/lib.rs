@@ -16,7 +16,7 @@ use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::sync::{Mutex, MutexGuard};
+use std::sync::{Condvar, Mutex};
 use std::time::{Duration, Instant};
 
 use shm_types::ATTACH_VARIABLE;
@@ -25,8 +25,31 @@ use tempfile::TempDir;
 /// How long one run of the program may take before it is killed.
 pub const WATCHDOG: Duration = Duration::from_secs(300);
 
-/// Tests that start processes run one at a time, since each uses all cores.
-static MACHINE: Mutex<()> = Mutex::new(());
+/// How many tests start processes at a time. One uses two thirds of two cores: it also waits.
+const AT_A_TIME: usize = 2;
+
+/// The right to start processes, held until it is dropped.
+struct Turn;
+
+static TURNS: (Mutex<usize>, Condvar) = (Mutex::new(AT_A_TIME), Condvar::new());
+
+impl Turn {
+    fn wait() -> Self {
+        let (left, freed) = &TURNS;
+        let left = left.lock().expect("no test panics meanwhile");
+        let mut left = freed.wait_while(left, |left| *left == 0).expect("no test panics meanwhile");
+        *left -= 1;
+        Self
+    }
+}
+
+impl Drop for Turn {
+    fn drop(&mut self) {
+        let (left, freed) = &TURNS;
+        *left.lock().expect("no test panics meanwhile") += 1;
+        freed.notify_one();
+    }
+}
 
 /// The path of the program `name`, which was built beside the running test or program.
 pub fn program(name: &str) -> PathBuf {
@@ -55,16 +78,16 @@ pub struct Bench {
     pub folder: TempDir,
     /// Where live runs are registered. The path is short because it is part of socket names.
     pub registry: TempDir,
-    _machine: MutexGuard<'static, ()>,
+    _turn: Turn,
 }
 
 impl Bench {
-    /// New empty folders; waits until no other test uses the machine.
+    /// New empty folders; waits for a turn.
     pub fn new() -> Self {
-        let machine = MACHINE.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let turn = Turn::wait();
         let folder = tempfile::tempdir().expect("a folder");
         let registry = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").expect("a folder");
-        Self { folder, registry, _machine: machine }
+        Self { folder, registry, _turn: turn }
     }
 
     /// The command `memtransfer` with `args`.

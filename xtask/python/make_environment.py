@@ -29,7 +29,7 @@ def main(output, requirements, wheels):
     install = [sys.executable, "-m", "pip", "install", "--target", packages]
     install += ["--require-hashes", "--no-deps", "--only-binary", ":all:", "--find-links", wheels]
     install += ["--no-cache-dir", "--no-input", "--disable-pip-version-check", "--quiet"]
-    # Bytecode comes with the first import of what is used; packages of the machine are not in play.
+    # Python writes bytecode when something is imported first; packages of the machine are not in play.
     install += ["--no-compile", "--no-warn-conflicts"]
     install += ["--retries", "2", "--requirement", requirements]
     # What pip leaves when it is killed goes where set-up cleans up.

@@ -1,6 +1,6 @@
 //! `test`: sets up and builds at the same time, runs every test, and prints a line of totals.
 //!
-//! Cargo runs test binaries one after another. Tests that start several processes are serial within their binary.
+//! Cargo runs test binaries one after another. Two tests that start processes run at a time.
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::Stdio;

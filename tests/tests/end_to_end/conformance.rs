@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::process::Command;
+use std::sync::Mutex;
 
 use memtransfer_tests::{Bench, needs, program, records, repository};
 use serde_json::Value;
@@ -176,14 +177,18 @@ fn a_memory_without_faults_conforms() {
 
 /// Checks processes with one fault each: the check that fails, and what happened.
 fn check_faults(bench: &Bench, role: &str, faults: &[(&str, &str, &str)]) {
-    // They mostly wait.
-    for together in faults.chunks(4) {
-        std::thread::scope(|scope| {
-            for &(fault, check, happened) in together {
-                scope.spawn(move || check_fault(bench, role, fault, check, happened));
-            }
-        });
-    }
+    let remaining = Mutex::new(faults.iter());
+    let next = || remaining.lock().unwrap().next();
+    std::thread::scope(|scope| {
+        // They mostly wait.
+        for _ in 0..8 {
+            scope.spawn(|| {
+                while let Some((fault, check, happened)) = next() {
+                    check_fault(bench, role, fault, check, happened);
+                }
+            });
+        }
+    });
 }
 
 fn check_fault(bench: &Bench, role: &str, fault: &str, check: &str, happened: &str) {

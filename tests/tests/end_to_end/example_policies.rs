@@ -8,8 +8,7 @@ fn run_script(bench: &Bench, script: &str, package: &str) -> Vec<serde_json::Val
     let mut command = bench.command(&["run", "--suite", "quick", "--limit", "10", "--out", "out"]);
     command
         .args(["--memory", "working,full-context,episodic", "--policy-cmd", &policy])
-        .env("PYTHONPATH", package)
-        .env("PYTHONDONTWRITEBYTECODE", "1");
+        .env("PYTHONPATH", package);
     Ended::of(command.spawn().unwrap()).expect(0);
     let records = records(&bench.out("out"));
     assert_eq!(records.len(), 60);

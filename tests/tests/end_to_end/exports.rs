@@ -39,7 +39,6 @@ fn every_format_is_read_by_the_programs_it_is_for() {
     let python = Command::new(needs::exports_python())
         .arg(repository("tests/python/read_exports.py"))
         .args([bench.out("r"), bench.out("x")])
-        .env("PYTHONDONTWRITEBYTECODE", "1")
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())

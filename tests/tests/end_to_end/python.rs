@@ -37,8 +37,6 @@ fn start_python(args: &[&str], variables: &[(&str, &str)]) -> Child {
         .args(args)
         .current_dir(package())
         .env("PYTHONPATH", package())
-        // Write no bytecode into the tree.
-        .env("PYTHONDONTWRITEBYTECODE", "1")
         .env_remove("MEMTRANSFER_ATTACH")
         .envs(variables.iter().copied())
         .stdin(Stdio::null())
@@ -67,7 +65,7 @@ fn slice(bench: &Bench, out: &str, policy: &str, more: &[&str]) -> Command {
     args.extend(["--out", out]);
     args.extend(more);
     let mut command = bench.command(&args);
-    command.env("PYTHONPATH", package()).env("PYTHONDONTWRITEBYTECODE", "1");
+    command.env("PYTHONPATH", package());
     command
 }
 
@@ -149,7 +147,6 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
             .args(args)
             .current_dir(bench.folder.path())
             .env("PYTHONPATH", &place)
-            .env("PYTHONDONTWRITEBYTECODE", "1")
             .env("PATH", path)
             .env("MEMTRANSFER_RUN_DIR", bench.registry.path())
             .env("MEMTRANSFER_MAX_STEPS", "5")
@@ -233,7 +230,7 @@ fn export_and_open(python: &Path, flags: &[(&str, &str)], opener: &str) {
     args.extend(["--starts", "original,new", "--memory", "working,full-context"]);
     args.extend(["--frame-size", "64", "--max-steps", "20", "--lanes", "4", "--out", "run"]);
     let mut command = bench.command(&args);
-    command.env("PYTHONPATH", package()).env("PYTHONDONTWRITEBYTECODE", "1");
+    command.env("PYTHONPATH", package());
     finish(command).expect(0);
     let run = bench.out("run").display().to_string();
     let call = |args: &[&str]| {
@@ -242,7 +239,6 @@ fn export_and_open(python: &Path, flags: &[(&str, &str)], opener: &str) {
             .args(args)
             .current_dir(bench.folder.path())
             .env("PYTHONPATH", package())
-            .env("PYTHONDONTWRITEBYTECODE", "1")
             .env("MINARI_DATASETS_PATH", bench.out("minari"))
             .env("HF_HOME", bench.out("hugging-face"))
             .env("HF_HUB_OFFLINE", "1")
@@ -296,7 +292,7 @@ fn the_gymnasium_environment_shows_what_a_run_shows() {
         args.extend(["--routes", route, "--memory", "working", "--frame-size", "128"]);
         args.extend(["--max-steps", "60", "--backend", "cpu", "--out", case]);
         let mut command = bench.command(&args);
-        command.env("PYTHONPATH", package()).env("PYTHONDONTWRITEBYTECODE", "1");
+        command.env("PYTHONPATH", package());
         finish(command).expect(0);
         assert_eq!(fs::read_to_string(compared).unwrap(), "60", "{case}");
     }
@@ -622,7 +618,7 @@ fn the_random_example_conforms_to_the_wire() {
     let bench = Bench::new();
     let random = script("examples/random_policy.py", "");
     let mut command = bench.command(&["conformance", "--policy-cmd", &random]);
-    command.env("PYTHONPATH", package()).env("PYTHONDONTWRITEBYTECODE", "1");
+    command.env("PYTHONPATH", package());
     finish(command).expect(0);
 }
 

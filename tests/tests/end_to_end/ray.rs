@@ -37,7 +37,6 @@ fn nodes_that_are_lost_and_added_do_not_change_the_log() {
         // Ray's files, and units that are being executed.
         .env("TMPDIR", ray.path())
         .env("PYTHONPATH", &package)
-        .env("PYTHONDONTWRITEBYTECODE", "1")
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());
