@@ -206,8 +206,7 @@ memtransfer.runPage = (current) => {
 
 /**
  * Asks the server what `run` has added, until the returned function is called. Drawing a large grid takes long, on the cores that
- * the run needs: while it goes on, the page draws for at most 1/300 of the time. The browser's other processes need about twice
- * as much again to paint what was drawn.
+ * the run needs: while it goes on, the page draws for at most 1/300 of the time.
  */
 memtransfer.follow = (run, live, grown) => {
   const { h } = memtransfer;
