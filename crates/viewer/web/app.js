@@ -54,8 +54,18 @@ const memtransfer = (() => {
     return `#${new URLSearchParams(entries)}`;
   }
 
-  /** Changes the address without another entry in the history, and without showing the page again. */
-  const note = (values) => history.replaceState(null, "", address(values));
+  // What `show` or `note` has last seen in the address.
+  let noted = "";
+
+  /**
+   * Changes the address without another entry in the history, and without showing the page again. An address that has
+   * been opened and is not shown yet stays: its `hashchange` is on its way.
+   */
+  function note(values) {
+    if (location.hash !== noted) return;
+    history.replaceState(null, "", address(values));
+    noted = location.hash;
+  }
 
   const runs = [];
   let served = false;
@@ -85,6 +95,7 @@ const memtransfer = (() => {
   async function show() {
     navigation += 1;
     const ours = navigation;
+    noted = location.hash;
     leave();
     leave = () => {};
     const current = state();

@@ -167,14 +167,26 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
 
     // On a phone nothing is wider than the page.
     browser.resize(390, 800);
+    let key = browser.value("encodeURIComponent(memtransfer.runs[0].episodes[0][0])");
+    let key = key.as_str().unwrap();
     for state in ["#run=1", "#page=episode&run=1&key=", "#page=episode&run=2&key="] {
-        let key = browser.value("encodeURIComponent(memtransfer.runs[0].episodes[0][0])");
-        let key = if state.ends_with('=') { key.as_str().unwrap() } else { "" };
+        let key = if state.ends_with('=') { key } else { "" };
         browser.open(&format!("{url}{state}{key}"));
-        browser.wait_for("document.querySelector('h1') !== null");
+        let shown = if state.ends_with('=') {
+            EPISODE
+        } else {
+            "document.querySelector('td a.mark') !== null"
+        };
+        browser.wait_for(shown);
         let overflow = "document.documentElement.scrollWidth <= 390";
         assert_eq!(browser.value(overflow), true, "{state}");
     }
+    // What the old page still does has no effect on a new address.
+    browser.open(&format!("{url}#page=episode&run=1&key={key}"));
+    browser.wait_for(EPISODE);
+    let opened = "(() => { location.hash = '#run=2'; document.querySelector('.transport input').dispatchEvent(new Event('input')); return location.hash; })()";
+    assert_eq!(browser.value(opened), "#run=2");
+    browser.wait_for("document.querySelector('h1').textContent === 'b'");
     // An address of nothing says so.
     browser.open(&format!("{url}#page=episode&run=1&key=nothing"));
     browser.wait_for("document.querySelector('[role=alert]') !== null");
