@@ -16,7 +16,7 @@ from memtransfer.trajectories import Trajectory
 TIMELINE = "step"
 
 _FLOOR, _SHELF, _CLOSED = (235, 235, 235), (120, 120, 120), (200, 40, 40)
-_PATH, _REFERENCE, _TARGET = (30, 100, 220), (150, 190, 150), (220, 150, 0)
+_PATH, _REFERENCE, _TARGET, _AGENT = (30, 100, 220), (150, 190, 150), (220, 150, 0), (210, 30, 90)
 _NORTH_EAST_SOUTH_WEST = np.array([(0, -1), (1, 0), (0, 1), (-1, 0)])
 
 
@@ -98,6 +98,7 @@ def _log(rr: Any, pillow: Any, stream: Any, selected: Selected, trajectory: Traj
     stream.log(at("map", "targets"), targets, static=True)
     path = centres(trajectory.poses[:, :2])
     vectors = 0.8 * _NORTH_EAST_SOUTH_WEST[trajectory.poses[:, 2]]
+    stream.log(at("map", "agent"), rr.Arrows2D.from_fields(colors=[_AGENT], radii=[0.2]), static=True)
     by_step(at("map", "agent"), rr.Arrows2D.columns(origins=path, vectors=vectors))
     for step in range(len(path)):
         stream.set_time(TIMELINE, sequence=step)

@@ -1,6 +1,7 @@
 //! What `memtransfer export` writes, read by the programs it is for.
 
 use std::fs;
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use memtransfer_tests::browser::Browser;
@@ -20,6 +21,19 @@ const MEMORIES: &str = "working,episodic";
 fn export(bench: &Bench, format: &str, out: &str, more: &[&str]) -> Ended {
     let args = ["export", "r", "--format", format, "--out", out];
     bench.run(&[&args[..], more].concat())
+}
+
+/// Checks that Rerun's viewer opens `file` and draws the views whose paths end so.
+pub(crate) fn is_shown_in_rerun(python: &Path, file: &Path, views: &[&str]) {
+    let viewer = Command::new(python)
+        .arg(repository("tests/python/open_in_rerun.py"))
+        .arg(file)
+        .args(views)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn();
+    Ended::of(viewer.unwrap()).expect(0);
 }
 
 #[test]
@@ -44,6 +58,7 @@ fn every_format_is_read_by_the_programs_it_is_for() {
         .stderr(Stdio::piped())
         .spawn();
     Ended::of(python.unwrap()).expect(0);
+    is_shown_in_rerun(&needs::exports_python(), &bench.out("x/all.mcap"), &["/camera", "/"]);
 
     // The same log gives the same files.
     let first = fs::read(bench.out("x/all.mcap")).unwrap();
