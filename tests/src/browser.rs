@@ -43,6 +43,8 @@ impl Browser {
             .arg(needs::chromium())
             .args(["--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run"])
             .args(["--remote-debugging-pipe", "--disable-dev-shm-usage"])
+            .args(["--disable-background-networking", "--disable-component-update"])
+            .arg("--disable-sync")
             .arg(format!("--window-size={width},{height}"))
             .arg(format!("--user-data-dir={}", profile.path().display()))
             .stdin(Stdio::null())

@@ -15,6 +15,8 @@ use memtransfer_tests::{
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
+use crate::exports::is_shown_in_rerun;
+
 /// The package's folder, with the extension that `cargo xtask test` builds.
 fn package() -> PathBuf {
     let package = Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -107,8 +109,7 @@ fn the_package_is_typed() {
     python(&["-m", "mypy", "--cache-dir", cache.to_str().unwrap(), "memtransfer"], &[]).expect(0);
 }
 
-/// Installs the package into `place` as `pip install ./python` does, but without the network: maturin is among the
-/// tests' packages.
+/// Installs the package into `place` as `pip install ./python` does, but with the maturin among the tests' packages.
 fn install(place: &Path) {
     let mut args = vec!["-m", "pip", "install", "--quiet", "--disable-pip-version-check"];
     args.extend(["--no-index", "--no-deps", "--no-build-isolation", "--no-compile", "--target"]);
@@ -116,7 +117,7 @@ fn install(place: &Path) {
     let packages = python(&["-c", "import maturin; print(maturin.__path__[0])"], &[]).expect(0);
     let maturin = Path::new(packages.stdout.trim()).with_file_name("bin");
     let path = format!("{}:{}", maturin.display(), std::env::var("PATH").unwrap());
-    python(&args, &[("PATH", &path), ("CARGO_NET_OFFLINE", "true")]).expect(0);
+    python(&args, &[("PATH", &path)]).expect(0);
 }
 
 #[test]
@@ -223,7 +224,7 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
 
 /// Runs `export` with `flags` and then the script that opens what it wrote, for four episodes of a
 /// case and its demonstration.
-fn export_and_open(python: &Path, flags: &[(&str, &str)], opener: &str) {
+fn export_and_open(python: &Path, flags: &[(&str, &str)], opener: &str) -> Bench {
     let bench = Bench::new();
     let policy = scripted("every_answer");
     let mut args = vec!["run", "--policy-cmd", &policy, "--cases", "t01-01"];
@@ -257,6 +258,7 @@ fn export_and_open(python: &Path, flags: &[(&str, &str)], opener: &str) {
     let mut open = vec![opener.to_str().unwrap(), &run];
     open.extend(flags.iter().map(|(_, place)| place));
     call(&open).expect(0);
+    bench
 }
 
 #[test]
@@ -266,7 +268,10 @@ fn data_sets_are_opened_by_the_readers_of_their_formats() {
         ("--rrd", "out/test.rrd"),
         ("--croissant", "out/tables"),
     ];
-    export_and_open(&needs::datasets_python(), &flags, "open_datasets.py");
+    let python = needs::datasets_python();
+    let bench = export_and_open(&python, &flags, "open_datasets.py");
+    let views = ["/camera", "/map", "/events", "/pose"];
+    is_shown_in_rerun(&python, &bench.out("out/test.rrd"), &views);
 }
 
 #[test]
