@@ -68,7 +68,8 @@ memtransfer.runPage = (current) => {
   const grid = h("div", { class: "grid", role: "region", "aria-label": "Episodes", tabindex: "0" });
   const head = h("thead", {});
   const body = h("tbody", {});
-  const table = h("table", {}, h("caption", { class: "hidden" }, "Outcome of each episode: cases by conditions"), head, body);
+  // Arrow keys are the grid's own: with this role, screen readers pass them on.
+  const table = h("table", { role: "grid" }, h("caption", { class: "hidden" }, "Outcome of each episode: cases by conditions"), head, body);
   const nothing = h("p", {}, "No episode fits these filters.");
   // Rows that are drawn, by case, and what they were drawn for: a row is drawn again when its case has more episodes.
   const drawn = new Map();
@@ -97,7 +98,8 @@ memtransfer.runPage = (current) => {
     const heading = ({ memory, rest, index }) => {
       const ofCondition = all.filter((episode) => episode.condition === index);
       const successes = ofCondition.filter((episode) => episode.outcome === 0).length;
-      return h("th", { scope: "col" }, h("span", { class: "memory" }, memory), h("span", { class: "rest" }, rest.split("/").join(" ")),
+      const pause = () => h("span", { class: "hidden" }, ", ");
+      return h("th", { scope: "col" }, h("span", { class: "memory" }, memory), pause(), h("span", { class: "rest" }, rest.split("/").join(" ")), pause(),
         h("span", { class: "rate" }, `${successes}/${ofCondition.length}`));
     };
     const cell = (row, { index }) => h("td", {}, row.shown.filter((episode) => episode.condition === index).map((episode) => {
@@ -124,7 +126,7 @@ memtransfer.runPage = (current) => {
       const known = drawn.get(row.index);
       if (!known || known.size !== row.ofCase.length) {
         const element = h("tr", {},
-          h("th", { scope: "row" }, h("span", { class: "case" }, row.info.id), h("span", { class: "instruction", title: row.info.instruction }, row.info.instruction), pair(row)),
+          h("th", { scope: "row" }, h("span", { class: "case" }, row.info.id), " ", h("span", { class: "instruction", title: row.info.instruction }, row.info.instruction), pair(row)),
           conditions.map((condition) => cell(row, condition)));
         if (known) known.element.replaceWith(element);
         drawn.set(row.index, { element, size: row.ofCase.length });
@@ -172,7 +174,7 @@ memtransfer.runPage = (current) => {
     select("group", "Tasks", [["", "all"], ...run.groups.map((group) => [group, group])]),
     select("outcome", "Outcome", outcomes),
     select("a", "Disagreement between", conditionOptions),
-    select("b", "and", conditionOptions),
+    select("b", "and the condition", conditionOptions),
     select("sort", "Sort by", [["", "case"], ["failures", "most failures"], ["steps", "most steps"]]),
     h("a", { class: "button", href: address({ run: filters.run }) }, "Clear"));
 
