@@ -8,7 +8,7 @@ use memtransfer_tests::Ended;
 
 use crate::report::Report;
 use crate::runs::Sandbox;
-use crate::{Extent, Random};
+use crate::{Extent, Outcome, Random, execute};
 
 const TITLE: &str = "Kills and failing calls at every point of the protocol";
 const TEXT: &str = "A library that is loaded into every process of a run lists the calls that read or change a file, shared memory or a \
@@ -69,8 +69,8 @@ impl fmt::Display for Cell {
 
 pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
     let mut report = Report::new(TITLE, TEXT);
-    let mut sandbox = Sandbox::new()?;
-    let calls = calls(&mut sandbox)?;
+    let mut sandboxes = Sandbox::several(extent.jobs)?;
+    let calls = calls(&mut sandboxes[0])?;
     let mut cells = match &extent.cell {
         Some(text) => vec![Cell::parse(text)?],
         None => cells(&calls),
@@ -86,24 +86,13 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
         cells.truncate(QUICK);
     }
     let all = cells.len();
-    for (index, cell) in cells.into_iter().enumerate() {
-        if extent.is_over(&report) {
-            break;
-        }
+    let kinds = ["cells", "cells whose point was not reached"];
+    let cells = cells.into_iter().enumerate();
+    Ok(execute(extent, report, (kinds, u64::MAX), sandboxes, cells, |sandbox, (index, cell)| {
+        eprintln!("{} of {all}: {cell}", index + 1);
         let what = cell.to_string();
-        eprintln!("{} of {all}: {what}", index + 1);
-        let outcome = disturb(&mut sandbox, &cell);
-        report.add("cells", 1.0);
-        match outcome {
-            Ok(true) => report.fault(&cell.class),
-            Ok(false) => report.add("cells whose point was not reached", 1.0),
-            Err(violation) => {
-                report.fault(&cell.class);
-                report.outcome(&what, Err(violation));
-            }
-        }
-    }
-    Ok(report)
+        Outcome { what, took_place: disturb(sandbox, &cell), class: cell.class }
+    }))
 }
 
 /// The calls of each program in an undisturbed run, and how often one process makes each.

@@ -12,7 +12,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::report::Report;
 use crate::runs::{Run, Sandbox};
-use crate::{Extent, Random};
+use crate::{Extent, Outcome, Random, execute};
 
 const TITLE: &str = "Kills at random moments";
 const TEXT: &str = "Short runs, each disturbed once at a random moment. The run, or the same command again, must end with the log of an \
@@ -54,12 +54,26 @@ enum Disturbance {
     SecondRun,
 }
 
+/// One run with one disturbance.
+struct Trial {
+    disturbance: Disturbance,
+    role: &'static str,
+    program: &'static str,
+    /// The moment, as a share of the time that an undisturbed run takes.
+    moment: f64,
+}
+
 pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
-    let mut report = Report::new(TITLE, TEXT);
-    let mut sandbox = Sandbox::new()?;
+    let sandboxes = Sandbox::several(extent.jobs)?;
+    let episodes = sandboxes[0].episodes();
     let mut random = Random::new(extent.seed);
-    let mut turn = 0;
-    while report.faults() < WHOLE && !extent.is_over(&report) {
+    // A quick drill has a kill of each process and two of the disturbances that do not wait for a time limit.
+    let (first, rest) = if extent.is_quick {
+        (0..VICTIMS.len(), 5 * VICTIMS.len()..5 * VICTIMS.len() + 2)
+    } else {
+        (0..usize::MAX, 0..0)
+    };
+    let trials = first.chain(rest).map(|turn| {
         let (role, program) = VICTIMS[turn % VICTIMS.len()];
         let disturbance = match (turn / VICTIMS.len()) % 6 {
             3 => Disturbance::StopAndContinue,
@@ -70,35 +84,22 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
             },
             _ => Disturbance::Kill,
         };
-        turn += 1;
-        // A quick drill has a kill of each process and two of the disturbances that do not wait for a time limit.
-        if extent.is_quick && turn == VICTIMS.len() {
-            turn = 5 * VICTIMS.len();
-        }
-        if extent.is_quick && turn > 5 * VICTIMS.len() + 2 {
-            break;
-        }
         // Also shortly after the end of an undisturbed run: runs that are disturbed, or listed, take longer.
-        let moment = random.fraction() * 1.1 * sandbox.usual;
-        let what = format!("{} at {moment:.3} s, seed {}", class(disturbance, role), extent.seed);
-        let outcome =
-            disturb(&mut sandbox, disturbance, (role, program), Duration::from_secs_f64(moment));
-        report.add("runs", 1.0);
-        match outcome {
-            Ok(true) => report.fault(&class(disturbance, role)),
-            Ok(false) => report.add("runs over before the disturbance", 1.0),
-            Err(violation) => {
-                report.fault(&class(disturbance, role));
-                report.outcome(&what, Err(violation));
-            }
+        Trial { disturbance, role, program, moment: random.fraction() * 1.1 }
+    });
+    let kinds = ["runs", "runs over before the disturbance"];
+    let report = Report::new(TITLE, TEXT);
+    let mut report = execute(extent, report, (kinds, WHOLE), sandboxes, trials, |sandbox, trial| {
+        let moment = trial.moment * sandbox.usual;
+        let class = class(trial.disturbance, trial.role);
+        Outcome {
+            what: format!("{class} at {moment:.3} s, seed {}", extent.seed),
+            class,
+            took_place: disturb(sandbox, &trial, Duration::from_secs_f64(moment)),
         }
-    }
-    report.add("episodes", report_episodes(&report, &sandbox));
+    });
+    report.add("episodes", report.faults() as f64 * episodes as f64);
     Ok(report)
-}
-
-fn report_episodes(report: &Report, sandbox: &Sandbox) -> f64 {
-    report.faults() as f64 * sandbox.episodes() as f64
 }
 
 fn class(disturbance: Disturbance, role: &str) -> String {
@@ -113,12 +114,8 @@ fn class(disturbance: Disturbance, role: &str) -> String {
 }
 
 /// Executes a run with one disturbance. Returns whether it took place before the run was over.
-fn disturb(
-    sandbox: &mut Sandbox,
-    disturbance: Disturbance,
-    (role, program): (&str, &str),
-    moment: Duration,
-) -> Result<bool, String> {
+fn disturb(sandbox: &mut Sandbox, trial: &Trial, moment: Duration) -> Result<bool, String> {
+    let &Trial { disturbance, role, program, .. } = trial;
     let mut run = sandbox.run();
     if role == EXTERNAL_POLICY {
         run.make_policy_external();
@@ -132,9 +129,14 @@ fn disturb(
         return kill_parent(sandbox, &run, moment);
     }
     let mut child = sandbox.start(&run, &[])?;
-    thread::sleep(moment);
     let has_ended = |child: &mut Child| child.try_wait().is_ok_and(|status| status.is_some());
+    let began = Instant::now();
+    while began.elapsed() < moment && !has_ended(&mut child) {
+        thread::sleep(Duration::from_millis(2));
+    }
     if has_ended(&mut child) {
+        // Other runs at a time make this one faster or slower than the first was.
+        sandbox.usual = 0.8 * sandbox.usual + 0.2 * began.elapsed().as_secs_f64();
         sandbox.check_recovery(&run, &Ended::of(child), false)?;
         return Ok(false);
     }

@@ -1,7 +1,8 @@
 //! Drills of real processes: short runs that are disturbed on purpose, and must end with the log of an undisturbed one.
 //!
-//! `drill-processes grid|kills|disk|soak [--quick] [--seed N] [--minutes M] [--episodes N] [--cell CELL] --json FILE`.
-//! `cargo xtask drill` starts it. `--cell` repeats one cell of the grid, as a violation names it.
+//! `drill-processes grid|kills|disk|soak [--quick] [--seed N] [--minutes M] [--jobs N] [--episodes N] [--cell CELL] --json
+//! FILE`. `cargo xtask drill` starts it. `--cell` repeats one cell of the grid, as a violation names it; `--jobs` is how many
+//! runs `grid` and `kills` have at a time, which wait much and compute little.
 //! Exit status: 0 no violation, 1 violations, 2 error.
 
 mod disk;
@@ -13,8 +14,11 @@ mod soak;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Mutex;
+use std::thread;
 
 use report::Report;
+use runs::Sandbox;
 
 /// No new disturbance begins in a quick drill after so many minutes.
 const QUICK_MINUTES: f64 = 1.0;
@@ -26,6 +30,8 @@ pub(crate) struct Extent {
     seed: u64,
     /// Ends the drill after so many minutes, if it is not done before.
     minutes: f64,
+    /// Runs at a time.
+    jobs: u32,
     /// Episodes of the soak.
     episodes: u32,
     /// The only cell of the grid.
@@ -42,6 +48,54 @@ impl Extent {
         }
         report.seconds() > self.minutes * 60.0
     }
+}
+
+/// What a trial did, and whether its disturbance took place before the run was over; or what it violated.
+pub(crate) struct Outcome {
+    what: String,
+    class: String,
+    took_place: Result<bool, String>,
+}
+
+/// Executes `trials`, one in each sandbox at a time, until all are done, `most` faults took place or time is over. `kinds`
+/// names the figures of all trials, and of those whose disturbance did not take place.
+pub(crate) fn execute<T>(
+    extent: &Extent,
+    report: Report,
+    (kinds, most): ([&str; 2], u64),
+    sandboxes: Vec<Sandbox>,
+    trials: impl Iterator<Item = T> + Send,
+    execute: impl Fn(&mut Sandbox, T) -> Outcome + Sync,
+) -> Report {
+    let next = Mutex::new((report, trials));
+    let lock = || next.lock().expect("no thread panics");
+    let next_trial = || {
+        let (report, trials) = &mut *lock();
+        let is_over = report.faults() >= most || extent.is_over(report);
+        if is_over { None } else { trials.next() }
+    };
+    let (execute, next_trial) = (&execute, &next_trial);
+    thread::scope(|scope| {
+        for mut sandbox in sandboxes {
+            scope.spawn(move || {
+                while let Some(trial) = next_trial() {
+                    let Outcome { what, class, took_place } = execute(&mut sandbox, trial);
+                    let (report, _) = &mut *lock();
+                    let [all, not_reached] = kinds;
+                    report.add(all, 1.0);
+                    match took_place {
+                        Ok(false) => report.add(not_reached, 1.0),
+                        Ok(true) => report.fault(&class),
+                        Err(violation) => {
+                            report.fault(&class);
+                            report.outcome(&what, Err(violation));
+                        }
+                    }
+                }
+            });
+        }
+    });
+    next.into_inner().expect("no thread panics").0
 }
 
 fn main() -> ExitCode {
@@ -63,6 +117,7 @@ fn run() -> Result<bool, String> {
         is_quick: false,
         seed: 1,
         minutes: 600.0,
+        jobs: 1,
         episodes: 100_000,
         cell: None,
         json: PathBuf::from("/dev/null"),
@@ -85,6 +140,7 @@ fn run() -> Result<bool, String> {
             "--json" => extent.json = value.into(),
             "--seed" => extent.seed = value.parse().map_err(|_| wrong())?,
             "--minutes" => extent.minutes = value.parse().map_err(|_| wrong())?,
+            "--jobs" => extent.jobs = value.parse().ok().filter(|jobs| *jobs > 0).ok_or_else(wrong)?,
             "--episodes" => extent.episodes = value.parse().map_err(|_| wrong())?,
             "--cell" => extent.cell = Some(value),
             _ => return Err(format!("unknown flag {flag}")),

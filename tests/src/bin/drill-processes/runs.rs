@@ -6,6 +6,7 @@ use std::io;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use memtransfer_tests::{Ended, kill, processes_of, program, shared_memory_of, sorted_log};
@@ -47,9 +48,18 @@ impl Run {
 }
 
 impl Sandbox {
+    /// As many as told, made at the same time: how long an undisturbed run takes depends on the others.
+    pub(crate) fn several(count: u32) -> Result<Vec<Self>, String> {
+        thread::scope(|scope| {
+            let made: Vec<_> =
+                (0..count).map(|number| scope.spawn(move || Self::new(number))).collect();
+            made.into_iter().map(|made| made.join().expect("no thread panics")).collect()
+        })
+    }
+
     /// New folders, and an undisturbed run in them.
-    pub(crate) fn new() -> Result<Self, String> {
-        let folder = PathBuf::from(format!("/tmp/mtd{}", std::process::id()));
+    pub(crate) fn new(number: u32) -> Result<Self, String> {
+        let folder = PathBuf::from(format!("/tmp/mtd{}{number:02}", std::process::id()));
         let mut sandbox = Self { folder, runs: 0, reference: Vec::new(), usual: 0.0 };
         sandbox
             .prepare()
@@ -220,7 +230,7 @@ impl Sandbox {
                 left.into_iter().for_each(kill);
                 return Err(format!("processes go on: {}", named.join("; ")));
             }
-            std::thread::sleep(Duration::from_millis(5));
+            thread::sleep(Duration::from_millis(5));
         }
     }
 
