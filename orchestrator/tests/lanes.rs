@@ -182,6 +182,7 @@ fn the_log_says_whose_demonstration_each_match_is_of() {
                 trace.sources[0] = RecalledSource {
                     case: case as u32,
                     demonstration: start as u16,
+                    distance: if of.step == 2 { f32::NAN } else { 0.25 * of.step as f32 },
                     first: 7,
                     steps: 1,
                     ..Zeroable::zeroed()
@@ -197,6 +198,8 @@ fn the_log_says_whose_demonstration_each_match_is_of() {
             .mixed(mixture)
             .map(|History { case, start }| format!("{}:{}7", cases.cases[case].id, start.letter()));
         assert_eq!(record.retrieved, Some(format!("o7 p7 {one} {two} -")));
+        assert_eq!(record.distances.as_deref(), Some("0 0.25 - 0.75 -"));
+        assert_eq!(record.distance, Some(0.333_333));
     }
 }
 

@@ -68,6 +68,8 @@ struct McapStep<'a> {
     sub_goals_met: usize,
     sub_goals: u32,
     sources: Vec<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    distances: Option<&'a str>,
 }
 
 #[derive(Serialize)]
@@ -161,6 +163,7 @@ fn step_schema() -> Value {
             ("sub_goals_met", "integer"),
             ("sub_goals", "integer"),
             ("sources", "strings"),
+            ("distances", "string"),
         ],
     )
 }
@@ -206,6 +209,7 @@ impl EpisodeSink for McapRecording {
         let mut events = events.iter().peekable();
         let retrieved = record.retrieved.as_deref().unwrap_or_default();
         let mut words = retrieved.split_whitespace();
+        let mut distances = record.distances.as_deref().unwrap_or_default().split_whitespace();
         let mut actions = record.actions.chars();
         for ((step, &(pose, feedback)), view) in (0..).zip(&moments.poses).zip(&moments.views) {
             let at = self.instant(step);
@@ -225,6 +229,7 @@ impl EpisodeSink for McapRecording {
                 sub_goals_met: record.sub_goals.iter().filter(|met| **met <= step).count(),
                 sub_goals: record.required,
                 sources: supplied.iter().map(SourceStep::in_words).collect(),
+                distances: distances.next(),
             };
             self.file.message(self.channels.step, at.ns, &serde_json::to_vec(&data)?);
             while let Some((_, level, words)) = events.next_if(|(happened, ..)| *happened <= step) {

@@ -1,4 +1,4 @@
-//! Where an item of memory comes from, as the column `retrieved` of the log writes it.
+//! Where an item of memory comes from, and its distance, as the columns `retrieved` and `distances` of the log write it.
 
 use std::str::FromStr;
 
@@ -28,6 +28,18 @@ pub enum SourceStep {
 /// The sources of one request: a word of the column. Empty for `-`. A part that cannot be read is left out.
 pub fn sources(word: &str) -> Vec<SourceStep> {
     word.split('+').filter_map(|part| part.parse().ok()).collect()
+}
+
+/// How `distances` writes a distance; NaN is one that the memory does not tell.
+pub fn distance_word(distance: f32) -> String {
+    let rounded = (f64::from(distance) * 1e4).round() / 1e4;
+    // Without the sign of a negative zero.
+    if rounded.is_finite() { (rounded + 0.0).to_string() } else { "-".to_owned() }
+}
+
+/// The distances of the sources of one request: a word of `distances`.
+pub fn distances(word: &str) -> Vec<Option<f64>> {
+    word.split('+').map(|part| part.parse().ok().filter(|one: &f64| one.is_finite())).collect()
 }
 
 /// A text that is not a source.

@@ -39,6 +39,8 @@ pub struct ShownStep {
     pub action: Option<&'static str>,
     /// The retrieval, as the log writes it: `o12`, `t03-07:o4`, `-`. Absent where nothing is retrieved.
     pub retrieved: Option<String>,
+    /// The distances, as the log writes them. Absent where none is known.
+    pub distances: Option<String>,
     /// The entry of the prompt log; absent where there is none.
     pub prompt: Option<RecordedPrompt>,
 }
@@ -86,7 +88,10 @@ pub fn look_up(log: &RunLog, record: &EpisodeRecord, step: u32) -> Result<ShownS
     }
     let (pose, feedback) = record.replay()[step as usize];
     let timings = log.timings.iter().find(|timings| timings.key == record.key);
-    let retrieved = record.retrieved.as_deref();
+    let word = |column: &Option<String>| {
+        let words = column.as_deref()?;
+        words.split_whitespace().nth(step as usize).map(str::to_owned)
+    };
     Ok(ShownStep {
         key: record.key.clone(),
         step,
@@ -94,9 +99,8 @@ pub fn look_up(log: &RunLog, record: &EpisodeRecord, step: u32) -> Result<ShownS
         pose,
         feedback: feedback.words(),
         action: action_at(record, step).map(Action::words),
-        retrieved: retrieved
-            .and_then(|words| words.split_whitespace().nth(step as usize))
-            .map(str::to_owned),
+        retrieved: word(&record.retrieved),
+        distances: word(&record.distances),
         prompt: timings
             .map(|timings| PromptLog::of(log).entry(timings, step))
             .transpose()?

@@ -61,12 +61,13 @@ memtransfer.EpisodeView = class {
       return [h("p", {}, known ? "Memory retrieved nothing for this step. It was built from:" : "The log has no sources for this memory. It was built from:"),
         h("ul", {}, episode.demonstrations.map((one, index) => h("li", {}, link(index), " ", one.stale && stale.cloneNode(true))))];
     }
-    return supplied.map(([index, at]) => {
+    return supplied.map(([index, at, distance]) => {
       const one = episode.demonstrations[index];
       const next = run.actions[one.actions[at]];
       return h("div", { class: "item" },
         one.views[at] && h("img", { src: run.views + one.views[at], alt: `View of ${one.title}, step ${at}`, width: 120, height: 120 }),
         h("div", {}, h("p", {}, link(index, at), " ", one.stale && stale.cloneNode(true)),
+          distance !== null && h("p", { class: "soft" }, `Distance to the view now: ${distance}.`),
           h("p", { class: "soft" }, next ? `There the next action is: ${next}.` : "There the demonstration ends."),
           one.episode && h("p", {}, h("a", { href: memtransfer.address({ page: "episode", run: memtransfer.runs.indexOf(run) + 1, key: one.episode, step: at }) }, "Open that episode"))));
     });

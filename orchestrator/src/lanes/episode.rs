@@ -9,6 +9,7 @@ use results::conditions::Route;
 use results::log::{
     BlockedRecord, Ending, EpisodeRecord, RecallTotals, Stages, StreamRecord, Unread,
 };
+use results::source::distance_word;
 use shm_types::message::{
     Decision, EXPERIENCE, EXTERNAL, FrameId, MemoryEpisodeConfig, NO_ACTION, NO_FRAME,
     NOT_MEASURED, Observation, PolicyEpisodeConfig, RecallTrace, RecalledSource, Role,
@@ -48,7 +49,11 @@ pub(super) struct ActiveEpisode {
     /// As [`EpisodeRecord::retrieved`].
     retrieved: String,
     has_matches: bool,
-    distances: Vec<f64>,
+    /// As [`EpisodeRecord::distances`].
+    distances: String,
+    has_distances: bool,
+    /// The first distance of each request that has one.
+    first_distances: Vec<f64>,
     /// Whether a source is stale, by case or position and by demonstration.
     stale: BTreeMap<(u32, u16), bool>,
     /// Memory's report that it has learned from the episode.
@@ -136,6 +141,7 @@ impl ActiveEpisode {
                 ..BlockedRecord::default()
             }),
             retrieved: None,
+            distances: None,
             distance: None,
             memory_items_dropped: 0,
             memory_images_dropped: 0,
@@ -181,7 +187,9 @@ impl ActiveEpisode {
             early: None,
             retrieved: String::new(),
             has_matches: false,
-            distances: Vec::new(),
+            distances: String::new(),
+            has_distances: false,
+            first_distances: Vec::new(),
             stale: BTreeMap::new(),
             snapshot: None,
             result: FinishedEpisode {
@@ -450,7 +458,7 @@ impl ActiveEpisode {
 
     /// The finished episode.
     pub(super) fn finish(self, context: &Context<'_>) -> FinishedEpisode {
-        let Self { mut result, events, retrieved, has_matches, distances, snapshot, .. } = self;
+        let Self { mut result, events, snapshot, first_distances, .. } = self;
         result.ended_ns = context.now_ns;
         if let Some((SnapshotReport { snapshot, store_bytes, .. }, stream)) =
             snapshot.zip(result.record.stream.as_mut())
@@ -464,11 +472,12 @@ impl ActiveEpisode {
         }
         result.record.visits = events.visits;
         result.record.first_seen = events.first_seen;
-        if !distances.is_empty() {
-            let mean = distances.iter().sum::<f64>() / distances.len() as f64;
+        if !first_distances.is_empty() {
+            let mean = first_distances.iter().sum::<f64>() / first_distances.len() as f64;
             result.record.distance = Some((mean * 1e6).round() / 1e6);
         }
-        result.record.retrieved = has_matches.then_some(retrieved);
+        result.record.retrieved = self.has_matches.then_some(self.retrieved);
+        result.record.distances = self.has_distances.then_some(self.distances);
         result
     }
 
@@ -537,13 +546,20 @@ impl ActiveEpisode {
             // Writing to a string cannot fail.
             let _ = write!(words, "{first}");
         }
-        if !self.retrieved.is_empty() {
-            self.retrieved.push(' ');
+        let told: Vec<String> =
+            sources.iter().map(|source| distance_word(source.distance)).collect();
+        for (words, word) in [(&mut self.retrieved, words), (&mut self.distances, told.join("+"))] {
+            if !words.is_empty() {
+                words.push(' ');
+            }
+            words.push_str(if word.is_empty() { "-" } else { &word });
         }
-        self.retrieved.push_str(if words.is_empty() { "-" } else { &words });
-        self.has_matches |= !words.is_empty();
+        self.has_matches |= !sources.is_empty();
         let distances = sources.iter().map(|source| f64::from(source.distance));
-        self.distances.extend(distances.filter(|distance| distance.is_finite()).take(1));
+        let mut distances = distances.filter(|distance| distance.is_finite());
+        let first = distances.next();
+        self.has_distances |= first.is_some();
+        self.first_distances.extend(first);
         Ok(())
     }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -116,8 +117,11 @@ def events(trajectory: Trajectory) -> list[tuple[int, str, str]]:
     column, row, _ = trajectory.poses[0].tolist()
     start = f"{trajectory.instruction} From column {column}, row {row}, facing {trajectory.headings[0].words}."
     found = [(0, "INFO", start)]
-    recalled = ((trajectory.record or {}).get("retrieved") or "").split()
-    found += [(step, "DEBUG", f"memory supplied {source}") for step, source in enumerate(recalled)]
+    record = trajectory.record or {}
+    sources, distances = ((record.get(column) or "").split() for column in ("retrieved", "distances"))
+    for step, (source, distance) in enumerate(zip_longest(sources, distances, fillvalue="-")):
+        told = "" if distance == "-" else f", distance {distance}"
+        found.append((step, "DEBUG", f"memory supplied {source}{told}"))
     for step, (action, feedback) in enumerate(zip(trajectory.actions, trajectory.feedback[1:]), 1):
         if action is None:
             found.append((step, "WARN", "no action could be read"))

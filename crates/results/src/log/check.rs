@@ -119,6 +119,12 @@ impl EpisodeRecord {
         let tried = self.tried_closed_at.is_none_or(|at| self.blocked_moves.contains(&at));
         let tried = tried && self.tried_closed_at.is_some() == (self.tried_closed == Some(true));
         ensure(tried, || "\"tried_closed_at\" is not one of \"blocked_moves\"".to_owned())?;
+        let shape = |words: &str| words.split(' ').map(|word| word.split('+').count()).collect();
+        let retrieved: Option<Vec<usize>> = self.retrieved.as_deref().map(shape);
+        let distances: Option<Vec<usize>> = self.distances.as_deref().map(shape);
+        ensure(distances.is_none() || distances == retrieved, || {
+            "\"distances\" has not one for each source of \"retrieved\"".to_owned()
+        })?;
         ensure(self.requests.is_none_or(|requests| requests == steps), || {
             format!("{} requests, and {steps} steps", self.requests.unwrap_or(0))
         })
@@ -184,7 +190,7 @@ mod tests {
         for success in [true, false] {
             assert_eq!(record("t01-01", success).check(200), Ok(()));
         }
-        let edits: [fn(&mut EpisodeRecord); 12] = [
+        let edits: [fn(&mut EpisodeRecord); 13] = [
             |record| record.steps = 931,
             |record| record.case = "t01-02".to_owned(),
             |record| record.run = 2,
@@ -196,6 +202,10 @@ mod tests {
             |record| record.blocked_moves = vec![3],
             |record| record.tried_closed = Some(false),
             |record| record.requests = Some(9),
+            |record| {
+                record.retrieved = Some("o1+o2 -".to_owned());
+                record.distances = Some("0.5 -".to_owned());
+            },
             |record| {
                 let cell = record.start_pose.cell;
                 record.visits = vec![Visit { step: 3, requirement: Requirement::A, cell }];

@@ -125,6 +125,10 @@ pub struct EpisodeRecord {
     /// nothing was ever retrieved.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub retrieved: Option<String>,
+    /// The distance of each source of [`Self::retrieved`], in the same form: four decimals, `-` for one that the memory does
+    /// not tell, for example `0.0132+-`. Absent when it tells none.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub distances: Option<String>,
     /// Mean distance of the first match of each request that has one, rounded to millionths: the cosine distance for
     /// episodic memory, whatever an external memory says.
     #[serde(skip_serializing_if = "Option::is_none", default)]

@@ -137,6 +137,7 @@ pub fn record(case: &str, success: bool) -> EpisodeRecord {
         unread: Unread::default(),
         blocked: None,
         retrieved: None,
+        distances: None,
         distance: None,
         memory_items_dropped: 0,
         memory_images_dropped: 0,

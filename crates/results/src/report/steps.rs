@@ -1,6 +1,7 @@
 //! The flat table of steps: where the agent was, what it did, and what that cost.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::iter::repeat;
 
 use domain::{Action, Feedback, Pose};
 
@@ -17,6 +18,8 @@ struct StepRow<'a> {
     feedback: Feedback,
     /// Empty where nothing was retrieved.
     sources: Option<&'a str>,
+    /// Empty where none is known.
+    distances: Option<&'a str>,
     request: Option<&'a RequestRecord>,
 }
 
@@ -25,6 +28,12 @@ impl StepRow<'_> {
     fn action(&self) -> Option<Action> {
         Action::from_letter(self.record.actions.chars().nth(self.step as usize)?)
     }
+}
+
+/// The words of a column by request, without end; `None` for `-` and after the last.
+fn words(column: &Option<String>) -> impl Iterator<Item = Option<&str>> {
+    let words = column.as_deref().unwrap_or_default().split_whitespace();
+    words.map(|word| Some(word).filter(|word| *word != "-")).chain(repeat(None))
 }
 
 /// A row for each moment of the finished episodes of `log`: the start, and after every step. `docs/exports.md` describes
@@ -43,18 +52,20 @@ pub fn steps_frame(log: &RunLog) -> DataFrame {
         .episodes
         .iter()
         .flat_map(|record| {
-            let words: Vec<&str> =
-                record.retrieved.as_deref().unwrap_or_default().split_whitespace().collect();
+            let told = words(&record.retrieved).zip(words(&record.distances));
             let (name, requests) = (&name, &requests);
-            (0..).zip(record.replay()).map(move |(step, (pose, feedback))| StepRow {
-                log: name,
-                record,
-                step,
-                pose,
-                feedback,
-                sources: words.get(step as usize).copied().filter(|word| *word != "-"),
-                request: requests.get(&(record.key.as_str(), step)).copied(),
-            })
+            (0..).zip(record.replay()).zip(told).map(
+                move |((step, (pose, feedback)), (sources, distances))| StepRow {
+                    log: name,
+                    record,
+                    step,
+                    pose,
+                    feedback,
+                    sources,
+                    distances,
+                    request: requests.get(&(record.key.as_str(), step)).copied(),
+                },
+            )
         })
         .collect();
     let mut frame = FrameBuilder::new(&rows);
@@ -79,6 +90,7 @@ pub fn steps_frame(log: &RunLog) -> DataFrame {
         Some(row.record.tried_closed_at == Some(row.step))
     });
     frame.text("sources", |row| row.sources.map(str::to_owned));
+    frame.text("distances", |row| row.distances.map(str::to_owned));
     frame.text("outcome", |row| Some(row.request?.outcome.word().to_owned()));
     type Count = fn(&RequestRecord) -> Option<u64>;
     let counts: [(&str, Count); 5] = [
@@ -108,18 +120,19 @@ mod tests {
         (one.actions, one.steps) = ("fR?f".to_owned(), 4);
         (one.blocked_moves, one.sub_goals) = (vec![4], vec![1]);
         one.retrieved = Some("o3 - n1+o2 o4".to_owned());
+        one.distances = Some("0.0132 - 0+- -".to_owned());
         (one.tried_closed, one.tried_closed_at) = (Some(true), Some(4));
         let mut csv = Vec::new();
         steps_frame(&log(vec![one])).write_csv(&mut csv).unwrap();
         let text =
             String::from_utf8(csv).unwrap().replace("episodic/original/unchanged/original/", "");
         insta::assert_snapshot!(text, @"
-        log,key,memory,case,run,step,x,y,heading,feedback,action,is_last,sub_goals_met,sub_goals,tried_closed,sources,outcome,latency_us,images,prompt_tokens,completion_tokens,memory_tokens
-        run,run1/t01-01,episodic,t01-01,1,0,5,0,N,The episode has just begun.,move forward,false,0,1,false,o3,,,,,,
-        run,run1/t01-01,episodic,t01-01,1,1,5,1,N,You moved.,turn right,false,1,1,false,,,,,,,
-        run,run1/t01-01,episodic,t01-01,1,2,5,1,E,You turned.,,false,1,1,false,n1+o2,,,,,,
-        run,run1/t01-01,episodic,t01-01,1,3,5,1,E,Your last answer was not understood: you did not move.,move forward,false,1,1,false,o4,,,,,,
-        run,run1/t01-01,episodic,t01-01,1,4,5,1,E,Something blocks the way: you did not move.,,true,1,1,true,,,,,,,
+        log,key,memory,case,run,step,x,y,heading,feedback,action,is_last,sub_goals_met,sub_goals,tried_closed,sources,distances,outcome,latency_us,images,prompt_tokens,completion_tokens,memory_tokens
+        run,run1/t01-01,episodic,t01-01,1,0,5,0,N,The episode has just begun.,move forward,false,0,1,false,o3,0.0132,,,,,,
+        run,run1/t01-01,episodic,t01-01,1,1,5,1,N,You moved.,turn right,false,1,1,false,,,,,,,,
+        run,run1/t01-01,episodic,t01-01,1,2,5,1,E,You turned.,,false,1,1,false,n1+o2,0+-,,,,,,
+        run,run1/t01-01,episodic,t01-01,1,3,5,1,E,Your last answer was not understood: you did not move.,move forward,false,1,1,false,o4,,,,,,,
+        run,run1/t01-01,episodic,t01-01,1,4,5,1,E,Something blocks the way: you did not move.,,true,1,1,true,,,,,,,,
         ");
     }
 }

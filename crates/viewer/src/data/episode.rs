@@ -1,6 +1,7 @@
 //! The data of an episode's page.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::iter::{repeat, repeat_with};
 
 use anyhow::Result;
 use domain::{Arm, Cell, Pose};
@@ -9,7 +10,7 @@ use results::events::Requirement;
 use results::key::EpisodeKey;
 use results::log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
 use results::score::Failure;
-use results::source::{SourceStep, sources};
+use results::source::{SourceStep, distances, sources};
 use serde::Serialize;
 use warehouse::{History, Start, Trajectory, WorldState, sight};
 
@@ -72,11 +73,8 @@ pub struct EpisodeData {
     seen: Vec<Vec<u16>>,
     /// What memory was built from, as far as it is known.
     demonstrations: Vec<DemonstrationData>,
-    /// By step: what memory supplied for the next action, as an index into the demonstrations and a step in it. Empty where the
-    /// log has no sources.
-    supplied: Vec<Vec<(usize, u32)>>,
-    /// The mean distance of the first source.
-    distance: Option<f64>,
+    /// By step: what memory supplied for the next action. Empty where the log has no sources.
+    supplied: Vec<Vec<Supplied>>,
     /// What leads into a closed cell of what memory supplied when the agent tried to enter one.
     led: Option<LedData>,
     /// By step: the file of the view. Empty where there are none.
@@ -88,6 +86,9 @@ pub struct EpisodeData {
     /// Whether there is a file with its prompts.
     prompts: bool,
 }
+
+/// An index into the demonstrations, a step in that one, and the distance, where the memory tells it.
+type Supplied = (usize, u32, Option<f64>);
 
 /// Why the episode failed.
 #[derive(Debug, Serialize)]
@@ -251,7 +252,6 @@ impl EpisodeData {
             led: led(horizon, record, &state, &demonstrations, &supplied),
             demonstrations,
             supplied,
-            distance: record.distance,
             views: view_names(variant, &poses, false),
             facts: facts(record),
             stages: stages.unwrap_or_default(),
@@ -272,7 +272,7 @@ impl EpisodeData {
         let led = self.led.iter().map(|led| {
             (led.demonstration, led.from.unwrap_or_else(|| led.enters.saturating_sub(1)))
         });
-        let supplied = self.supplied.iter().flatten().copied();
+        let supplied = self.supplied.iter().flatten().map(|&(one, step, _)| (one, step));
         let beside = led.chain(supplied).flat_map(|(demonstration, step)| {
             (step..step + FILM).map(move |step| (demonstration, step as usize))
         });
@@ -331,29 +331,36 @@ impl Remembered<'_> {
         &mut self,
         case: usize,
         experience: impl Fn(u32) -> Option<&'r EpisodeRecord>,
-    ) -> Vec<Vec<(usize, u32)>> {
+    ) -> Vec<Vec<Supplied>> {
         if self.record.stream.is_none() {
             for history in self.world.cases.histories(case, self.record.demonstrations) {
                 self.demonstration(history.case, history.start, case);
             }
         }
-        let words = self.record.retrieved.as_deref().unwrap_or_default();
-        let of_step = |word: &str| {
-            let found = sources(word).into_iter().filter_map(|source| match source {
-                SourceStep::Demonstration { case: other, start, step } => {
-                    let index = match other {
-                        Some(id) => self.world.cases.index(&id)?,
-                        None => case,
-                    };
-                    Some((self.demonstration(index, start, case), step))
-                }
-                SourceStep::Experience { position, step } => {
-                    Some((self.episode(position, experience(position)?), step))
-                }
+        let record = self.record;
+        let Some(retrieved) = &record.retrieved else { return Vec::new() };
+        let told = record.distances.as_deref().unwrap_or_default().split(' ');
+        let told = told.map(distances).chain(repeat_with(Vec::new));
+        let of_step = |(word, told): (&str, Vec<Option<f64>>)| {
+            let told = told.into_iter().chain(repeat(None));
+            let found = sources(word).into_iter().zip(told).filter_map(|(source, told)| {
+                let (found, step) = match source {
+                    SourceStep::Demonstration { case: other, start, step } => {
+                        let index = match other {
+                            Some(id) => self.world.cases.index(&id)?,
+                            None => case,
+                        };
+                        (self.demonstration(index, start, case), step)
+                    }
+                    SourceStep::Experience { position, step } => {
+                        (self.episode(position, experience(position)?), step)
+                    }
+                };
+                Some((found, step, told))
             });
             found.collect()
         };
-        words.split_whitespace().map(of_step).collect()
+        retrieved.split(' ').zip(told).map(of_step).collect()
     }
 
     fn find(
@@ -437,7 +444,7 @@ fn led(
     record: &EpisodeRecord,
     state: &WorldState,
     demonstrations: &[DemonstrationData],
-    supplied: &[Vec<(usize, u32)>],
+    supplied: &[Vec<Supplied>],
 ) -> Option<LedData> {
     let tried_at = record.tried_closed_at? as usize;
     let enters = |demonstration: usize, from: u32, most: u32| {
@@ -453,7 +460,7 @@ fn led(
         return found.map(|(demonstration, enters)| LedData { demonstration, from: None, enters });
     }
     let sources = supplied.get(tried_at.checked_sub(1)?)?;
-    sources.iter().find_map(|&(demonstration, from)| {
+    sources.iter().find_map(|&(demonstration, from, _)| {
         let enters = enters(demonstration, from, horizon)?;
         Some(LedData { demonstration, from: Some(from), enters })
     })
@@ -527,6 +534,7 @@ mod tests {
         (record.start_pose, record.actions) = (case.test.start, "LR".to_owned());
         (record.steps, record.tried_closed_at) = (2, Some(2));
         record.retrieved = retrieved.map(str::to_owned);
+        record.distances = retrieved.map(|_| "- 0.0132".to_owned());
         let world = RunWorld::new(&log(Vec::new()), warehouse, cases).unwrap();
         let episode = LoggedEpisode {
             record: &record,
@@ -557,7 +565,7 @@ mod tests {
         let original =
             demonstrations.iter().position(|one| one["title"] == "original demonstration").unwrap();
         assert_eq!(shown["demonstrations"][original]["stale"], true);
-        assert_eq!(shown["supplied"], serde_json::json!([[], [[original, from]]]));
+        assert_eq!(shown["supplied"], serde_json::json!([[], [[original, from, 0.0132]]]));
         assert_eq!(shown["led"]["from"], from);
         assert_eq!(shown["led"]["enters"], entered);
         // Beyond the supplied steps, or without sources.

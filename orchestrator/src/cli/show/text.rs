@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use domain::prompt_log::{RecordedItem, RecordedPart, RecordedView};
 
-use results::source::{SourceStep, sources};
+use results::source::{SourceStep, distances, sources};
 use results::step_view::{RecordedPrompt, ShownStep, facts, title};
 
 /// Characters of a text that are printed; JSON has all.
@@ -26,7 +26,13 @@ pub(super) fn render(shown: &ShownStep) -> String {
     fact("Feedback", shown.feedback);
     fact("Action", shown.action.unwrap_or("none that could be read: the agent stayed"));
     if let Some(retrieved) = &shown.retrieved {
-        let words: Vec<String> = sources(retrieved).iter().map(SourceStep::in_words).collect();
+        let told = distances(shown.distances.as_deref().unwrap_or_default());
+        let told = told.into_iter().chain(std::iter::repeat(None));
+        let in_words = |(source, distance): (SourceStep, Option<f64>)| match distance {
+            Some(distance) => format!("{} (distance {distance})", source.in_words()),
+            None => source.in_words(),
+        };
+        let words: Vec<String> = sources(retrieved).into_iter().zip(told).map(in_words).collect();
         let words = words.join("; ");
         fact("Retrieved", if words.is_empty() { "nothing" } else { &words });
     }

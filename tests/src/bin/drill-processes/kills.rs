@@ -89,15 +89,16 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
     });
     let kinds = ["runs", "runs over before the disturbance"];
     let report = Report::new(TITLE, TEXT);
-    let mut report = execute(extent, report, (kinds, WHOLE), sandboxes, trials, |sandbox, trial| {
-        let moment = trial.moment * sandbox.usual;
-        let class = class(trial.disturbance, trial.role);
-        Outcome {
-            what: format!("{class} at {moment:.3} s, seed {}", extent.seed),
-            class,
-            took_place: disturb(sandbox, &trial, Duration::from_secs_f64(moment)),
-        }
-    });
+    let mut report =
+        execute(extent, report, (kinds, WHOLE), sandboxes, trials, |sandbox, trial| {
+            let moment = trial.moment * sandbox.usual;
+            let class = class(trial.disturbance, trial.role);
+            Outcome {
+                what: format!("{class} at {moment:.3} s, seed {}", extent.seed),
+                class,
+                took_place: disturb(sandbox, &trial, Duration::from_secs_f64(moment)),
+            }
+        });
     report.add("episodes", report.faults() as f64 * episodes as f64);
     Ok(report)
 }

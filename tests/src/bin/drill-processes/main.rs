@@ -140,7 +140,9 @@ fn run() -> Result<bool, String> {
             "--json" => extent.json = value.into(),
             "--seed" => extent.seed = value.parse().map_err(|_| wrong())?,
             "--minutes" => extent.minutes = value.parse().map_err(|_| wrong())?,
-            "--jobs" => extent.jobs = value.parse().ok().filter(|jobs| *jobs > 0).ok_or_else(wrong)?,
+            "--jobs" => {
+                extent.jobs = value.parse().ok().filter(|jobs| *jobs > 0).ok_or_else(wrong)?
+            }
             "--episodes" => extent.episodes = value.parse().map_err(|_| wrong())?,
             "--cell" => extent.cell = Some(value),
             _ => return Err(format!("unknown flag {flag}")),
