@@ -202,18 +202,26 @@ fn results(folder: &Path) -> anyhow::Result<Vec<DrillResults>> {
     Ok(all)
 }
 
-/// The page with these results in place of the earlier ones.
+/// The page with these results, each in place of the earlier one of its drill; those of other drills stay.
 fn with_results(page: &str, results: &[DrillResults]) -> anyhow::Result<String> {
     let parts = page
         .split_once(BEGIN)
-        .and_then(|(before, rest)| rest.split_once(END).map(|(_, after)| (before, after)));
-    let (before, after) =
+        .and_then(|(before, rest)| rest.split_once(END).map(|(old, after)| (before, old, after)));
+    let (before, earlier, after) =
         parts.with_context(|| format!("{PAGE} has no lines {BEGIN} and {END}"))?;
-    let mut text = String::new();
+    let earlier = earlier.split("\n### ").skip(1);
+    let earlier = earlier.map(|section| format!("### {}\n\n", section.trim_end_matches('\n')));
+    let mut sections: Vec<String> = earlier.collect();
     for result in results {
+        let mut text = String::new();
         write_result(&mut text, result)?;
+        let heading = format!("### {}\n", result.title);
+        match sections.iter_mut().find(|section| section.starts_with(&heading)) {
+            Some(section) => *section = text,
+            None => sections.push(text),
+        }
     }
-    Ok(format!("{before}{BEGIN}\n\n{text}{END}{after}"))
+    Ok(format!("{before}{BEGIN}\n\n{}{END}{after}", sections.concat()))
 }
 
 fn write_result(text: &mut String, result: &DrillResults) -> std::fmt::Result {
@@ -264,10 +272,11 @@ mod tests {
         let json = r#"{"title": "Kills", "command": "cargo xtask drill kills", "text": "Runs.",
             "faults": {"memory killed": 12}, "figures": {"runs": 3000, "minutes": 2.5}, "violations": []}"#;
         let results: DrillResults = serde_json::from_str(json).unwrap();
-        let page = format!("# Page\n{BEGIN}\nold\n{END}\nend\n");
+        let disk = "### Disk\n\nStays.\n\n";
+        let page = format!("# Page\n{BEGIN}\n\n{disk}### Kills\n\nold\n\n{END}\nend\n");
         let page = with_results(&page, &[results]).unwrap();
         let expected = format!(
-            "# Page\n{BEGIN}\n\n### Kills\n\nRuns.\n\n    cargo xtask drill kills\n\n| figure | |\n|---|---:|\n\
+            "# Page\n{BEGIN}\n\n{disk}### Kills\n\nRuns.\n\n    cargo xtask drill kills\n\n| figure | |\n|---|---:|\n\
              | minutes | 2.5 |\n| runs | 3,000 |\n\n| fault | times |\n|---|---:|\n| memory killed | 12 |\n\n\
              Violations: none.\n\n{END}\nend\n"
         );
@@ -278,6 +287,6 @@ mod tests {
     #[test]
     fn the_page_has_the_marks() {
         let page = include_str!("../../docs/reliability.md");
-        assert!(with_results(page, &[]).is_ok());
+        assert!(with_results(page, &[]).unwrap() == page);
     }
 }
