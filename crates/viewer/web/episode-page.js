@@ -67,7 +67,7 @@ memtransfer.EpisodeView = class {
       return h("div", { class: "item" },
         one.views[at] && h("img", { src: run.views + one.views[at], alt: `View of ${one.title}, step ${at}`, width: 120, height: 120 }),
         h("div", {}, h("p", {}, link(index, at), " ", one.stale && stale.cloneNode(true)),
-          distance !== null && h("p", { class: "soft" }, `Distance to the view now: ${distance}.`),
+          distance !== null && h("p", { class: "soft" }, `Distance: ${distance}.`),
           h("p", { class: "soft" }, next ? `There the next action is: ${next}.` : "There the demonstration ends."),
           one.episode && h("p", {}, h("a", { href: memtransfer.address({ page: "episode", run: memtransfer.runs.indexOf(run) + 1, key: one.episode, step: at }) }, "Open that episode"))));
     });

@@ -126,7 +126,7 @@ memtransfer.runPage = (current) => {
       const known = drawn.get(row.index);
       if (!known || known.size !== row.ofCase.length) {
         const element = h("tr", {},
-          h("th", { scope: "row" }, h("span", { class: "case" }, row.info.id), " ", h("span", { class: "instruction", title: row.info.instruction }, row.info.instruction), pair(row)),
+          h("th", { scope: "row" }, h("span", { class: "case" }, row.info.id), h("span", { class: "instruction", title: row.info.instruction }, row.info.instruction), pair(row)),
           conditions.map((condition) => cell(row, condition)));
         if (known) known.element.replaceWith(element);
         drawn.set(row.index, { element, size: row.ofCase.length });

@@ -131,7 +131,7 @@ def events(trajectory: Trajectory) -> list[tuple[int, str, str]]:
             found.append((step, "TRACE", action.words))
     for number, step in enumerate(trajectory.sub_goals, 1):
         found.append((step, "INFO", f"sub-goal {number} of {trajectory.required} completed"))
-    tried = (trajectory.record or {}).get("tried_closed_at")
+    tried = record.get("tried_closed_at")
     if tried is not None:
         found.append((tried, "WARN", "tried to enter the closed passage"))
     if trajectory.success:

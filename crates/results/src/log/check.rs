@@ -123,7 +123,7 @@ impl EpisodeRecord {
         let retrieved: Option<Vec<usize>> = self.retrieved.as_deref().map(shape);
         let distances: Option<Vec<usize>> = self.distances.as_deref().map(shape);
         ensure(distances.is_none() || distances == retrieved, || {
-            "\"distances\" has not one for each source of \"retrieved\"".to_owned()
+            "\"distances\" does not have one for each source of \"retrieved\"".to_owned()
         })?;
         ensure(self.requests.is_none_or(|requests| requests == steps), || {
             format!("{} requests, and {steps} steps", self.requests.unwrap_or(0))

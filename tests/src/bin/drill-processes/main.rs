@@ -65,7 +65,7 @@ pub(crate) fn execute<T>(
     (kinds, most): ([&str; 2], u64),
     sandboxes: Vec<Sandbox>,
     trials: impl Iterator<Item = T> + Send,
-    execute: impl Fn(&mut Sandbox, T) -> Outcome + Sync,
+    disturb: impl Fn(&mut Sandbox, T) -> Outcome + Sync,
 ) -> Report {
     let next = Mutex::new((report, trials));
     let lock = || next.lock().expect("no thread panics");
@@ -74,12 +74,12 @@ pub(crate) fn execute<T>(
         let is_over = report.faults() >= most || extent.is_over(report);
         if is_over { None } else { trials.next() }
     };
-    let (execute, next_trial) = (&execute, &next_trial);
+    let (disturb, next_trial) = (&disturb, &next_trial);
     thread::scope(|scope| {
         for mut sandbox in sandboxes {
             scope.spawn(move || {
                 while let Some(trial) = next_trial() {
-                    let Outcome { what, class, took_place } = execute(&mut sandbox, trial);
+                    let Outcome { what, class, took_place } = disturb(&mut sandbox, trial);
                     let (report, _) = &mut *lock();
                     let [all, not_reached] = kinds;
                     report.add(all, 1.0);
