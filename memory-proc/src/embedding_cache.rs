@@ -10,7 +10,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context, ensure};
 use redb::{
@@ -18,6 +18,7 @@ use redb::{
     TableDefinition, TableError,
 };
 use search::{ContentHash, Embedding};
+use shm_types::clock::Instant;
 
 /// Content hash to the embedding's numbers, little-endian.
 const EMBEDDINGS: TableDefinition<'_, &[u8; 16], &[u8]> = TableDefinition::new("embeddings");

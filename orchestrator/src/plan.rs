@@ -61,9 +61,8 @@ impl PlannedEpisode {
 
 /// The episodes of a run, in the order in which they are started.
 ///
-/// Run by run, case by case, the conditions of a case next to each other: so any beginning of the list
-/// is a fair sample of the whole (a running success rate and the time left mean something), and the
-/// views of a case are used while they are resident.
+/// Case by case, all runs and conditions of a case next to each other: so any beginning of the list is a fair comparison of
+/// conditions, and the views of a case are used while they are resident and belong to few [units](crate::units).
 ///
 /// Each condition comes with the number of its runs. `cases` are indices into `ids`, the ids of all cases.
 pub fn plan<'a>(
@@ -73,7 +72,7 @@ pub fn plan<'a>(
     master_seed: u64,
 ) -> impl Iterator<Item = PlannedEpisode> + 'a {
     let most_runs = conditions.iter().map(|(_, runs)| *runs).max().unwrap_or(0);
-    let places = (1..=most_runs).flat_map(|run| cases.iter().map(move |&case| (run, case)));
+    let places = cases.iter().flat_map(move |&case| (1..=most_runs).map(move |run| (run, case)));
     places.flat_map(move |(run, case_index)| {
         let repeated = conditions.iter().filter(move |(_, runs)| run <= *runs);
         repeated.map(move |&(condition, _)| {
@@ -213,7 +212,7 @@ mod tests {
         working/new/unchanged/none/run1/a
         episodic/original/unchanged/original/run1/a
         episodic/new/unchanged/original/run1/a
-        working/original/unchanged/none/run1/c
+        working/original/unchanged/none/run2/a
         ");
         assert_eq!((keys.len(), keys.iter().filter(|key| key.contains("/run2/")).count()), (14, 6));
         let (mut unique, mut seeds) = (keys, episodes.iter().map(|e| e.seed).collect::<Vec<_>>());

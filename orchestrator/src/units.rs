@@ -16,8 +16,8 @@ use serde::{Deserialize, Serialize};
 use crate::plan::PlannedEpisode;
 use crate::store::Shipment;
 
-/// Changes when programs that read the old plans cannot read the new ones.
-const FORMAT: u32 = 1;
+/// Changes when a plan means something else, such as other episodes of a unit.
+const FORMAT: u32 = 2;
 
 /// Episodes of a unit, where nothing is said.
 pub const UNIT_EPISODES: u32 = 500;

@@ -2,7 +2,8 @@
 //!
 //! - [`serve`]: the simulator's part in a run. [`worlds`] numbers the worlds, [`lanes`] executes commands, [`view_control`]
 //!   chooses the view to show, [`view_cache`] keeps track of resident views; all four are pure.
-//! - [`render_pool`]: worker threads that render beside the serve loop; [`render_workers`] opens them.
+//! - [`render_pool`]: worker threads that render beside the serve loop; [`render_workers`] opens them,
+//!   and [`view_folder`] shares their views with other processes.
 //! - [`renderer`]: poses in, pixels out, with two backends.
 //! - [`view_source`]: single views, outside a run.
 //! - [`serve_command`], [`render_command`] and [`views_command`]: the command line.
@@ -16,7 +17,7 @@ pub mod serve;
 pub mod serve_command;
 pub mod view_cache;
 pub mod view_control;
-mod view_folder;
+pub mod view_folder;
 pub mod view_source;
 pub mod views_command;
 mod wakeups;

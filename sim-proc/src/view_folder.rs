@@ -30,7 +30,7 @@ const UNUSED: Duration = Duration::from_secs(14 * 24 * 3600);
 
 /// A folder of views of one renderer.
 #[derive(Debug)]
-pub(crate) struct ViewFolder {
+pub struct ViewFolder {
     folder: PathBuf,
     /// Whether a file could not be written: then no other is tried.
     is_full: AtomicBool,
@@ -41,10 +41,11 @@ impl ViewFolder {
     ///
     /// # Errors
     /// When this program cannot be read, or the folder not be made.
-    pub(crate) fn open(root: &Path, worlds: &Worlds, settings: &RenderSettings) -> Result<Self> {
-        let program = fs::read("/proc/self/exe").context("cannot read this program")?;
+    pub fn open(root: &Path, worlds: &Worlds, settings: &RenderSettings) -> Result<Self> {
         let mut hasher = blake3::Hasher::new();
-        hasher.update(&program);
+        let program = fs::File::open("/proc/self/exe");
+        let hashed = program.and_then(|program| hasher.update_reader(program).map(|_| ()));
+        hashed.context("cannot read this program")?;
         let parts = format!("{:?} {:?}", worlds.halls(), settings);
         hasher.update(parts.as_bytes());
         let folder = root.join(&hasher.finalize().to_hex()[..2 * HASH]);
@@ -63,7 +64,7 @@ impl ViewFolder {
 
     /// Fills the slot of `task` from its file. Returns whether it is there and whole.
     fn read(&self, task: &mut RenderTask<'_>) -> bool {
-        let Ok(file) = fs::read(self.file(task)) else { return false };
+        let Ok(file) = durable::read(&self.file(task)) else { return false };
         let Some((header, packed)) = file.split_at_checked(HEADER) else { return false };
         let (expected, content) = header.split_at(HASH);
         let is_whole = checksum(content, packed) == expected
@@ -85,7 +86,8 @@ impl ViewFolder {
         file[HASH..HEADER].copy_from_slice(&content);
         let sum = checksum(&content, &file[HEADER..]);
         file[..HASH].copy_from_slice(&sum);
-        let written = fs::write(draft, &file).and_then(|()| fs::rename(draft, self.file(task)));
+        let written = durable::write_file(draft, &file)
+            .and_then(|()| durable::rename(draft, &self.file(task)));
         if let Err(error) = written {
             self.is_full.store(true, Relaxed);
             let folder = self.folder.display();
@@ -113,7 +115,7 @@ fn remove_unused(root: &Path) {
 }
 
 /// A render worker that looks for every view in a folder first, and keeps there what it has rendered.
-pub(crate) struct KeepingWorker {
+pub struct KeepingWorker {
     renderer: Box<dyn RenderWorker>,
     folder: Arc<ViewFolder>,
     /// The name of files that are being written: no other worker has it.
@@ -122,11 +124,7 @@ pub(crate) struct KeepingWorker {
 
 impl KeepingWorker {
     /// The worker number `number` of this process.
-    pub(crate) fn new(
-        renderer: Box<dyn RenderWorker>,
-        folder: Arc<ViewFolder>,
-        number: usize,
-    ) -> Self {
+    pub fn new(renderer: Box<dyn RenderWorker>, folder: Arc<ViewFolder>, number: usize) -> Self {
         let draft = folder.folder.join(format!("draft-{}-{number}", std::process::id()));
         Self { renderer, folder, draft }
     }

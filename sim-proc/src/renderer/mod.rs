@@ -30,7 +30,7 @@ mod tests;
 
 use anyhow::{Context, Result, bail, ensure};
 use png_file::RgbaImage;
-use raster::{FOG_RGB, PreparedView, Rasterizer};
+use raster::{FOG_RGB, Geometry, PreparedView, Rasterizer};
 use warehouse::{Layout, Warehouse};
 
 pub use contact_sheet::contact_sheet;
@@ -43,7 +43,8 @@ use visibility::{Triangles, draw_list};
 
 /// An open backend.
 enum OpenBackend {
-    Cpu(Box<Rasterizer>),
+    /// Opened by the first view: a process that finds all its views in a folder never draws.
+    Cpu(Option<Box<Rasterizer>>),
     Wgpu(Box<GpuBackend>),
 }
 
@@ -60,13 +61,11 @@ impl OpenBackend {
             (Some(Backend::Wgpu), None) => Some(gpu::open("")?),
             (None, None) => gpu::open_graphics_card()?,
         };
-        let geometry = &scene.geometry;
         Ok(match gpu {
-            Some(device) => Self::Wgpu(Box::new(GpuBackend::new(device, geometry, settings))),
-            None => {
-                let &RenderSettings { width_px, height_px, samples, .. } = settings;
-                Self::Cpu(Box::new(Rasterizer::new(geometry, width_px, height_px, samples)))
+            Some(device) => {
+                Self::Wgpu(Box::new(GpuBackend::new(device, &scene.geometry, settings)))
             }
+            None => Self::Cpu(None),
         })
     }
 }
@@ -191,10 +190,10 @@ impl Renderer {
     /// Draws with the vector instructions of `level`, if the CPU draws.
     #[cfg(test)]
     fn with_level(mut self, level: raster::Level) -> Self {
-        self.backend = match self.backend {
-            OpenBackend::Cpu(cpu) => OpenBackend::Cpu(Box::new(cpu.with_level(level))),
-            wgpu @ OpenBackend::Wgpu(_) => wgpu,
-        };
+        if let OpenBackend::Cpu(cpu) = &mut self.backend {
+            let opened = rasterizer(&self.visibility.scene().geometry, &self.settings);
+            *cpu = Some(Box::new(opened.with_level(level)));
+        }
         self
     }
 
@@ -228,6 +227,7 @@ impl Renderer {
             OpenBackend::Cpu(cpu) => {
                 let [r, g, b] = self.background.map(|channel| (channel * 255.0).round() as u8);
                 let background = u32::from_le_bytes([r, g, b, 255]);
+                let cpu = cpu.get_or_insert_with(|| Box::new(rasterizer(geometry, &self.settings)));
                 for (view, destination) in views.iter().zip(destinations) {
                     let pixels = &mut destination.bytes_mut()[..frame_bytes];
                     cpu.draw(geometry, view, background, pixels);
@@ -236,4 +236,9 @@ impl Renderer {
             }
         }
     }
+}
+
+fn rasterizer(geometry: &Geometry, settings: &RenderSettings) -> Rasterizer {
+    let &RenderSettings { width_px, height_px, samples, .. } = settings;
+    Rasterizer::new(geometry, width_px, height_px, samples)
 }

@@ -1,6 +1,6 @@
 //! The run folder as it is written: opened, locked, extended.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, HashSet};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -37,7 +37,8 @@ pub struct RunFolder {
     errors: Journal<EpisodeError>,
     sessions: Journal<SessionRecord>,
     latency: Journal<LatencyRecord>,
-    finished: BTreeSet<String>,
+    /// [`hash`]es of the keys of finished episodes.
+    finished: HashSet<u128>,
     /// Dropped last, after everything else is closed.
     _lock: File,
 }
@@ -125,7 +126,7 @@ impl RunFolder {
             errors,
             sessions,
             latency,
-            finished: finished.iter().map(|record| record.key.clone()).collect(),
+            finished: finished.iter().map(|record| hash(&record.key)).collect(),
             _lock: lock,
         };
         Ok(Opened { folder, finished, requests: asked, notes })
@@ -222,16 +223,6 @@ impl RunFolder {
         self.dir.join(LOGS_FOLDER).join(format!("{role}.log"))
     }
 
-    /// Whether the episode has finished.
-    pub fn is_finished(&self, key: &str) -> bool {
-        self.finished.contains(key)
-    }
-
-    /// The number of finished episodes.
-    pub fn count_finished(&self) -> u64 {
-        self.finished.len() as u64
-    }
-
     /// Records finished episodes; they survive any kill of the process. If a model was asked, or a memory has learned from
     /// one, requests and episodes are on the disk when this returns, otherwise some milliseconds later.
     ///
@@ -253,7 +244,7 @@ impl RunFolder {
             record.stream.as_ref().is_some_and(|stream| stream.snapshot.is_some())
         });
         for (record, _) in episodes {
-            assert!(self.finished.insert(record.key.clone()), "{} was run twice", record.key);
+            assert!(self.finished.insert(hash(&record.key)), "{} was run twice", record.key);
             self.episodes.append(record)?;
         }
         if cost || learned {
@@ -357,4 +348,10 @@ impl JournalOpener<'_> {
         self.notes.extend(lines);
         Ok((journal, contents.entries))
     }
+}
+
+/// The first 16 bytes of the BLAKE3 hash of a key: a run has many.
+fn hash(key: &str) -> u128 {
+    let hash = blake3::hash(key.as_bytes());
+    hash.as_bytes().first_chunk().copied().map_or(0, u128::from_le_bytes)
 }

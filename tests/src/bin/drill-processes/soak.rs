@@ -60,7 +60,7 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
         false => Size {
             cases: 100,
             repetitions: extent.episodes.div_ceil(100 * MEMORIES_AND_STARTS),
-            pause: Duration::from_secs(15),
+            pause: Duration::from_secs(2),
             progress: 100,
         },
     };

@@ -105,6 +105,20 @@ pub(crate) struct Undisturbed {
     pub(crate) log: Vec<String>,
 }
 
+/// When a process that could go on is interrupted.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Preemption {
+    /// Of 1,024 points, how many let the scheduler pick another process.
+    pub(crate) of_1024: u32,
+    /// None after so many points.
+    pub(crate) until: u64,
+}
+
+impl Preemption {
+    /// Never.
+    pub(crate) const NONE: Self = Self { of_1024: 0, until: 0 };
+}
+
 /// What a seed decides beside the order of events.
 pub(crate) struct Plan {
     /// The number of the scenario, below the number that there are.
@@ -112,8 +126,7 @@ pub(crate) struct Plan {
     pub(crate) lanes: u32,
     /// Frames beyond the least that the run needs.
     pub(crate) spare_frames: u32,
-    /// Of 1,024 points, how many let the scheduler pick another process.
-    pub(crate) preemption: u32,
+    pub(crate) preemption: Preemption,
     pub(crate) faults: Vec<Fault>,
 }
 
@@ -128,7 +141,8 @@ impl Plan {
         let processes = if has_external_memory { 5 } else { 4 };
         let lanes = 1 + below(4) as u32;
         let spare_frames = [0, 1, 4, 64][below(4) as usize];
-        let preemption = [2, 16, 128, 1024][below(4) as usize];
+        let of_1024 = [2, 16, 128, 1024][below(4) as usize];
+        let preemption = Preemption { of_1024, until: u64::MAX };
         let mut faults = Vec::new();
         for _ in 0..below(MOST_FAULTS + 1) {
             let process = |draw| match draw {

@@ -21,8 +21,9 @@ use shm_types::clock::monotonic_ns;
 use shm_types::message::{Role, WirePose};
 use shm_types::{ATTACH_VARIABLE, Attach, Bus};
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
-use sim_proc::renderer::VisibleChanges;
+use sim_proc::renderer::{RenderSettings, VisibleChanges};
 use sim_proc::serve::serve;
+use sim_proc::view_folder::{KeepingWorker, ViewFolder};
 use sim_proc::worlds::Worlds;
 use supervise::{Launch, Launcher, Process as Running};
 
@@ -47,6 +48,8 @@ pub(crate) struct Files {
     pub(crate) assets: PathBuf,
     pub(crate) streams: Option<PathBuf>,
     pub(crate) snapshots: Option<PathBuf>,
+    /// Embeddings and views of earlier sessions.
+    pub(crate) caches: PathBuf,
 }
 
 impl fmt::Debug for InProcess {
@@ -111,7 +114,8 @@ fn take_part(
     match role {
         Role::Sim => {
             let bus = Bus::join(Attach::read(&root)?, Role::Sim)?;
-            serve(&bus, worlds, false, || Ok(render_setup()))
+            let views = ViewFolder::open(&files.caches, &worlds, &RenderSettings::default())?;
+            serve(&bus, worlds, false, || Ok(render_setup(views)))
         }
         Role::Memory => {
             let settings = ServeSettings {
@@ -128,7 +132,8 @@ fn take_part(
             let bus = Bus::join(Attach::read(&settings.attach)?, Role::Memory)?;
             serve_with(&settings, &bus, |wake, _| {
                 let encoder = Encoder::on_caller(encoder_facts(), embed, move || wake());
-                Ok((Some(encoder), EmbeddingCache::in_memory()))
+                let cache = EmbeddingCache::open(&files.caches, &[0; 32], DIMENSION)?;
+                Ok((Some(encoder), cache))
             })
         }
         Role::Policy => Ok(peer::serve(&mut DigestPolicy { plant }, &root)?),
@@ -137,9 +142,10 @@ fn take_part(
     }
 }
 
-fn render_setup() -> RenderSetup {
+fn render_setup(views: ViewFolder) -> RenderSetup {
+    let worker = KeepingWorker::new(Box::new(PatternWorker), Arc::new(views), 0);
     RenderSetup {
-        workers: vec![Box::new(PatternWorker)],
+        workers: vec![Box::new(worker)],
         on_serve_thread: true,
         batch_views: 1,
         find_changes: Box::new(|view| VisibleChanges {

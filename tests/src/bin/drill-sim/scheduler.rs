@@ -23,7 +23,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use shm_types::clock::{Simulation, Waiter};
 
-use crate::faults::{Damage, Fault, Process, Trouble};
+use crate::faults::{Damage, Fault, Preemption, Process, Trouble};
 
 /// When the clock of a trial begins.
 const START_NS: u64 = 1_000_000_000;
@@ -99,8 +99,7 @@ struct State {
     running: usize,
     now_ns: u64,
     draws: ChaCha8Rng,
-    /// Of 1,024 points, how many let the scheduler pick another process.
-    preemption: u32,
+    preemption: Preemption,
     /// Points passed so far, and operations on files.
     steps: u64,
     operations: u64,
@@ -158,10 +157,10 @@ pub(crate) struct Account {
 }
 
 impl Scheduler {
-    /// A scheduler that draws from `seed`; `preemption` of 1,024 points let it pick another process.
+    /// A scheduler that draws from `seed`.
     pub(crate) fn new(
         seed: u64,
-        preemption: u32,
+        preemption: Preemption,
         faults: Vec<Fault>,
         most_steps: u64,
     ) -> Arc<Self> {
@@ -305,7 +304,8 @@ impl Scheduler {
         state.fire();
         let task = &state.tasks[me];
         let must = task.is_doomed || task.stalled_until_ns > state.now_ns;
-        if must || state.draw(1024) < state.preemption.into() {
+        let Preemption { of_1024, until } = state.preemption;
+        if must || (state.draw(1024) < of_1024.into() && state.steps <= until) {
             self.yield_turn(state, me);
         }
     }

@@ -19,6 +19,8 @@ use orchestrator::progress::ProgressDisplay;
 use orchestrator::session::RunSession;
 use orchestrator::status::EpisodeCounts;
 use orchestrator::streams::Remaining;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
 use results::log::{Opened, RunFolder, RunLog, SessionEvent, SessionRecord, read_journal};
 use results::settings::RunSettings;
 use shm_types::RunDir;
@@ -37,6 +39,9 @@ const MOST_STEPS: u64 = 3_000_000;
 /// Sessions after which a run counts as one that never ends.
 const MOST_SESSIONS: usize = 24;
 
+/// Bytes that a disk writes at once.
+const SECTOR: usize = 512;
+
 /// The journal of sessions in a run folder.
 const SESSIONS_FILE: &str = "sessions.jsonl";
 
@@ -49,6 +54,11 @@ pub(crate) struct Place {
 }
 
 impl Place {
+    /// The embeddings and views that the sessions of a trial share.
+    fn caches(&self) -> PathBuf {
+        self.folder.join("caches")
+    }
+
     /// Runs that are registered, and the shared memory of the runs called `names`.
     fn leftovers(&self, names: &[String]) -> Result<Vec<String>> {
         let mut left = memtransfer_tests::shared_memory_of(names);
@@ -87,8 +97,11 @@ pub(crate) fn execute(
     expected: Option<&[String]>,
 ) -> Result<Outcome> {
     let out = place.folder.join("run");
-    if out.exists() {
-        fs::remove_dir_all(&out)?;
+    let caches = place.caches();
+    for folder in [&out, &caches] {
+        if folder.exists() {
+            fs::remove_dir_all(folder)?;
+        }
     }
     let scheduler = Scheduler::new(seed, plan.preemption, plan.faults.clone(), MOST_STEPS);
     let settings = RunSettings { out: out.clone(), lanes: plan.lanes, ..scenario.settings.clone() };
@@ -126,6 +139,7 @@ pub(crate) fn execute(
             Ended::Killed => {
                 if scheduler.take_power_failure() {
                     lose_last_lines(&out, &scheduler, lengths, seed)?;
+                    damage_files(&caches, &mut ChaCha8Rng::seed_from_u64(seed))?;
                 }
             }
             Ended::Panicked(why) => violations.push(format!("the orchestrator panicked: {why}")),
@@ -209,6 +223,7 @@ fn session(
                 assets: scenario.assets.clone(),
                 streams: streams.map(|_| RunFolder::streams_of(folder.dir())),
                 snapshots: streams.map(|_| RunFolder::snapshots_of(folder.dir())),
+                caches: place.caches(),
             },
             plant,
         }),
@@ -321,6 +336,33 @@ fn lose_last_lines(
         let kept = last.max(length).max(flushed).min(text.len());
         let lost = (seed >> shift) as usize % (text.len() - kept + 1);
         fs::write(&path, &text[..text.len() - lost])?;
+    }
+    Ok(())
+}
+
+/// Damages half of the files in `folder` as a disk does that loses its power: some are cut off, some have a sector of other
+/// bytes.
+fn damage_files(folder: &Path, draws: &mut ChaCha8Rng) -> Result<()> {
+    let entries = fs::read_dir(folder)?.map(|entry| entry.map(|entry| entry.path()));
+    let mut paths = entries.collect::<Result<Vec<_>, _>>()?;
+    paths.sort();
+    for path in paths {
+        if path.is_dir() {
+            damage_files(&path, draws)?;
+            continue;
+        }
+        let mut bytes = fs::read(&path)?;
+        let [kind, at] = [(); 2].map(|()| draws.next_u64());
+        let at = at as usize % bytes.len().max(1);
+        match kind % 4 {
+            0 => bytes.truncate(at),
+            1 => {
+                let end = bytes.len().min(at + SECTOR);
+                draws.fill_bytes(&mut bytes[at..end]);
+            }
+            _ => continue,
+        }
+        fs::write(&path, &bytes)?;
     }
     Ok(())
 }
