@@ -1,9 +1,5 @@
 //! Drills of real processes: short runs that are disturbed on purpose, and must end with the log of an undisturbed one.
-//!
-//! `drill-processes grid|kills|disk|soak [--quick] [--seed N] [--minutes M] [--jobs N] [--episodes N] [--cell CELL] --json
-//! FILE`. `cargo xtask drill` starts it. `--cell` repeats one cell of the grid, as a violation names it; `--jobs` is how many
-//! runs `grid` and `kills` have at a time, which wait much and compute little.
-//! Exit status: 0 no violation, 1 violations, 2 error.
+//! `cargo xtask drill` starts it.
 
 mod disk;
 mod grid;
@@ -17,26 +13,62 @@ use std::process::ExitCode;
 use std::sync::Mutex;
 use std::thread;
 
+use clap::{Parser, ValueEnum};
 use report::Report;
 use runs::Sandbox;
 
 /// No new disturbance begins in a quick drill after so many minutes.
 const QUICK_MINUTES: f64 = 1.0;
 
-/// How much a drill does, and where it writes what it finds.
+/// Disturb short runs on purpose; each must end with the log of an undisturbed one
+///
+/// Exit status: 0 no violation, 1 violations, 2 error.
+#[derive(Debug, Parser)]
+struct Arguments {
+    /// What is disturbed
+    drill: DrillName,
+    #[command(flatten)]
+    extent: Extent,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum DrillName {
+    /// A process is killed before and after each call that matters, or the call fails
+    Grid,
+    /// Kills and stops at random moments
+    Kills,
+    /// Full, read-only and foreign disks, full shared memory, little memory
+    Disk,
+    /// One long run with kills, in which nothing may grow
+    Soak,
+}
+
+/// How much a drill does.
+#[derive(Debug, clap::Args)]
 pub(crate) struct Extent {
-    /// A small part, in about 20 seconds.
+    /// A small part, in about 20 seconds
+    #[arg(long = "quick")]
     is_quick: bool,
+    /// The seed of what is drawn
+    #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
-    /// Ends the drill after so many minutes, if it is not done before.
+    /// End after so many minutes, if it is not done before
+    #[arg(long, value_name = "M", default_value_t = 600.0)]
     minutes: f64,
-    /// Runs at a time.
+    /// Runs of `grid` and `kills` at a time; they wait much and compute little
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=64))]
     jobs: u32,
-    /// Episodes of the soak.
+    /// Episodes of `soak`
+    #[arg(long, value_name = "N", default_value_t = 100_000)]
     episodes: u32,
-    /// The only cell of the grid.
+    /// The only cell of `grid`, as a violation names it
+    #[arg(long, value_name = "CELL")]
     cell: Option<String>,
+    /// Write what was found as JSON, also while the drill goes on
+    #[arg(long, value_name = "FILE", default_value = "/dev/null")]
     json: PathBuf,
+    /// The command that repeats the drill, for the report.
+    #[arg(skip)]
     command: String,
 }
 
@@ -46,7 +78,8 @@ impl Extent {
         if let Err(error) = report.write(&self.json, &self.command) {
             eprintln!("{error}");
         }
-        report.seconds() > self.minutes * 60.0
+        let minutes = if self.is_quick { self.minutes.min(QUICK_MINUTES) } else { self.minutes };
+        report.seconds() > minutes * 60.0
     }
 }
 
@@ -111,55 +144,30 @@ fn main() -> ExitCode {
 
 /// Returns whether no violation was found.
 fn run() -> Result<bool, String> {
-    let mut arguments = std::env::args().skip(1);
-    let drill = arguments.next().unwrap_or_default();
-    let mut extent = Extent {
-        is_quick: false,
-        seed: 1,
-        minutes: 600.0,
-        jobs: 1,
-        episodes: 100_000,
-        cell: None,
-        json: PathBuf::from("/dev/null"),
-        command: format!("cargo xtask drill {drill}"),
-    };
-    let mut given = String::new();
-    while let Some(flag) = arguments.next() {
-        if flag == "--quick" {
-            extent.is_quick = true;
-            extent.minutes = extent.minutes.min(QUICK_MINUTES);
-            extent.command += " --quick";
-            continue;
-        }
-        let value = arguments.next().ok_or_else(|| format!("{flag} needs a value"))?;
-        if flag != "--json" {
-            given += &format!(" {flag} {value}");
-        }
-        let wrong = || format!("{flag} is {value}, and must be a number");
-        match flag.as_str() {
-            "--json" => extent.json = value.into(),
-            "--seed" => extent.seed = value.parse().map_err(|_| wrong())?,
-            "--minutes" => extent.minutes = value.parse().map_err(|_| wrong())?,
-            "--jobs" => {
-                extent.jobs = value.parse().ok().filter(|jobs| *jobs > 0).ok_or_else(wrong)?
-            }
-            "--episodes" => extent.episodes = value.parse().map_err(|_| wrong())?,
-            "--cell" => extent.cell = Some(value),
-            _ => return Err(format!("unknown flag {flag}")),
-        }
-    }
-    if !given.is_empty() {
-        extent.command += &format!(" --{given}");
-    }
-    let report = match drill.as_str() {
-        "grid" => grid::drill(&extent)?,
-        "kills" => kills::drill(&extent)?,
-        "disk" => disk::drill(&extent)?,
-        "soak" => soak::drill(&extent)?,
-        _ => return Err(format!("{drill:?} is none of grid, kills, disk, soak")),
+    let Arguments { drill, mut extent } = Arguments::parse();
+    extent.command = command();
+    let report = match drill {
+        DrillName::Grid => grid::drill(&extent)?,
+        DrillName::Kills => kills::drill(&extent)?,
+        DrillName::Disk => disk::drill(&extent)?,
+        DrillName::Soak => soak::drill(&extent)?,
     };
     report.write(&extent.json, &extent.command)?;
     Ok(report.is_clean())
+}
+
+/// `cargo xtask drill` with the arguments of this program, but for `--json FILE`.
+fn command() -> String {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let json = arguments.iter().position(|argument| argument == "--json");
+    let is_kept = |at: usize| json.is_none_or(|json| ![json, json + 1].contains(&at));
+    let kept = arguments.iter().enumerate().filter(|(at, _)| is_kept(*at));
+    let (own, passed_on): (Vec<&str>, Vec<&str>) =
+        kept.map(|(_, argument)| argument.as_str()).partition(|argument| {
+            DrillName::from_str(argument, false).is_ok() || *argument == "--quick"
+        });
+    let separator: &[&str] = if passed_on.is_empty() { &[] } else { &["--"] };
+    [&["cargo xtask drill"], &*own, separator, &*passed_on].concat().join(" ")
 }
 
 /// Numbers that follow from a seed alone (SplitMix64).
