@@ -1,7 +1,6 @@
 //! The fuzz targets behind libFuzzer: `MEMTRANSFER_FUZZ_TARGET` names the target, and the arguments are libFuzzer's.
 //! `cargo xtask drill fuzz` builds and runs it.
 #![no_main]
-#![expect(unsafe_code, reason = "the entry that libFuzzer calls is an exported symbol")]
 
 use std::sync::OnceLock;
 
