@@ -77,7 +77,8 @@ impl UnitPlan {
         })?;
         ensure!(
             plan.format == FORMAT,
-            "{} has the format {}, and this program reads {FORMAT}: use the version {} of memtransfer",
+            "{} has the format {}, and this program reads {FORMAT}: write it again with `memtransfer plan`, or use the build of \
+             memtransfer {} that wrote it",
             path.display(),
             plan.format,
             plan.manifest.version

@@ -146,6 +146,17 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
 
     browser.choose("select[name=memory]", "episodic");
     browser.wait_for("document.querySelectorAll('td a.mark').length === 40");
+    // What was retrieved for the first step, and how far it was.
+    browser.click("td a.mark");
+    browser.wait_for(EPISODE);
+    browser.press("Home");
+    let key = browser.value("new URLSearchParams(location.hash.slice(1)).get('key')");
+    let record = records(&run).into_iter().find(|record| record["key"] == key).unwrap();
+    let distance = record["distances"].as_str().unwrap().split(' ').next().unwrap();
+    let supplied = browser.text(".item");
+    assert!(supplied.contains(&format!("Distance: {distance}.")), "{supplied}");
+    browser.value("history.back()");
+    browser.wait_for("document.querySelectorAll('td a.mark').length === 40");
     browser.choose("select[name=memory]", "");
     let conditions: Vec<String> =
         serde_json::from_value(browser.value("memtransfer.runs[0].conditions.map((c) => c.name)"))
