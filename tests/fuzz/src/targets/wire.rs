@@ -54,10 +54,13 @@ fn planned(choice: u8) -> PlannedEpisode {
         Representation::Working => Demonstrations::NONE,
         _ => Demonstrations::ORIGINAL,
     };
-    let route = if choice & 64 == 0 { Route::Unchanged } else { Route::Blocked };
+    let start = if choice & 32 == 0 { Start::Original } else { Start::New };
+    // A passage is closed for new starts only.
+    let is_blocked = start == Start::New && choice & 64 != 0;
+    let route = if is_blocked { Route::Blocked } else { Route::Unchanged };
     let condition = Condition {
         memory: memory.into(),
-        start: if choice & 32 == 0 { Start::Original } else { Start::New },
+        start,
         route,
         demonstrations,
         variation: Variation::STANDARD,
