@@ -6,7 +6,8 @@ with numbers of 16 bits, beside the file itself.
     python3 benches/encoder_precision.py --programs target/release
 
 embeds the same views with each, in turns, and executes the episodic conditions of a suite with each. It prints images per
-second, and how often memory retrieved the same step: at steps of which all actions before were the same.
+second, and how often memory retrieved the same step, over the steps before which all actions were the same. The runs begin
+without embeddings, in a cache folder of their own.
 """
 
 import argparse
@@ -25,6 +26,8 @@ from onnxruntime.quantization.shape_inference import quant_pre_process
 
 ENCODER = "dinov2-s14"
 ROOT = Path(__file__).resolve().parent.parent
+# Bytes of an embedding in a file that `memory-proc embeddings` writes: the image's hash, and 384 numbers.
+EMBEDDING_BYTES = 16 + 4 * 384
 POSES = ["1,16,N", "3,13,W", "7,28,N", "10,14,E", "12,25,N", "2,6,S", "6,2,E", "4,15,S"]
 
 
@@ -60,7 +63,7 @@ def episodes(run):
 
 
 def agreement(run, reference):
-    """Steps with the same actions before them, those of them at which the same was retrieved, and success rates."""
+    """The number of steps with the same actions before them, and the share of them at which the same step was retrieved."""
     run, reference = episodes(run), episodes(reference)
     steps = same = 0
     for key, record in run.items():
@@ -82,11 +85,18 @@ def main():
     cache = Path(os.environ.get("MEMTRANSFER_CACHE") or os.path.expanduser("~/.cache/memtransfer"))
     programs = options.programs.resolve()
 
-    def call(program, *arguments):
-        return subprocess.run([programs / program, *map(str, arguments)], check=True, capture_output=True).stdout
-
     with tempfile.TemporaryDirectory(prefix="precision-") as folder:
         folder = Path(folder)
+        own_cache = folder / "cache"
+        own_cache.mkdir()
+        for part in ["models", "onnxruntime"]:
+            (own_cache / part).symlink_to(cache / part)
+        environment = {**os.environ, "MEMTRANSFER_CACHE": str(own_cache)}
+
+        def call(program, *arguments):
+            command = [programs / program, *map(str, arguments)]
+            return subprocess.run(command, check=True, capture_output=True, env=environment).stdout
+
         variants = write_models(cache / "models" / f"{ENCODER}.onnx", folder)
         assets = write_assets(folder)
         flags = {"fp32": []}
@@ -116,6 +126,9 @@ def main():
                 f"{100 * equal / len(records):.1f} % | {100 * successes / len(records):.1f} % |",
                 flush=True,
             )
+        embeddings = folder / "embeddings"
+        call("memory-proc", "embeddings", "--out", embeddings)
+        print(f"{embeddings.stat().st_size // EMBEDDING_BYTES:,} views embedded with fp32")
 
 
 if __name__ == "__main__":

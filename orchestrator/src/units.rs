@@ -78,7 +78,7 @@ impl UnitPlan {
         ensure!(
             plan.format == FORMAT,
             "{} has the format {}, and this program reads {FORMAT}: write it again with `memtransfer plan`, or use the build of \
-             memtransfer {} that wrote it",
+             version {} that wrote it",
             path.display(),
             plan.format,
             plan.manifest.version
@@ -223,5 +223,8 @@ mod tests {
         assert_eq!(read.unit_id(3), UnitId { plan: hash.to_hex().to_string(), number: 3 });
         fs::write(&path, "{}").unwrap();
         assert!(UnitPlan::read(&path).unwrap_err().to_string().contains("is no plan"));
+        UnitPlan { format: 1, ..plan }.write(&path).unwrap();
+        let error = UnitPlan::read(&path).unwrap_err().to_string();
+        assert!(error.contains("reads 2: write it again with `memtransfer plan`"), "{error}");
     }
 }

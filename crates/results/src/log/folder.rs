@@ -350,7 +350,7 @@ impl JournalOpener<'_> {
     }
 }
 
-/// The first 16 bytes of the BLAKE3 hash of a key: a run has many.
+/// The first 16 bytes of the BLAKE3 hash of a key. A run can have millions of keys, whose text would take more memory.
 fn hash(key: &str) -> u128 {
     let hash = blake3::hash(key.as_bytes());
     hash.as_bytes().first_chunk().copied().map_or(0, u128::from_le_bytes)

@@ -103,6 +103,8 @@ pub(crate) fn execute(
             fs::remove_dir_all(folder)?;
         }
     }
+    // It is there when the power fails before any process has started.
+    fs::create_dir(&caches)?;
     let scheduler = Scheduler::new(seed, plan.preemption, plan.faults.clone(), MOST_STEPS);
     let settings = RunSettings { out: out.clone(), lanes: plan.lanes, ..scenario.settings.clone() };
     let mut violations = Vec::new();

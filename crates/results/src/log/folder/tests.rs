@@ -1,10 +1,11 @@
 //! Runs that are written, killed, resumed, damaged and read.
 
+use std::collections::BTreeSet;
+
 use super::*;
 use crate::log::manifest::MANIFEST_FILE;
 use crate::log::testing::{manifest, record, request, stream_record, timings};
 use crate::log::{DocumentFacts, RunLog};
-use std::collections::BTreeSet;
 
 fn keys(records: &[EpisodeRecord]) -> Vec<&str> {
     records.iter().map(|record| record.key.as_str()).collect()
