@@ -5,6 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::LazyLock;
 
 use llm::scripted::{Reaction, Server};
 use memtransfer_tests::browser::Browser;
@@ -109,8 +110,15 @@ fn the_package_is_typed() {
     python(&["-m", "mypy", "--cache-dir", cache.to_str().unwrap(), "memtransfer"], &[]).expect(0);
 }
 
-/// Installs the package into `place` as `pip install ./python` does, but with the maturin among the tests' packages.
-fn install(place: &Path) {
+/// The package as `pip install ./python` installs it, but with the maturin among the tests' packages. All tests share one
+/// folder, because builds of maturin in one target folder take each other's files away.
+///
+/// Inspect names the tasks of packages in folders of this name only.
+static SITE_PACKAGES: LazyLock<PathBuf> = LazyLock::new(|| {
+    let place = Path::new(env!("CARGO_TARGET_TMPDIR")).join("site-packages");
+    if place.exists() {
+        std::fs::remove_dir_all(&place).unwrap();
+    }
     let mut args = vec!["-m", "pip", "install", "--quiet", "--disable-pip-version-check"];
     args.extend(["--no-index", "--no-deps", "--no-build-isolation", "--no-compile", "--target"]);
     args.extend([place.to_str().unwrap(), "."]);
@@ -118,13 +126,13 @@ fn install(place: &Path) {
     let maturin = Path::new(packages.stdout.trim()).with_file_name("bin");
     let path = format!("{}:{}", maturin.display(), std::env::var("PATH").unwrap());
     python(&args, &[("PATH", &path)]).expect(0);
-}
+    place
+});
 
 #[test]
 fn the_package_can_be_installed_from_the_checkout() {
-    let bench = Bench::new();
-    let place = bench.out("installed");
-    install(&place);
+    let _bench = Bench::new();
+    let place = SITE_PACKAGES.as_path();
     assert!(place.join("memtransfer/py.typed").is_file());
     assert!(place.join("memtransfer/_native.pyi").is_file());
     let look = "import memtransfer._native; print(memtransfer._native.__file__)";
@@ -137,9 +145,6 @@ fn the_package_can_be_installed_from_the_checkout() {
 #[test]
 fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
     let bench = Bench::new();
-    // Inspect names the tasks of packages in folders of this name only.
-    let place = bench.out("site-packages");
-    install(&place);
     let start = |args: &[&str]| {
         let programs = program("memtransfer").with_file_name("");
         let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
@@ -147,7 +152,7 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
         command
             .args(args)
             .current_dir(bench.folder.path())
-            .env("PYTHONPATH", &place)
+            .env("PYTHONPATH", SITE_PACKAGES.as_path())
             .env("PATH", path)
             .env("MEMTRANSFER_RUN_DIR", bench.registry.path())
             .env("MEMTRANSFER_MAX_STEPS", "5")
