@@ -116,7 +116,7 @@ impl Profile {
         };
         save("profile.json", serde_json::to_vec_pretty(self)?)?;
         save("profile.csv", self.csv()?)?;
-        save("profile.html", results::report::page(&page::document(self)?)?.into_bytes())
+        save("profile.html", report::page(&page::document(self)?)?.into_bytes())
     }
 
     /// One line for each latency, in microseconds.

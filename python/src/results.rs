@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyList;
+use report::{DataFrame, Values, episodes_frame, timings_frame};
 use results::log::{LogError, RunLog};
-use results::report::{DataFrame, Values, episodes_frame, timings_frame};
 
 /// A column: its name, the kind of its values, and the values, `None` where there is none.
 type DataColumn<'py> = (String, &'static str, Bound<'py, PyList>);

@@ -15,7 +15,7 @@ const MUST_NOT_LINK: &[(&[&str], &[&str], &str)] = &[
         "a policy sees its requests and nothing else, so what it is built from must not know the map",
     ),
     (
-        &["domain", "export", "replay", "results", "search", "viewer", "warehouse"],
+        &["domain", "export", "replay", "report", "results", "search", "viewer", "warehouse"],
         &["iceoryx2"],
         "reading a run folder and computing the world must not need shared memory",
     ),

@@ -5,8 +5,8 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use report::{DataFrame, episodes_frame, steps_frame};
 use results::log::RunLog;
-use results::report::{DataFrame, episodes_frame, steps_frame};
 
 use crate::files::write_whole;
 

@@ -1,8 +1,8 @@
-//! Runs as data: settings, records, scores, statistics, tables, report.
+//! Runs as data: settings, records, scores, statistics.
 //!
 //! Everything about a finished run follows from its folder: read it with [`log::RunLog::read`], score it with
-//! [`score::score`], print them with [`report::summary`], write pages and data files with [`report::write`]. This works
-//! on any machine; the crate starts nothing and links no iceoryx2.
+//! [`score::score`]. This works on any machine; the crate starts nothing and links no iceoryx2. The crate `report` prints
+//! scores and writes pages.
 
 pub mod compare;
 pub mod conditions;
@@ -13,10 +13,8 @@ pub mod key;
 pub mod latency;
 pub mod log;
 pub mod names;
-pub mod report;
 pub mod score;
 pub mod settings;
 pub mod source;
 pub mod step_view;
-pub mod table;
 pub mod usage;

@@ -12,7 +12,7 @@
 //! | `prompts/` | requests to the policy and its answers ([`domain::prompt_log`]), with `--log-prompts` | by the policy |
 //! | `*.damaged.jsonl` | lines that could not be used, moved there | when the run is resumed |
 //! | `logs/` | stderr of the processes | by them |
-//! | `report/` | pages and data files ([`report`](crate::report)) | by `memtransfer report` |
+//! | `report/` | pages and data files (crate `report`) | by `memtransfer report` |
 //!
 //! Scores are computed from these files alone ([`score`](crate::score)).
 

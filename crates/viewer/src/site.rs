@@ -24,12 +24,12 @@ use domain::prompt_log::{image_file, is_hash};
 use png_file::RgbaImage;
 use replay::frames::{ViewKey, ViewProgram, ViewRenderer, jpeg, world_arguments};
 use replay::{RecordedRun, RunWorld};
+use report::Published;
 use results::conditions::Condition;
 use results::key::EpisodeKey;
 use results::log::{
     EpisodeRecord, EpisodeTimings, JournalTail, RequestRecord, RunFolder, RunLog, STATUS_FILE,
 };
-use results::report::{self, Published};
 use results::step_view::PromptLog;
 use serde::Serialize;
 use serde_json::{Value, json};

@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::{Args, Subcommand};
+use report::table::table;
 use results::conditions::Condition;
 use results::date::date;
 use results::log::RunLog;
 use results::score::score;
 use results::settings::StreamSettings;
-use results::table::table;
 use serde_json::{Value, json};
 use warehouse::{Mixture, Overlap, Start, Task};
 

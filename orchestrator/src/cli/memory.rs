@@ -19,8 +19,8 @@ use crate::progress::BuildProgress;
 use crate::settings::variable;
 use crate::signals::Signals;
 use replay::World;
+use report::table::table;
 use results::settings::Drawn;
-use results::table::table;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

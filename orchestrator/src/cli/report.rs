@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use anyhow::bail;
 use clap::Args;
 use results::log::{REPORT_FOLDER, RunLog};
-use results::report;
 
 use super::{Exit, print};
 

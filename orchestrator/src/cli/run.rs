@@ -448,7 +448,7 @@ impl RunPlan {
             ));
             return Ok(Exit::Signal(signal));
         }
-        print(&results::report::summary(&log))?;
+        print(&report::summary(&log))?;
         if let Some(why) = halted {
             say(&format!(
                 "stopped: {why}\nFinished episodes are kept. To resume:\n  {}",

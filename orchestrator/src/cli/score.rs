@@ -8,7 +8,6 @@ use serde::Serialize;
 use super::{Exit, print, print_json};
 use results::compare::{compare_conditions, compare_runs, differing_settings};
 use results::log::{Difference, RunLog};
-use results::report;
 use results::score::{Comparison, score};
 
 #[derive(Debug, Args)]

@@ -9,9 +9,9 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use domain::{MemoryKind, Representation};
+use report::table::table;
 use results::latency::LatencySummary;
 use results::names::UnknownName;
-use results::table::table;
 use shm_types::message::Role;
 
 use super::{Exit, print, print_json};

@@ -4,11 +4,11 @@ use std::collections::BTreeSet;
 
 use anyhow::Result;
 use domain::MemoryKind;
-use results::latency::LatencySummary;
-use results::report::{
+use report::{
     Curve, Curves, Group, ReportBlock, ReportDocument, ReportFigure, ReportSection, Stack,
     StackRow, Table, TableCell, TableColumn, TableRow, curves, stack,
 };
+use results::latency::LatencySummary;
 
 use super::recorder::{AccessLatency, AccessPart, StepClass};
 use super::{AccessRun, CacheState, Profile};

@@ -1,6 +1,6 @@
 //! A profile as tables for a terminal.
 
-use results::table::table;
+use report::table::table;
 
 use super::page::{find, ns, us};
 use super::recorder::{AccessPart, StepClass};

@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 
-use results::table::table;
+use report::table::table;
 use serde_json::Value;
 
 use super::{Entry, EntryFigure, Score};

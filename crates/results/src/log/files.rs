@@ -17,7 +17,7 @@ pub(super) const SNAPSHOTS_FOLDER: &str = "snapshots";
 pub(super) const DOCUMENTS_FOLDER: &str = "documents";
 pub(super) const PROMPTS_FOLDER: &str = "prompts";
 pub(super) const LOGS_FOLDER: &str = "logs";
-/// The folder of [`report`](crate::report)s about a single run.
+/// The folder of reports about a single run.
 pub const REPORT_FOLDER: &str = "report";
 
 /// Everything that a run folder may hold. No other file in it is touched.

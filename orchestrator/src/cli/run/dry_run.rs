@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
+use report::table;
 use results::cost::ModelPrices;
 use results::log::{EpisodeRecord, LogError, RunLog};
-use results::table;
 
 use super::{RunDocuments, RunPlan};
 use crate::estimate::{Basis, RunEstimate};

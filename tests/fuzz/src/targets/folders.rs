@@ -9,12 +9,12 @@ use orchestrator::status::LiveStatus;
 use orchestrator::units::UnitPlan;
 use replay::RecordedRun;
 use replay::frames::ViewProgram;
+use report::Published;
 use results::compare::compare_runs;
 use results::latency::LatencyRecord;
 use results::log::{
     Manifest, RunFolder, RunLog, UnitEpisode, UnitFolders, merge, read_journal, unit_folder,
 };
-use results::report::{self, Published};
 use results::score::score;
 use results::step_view::PromptLog;
 use serde_json::Value;

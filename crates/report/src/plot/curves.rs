@@ -1,0 +1,237 @@
+//! Curves on two logarithmic axes, distinguished by the shapes of their points.
+
+use super::{BOTTOM, Paint, RIGHT, Stroke, Svg, TextAnchor, TextStyle, WIDTH};
+use crate::document::ReportFigure;
+
+/// A plot of curves.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Curves {
+    /// The figure's id.
+    pub id: String,
+    /// Its caption.
+    pub caption: String,
+    /// The name of the horizontal axis, with its unit.
+    pub across: String,
+    /// The name of the vertical axis, with its unit.
+    pub up: String,
+    /// The curves.
+    pub curves: Vec<Curve>,
+}
+
+/// A curve.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Curve {
+    /// Its name.
+    pub name: String,
+    /// Whether it is a bound that others are compared with: drawn gray, without points.
+    pub is_bound: bool,
+    /// Its points, left to right; those that are not above zero are left out.
+    pub points: Vec<(f64, f64)>,
+}
+
+const TOP: i32 = 14;
+const HEIGHT: i32 = 320;
+const AXIS: i32 = 86;
+const LEGEND_ROW: i32 = 22;
+const LEGEND_COLUMNS: usize = 2;
+
+/// A logarithmic axis from `from` to `to`, both above zero, over the pixels from `start` to `end`.
+struct Scale {
+    from: f64,
+    to: f64,
+    start: i32,
+    end: i32,
+}
+
+impl Scale {
+    /// Makes an axis over all of `values`, with a little room at both ends.
+    fn over(values: impl Iterator<Item = f64>, start: i32, end: i32) -> Self {
+        let (low, high) = values.fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
+        let (low, high) = if high > 0.0 { (low, high) } else { (1.0, 10.0) };
+        // At least a factor of four, so that a flat curve looks flat.
+        let room = (high / low).powf(0.04).max((4.0 / (high / low)).sqrt().max(1.05));
+        Self { from: low / room, to: high * room, start, end }
+    }
+
+    fn at(&self, value: f64) -> i32 {
+        let share = (value / self.from).ln() / (self.to / self.from).ln();
+        self.start + (share * f64::from(self.end - self.start)).round() as i32
+    }
+
+    /// The marks: powers of ten, with others between them where those are few.
+    fn marks(&self) -> Vec<f64> {
+        let (first, last) = (self.from.log10().floor() as i32, self.to.log10().ceil() as i32);
+        let steps: &[f64] = match (self.to / self.from).log10() {
+            decades if decades > 4.0 => &[1.0],
+            decades if decades > 2.0 => &[1.0, 3.0],
+            _ => &[1.0, 2.0, 5.0],
+        };
+        let all = (first..=last)
+            .flat_map(|power| steps.iter().map(move |step| step * 10_f64.powi(power)));
+        all.filter(|mark| (self.from..=self.to).contains(mark)).collect()
+    }
+}
+
+/// Draws the plot.
+pub fn curves(plot: &Curves) -> ReportFigure {
+    let above = |point: &(f64, f64)| point.0 > 0.0 && point.1 > 0.0;
+    let points = |curve: &Curve| curve.points.iter().copied().filter(above).collect::<Vec<_>>();
+    let shown: Vec<(&Curve, Vec<(f64, f64)>)> =
+        plot.curves.iter().map(|curve| (curve, points(curve))).collect();
+    let all = || shown.iter().flat_map(|(_, points)| points.iter().copied());
+    let top = TOP + LEGEND_ROW * shown.len().div_ceil(LEGEND_COLUMNS) as i32 + 14;
+    let bottom = top + HEIGHT;
+    let across = Scale::over(all().map(|(x, _)| x), AXIS, WIDTH - RIGHT);
+    let up = Scale::over(all().map(|(_, y)| y), bottom, top);
+    let mut svg = Svg::new(bottom + BOTTOM);
+    draw_axes(&mut svg, plot, &across, &up);
+    let names: Vec<(&str, bool)> =
+        shown.iter().map(|(curve, _)| (curve.name.as_str(), curve.is_bound)).collect();
+    let (shapes, _) = legend(&mut svg, &names);
+    for ((_, points), shape) in shown.iter().zip(shapes) {
+        let pixels: Vec<(i32, i32)> =
+            points.iter().map(|(x, y)| (across.at(*x), up.at(*y))).collect();
+        draw_curve(&mut svg, &pixels, shape);
+    }
+    let in_words = shown.iter().map(|(curve, points)| {
+        let points: Vec<String> =
+            points.iter().map(|(x, y)| format!("{} at {}", label(*y), label(*x))).collect();
+        format!("{}: {}", curve.name, points.join(", "))
+    });
+    let alt = format!("{} {}", plot.caption, in_words.collect::<Vec<_>>().join("; "));
+    ReportFigure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
+}
+
+fn draw_axes(svg: &mut Svg, plot: &Curves, across: &Scale, up: &Scale) {
+    let (top, bottom) = (up.end, up.start);
+    for mark in across.marks() {
+        let x = across.at(mark);
+        svg.line(&[(x, top), (x, bottom)], Stroke::Rule);
+        svg.text(&label(mark), (x, bottom + 12), TextAnchor::Around, TextStyle::Plain);
+    }
+    for mark in up.marks() {
+        let y = up.at(mark);
+        svg.line(&[(across.start, y), (across.end, y)], Stroke::Rule);
+        svg.text(&label(mark), (across.start - 8, y), TextAnchor::Before, TextStyle::Plain);
+    }
+    let middle = i32::midpoint(across.start, across.end);
+    svg.text(&plot.across, (middle, bottom + 32), TextAnchor::Around, TextStyle::Plain);
+    svg.text(&plot.up, (8, top - 12), TextAnchor::After, TextStyle::Faint);
+}
+
+/// Draws the names of curves, each with whether it is a bound. Returns their shapes, none for a bound, and the bottom of
+/// the legend.
+pub(super) fn legend(svg: &mut Svg, names: &[(&str, bool)]) -> (Vec<Option<usize>>, i32) {
+    let mut next = 0..;
+    let mut shapes = Vec::new();
+    for (place, (name, is_bound)) in names.iter().enumerate() {
+        let shape = if *is_bound { None } else { next.next() };
+        let (x, y) = (
+            AXIS + 360 * (place % LEGEND_COLUMNS) as i32,
+            TOP + LEGEND_ROW * (place / LEGEND_COLUMNS) as i32,
+        );
+        draw_curve(svg, &[(x, y), (x + 28, y)], shape);
+        svg.text(name, (x + 40, y), TextAnchor::After, TextStyle::Plain);
+        shapes.push(shape);
+    }
+    (shapes, TOP + LEGEND_ROW * names.len().div_ceil(LEGEND_COLUMNS) as i32)
+}
+
+/// Draws a curve with its points; a bound, which has no shape, without.
+pub(super) fn draw_curve(svg: &mut Svg, pixels: &[(i32, i32)], shape: Option<usize>) {
+    svg.line(pixels, if shape.is_some() { Stroke::Ink } else { Stroke::ThickGray });
+    if let Some(shape) = shape {
+        pixels.iter().for_each(|&point| draw_mark(svg, shape, point));
+    }
+}
+
+/// Draws the point of a curve: circle, diamond, square, triangle; filled, then open.
+fn draw_mark(svg: &mut Svg, shape: usize, (x, y): (i32, i32)) {
+    let paint = if (shape / 4).is_multiple_of(2) { Paint::Ink } else { Paint::Open };
+    match shape % 4 {
+        0 => svg.circle((x, y), paint),
+        1 => svg.polygon(&[(x, y - 6), (x + 6, y), (x, y + 6), (x - 6, y)], paint),
+        2 => svg.rectangle([(x - 4, y - 4), (x + 4, y + 4)], paint),
+        _ => svg.polygon(&[(x, y - 5), (x + 5, y + 4), (x - 5, y + 4)], paint),
+    }
+}
+
+/// A short form of a number: `1k`, `2.5M`, `0.02`.
+fn label(value: f64) -> String {
+    let (scaled, unit) = match value.abs() {
+        size if size >= 1e9 => (value / 1e9, "G"),
+        size if size >= 1e6 => (value / 1e6, "M"),
+        size if size >= 1e3 => (value / 1e3, "k"),
+        _ => (value, ""),
+    };
+    let digits = match scaled.abs() {
+        size if size >= 99.5 || size == 0.0 => 0,
+        size if size >= 9.95 => 1,
+        size if size >= 0.995 => 2,
+        _ => 4,
+    };
+    let text = format!("{scaled:.digits$}");
+    let text =
+        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    format!("{text}{unit}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_short() {
+        for (value, text) in [
+            (1000.0, "1k"),
+            (2.5e6, "2.5M"),
+            (0.02, "0.02"),
+            (62.04, "62"),
+            (1.0, "1"),
+            (250.0, "250"),
+        ] {
+            assert_eq!(label(value), text);
+        }
+    }
+
+    #[test]
+    fn axes_hold_their_values_and_have_marks() {
+        for (low, high) in [(1.0, 1.0), (1.0, 3.0), (0.01, 1e7), (5.0, 40.0)] {
+            let scale = Scale::over([low, high].into_iter(), 100, 800);
+            for value in [low, high] {
+                assert!((100..=800).contains(&scale.at(value)), "{value}");
+            }
+            assert!(
+                (2..=12).contains(&scale.marks().len()),
+                "{low} to {high}: {:?}",
+                scale.marks()
+            );
+        }
+    }
+
+    #[test]
+    fn points_without_a_place_on_the_axes_are_left_out() {
+        let curve = |name: &str, is_bound, points: &[(f64, f64)]| Curve {
+            name: name.to_owned(),
+            is_bound,
+            points: points.to_vec(),
+        };
+        let plot = Curves {
+            id: "p".to_owned(),
+            caption: "Time.".to_owned(),
+            across: "entries".to_owned(),
+            up: "us".to_owned(),
+            curves: vec![
+                curve("exact", false, &[(1000.0, 10.0), (1e6, 9000.0), (0.0, 1.0)]),
+                curve("bandwidth", true, &[(1000.0, 5.0), (1e6, 5000.0)]),
+                curve("nothing", false, &[]),
+            ],
+        };
+        let figure = curves(&plot);
+        assert_eq!(
+            figure.alt,
+            "Time. exact: 10 at 1k, 9k at 1M; bandwidth: 5 at 1k, 5k at 1M; nothing: "
+        );
+        assert!(figure.svg.starts_with("<svg") && figure.svg.contains("entries"));
+    }
+}

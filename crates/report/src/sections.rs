@@ -1,0 +1,104 @@
+//! The sections of a report about one run: a file for each of the paper's tables, and for what the paper leaves out.
+
+mod blocked;
+mod conditions;
+mod conflict;
+mod cost;
+mod design;
+mod elsewhere;
+mod failures;
+mod groups;
+mod growth;
+mod main_table;
+mod method;
+mod mixed;
+mod overview;
+mod pairs;
+mod provenance;
+mod runs;
+mod streams;
+mod supplied;
+mod time;
+mod transfer;
+
+pub(super) use method::method;
+pub(super) use runs::runs;
+
+use super::document::{ReportBlock, ReportSection};
+use super::view::ScoredRun;
+
+pub(super) use blocked::blocked_table;
+pub(super) use conditions::conditions_table;
+pub(super) use conflict::conflict_table;
+pub(super) use cost::requests_table;
+pub(super) use failures::{failures_table, worst_table};
+pub(super) use growth::growth_table;
+pub(super) use overview::{notices, steps_per_second};
+pub(super) use streams::{
+    adaptation_table, differences_table, incomplete, necessity_table, orders_table, success_table,
+    transfer_table,
+};
+pub(super) use supplied::supplied_table;
+pub(super) use time::time_table;
+
+/// A section's name in links, its heading, and the function that makes its content.
+type SectionEntry = (&'static str, &'static str, fn(&ScoredRun<'_>) -> Vec<ReportBlock>);
+
+const PARTS: [SectionEntry; 15] = [
+    ("overview", "What was run", overview::blocks),
+    ("conditions", "All conditions", conditions::blocks),
+    ("main", "Success across the three questions", main_table::blocks),
+    ("transfer", "RQ1: a start that was not demonstrated", transfer::blocks),
+    ("blocked", "RQ2: a blocked route", blocked::blocks),
+    ("mixed", "RQ3: histories of other tasks", mixed::blocks),
+    ("conflict", "Demonstrations from before and after an event", conflict::blocks),
+    ("growth", "Banks of different sizes", growth::blocks),
+    ("groups", "Task groups", groups::blocks),
+    ("design", "Design choices", design::blocks),
+    ("failures", "Why episodes failed", failures::blocks),
+    ("cost", "Images, tokens, unreadable answers", cost::blocks),
+    ("supplied", "What memory supplied", supplied::blocks),
+    ("time", "Time by stage", time::blocks),
+    ("pairs", "Paired comparisons", pairs::blocks),
+];
+
+/// Parts that the paper does not have: they are not named where they were not run.
+const BEYOND_THE_PAPER: [&str; 2] = ["conflict", "growth"];
+
+/// All sections about the run. Those of the paper without any figure of the run are named in one line of the first section,
+/// except where all its episodes are of streams.
+pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<ReportSection> {
+    let mut sections = Vec::new();
+    let mut not_run = Vec::new();
+    for (id, title, blocks) in PARTS {
+        let blocks = blocks(view);
+        if blocks
+            .iter()
+            .any(|block| matches!(block, ReportBlock::Table(_) | ReportBlock::Figure(_)))
+        {
+            sections.push(ReportSection::new(view.id(&format!("s-{id}")), title, blocks));
+        } else if !BEYOND_THE_PAPER.contains(&id) {
+            not_run.push(title);
+        }
+    }
+    let is_of_streams = view.scores.streams.is_some() && view.scores.conditions.is_empty();
+    let is_silent = not_run.is_empty() || is_of_streams;
+    if let (Some(first), false) = (sections.first_mut(), is_silent) {
+        let text = format!("This run has no conditions for: {}.", not_run.join("; "));
+        first.blocks.push(ReportBlock::Text(text));
+    }
+    sections.extend(elsewhere::section(view));
+    // After the overview.
+    let at = sections.len().min(1);
+    sections.splice(at..at, streams::sections(view));
+    sections
+}
+
+/// The section about the origin of the run's figures.
+pub(super) fn provenance(view: &ScoredRun<'_>) -> ReportSection {
+    let title = match view.prefix.as_str() {
+        "" => "Provenance".to_owned(),
+        _ => format!("Provenance of {}", results::compare::run_name(view.log)),
+    };
+    ReportSection::new(view.id("s-provenance"), title, provenance::blocks(view))
+}

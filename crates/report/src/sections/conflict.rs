@@ -1,0 +1,78 @@
+//! Demonstrations from before and from after a passage has closed.
+
+use super::blocked::NONE_TRIED;
+use super::mixed::NO_RETRIEVAL;
+use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
+use crate::view::{ScoredRun, sure, sure_or, title};
+use results::conditions::{Condition, Demonstrations, Route};
+use results::score::{ConditionScore, HISTORIES};
+
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
+    conflict_table(view).map(ReportBlock::Table).into_iter().collect()
+}
+
+/// Success on both routes and use of outdated demonstrations, by memory and demonstrations; `None` where there is no
+/// demonstration from after the event.
+pub(crate) fn conflict_table(view: &ScoredRun<'_>) -> Option<Table> {
+    let scores = &view.scores.conflicts;
+    let cases = scores.iter().map(|score| score.cases).max().filter(|cases| *cases > 0)?;
+    let row = |memory, set: Demonstrations| {
+        let on = |route| {
+            let is_it = |condition: Condition| {
+                (condition.memory, condition.demonstrations, condition.route)
+                    == (memory, set, route)
+            };
+            scores.iter().find(|score| is_it(score.condition))
+        };
+        let (unchanged, blocked) = (on(Route::Unchanged), on(Route::Blocked));
+        let rate = |score: Option<&ConditionScore>| {
+            score.map_or(TableCell::Missing(Missing::NotRun), |score| sure(score.sr, 1))
+        };
+        let of_blocked = blocked.and_then(|score| score.blocked);
+        let (follow, stale) = match of_blocked {
+            None => (TableCell::Missing(Missing::NotRun), TableCell::Missing(Missing::NotRun)),
+            Some(found) => (
+                sure_or(found.follow, 1, NONE_TRIED),
+                match memory.retrieves() {
+                    false => TableCell::Missing(NO_RETRIEVAL),
+                    true => sure_or(found.stale, 1, Missing::Undefined("nothing was retrieved")),
+                },
+            ),
+        };
+        let label = match set {
+            Demonstrations::NONE => "none".to_owned(),
+            Demonstrations::ORIGINAL => "before".to_owned(),
+            other => other.to_string().replace('-', ", "),
+        };
+        let cells = vec![rate(unchanged), rate(blocked), follow, stale];
+        (unchanged.is_some() || blocked.is_some()).then_some(TableRow {
+            label,
+            published: false,
+            cells,
+        })
+    };
+    let groups = view.memories().into_iter().map(|memory| {
+        let sets = [Demonstrations::NONE].into_iter().chain(HISTORIES);
+        Group {
+            label: Some(title(memory)),
+            rows: sets.filter_map(|set| row(memory, set)).collect(),
+        }
+    });
+    Some(Table {
+        id: view.id("conflict"),
+        caption: format!(
+            "The {cases} cases whose original demonstration the closed passage invalidates: a demonstration from before it \
+             closed, from after, and both in either order. Success rate on the unchanged and on the blocked route. Follow: \
+             percentage of episodes that tried to enter a closed cell. Stale: percentage of the retrieved sources that, \
+             replayed on the blocked route, do not complete their task. Intervals of 95 % in brackets."
+        ),
+        stubs: vec!["Memory".to_owned(), "Demonstrations".to_owned()],
+        columns: vec![
+            TableColumn::under("SR %", "unchanged"),
+            TableColumn::under("SR %", "blocked"),
+            TableColumn::new("Follow %"),
+            TableColumn::new("Stale %"),
+        ],
+        groups: groups.filter(|group| !group.rows.is_empty()).collect(),
+    })
+}

@@ -1,0 +1,100 @@
+//! Failures by kind, and the cases that fail most.
+
+use std::collections::BTreeSet;
+
+use domain::MemoryKind;
+
+use crate::document::{ReportBlock, Table};
+use crate::plot::{Stack, StackRow, stack};
+use crate::sections::conditions::setting;
+use crate::view::{ScoredRun, title};
+use results::score::{ConditionScore, Failure, worst_cases};
+
+/// Cases in the table of the worst.
+const WORST: usize = 10;
+
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
+    let Some(table) = failures_table(view) else { return Vec::new() };
+    let text = "Each failed episode is of one kind: the first rule that applies, in the order of the rows. First comes \
+                how an episode went wrong, then what was missing.";
+    let present = Failure::ALL
+        .iter()
+        .filter(|kind| table.groups[0].rows.iter().any(|row| row.label == kind.name()));
+    let terms = present.map(|kind| (kind.name().to_owned(), kind.meaning().to_owned()));
+    let mut blocks = vec![ReportBlock::Text(text.to_owned()), ReportBlock::Terms(terms.collect())];
+    let bars = view.scores.conditions.iter().map(|score| StackRow {
+        label: format!("{}: {}", title(score.condition.memory), setting(&score.condition)),
+        lengths: Some(shares(score)),
+    });
+    blocks.push(ReportBlock::Figure(stack(&Stack {
+        id: view.id("failures-figure"),
+        caption: "Kinds of failure as a percentage of the finished episodes of each condition. The remainder \
+                  succeeded."
+            .to_owned(),
+        axis: "Failed episodes, % of all",
+        to: Some(100.0),
+        parts: Failure::ALL.iter().map(|kind| kind.name().to_owned()).collect(),
+        rows: bars.collect(),
+    })));
+    blocks.push(ReportBlock::Table(table));
+    blocks.extend(worst_table(view, WORST).map(ReportBlock::Table));
+    blocks
+}
+
+fn shares(score: &ConditionScore) -> Vec<f64> {
+    let share = |(_, count)| 100.0 * count as f64 / score.episodes as f64;
+    score.failures.iter().map(share).collect()
+}
+
+/// Counts of each kind that occurs, by memory; `None` when nothing failed.
+pub(crate) fn failures_table(view: &ScoredRun<'_>) -> Option<Table> {
+    let scores = &view.scores.conditions;
+    let memories: BTreeSet<MemoryKind> =
+        scores.iter().map(|score| score.condition.memory).collect();
+    let count = |kind: Option<Failure>, memory: Option<MemoryKind>| -> usize {
+        let of_memory =
+            scores.iter().filter(|score| memory.is_none_or(|m| score.condition.memory == m));
+        let counts = of_memory.flat_map(|score| score.failures.iter());
+        counts.filter(|(found, _)| kind.is_none_or(|kind| *found == kind)).map(|(_, n)| n).sum()
+    };
+    let row = |label: &str, kind: Option<Failure>| {
+        let by_memory = memories.iter().map(|memory| count(kind, Some(*memory)).to_string());
+        (label.to_owned(), by_memory.chain([count(kind, None).to_string()]).collect())
+    };
+    let kinds = Failure::ALL.iter().filter(|kind| count(Some(**kind), None) > 0);
+    let mut rows: Vec<(String, Vec<String>)> =
+        kinds.map(|kind| row(kind.name(), Some(*kind))).collect();
+    if rows.is_empty() {
+        return None;
+    }
+    rows.push(row("all", None));
+    let titles: Vec<String> = memories.iter().map(|memory| title(*memory)).collect();
+    let columns: Vec<&str> = titles.iter().map(String::as_str).chain(["All"]).collect();
+    Some(Table::of_text(
+        view.id("failures"),
+        "Failed episodes by kind and memory, counts over all conditions and runs.",
+        (&["Kind"], &columns),
+        rows,
+    ))
+}
+
+/// The cases that fail most; `None` when nothing failed.
+pub(crate) fn worst_table(view: &ScoredRun<'_>, most: usize) -> Option<Table> {
+    let cases = worst_cases(view.log, most);
+    let row = |case: results::score::CaseScore| {
+        let failed = format!("{} of {}", case.failed, case.episodes);
+        let kind = case.failure.name().to_owned();
+        (case.case, vec![case.task.to_string(), failed, kind, case.example])
+    };
+    let rows: Vec<(String, Vec<String>)> = cases.into_iter().map(row).collect();
+    (!rows.is_empty()).then(|| {
+        Table::of_text(
+            view.id("worst-cases"),
+            "The cases that fail most, over all conditions and runs, with the most frequent kind of failure and an \
+             episode of it: `memtransfer show RUN CASE STEP` shows its steps.",
+            (&["Case"], &["Task", "Failed", "Main failure", "Example"]),
+            rows,
+        )
+        .with_text(&["Main failure", "Example"])
+    })
+}

@@ -1,0 +1,76 @@
+//! Figure `fig:rq3` and its numbers: four demonstrations, of which two are replaced by other tasks' histories.
+
+use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
+use crate::plot::Dots;
+use crate::sections::main_table::{dots_if_any, rate_rows};
+use crate::view::{
+    OURS, ScoredRun, THEIRS, name, pair_stubs, published_text, sure, sure_or, title,
+};
+
+const SETS: [(&str, &str); 3] =
+    [("4 relevant", "4"), ("2 of 4 irrelevant", "irrelevant"), ("2 of 4 confusable", "confusable")];
+
+pub(super) const NO_RETRIEVAL: Missing = Missing::NotApplicable(
+    "of the built-in memories only Episodic retrieves; the others supply the same at each step",
+);
+
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
+    let names = |representation| SETS.map(|(_, set)| name(representation, "new/unchanged", set));
+    let rows = view.historical().into_iter().flat_map(|representation| {
+        let labelled: Vec<_> = SETS
+            .iter()
+            .zip(names(representation))
+            .map(|((label, _), name)| ((*label).to_owned(), name))
+            .collect();
+        rate_rows(view, &title(representation), &labelled)
+    });
+    let figure = dots_if_any(Dots {
+        id: view.id("mixed-figure"),
+        caption: "RQ3: success under mixed histories (the paper's figure “RQ3: Success under mixed histories”). New start, unchanged route, four \
+                  demonstrations; in the mixed sets two of them are replaced by other tasks' histories. Filled: this \
+                  run with its 95 % interval. Open: published, where it prints a number."
+            .to_owned(),
+        axis: "Success rate, %",
+        range: (0.0, 100.0),
+        series: vec![OURS.to_owned(), THEIRS.to_owned()],
+        rows: rows.collect(),
+    });
+    let mut columns = SETS.map(|(heading, _)| TableColumn::under("SR %", heading)).to_vec();
+    columns.extend(
+        SETS[1..].iter().map(|(heading, _)| TableColumn::under("From other tasks, %", *heading)),
+    );
+    let ours = |representation| {
+        let names = names(representation);
+        let mut cells: Vec<TableCell> =
+            names.iter().map(|name| view.ours(name, |score| sure(score.sr, 1))).collect();
+        cells.extend(names[1..].iter().map(|name| match representation.retrieves() {
+            false => TableCell::Missing(NO_RETRIEVAL),
+            true => view.ours(name, |score| {
+                let missing = Missing::NotMeasured("nothing was retrieved");
+                sure_or(score.from_other_cases, 1, missing)
+            }),
+        }));
+        cells
+    };
+    let theirs = |representation| {
+        let names = names(representation);
+        let mut cells: Vec<TableCell> =
+            names.iter().map(|name| view.theirs(name, |p| p.sr.map(published_text))).collect();
+        cells.extend(names[1..].iter().map(|name| match representation.retrieves() {
+            false => TableCell::Missing(NO_RETRIEVAL),
+            true => view.theirs(name, |p| p.from_others.map(published_text)),
+        }));
+        cells
+    };
+    let table = Table {
+        id: view.id("mixed"),
+        caption: "RQ3 in numbers: success rate by the composition of the four demonstrations, and the percentage of \
+                  retrievals that came from another task's history. Irrelevant histories share no pose with the test's \
+                  reference route; confusable ones share poses and continue differently from there."
+            .to_owned(),
+        stubs: pair_stubs(),
+        columns,
+        groups: view.pairs(&view.historical(), ours, theirs),
+    };
+    figure.into_iter().chain(table.pruned().map(ReportBlock::Table)).collect()
+}

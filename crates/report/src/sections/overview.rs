@@ -1,0 +1,179 @@
+//! What was run, and what a reader must know before looking at the figures.
+
+use std::collections::BTreeSet;
+
+use domain::representation::RepresentationInfo;
+use domain::{Appearance, Representation};
+
+use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
+use crate::view::{ScoredRun, title};
+use results::conditions::{Condition, Frames, PolicyKind};
+use results::log::{EpisodeRecord, ExternalMemoryFacts, Manifest};
+
+/// Notices for the reader of the figures: the policy, controls, missing episodes, damaged lines.
+pub(crate) fn notices(view: &ScoredRun<'_>) -> Vec<String> {
+    let mut notices = standing(&view.log.manifest);
+    let scores = &view.scores;
+    if scores.missing() > 0 {
+        notices.push(format!(
+            "Incomplete: {} of {} episodes are missing, {} of them given up after a fault (errors.jsonl). Figures are \
+             over finished episodes; the same command continues the run.",
+            scores.missing(),
+            scores.planned,
+            scores.errored
+        ));
+    }
+    for score in scores.conditions.iter().take(MOST_BOUNDS) {
+        if let Some(bounds) = &score.bounds {
+            notices.push(format!(
+                "{}: the missing episodes allow an SR from {:.1} to {:.1} % and an SPL from {:.3} to {:.3}.",
+                score.condition, bounds.sr.low, bounds.sr.high, bounds.spl.low, bounds.spl.high
+            ));
+        }
+    }
+    let damaged = view.log.damaged.iter().take(MOST_DAMAGED);
+    notices.extend(damaged.map(|line| format!("Damaged and left out: {line}.")));
+    if let Some(more) = view.log.damaged.len().checked_sub(MOST_DAMAGED).filter(|more| *more > 0) {
+        notices.push(format!("Damaged and left out: {more} more lines."));
+    }
+    notices
+}
+
+/// Maximum number of conditions whose bounds are printed.
+const MOST_BOUNDS: usize = 12;
+/// Maximum number of damaged lines that are named.
+const MOST_DAMAGED: usize = 5;
+
+/// The policy, and whether the frames were a control.
+fn standing(manifest: &Manifest) -> Vec<String> {
+    let settings = &manifest.settings;
+    let mut lines = vec![match settings.policy {
+        PolicyKind::Grounded => {
+            "Policy: grounded, a scripted stand-in. It tests the harness; its numbers are no claim \
+                                 about any model."
+                .to_owned()
+        }
+        PolicyKind::Openai => {
+            let model = settings.model.as_ref().map_or("?", |model| model.model.as_str());
+            format!("Policy: {model}, asked through an OpenAI-compatible endpoint.")
+        }
+        PolicyKind::External => {
+            let name = manifest.policy_name().map_or(String::new(), |name| format!(" {name}"));
+            match &settings.policy_cmd {
+                Some(command) => format!("Policy: external{name}, started with `{command}`."),
+                None => format!("Policy: external{name}."),
+            }
+        }
+        PolicyKind::Random => "Policy: random, the lower bound of the scale.".to_owned(),
+        PolicyKind::Expert => {
+            "Policy: expert, which replays the reference: the upper bound of the scale.".to_owned()
+        }
+    }];
+    match settings.frames {
+        Frames::Rendered => {}
+        control => lines.push(format!(
+            "Control: observed frames were {control}. Compare with a run on rendered frames, not with the paper."
+        )),
+    }
+    let appearance = settings.appearance();
+    if appearance != Appearance::STANDARD {
+        lines.push(format!("Appearance of the world: {appearance}."));
+    }
+    lines
+}
+
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
+    let mut blocks: Vec<ReportBlock> = notices(view).into_iter().map(ReportBlock::Notice).collect();
+    let (settings, scores) = (&view.log.manifest.settings, &view.scores);
+    let cases = scores.conditions.iter().map(|score| score.cases).max().unwrap_or(0);
+    let runs = scores.conditions.iter().map(|score| score.runs).max().unwrap_or(0);
+    // Of streams, too.
+    let records = &view.log.episodes;
+    let conditions: BTreeSet<Condition> = records.iter().map(EpisodeRecord::condition).collect();
+    let of_streams = records.iter().filter(|record| record.stream.is_some());
+    let streamed: BTreeSet<&str> = of_streams.clone().map(|record| record.case.as_str()).collect();
+    let cases = cases.max(streamed.len());
+    let runs = runs.max(of_streams.map(|record| record.run as usize).max().unwrap_or(0));
+    let speed = match scores.steps_per_s {
+        Some(rate) => {
+            let rate = steps_per_second(rate);
+            TableCell::Value(format!("{rate} steps/s with {} lanes", settings.lanes))
+        }
+        None => TableCell::Missing(Missing::NotMeasured("the log holds no timings")),
+    };
+    let facts = [
+        ("Policy", TableCell::Value(settings.policy.to_string())),
+        ("Suite", TableCell::Value(settings.suite.to_string())),
+        ("Conditions", TableCell::Value(conditions.len().to_string())),
+        ("Cases", TableCell::Value(cases.to_string())),
+        ("Runs of each condition, at most", TableCell::Value(runs.to_string())),
+        (
+            "Episodes finished",
+            TableCell::Value(format!("{} of {}", scores.finished, scores.planned)),
+        ),
+        ("Episodes given up", TableCell::Value(scores.errored.to_string())),
+        ("Speed", speed),
+    ];
+    let streams = scores.streams.iter().flat_map(|found| {
+        [
+            ("Streams", TableCell::Value(found.streams.to_string())),
+            (
+                "Sequences complete",
+                TableCell::Value(format!("{} of {}", found.sequences, found.planned)),
+            ),
+        ]
+    });
+    let facts = facts.into_iter().chain(streams);
+    blocks.push(ReportBlock::Table(facts_table(view.id("facts"), "Summary of the run.", facts)));
+    let task = "An agent has an instruction such as “Visit a blue barrel, then an orange cone.”, its pose and what it sees. \
+                 A memory was built from expert demonstrations before; at every step the policy gets a part of it in \
+                 addition to the last few steps. The tables show how much that helps where a demonstration matches, and \
+                 where it does not.";
+    blocks.push(ReportBlock::Text(task.to_owned()));
+    let memory = |representation: &Representation| {
+        let RepresentationInfo { stores, supplies, .. } = representation.describe();
+        let meaning = format!("stores {stores}; supplies {supplies}");
+        (title((*representation).into()), meaning)
+    };
+    let external = view.log.manifest.memories.iter().map(|(name, facts)| {
+        let ExternalMemoryFacts { version, command, scope, .. } = facts;
+        let started = match command {
+            Some(command) => format!("started with `{command}`"),
+            None => "started by the user".to_owned(),
+        };
+        let scope = match scope.as_str() {
+            "all" => "remembers the demonstrations of all cases",
+            _ => "remembers the demonstrations of the episode's case",
+        };
+        (name.to_string(), format!("external memory, version {version}, {started}; {scope}"))
+    });
+    let has_run = |representation: &&Representation| {
+        conditions.iter().any(|condition| condition.memory == **representation)
+    };
+    let terms = Representation::ALL.iter().filter(has_run).map(memory).chain(external);
+    blocks.push(ReportBlock::Terms(terms.collect()));
+    blocks
+}
+
+/// Formats a rate: a slow one with a digit after the point.
+pub(crate) fn steps_per_second(rate: f64) -> String {
+    if rate < 10.0 { format!("{rate:.1}") } else { format!("{rate:.0}") }
+}
+
+/// A table of facts, one in each row.
+pub(super) fn facts_table(
+    id: String,
+    caption: &str,
+    facts: impl IntoIterator<Item = (impl Into<String>, TableCell)>,
+) -> Table {
+    let row = |(label, cell): (_, TableCell)| -> TableRow {
+        TableRow { label: Into::into(label), published: false, cells: vec![cell] }
+    };
+    Table {
+        id,
+        caption: caption.to_owned(),
+        stubs: vec!["Fact".to_owned()],
+        columns: vec![TableColumn::text("Value")],
+        groups: vec![Group { label: None, rows: facts.into_iter().map(row).collect() }],
+    }
+}

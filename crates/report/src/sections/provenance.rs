@@ -1,0 +1,94 @@
+//! The origin of the run's figures: program, settings, contents, processes.
+
+use serde_json::Value;
+
+use super::overview::facts_table;
+use crate::document::{Missing, ReportBlock, TableCell};
+use crate::view::ScoredRun;
+use results::log::SessionEvent;
+
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
+    let (log, manifest) = (view.log, &view.log.manifest);
+    let failures = log
+        .sessions
+        .iter()
+        .filter(|record| matches!(record.event, SessionEvent::Failed { .. }))
+        .count();
+    let sessions = log.sessions.iter().map(|record| record.session).max();
+    let commit = manifest.commit.clone();
+    let mut facts = vec![
+        ("run folder".to_owned(), TableCell::Value(log.dir.display().to_string())),
+        ("program version".to_owned(), TableCell::Value(manifest.version.clone())),
+        (
+            "commit".to_owned(),
+            commit.map_or(
+                TableCell::Missing(Missing::NotMeasured("the program was not run from a checkout")),
+                TableCell::Value,
+            ),
+        ),
+        ("wire version".to_owned(), TableCell::Value(manifest.wire_version.to_string())),
+        (
+            "sessions".to_owned(),
+            sessions.map_or(
+                TableCell::Missing(Missing::NotMeasured("the log holds no sessions")),
+                |sessions| {
+                    TableCell::Value(format!("{sessions}, with {failures} restarts after a fault"))
+                },
+            ),
+        ),
+    ];
+    if let Ok(Value::Object(settings)) = serde_json::to_value(&manifest.settings) {
+        for (key, value) in settings {
+            // Each group of a suite has a row of its own.
+            match value {
+                Value::Array(groups) if key == "groups" => {
+                    facts.extend(groups.iter().map(group_fact))
+                }
+                value => facts.push((format!("setting {key}"), TableCell::Value(words(&value)))),
+            }
+        }
+    }
+    let hash = |(name, hash): (&String, &String)| {
+        (format!("BLAKE3 of {name}"), TableCell::Value(hash.clone()))
+    };
+    facts.extend(manifest.hashes.iter().map(hash));
+    for (name, memory) in &manifest.memories {
+        if let Ok(Value::Object(said)) = serde_json::to_value(memory) {
+            let fact = |(fact, value): (&String, &Value)| {
+                (format!("memory {name} {fact}"), TableCell::Value(words(value)))
+            };
+            facts.extend(said.iter().map(fact));
+        }
+    }
+    for (role, said) in &manifest.processes {
+        let fact = |(fact, value): (&String, &String)| {
+            let value = if value.is_empty() { "nothing" } else { value };
+            (format!("{role} {fact}"), TableCell::Value(value.to_owned()))
+        };
+        facts.extend(said.iter().map(fact));
+    }
+    let caption = "What the run depended on, from its manifest.";
+    vec![ReportBlock::Table(facts_table(view.id("provenance"), caption, facts))]
+}
+
+fn group_fact(group: &Value) -> (String, TableCell) {
+    let (mut name, mut said) = (String::new(), Vec::new());
+    for (key, value) in group.as_object().into_iter().flatten() {
+        match key.as_str() {
+            "name" => name = format!(" {}", words(value)),
+            key => said.push(format!("{key}: {}", words(value))),
+        }
+    }
+    (format!("setting group{name}"), TableCell::Value(said.join("; ")))
+}
+
+/// A value of a setting in readable form.
+fn words(value: &Value) -> String {
+    match value {
+        Value::String(text) if text.is_empty() => "none".to_owned(),
+        Value::String(text) => text.clone(),
+        Value::Array(all) if all.is_empty() => "none".to_owned(),
+        Value::Array(all) => all.iter().map(words).collect::<Vec<_>>().join(" "),
+        other => other.to_string(),
+    }
+}

@@ -1,0 +1,112 @@
+//! Several runs side by side: their settings, and the conditions that they share, paired by case.
+
+use std::collections::BTreeSet;
+
+use super::overview::notices;
+use super::pairs::{cells, columns};
+use crate::document::{
+    Group, Missing, ReportBlock, ReportSection, Table, TableCell, TableColumn, TableRow,
+};
+use crate::sections::conditions::setting;
+use crate::view::{ScoredRun, sure, title};
+use results::compare::{compare_runs, differing_settings, run_name};
+use results::conditions::Condition;
+
+/// The section about all runs together.
+pub(crate) fn runs(views: &[ScoredRun<'_>]) -> ReportSection {
+    let mut blocks = Vec::new();
+    for view in views {
+        let name = run_name(view.log);
+        let lines = notices(view).into_iter();
+        blocks.extend(lines.map(|line| ReportBlock::Notice(format!("{name}: {line}"))));
+    }
+    blocks.push(ReportBlock::Table(overview(views)));
+    blocks.push(ReportBlock::Table(side_by_side(views)));
+    for (later, second) in views.iter().enumerate() {
+        for first in &views[..later] {
+            blocks.extend(compared(first, second));
+        }
+    }
+    ReportSection::new("s-runs", "The runs side by side", blocks)
+}
+
+fn overview(views: &[ScoredRun<'_>]) -> Table {
+    let row = |view: &ScoredRun<'_>| {
+        let settings = &view.log.manifest.settings;
+        let facts = vec![
+            settings.policy.to_string(),
+            settings.suite.to_string(),
+            settings.frames.to_string(),
+            view.scores.conditions.len().to_string(),
+            format!("{} of {}", view.scores.finished, view.scores.planned),
+        ];
+        (run_name(view.log), facts)
+    };
+    Table::of_text(
+        "runs",
+        "The runs of this report.",
+        (&["Run"], &["Policy", "Suite", "Frames", "Conditions", "Episodes"]),
+        views.iter().map(row),
+    )
+    .with_text(&["Policy", "Suite", "Frames"])
+}
+
+/// Success rate and SPL of every condition, a pair of columns for each run.
+fn side_by_side(views: &[ScoredRun<'_>]) -> Table {
+    let scores = views.iter().flat_map(|view| &view.scores.conditions);
+    let conditions: BTreeSet<Condition> = scores.map(|score| score.condition).collect();
+    let conditions: Vec<Condition> = conditions.into_iter().collect();
+    let row = |condition: &Condition| {
+        let cells = views.iter().flat_map(|view| match view.scores.of(condition) {
+            Some(score) => [sure(score.sr, 1), TableCell::Value(format!("{:.3}", score.spl.mean))],
+            None => [TableCell::Missing(Missing::NotRun), TableCell::Missing(Missing::NotRun)],
+        });
+        TableRow { label: setting(condition), published: false, cells: cells.collect() }
+    };
+    let group = |conditions: &[Condition]| Group {
+        label: conditions.first().map(|condition| title(condition.memory)),
+        rows: conditions.iter().map(row).collect(),
+    };
+    let columns = views.iter().flat_map(|view| {
+        let name = run_name(view.log);
+        [TableColumn::under(name.clone(), "SR %"), TableColumn::under(name, "SPL")]
+    });
+    Table {
+        id: "side-by-side".to_owned(),
+        caption: "Success rate (mean ± standard deviation over runs, 95 % interval) and SPL of every condition."
+            .to_owned(),
+        stubs: vec!["Memory".to_owned(), "Start, route, demonstrations".to_owned()],
+        columns: columns.collect(),
+        groups: conditions.chunk_by(|a, b| a.memory == b.memory).map(group).collect(),
+    }
+}
+
+fn compared(first: &ScoredRun<'_>, second: &ScoredRun<'_>) -> Vec<ReportBlock> {
+    let (a, b) = (run_name(first.log), run_name(second.log));
+    let compared = match compare_runs(first.log, second.log) {
+        Ok(compared) => compared,
+        Err(error) => return vec![ReportBlock::Notice(format!("No comparison: {error}."))],
+    };
+    let differing = differing_settings(first.log, second.log).into_iter().map(|one| {
+        let (key, there, here) = (one.key, one.there, one.here);
+        ReportBlock::Notice(format!("{key} differs: {there} in {a}, {here} in {b}."))
+    });
+    let mut blocks: Vec<ReportBlock> = differing.collect();
+    let rows = compared.iter().map(|compared| TableRow {
+        label: compared.a.trim_start_matches(&format!("{a}: ")).to_owned(),
+        published: false,
+        cells: cells(compared),
+    });
+    blocks.push(ReportBlock::Table(Table {
+        id: format!("compare-{}{}", first.prefix, second.prefix.trim_end_matches('-')),
+        caption: format!(
+            "{a} minus {b}, on the conditions and cases that both have. SR in percentage points. Better, worse: cases \
+             that succeed more often, or less often, in {a}. p: exact two-sided sign test on these two counts, not \
+             corrected for the number of rows."
+        ),
+        stubs: vec!["Condition".to_owned()],
+        columns: columns(),
+        groups: vec![Group { label: None, rows: rows.collect() }],
+    }));
+    blocks
+}

@@ -1,0 +1,154 @@
+//! Streams: worlds that change, and memories that learn (specification, section 9; `docs/streams.md`).
+
+mod adaptation;
+mod cost;
+mod retention;
+mod success;
+
+pub(crate) use adaptation::{adaptation_table, orders_table};
+pub(crate) use cost::necessity_table;
+pub(crate) use retention::transfer_table;
+pub(crate) use success::{differences_table, success_table};
+
+use domain::{Arm, FeedbackLevel};
+
+use crate::document::{Group, Missing, ReportBlock, ReportSection, Table, TableCell, TableRow};
+use crate::view::{ScoredRun, interval_text, title};
+use results::conditions::{Condition, Variation};
+use results::score::{Estimate, StreamScore, StreamScores};
+
+const NOTHING_RETRIEVED: Missing = Missing::Undefined("nothing was retrieved");
+
+/// The sections about streams; none for a run without.
+pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<ReportSection> {
+    let Some(scores) = &view.scores.streams else { return Vec::new() };
+    let mut blocks: Vec<ReportBlock> =
+        incomplete(view).into_iter().map(ReportBlock::Notice).collect();
+    blocks.push(ReportBlock::Text(introduction(scores)));
+    blocks.extend(success::blocks(view, scores));
+    let mut sections = vec![ReportSection::new(view.id("s-streams"), "Streams", blocks)];
+    for (id, title, blocks) in [
+        (
+            "retention",
+            "Streams: what is kept and what carries over",
+            retention::blocks(view, scores),
+        ),
+        (
+            "adaptation",
+            "Streams: adaptation, stale reuse and orders",
+            adaptation::blocks(view, scores),
+        ),
+        ("stream-cost", "Streams: cost against size", cost::blocks(view, scores)),
+        ("necessity", "Streams: cases that need memory", cost::necessity_blocks(view, scores)),
+    ] {
+        if !blocks.is_empty() {
+            let section = ReportSection::new(view.id(&format!("s-{id}")), title, blocks);
+            sections.push(ReportSection { level: 3, ..section });
+        }
+    }
+    sections
+}
+
+/// The notice about sequences that enter no figure.
+pub(crate) fn incomplete(view: &ScoredRun<'_>) -> Option<String> {
+    let scores = view.scores.streams.as_ref()?;
+    let StreamScores { sequences, planned, .. } = scores;
+    let missing = planned.saturating_sub(*sequences);
+    (missing > 0).then(|| {
+        format!(
+            "Streams: {missing} of {planned} sequences are not complete and enter no figure; the same command continues \
+             the run."
+        )
+    })
+}
+
+fn introduction(scores: &StreamScores) -> String {
+    let feedback: Vec<&str> = scores.feedback.iter().copied().map(FeedbackLevel::word).collect();
+    format!(
+        "A stream is a list of blocks of episodes, with events between blocks that change the world: a passage closes or \
+         opens, an item moves, two types swap places, stock is added. A memory in the arm learning persists over the stream, \
+         observes its learning episodes and is told of their end (feedback: {}). Frozen is built once from the original \
+         demonstrations, oracle for every block from demonstrations in the world as it is, wrong from histories of other \
+         tasks. Evaluations change no memory. Block 0 is the unchanged world: before events. {} streams, {} complete \
+         sequences. Figures are means over the sequences of each stream, then over streams; brackets: 95 % bootstrap \
+         intervals over streams, all orders and repetitions of a stream together.",
+        feedback.join(", "),
+        scores.streams,
+        scores.sequences
+    )
+}
+
+/// The arm of a condition and its deviations from the standard variation; working memory is no memory.
+fn arm(condition: &Condition) -> String {
+    let word = match condition.memory.uses_demonstrations() {
+        true => condition.arm.word(),
+        false => "none",
+    };
+    let variation = match condition.variation == Variation::STANDARD {
+        true => String::new(),
+        false => condition.variation.to_string().replace('/', ", "),
+    };
+    word.to_owned() + &variation
+}
+
+/// Memory and arm: `episodic, frozen`.
+fn short(condition: &Condition) -> String {
+    match condition.memory.uses_demonstrations() {
+        true => format!("{} {}", condition.memory, arm(condition)),
+        false => condition.memory.to_string() + &arm(condition)["none".len()..],
+    }
+}
+
+/// A table with a row for each condition, by memory.
+fn by_condition(
+    scores: &StreamScores,
+    table: Table,
+    row: impl Fn(&StreamScore) -> Option<Vec<TableCell>>,
+) -> Table {
+    let of_memory = scores
+        .conditions
+        .chunk_by(|a, b| a.condition.memory == b.condition.memory)
+        .filter_map(|scores| {
+            let rows: Vec<TableRow> = scores
+                .iter()
+                .filter_map(|score| {
+                    Some(TableRow {
+                        label: arm(&score.condition),
+                        published: false,
+                        cells: row(score)?,
+                    })
+                })
+                .collect();
+            let label = scores.first().map(|score| title(score.condition.memory));
+            (!rows.is_empty()).then_some(Group { label, rows })
+        });
+    Table {
+        stubs: vec!["Memory".to_owned(), "Arm".to_owned()],
+        groups: of_memory.collect(),
+        ..table
+    }
+}
+
+/// A figure with its interval, or why there is none.
+fn sure(estimate: Option<Estimate>, digits: usize, missing: Missing) -> TableCell {
+    let Some(Estimate { mean, interval, .. }) = estimate else {
+        return TableCell::Missing(missing);
+    };
+    let figure = minus(mean, digits);
+    match interval {
+        Some(found) => TableCell::Sure { figure, interval: interval_text(found, digits) },
+        None => TableCell::Value(figure),
+    }
+}
+
+/// A number with a typographic minus where it is below zero.
+fn minus(value: f64, digits: usize) -> String {
+    let shown = format!("{value:.digits$}");
+    let is_zero = shown.chars().all(|c| matches!(c, '-' | '0' | '.'));
+    if is_zero { shown.replace('-', "") } else { shown.replace('-', "−") }
+}
+
+/// Whether the condition is one that a stream tests, not a control.
+fn is_tested(condition: &Condition) -> bool {
+    matches!(condition.arm, Arm::Frozen | Arm::Learning) && condition.memory.uses_demonstrations()
+}

@@ -1,0 +1,82 @@
+//! Adaptation lag, stale reuse, robustness against the order of blocks.
+
+use super::{NOTHING_RETRIEVED, by_condition, sure};
+use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
+use crate::view::{ScoredRun, plain_or};
+use results::key::Order;
+use results::score::{OrderScore, StreamScore, StreamScores};
+
+const NEVER: Missing = Missing::Undefined("no case that an event invalidated ever succeeded");
+const NO_EVENT: Missing = Missing::Undefined("no event invalidated a case");
+const NO_REFERENCE: Missing =
+    Missing::NotMeasured("an episode's record does not have the actions of its reference");
+const TWO_ORDERS: Missing = Missing::Undefined("no stream was run in three orders");
+
+pub(super) fn blocks(view: &ScoredRun<'_>, _: &StreamScores) -> Vec<ReportBlock> {
+    let tables = [adaptation_table(view), orders_table(view)];
+    tables.into_iter().flatten().map(ReportBlock::Table).collect()
+}
+
+/// Adaptation lag and stale reuse.
+pub(crate) fn adaptation_table(view: &ScoredRun<'_>) -> Option<Table> {
+    let scores = view.scores.streams.as_ref()?;
+    let mut columns = vec![TableColumn::new("Lag"), TableColumn::new("Adapted %")];
+    columns.extend(["all", "after events"].map(|name| TableColumn::under("Stale %", name)));
+    columns.push(TableColumn::new("t-nDTW"));
+    let table = Table {
+        id: view.id("stream-adaptation"),
+        caption: "Learning episodes. Lag: episodes from the start of a block to the first success of a case whose \
+                  demonstration an event has invalidated, that one included; over the blocks in which there is one. Adapted: \
+                  share of the blocks with an invalidated case that have such a success. A lag counts only together with \
+                  that share. Stale: share of the retrieved sources that complete their task in the world in which they were \
+                  recorded, and not in the episode's. t-nDTW: how closely paths follow the references, from 0 to 1."
+            .to_owned(),
+        stubs: Vec::new(),
+        columns,
+        groups: Vec::new(),
+    };
+    let row = |score: &StreamScore| {
+        let no_lag = if score.adapted.is_some() { NEVER } else { NO_EVENT };
+        Some(vec![
+            sure(score.lag, 1, no_lag),
+            sure(score.adapted, 1, NO_EVENT),
+            sure(score.stale, 1, NOTHING_RETRIEVED),
+            sure(score.stale_after, 1, NOTHING_RETRIEVED),
+            sure(score.t_ndtw, 3, NO_REFERENCE),
+        ])
+    };
+    by_condition(scores, table, row).pruned()
+}
+
+/// Success in each order, and its range.
+pub(crate) fn orders_table(view: &ScoredRun<'_>) -> Option<Table> {
+    let scores = view.scores.streams.as_ref()?;
+    let names = || Order::ALL.iter().map(|order| order.word()).chain(["range"]);
+    let columns = ["Success %", "ACC"]
+        .into_iter()
+        .flat_map(|over| names().map(move |name| TableColumn::under(over, name)));
+    let table = Table {
+        id: view.id("stream-orders"),
+        caption: "Success of the learning episodes, and average success after the last block (ACC), by the order of the \
+                  blocks. Range: largest minus smallest over the orders of a stream, a mean over streams that were run in \
+                  three."
+            .to_owned(),
+        stubs: Vec::new(),
+        columns: columns.collect(),
+        groups: Vec::new(),
+    };
+    let row = |score: &StreamScore| {
+        let of = |figure: fn(&OrderScore) -> Option<f64>| {
+            Order::ALL.map(|order| match score.orders.iter().find(|one| one.order == order) {
+                Some(found) => plain_or(figure(found), 1, TWO_ORDERS),
+                None => TableCell::Missing(Missing::NotRun),
+            })
+        };
+        let mut cells = of(|order| order.success).to_vec();
+        cells.push(plain_or(score.order_spread.map(|range| range.mean), 1, TWO_ORDERS));
+        cells.extend(of(|order| order.average));
+        cells.push(plain_or(score.order_spread_average.map(|range| range.mean), 1, TWO_ORDERS));
+        Some(cells)
+    };
+    by_condition(scores, table, row).pruned()
+}

@@ -1,0 +1,74 @@
+//! The matrix R; average success, transfer and forgetting.
+
+use super::{arm, by_condition, minus, sure};
+use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
+use crate::view::{ScoredRun, title};
+use results::score::{StreamScore, StreamScores};
+
+const ONE_BLOCK: Missing = Missing::Undefined("it needs two blocks");
+const NO_BASELINE: Missing =
+    Missing::NotApplicable("forward transfer is against no memory, where that was run");
+const NOT_EVALUATED: Missing = Missing::Undefined("no case of the block was evaluated");
+
+pub(super) fn blocks(view: &ScoredRun<'_>, scores: &StreamScores) -> Vec<ReportBlock> {
+    let tables = [transfer_table(view), matrix_table(view, scores)];
+    tables.into_iter().flatten().map(ReportBlock::Table).collect()
+}
+
+/// ACC, BWT, FWT and forgetting.
+pub(crate) fn transfer_table(view: &ScoredRun<'_>) -> Option<Table> {
+    let scores = view.scores.streams.as_ref()?;
+    let table = Table {
+        id: view.id("stream-transfer"),
+        caption: "From read-only evaluations of every block after each block. ACC: average success over all blocks after the \
+                  last, in percent. In percentage points: BWT, backward transfer, what later learning changes about a block; \
+                  FWT, forward transfer, success on a block before it is learned, minus that without memory; forgetting, the \
+                  best earlier success on a block minus the last (Lopez-Paz and Ranzato 2017; Chaudhry et al. 2018)."
+            .to_owned(),
+        stubs: Vec::new(),
+        columns: ["ACC", "BWT", "FWT", "Forgetting"].map(TableColumn::new).to_vec(),
+        groups: Vec::new(),
+    };
+    let row = |score: &StreamScore| {
+        score.average?;
+        Some(vec![
+            sure(score.average, 1, ONE_BLOCK),
+            sure(score.backward, 1, ONE_BLOCK),
+            sure(score.forward, 1, NO_BASELINE),
+            sure(score.forgetting, 1, ONE_BLOCK),
+        ])
+    };
+    by_condition(scores, table, row).pruned()
+}
+
+/// R: a group for each condition, a row for each number of blocks learned, a column for each block.
+fn matrix_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<Table> {
+    let blocks = scores.conditions.iter().map(|score| score.matrix.len()).max()?.checked_sub(1)?;
+    let row = |(learned, cells): (usize, &Vec<Option<f64>>)| TableRow {
+        label: format!("after {learned}"),
+        published: false,
+        cells: (0..blocks)
+            .map(|block| {
+                let cell = cells.get(block).copied().flatten();
+                cell.map_or(TableCell::Missing(NOT_EVALUATED), |cell| {
+                    TableCell::Value(minus(cell, 1))
+                })
+            })
+            .collect(),
+    };
+    let group = |score: &StreamScore| Group {
+        label: Some(format!("{}, {}", title(score.condition.memory), arm(&score.condition))),
+        rows: score.matrix.iter().enumerate().map(row).collect(),
+    };
+    let table = Table {
+        id: view.id("stream-matrix"),
+        caption: "R: success in percent on the cases of each block, in the block's own world, after so many blocks were \
+                  learned. Blocks count in the order of their sequence; means over all orders. A condition that does not \
+                  learn differs from row to row by chance alone."
+            .to_owned(),
+        stubs: vec!["Memory, arm".to_owned(), "Blocks learned".to_owned()],
+        columns: (1..=blocks).map(|block| TableColumn::under("Block, by place", block.to_string())).collect(),
+        groups: scores.conditions.iter().filter(|score| score.average.is_some()).map(group).collect(),
+    };
+    table.pruned()
+}

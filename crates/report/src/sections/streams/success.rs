@@ -1,0 +1,161 @@
+//! Success over the stream, before and after events, and paired differences.
+
+use domain::{Arm, MemoryKind, Representation};
+
+use super::{by_condition, is_tested, short, sure};
+use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
+use crate::plot::{Course, CourseCurve, course};
+use crate::view::{ScoredRun, interval_text, signed, title};
+use results::conditions::Condition;
+use results::score::{FigureDifference, RoundScore, StreamScore, StreamScores};
+
+const NO_BLOCK: Missing = Missing::Undefined("the streams have no such block");
+const NO_ORACLE: Missing = Missing::NotApplicable(
+    "regret is against the oracle arm of the same memory, where that was run",
+);
+
+pub(super) fn blocks(view: &ScoredRun<'_>, scores: &StreamScores) -> Vec<ReportBlock> {
+    let mut memories: Vec<MemoryKind> =
+        scores.conditions.iter().map(|score| score.condition.memory).collect();
+    memories.retain(|memory| memory.uses_demonstrations());
+    memories.dedup();
+    let mut blocks: Vec<ReportBlock> =
+        memories.into_iter().filter_map(|memory| rounds_figure(view, scores, memory)).collect();
+    blocks.extend(running_figure(view, scores));
+    let tables = [success_table(view), differences_table(view)];
+    blocks.extend(tables.into_iter().flatten().map(ReportBlock::Table));
+    blocks
+}
+
+/// Success by learning round: the arms of `memory`, frozen Episodic beside them, and no memory in gray.
+fn rounds_figure(
+    view: &ScoredRun<'_>,
+    scores: &StreamScores,
+    memory: MemoryKind,
+) -> Option<ReportBlock> {
+    let is_shown = |score: &StreamScore| {
+        let Condition { memory: own, arm, .. } = score.condition;
+        let is_frozen_episodic = own == Representation::Episodic && arm == Arm::Frozen;
+        own == memory || is_frozen_episodic || !own.uses_demonstrations()
+    };
+    draw(
+        format!("{}-{memory}", view.id("stream-rounds")),
+        format!(
+            "{} over the stream, as drawn: success in each learning round, a mean over streams. Dashed: events. Gray: no \
+             memory.",
+            title(memory)
+        ),
+        scores.conditions.iter().filter(|score| is_shown(score)),
+        |round| round.success,
+    )
+}
+
+fn running_figure(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<ReportBlock> {
+    draw(
+        view.id("stream-success-figure"),
+        "Stream success: success over all learning episodes so far, as drawn, a mean over streams. Dashed: events. Gray: no \
+         memory."
+            .to_owned(),
+        scores.conditions.iter().filter(|score| {
+            is_tested(&score.condition) || !score.condition.memory.uses_demonstrations()
+        }),
+        |round| round.running,
+    )
+}
+
+fn draw<'a>(
+    id: String,
+    caption: String,
+    scores: impl Iterator<Item = &'a StreamScore>,
+    value: fn(&RoundScore) -> f64,
+) -> Option<ReportBlock> {
+    let curve = |score: &StreamScore| {
+        let rounds_of =
+            |place| score.rounds.iter().filter(move |round| round.place == place).count();
+        let point = |round: &RoundScore| {
+            let within = (f64::from(round.round) - 0.5) / rounds_of(round.place) as f64;
+            (f64::from(round.place) + within, value(round))
+        };
+        CourseCurve {
+            name: short(&score.condition),
+            is_bound: !score.condition.memory.uses_demonstrations(),
+            points: score.rounds.iter().map(point).collect(),
+        }
+    };
+    let scores: Vec<&StreamScore> = scores.filter(|score| !score.rounds.is_empty()).collect();
+    let places = scores.iter().flat_map(|score| &score.rounds).map(|round| round.place + 1);
+    let plot = Course {
+        id,
+        caption,
+        up: "Success, %",
+        blocks: places.max()?,
+        curves: scores.into_iter().map(curve).collect(),
+    };
+    Some(ReportBlock::Figure(course(&plot)))
+}
+
+/// Success of the learning episodes: all, before events, after events.
+pub(crate) fn success_table(view: &ScoredRun<'_>) -> Option<Table> {
+    let scores = view.scores.streams.as_ref()?;
+    let mut columns = vec![TableColumn::new("Sequences")];
+    columns.extend(
+        ["all", "before events", "after events"].map(|name| TableColumn::under("Success %", name)),
+    );
+    columns.push(TableColumn::new("Regret"));
+    let table = Table {
+        id: view.id("stream-success"),
+        caption: "Success of the learning episodes, in percent. All: stream success at the end. Before events: in block 0; \
+                  after events: in the other blocks, in whatever order they come. Regret: successes of the oracle arm of the \
+                  same memory minus its own, summed over the learning episodes of a sequence."
+            .to_owned(),
+        stubs: Vec::new(),
+        columns,
+        groups: Vec::new(),
+    };
+    let row = |score: &StreamScore| {
+        Some(vec![
+            TableCell::Value(match score.planned > score.sequences {
+                true => format!("{}/{}", score.sequences, score.planned),
+                false => score.sequences.to_string(),
+            }),
+            sure(score.success, 1, NO_BLOCK),
+            sure(score.before, 1, NO_BLOCK),
+            sure(score.after, 1, NO_BLOCK),
+            sure(score.regret, 1, NO_ORACLE),
+        ])
+    };
+    by_condition(scores, table, row).pruned()
+}
+
+/// Pairs of conditions on the same sequences.
+pub(crate) fn differences_table(view: &ScoredRun<'_>) -> Option<Table> {
+    let scores = view.scores.streams.as_ref()?;
+    let cell = |found: &Option<FigureDifference>| match found {
+        None => TableCell::Missing(NO_BLOCK),
+        Some(FigureDifference { mean, interval: None, .. }) => TableCell::Value(signed(*mean, 1)),
+        Some(FigureDifference { mean, interval: Some(interval), .. }) => {
+            TableCell::Sure { figure: signed(*mean, 1), interval: interval_text(*interval, 1) }
+        }
+    };
+    let rows = scores.differences.iter().map(|found| TableRow {
+        label: format!("{} − {}", short(&found.a), short(&found.b)),
+        published: false,
+        cells: vec![
+            TableCell::Value(found.streams.to_string()),
+            cell(&found.before),
+            cell(&found.after),
+            cell(&found.average),
+        ],
+    });
+    let table = Table {
+        id: view.id("stream-differences"),
+        caption: "First minus second on the sequences that both have, in percentage points, with 95 % bootstrap intervals over \
+                  streams: success of the learning episodes before and after events, and average success over all blocks \
+                  after the last (ACC). No interval: one stream, or all streams alike."
+            .to_owned(),
+        stubs: vec!["First − second".to_owned()],
+        columns: ["Streams", "Before events", "After events", "ACC"].map(TableColumn::new).to_vec(),
+        groups: vec![Group { label: None, rows: rows.collect() }],
+    };
+    table.pruned()
+}

@@ -1,0 +1,58 @@
+//! What each memory supplied, how long that took, and how large it is.
+
+use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
+use crate::view::{ScoredRun, plain_or, title};
+use results::score::MemoryScore;
+
+const BUILT_IN: Missing =
+    Missing::NotApplicable("a built-in memory has no messages of its own, and asks no model");
+const NOT_TOLD: Missing = Missing::NotMeasured("the memory does not tell it");
+
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
+    supplied_table(view).map(ReportBlock::Table).into_iter().collect()
+}
+
+/// A row for each memory; `None` where nothing was supplied, or the log is an earlier one.
+pub(crate) fn supplied_table(view: &ScoredRun<'_>) -> Option<Table> {
+    let scores = MemoryScore::by_memory(view.log);
+    let rows: Vec<TableRow> = scores
+        .iter()
+        .map(|(memory, score)| {
+            let is_external = memory.external().is_some();
+            let external = |value: Option<f64>, missing: Missing| {
+                plain_or(value, 0, if is_external { missing } else { BUILT_IN })
+            };
+            let store = score.store_bytes.map(|bytes| bytes as f64 / 1024.0);
+            TableRow {
+                label: title(*memory),
+                published: false,
+                cells: vec![
+                    TableCell::Value(format!("{:.2}", score.items_each)),
+                    TableCell::Value(format!("{:.2}", score.images_each)),
+                    TableCell::Value(format!("{:.0}", score.text_each)),
+                    TableCell::Value(score.items_dropped.to_string()),
+                    TableCell::Value(format!("{:.0}", score.recall_us)),
+                    external(score.method_us, NOT_TOLD),
+                    external(score.wire_us, NOT_TOLD),
+                    plain_or(store, 1, NOT_TOLD),
+                    external(score.tokens_each, NOT_TOLD),
+                ],
+            }
+        })
+        .collect();
+    let columns =
+        ["Items", "Images", "Text", "Dropped", "Recall us", "Method us", "Wire us", "Store KiB"];
+    (!rows.is_empty()).then(|| Table {
+        id: view.id("supplied"),
+        caption: "What each memory supplied, over all its conditions. Items, images, bytes of text: means of an answer, \
+                  beside the current view and the window. Dropped: items that exceeded the memory's budgets. Recall: \
+                  mean microseconds from the observation to the recall, embedding included. Of an external memory, \
+                  method: what it computed, by its own clock; wire: the messages to it and back, and waiting \
+                  while it answers other lanes. Store: the largest \
+                  size that the memory told. Tokens: of its own requests to a model, mean of an answer."
+            .to_owned(),
+        stubs: vec!["Memory".to_owned()],
+        columns: columns.into_iter().chain(["Tokens"]).map(TableColumn::new).collect(),
+        groups: vec![Group { label: None, rows }],
+    })
+}

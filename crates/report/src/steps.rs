@@ -1,0 +1,138 @@
+//! The flat table of steps: where the agent was, what it did, and what that cost.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::iter::repeat;
+
+use domain::{Action, Feedback, Pose};
+
+use super::frame::{DataFrame, FrameBuilder};
+use results::compare::run_name;
+use results::log::{EpisodeRecord, RequestRecord, RunLog};
+
+/// A moment of an episode.
+struct StepRow<'a> {
+    log: &'a str,
+    record: &'a EpisodeRecord,
+    step: u32,
+    pose: Pose,
+    feedback: Feedback,
+    /// Empty where nothing was retrieved.
+    sources: Option<&'a str>,
+    /// Empty where none is known.
+    distances: Option<&'a str>,
+    request: Option<&'a RequestRecord>,
+}
+
+impl StepRow<'_> {
+    /// What the agent did next; `None` at the end and for an answer without an action.
+    fn action(&self) -> Option<Action> {
+        Action::from_letter(self.record.actions.chars().nth(self.step as usize)?)
+    }
+}
+
+/// The words of a column by request, without end; `None` for `-` and after the last.
+fn words(column: &Option<String>) -> impl Iterator<Item = Option<&str>> {
+    let words = column.as_deref().unwrap_or_default().split_whitespace();
+    words.map(|word| Some(word).filter(|word| *word != "-")).chain(repeat(None))
+}
+
+/// A row for each moment of the finished episodes of `log`: the start, and after every step. `docs/exports.md` describes
+/// the columns.
+pub fn steps_frame(log: &RunLog) -> DataFrame {
+    let name = run_name(log);
+    let asked: BTreeSet<&str> = log.episodes.iter().map(|record| record.key.as_str()).collect();
+    // The last one of a step: requests of attempts that were given up come before those of the finished one.
+    let requests: BTreeMap<(&str, u32), &RequestRecord> = log
+        .requests
+        .iter()
+        .filter(|request| asked.contains(request.key.as_str()))
+        .map(|request| ((request.key.as_str(), request.step), request))
+        .collect();
+    let rows: Vec<StepRow<'_>> = log
+        .episodes
+        .iter()
+        .flat_map(|record| {
+            let told = words(&record.retrieved).zip(words(&record.distances));
+            let (name, requests) = (&name, &requests);
+            (0..).zip(record.replay()).zip(told).map(
+                move |((step, (pose, feedback)), (sources, distances))| StepRow {
+                    log: name,
+                    record,
+                    step,
+                    pose,
+                    feedback,
+                    sources,
+                    distances,
+                    request: requests.get(&(record.key.as_str(), step)).copied(),
+                },
+            )
+        })
+        .collect();
+    let mut frame = FrameBuilder::new(&rows);
+    frame.text("log", |row| Some(row.log.to_owned()));
+    frame.text("key", |row| Some(row.record.key.clone()));
+    frame.text("memory", |row| Some(row.record.memory.to_string()));
+    frame.text("case", |row| Some(row.record.case.clone()));
+    frame.whole("run", |row| Some(row.record.run.into()));
+    frame.whole("step", |row| Some(row.step.into()));
+    frame.whole("x", |row| Some(row.pose.cell.x.into()));
+    frame.whole("y", |row| Some(row.pose.cell.y.into()));
+    frame.text("heading", |row| Some(row.pose.heading.letter().to_string()));
+    frame.text("feedback", |row| Some(row.feedback.words().to_owned()));
+    frame.text("action", |row| Some(row.action()?.words().to_owned()));
+    frame.flag("is_last", |row| Some(row.step == row.record.steps));
+    frame.whole("sub_goals_met", |row| {
+        Some(row.record.sub_goals.iter().filter(|met| **met <= row.step).count() as i64)
+    });
+    frame.whole("sub_goals", |row| Some(row.record.required.into()));
+    frame.flag("tried_closed", |row| {
+        row.record.tried_closed?;
+        Some(row.record.tried_closed_at == Some(row.step))
+    });
+    frame.text("sources", |row| row.sources.map(str::to_owned));
+    frame.text("distances", |row| row.distances.map(str::to_owned));
+    frame.text("outcome", |row| Some(row.request?.outcome.word().to_owned()));
+    type Count = fn(&RequestRecord) -> Option<u64>;
+    let counts: [(&str, Count); 5] = [
+        ("latency_us", |request| request.latency_us),
+        ("images", |request| request.images.map(u64::from)),
+        ("prompt_tokens", |request| request.prompt_tokens.map(u64::from)),
+        ("completion_tokens", |request| request.completion_tokens.map(u64::from)),
+        ("memory_tokens", |request| request.memory_tokens.map(u64::from)),
+    ];
+    for (name, count) in counts {
+        frame.whole(name, |row| i64::try_from(count(row.request?)?).ok());
+    }
+    frame.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use domain::Heading;
+
+    use super::*;
+    use results::log::testing::{log, record};
+
+    #[test]
+    fn every_moment_has_a_row_and_the_last_one_no_action() {
+        let mut one = record("t01-01", false);
+        one.start_pose = Pose::new(5, 0, Heading::N);
+        (one.actions, one.steps) = ("fR?f".to_owned(), 4);
+        (one.blocked_moves, one.sub_goals) = (vec![4], vec![1]);
+        one.retrieved = Some("o3 - n1+o2 o4".to_owned());
+        one.distances = Some("0.0132 - 0+- -".to_owned());
+        (one.tried_closed, one.tried_closed_at) = (Some(true), Some(4));
+        let mut csv = Vec::new();
+        steps_frame(&log(vec![one])).write_csv(&mut csv).unwrap();
+        let text =
+            String::from_utf8(csv).unwrap().replace("episodic/original/unchanged/original/", "");
+        insta::assert_snapshot!(text, @"
+        log,key,memory,case,run,step,x,y,heading,feedback,action,is_last,sub_goals_met,sub_goals,tried_closed,sources,distances,outcome,latency_us,images,prompt_tokens,completion_tokens,memory_tokens
+        run,run1/t01-01,episodic,t01-01,1,0,5,0,N,The episode has just begun.,move forward,false,0,1,false,o3,0.0132,,,,,,
+        run,run1/t01-01,episodic,t01-01,1,1,5,1,N,You moved.,turn right,false,1,1,false,,,,,,,,
+        run,run1/t01-01,episodic,t01-01,1,2,5,1,E,You turned.,,false,1,1,false,n1+o2,0+-,,,,,,
+        run,run1/t01-01,episodic,t01-01,1,3,5,1,E,Your last answer was not understood: you did not move.,move forward,false,1,1,false,o4,,,,,,,
+        run,run1/t01-01,episodic,t01-01,1,4,5,1,E,Something blocks the way: you did not move.,,true,1,1,true,,,,,,,,
+        ");
+    }
+}

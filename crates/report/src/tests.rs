@@ -1,0 +1,328 @@
+//! The report of a made-up run, and that it is complete.
+
+use super::testing::{made_up, made_up_streams, paper_conditions};
+use super::*;
+use results::conditions::{Condition, PolicyKind};
+use results::log::EpisodeRecord;
+
+fn published() -> Published {
+    Published::load().unwrap()
+}
+
+fn paper_log() -> RunLog {
+    made_up(&paper_conditions(), &[1, 2, 3, 4, 5, 6, 7, 8, 9, 10])
+}
+
+fn only(names: &[&str]) -> Vec<(Condition, u32)> {
+    names.iter().map(|name| (name.parse().unwrap(), 2)).collect()
+}
+
+/// Every cell with its place.
+fn cells(document: &ReportDocument) -> Vec<(String, &TableCell)> {
+    let of = |table: &'_ Table| -> Vec<String> {
+        table
+            .groups
+            .iter()
+            .flat_map(|group| group.rows.iter().map(move |row| (group.label.clone(), row)))
+            .flat_map(|(group, row)| {
+                let columns = table.columns.iter();
+                columns.map(move |column| {
+                    let group = group.as_deref().unwrap_or("");
+                    format!("{}: {group} {}: {} {}", table.id, row.label, column.over, column.name)
+                })
+            })
+            .collect()
+    };
+    document.tables().flat_map(|table| of(table).into_iter().zip(table.cells())).collect()
+}
+
+#[test]
+fn the_paper_suite_fills_every_cell() {
+    let log = paper_log();
+    let published = published();
+    let document = document(std::slice::from_ref(&log), &published);
+    let cells = cells(&document);
+    assert!(cells.len() > 800, "{}", cells.len());
+    for table in document.tables() {
+        for row in table.groups.iter().flat_map(|group| &group.rows) {
+            assert_eq!(row.cells.len(), table.columns.len(), "{}: {}", table.id, row.label);
+        }
+    }
+    for (place, cell) in cells {
+        assert!(!cell.text().trim().is_empty(), "{place} is empty");
+        assert_ne!(*cell, TableCell::Missing(Missing::NotRun), "{place}: the whole suite was run");
+    }
+    for figure in document.figures() {
+        assert!(
+            !figure.svg.contains("no figure") && !figure.svg.contains("not run"),
+            "{}",
+            figure.id
+        );
+    }
+}
+
+#[test]
+fn what_was_not_run_is_left_out_and_named_in_one_line() {
+    let log = made_up(&only(&["working/new/unchanged/none", "episodic/new/unchanged/4"]), &[1]);
+    let document = document(&[log], &published());
+    let titles: Vec<&str> =
+        document.sections.iter().map(|section| section.title.as_str()).collect();
+    assert!(!titles.contains(&"RQ2: a blocked route"), "{titles:?}");
+    let line = document.sections[0].blocks.iter().find_map(|block| match block {
+        ReportBlock::Text(text) if text.starts_with("This run has no conditions for") => Some(text),
+        _ => None,
+    });
+    insta::assert_snapshot!(line.unwrap(), @"This run has no conditions for: RQ1: a start that was not demonstrated; RQ2: a blocked route; Design choices.");
+    let cells = cells(&document);
+    let found = |place: &str| {
+        let cell = cells.iter().find(|(at, _)| at == place);
+        cell.unwrap_or_else(|| panic!("no cell {place}")).1.text()
+    };
+    // The group of a representation that was not run and the column of a setting that was not run are absent.
+    assert!(
+        !cells
+            .iter()
+            .any(|(at, _)| at.starts_with("main: Hybrid") || at.contains("Original start"))
+    );
+    assert_eq!(found("main: Working memory this run: Mtok 1 demo"), "n/m");
+    assert_eq!(found("main: Episodic published: New start, 4 demos SR %"), "66.0 ± 1.0");
+    assert!(cells.iter().all(|(_, cell)| !cell.text().is_empty()));
+    // Plots show the run's conditions, and call the published points published.
+    let figure = document.figures().find(|figure| figure.id == "main-figure").unwrap();
+    assert!(figure.svg.contains("published") && !figure.svg.contains("Hybrid"), "{}", figure.svg);
+}
+
+#[test]
+fn demonstrations_elsewhere_are_compared_with_those_of_here_and_with_none() {
+    let conditions = [
+        "working/new/unchanged/none",
+        "semantic/new/unchanged/original",
+        "semantic/new/unchanged/elsewhere",
+        "episodic/new/unchanged/4",
+        "episodic/new/unchanged/elsewhere",
+        "hybrid/new/unchanged/4",
+    ];
+    let log = made_up(&only(&conditions), &[1, 9]);
+    let here = document(std::slice::from_ref(&log), &published());
+    let table = here.tables().find(|table| table.id == "elsewhere").unwrap();
+    let rows = table.groups.iter().flat_map(|group| {
+        group.rows.iter().map(move |row| {
+            let cells: Vec<String> = row.cells.iter().map(TableCell::text).collect();
+            format!("{}: {}: {}", group.label.as_deref().unwrap(), row.label, cells.join(" | "))
+        })
+    });
+    insta::assert_snapshot!(rows.collect::<Vec<_>>().join("\n"));
+    let log = made_up(&only(&["working/new/unchanged/none", "episodic/new/unchanged/4"]), &[1]);
+    let without = document(&[log], &published());
+    assert!(without.tables().all(|table| table.id != "elsewhere"));
+}
+
+#[test]
+fn external_memories_stand_in_every_table_after_the_built_in_ones() {
+    let conditions = [
+        "working/new/unchanged/none",
+        "working/new/blocked/none",
+        "episodic/original/unchanged/original",
+        "episodic/new/unchanged/4",
+        "episodic/new/blocked/4",
+        "episodic/new/unchanged/irrelevant",
+        "top-3/original/unchanged/original",
+        "top-3/new/unchanged/4",
+        "top-3/new/blocked/4",
+        "top-3/new/unchanged/irrelevant",
+        "bm25/new/unchanged/4",
+        "bm25/new/blocked/4",
+    ]
+    .map(|name| (Condition::logged(name).unwrap(), 2));
+    let mut log = made_up(&conditions, &[1, 9]);
+    for record in log.episodes.iter_mut().filter(|record| record.memory.name() == "top-3") {
+        record.retrieved = Some("o1+n2 -".to_owned());
+    }
+    let document = document(std::slice::from_ref(&log), &published());
+    for id in ["main", "blocked", "mixed", "groups", "cost", "pairs", "conditions", "transfer"] {
+        let table = document.tables().find(|table| table.id == id).unwrap();
+        let labels: Vec<&str> =
+            table.groups.iter().filter_map(|group| group.label.as_deref()).collect();
+        let external: Vec<&str> =
+            labels.iter().copied().filter(|label| ["bm25", "top-3"].contains(label)).collect();
+        let expected: &[&str] = match id {
+            // One of them ran at the original start, and under mixed histories.
+            "transfer" => &["top-3"],
+            _ => &["bm25", "top-3"],
+        };
+        assert_eq!(external, expected, "{id}: {labels:?}");
+        assert!(labels.ends_with(expected), "{id}: {labels:?}");
+        for group in table
+            .groups
+            .iter()
+            .filter(|group| group.label.as_deref().is_some_and(|label| external.contains(&label)))
+        {
+            assert!(group.rows.iter().all(|row| !row.published), "{id}: the paper has none");
+        }
+    }
+    let supplied = document.tables().find(|table| table.id == "supplied").unwrap();
+    let labels: Vec<&str> = supplied.groups[0].rows.iter().map(|row| row.label.as_str()).collect();
+    assert_eq!(labels, ["Working memory", "Episodic", "bm25", "top-3"]);
+    let cells: Vec<String> = supplied.groups[0].rows[3].cells.iter().map(TableCell::text).collect();
+    assert_eq!(cells[5..], ["40", "50", "120.6", "n/m"].map(str::to_owned));
+    let pairs = document.tables().find(|table| table.id == "external-pairs").unwrap();
+    let labels: Vec<&str> =
+        pairs.groups.iter().flat_map(|group| &group.rows).map(|row| row.label.as_str()).collect();
+    insta::assert_snapshot!(labels.join("\n"));
+    // What was made up once is read again: names in a log are known.
+    let text = serde_json::to_string(&log.episodes).unwrap();
+    assert_eq!(serde_json::from_str::<Vec<EpisodeRecord>>(&text).unwrap(), log.episodes);
+    let summary = summary(&log);
+    assert!(summary.lines().all(|line| line.chars().count() <= 100), "{summary}");
+}
+
+#[test]
+fn every_published_condition_is_one_of_the_paper_suite() {
+    let conditions: Vec<String> =
+        paper_conditions().iter().map(|(condition, _)| condition.to_string()).collect();
+    for published in published().conditions {
+        let parsed: Condition = published.name.parse().unwrap();
+        assert_eq!(parsed.to_string(), published.name);
+        assert!(conditions.contains(&published.name), "{}", published.name);
+    }
+}
+
+#[test]
+fn the_page_names_the_policy_and_is_self_contained() {
+    let mut log = made_up(&only(&["working/new/unchanged/none"]), &[1]);
+    let page =
+        |log: &RunLog| html::render(&document(std::slice::from_ref(log), &published())).unwrap();
+    let text = page(&log);
+    assert!(text.contains("no claim about any model"), "the page names the stand-in");
+    for foreign in ["<script", "http://", "https://", "src=", "@import", "url("] {
+        // A namespace is not an address.
+        let text = text.replace("http://www.w3.org/2000/svg", "");
+        assert!(!text.contains(foreign), "{foreign}");
+    }
+    log.manifest.settings.policy = PolicyKind::Random;
+    log.manifest.settings.frames = results::conditions::Frames::Blank;
+    let text = page(&log);
+    assert!(
+        !text.contains("stand-in") && text.contains("lower bound") && text.contains("Control:")
+    );
+}
+
+#[test]
+fn two_runs_stand_beside_each_other_and_are_paired() {
+    let conditions = only(&["working/new/unchanged/none", "episodic/new/unchanged/4"]);
+    let first = made_up(&conditions, &[1, 2]);
+    let mut second = made_up(&conditions[1..], &[1, 2]);
+    second.dir = "runs/other".into();
+    second.manifest.settings.policy = PolicyKind::Random;
+    let document = document(&[first, second], &published());
+    let titles: Vec<&str> =
+        document.sections.iter().map(|section| section.title.as_str()).collect();
+    assert_eq!(
+        titles,
+        ["The runs side by side", "Definitions", "Provenance of made-up", "Provenance of other"]
+    );
+    let table = document.tables().find(|table| table.id == "side-by-side").unwrap();
+    assert_eq!((table.columns.len(), table.groups.len()), (4, 2));
+    let table = document.tables().find(|table| table.id == "compare-run1-run2").unwrap();
+    let rows: Vec<_> = table.groups.iter().flat_map(|group| &group.rows).collect();
+    assert_eq!(rows.len(), 1, "they share one condition");
+    assert_eq!(rows[0].label, "episodic/new/unchanged/4");
+    // The same made-up episodes on both sides: no difference, no case better or worse, p = 1.
+    let cells: Vec<String> = rows[0].cells.iter().map(TableCell::text).collect();
+    assert_eq!((cells[0].as_str(), cells[7].as_str(), cells[9].as_str()), ("20", "0", "1.000"));
+    let mut ids: Vec<&String> = document.tables().map(|table| &table.id).collect();
+    ids.extend(document.figures().map(|figure| &figure.id));
+    ids.extend(document.sections.iter().map(|section| &section.id));
+    let count = ids.len();
+    ids.sort();
+    ids.dedup();
+    assert_eq!(ids.len(), count, "every id is there once");
+}
+
+#[test]
+fn a_small_run_in_markdown() {
+    let names = [
+        "working/new/unchanged/none",
+        "working/new/blocked/none",
+        "episodic/original/unchanged/original",
+        "episodic/new/unchanged/4",
+        "episodic/new/blocked/4",
+    ];
+    let document = document(&[made_up(&only(&names), &[1, 9])], &published());
+    insta::assert_snapshot!(markdown::render(&document).unwrap());
+}
+
+#[test]
+fn a_report_is_a_folder_of_files_and_the_same_each_time() {
+    let log = made_up(&only(&["working/new/unchanged/none", "episodic/new/unchanged/4"]), &[1]);
+    let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let page = write(std::slice::from_ref(&log), first.path()).unwrap();
+    assert_eq!(page, first.path().join("report.html"));
+    write(std::slice::from_ref(&log), second.path()).unwrap();
+    for name in [
+        "report.html",
+        "report.md",
+        "conditions.csv",
+        "conditions.parquet",
+        "episodes.csv",
+        "episodes.parquet",
+        "tables/main.csv",
+        "figures/mixed-figure.svg",
+    ] {
+        let content = |dir: &tempfile::TempDir| fs::read(dir.path().join(name)).unwrap();
+        assert!(!content(&first).is_empty(), "{name}");
+        assert_eq!(content(&first), content(&second), "{name}");
+    }
+    let episodes = fs::read_to_string(first.path().join("episodes.csv")).unwrap();
+    assert_eq!(episodes.lines().count(), 1 + log.episodes.len());
+}
+
+#[test]
+fn cases_that_fail_are_named() {
+    let log = made_up(&only(&["working/new/unchanged/none"]), &[1, 9]);
+    let document = document(&[log], &published());
+    let table = document.tables().find(|table| table.id == "worst-cases").unwrap();
+    let rows = &table.groups[0].rows;
+    assert!((1..=10).contains(&rows.len()));
+    assert!(rows[0].label.starts_with('t') && rows[0].cells[3].text().ends_with(&rows[0].label));
+}
+
+#[test]
+fn a_run_of_streams_has_its_own_sections_and_no_row_in_the_others() {
+    let mut log = made_up_streams();
+    let lost = log.episodes.pop().unwrap();
+    let document = document(std::slice::from_ref(&log), &published());
+    let titles: Vec<&str> =
+        document.sections.iter().map(|section| section.title.as_str()).collect();
+    insta::assert_snapshot!(titles.join("\n"), @"
+    What was run
+    Streams
+    Streams: what is kept and what carries over
+    Streams: adaptation, stale reuse and orders
+    Streams: cost against size
+    Streams: cases that need memory
+    What memory supplied
+    Time by stage
+    Definitions
+    Provenance
+    ");
+    let ids: Vec<&str> = document.tables().map(|table| table.id.as_str()).collect();
+    insta::assert_snapshot!(ids.join(" "), @"facts stream-success stream-differences stream-transfer stream-matrix stream-adaptation stream-orders stream-cost necessity supplied time provenance");
+    for table in document.tables() {
+        for row in table.groups.iter().flat_map(|group| &group.rows) {
+            assert_eq!(row.cells.len(), table.columns.len(), "{}: {}", table.id, row.label);
+        }
+    }
+    let notice = document.sections[1].blocks.first();
+    let expected = "Streams: 1 of 96 sequences are not complete and enter no figure; the same command continues the run.";
+    assert_eq!(notice, Some(&ReportBlock::Notice(expected.to_owned())));
+    let summary = summary(&log);
+    insta::assert_snapshot!("summary_of_streams", summary);
+    let wide = summary.lines().find(|line| line.chars().count() > 100);
+    assert_eq!(wide, None);
+    log.episodes.push(lost);
+    let dir = tempfile::tempdir().unwrap();
+    write(std::slice::from_ref(&log), dir.path()).unwrap();
+    let rows = fs::read_to_string(dir.path().join("streams.csv")).unwrap();
+    assert_eq!(rows.lines().count(), 1 + 8);
+}

@@ -1,0 +1,236 @@
+//! One run as the tables see it: its scores by condition beside the published ones; and how figures are written.
+
+use std::collections::BTreeSet;
+
+use domain::{ExternalName, MemoryKind, Representation};
+
+use super::document::{Group, Missing, TableCell, TableColumn, TableRow};
+use super::published::{Published, PublishedCondition, PublishedSpread};
+use results::conditions::Condition;
+use results::log::RunLog;
+use results::score::{ConditionScore, Interval, Scores, Spread};
+
+/// One run, scored.
+#[derive(Debug)]
+pub(super) struct ScoredRun<'a> {
+    pub(super) log: &'a RunLog,
+    pub(super) scores: Scores,
+    pub(super) published: &'a Published,
+    /// The prefix of ids of tables and figures; empty for a single run.
+    pub(super) prefix: String,
+}
+
+impl ScoredRun<'_> {
+    /// The id of a table, figure or section.
+    pub(super) fn id(&self, name: &str) -> String {
+        format!("{}{name}", self.prefix)
+    }
+
+    /// The run's scores of the condition called `name`.
+    pub(super) fn score(&self, name: &str) -> Option<&ConditionScore> {
+        let condition = Condition::logged(name).ok()?;
+        self.scores.of(&condition)
+    }
+
+    /// The built-in representations, and after them the external memories of the run.
+    pub(super) fn memories(&self) -> Vec<MemoryKind> {
+        let built_in = Representation::ALL.iter().copied().map(MemoryKind::BuiltIn);
+        built_in.chain(self.external_memories().into_iter().map(MemoryKind::External)).collect()
+    }
+
+    /// All memories but working memory.
+    pub(super) fn historical(&self) -> Vec<MemoryKind> {
+        self.memories().into_iter().filter(|memory| memory.uses_demonstrations()).collect()
+    }
+
+    /// The external memories that have a finished episode, by name.
+    pub(super) fn external_memories(&self) -> Vec<ExternalName> {
+        let conditions = self.scores.conditions.iter();
+        let names: BTreeSet<ExternalName> =
+            conditions.filter_map(|score| score.condition.memory.external()).collect();
+        names.into_iter().collect()
+    }
+
+    /// A cell of this run: the `figure` of the condition called `name`, or that it was not run.
+    pub(super) fn ours(
+        &self,
+        name: &str,
+        figure: impl Fn(&ConditionScore) -> TableCell,
+    ) -> TableCell {
+        self.score(name).map_or(TableCell::Missing(Missing::NotRun), figure)
+    }
+
+    /// A published cell: the `figure` of the condition called `name`, or why there is none.
+    pub(super) fn theirs(
+        &self,
+        name: &str,
+        figure: impl Fn(&PublishedCondition) -> Option<String>,
+    ) -> TableCell {
+        let published = self.published.of(name).and_then(figure);
+        published.map_or_else(|| unpublished(name), TableCell::Value)
+    }
+
+    /// A row of this run for each of `memories`, and a published one for each built-in memory.
+    pub(super) fn pairs(
+        &self,
+        memories: &[MemoryKind],
+        ours: impl Fn(MemoryKind) -> Vec<TableCell>,
+        theirs: impl Fn(MemoryKind) -> Vec<TableCell>,
+    ) -> Vec<Group> {
+        let group = |&memory: &MemoryKind| {
+            let ours = TableRow { label: OURS.to_owned(), published: false, cells: ours(memory) };
+            let theirs = memory.built_in().map(|_| TableRow {
+                label: THEIRS.to_owned(),
+                published: true,
+                cells: theirs(memory),
+            });
+            let rows = [ours].into_iter().chain(theirs).collect();
+            Group { label: Some(title(memory)), rows }
+        };
+        memories.iter().map(group).collect()
+    }
+}
+
+/// The label of a row with a run's figures.
+pub(super) const OURS: &str = "this run";
+/// The label of a row with the paper's figures.
+pub(super) const THEIRS: &str = "published";
+
+/// The headings of the two label columns of paired rows.
+pub(super) fn pair_stubs() -> Vec<String> {
+    vec!["Representation".to_owned(), "Source".to_owned()]
+}
+
+/// The name of a memory in tables: of a representation as in the paper's, of an external memory its own.
+pub(super) fn title(memory: MemoryKind) -> String {
+    let representation = match memory {
+        MemoryKind::External(name) => return name.to_string(),
+        MemoryKind::BuiltIn(representation) => representation,
+    };
+    let title = match representation {
+        Representation::Working => "Working memory",
+        Representation::FullContext => "Full-context",
+        Representation::Summary => "Summary",
+        Representation::Semantic => "Semantic",
+        Representation::Hybrid => "Hybrid",
+        Representation::Episodic => "Episodic",
+        Representation::Adaptive => "Adaptive",
+    };
+    title.to_owned()
+}
+
+/// The condition's name: `rest` is `start/route`, and working memory has no demonstrations.
+pub(super) fn name(memory: MemoryKind, rest: &str, demonstrations: &str) -> String {
+    let demonstrations = if memory.uses_demonstrations() { demonstrations } else { "none" };
+    format!("{memory}/{rest}/{demonstrations}")
+}
+
+/// Why the paper prints no figure of the condition called `name`.
+fn unpublished(name: &str) -> TableCell {
+    let has = |part: &str| name.split('/').any(|word| word == part);
+    let memory = name.split('/').next().and_then(|memory| memory.parse().ok());
+    let is_external = memory.is_some_and(|memory: MemoryKind| memory.external().is_some());
+    TableCell::Missing(Missing::NotReported(if is_external {
+        "the paper has no such memory"
+    } else if has("hybrid") && (has("4") || has("blocked")) {
+        "Hybrid with four demonstrations was not evaluated (serving constraints, section Limitations)"
+    } else if has("irrelevant") || has("confusable") {
+        "success under mixed histories is printed as a figure without numbers, and retrieval is reported for \
+         Episodic only"
+    } else if has("no-hint") {
+        "of the run without the hint it says only that Full-context changed by two percentage points"
+    } else {
+        "this figure is not printed"
+    }))
+}
+
+/// `95.3 ± 0.6` with its interval below.
+pub(super) fn sure(spread: Spread, digits: usize) -> TableCell {
+    let figure = spread_text(spread, digits);
+    match spread.interval {
+        Some(found) => TableCell::Sure { figure, interval: interval_text(found, digits) },
+        None => TableCell::Value(figure),
+    }
+}
+
+/// The same, or the reason why there is no figure.
+pub(super) fn sure_or(spread: Option<Spread>, digits: usize, missing: Missing) -> TableCell {
+    spread.map_or(TableCell::Missing(missing), |spread| sure(spread, digits))
+}
+
+/// A plain figure, or the reason why there is none.
+pub(super) fn plain_or(value: Option<f64>, digits: usize, missing: Missing) -> TableCell {
+    value.map_or(TableCell::Missing(missing), |value| TableCell::Value(format!("{value:.digits$}")))
+}
+
+/// Mean and standard deviation over runs.
+pub(super) fn spread_text(spread: Spread, digits: usize) -> String {
+    match spread.std {
+        Some(std) => format!("{:.digits$} ± {std:.digits$}", spread.mean),
+        None => format!("{:.digits$}", spread.mean),
+    }
+}
+
+/// An interval in brackets.
+pub(super) fn interval_text(Interval { low, high }: Interval, digits: usize) -> String {
+    format!("[{low:.digits$}, {high:.digits$}]").replace('-', "−")
+}
+
+/// A published figure as the paper prints it.
+pub(super) fn published_text(spread: PublishedSpread) -> String {
+    match spread.std {
+        Some(std) => format!("{:.1} ± {std:.1}", spread.mean),
+        None => format!("{:.1}", spread.mean),
+    }
+}
+
+/// A typographic minus before negative numbers, a plus before others.
+pub(super) fn signed(value: f64, digits: usize) -> String {
+    // Rounded first, so that nothing is printed as -0.0.
+    let shown = format!("{:.digits$}", value.abs());
+    let is_zero = shown.chars().all(|c| matches!(c, '0' | '.'));
+    match (is_zero, value < 0.0) {
+        (true, _) => shown,
+        (false, true) => format!("−{shown}"),
+        (false, false) => format!("+{shown}"),
+    }
+}
+
+/// Formats a p value: never as zero.
+pub(super) fn p_value(p: f64) -> String {
+    if p < 0.001 { "<0.001".to_owned() } else { format!("{p:.3}") }
+}
+
+/// Columns of success rate and SPL for each of `settings`.
+pub(super) fn rate_columns(settings: &[&str]) -> Vec<TableColumn> {
+    let both = |over: &&str| [TableColumn::under(*over, "SR %"), TableColumn::under(*over, "SPL")];
+    settings.iter().flat_map(both).collect()
+}
+
+/// The run's cells under those columns, of the condition called `name`.
+pub(super) fn our_rates(view: &ScoredRun<'_>, name: &str) -> [TableCell; 2] {
+    [
+        view.ours(name, |score| sure(score.sr, 1)),
+        view.ours(name, |score| TableCell::Value(format!("{:.3}", score.spl.mean))),
+    ]
+}
+
+/// The published cells under those columns.
+pub(super) fn their_rates(view: &ScoredRun<'_>, name: &str) -> [TableCell; 2] {
+    [
+        view.theirs(name, |published| published.sr.map(published_text)),
+        view.theirs(name, |published| published.spl.map(|spl| format!("{spl:.3}"))),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn signs_are_typographic_and_zero_has_none() {
+        for (value, shown) in [(-7.66, "−7.7"), (14.3, "+14.3"), (0.0, "0.0"), (-0.04, "0.0")] {
+            assert_eq!(signed(value, 1), shown);
+        }
+    }
+}
