@@ -195,7 +195,7 @@ pub fn advice_on(command: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::{Layer, resolve};
+    use settings::{Layer, resolve};
 
     /// The settings of a run with these external memories, each a script of a shell.
     fn settings(scripts: &[&str]) -> RunSettings {

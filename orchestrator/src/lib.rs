@@ -1,23 +1,21 @@
-//! The program `memtransfer`: settings, lanes, child processes, command line.
+//! Executes runs: plan, lanes, child processes, status.
 //!
-//! - Before a run: [`settings`] (sources, resolved once), [`plan`] (episodes and
-//!   their seeds), [`selection`] (of a world's cases and streams), [`units`] (parts for other machines), [`streams`] (world states and references), [`documents`] (built where they are missing), [`estimate`] (of tokens and costs), [`external_memory`] (started, and asked for
-//!   their names), [`launch`] (which processes, with which limits), [`frame_budget`] (room in shared memory).
+//! - Before a run: [`plan`] (episodes and their seeds), [`selection`] (of a world's cases and streams), [`units`] (parts
+//!   for other machines) and [`store`] (what they need, by content), [`streams`] (world states and references),
+//!   [`documents`] (built where they are missing), [`external_memory`] (started, and asked for their names), [`launch`]
+//!   (which processes, with which limits), [`frame_budget`] (room in shared memory).
 //! - During a run: [`lanes`] (episodes step by step, pure), [`event_recorder`] (what an episode's record needs beside
-//!   its steps), [`pipeline`] (through the processes), [`session`] (into the run folder), [`budget`] (when to stop),
-//!   [`signals`].
+//!   its steps), [`pipeline`] (through the processes), [`session`] (into the run folder), [`budget`] (when to stop).
 //! - What is shown: [`latency`] (histograms), [`status`] and [`monitor`] (the live status), [`progress`], [`trace`]
 //!   (for Perfetto).
 //! - Measurements: [`machine`], [`profile`].
-//! - The command line: [`cli`], one file for each verb.
 //!
-//! Records, scores, tables and reports are in the crate `results`.
+//! Settings are resolved in the crate `settings`; records and scores are in `results`. The command line is the crate
+//! `memtransfer`.
 
 pub mod budget;
-pub mod cli;
 pub mod commit;
 pub mod documents;
-pub mod estimate;
 pub mod event_recorder;
 pub mod external_memory;
 pub mod frame_budget;
@@ -32,8 +30,6 @@ pub mod profile;
 pub mod progress;
 pub mod selection;
 pub mod session;
-pub mod settings;
-pub mod signals;
 pub mod status;
 pub mod store;
 pub mod streams;

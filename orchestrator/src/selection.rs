@@ -4,9 +4,9 @@ use anyhow::Result;
 use results::settings::RunSettings;
 
 use crate::plan::{PlannedEpisode, plan, plan_streams};
-use crate::settings::select_cases;
 use crate::streams::Streams;
 use replay::World;
+use settings::select_cases;
 
 /// The world of a run, and which of its cases take part.
 #[derive(Debug)]

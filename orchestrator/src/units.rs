@@ -157,7 +157,7 @@ mod tests {
 
     use super::*;
     use crate::selection::SelectedCases;
-    use crate::settings::{Layer, resolve};
+    use settings::{Layer, resolve};
 
     fn settings(flags: &[(&str, &str)]) -> RunSettings {
         resolve([Layer::flags(flags.iter().copied()).unwrap()]).unwrap().settings

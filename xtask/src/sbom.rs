@@ -21,7 +21,7 @@ pub(crate) fn write(pins: &Pins, workspace: &Workspace) -> anyhow::Result<()> {
     let linked: BTreeSet<(&str, &str)> = built.lines().filter_map(name_and_version).collect();
     let packages: Vec<Package> =
         workspace.packages(&["--locked", "--filter-platform", &platform])?;
-    let version = packages.iter().find(|package| package.name == "orchestrator");
+    let version = packages.iter().find(|package| package.name == "memtransfer");
     let version = version.map_or("0", |package| package.version.as_str());
     let components = packages
         .iter()

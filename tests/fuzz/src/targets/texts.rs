@@ -6,12 +6,12 @@ use std::path::Path;
 use domain::{Action, ExternalName, MemoryKind, Pose};
 use memory_proc::manifest::EncoderManifest;
 use orchestrator::plan::plan;
-use orchestrator::settings::{Layer, resolve};
 use results::conditions::{Condition, Demonstrations};
 use results::cost::{ModelPrices, Money};
 use results::events::Visit;
 use results::key::EpisodeKey;
 use results::settings::{CaseSelector, RunSettings};
+use settings::{Layer, resolve};
 use shm_types::description::DESCRIPTION_FILE;
 use shm_types::{Attach, MemoryDescription};
 

@@ -1,0 +1,149 @@
+//! The documents of a run: which it needs, and building missing ones before it begins.
+
+use std::collections::BTreeMap;
+
+use anyhow::Result;
+use documents::{
+    DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, StoredDocument,
+};
+use results::log::{DocumentFacts, RunFolder};
+use results::settings::{DocumentSource, RunSettings};
+
+use warehouse::Elsewhere;
+
+use crate::signals::Signals;
+use orchestrator::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};
+use orchestrator::progress::BuildProgress;
+
+/// The documents that a run needs, and where they come from.
+#[derive(Debug)]
+pub(super) struct RunDocuments {
+    needed: Vec<DocumentName>,
+    request: DocumentRequest,
+    /// The run's own copies; none before it has episodes.
+    own: Option<DocumentFolder>,
+}
+
+impl RunDocuments {
+    /// The documents of a run with `settings`, which starts over if `fresh`, and whose tasks may be demonstrated `elsewhere`.
+    pub(super) fn of(settings: &RunSettings, elsewhere: Option<&Elsewhere>, fresh: bool) -> Self {
+        let (folder, selection) = match &settings.documents {
+            DocumentSource::Extractive => (None, DocumentSelection::Recipe(Recipe::Extractive)),
+            DocumentSource::Model(name) => (None, DocumentSelection::Model(name.clone())),
+            DocumentSource::Folder(path) => (Some(path.clone()), DocumentSelection::Any),
+        };
+        let request = DocumentRequest {
+            folder,
+            assets: settings.assets.clone(),
+            elsewhere: elsewhere.cloned(),
+            frame_size: settings.frame_size,
+            appearance: settings.appearance(),
+            selection,
+            server: ModelServer::default(),
+        };
+        let uses_memory = settings.policy.has_process();
+        let own = (!fresh && RunFolder::has_episodes(&settings.out))
+            .then(|| DocumentFolder::new(RunFolder::documents_of(&settings.out)));
+        Self {
+            needed: if uses_memory { needed(&settings.conditions()) } else { Vec::new() },
+            request,
+            own,
+        }
+    }
+
+    /// Returns the documents: the run's own copies, and the others as requested, built if they are missing. `None` when
+    /// a signal asked to stop.
+    pub(super) fn supply(&self, signals: &Signals, quiet: bool) -> Result<Option<ReadyDocuments>> {
+        let mut documents = self.own_copies();
+        let others: Vec<DocumentName> = self.without(&documents);
+        if others.is_empty() {
+            return Ok(Some(ReadyDocuments::unlocked(documents)));
+        }
+        let mut progress = BuildProgress::new(quiet);
+        let ready =
+            self.request.ensure(&others, false, signals.stop(), &mut |stage| progress.show(stage));
+        progress.close(matches!(ready, Ok(Some(_))));
+        let Some(mut ready) = ready? else { return Ok(None) };
+        if !(ready.built.is_empty() || quiet) {
+            eprintln!(
+                "built {} in {}",
+                listed(&ready.built),
+                self.request.folder()?.path().display()
+            );
+        }
+        documents.append(&mut ready.documents);
+        ready.documents = documents;
+        Ok(Some(ready))
+    }
+
+    /// The manifest's entries as they would be now: of the run's own copies, and of the others that can be used.
+    pub(super) fn facts_now(&self) -> BTreeMap<String, DocumentFacts> {
+        facts(&self.usable())
+    }
+
+    /// Sizes of the texts that are ready, in bytes.
+    pub(super) fn sizes(&self) -> BTreeMap<DocumentName, u64> {
+        let usable = self.usable().into_iter();
+        usable
+            .filter_map(|stored| Some((stored.name, stored.document?.text.len() as u64)))
+            .collect()
+    }
+
+    /// The documents that cannot be used yet.
+    pub(super) fn missing(&self) -> Vec<DocumentName> {
+        self.without(&self.usable())
+    }
+
+    /// A line for a dry run; empty if no documents are needed.
+    pub(super) fn plan(&self) -> String {
+        if self.needed.is_empty() {
+            return String::new();
+        }
+        let usable = self.usable();
+        let names: Vec<DocumentName> = usable.iter().map(|stored| stored.name).collect();
+        let missing = self.without(&usable);
+        let mut parts = Vec::new();
+        if !names.is_empty() {
+            parts.push(format!("{} ready", listed(&names)));
+        }
+        if !missing.is_empty() {
+            let state = match self.request.selection {
+                DocumentSelection::Recipe(_) => "to be built",
+                DocumentSelection::Model(_) | DocumentSelection::Any => "missing",
+            };
+            parts.push(format!("{} {state}", listed(&missing)));
+        }
+        format!("\nDocuments: {}.", parts.join("; "))
+    }
+
+    /// The run's own copies of needed documents.
+    fn own_copies(&self) -> Vec<StoredDocument> {
+        let Some(own) = &self.own else { return Vec::new() };
+        let load = |&name: &DocumentName| {
+            let document = own.load_run_copy(name).ok()?;
+            Some(StoredDocument::current(own.run_copy(name), document))
+        };
+        self.needed.iter().filter_map(load).collect()
+    }
+
+    /// The run's own copies, and the other documents that can be used as they are. A request that cannot be read has none:
+    /// [`Self::supply`] reports why.
+    fn usable(&self) -> Vec<StoredDocument> {
+        let mut documents = self.own_copies();
+        let others = self.request.find(&self.without(&documents)).unwrap_or_default().into_iter();
+        documents.extend(others.filter(|stored| stored.state == DocumentState::Current));
+        documents
+    }
+
+    /// The needed documents that are not among `documents`.
+    fn without(&self, documents: &[StoredDocument]) -> Vec<DocumentName> {
+        let is_missing =
+            |name: &&DocumentName| documents.iter().all(|stored| stored.name != **name);
+        self.needed.iter().filter(is_missing).copied().collect()
+    }
+}
+
+/// The names of documents, for a message.
+pub(super) fn listed(names: &[DocumentName]) -> String {
+    names.iter().map(DocumentName::to_string).collect::<Vec<_>>().join(", ")
+}

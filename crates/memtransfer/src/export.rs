@@ -1,0 +1,192 @@
+//! `memtransfer export`: a run as files for other programs.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+use clap::builder::TypedValueParser;
+use clap::{Args, ValueEnum};
+use export::{
+    EpisodeFormat, Episodes, HubDataset, TableFormat, Timing, leaderboard, write_results,
+    write_tables,
+};
+use replay::{RecordedRun, Selection, World};
+use results::key::EpisodeKey;
+use results::log::RunLog;
+use results::settings::CaseSelector;
+
+use super::view::view_program;
+use super::{Exit, print};
+use settings::select_cases;
+/// Episodes of MCAP and MP4, unless something else is asked for.
+const FEW: Selection = Selection::First(10);
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Formats:
+  mcap          views, poses, events, decisions and what memory supplied, for Foxglove and Rerun
+  mp4           the views as a film; needs ffmpeg
+  csv, parquet  two tables, `episodes` and `steps`, for pandas, DuckDB or a spreadsheet
+  leaderboard   one JSON file with all that a comparison needs, for `memtransfer leaderboard`
+  hugging-face  the success rates as `.eval_results` YAML for a model's page on the Hub
+
+Of mcap and mp4, --out is a file for all chosen episodes one after the other, or a folder with a file
+for each. Views are rendered from the log's poses, so the run needs no images. docs/exports.md has
+every channel, column and key.
+
+Examples:
+  memtransfer export runs/quick-grounded --format mcap --out episodes
+  memtransfer export runs/quick-grounded --format mp4 --cases t01-01 --condition episodic,new \\
+      --out t01-01.mp4
+  memtransfer export runs/quick-grounded --format parquet --out tables
+  memtransfer export runs/quick-grounded --format leaderboard --out board
+  memtransfer export runs/quick-grounded --format hugging-face --dataset my-team/memtransfer \\
+      --out .eval_results")]
+pub(super) struct ExportArgs {
+    /// The run's folder
+    #[arg(value_name = "RUN")]
+    run: PathBuf,
+    /// The format
+    #[arg(long, value_enum)]
+    format: Format,
+    /// The file or folder to write; files of the same names are replaced
+    #[arg(long, value_name = "PATH")]
+    out: PathBuf,
+    /// Only episodes of these cases or tasks: t01-01,t03
+    #[arg(long, value_name = "CASES", value_delimiter = ',')]
+    cases: Vec<CaseSelector>,
+    /// Only episodes of this condition, or of all whose names have these words: episodic,new
+    #[arg(long, value_name = "CONDITION")]
+    condition: Option<String>,
+    /// The number of episodes, failures first, or `all` [default: 10 for mcap and mp4, otherwise all]
+    #[arg(long, value_name = "N|all")]
+    episodes: Option<Selection>,
+    /// With mcap and mp4: steps a second [default: 2]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=60))]
+    fps: Option<u32>,
+    /// With mcap and mp4: width and height of a view in pixels, a multiple of 64 [default: 448]
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u16).range(64..=2048).try_map(renderable))]
+    size: Option<u16>,
+    /// With hugging-face: the id of the benchmark's data set on the Hub
+    #[arg(long, value_name = "TEAM/NAME", required_if_eq("format", "hugging-face"))]
+    dataset: Option<HubDataset>,
+    /// With hugging-face: the address of what the results come from, for example of the published log
+    #[arg(long, value_name = "URL")]
+    source: Option<String>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Format {
+    Mcap,
+    Mp4,
+    Csv,
+    Parquet,
+    Leaderboard,
+    HuggingFace,
+}
+
+/// The simulator renders rows of whole blocks of 64 pixels.
+fn renderable(size: u16) -> Result<u16, &'static str> {
+    if size.is_multiple_of(64) { Ok(size) } else { Err("expected a multiple of 64") }
+}
+
+pub(super) fn run(args: &ExportArgs) -> Result<Exit> {
+    args.check()?;
+    let files = match args.format {
+        Format::Mcap => args.write_episodes(EpisodeFormat::Mcap)?,
+        Format::Mp4 => args.write_episodes(EpisodeFormat::Mp4)?,
+        Format::Csv => args.write_tables(TableFormat::Csv)?,
+        Format::Parquet => args.write_tables(TableFormat::Parquet)?,
+        Format::Leaderboard => {
+            vec![leaderboard::write_entry(&RunLog::read(&args.run)?, &args.out)?]
+        }
+        Format::HuggingFace => {
+            let dataset = args.dataset.as_ref().context("--format hugging-face needs --dataset")?;
+            let log = RunLog::read(&args.run)?;
+            vec![write_results(&log, dataset, args.source.as_deref(), &args.out)?]
+        }
+    };
+    let paths: Vec<String> = files.iter().map(|file| file.display().to_string()).collect();
+    print(&paths.join("\n"))?;
+    Ok(Exit::Complete)
+}
+
+impl ExportArgs {
+    /// Refuses flags that the format does not have.
+    fn check(&self) -> Result<()> {
+        let (shows, chooses) = match self.format {
+            Format::Mcap | Format::Mp4 => (true, true),
+            Format::Csv | Format::Parquet => (false, true),
+            Format::Leaderboard | Format::HuggingFace => (false, false),
+        };
+        let is_hub = self.format == Format::HuggingFace;
+        let given = [
+            ("--fps", self.fps.is_some(), shows, "mcap and mp4"),
+            ("--size", self.size.is_some(), shows, "mcap and mp4"),
+            ("--cases", !self.cases.is_empty(), chooses, "mcap, mp4, csv and parquet"),
+            ("--condition", self.condition.is_some(), chooses, "mcap, mp4, csv and parquet"),
+            ("--episodes", self.episodes.is_some(), chooses, "mcap, mp4, csv and parquet"),
+            ("--dataset", self.dataset.is_some(), is_hub, "hugging-face"),
+            ("--source", self.source.is_some(), is_hub, "hugging-face"),
+        ];
+        match given.iter().find(|(_, is_given, is_known, _)| *is_given && !is_known) {
+            Some((flag, _, _, formats)) => bail!("{flag} is for the formats {formats}"),
+            None => Ok(()),
+        }
+    }
+
+    fn write_episodes(&self, format: EpisodeFormat) -> Result<Vec<PathBuf>> {
+        let mut run = RecordedRun::read(&self.run)?;
+        for notice in &run.notices {
+            eprintln!("{notice}");
+        }
+        self.choose(&mut run.log, FEW)?;
+        let timing = Timing { steps_per_s: self.fps.unwrap_or(2), edge: self.size.unwrap_or(448) };
+        Episodes::new(run, &view_program()?, timing)?.write(format, &self.out)
+    }
+
+    fn write_tables(&self, format: TableFormat) -> Result<Vec<PathBuf>> {
+        let mut log = RunLog::read(&self.run)?;
+        self.choose(&mut log, Selection::All)?;
+        write_tables(&log, format, &self.out)
+    }
+
+    /// Leaves the chosen episodes in `log`, the `default` ones unless a number was given.
+    fn choose(&self, log: &mut RunLog, default: Selection) -> Result<()> {
+        let before = log.episodes.len();
+        if !self.cases.is_empty() {
+            let world = World::load(log.manifest.settings.assets.as_deref())?;
+            let ids = world.case_ids();
+            let chosen: BTreeSet<&str> =
+                select_cases(&ids, &self.cases, None)?.into_iter().map(|case| ids[case]).collect();
+            log.episodes.retain(|record| chosen.contains(record.case.as_str()));
+            log.errors.retain(|error| {
+                EpisodeKey::read(&error.key).is_some_and(|key| chosen.contains(key.case.as_str()))
+            });
+        }
+        if let Some(words) = &self.condition {
+            log.episodes.retain(|record| record.condition().has_words(words));
+            log.errors.retain(|error| {
+                EpisodeKey::read(&error.key).is_some_and(|key| key.condition.has_words(words))
+            });
+        }
+        let selection = self.episodes.unwrap_or(default);
+        let chosen = selection.choose(log, &BTreeSet::new());
+        let mut index = 0..;
+        log.episodes.retain(|_| index.next().is_some_and(|index| chosen.contains(&index)));
+        if selection != Selection::All {
+            log.errors.clear();
+        }
+        if log.episodes.is_empty() {
+            bail!(
+                "{} has {before} finished episodes, and none of them was chosen: `memtransfer view {}` lists them",
+                self.run.display(),
+                self.run.display()
+            );
+        }
+        if log.episodes.len() < before {
+            eprintln!("{} of {before} episodes", log.episodes.len());
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,384 @@
+//! `memtransfer ls`: lists cases, tasks, items, suites, conditions, streams and runs.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use clap::{Args, Subcommand};
+use report::table::table;
+use results::conditions::Condition;
+use results::date::date;
+use results::log::RunLog;
+use results::score::score;
+use results::settings::StreamSettings;
+use serde_json::{Value, json};
+use warehouse::{Mixture, Overlap, Start, Task};
+
+use super::{Exit, WorldArgs, print, print_json};
+use orchestrator::streams::Streams;
+use replay::World;
+use settings::{Layer, SHIPPED_SUITES, resolve, select_cases};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  memtransfer ls cases
+  memtransfer ls items --json | jq '.[] | select(.category == \"barrels\")'
+  memtransfer ls runs")]
+pub(super) struct ListArgs {
+    #[command(subcommand)]
+    what: ListWhat,
+    /// Print JSON
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum ListWhat {
+    /// Cases: instruction, starting poses, lengths of the reference routes
+    Cases(WorldArgs),
+    /// The demonstrations of other tasks in each case's mixed sets
+    Histories(WorldArgs),
+    /// The ten types of tasks
+    Tasks(WorldArgs),
+    /// The items of the warehouse, with the cells in front of them
+    Items(WorldArgs),
+    /// The shipped suites: purpose and size
+    Suites,
+    /// The conditions of a suite, as values of the flags of `memtransfer run`
+    Conditions {
+        /// A suite, by name or file
+        #[arg(long, default_value = "quick", value_name = "NAME|FILE")]
+        suite: String,
+    },
+    /// The streams of a suite: what happens before each block, and the block's cases
+    Streams {
+        /// A suite of streams, by name or file
+        #[arg(long, default_value = "stream", value_name = "NAME|FILE")]
+        suite: String,
+        /// The seed that the streams are drawn from [default: the suite's]
+        #[arg(long)]
+        seed: Option<u64>,
+    },
+    /// The runs in a folder: policy, date, progress and success rate
+    Runs {
+        /// The folder of run folders
+        #[arg(default_value = "runs", value_name = "DIR")]
+        dir: PathBuf,
+    },
+}
+
+/// A list as a table and as JSON.
+struct Listing {
+    header: Vec<&'static str>,
+    /// Columns from this one on hold numbers.
+    numbers: usize,
+    rows: Vec<Vec<Value>>,
+}
+
+pub(super) fn run(args: &ListArgs) -> anyhow::Result<Exit> {
+    let listing = match &args.what {
+        ListWhat::Cases(world) => cases(&world.load()?),
+        ListWhat::Histories(world) => histories(&world.load()?),
+        ListWhat::Tasks(world) => tasks(&world.load()?),
+        ListWhat::Items(world) => items(&world.load()?),
+        ListWhat::Suites => suites()?,
+        ListWhat::Conditions { suite } => conditions(suite)?,
+        ListWhat::Streams { suite, seed } => streams(suite, *seed)?,
+        ListWhat::Runs { dir } => runs(dir)?,
+    };
+    if args.json {
+        print_json(&listing.objects())?;
+    } else {
+        print(&listing.table())?;
+    }
+    Ok(Exit::Complete)
+}
+
+impl Listing {
+    fn objects(&self) -> Vec<Value> {
+        let object = |row: &Vec<Value>| {
+            self.header.iter().map(|key| key.replace(' ', "_")).zip(row.iter().cloned()).collect()
+        };
+        self.rows.iter().map(object).map(Value::Object).collect()
+    }
+
+    fn table(&self) -> String {
+        let mut table = table(&self.header, self.numbers);
+        let text = |value: &Value| match value {
+            Value::Null => "-".to_owned(),
+            Value::String(text) => text.clone(),
+            other => other.to_string(),
+        };
+        for row in &self.rows {
+            table.add_row(row.iter().map(text));
+        }
+        table.to_string()
+    }
+}
+
+fn cases(world: &World) -> Listing {
+    let rows = world.cases.cases.iter().map(|case| {
+        let length = |start| json!(case.replay(&world.warehouse, start).length);
+        vec![
+            json!(case.id),
+            json!(case.task.instruction(&world.warehouse.catalogue)),
+            json!(case.original.start.to_string()),
+            json!(case.test.start.to_string()),
+            length(Start::Original),
+            length(Start::Test),
+            length(Start::Blocked),
+        ]
+    });
+    Listing {
+        header: vec![
+            "case",
+            "instruction",
+            "original start",
+            "new start",
+            "original steps",
+            "new steps",
+            "blocked steps",
+        ],
+        numbers: 4,
+        rows: rows.collect(),
+    }
+}
+
+fn histories(world: &World) -> Listing {
+    let World { warehouse, cases, .. } = world;
+    let listed = cases.cases.iter().enumerate().flat_map(|(index, case)| {
+        let of = |mixture: Mixture| case.mixed(mixture).map(|history| (mixture, history));
+        Mixture::ALL.into_iter().flat_map(of).map(move |(mixture, history)| {
+            let source = cases.cases.get(history.case);
+            let overlap = Overlap::of(warehouse, cases, index, history);
+            vec![
+                json!(case.id),
+                json!(mixture.name()),
+                json!(source.map(|source| format!("{} {}", source.id, history.start.name()))),
+                json!(source.map(|source| source.task.instruction(&warehouse.catalogue))),
+                json!(overlap.map(|overlap| overlap.shared_poses)),
+                json!(overlap.map(|overlap| overlap.conflicts)),
+            ]
+        })
+    });
+    Listing {
+        header: vec!["case", "kind", "history", "its instruction", "shared poses", "conflicts"],
+        numbers: 4,
+        rows: listed.collect(),
+    }
+}
+
+fn tasks(world: &World) -> Listing {
+    let cases = &world.cases.cases;
+    let rows = (1..=10).map(|number| {
+        let of_type = || cases.iter().filter(|case| case.task.number() == number);
+        let example = of_type().next();
+        vec![
+            json!(format!("t{number:02}")),
+            json!(Task::type_name(number)),
+            json!(example.map(|case| case.task.group().name())),
+            json!(example.map(|case| case.task.instruction(&world.warehouse.catalogue))),
+            json!(of_type().count()),
+        ]
+    });
+    Listing {
+        header: vec!["task", "name", "group", "example", "cases"],
+        numbers: 4,
+        rows: rows.collect(),
+    }
+}
+
+fn items(world: &World) -> Listing {
+    let World { warehouse, .. } = world;
+    let rows = warehouse.items.iter().map(|item| {
+        let item_type = &warehouse.catalogue.types[item.item_type];
+        vec![
+            json!(item_type.name),
+            json!(warehouse.catalogue.categories[item_type.category].name),
+            json!(warehouse.layout.aisle_name(item.standpoint)),
+            json!(item.rack.to_string()),
+            json!(item.standpoint.to_string()),
+            json!(item.id),
+        ]
+    });
+    Listing {
+        header: vec!["type", "category", "aisle", "rack", "standpoint", "item"],
+        numbers: 5,
+        rows: rows.collect(),
+    }
+}
+
+fn suites() -> anyhow::Result<Listing> {
+    // A suite begins with a comment about its purpose.
+    let about = |text: &str| {
+        let comment = text.lines().take_while(|line| line.starts_with('#'));
+        let about: Vec<&str> = comment
+            .map(|line| line.trim_start_matches(['#', ' ']))
+            .take_while(|line| !line.is_empty())
+            .collect();
+        about.join(" ")
+    };
+    let mut rows = Vec::new();
+    let world = World::load(None)?;
+    for (name, text) in SHIPPED_SUITES {
+        let settings = resolve([Layer::flags([("suite", *name)])?])?.settings;
+        let cases = select_cases(&world.case_ids(), &settings.cases, settings.limit)?.len();
+        let conditions = settings.runs();
+        let runs: u32 = conditions.iter().map(|(_, runs)| runs).sum();
+        let each = settings.stream.as_ref().map_or(cases, StreamSettings::all_episodes);
+        rows.push(vec![
+            json!(name),
+            json!(about(text)),
+            json!(conditions.len()),
+            json!(runs as usize * each),
+        ]);
+    }
+    Ok(Listing { header: vec!["suite", "about", "conditions", "episodes"], numbers: 2, rows })
+}
+
+fn runs(dir: &Path) -> anyhow::Result<Listing> {
+    let mut rows = Vec::new();
+    if dir.exists() {
+        let entries = std::fs::read_dir(dir);
+        let entries = entries.with_context(|| format!("cannot list {}", dir.display()))?;
+        let mut folders = entries
+            .map(|entry| entry.map(|entry| entry.path()))
+            .collect::<Result<Vec<PathBuf>, _>>()?;
+        folders.retain(|folder| folder.join("manifest.json").exists());
+        folders.sort();
+        rows = folders.iter().map(|folder| run_row(folder)).collect();
+    }
+    let header =
+        vec!["run", "suite", "policy", "started", "state", "finished", "planned", "given up", "SR"];
+    Ok(Listing { header, numbers: 5, rows })
+}
+
+/// The blocks of a suite's streams; a row for each event, or one for a block without.
+fn conditions(suite: &str) -> anyhow::Result<Listing> {
+    let settings = resolve([Layer::flags([("suite", suite)])?])?.settings;
+    if settings.stream.is_some() {
+        bail!(
+            "{suite} is a suite of streams: `memtransfer ls streams --suite {suite}` lists its blocks"
+        );
+    }
+    let rows = settings.runs().into_iter().map(|(condition, runs)| {
+        let Condition { memory, start, route, demonstrations, variation, arm: _ } = condition;
+        vec![
+            json!(memory.to_string()),
+            json!(start.to_string()),
+            json!(route.to_string()),
+            json!(demonstrations.to_string()),
+            json!(variation.segment.to_string()),
+            json!(variation.hint.to_string()),
+            json!(variation.window),
+            json!(runs),
+        ]
+    });
+    let header = vec!["memory", "starts", "routes", "demos", "segment", "hint", "window", "runs"];
+    Ok(Listing { header, numbers: 6, rows: rows.collect() })
+}
+
+fn streams(suite: &str, seed: Option<u64>) -> anyhow::Result<Listing> {
+    let seed = seed.map(|seed| seed.to_string());
+    let flags = [("suite", Some(suite)), ("seed", seed.as_deref())];
+    let flags = flags.into_iter().filter_map(|(name, text)| Some((name, text?)));
+    let settings = resolve([Layer::flags(flags)?])?.settings;
+    let stream = settings.stream.as_ref();
+    let stream = stream.with_context(|| format!("the suite {suite} has no [stream] table"))?;
+    let world = World::load(settings.assets.as_deref())?;
+    let among = select_cases(&world.case_ids(), &settings.cases, settings.limit)?;
+    let set = Streams::draw(&world, stream, &among, settings.seed)?.set;
+    let ids = world.case_ids();
+    let mut rows = Vec::new();
+    for (number, stream) in set.streams.iter().enumerate() {
+        for (place, block) in stream.blocks.iter().enumerate() {
+            let cases: Vec<&str> = block.cases.iter().map(|&case| ids[case as usize]).collect();
+            let mut events: Vec<Value> =
+                block.events.iter().map(|event| json!(event.describe(&world.warehouse))).collect();
+            if events.is_empty() {
+                events.push(Value::Null);
+            }
+            let row = |event| vec![json!(number), json!(place), event, json!(cases.join(" "))];
+            rows.extend(events.into_iter().map(row));
+        }
+    }
+    Ok(Listing { header: vec!["stream", "block", "event before it", "cases"], numbers: 4, rows })
+}
+
+/// A run's row; of a run that cannot be read, the reason.
+fn run_row(folder: &Path) -> Vec<Value> {
+    let name = json!(folder.display().to_string());
+    let log = match RunLog::read(folder) {
+        Ok(log) => log,
+        Err(error) => {
+            let mut row = vec![name, Value::Null, Value::Null, Value::Null];
+            row.push(json!(error.to_string()));
+            row.resize(9, Value::Null);
+            return row;
+        }
+    };
+    let scores = score(&log);
+    let state = if scores.finished >= scores.planned { "complete" } else { "incomplete" };
+    let successes = log.episodes.iter().filter(|record| record.is_success()).count();
+    let finished = log.episodes.len();
+    let sr = (finished > 0).then(|| format!("{:.1}", 100.0 * successes as f64 / finished as f64));
+    vec![
+        name,
+        json!(log.manifest.settings.suite.word()),
+        json!(log.policy_label()),
+        json!(log.sessions.first().map(|session| date(session.unix_s))),
+        json!(state),
+        json!(scores.finished),
+        json!(scores.planned),
+        json!(log.errors.len()),
+        json!(sr),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use results::conditions::PolicyKind;
+    use results::log::testing::manifest;
+    use results::log::{RunFolder, SessionEvent};
+
+    use super::*;
+
+    #[test]
+    fn a_run_is_listed_with_the_name_of_its_policy_and_a_date() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut manifest = manifest();
+        manifest.settings.policy = PolicyKind::External;
+        let facts = BTreeMap::from([("policy".to_owned(), "top-three".to_owned())]);
+        manifest.processes.insert("policy".to_owned(), facts);
+        let opened = RunFolder::open(&dir.path().join("run"), manifest, false).unwrap();
+        let mut folder = opened.folder;
+        folder.note(SessionEvent::Failed { generation: 1, reason: "test".to_owned() }).unwrap();
+        drop(folder);
+        let listing = runs(dir.path()).unwrap();
+        let cell = |name| {
+            let column = listing.header.iter().position(|header| *header == name).unwrap();
+            listing.rows[0][column].as_str().unwrap().to_owned()
+        };
+        assert_eq!(cell("policy"), "external (top-three)");
+        let year = cell("started").split_once('-').unwrap().0.parse::<u32>().unwrap();
+        assert!((2024..2100).contains(&year), "{}", cell("started"));
+    }
+
+    #[test]
+    fn lists_fit_a_terminal() {
+        let world = World::load(None).unwrap();
+        for listing in [
+            cases(&world),
+            histories(&world),
+            tasks(&world),
+            items(&world),
+            suites().unwrap(),
+            streams("stream", None).unwrap(),
+        ] {
+            let table = listing.table();
+            assert!(table.lines().all(|line| line.chars().count() <= 100), "{table}");
+        }
+    }
+}

@@ -1,0 +1,280 @@
+//! The command line: the verbs, and one exit point.
+//!
+//! Data goes to stdout, progress and messages go to stderr. The exit status is 0 when everything is complete, 1 when
+//! something is incomplete or failed, 2 on an error, 3 when units of a plan are missing, and 128 + n when signal n ended the program.
+
+mod clean;
+mod conformance;
+mod doctor;
+mod documents;
+mod estimate;
+mod export;
+mod generate;
+mod leaderboard;
+mod list;
+mod map;
+mod memory;
+mod merge;
+mod passed_on;
+mod plan;
+mod profile;
+mod report;
+mod run;
+mod score;
+mod show;
+mod signals;
+mod top;
+mod validate;
+mod view;
+mod work;
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, Parser, Subcommand};
+
+use replay::World;
+
+/// A benchmark of embodied memory: a hundred navigation cases in a rendered warehouse, run by four
+/// processes over shared memory.
+#[derive(Debug, Parser)]
+#[command(name = "memtransfer", version, after_help = EXAMPLES)]
+struct Cli {
+    #[command(subcommand)]
+    verb: MemtransferVerb,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  memtransfer run                          the suite `quick`; the same command again resumes it
+  memtransfer run --limit 5 --policy random
+  memtransfer score runs/quick-grounded    its table again, from the log alone
+  memtransfer report runs/quick-grounded   its report: pages, tables and data files
+  memtransfer view runs/quick-grounded     its episodes step by step, in a browser
+  memtransfer export runs/quick-grounded --format parquet --out tables
+  memtransfer ls cases                     the cases
+  memtransfer map t03-07 --out map.svg     one case from above
+  memtransfer top                          the live status of the run in progress
+  memtransfer plan --out plan.json         units of the run for `work` and `merge` on many machines
+  memtransfer profile                      measure how long an access to memory takes
+  memtransfer doctor                       check what is missing on this machine
+
+Exit status: 0 complete, 1 incomplete or failed, 2 error, 3 units missing, 128 + n ended by
+signal n.
+Every flag of `run` can be given as a MEMTRANSFER_* variable, or as a key of a suite file.";
+
+#[derive(Debug, Subcommand)]
+enum MemtransferVerb {
+    /// Run a suite: start the processes, run the episodes, print the table
+    Run(Box<run::RunArgs>),
+    /// Divide a run into units for several machines
+    Plan(Box<plan::PlanArgs>),
+    /// Execute one unit of a plan
+    Work(Box<work::WorkArgs>),
+    /// Join finished units into one run folder
+    Merge(merge::MergeArgs),
+    /// Show the live status of a run: rates, queues, lanes, frames, latencies
+    Top(top::TopArgs),
+    /// List cases, tasks, items, suites or runs
+    Ls(list::ListArgs),
+    /// Check every constraint on warehouse and cases
+    Validate(validate::ValidateArgs),
+    /// Draw the warehouse, or a case, from above as SVG
+    Map(map::MapArgs),
+    /// Render views of an agent as PNG
+    Render(passed_on::PassedOn),
+    /// Build, list and show the documents of summary, semantic and hybrid memory
+    Memory(memory::MemoryArgs),
+    /// Print a run's tables from its log, or compare conditions and runs
+    Score(score::ScoreArgs),
+    /// Write a run's report from its log: the paper's tables, figures and data files
+    Report(report::ReportArgs),
+    /// Show a run in a browser: every episode step by step, two side by side
+    View(view::ViewArgs),
+    /// Write a run for other programs: MCAP, MP4, CSV, Parquet, leaderboard, Hugging Face
+    Export(export::ExportArgs),
+    /// Compare many runs in one table and one page
+    Leaderboard(leaderboard::LeaderboardArgs),
+    /// Print one step: what the policy received, and what it answered
+    Show(show::ShowArgs),
+    /// Measure how long an access to memory takes, part by part
+    Profile(profile::ProfileArgs),
+    /// Test your own policy in difficult situations, and report what it does wrong
+    Conformance(conformance::ConformanceArgs),
+    /// Remove what killed runs left in shared memory and temporary folders
+    Clean(clean::CleanArgs),
+    /// List or remove the cached replies of models
+    Cache(passed_on::PassedOn),
+    /// Generate a case file, or a warehouse with its cases, from a seed
+    Generate(generate::GenerateArgs),
+    /// Check what a run needs on this machine, and say how to get what is missing
+    Doctor(doctor::DoctorArgs),
+}
+
+/// How the program ends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Exit {
+    /// Everything is complete.
+    Complete,
+    /// It ended with missing episodes or violated constraints.
+    Failed,
+    /// An error prevented it.
+    CouldNot,
+    /// Units are missing.
+    Missing,
+    /// A signal ended it.
+    Signal(u8),
+    /// The exit status of the program that did the work.
+    Code(u8),
+}
+
+impl From<Exit> for ExitCode {
+    fn from(exit: Exit) -> Self {
+        Self::from(match exit {
+            Exit::Complete => 0,
+            Exit::Failed => 1,
+            Exit::CouldNot => 2,
+            Exit::Missing => 3,
+            Exit::Signal(signal) => 128_u8.saturating_add(signal),
+            Exit::Code(code) => code,
+        })
+    }
+}
+
+/// The whole program: reads the command line, runs the verb, returns how it ended.
+fn main() -> ExitCode {
+    program::log_to_stderr();
+    let outcome = match Cli::parse().verb {
+        MemtransferVerb::Run(args) => run::run(*args),
+        MemtransferVerb::Plan(args) => plan::run(*args),
+        MemtransferVerb::Work(args) => work::run(*args),
+        MemtransferVerb::Merge(args) => merge::run(&args),
+        MemtransferVerb::Top(args) => top::run(&args),
+        MemtransferVerb::Ls(args) => list::run(&args),
+        MemtransferVerb::Validate(args) => validate::run(&args),
+        MemtransferVerb::Map(args) => map::run(&args),
+        MemtransferVerb::Render(args) => args.run("sim-proc", "render"),
+        MemtransferVerb::Memory(args) => memory::run(args),
+        MemtransferVerb::Score(args) => score::run(&args),
+        MemtransferVerb::Report(args) => report::run(&args),
+        MemtransferVerb::View(args) => view::run(&args),
+        MemtransferVerb::Export(args) => export::run(&args),
+        MemtransferVerb::Leaderboard(args) => leaderboard::run(&args),
+        MemtransferVerb::Show(args) => show::run(&args),
+        MemtransferVerb::Profile(args) => profile::run(&args),
+        MemtransferVerb::Conformance(args) => conformance::run(&args),
+        MemtransferVerb::Clean(args) => clean::run(&args),
+        MemtransferVerb::Cache(args) => args.run("policy-proc", "cache"),
+        MemtransferVerb::Generate(args) => generate::run(&args),
+        MemtransferVerb::Doctor(args) => doctor::run(&args),
+    };
+    match outcome {
+        Ok(exit) => exit.into(),
+        // `memtransfer ls cases | head` is not an error.
+        Err(error) if is_closed_pipe(&error) => Exit::Complete.into(),
+        Err(error) => {
+            eprintln!("memtransfer: {}", program::printable(&in_one_line(&error)));
+            Exit::CouldNot.into()
+        }
+    }
+}
+
+/// An error and its causes, without causes that an error's own message contains.
+fn in_one_line(error: &anyhow::Error) -> String {
+    error.chain().fold(String::new(), |line, cause| match cause.to_string() {
+        cause if line.is_empty() => cause,
+        cause if line.contains(&cause) => line,
+        cause => format!("{line}: {cause}"),
+    })
+}
+
+fn is_closed_pipe(error: &anyhow::Error) -> bool {
+    let io_error = error.downcast_ref::<io::Error>();
+    io_error.is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
+}
+
+/// Prints a text to stdout, with a line end, and without characters that steer a terminal.
+fn print(text: &str) -> anyhow::Result<()> {
+    let text = program::printable(text);
+    let mut stdout = io::stdout().lock();
+    stdout.write_all(text.as_bytes())?;
+    if !text.ends_with('\n') {
+        stdout.write_all(b"\n")?;
+    }
+    stdout.flush()?;
+    Ok(())
+}
+
+/// Prints a value to stdout as JSON.
+fn print_json(value: &impl serde::Serialize) -> anyhow::Result<()> {
+    print(&serde_json::to_string_pretty(value)?)
+}
+
+/// The world that a verb uses.
+#[derive(Debug, Args)]
+struct WorldArgs {
+    /// Use the layout, catalogue and cases in DIR instead of the built-in ones
+    #[arg(long, value_name = "DIR", env = "MEMTRANSFER_ASSETS")]
+    assets: Option<PathBuf>,
+}
+
+impl WorldArgs {
+    fn load(&self) -> anyhow::Result<World> {
+        Ok(World::load(self.assets.as_deref())?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_well_formed_and_explains_itself() {
+        let mut command = Cli::command().term_width(100);
+        command.clone().debug_assert();
+        insta::assert_snapshot!("help", command.render_long_help());
+        command.build();
+        let mut run = command.find_subcommand_mut("run").unwrap().clone().term_width(100);
+        insta::assert_snapshot!("help-run", run.render_help());
+    }
+
+    #[test]
+    fn every_help_fits_a_hundred_columns_and_teaches_by_example() {
+        let mut command = Cli::command().term_width(100);
+        command.build();
+        for verb in command.get_subcommands_mut() {
+            let name = verb.get_name().to_owned();
+            if ["help", "render", "cache"].contains(&name.as_str()) {
+                continue;
+            }
+            let help = verb.clone().term_width(100).render_long_help().to_string();
+            assert!(help.contains("memtransfer "), "{name} shows no example");
+            assert!(help.lines().all(|line| line.chars().count() <= 100), "{name}: {help}");
+        }
+    }
+
+    #[test]
+    fn causes_are_not_repeated() {
+        let missing = || io::Error::new(io::ErrorKind::NotFound, "no such file");
+        let own = anyhow::Error::from(missing()).context("cannot read x: no such file");
+        assert_eq!(in_one_line(&own), "cannot read x: no such file");
+        assert_eq!(in_one_line(&own.context("no suite")), "no suite: cannot read x: no such file");
+    }
+
+    #[test]
+    fn exit_codes_are_what_scripts_rely_on() {
+        for (exit, code) in [
+            (Exit::Complete, 0),
+            (Exit::Failed, 1),
+            (Exit::CouldNot, 2),
+            (Exit::Missing, 3),
+            (Exit::Signal(2), 130),
+            (Exit::Signal(15), 143),
+        ] {
+            assert_eq!(ExitCode::from(exit), ExitCode::from(code));
+        }
+    }
+}

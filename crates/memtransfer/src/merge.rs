@@ -1,0 +1,100 @@
+//! `memtransfer merge`: joins finished units into one run folder.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use clap::Args;
+use results::log::{UnitFolders, merge};
+use results::settings::RunSettings;
+
+use super::{Exit, print};
+use orchestrator::selection::SelectedCases;
+use orchestrator::units::{ReadPlan, UnitPlan};
+use settings::{Layer, on_this_machine};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+The merged folder is that of one `memtransfer run`: the episode log has its lines, byte for byte, in
+the order of the plan. Where a unit is in several folders, its episodes must be equal.
+
+Exit status: 0 merged, 2 units disagree or cannot be read, 3 units are missing; they are listed on
+stdout, and nothing is written.
+
+Examples:
+  memtransfer merge --plan plan.json units --out runs/paper
+  memtransfer merge --plan plan.json units-of-a units-of-b --out runs/paper --strict")]
+pub(super) struct MergeArgs {
+    /// The plan that `memtransfer plan` wrote
+    #[arg(long, value_name = "FILE")]
+    plan: PathBuf,
+
+    /// Folders of finished units
+    #[arg(value_name = "DIR", required = true)]
+    folders: Vec<PathBuf>,
+
+    /// The run folder to make
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+
+    /// Refuse units from machines whose pixels or embeddings may differ, instead of a warning
+    #[arg(long)]
+    strict: bool,
+
+    /// The layout, catalogue and cases of the plan, if they are elsewhere now
+    #[arg(long, value_name = "DIR")]
+    assets: Option<PathBuf>,
+}
+
+pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
+    let ReadPlan { plan, digest } = UnitPlan::read(&args.plan)?;
+    let folders = UnitFolders(args.folders.clone());
+    let missing = folders.missing(plan.units);
+    if !missing.is_empty() {
+        eprintln!(
+            "{} of {} units are missing; execute them with\n  memtransfer work --plan {} --unit N --out {}",
+            missing.len(),
+            plan.units,
+            args.plan.display(),
+            args.folders[0].display()
+        );
+        print(&missing.iter().map(u32::to_string).collect::<Vec<_>>().join("\n"))?;
+        return Ok(Exit::Missing);
+    }
+    let mut manifest = plan.manifest.clone();
+    manifest.settings.out.clone_from(&args.out);
+    let differences = folders.check(plan.units, &digest, &mut manifest)?;
+    if !differences.is_empty() {
+        let lines: Vec<String> = differences.iter().map(ToString::to_string).collect();
+        let lines = lines.join("\n");
+        if args.strict {
+            bail!("--strict: units were executed on machines that differ:\n{lines}");
+        }
+        eprintln!(
+            "warning: pixels and embeddings may differ in the last bits, because machines do:\n{lines}"
+        );
+    }
+    let settings = here(&plan.manifest.settings, args)?;
+    let selection = SelectedCases::of(&settings)?;
+    let here = &selection.world.hashes;
+    if let Some((name, _)) =
+        here.iter().find(|(name, hash)| manifest.hashes.get(*name) != Some(hash))
+    {
+        bail!("the {name} here is not that of the plan: give its folder with --assets");
+    }
+    let merged = selection.with_episodes(&settings, |episodes| {
+        merge(&manifest, &folders, plan.assign(episodes), &args.out)
+    })?;
+    eprintln!(
+        "{}: {merged} episodes of {} units; `memtransfer score {0}` prints its tables",
+        args.out.display(),
+        plan.units
+    );
+    Ok(Exit::Complete)
+}
+
+/// The plan's settings with the assets of this machine.
+fn here(settings: &RunSettings, args: &MergeArgs) -> Result<RunSettings> {
+    let assets = args.assets.as_ref().map(|dir| dir.display().to_string());
+    let given = assets.as_deref().map(|dir| ("assets", dir));
+    on_this_machine(settings, [Layer::flags(given)?])
+}

@@ -1,0 +1,132 @@
+//! `memtransfer plan`: divides a run into units, and prints scripts that execute them.
+
+mod scripts;
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use domain::cache_folder;
+use results::conditions::PolicyKind;
+use results::settings::RunSettings;
+
+use super::run::flags::SettingFlags;
+use super::run::{
+    ALL, BUILDING_DOCUMENTS, RunOptions, RunPlan, STARTING_MEMORIES, stopped_before_episodes,
+};
+use super::{Exit, print};
+use crate::signals::Signals;
+use orchestrator::store::{Shipment, Store};
+use orchestrator::units::{UNIT_EPISODES, UnitPlan};
+use settings::{Layer, resolve};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+A unit has consecutive episodes of the run; in a suite of streams, whole sequences. Units are
+executed in any order, on any machine that has this version of the programs and the cache folder
+that `cargo xtask setup` fills. Executing a unit again is harmless. docs/machines.md has more.
+
+Examples:
+  memtransfer plan --suite paper --out plan.json     settings as for `memtransfer run`
+  memtransfer work --plan plan.json --unit 0 --out units
+  memtransfer merge --plan plan.json units --out runs/paper
+  memtransfer plan --suite paper --out plan.json --store /mnt/shared/memtransfer
+  memtransfer plan --suite paper --out plan.json --slurm > paper.sbatch
+  memtransfer plan --suite paper --out plan.json --kubernetes > paper.yaml")]
+pub(super) struct PlanArgs {
+    #[command(flatten)]
+    flags: SettingFlags,
+
+    /// Episodes of a unit; a sequence of a stream is never divided
+    #[arg(long, value_name = "N", default_value_t = UNIT_EPISODES, value_parser = clap::value_parser!(u32).range(1..))]
+    unit_episodes: u32,
+
+    /// Put what workers need beside the programs into this folder or bucket, which they reach too:
+    /// encoder, documents, known embeddings
+    #[arg(long, value_name = "DIR|URL")]
+    store: Option<String>,
+
+    /// Print a Slurm array script that executes the units and merges them
+    #[arg(long, conflicts_with = "kubernetes")]
+    slurm: bool,
+
+    /// Print a Kubernetes manifest that executes the units
+    #[arg(long)]
+    kubernetes: bool,
+
+    /// The container image of --kubernetes
+    #[arg(
+        long,
+        value_name = "NAME",
+        default_value = "memtransfer:latest",
+        requires = "kubernetes"
+    )]
+    image: String,
+
+    /// Workers that --slurm and --kubernetes start, each for several units
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..))]
+    workers: u32,
+
+    /// Show no progress, only problems
+    #[arg(long)]
+    quiet: bool,
+}
+
+pub(super) fn run(args: PlanArgs) -> Result<Exit> {
+    let environment = Layer::environment(std::env::vars_os())?;
+    let mut flags = args.flags.layer()?;
+    // Here --out is the plan's file, and the run's folder is named when it is merged.
+    let Some(path) = flags.take_text("out").map(PathBuf::from) else {
+        bail!("give the plan's file: --out plan.json");
+    };
+    let settings = resolve([environment, flags])?.settings;
+    check(&settings)?;
+    let signals = Signals::listen().context("cannot listen to signals")?;
+    // External memories start, so that their names are known, and end with the plan.
+    let options = RunOptions { dry_run: true, quiet: args.quiet, ..RunOptions::default() };
+    let Some(run) = RunPlan::new(settings, ALL, &options, &signals)? else {
+        return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
+    };
+    let Some(documents) = run.documents(&options, &signals)? else {
+        return Ok(stopped_before_episodes(&signals, BUILDING_DOCUMENTS));
+    };
+    let mut manifest = run.manifest();
+    manifest.documents = documents.facts();
+    let mut plan = UnitPlan::new(manifest, args.unit_episodes);
+    if let Some(store) = &args.store {
+        let paths: Vec<_> = documents.documents.iter().map(|one| one.file.clone()).collect();
+        let (store, cache) = (Store::open(store)?, cache_folder()?);
+        let encoder = run.matches_views();
+        plan.shipment = Some(Shipment::pack(&store, &cache, &run.settings, &paths, encoder)?);
+    }
+    plan.write(&path)?;
+    if !args.quiet {
+        let (units, episodes) = (plan.units, plan.manifest.episodes);
+        eprintln!("{}: {episodes} episodes in {units} units", path.display());
+    }
+    let path = std::path::absolute(&path)?;
+    let workers = args.workers.min(plan.units);
+    if args.slurm {
+        print(&scripts::slurm(&path, plan.units, workers)?)?;
+    } else if args.kubernetes {
+        print(&scripts::kubernetes(&args.image, plan.units, workers))?;
+    }
+    Ok(Exit::Complete)
+}
+
+/// Refuses what needs one process that sees the whole run.
+fn check(settings: &RunSettings) -> Result<()> {
+    if settings.policy == PolicyKind::External && settings.policy_cmd.is_none() {
+        bail!("workers start the policy: give its command with --policy-cmd");
+    }
+    if settings.external_memory {
+        bail!("workers start the memory: give its command with --memory-cmd");
+    }
+    let limited = |model: &results::settings::ModelSettings| {
+        model.max_cost.is_some() || model.max_tokens_total.is_some()
+    };
+    if settings.model.as_ref().is_some_and(limited) {
+        bail!("--max-cost and --max-tokens-total limit one run: leave them out of a plan");
+    }
+    Ok(())
+}

@@ -1,0 +1,103 @@
+//! The flags of `memtransfer run` that the table of settings lists, and those of them that `memtransfer work` has.
+
+use anyhow::Result;
+use clap::{Arg, ArgAction, ArgMatches, Args, Command, Error, FromArgMatches};
+
+use settings::{KEYS, Key, Layer, MACHINE_KEYS};
+
+/// The settings that were given as flags, each with its text.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct SettingFlags {
+    given: Vec<(&'static str, String)>,
+}
+
+impl SettingFlags {
+    /// Their values.
+    pub(crate) fn layer(&self) -> Result<Layer> {
+        Layer::flags(self.given.iter().map(|(name, text)| (*name, text.as_str())))
+    }
+}
+
+impl Args for SettingFlags {
+    fn augment_args(command: Command) -> Command {
+        KEYS.iter().fold(command, add_flag)
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for SettingFlags {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
+        Ok(Self { given: given(matches, KEYS) })
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+/// The settings among [`MACHINE_KEYS`] that were given as flags.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct MachineFlags(SettingFlags);
+
+impl MachineFlags {
+    /// Their values.
+    pub(crate) fn layer(&self) -> Result<Layer> {
+        self.0.layer()
+    }
+}
+
+fn machine_keys() -> impl Iterator<Item = &'static Key> {
+    KEYS.iter().filter(|key| MACHINE_KEYS.contains(&key.name))
+}
+
+impl Args for MachineFlags {
+    fn augment_args(command: Command) -> Command {
+        machine_keys().fold(command, add_flag)
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for MachineFlags {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
+        Ok(Self(SettingFlags { given: given(matches, machine_keys()) }))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+fn add_flag(command: Command, key: &Key) -> Command {
+    let arg = Arg::new(key.name).long(key.name).help(key.help_text()).help_heading(key.heading);
+    command.arg(if key.is_switch() {
+        arg.action(ArgAction::SetTrue)
+    } else if key.is_repeated() {
+        arg.value_name(key.value_name).action(ArgAction::Append)
+    } else {
+        arg.value_name(key.value_name).action(ArgAction::Set)
+    })
+}
+
+fn given(
+    matches: &ArgMatches,
+    keys: impl IntoIterator<Item = &'static Key>,
+) -> Vec<(&'static str, String)> {
+    let mut given = Vec::new();
+    for key in keys {
+        if key.is_switch() {
+            given.extend(matches.get_flag(key.name).then(|| (key.name, "true".to_owned())));
+        } else {
+            let texts = matches.get_many::<String>(key.name).into_iter().flatten();
+            given.extend(texts.map(|text| (key.name, text.clone())));
+        }
+    }
+    given
+}

@@ -1,0 +1,177 @@
+//! `memtransfer show`: one step of an episode, as the policy received it.
+
+mod text;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, anyhow, bail};
+use clap::Args;
+use domain::prompt_log::RecordedItem;
+
+use results::log::{EpisodeRecord, RunLog};
+use results::names::UnknownName;
+use results::step_view::{RecordedPrompt, look_up};
+
+use super::{Exit, print, print_json};
+use replay::World;
+use settings::select_cases;
+
+/// Maximum number of cases that a message names.
+const MOST_NAMED: usize = 8;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Of a run with --log-prompts, this prints the prompt, its images and the answer; of any other run,
+the pose, the action and what was retrieved. `memtransfer view` shows the same as pages.
+
+Examples:
+  memtransfer show runs/quick-grounded t01-01 0 --condition episodic,new
+  memtransfer show runs/quick-grounded t01-01 12 --condition episodic,new --json
+  memtransfer show runs/quick-grounded t01-01 12 --condition working,new --images views/")]
+pub(super) struct ShowArgs {
+    /// The run's folder
+    #[arg(value_name = "RUN")]
+    run: PathBuf,
+    /// The case, for example t03-07
+    #[arg(value_name = "CASE")]
+    case: String,
+    /// The step: how many were taken before, so 0 is the first
+    #[arg(value_name = "STEP")]
+    step: u32,
+    /// The condition, or words of it, separated by commas, that identify it
+    #[arg(long, value_name = "CONDITION")]
+    condition: Option<String>,
+    /// Which repetition, from 1 [default: the first that is finished]
+    #[arg(long = "run", value_name = "N")]
+    repetition: Option<u32>,
+    /// Write the images of the prompt into DIR
+    #[arg(long, value_name = "DIR")]
+    images: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
+    let log = RunLog::read(&args.run)?;
+    let shown = look_up(&log, args.episode(&log)?, args.step)?;
+    if args.json {
+        print_json(&shown)?;
+    } else {
+        print(&text::render(&shown))?;
+    }
+    let Some(folder) = &args.images else { return Ok(Exit::Complete) };
+    let Some(prompt) = &shown.prompt else {
+        bail!(
+            "{} has no prompt log of this step, so there are no images. Prompts are logged while episodes run: give \
+             the run's command again with --log-prompts, --cases {} and another --out",
+            args.run.display(),
+            args.case
+        );
+    };
+    write_images(folder, prompt)?;
+    Ok(Exit::Complete)
+}
+
+impl ShowArgs {
+    /// The requested episode.
+    fn episode<'a>(&self, log: &'a RunLog) -> Result<&'a EpisodeRecord> {
+        let of_case: Vec<&EpisodeRecord> =
+            log.episodes.iter().filter(|record| record.case == self.case).collect();
+        if of_case.is_empty() {
+            return Err(self.no_such_case(log));
+        }
+        let condition = |record: &EpisodeRecord| record.condition().to_string();
+        let mut found = of_case.clone();
+        if let Some(asked) = &self.condition {
+            let has_words = |record: &&EpisodeRecord| record.condition().has_words(asked);
+            // A condition in full does not stand for its variations.
+            let exact = found.iter().copied().filter(|record| condition(record) == *asked);
+            let exact: Vec<&EpisodeRecord> = exact.collect();
+            found = match exact.is_empty() {
+                true => found.into_iter().filter(has_words).collect(),
+                false => exact,
+            };
+        }
+        let among = if found.is_empty() { &of_case } else { &found };
+        let mut conditions: Vec<String> = among.iter().map(|record| condition(record)).collect();
+        conditions.dedup();
+        if found.is_empty() || conditions.len() > 1 {
+            let matching =
+                if found.is_empty() { "none of which is that one" } else { "all of which match" };
+            bail!(
+                "{} ran under {} conditions, {matching}; choose one with --condition:\n  {}",
+                self.case,
+                conditions.len(),
+                conditions.join("\n  ")
+            );
+        }
+        found.sort_by_key(|record| record.run);
+        let chosen = match self.repetition {
+            None => found.first().copied(),
+            Some(run) => found.iter().copied().find(|record| record.run == run),
+        };
+        chosen.with_context(|| {
+            let runs: Vec<String> = found.iter().map(|record| record.run.to_string()).collect();
+            format!("that repetition is not finished; choose one with --run: {}", runs.join(", "))
+        })
+    }
+
+    /// Why the run has no finished episode of the case: it is not finished, not part of the run, or does not exist.
+    fn no_such_case(&self, log: &RunLog) -> anyhow::Error {
+        let (case, run, settings) = (&self.case, self.run.display(), &log.manifest.settings);
+        let Ok(world) = World::load(settings.assets.as_deref()) else {
+            return anyhow!("{run} has no finished episode of {case}");
+        };
+        let ids = world.case_ids();
+        let Some(index) = ids.iter().position(|id| id == case) else {
+            return UnknownName::new("case", case, ids).into();
+        };
+        let planned = select_cases(&ids, &settings.cases, settings.limit).unwrap_or_default();
+        if planned.contains(&index) {
+            anyhow!("no episode of {case} is finished yet in {run}: the run's command resumes it")
+        } else {
+            let chosen: Vec<&str> = planned.iter().take(MOST_NAMED).map(|&at| ids[at]).collect();
+            let more = if planned.len() > MOST_NAMED { ", ..." } else { "" };
+            anyhow!(
+                "{case} is not one of the cases of {run}, which its --cases and --limit chose: {}{more}",
+                chosen.join(", ")
+            )
+        }
+    }
+}
+
+/// Writes the images of a request, named by their place in it.
+fn write_images(folder: &Path, prompt: &RecordedPrompt) -> Result<()> {
+    fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    let request = &prompt.entry.request;
+    let mut named = vec![("now".to_owned(), &request.frame)];
+    for (index, past) in request.window.iter().enumerate() {
+        named.push((format!("window-{:02}", index + 1), &past.frame));
+    }
+    for (number, item) in (1..).zip(&request.items) {
+        let steps = match item {
+            RecordedItem::Text { .. } => continue,
+            RecordedItem::Frame { frame, .. } => {
+                named.push((format!("memory-{number}"), frame));
+                continue;
+            }
+            RecordedItem::Segment { steps, .. } => steps.as_slice(),
+            RecordedItem::Trajectory(hash) => prompt.trajectory(hash),
+        };
+        for (step, seen) in steps.iter().enumerate() {
+            if let Some(frame) = &seen.frame {
+                named.push((format!("memory-{number}-{step:03}"), frame));
+            }
+        }
+    }
+    for (name, hash) in &named {
+        let Some(source) = prompt.images.get(*hash) else { continue };
+        let target = folder.join(format!("{name}.png"));
+        fs::copy(source, &target)
+            .with_context(|| format!("cannot copy {} to {}", source.display(), target.display()))?;
+    }
+    eprintln!("wrote {} images to {}", named.len(), folder.display());
+    Ok(())
+}

@@ -1,0 +1,158 @@
+//! `memtransfer work`: executes one unit of a plan as a run of its own.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use domain::cache_folder;
+use results::log::{Manifest, RunFolder, RunLog, UnitId, finish_unit, unit_folder};
+use shm_types::process::die_with_parent;
+
+use super::run::flags::MachineFlags;
+use super::run::{
+    Executed, RunOptions, RunPlan, STARTING_MEMORIES, same_command, stopped_before_episodes,
+};
+use super::{Exit, print};
+use crate::signals::{self, Signals};
+use orchestrator::progress::say;
+use orchestrator::units::{ReadPlan, UnitPlan};
+use settings::{Layer, on_this_machine};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+A finished unit is the folder unit-NUMBER in the folder of --out. It has that name only when it is
+complete and on the disk. Until then it is unit-NUMBER.part, from which the same command goes on
+after a kill. A unit that is finished is left as it is.
+
+Version, settings and assets must be those of the plan; what differs is named.
+
+Examples:
+  memtransfer work --plan plan.json --unit 17 --out units
+  memtransfer work --plan plan.json --unit 17 --out units --assets /data/assets --lanes 32")]
+pub(super) struct WorkArgs {
+    /// The plan that `memtransfer plan` wrote
+    #[arg(long, value_name = "FILE")]
+    plan: PathBuf,
+
+    /// The number of the unit, from 0
+    #[arg(long, value_name = "N")]
+    unit: u32,
+
+    /// The folder of finished units
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+
+    /// The plan's store, if it is elsewhere on this machine
+    #[arg(long, value_name = "DIR|URL")]
+    store: Option<String>,
+
+    /// End with the process PID, which started this one
+    #[arg(long, value_name = "PID")]
+    die_with: Option<u32>,
+
+    /// Show no progress, only problems
+    #[arg(long)]
+    quiet: bool,
+
+    #[command(flatten)]
+    machine: MachineFlags,
+}
+
+pub(super) fn run(args: WorkArgs) -> Result<Exit> {
+    if let Some(parent) = args.die_with {
+        die_with_parent(parent).context("--die-with")?;
+    }
+    let plan = UnitPlan::read(&args.plan)?;
+    let whole = args.out.join(unit_folder(args.unit));
+    if whole.exists() {
+        check_finished(&whole, &plan.unit_id(args.unit))?;
+        print(&whole.display().to_string())?;
+        return Ok(Exit::Complete);
+    }
+    fs::create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;
+    let part = args.out.join(format!("{}.part", unit_folder(args.unit)));
+    let signals = Signals::listen().context("cannot listen to signals")?;
+    let options = RunOptions { quiet: args.quiet, ..RunOptions::default() };
+    let cache = cache_folder()?;
+    let shipment = plan.plan.shipment.as_ref();
+    if let Some(shipment) = shipment {
+        shipment.fetch(args.store.as_deref(), &cache)?;
+    }
+    let Some(mut unit) = unit_run(&plan, &args, part.clone(), &options, &signals)? else {
+        return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
+    };
+    unit.shipped_embeddings = shipment.and_then(|shipment| shipment.embeddings_in(&cache));
+    let halted = match unit.execute(&options, &signals)? {
+        Executed::Stopped(exit) => return Ok(exit),
+        Executed::ToTheEnd { halted } => halted,
+    };
+    let (done, planned) = (RunLog::read(&part)?.episodes.len(), unit.episodes.len());
+    if done < planned {
+        let why = match (signals.received(), &halted) {
+            (Some(signal), _) => format!("stopped by {}", signals::name(signal)),
+            (None, Some(why)) => format!("stopped: {why}"),
+            (None, None) => "some episodes could not be finished".to_owned(),
+        };
+        say(&format!(
+            "unit {}: {why}; {done} of {planned} episodes are finished and kept in {}. To resume:\n  {}",
+            args.unit,
+            part.display(),
+            same_command()
+        ));
+        return Ok(signals.received().map_or(Exit::Failed, Exit::Signal));
+    }
+    finish_unit(&part, &whole)?;
+    print(&whole.display().to_string())?;
+    Ok(Exit::Complete)
+}
+
+/// The run that a unit is, with its folder `part`; `None` when a signal asked to stop.
+fn unit_run(
+    plan: &ReadPlan,
+    args: &WorkArgs,
+    part: PathBuf,
+    options: &RunOptions,
+    signals: &Signals,
+) -> Result<Option<RunPlan>> {
+    let (mut settings, episodes) = plan.unit(args.unit)?;
+    settings.out = part;
+    let environment = Layer::environment(std::env::vars_os())?;
+    let settings = on_this_machine(&settings, [environment, args.machine.layer()?])?;
+    RunFolder::check(&settings.out)?;
+    let Some(mut run) = RunPlan::new(settings, episodes, options, signals)? else {
+        return Ok(None);
+    };
+    check_machine(&run.manifest(), plan, args)?;
+    run.unit = Some(plan.unit_id(args.unit));
+    Ok(Some(run))
+}
+
+/// Checks that the version, the settings and the assets here are those of the plan.
+fn check_machine(here: &Manifest, ReadPlan { plan, .. }: &ReadPlan, args: &WorkArgs) -> Result<()> {
+    let differences = here.differences(&plan.manifest);
+    if differences.is_empty() {
+        return Ok(());
+    }
+    let lines = differences.iter().map(|difference| {
+        let (key, there, here) = (&difference.key, &difference.there, &difference.here);
+        format!("\n  {key}: {there} in the plan, {here} here")
+    });
+    bail!(
+        "this machine differs from the plan {}:{}\nInstall the same version, and give the same assets with --assets",
+        args.plan.display(),
+        lines.collect::<String>()
+    );
+}
+
+/// Checks that the folder `whole` is the unit `id`.
+fn check_finished(whole: &Path, id: &UnitId) -> Result<()> {
+    let found = Manifest::read(whole)?.unit;
+    if found.as_ref() != Some(id) {
+        bail!(
+            "{} is a unit of another plan: choose another --out for this plan, or remove it",
+            whole.display()
+        );
+    }
+    Ok(())
+}

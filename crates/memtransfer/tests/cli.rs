@@ -1,0 +1,344 @@
+//! The program from outside: its messages about bad input, and its exit status. Needs no other process.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use results::log::{RunFolder, testing};
+use tempfile::TempDir;
+
+/// `memtransfer ARGUMENTS` in `dir`, away from this machine's settings.
+fn memtransfer(dir: &Path, arguments: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_memtransfer"));
+    for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("MEMTRANSFER_")) {
+        command.env_remove(name);
+    }
+    command.args(arguments.split_whitespace()).current_dir(dir);
+    command.env("MEMTRANSFER_RUN_DIR", dir.join("live")).output().unwrap()
+}
+
+fn dir() -> TempDir {
+    tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap()
+}
+
+/// Copies the shipped assets to `dir/assets`.
+fn assets(dir: &Path) {
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets");
+    fs::create_dir(dir.join("assets")).unwrap();
+    for file in ["layout.toml", "catalogue.toml", "cases.toml", "models.toml"] {
+        fs::copy(shipped.join(file), dir.join("assets").join(file)).unwrap();
+    }
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Runs it, expects exit status 2, nothing on stdout and no run folder; returns its message.
+fn refused(dir: &Path, arguments: &str) -> String {
+    let output = memtransfer(dir, arguments);
+    assert!(output.stdout.is_empty(), "{arguments}");
+    assert!(!dir.join("runs").exists(), "{arguments} left a run folder");
+    message(&output, arguments)
+}
+
+/// The message of a command that ended with exit status 2.
+fn message(output: &Output, arguments: &str) -> String {
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{arguments}: {said}");
+    said
+}
+
+#[test]
+fn bad_input_gets_one_clear_message_and_exit_status_2() {
+    let dir = dir();
+    fs::write(dir.path().join("typo.toml"), "lane = 3").unwrap();
+    let in_group = "[[group]]\nname = \"new\"\nstart = [\"new\"]";
+    fs::write(dir.path().join("typo-in-group.toml"), in_group).unwrap();
+    fs::write(dir.path().join("broken.toml"), "runs = = 3").unwrap();
+    for (arguments, said) in [
+        ("run --suite quik", "did you mean `quick`?"),
+        ("run --suite ./missing.toml", "cannot read suite ./missing.toml"),
+        ("run --suite typo.toml", "suite typo.toml: unknown key `lane`: did you mean `lanes`?"),
+        ("run --suite broken.toml", "suite broken.toml: TOML parse error at line 1"),
+        ("run --policy ground", "did you mean `grounded`?"),
+        ("run --memory episodik", "did you mean `episodic`?"),
+        ("run --demos orginal", "did you mean `original`?"),
+        ("run --frames blanc", "did you mean `blank`?"),
+        ("run --segment image", "did you mean `images`?"),
+        ("run --hint of", "did you mean `off`?"),
+        ("run --documents modle", "did you mean `model`?"),
+        (
+            "run --suite typo-in-group.toml",
+            "suite typo-in-group.toml, group 1: unknown key `start`: did you mean `starts`?",
+        ),
+        ("run --suite rq1 --window 20", "lower --window or --keyframes"),
+        ("run --memory episodic --demos none", "no condition is left"),
+        ("run --cases t03-7", "did you mean `t03-07`?"),
+        ("run --cases 1-200", "unknown case `1-200`: did you mean `1-100`?"),
+        ("run --limit 0", "no case is left"),
+        ("run --lanes 0", "--lanes: 0 is not a whole number from 1 to 1024"),
+        ("run --frame-size 100", "--frame-size: 100 is not a multiple of 64 from 64 to 4096"),
+        ("run --starts original --routes blocked", "a blocked route needs the new start"),
+        ("run --lames 3", "--lanes"),
+        ("run --assets nowhere", "cannot read nowhere/layout.toml"),
+        ("validate --assets nowhere", "cannot read nowhere/layout.toml"),
+        ("score nowhere", "nowhere holds no run"),
+        ("map t03-7", "did you mean `t03-07`?"),
+        ("generate --count 0", "--count is 0"),
+        ("memory build --demos none", "a document needs demonstrations"),
+        ("memory build --demos orignal", "did you mean `original`?"),
+        ("memory build --kind sumary", "a kind is summary or semantic"),
+        ("memory build --model m", "--model needs --builder model"),
+        ("memory build --builder model", "--model <NAME>"),
+        ("memory show summary", "<DEMOS>"),
+    ] {
+        let found = refused(dir.path(), arguments);
+        assert!(found.contains(said), "{arguments}: {found}");
+    }
+}
+
+#[test]
+fn broken_assets_are_named_with_file_and_place() {
+    for (file, from, to, said) in [
+        ("layout.toml", "\nplan =", "\nplam =", "layout.toml: "),
+        ("cases.toml", "\nseed =", "\nsead =", "cases.toml: "),
+        ("catalogue.toml", "\nstock =", "\nstick =", "catalogue.toml: "),
+    ] {
+        let dir = dir();
+        assets(dir.path());
+        let path = dir.path().join("assets").join(file);
+        let whole = fs::read_to_string(&path).unwrap();
+        assert!(whole.contains(from), "{file}");
+        fs::write(&path, whole.replacen(from, to, 1)).unwrap();
+        let found = refused(dir.path(), "run --dry-run --assets assets");
+        assert!(found.contains(said), "{found}");
+    }
+}
+
+#[test]
+fn a_world_with_a_wrong_case_is_found_by_validate() {
+    let dir = dir();
+    assets(dir.path());
+    let path = dir.path().join("assets/cases.toml");
+    let text_of = fs::read_to_string(&path).unwrap();
+    // The first trajectory loses its last action.
+    let line = text_of.lines().find(|line| line.starts_with("original")).unwrap();
+    let shorter = format!("{}\"", &line[..line.len() - 2]);
+    fs::write(&path, text_of.replacen(line, &shorter, 1)).unwrap();
+    let output = memtransfer(dir.path(), "validate --assets assets");
+    assert_eq!(output.status.code(), Some(1));
+    assert!(text(&output.stdout).contains("FAIL"), "{}", text(&output.stdout));
+
+    // The first case's histories change places.
+    let names = [
+        ("irrelevant =", "swapped ="),
+        ("confusable =", "irrelevant ="),
+        ("swapped =", "confusable ="),
+    ];
+    let swapped = names.iter().fold(text_of, |text, (from, to)| text.replacen(from, to, 1));
+    fs::write(&path, swapped).unwrap();
+    let output = memtransfer(dir.path(), "validate --assets assets");
+    assert_eq!(output.status.code(), Some(1));
+    for constraint in ["irrelevant: the history", "confusable: at a pose", "are regenerated"] {
+        let found = text(&output.stdout);
+        let line = found.lines().find(|line| line.contains(constraint)).unwrap();
+        assert!(line.starts_with("FAIL"), "{found}");
+    }
+}
+
+#[test]
+fn a_generated_world_is_valid_runs_and_is_the_same_again() {
+    let dir = dir();
+    let generate = |out: &str| {
+        let arguments = format!("generate world --seed 5 --size 14x16 --cases 20 --out {out}");
+        let output = memtransfer(dir.path(), &arguments);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let said = text(&output.stderr);
+        assert!(said.starts_with("14 x 16 cells, ") && said.contains(" 20 cases in "), "{said}");
+        ["layout.toml", "catalogue.toml", "cases.toml"]
+            .map(|file| fs::read_to_string(dir.path().join(out).join(file)).unwrap())
+    };
+    let files = generate("one");
+    assert_eq!(generate("two"), files);
+    // Its own folder may be written again, one with other files may not.
+    assert_eq!(generate("one"), files);
+    fs::write(dir.path().join("two/notes.txt"), "").unwrap();
+    let said = refused(dir.path(), "generate world --seed 5 --size 14x16 --out two");
+    assert!(said.contains("has other files, \"notes.txt\" for one"), "{said}");
+    let said = refused(dir.path(), "generate world --seed 5 --size 11x16 --out three");
+    assert!(said.contains("11x16 cells; each side must be 12 to 64"), "{said}");
+
+    let validated = memtransfer(dir.path(), "validate --assets one");
+    assert_eq!(validated.status.code(), Some(0), "{}", text(&validated.stdout));
+    let planned = memtransfer(dir.path(), "run --assets one --policy expert --dry-run");
+    assert!(text(&planned.stdout).contains("40 of 40 episodes"), "{}", text(&planned.stdout));
+}
+
+#[test]
+fn the_other_warehouse_is_drawn_or_named() {
+    let dir = dir();
+    let map = |arguments: &str| {
+        let output = memtransfer(dir.path(), arguments);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        text(&output.stdout)
+    };
+    let other = map("map --elsewhere");
+    assert!(
+        other.starts_with("<svg")
+            && other != map("map")
+            && other != map("map --elsewhere --seed 2")
+    );
+    assets(dir.path());
+    fs::create_dir(dir.path().join("empty")).unwrap();
+    for (arguments, said) in [
+        ("run --demos elsewhere --elsewhere assets", "assets: it is the warehouse that is tested"),
+        ("run --demos elsewhere --elsewhere empty", "cannot read empty/layout.toml"),
+        ("run --suite stream --demos elsewhere", "in a suite of streams every episode begins"),
+        ("map t01-01 --elsewhere", "cannot be used with"),
+    ] {
+        let message = refused(dir.path(), arguments);
+        assert!(message.contains(said), "{arguments}: {message}");
+    }
+    let planned = memtransfer(dir.path(), "run --suite transfer --limit 10 --dry-run");
+    let planned = text(&planned.stdout);
+    assert!(planned.contains("semantic/new/unchanged/elsewhere"), "{planned}");
+    assert!(planned.contains("570 of 570 episodes of 19 conditions"), "{planned}");
+}
+
+#[test]
+fn settings_come_from_all_sources_in_order() {
+    let dir = dir();
+    fs::write(dir.path().join("mine.toml"), "lanes = 3\nruns = 4\nseed = 5").unwrap();
+    let shown = |arguments: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_memtransfer"));
+        command.args(arguments.split_whitespace()).current_dir(dir.path());
+        let output = command.env("MEMTRANSFER_RUNS", "6").env("MEMTRANSFER_SEED", "7").output();
+        text(&output.unwrap().stdout)
+    };
+    let found = shown("run --suite mine.toml --seed 8 --show-settings");
+    for (key, origin) in [
+        ("window = [6]", "default"),
+        ("lanes = 3", "suite"),
+        ("runs = 6", "environment"),
+        ("seed = 8", "command line"),
+        ("out = \"runs/mine-grounded\"", "default"),
+    ] {
+        let line = found.lines().find(|line| line.starts_with(key));
+        assert!(line.is_some_and(|line| line.ends_with(origin)), "{key} from {origin}: {found}");
+    }
+}
+
+#[test]
+fn a_wrong_variable_is_named() {
+    let dir = dir();
+    for (variable, value, said) in [
+        ("MEMTRANSFER_LANES", "abc", "MEMTRANSFER_LANES: abc is not a whole number"),
+        ("MEMTRANSFER_LANS", "3", "did you mean `MEMTRANSFER_LANES`?"),
+        ("MEMTRANSFER_POLICY", "ground", "MEMTRANSFER_POLICY: unknown policy `ground`"),
+    ] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_memtransfer"));
+        command.args(["run", "--dry-run"]).current_dir(dir.path()).env(variable, value);
+        let output = command.output().unwrap();
+        let found = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{found}");
+        assert!(found.contains(said) && !found.contains("--lanes"), "{found}");
+    }
+}
+
+#[test]
+fn a_larger_limit_includes_the_cases_of_a_smaller_one() {
+    let dir = dir();
+    let planned = |limit: u32| {
+        let arguments = format!("run --dry-run --policy expert --starts new --limit {limit}");
+        text(&memtransfer(dir.path(), &arguments).stdout)
+    };
+    assert!(planned(10).contains("10 of 10 episodes"), "{}", planned(10));
+    assert!(planned(20).contains("20 of 20 episodes"), "{}", planned(20));
+}
+
+#[test]
+fn a_dry_run_counts_and_touches_nothing() {
+    let dir = dir();
+    let output = memtransfer(dir.path(), "run --dry-run --limit 10 --runs 2");
+    assert_eq!(output.status.code(), Some(0));
+    let said = text(&output.stdout);
+    assert!(said.contains("240 of 240 episodes of 12 conditions would run"), "{said}");
+    for (arguments, counted) in [
+        ("--suite paper", "17500 of 17500 episodes of 53 conditions"),
+        ("--suite paper --policy expert", "300 of 300 episodes of 3 conditions"),
+        ("--suite design --memory working --runs 1", "300 of 300 episodes of 3 conditions"),
+        ("--suite rq2 --window 0", "3600 of 3600 episodes of 12 conditions"),
+    ] {
+        let output = memtransfer(dir.path(), &format!("run --dry-run {arguments}"));
+        let said = text(&output.stdout);
+        assert!(said.contains(counted), "{arguments}: {said}{}", text(&output.stderr));
+    }
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
+}
+
+/// A step of a run without a prompt log is shown with advice that helps, and a case that is not shown says why.
+#[test]
+fn a_run_without_prompts_is_shown_and_a_missing_case_explained() {
+    let dir = dir();
+    let mut manifest = testing::manifest();
+    manifest.settings.cases = vec!["t01".parse().unwrap()];
+    let mut folder = RunFolder::open(&dir.path().join("run"), manifest, false).unwrap().folder;
+    let record = testing::record("t01-01", true);
+    let timings = testing::timings(&record);
+    folder.finish(&[(record, timings)]).unwrap();
+    drop(folder);
+
+    let shown = memtransfer(dir.path(), "show run t01-01 0");
+    assert_eq!(shown.status.code(), Some(0), "{}", text(&shown.stderr));
+    let advice = "command again with --log-prompts and another --out";
+    assert!(text(&shown.stdout).contains(advice), "{}", text(&shown.stdout));
+    for (arguments, said) in [
+        ("show run t01-01 0 --images views", "--log-prompts, --cases t01-01 and another --out"),
+        ("show run t01-02 0", "no episode of t01-02 is finished yet in run"),
+        ("show run t02-01 0", "t02-01 is not one of the cases of run"),
+        ("show run t02-1 0", "unknown case `t02-1`: did you mean `t02-01`?"),
+    ] {
+        let found = message(&memtransfer(dir.path(), arguments), arguments);
+        assert!(found.contains(said), "{arguments}: {found}");
+    }
+}
+
+#[test]
+fn a_folder_with_other_files_is_not_touched() {
+    let dir = dir();
+    fs::create_dir(dir.path().join("precious")).unwrap();
+    fs::write(dir.path().join("precious/thesis.txt"), "years").unwrap();
+    for arguments in ["run --out precious", "run --out precious --fresh"] {
+        let said = refused(dir.path(), arguments);
+        assert!(said.contains("precious holds files and is no run folder"), "{said}");
+    }
+    assert_eq!(fs::read_to_string(dir.path().join("precious/thesis.txt")).unwrap(), "years");
+}
+
+#[test]
+fn lists_are_tables_and_json() {
+    let dir = dir();
+    for (list, least) in [
+        ("cases", 100),
+        ("histories", 400),
+        ("tasks", 10),
+        ("items", 150),
+        ("suites", 6),
+        ("conditions --suite paper", 50),
+        ("runs", 0),
+    ] {
+        let output = memtransfer(dir.path(), &format!("ls {list} --json"));
+        assert_eq!(output.status.code(), Some(0), "{list}");
+        let values: Vec<serde_json::Value> = serde_json::from_slice(&output.stdout).unwrap();
+        assert!(values.len() >= least, "{list}");
+        assert_eq!(memtransfer(dir.path(), &format!("ls {list}")).status.code(), Some(0));
+    }
+    let output = memtransfer(dir.path(), "clean --json");
+    assert_eq!(
+        text(&output.stdout).replace(char::is_whitespace, ""),
+        "{\"alive\":[],\"removed\":[]}"
+    );
+}
