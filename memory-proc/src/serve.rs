@@ -4,6 +4,8 @@
 //! The loop never waits for an embedding. A worker notifies this process's own listener when it has one, so that a
 //! finished embedding wakes the loop as a message does.
 
+mod ports;
+
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::io::ErrorKind;
@@ -18,15 +20,13 @@ use domain::{Pose, Representation};
 use shm_types::clock::{Instant, sleep};
 use shm_types::description::memory_folder;
 use shm_types::message::{
-    EXTERNAL, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore,
-    ExternalStored, FrameId, Handshake, Heartbeat, MAX_EMBEDDING, MemoryEpisodeConfig, Observation,
-    Recall, RecallTrace, Role, ShutdownReport, SnapshotReport, Stop, View, ViewRequest,
+    EXTERNAL, FrameId, Handshake, Heartbeat, MAX_EMBEDDING, MemoryEpisodeConfig, Observation, Role,
+    ShutdownReport, View,
 };
 use shm_types::process::{die_with_parent, monotonic_ns};
 use shm_types::{
-    Attach, AttachError, BankPublisher, Bus, BusError, DocumentPublisher, ErrorReporter, Frame,
-    FrameError, FrameStore, Heartbeats, MemoryDescription, NoteReceiver, Notifier, Receiver,
-    Sender, Spans,
+    Attach, AttachError, Bus, BusError, DocumentPublisher, ErrorReporter, Frame, FrameError,
+    MemoryDescription, Spans,
 };
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Elsewhere, StreamSet, Warehouse};
@@ -40,11 +40,12 @@ use crate::encoder::{
 };
 use crate::engine::{Engine, EpisodeFailure};
 use crate::episode::{Unusable, unusable};
-use crate::external::{ExternalLimits, ExternalMemories, ToExternal};
+use crate::external::{ExternalLimits, ExternalMemories};
 use crate::manifest::EncoderManifest;
 use crate::paths::CacheFolder;
 use crate::snapshots::SnapshotFolder;
 use crate::worlds::WorldStates;
+use ports::Ports;
 
 /// The longest wait for an event. Nothing depends on it; it bounds the time until a lost event is noticed.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
@@ -182,100 +183,6 @@ impl ImageSource for Arc<Frame> {
     fn image(&self) -> Image<'_> {
         let size = self.size();
         Image { width: size.width, height: size.height, rgba: self.pixels() }
-    }
-}
-
-/// Senders, receivers and notifiers of this process.
-struct Ports {
-    configs: Receiver<MemoryEpisodeConfig>,
-    observations: Receiver<Observation>,
-    views: Receiver<View>,
-    stops: Receiver<Stop>,
-    frames: FrameStore,
-    recalls: Sender<Recall>,
-    traces: Sender<RecallTrace>,
-    snapshots: Sender<SnapshotReport>,
-    requests: Sender<ViewRequest>,
-    heartbeats: Heartbeats,
-    sim: Notifier,
-    policy: Notifier,
-    orchestrator: Notifier,
-    externals: Vec<ExternalPorts>,
-}
-
-/// Senders, receivers and notifier for one external memory.
-struct ExternalPorts {
-    index: u8,
-    banks: BankPublisher,
-    episodes: Sender<ExternalEpisode>,
-    queries: Sender<ExternalQuery>,
-    stores: Sender<ExternalStore>,
-    built: Receiver<ExternalBuilt>,
-    stored: Receiver<ExternalStored>,
-    answers: Receiver<ExternalAnswer>,
-    notes: NoteReceiver,
-    notifier: Notifier,
-    /// Messages that could not be used.
-    unusable: u64,
-}
-
-impl ExternalPorts {
-    fn new(bus: &Bus, index: u8) -> Result<Self, BusError> {
-        Ok(Self {
-            index,
-            banks: BankPublisher::new(bus, index)?,
-            episodes: bus.sender_to(index)?,
-            queries: bus.sender_to(index)?,
-            stores: bus.sender_to(index)?,
-            built: bus.receiver_from(index)?,
-            stored: bus.receiver_from(index)?,
-            answers: bus.receiver_from(index)?,
-            notes: NoteReceiver::new(bus, index)?,
-            notifier: bus.external_memory_notifier(index)?,
-            unusable: 0,
-        })
-    }
-
-    /// Sends a message. Does not wait for a process that is not there.
-    fn send(&mut self, message: &mut ToExternal) -> Result<(), BusError> {
-        if !self.episodes.is_complete() || !self.queries.is_complete() {
-            let service = <ExternalQuery as shm_types::message::Message>::SERVICE;
-            return Err(BusError::Deserted { service, expected: 1, found: 0 });
-        }
-        match message {
-            ToExternal::Bank(id, content) => self.banks.publish(*id, content),
-            ToExternal::TakeBack(id) => self.banks.take_back(*id),
-            ToExternal::Episode(message) => self.episodes.send(message),
-            ToExternal::Query(message) => {
-                message.sent_ns = monotonic_ns();
-                self.queries.send(message)
-            }
-            ToExternal::Store(message) => self.stores.send(message),
-        }
-    }
-}
-
-impl Ports {
-    fn new(bus: &Bus) -> Result<Self, BusError> {
-        Ok(Self {
-            configs: bus.receiver()?,
-            observations: bus.receiver()?,
-            views: bus.receiver()?,
-            stops: bus.receiver()?,
-            frames: FrameStore::new(bus)?,
-            recalls: bus.sender()?,
-            traces: bus.sender()?,
-            snapshots: bus.sender()?,
-            requests: bus.sender()?,
-            heartbeats: Heartbeats::new(bus)?,
-            sim: bus.notifier(Role::Sim)?,
-            policy: bus.notifier(Role::Policy)?,
-            orchestrator: bus.notifier(Role::Orchestrator)?,
-            externals: {
-                let indices = bus.attach().external_memories.iter();
-                indices.map(|&index| ExternalPorts::new(bus, index)).collect::<Result<_, _>>()?
-            },
-        })
     }
 }
 

@@ -24,6 +24,7 @@ use crate::streams::Streams;
 
 mod answer_error;
 mod episode;
+mod retrieved;
 mod stamps;
 
 pub use answer_error::AnswerError;

@@ -1,22 +1,21 @@
 //! One episode in a lane, from its first command to its record.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 
 use bytemuck::Zeroable;
-use domain::{Action, Arm, Cell, Feedback, MemoryKind, Outcome, Pose};
+use domain::{Action, Cell, Feedback, MemoryKind, Outcome, Pose};
 use results::conditions::Route;
 use results::log::{
     BlockedRecord, Ending, EpisodeRecord, RecallTotals, Stages, StreamRecord, Unread,
 };
-use results::source::distance_word;
 use shm_types::message::{
-    Decision, EXPERIENCE, EXTERNAL, FrameId, MemoryEpisodeConfig, NO_ACTION, NO_FRAME,
-    NOT_MEASURED, Observation, PolicyEpisodeConfig, RecallTrace, RecalledSource, Role,
-    SnapshotReport, StepCommand, StepKind, WirePose, write_text,
+    Decision, EXTERNAL, FrameId, MemoryEpisodeConfig, NO_ACTION, NO_FRAME, NOT_MEASURED,
+    Observation, PolicyEpisodeConfig, RecallTrace, Role, SnapshotReport, StepCommand, StepKind,
+    WirePose, write_text,
 };
-use warehouse::{History, Progress, Start, Trajectory, Variant, step};
+use warehouse::{Progress, Variant, step};
 
+use super::retrieved::Retrieved;
 use super::{
     AnswerError, AnsweredRequest, Context, EpisodeOpening, FinishedEpisode, PendingAnswer, Stamps,
 };
@@ -46,16 +45,7 @@ pub(super) struct ActiveEpisode {
     trace: Option<RecallTrace>,
     /// The decision on the current step, until what it is based on has arrived, too.
     early: Option<Decision>,
-    /// As [`EpisodeRecord::retrieved`].
-    retrieved: String,
-    has_matches: bool,
-    /// As [`EpisodeRecord::distances`].
-    distances: String,
-    has_distances: bool,
-    /// The first distance of each request that has one.
-    first_distances: Vec<f64>,
-    /// Whether a source is stale, by case or position and by demonstration.
-    stale: BTreeMap<(u32, u16), bool>,
+    retrieved: Retrieved,
     /// Memory's report that it has learned from the episode.
     snapshot: Option<SnapshotReport>,
     result: FinishedEpisode,
@@ -185,12 +175,7 @@ impl ActiveEpisode {
             stamps: Stamps::new(id, lane, condition.memory),
             trace: None,
             early: None,
-            retrieved: String::new(),
-            has_matches: false,
-            distances: String::new(),
-            has_distances: false,
-            first_distances: Vec::new(),
-            stale: BTreeMap::new(),
+            retrieved: Retrieved::default(),
             snapshot: None,
             result: FinishedEpisode {
                 episode,
@@ -325,7 +310,9 @@ impl ActiveEpisode {
         let sources = trace.sources.get(..trace.sources_len as usize);
         let sources = sources.ok_or_else(|| invalid(format!("{} sources", trace.sources_len)))?;
         if self.stamps.memory.retrieves() {
-            self.note_retrieval(context, sources).map_err(invalid)?;
+            let FinishedEpisode { episode, record, .. } = &mut self.result;
+            let noted = self.retrieved.add(context, episode, record, &self.variant, sources);
+            noted.map_err(invalid)?;
         }
         self.count_recall(trace);
         self.trace = Some(*trace);
@@ -458,7 +445,7 @@ impl ActiveEpisode {
 
     /// The finished episode.
     pub(super) fn finish(self, context: &Context<'_>) -> FinishedEpisode {
-        let Self { mut result, events, snapshot, first_distances, .. } = self;
+        let Self { mut result, events, snapshot, retrieved, .. } = self;
         result.ended_ns = context.now_ns;
         if let Some((SnapshotReport { snapshot, store_bytes, .. }, stream)) =
             snapshot.zip(result.record.stream.as_mut())
@@ -472,12 +459,7 @@ impl ActiveEpisode {
         }
         result.record.visits = events.visits;
         result.record.first_seen = events.first_seen;
-        if !first_distances.is_empty() {
-            let mean = first_distances.iter().sum::<f64>() / first_distances.len() as f64;
-            result.record.distance = Some((mean * 1e6).round() / 1e6);
-        }
-        result.record.retrieved = self.has_matches.then_some(self.retrieved);
-        result.record.distances = self.has_distances.then_some(self.distances);
+        retrieved.complete(&mut result.record);
         result
     }
 
@@ -510,110 +492,6 @@ impl ActiveEpisode {
             last: u8::from(self.awaited == Awaited::LastObservation),
             ..Zeroable::zeroed()
         }
-    }
-
-    /// Adds where the current step's items come from.
-    ///
-    /// # Errors
-    /// When a source does not exist.
-    fn note_retrieval(
-        &mut self,
-        context: &Context<'_>,
-        sources: &[RecalledSource],
-    ) -> Result<(), String> {
-        let own = self.result.episode.case_index;
-        let mut words = String::new();
-        self.count_stale(context, sources)?;
-        for &RecalledSource { case, demonstration, first, .. } in sources {
-            if !words.is_empty() {
-                words.push('+');
-            }
-            if demonstration == EXPERIENCE {
-                // Writing to a string cannot fail.
-                let _ = write!(words, "e{case}:{first}");
-                continue;
-            }
-            let found = context.cases.cases.get(case as usize);
-            let start = Start::demonstration(demonstration);
-            let Some((found, start)) = found.zip(start) else {
-                return Err(format!("case {case}, demonstration {demonstration}"));
-            };
-            if case as usize != own {
-                words.push_str(&found.id);
-                words.push(':');
-            }
-            words.push(start.letter());
-            // Writing to a string cannot fail.
-            let _ = write!(words, "{first}");
-        }
-        let told: Vec<String> =
-            sources.iter().map(|source| distance_word(source.distance)).collect();
-        for (words, word) in [(&mut self.retrieved, words), (&mut self.distances, told.join("+"))] {
-            if !words.is_empty() {
-                words.push(' ');
-            }
-            words.push_str(if word.is_empty() { "-" } else { &word });
-        }
-        self.has_matches |= !sources.is_empty();
-        let distances = sources.iter().map(|source| f64::from(source.distance));
-        let mut distances = distances.filter(|distance| distance.is_finite());
-        let first = distances.next();
-        self.has_distances |= first.is_some();
-        self.first_distances.extend(first);
-        Ok(())
-    }
-
-    /// Counts the sources of an episode in a stream or on a blocked route, and those that are stale: their trajectory
-    /// completes its task in the world that it was recorded in, and not in this one.
-    ///
-    /// # Errors
-    /// When a source does not exist.
-    fn count_stale(
-        &mut self,
-        context: &Context<'_>,
-        sources: &[RecalledSource],
-    ) -> Result<(), String> {
-        let episode = &self.result.episode;
-        let EpisodeRecord { stream, blocked, .. } = &mut self.result.record;
-        let (retrievals, stale) = match (stream, blocked) {
-            (Some(stream), _) => (&mut stream.retrievals, &mut stream.stale),
-            (None, Some(blocked)) => (&mut blocked.retrievals, &mut blocked.stale),
-            (None, None) => return Ok(()),
-        };
-        let warehouse = context.state(episode).map_or(context.warehouse, |state| &state.warehouse);
-        let completes = |trajectory: &Trajectory, task| {
-            trajectory.replay(warehouse, task, &self.variant).length.is_some()
-        };
-        let own = episode.part.and_then(|part| context.experience.get(&part.sequence));
-        for &RecalledSource { case, demonstration, .. } in sources {
-            // What took place in another warehouse was never true of this one.
-            if demonstration == Start::Elsewhere as u16 {
-                continue;
-            }
-            let known = self.stale.get(&(case, demonstration)).copied();
-            let is_stale = match known {
-                Some(is_stale) => is_stale,
-                None if demonstration == EXPERIENCE => {
-                    let source = own.and_then(|own| own.get(&case));
-                    let source = source.ok_or_else(|| format!("experience of position {case}"))?;
-                    let task = &context.cases.cases[source.case_index].task;
-                    source.is_complete && !completes(&source.trajectory, task)
-                }
-                None => {
-                    let start = Start::demonstration(demonstration);
-                    let of = start.map(|start| History { case: case as usize, start });
-                    let of = of.and_then(|of| context.cases.demonstrated(context.warehouse, of));
-                    let of =
-                        of.ok_or_else(|| format!("case {case}, demonstration {demonstration}"))?;
-                    // The oracle's demonstrations take place in this world.
-                    episode.key.condition.arm != Arm::Oracle && !completes(of.trajectory, of.task)
-                }
-            };
-            self.stale.insert((case, demonstration), is_stale);
-            *retrievals += 1;
-            *stale += u32::from(is_stale);
-        }
-        Ok(())
     }
 
     /// Adds what memory supplied.
