@@ -32,9 +32,9 @@ pub const SCHEMA: u32 = 3;
 named! {
     /// Whether the caches know the views.
     CacheState, "cache state" {
-        /// They do not: each view is rendered and embedded for the first time.
+        /// No: each view is rendered and embedded for the first time.
         Cold = "cold",
-        /// They do: embeddings are in the cache folder, and views were rendered before the first step.
+        /// Yes: embeddings are in the cache folder, and views were rendered before the first step.
         Warm = "warm",
     }
 }

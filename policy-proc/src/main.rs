@@ -1,4 +1,4 @@
-//! The policy process: one of the built-in policies on the wire, checks of a model's server, and the stored replies.
+//! The policy process: one of the built-in policies on the wire, checks of a model's server, and the cached replies.
 
 mod cli;
 
@@ -35,7 +35,7 @@ enum PolicyProcVerb {
     },
     /// Check what a model's server can do
     Probe(cli::probe::ProbeArguments),
-    /// List or remove stored replies of models
+    /// List or remove the cached replies of models
     Cache(cli::cache::CacheArguments),
 }
 

@@ -235,7 +235,7 @@ pub fn clean(base: &Path) -> Result<Cleaned, RegistryError> {
 
 /// Whether a process of the run in `root` is alive: its orchestrator, at least.
 pub fn is_alive(root: &Path) -> bool {
-    // Locked for a moment if nobody else has a lock.
+    // Locked for a moment if no other process has a lock.
     File::open(root.join(LOCK_FILE))
         .is_ok_and(|lock| matches!(lock.try_lock(), Err(TryLockError::WouldBlock)))
 }

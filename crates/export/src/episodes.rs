@@ -21,7 +21,7 @@ const QUALITY: u8 = 85;
 pub enum EpisodeFormat {
     /// Views, poses, events and decisions, for Foxglove and Rerun.
     Mcap,
-    /// The views as a film.
+    /// The views as a video.
     Mp4,
 }
 
@@ -107,7 +107,7 @@ impl Episodes {
                     EpisodeFormat::Mcap => {
                         Box::new(mcap::McapRecording::create(draft, &self.log, timing)?)
                     }
-                    EpisodeFormat::Mp4 => Box::new(video::Film::create(draft, timing)?),
+                    EpisodeFormat::Mp4 => Box::new(video::Video::create(draft, timing)?),
                 };
                 for &index in episodes {
                     sink.episode(&self.moments(index)?)?;

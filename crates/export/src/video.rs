@@ -1,4 +1,4 @@
-//! A film of the views, made by ffmpeg.
+//! A video of the views, made by ffmpeg.
 
 use std::io::{ErrorKind, Read, Write};
 use std::path::Path;
@@ -9,14 +9,14 @@ use anyhow::{Context, Result, anyhow, bail};
 
 use crate::episodes::{EpisodeSink, Moments, Timing};
 
-/// ffmpeg as a child process that reads JPEG files and writes a film.
-pub(crate) struct Film {
+/// ffmpeg as a child process that reads JPEG files and writes a video.
+pub(crate) struct Video {
     child: Child,
     images: Option<ChildStdin>,
     messages: Option<JoinHandle<String>>,
 }
 
-impl Film {
+impl Video {
     /// Starts ffmpeg, which writes to `path`.
     pub(crate) fn create(path: &Path, timing: Timing) -> Result<Self> {
         let rate = timing.steps_per_s.to_string();
@@ -35,7 +35,7 @@ impl Film {
         let mut child = match started {
             Ok(child) => child,
             Err(error) if error.kind() == ErrorKind::NotFound => bail!(
-                "a film needs ffmpeg, which is not in PATH: install it (`apt-get install ffmpeg` on Debian or \
+                "a video needs ffmpeg, which is not in PATH: install it (`apt-get install ffmpeg` on Debian or \
                  Ubuntu), or use --format mcap"
             ),
             Err(error) => return Err(error).context("cannot start ffmpeg"),
@@ -65,7 +65,7 @@ impl Film {
     }
 }
 
-impl EpisodeSink for Film {
+impl EpisodeSink for Video {
     fn episode(&mut self, moments: &Moments<'_>) -> Result<()> {
         for view in &moments.views {
             let image = moments.images.get(view).context("a view was not rendered")?;
@@ -83,7 +83,7 @@ impl EpisodeSink for Film {
     }
 }
 
-impl Drop for Film {
+impl Drop for Video {
     fn drop(&mut self) {
         // It has ended already, unless an episode failed.
         self.images = None;

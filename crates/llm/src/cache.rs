@@ -104,7 +104,7 @@ impl ReplyCache {
         &self.folder
     }
 
-    /// The stored reply. One that cannot be read is logged and counts as missing.
+    /// The cached reply. One that cannot be read is logged and counts as missing.
     pub(crate) fn get(&self, key: &CacheKey) -> Option<ChatReply> {
         let path = self.path(key);
         let problem = match fs::read(&path) {
@@ -116,7 +116,7 @@ impl ReplyCache {
                 Ok(stored) => return Some(stored.reply),
             },
         };
-        tracing::warn!("the stored reply {} is not used: {problem}", path.display());
+        tracing::warn!("the cached reply {} is not used: {problem}", path.display());
         None
     }
 
@@ -204,7 +204,7 @@ mod tests {
         assert_eq!(CacheKey::of("m", &elsewhere, 0), None);
     }
 
-    /// If this value changes, no stored reply is found any more: change [`FORM`] too.
+    /// If this value changes, no cached reply is found any more: change [`FORM`] too.
     #[test]
     fn the_key_of_a_known_request() {
         let key = CacheKey::of("m", &request("Where?", IMAGE), 0).unwrap();

@@ -17,7 +17,7 @@ pub fn error_message(body: &[u8]) -> String {
     reply::error_message(body)
 }
 
-/// The file of a stored reply, whether it exists or not.
+/// The file of a cached reply, whether it exists or not.
 pub fn stored_file(
     cache: &ReplyCache,
     model: &str,
@@ -26,7 +26,7 @@ pub fn stored_file(
     CacheKey::of(model, request, 0).map(|key| cache.path(&key))
 }
 
-/// The stored reply; `None` also where it cannot be used.
+/// The cached reply; `None` also where it cannot be used.
 pub fn stored(cache: &ReplyCache, model: &str, request: &ChatRequest) -> Option<ChatReply> {
     cache.get(&CacheKey::of(model, request, 0)?)
 }

@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Args;
+use conformance::{CheckFinding, CheckVerdict, CheckedRole, Conformance};
 use serde::Serialize;
 
 use super::{Exit, print, print_json};
 use crate::signals::Signals;
-use conformance::{CheckFinding, CheckVerdict, CheckedRole, Conformance};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

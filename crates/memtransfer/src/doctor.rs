@@ -8,17 +8,17 @@ use std::process::Command;
 use anyhow::{Context, bail, ensure};
 use clap::{Args, ValueEnum};
 use documents::DocumentName;
+use orchestrator::documents::needed;
 use results::settings::RunSettings;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use settings::{Layer, resolve};
 use shm_types::process::{SHARED_MEMORY, check_shared_memory};
 use shm_types::{RunDir, registry};
 use supervise::sibling;
 
 use super::documents::{RunDocuments, listed};
 use super::{Exit, WorldArgs, print, print_json};
-use orchestrator::documents::needed;
-use settings::{Layer, resolve};
 
 /// The name of findings about a model's server.
 const ENDPOINT: &str = "endpoint";

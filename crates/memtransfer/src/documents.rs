@@ -6,14 +6,13 @@ use anyhow::Result;
 use documents::{
     DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, StoredDocument,
 };
+use orchestrator::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};
+use orchestrator::progress::BuildProgress;
 use results::log::{DocumentFacts, RunFolder};
 use results::settings::{DocumentSource, RunSettings};
-
 use warehouse::Elsewhere;
 
 use crate::signals::Signals;
-use orchestrator::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};
-use orchestrator::progress::BuildProgress;
 
 /// The documents that a run needs, and where they come from.
 #[derive(Debug)]
@@ -65,11 +64,7 @@ impl RunDocuments {
         progress.close(matches!(ready, Ok(Some(_))));
         let Some(mut ready) = ready? else { return Ok(None) };
         if !(ready.built.is_empty() || quiet) {
-            eprintln!(
-                "built {} in {}",
-                listed(&ready.built),
-                self.request.folder()?.path().display()
-            );
+            say!("built {} in {}", listed(&ready.built), self.request.folder()?.path().display());
         }
         documents.append(&mut ready.documents);
         ready.documents = documents;

@@ -9,10 +9,9 @@ use std::collections::BTreeMap;
 
 use documents::DocumentName;
 use domain::representation::Trajectories;
-use prompt::tokens;
-
 use orchestrator::documents::needed;
 use orchestrator::plan::PlannedEpisode;
+use prompt::tokens;
 use replay::World;
 use results::conditions::Condition;
 use results::cost::ModelPrices;

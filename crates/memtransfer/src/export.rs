@@ -14,10 +14,11 @@ use replay::{RecordedRun, Selection, World};
 use results::key::EpisodeKey;
 use results::log::RunLog;
 use results::settings::CaseSelector;
+use settings::select_cases;
 
 use super::view::view_program;
 use super::{Exit, print};
-use settings::select_cases;
+
 /// Episodes of MCAP and MP4, unless something else is asked for.
 const FEW: Selection = Selection::First(10);
 
@@ -25,14 +26,14 @@ const FEW: Selection = Selection::First(10);
 #[command(after_help = "\
 Formats:
   mcap          views, poses, events, decisions and what memory supplied, for Foxglove and Rerun
-  mp4           the views as a film; needs ffmpeg
+  mp4           the views as a video; needs ffmpeg
   csv, parquet  two tables, `episodes` and `steps`, for pandas, DuckDB or a spreadsheet
   leaderboard   one JSON file with all that a comparison needs, for `memtransfer leaderboard`
   hugging-face  the success rates as `.eval_results` YAML for a model's page on the Hub
 
-Of mcap and mp4, --out is a file for all chosen episodes one after the other, or a folder with a file
-for each. Views are rendered from the log's poses, so the run needs no images. docs/exports.md has
-every channel, column and key.
+With mcap and mp4, --out is a file for all chosen episodes, one after the other, or a folder with a
+file for each. Views are rendered from the log's poses, so the run needs no images. docs/exports.md
+has every channel, column and key.
 
 Examples:
   memtransfer export runs/quick-grounded --format mcap --out episodes
@@ -138,7 +139,7 @@ impl ExportArgs {
     fn write_episodes(&self, format: EpisodeFormat) -> Result<Vec<PathBuf>> {
         let mut run = RecordedRun::read(&self.run)?;
         for notice in &run.notices {
-            eprintln!("{notice}");
+            say!("{notice}");
         }
         self.choose(&mut run.log, FEW)?;
         let timing = Timing { steps_per_s: self.fps.unwrap_or(2), edge: self.size.unwrap_or(448) };
@@ -185,7 +186,7 @@ impl ExportArgs {
             );
         }
         if log.episodes.len() < before {
-            eprintln!("{} of {before} episodes", log.episodes.len());
+            say!("{} of {before} episodes", log.episodes.len());
         }
         Ok(())
     }

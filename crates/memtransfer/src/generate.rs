@@ -66,7 +66,7 @@ fn cases(args: &GenerateArgs) -> anyhow::Result<Exit> {
         Some(path) => {
             std::fs::write(path, text)
                 .with_context(|| format!("cannot write {}", path.display()))?;
-            eprintln!("{} cases in {}", cases.cases.len(), path.display());
+            say!("{} cases in {}", cases.cases.len(), path.display());
         }
     }
     Ok(Exit::Complete)

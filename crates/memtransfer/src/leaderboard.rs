@@ -33,7 +33,7 @@ pub(super) struct LeaderboardArgs {
 pub(super) fn run(args: &LeaderboardArgs) -> Result<Exit> {
     let found = read(&args.paths)?;
     for file in &found.left_out {
-        eprintln!("left out: {file}");
+        say!("left out: {file}");
     }
     if found.entries.is_empty() {
         bail!(
@@ -44,7 +44,7 @@ pub(super) fn run(args: &LeaderboardArgs) -> Result<Exit> {
     let board = Board::new(&found.entries);
     if let Some(page) = &args.out {
         write_page(&board, page)?;
-        eprintln!("wrote {}", page.display());
+        say!("wrote {}", page.display());
     }
     if args.json {
         print_json(&found.entries)?;

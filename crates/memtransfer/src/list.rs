@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::{Args, Subcommand};
+use orchestrator::streams::Streams;
+use replay::World;
 use report::table::table;
 use results::conditions::Condition;
 use results::date::date;
@@ -11,12 +13,10 @@ use results::log::RunLog;
 use results::score::score;
 use results::settings::StreamSettings;
 use serde_json::{Value, json};
+use settings::{Layer, SHIPPED_SUITES, resolve, select_cases};
 use warehouse::{Mixture, Overlap, Start, Task};
 
 use super::{Exit, WorldArgs, print, print_json};
-use orchestrator::streams::Streams;
-use replay::World;
-use settings::{Layer, SHIPPED_SUITES, resolve, select_cases};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -3,6 +3,11 @@
 //! Data goes to stdout, progress and messages go to stderr. The exit status is 0 when everything is complete, 1 when
 //! something is incomplete or failed, 2 on an error, 3 when units of a plan are missing, and 128 + n when signal n ended the program.
 
+/// Prints a message to stderr, as [`orchestrator::progress::say`] does.
+macro_rules! say {
+    ($($text:tt)*) => { orchestrator::progress::say(&format!($($text)*)) };
+}
+
 mod clean;
 mod conformance;
 mod doctor;
@@ -20,6 +25,7 @@ mod plan;
 mod profile;
 mod report;
 mod run;
+mod run_plan;
 mod score;
 mod show;
 mod signals;
@@ -33,7 +39,6 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
-
 use replay::World;
 
 /// A benchmark of embodied memory: a hundred navigation cases in a rendered warehouse, run by four
@@ -76,7 +81,7 @@ enum MemtransferVerb {
     Merge(merge::MergeArgs),
     /// Show the live status of a run: rates, queues, lanes, frames, latencies
     Top(top::TopArgs),
-    /// List cases, tasks, items, suites or runs
+    /// List cases, histories, tasks, items, suites, conditions, streams or runs
     Ls(list::ListArgs),
     /// Check every constraint on warehouse and cases
     Validate(validate::ValidateArgs),
@@ -100,7 +105,7 @@ enum MemtransferVerb {
     Show(show::ShowArgs),
     /// Measure how long an access to memory takes, part by part
     Profile(profile::ProfileArgs),
-    /// Test your own policy in difficult situations, and report what it does wrong
+    /// Test your own policy or memory in difficult situations, and report what it does wrong
     Conformance(conformance::ConformanceArgs),
     /// Remove what killed runs left in shared memory and temporary folders
     Clean(clean::CleanArgs),
@@ -119,10 +124,10 @@ enum Exit {
     Complete,
     /// It ended with missing episodes or violated constraints.
     Failed,
-    /// An error prevented it.
-    CouldNot,
-    /// Units are missing.
-    Missing,
+    /// The verb failed with an error.
+    Error,
+    /// Units of a plan are missing.
+    UnitsMissing,
     /// A signal ended it.
     Signal(u8),
     /// The exit status of the program that did the work.
@@ -134,8 +139,8 @@ impl From<Exit> for ExitCode {
         Self::from(match exit {
             Exit::Complete => 0,
             Exit::Failed => 1,
-            Exit::CouldNot => 2,
-            Exit::Missing => 3,
+            Exit::Error => 2,
+            Exit::UnitsMissing => 3,
             Exit::Signal(signal) => 128_u8.saturating_add(signal),
             Exit::Code(code) => code,
         })
@@ -174,8 +179,8 @@ fn main() -> ExitCode {
         // `memtransfer ls cases | head` is not an error.
         Err(error) if is_closed_pipe(&error) => Exit::Complete.into(),
         Err(error) => {
-            eprintln!("memtransfer: {}", program::printable(&in_one_line(&error)));
-            Exit::CouldNot.into()
+            say!("memtransfer: {}", program::printable(&in_one_line(&error)));
+            Exit::Error.into()
         }
     }
 }
@@ -252,7 +257,11 @@ mod tests {
             }
             let help = verb.clone().term_width(100).render_long_help().to_string();
             assert!(help.contains("memtransfer "), "{name} shows no example");
-            assert!(help.lines().all(|line| line.chars().count() <= 100), "{name}: {help}");
+            // Longer lines would be broken in the middle of a sentence or of an example.
+            let after = verb.get_after_help().map(ToString::to_string).unwrap_or_default();
+            for text in [help, after] {
+                assert!(text.lines().all(|line| line.chars().count() <= 100), "{name}: {text}");
+            }
         }
     }
 
@@ -269,8 +278,8 @@ mod tests {
         for (exit, code) in [
             (Exit::Complete, 0),
             (Exit::Failed, 1),
-            (Exit::CouldNot, 2),
-            (Exit::Missing, 3),
+            (Exit::Error, 2),
+            (Exit::UnitsMissing, 3),
             (Exit::Signal(2), 130),
             (Exit::Signal(15), 143),
         ] {

@@ -9,18 +9,18 @@ use documents::{
     StoredDocument, kind,
 };
 use domain::{Appearance, DocumentKind};
-use serde_json::json;
-use shm_types::FrameSize;
-use warehouse::Demonstrations;
-
-use super::{Exit, print, print_json};
-use crate::signals::Signals;
 use orchestrator::documents::{DocumentRequest, ModelServer};
 use orchestrator::progress::BuildProgress;
 use replay::World;
 use report::table::table;
 use results::settings::Drawn;
+use serde_json::json;
 use settings::variable;
+use shm_types::FrameSize;
+use warehouse::Demonstrations;
+
+use super::{Exit, print, print_json};
+use crate::signals::Signals;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -248,14 +248,14 @@ fn build(args: BuildArgs) -> Result<Exit> {
         request.ensure(&wanted, args.force, signals.stop(), &mut |stage| progress.show(stage));
     progress.close(matches!(ready, Ok(Some(_))));
     let Some(ready) = ready? else {
-        eprintln!("stopped; give the same command again to continue");
+        say!("stopped; give the same command again to continue");
         return Ok(Exit::Signal(signals.received().unwrap_or_default()));
     };
     print(&overview(&ready.documents))?;
     if !args.quiet {
         let (all, built) = (ready.documents.len(), ready.built.len());
         let folder = request.folder()?;
-        eprintln!("{built} built, {} current, in {}", all - built, folder.path().display());
+        say!("{built} built, {} current, in {}", all - built, folder.path().display());
     }
     Ok(Exit::Complete)
 }
@@ -270,11 +270,11 @@ fn ls(args: LsArgs) -> Result<Exit> {
     print(&overview(&documents))?;
     let folder = request.folder()?;
     match documents.len() {
-        0 => eprintln!(
+        0 => say!(
             "no documents in {}: `memtransfer memory build` builds them",
             folder.path().display()
         ),
-        _ => eprintln!("in {}", folder.path().display()),
+        _ => say!("in {}", folder.path().display()),
     }
     Ok(Exit::Complete)
 }
@@ -302,17 +302,17 @@ fn show(args: DocumentArgs) -> Result<Exit> {
         print_json(&document)?;
         return Ok(Exit::Complete);
     }
-    eprintln!("file: {}", stored.file.display());
-    eprintln!("address: {}", stored.address.as_deref().unwrap_or("-"));
+    say!("file: {}", stored.file.display());
+    say!("address: {}", stored.address.as_deref().unwrap_or("-"));
     if let serde_json::Value::Object(facts) = serde_json::to_value(provenance)? {
         for (key, value) in facts {
             match value {
-                serde_json::Value::String(word) => eprintln!("{key}: {word}"),
-                other => eprintln!("{key}: {other}"),
+                serde_json::Value::String(word) => say!("{key}: {word}"),
+                other => say!("{key}: {other}"),
             }
         }
     }
-    eprintln!("state: {}\n", stored.problem.as_deref().unwrap_or(DocumentState::Current.word()));
+    say!("state: {}\n", stored.problem.as_deref().unwrap_or(DocumentState::Current.word()));
     print(text)?;
     Ok(Exit::Complete)
 }

@@ -4,13 +4,13 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::Args;
-use results::log::{UnitFolders, merge};
-use results::settings::RunSettings;
-
-use super::{Exit, print};
 use orchestrator::selection::SelectedCases;
 use orchestrator::units::{ReadPlan, UnitPlan};
+use results::log::{UnitFolders, merge};
+use results::settings::RunSettings;
 use settings::{Layer, on_this_machine};
+
+use super::{Exit, print};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -50,7 +50,7 @@ pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
     let folders = UnitFolders(args.folders.clone());
     let missing = folders.missing(plan.units);
     if !missing.is_empty() {
-        eprintln!(
+        say!(
             "{} of {} units are missing; execute them with\n  memtransfer work --plan {} --unit N --out {}",
             missing.len(),
             plan.units,
@@ -58,7 +58,7 @@ pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
             args.folders[0].display()
         );
         print(&missing.iter().map(u32::to_string).collect::<Vec<_>>().join("\n"))?;
-        return Ok(Exit::Missing);
+        return Ok(Exit::UnitsMissing);
     }
     let mut manifest = plan.manifest.clone();
     manifest.settings.out.clone_from(&args.out);
@@ -69,7 +69,7 @@ pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
         if args.strict {
             bail!("--strict: units were executed on machines that differ:\n{lines}");
         }
-        eprintln!(
+        say!(
             "warning: pixels and embeddings may differ in the last bits, because machines do:\n{lines}"
         );
     }
@@ -84,7 +84,7 @@ pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
     let merged = selection.with_episodes(&settings, |episodes| {
         merge(&manifest, &folders, plan.assign(episodes), &args.out)
     })?;
-    eprintln!(
+    say!(
         "{}: {merged} episodes of {} units; `memtransfer score {0}` prints its tables",
         args.out.display(),
         plan.units

@@ -6,7 +6,6 @@ use std::process::Command;
 
 use anyhow::Context;
 use clap::Args;
-
 use supervise::{QUIET_DRIVER, sibling};
 
 use super::Exit;
@@ -28,6 +27,6 @@ impl PassedOn {
         let status = command.status();
         let status = status.with_context(|| format!("cannot start {}", program.display()))?;
         let code = status.code().and_then(|code| u8::try_from(code).ok());
-        Ok(code.map_or(Exit::CouldNot, Exit::Code))
+        Ok(code.map_or(Exit::Error, Exit::Code))
     }
 }

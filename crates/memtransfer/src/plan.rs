@@ -7,18 +7,16 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use domain::cache_folder;
-use results::conditions::PolicyKind;
-use results::settings::RunSettings;
-
-use super::run::flags::SettingFlags;
-use super::run::{
-    ALL, BUILDING_DOCUMENTS, RunOptions, RunPlan, STARTING_MEMORIES, stopped_before_episodes,
-};
-use super::{Exit, print};
-use crate::signals::Signals;
 use orchestrator::store::{Shipment, Store};
 use orchestrator::units::{UNIT_EPISODES, UnitPlan};
+use results::conditions::PolicyKind;
+use results::settings::RunSettings;
 use settings::{Layer, resolve};
+
+use super::run::flags::{RunOptions, SettingFlags};
+use super::run_plan::{ALL, Preparation, RunPlan, stopped_before_episodes};
+use super::{Exit, print};
+use crate::signals::Signals;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -85,10 +83,10 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
     // External memories start, so that their names are known, and end with the plan.
     let options = RunOptions { dry_run: true, quiet: args.quiet, ..RunOptions::default() };
     let Some(run) = RunPlan::new(settings, ALL, &options, &signals)? else {
-        return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
+        return Ok(stopped_before_episodes(&signals, Preparation::StartingMemories));
     };
     let Some(documents) = run.documents(&options, &signals)? else {
-        return Ok(stopped_before_episodes(&signals, BUILDING_DOCUMENTS));
+        return Ok(stopped_before_episodes(&signals, Preparation::BuildingDocuments));
     };
     let mut manifest = run.manifest();
     manifest.documents = documents.facts();
@@ -102,7 +100,7 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
     plan.write(&path)?;
     if !args.quiet {
         let (units, episodes) = (plan.units, plan.manifest.episodes);
-        eprintln!("{}: {episodes} episodes in {units} units", path.display());
+        say!("{}: {episodes} episodes in {units} units", path.display());
     }
     let path = std::path::absolute(&path)?;
     let workers = args.workers.min(plan.units);

@@ -7,16 +7,6 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use domain::{Representation, cache_folder};
-use results::conditions::representation;
-use results::log::RunFolder;
-use results::settings::RunSettings;
-use shm_types::message::Role;
-use shm_types::{RunDir, registry};
-use supervise::Children;
-
-use super::documents::RunDocuments;
-use super::{Exit, print};
-use crate::signals::Signals;
 use orchestrator::commit::commit_of;
 use orchestrator::external_memory;
 use orchestrator::lanes::Lanes;
@@ -28,7 +18,17 @@ use orchestrator::profile::recorder::AccessRecorder;
 use orchestrator::profile::summary::summary;
 use orchestrator::profile::{AccessRun, CacheState, Profile, SCHEMA, search};
 use replay::World;
+use results::conditions::representation;
+use results::log::RunFolder;
+use results::settings::RunSettings;
 use settings::{Layer, resolve, select_cases, variable};
+use shm_types::message::Role;
+use shm_types::{RunDir, registry};
+use supervise::Children;
+
+use super::documents::RunDocuments;
+use super::{Exit, print};
+use crate::signals::Signals;
 
 /// The folder of temporary files.
 const SCRATCH: &str = "scratch";
@@ -57,7 +57,7 @@ Examples:
   memtransfer profile --quick                         two memories and few figures
   memtransfer profile --full                          up to 64 lanes and ten million entries
   memtransfer profile --memory episodic --lanes 1,2,4,8 --entries 1000,100000
-  memtransfer profile --quick --memory-cmd 'python my_memory.py'    your own memory beside two others")]
+  memtransfer profile --quick --memory-cmd 'python my_memory.py'  your own memory beside others")]
 pub(super) struct ProfileArgs {
     /// Measure little, for a first impression
     #[arg(long, conflicts_with = "full")]
@@ -161,7 +161,7 @@ impl ProfileArgs {
 
     fn progress(&self, what: impl std::fmt::Display) {
         if !self.quiet {
-            eprintln!("profile: {what}");
+            say!("profile: {what}");
         }
     }
 }

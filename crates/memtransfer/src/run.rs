@@ -3,53 +3,27 @@
 mod dry_run;
 pub(super) mod flags;
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::io;
-use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use anyhow::{Context, Result};
 use clap::Args;
-use domain::cache_folder;
-use domain::prompt_log::session_folder;
-use domain::representation::Trajectories;
-use results::conditions::{Demonstrations, Route, Start};
-use results::cost::ModelPrices;
-use results::log::{FORMAT, Manifest, Opened, RunFolder, RunLog, UnitId};
-use results::settings::{Group, RunSettings};
-use rustix::io::Errno;
-use shm_types::message::{MAX_SOURCES, WIRE_VERSION};
-use shm_types::{RunDir, registry};
-use supervise::Children;
+use flags::{RunOptions, SettingFlags};
+use orchestrator::progress::say;
+use results::log::RunLog;
+use settings::{Layer, resolve};
 
-use super::documents::RunDocuments;
-use super::{Exit, in_one_line, print};
+use super::run_plan::{ALL, Executed, Preparation, RunPlan, same_command, stopped_before_episodes};
+use super::{Exit, print};
 use crate::signals::{self, Signals};
-use flags::SettingFlags;
-use orchestrator::budget::Budget;
-use orchestrator::commit::commit_of;
-use orchestrator::documents::ReadyDocuments;
-use orchestrator::external_memory::{self, ExternalMemory, StartedMemories};
-use orchestrator::frame_budget;
-use orchestrator::lanes::Lanes;
-use orchestrator::launch;
-use orchestrator::monitor::Monitor;
-use orchestrator::pipeline::{self, Ending};
-use orchestrator::plan::PlannedEpisode;
-use orchestrator::progress::{ProgressDisplay, say};
-use orchestrator::selection::SelectedCases;
-use orchestrator::session::RunSession;
-use orchestrator::status::EpisodeCounts;
-use orchestrator::streams::{Remaining, STREAMS_HASH, Streams};
-use orchestrator::trace::RunTrace;
-use replay::World;
-use settings::{self, Layer, resolve};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
 The same command again resumes a run that was stopped or killed: finished episodes stay, the
 others run again. Ctrl-C stops cleanly, a second one at once. A run can grow: with a larger --limit
 or --runs, more --memory or more --cases, the same folder gets the episodes that are missing.
+
+The settings under \"How it is run\" change no result, except that --backend, --adapter and
+--provider may change one slightly.
 
 Precedence: defaults < suite file < MEMTRANSFER_* variables < flags. Every flag with a value is
 also a variable (MEMTRANSFER_MAX_STEPS=50) and a key of a suite file (max-steps = 50).
@@ -76,42 +50,6 @@ pub(super) struct RunArgs {
     show_settings: bool,
 }
 
-/// What concerns one invocation, and not the run.
-#[derive(Debug, Default, Args)]
-pub(super) struct RunOptions {
-    /// Remove an earlier run from the run's folder, and start over
-    #[arg(long)]
-    pub(super) fresh: bool,
-
-    /// Show no progress, only problems
-    #[arg(long)]
-    pub(super) quiet: bool,
-
-    /// Write a trace of every process and step for Perfetto (ui.perfetto.dev)
-    #[arg(long, value_name = "FILE")]
-    pub(super) trace: Option<PathBuf>,
-
-    /// Print what would run, and stop
-    #[arg(long)]
-    pub(super) dry_run: bool,
-}
-
-/// A run before it starts: its settings and the episodes that follow from them.
-pub(super) struct RunPlan {
-    pub(super) settings: RunSettings,
-    world: World,
-    /// The streams, for a run that consists of streams.
-    streams: Option<Streams>,
-    pub(super) episodes: Vec<PlannedEpisode>,
-    /// The unit of a plan that it is.
-    pub(super) unit: Option<UnitId>,
-    /// The file of embeddings that came with the plan.
-    pub(super) shipped_embeddings: Option<PathBuf>,
-    prices: Option<ModelPrices>,
-    /// The external memories; `None` without any.
-    started: Option<StartedMemories>,
-}
-
 pub(super) fn run(args: RunArgs) -> Result<Exit> {
     let RunArgs { flags, options, show_settings } = args;
     let environment = Layer::environment(std::env::vars_os())?;
@@ -122,7 +60,7 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
     }
     let signals = Signals::listen().context("cannot listen to signals")?;
     let Some(mut plan) = RunPlan::new(resolved.settings, ALL, &options, &signals)? else {
-        return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
+        return Ok(stopped_before_episodes(&signals, Preparation::StartingMemories));
     };
     if options.dry_run {
         print(&dry_run::describe(&plan, options.fresh)?)?;
@@ -130,468 +68,36 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
     }
     match plan.execute(&options, &signals)? {
         Executed::Stopped(exit) => Ok(exit),
-        Executed::ToTheEnd { halted } => plan.conclude(halted, &signals),
+        Executed::ToTheEnd { halted } => conclude(&plan.settings.out, halted, &signals),
     }
 }
 
-/// All episodes of a run.
-pub(super) const ALL: Range<usize> = 0..usize::MAX;
-
-/// What a signal can interrupt before the first episode.
-pub(super) const STARTING_MEMORIES: &str = "external memories were being started";
-
-/// How the execution of a run ended.
-pub(super) enum Executed {
-    /// A signal came before the first episode.
-    Stopped(Exit),
-    /// The processes have ended.
-    ToTheEnd {
-        /// Why it stopped early, if a process or the budget did so.
-        halted: Option<String>,
-    },
-}
-
-/// Whether a full disk caused the error, here or in a child process, whose error is a text.
-fn is_disk_full(error: &anyhow::Error) -> bool {
-    let full = io::Error::from(Errno::NOSPC).to_string();
-    error.chain().any(|cause| {
-        let io_error = cause.downcast_ref::<io::Error>();
-        io_error.is_some_and(|error| error.kind() == io::ErrorKind::StorageFull)
-            || cause.to_string().contains(&full)
-    })
-}
-
-/// Checks that the cases have as many demonstrations as each bank holds, and that every memory can name them.
-fn check_banks(settings: &RunSettings, World { cases, .. }: &World) -> Result<()> {
-    let most = cases.largest_bank();
-    for set in settings.groups.iter().flat_map(|group| &group.demos) {
-        ensure!(
-            usize::from(set.bank_size().unwrap_or(0)) <= most,
-            "{set}: the largest bank is bank-{most}, four demonstrations of each case; a world with more cases has a larger one \
-             (`memtransfer generate world --cases N`, then --assets)"
-        );
+/// Prints the table, and what is to be done about episodes that are missing.
+fn conclude(out: &Path, halted: Option<String>, signals: &Signals) -> Result<Exit> {
+    let log = RunLog::read(out)?;
+    let (done, planned) = (log.episodes.len(), log.manifest.episodes as usize);
+    if let Some(signal) = signals.received() {
+        say(&format!(
+            "stopped by {}: {done} of {planned} episodes are finished and kept in {}. To resume:\n  {}",
+            signals::name(signal),
+            out.display(),
+            same_command()
+        ));
+        return Ok(Exit::Signal(signal));
     }
-    for condition in settings.conditions() {
-        let size = condition.demonstrations.bank_size().unwrap_or(0);
-        let info = condition.memory.describe();
-        let is_whole = info.is_some_and(|info| info.trajectories == Trajectories::Whole);
-        ensure!(
-            !is_whole || usize::from(size) <= MAX_SOURCES,
-            "{condition}: {} memory names every demonstration at every step, and an answer has at most {MAX_SOURCES} sources: \
-             give it a bank of its own in a [[group]]",
-            condition.memory
-        );
+    print(&report::summary(&log))?;
+    if let Some(why) = halted {
+        say(&format!(
+            "stopped: {why}\nFinished episodes are kept. To resume:\n  {}",
+            same_command()
+        ));
+    } else if done < planned {
+        say(&format!(
+            "{} of {planned} episodes could not be finished, and count neither as success nor as failure. To \
+             run them again:\n  {}",
+            planned - done,
+            same_command()
+        ));
     }
-    Ok(())
-}
-
-impl RunPlan {
-    /// The plan of a run with `settings`, or of those of its episodes in `range`, once its external memories have told their
-    /// names. `None` when a signal asked to stop meanwhile.
-    pub(super) fn new(
-        mut settings: RunSettings,
-        range: Range<usize>,
-        options: &RunOptions,
-        signals: &Signals,
-    ) -> Result<Option<Self>> {
-        // What can be wrong without the names of external memories is said before these start.
-        let selection = SelectedCases::of(&settings)?;
-        check_banks(&settings, &selection.world)?;
-        let started = start_memories(&mut settings, options, signals)?;
-        if settings.has_external_memories() && started.is_none() && !options.dry_run {
-            return Ok(None);
-        }
-        note_omissions(&settings);
-        let episodes: Vec<PlannedEpisode> = selection.with_episodes(&settings, |episodes| {
-            episodes.skip(range.start).take(range.len()).collect()
-        });
-        if episodes.is_empty() {
-            bail!("no case is left: --limit is 0, or --cases selects none");
-        }
-        let prices = match &settings.model {
-            None => None,
-            Some(model) => {
-                let file = model.prices.as_deref();
-                file.map(|file| ModelPrices::read(file, &model.model)).transpose()?
-            }
-        };
-        let SelectedCases { world, streams, .. } = selection;
-        Ok(Some(Self {
-            settings,
-            world,
-            streams,
-            episodes,
-            unit: None,
-            shipped_embeddings: None,
-            prices,
-            started,
-        }))
-    }
-
-    /// The external memories.
-    fn memories(&self) -> &[ExternalMemory] {
-        self.started.as_ref().map_or(&[], |started| &started.memories)
-    }
-
-    /// The keys of all episodes.
-    fn keys(&self) -> BTreeSet<String> {
-        self.episodes.iter().map(|episode| episode.key.to_string()).collect()
-    }
-
-    /// The run's manifest.
-    pub(super) fn manifest(&self) -> Manifest {
-        let program = std::env::current_exe().ok();
-        let mut hashes = self.world.hashes.clone();
-        hashes.extend(self.streams.iter().map(|streams| (STREAMS_HASH.to_owned(), streams.hash())));
-        Manifest {
-            format: FORMAT,
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            wire_version: WIRE_VERSION,
-            commit: program.as_deref().and_then(Path::parent).and_then(commit_of),
-            settings: self.settings.clone(),
-            hashes,
-            documents: BTreeMap::new(),
-            memories: self.memories().iter().map(|memory| (memory.name, memory.facts())).collect(),
-            prices: self.prices.clone(),
-            episodes: self.episodes.len() as u32,
-            unit: self.unit.clone(),
-            processes: BTreeMap::new(),
-        }
-    }
-
-    /// The documents of the run, built if they are missing. `None` when a signal asked to stop.
-    pub(super) fn documents(
-        &self,
-        options: &RunOptions,
-        signals: &Signals,
-    ) -> Result<Option<ReadyDocuments>> {
-        let elsewhere = self.world.cases.elsewhere.as_ref();
-        RunDocuments::of(&self.settings, elsewhere, options.fresh).supply(signals, options.quiet)
-    }
-
-    /// Whether a memory of the run matches views.
-    pub(super) fn matches_views(&self) -> bool {
-        let memories = self.started.as_ref().map_or(&[][..], |started| &started.memories);
-        launch::matches_views(&self.settings, memories)
-    }
-
-    /// Runs what is missing.
-    pub(super) fn execute(&mut self, options: &RunOptions, signals: &Signals) -> Result<Executed> {
-        self.execute_missing(options, signals).map_err(|error| match is_disk_full(&error) {
-            false => error,
-            true => anyhow!(
-                "{}\nThe disk is full. Finished episodes are kept: free some space, then give the same command \
-                 again:\n  {}",
-                in_one_line(&error),
-                same_command()
-            ),
-        })
-    }
-
-    fn execute_missing(&mut self, options: &RunOptions, signals: &Signals) -> Result<Executed> {
-        let settings = self.settings.clone();
-        RunFolder::check(&settings.out)?;
-        let mut manifest = self.manifest();
-        let Some(documents) = self.documents(options, signals)? else {
-            return Ok(Executed::Stopped(stopped_before_episodes(signals, BUILDING_DOCUMENTS)));
-        };
-        manifest.documents = documents.facts();
-        if !options.fresh && RunFolder::has_episodes(&settings.out) {
-            RunLog::read(&settings.out)?.check_planned(&self.keys())?;
-        }
-        let opened = RunFolder::open(&settings.out, manifest, options.fresh)?;
-        let Opened { mut folder, finished, requests, notes } = opened;
-        for note in notes {
-            say(&note);
-        }
-        documents.copy_to(&RunFolder::documents_of(folder.dir()))?;
-        drop(documents);
-        if let Some(streams) = &self.streams {
-            let path = RunFolder::streams_of(folder.dir());
-            let written = std::fs::write(&path, streams.set.to_text());
-            written.with_context(|| format!("cannot write {}", path.display()))?;
-        }
-        if let Some(elsewhere) = &self.world.cases.elsewhere {
-            let path = RunFolder::elsewhere_of(folder.dir());
-            let written = std::fs::write(&path, elsewhere.to_text());
-            written.with_context(|| format!("cannot write {}", path.display()))?;
-        }
-        let remaining = Remaining::of(&self.episodes, &finished)?;
-        let missing = &remaining.missing;
-        if settings.log_prompts {
-            let logged = RunFolder::prompts_of(folder.dir());
-            let logged = logged.exists().then_some(&*logged);
-            if let Some(note) = prompt_log_note(finished.len(), missing.len(), logged) {
-                say(&note);
-            }
-        }
-        let prices = folder.manifest().prices.as_ref();
-        let model = settings.model.as_ref();
-        if model.is_some_and(|model| model.max_cost.is_some()) && prices.is_none() {
-            bail!("--max-cost needs prices: give --prices FILE (docs/costs.md describes it)");
-        }
-        let budget = Budget::new(model, prices, &requests);
-        let mut halted = budget.exceeded().filter(|_| !missing.is_empty());
-        if !missing.is_empty() && halted.is_none() {
-            let successes = finished.iter().filter(|record| record.is_success()).count();
-            let total = finished.len() + missing.len();
-            if !finished.is_empty() && !options.quiet {
-                let (out, done) = (settings.out.display(), finished.len());
-                say(&format!("resuming {out}: {done} of {total} episodes are finished"));
-            }
-            let counts = EpisodeCounts {
-                planned: total as u64,
-                earlier: (finished.len() as u64, successes as u64),
-                ..EpisodeCounts::default()
-            };
-            halted = self.session(remaining, counts, &mut folder, budget, options, signals)?;
-        }
-        // They are not needed while the table is made.
-        self.started = None;
-        Ok(Executed::ToTheEnd { halted })
-    }
-
-    /// Runs the missing episodes, and records how that ended. Returns why it stopped early, if a process or the
-    /// budget did so.
-    fn session(
-        &mut self,
-        remaining: Remaining,
-        counts: EpisodeCounts,
-        folder: &mut RunFolder,
-        budget: Budget,
-        options: &RunOptions,
-        signals: &Signals,
-    ) -> Result<Option<String>> {
-        let Self { settings, world, streams, started, unit, shipped_embeddings, .. } = self;
-        let Remaining { missing, learned } = remaining;
-        let mut progress = ProgressDisplay::new(options.quiet);
-        let (own, children);
-        let (run, memories): (&RunDir, &[ExternalMemory]) = match started {
-            Some(started) => {
-                children = std::mem::take(&mut started.children);
-                (&started.run, &started.memories)
-            }
-            None => {
-                let base = registry::default_base();
-                for gone in registry::clean(&base)?.removed {
-                    progress.note(&format!("removed what a killed run left in {}", gone.display()));
-                }
-                own = RunDir::create(&base)?;
-                children = Children::default();
-                (&own, &[])
-            }
-        };
-        let prompts = RunFolder::prompts_of(&settings.out);
-        let prompts = settings.log_prompts.then(|| session_folder(&prompts, folder.session()));
-        let mut attach = launch::attach(
-            settings,
-            (world, streams.as_ref()),
-            &missing,
-            (run, memories),
-            prompts.as_deref(),
-        )?;
-        let trace = options.trace.as_deref().map(RunTrace::create).transpose()?;
-        attach.spans = trace.as_ref().map(|trace| trace.spans().to_owned());
-        if settings.warm_views {
-            let views = frame_budget::every_view(&world.warehouse);
-            progress.note(&format!("rendering {views} views before the first step"));
-        }
-        let mut pipeline_options =
-            launch::pipeline_options(settings, memories, RunFolder::logs_of(folder.dir()))?;
-        if unit.is_some() {
-            launch::share_views(&mut pipeline_options, &cache_folder()?.join("views"));
-        }
-        if let Some(file) = shipped_embeddings {
-            launch::ship_embeddings(&mut pipeline_options, file);
-        }
-        let rules = launch::rules(settings, memories)?;
-        let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
-        if let Some(streams) = streams {
-            lanes = lanes.in_streams(streams);
-        }
-        for (sequence, position, experience) in learned {
-            lanes.remember(sequence, position, experience);
-        }
-        let monitor = Monitor::new(folder.dir(), attach.lanes, counts, progress);
-        let size = (attach.lanes, attach.frame_capacity);
-        let mut session = RunSession::new(folder, monitor, budget, trace, size);
-        let stop = signals.stop();
-        let outcome = pipeline::run_episodes(
-            &mut lanes,
-            missing,
-            &attach,
-            &pipeline_options,
-            children,
-            stop,
-            &mut session,
-        );
-        let reason = match (&outcome, signals.received()) {
-            (Err(error), _) => format!("{error:#}"),
-            (Ok(_), Some(signal)) => signals::name(signal).to_owned(),
-            (Ok(Ending { halted: Some(why), .. }), None) => why.clone(),
-            (Ok(_), None) => "complete".to_owned(),
-        };
-        session.end(&outcome, &reason)?;
-        Ok(outcome?.halted)
-    }
-
-    /// Prints the table, and what is to be done about episodes that are missing.
-    fn conclude(&self, halted: Option<String>, signals: &Signals) -> Result<Exit> {
-        let log = RunLog::read(&self.settings.out)?;
-        let (done, planned) = (log.episodes.len(), log.manifest.episodes as usize);
-        if let Some(signal) = signals.received() {
-            say(&format!(
-                "stopped by {}: {done} of {planned} episodes are finished and kept in {}. To resume:\n  {}",
-                signals::name(signal),
-                self.settings.out.display(),
-                same_command()
-            ));
-            return Ok(Exit::Signal(signal));
-        }
-        print(&report::summary(&log))?;
-        if let Some(why) = halted {
-            say(&format!(
-                "stopped: {why}\nFinished episodes are kept. To resume:\n  {}",
-                same_command()
-            ));
-        } else if done < planned {
-            say(&format!(
-                "{} of {planned} episodes could not be finished, and count neither as success nor as failure. To \
-                 run them again:\n  {}",
-                planned - done,
-                same_command()
-            ));
-        }
-        Ok(if done >= planned { Exit::Complete } else { Exit::Failed })
-    }
-}
-
-/// The note about episodes whose prompts are not logged because they are finished. `logged` is the folder of the logs of
-/// earlier sessions, if there is one.
-fn prompt_log_note(finished: usize, missing: usize, logged: Option<&Path>) -> Option<String> {
-    const ADVICE: &str = "To log them, run them again with another --out, or all with --fresh";
-    match (finished, missing, logged) {
-        (0, ..) | (_, 1.., Some(_)) => None,
-        (_, 0, None) => Some(format!(
-            "--log-prompts: nothing is logged, because all {finished} episodes are finished. {ADVICE}"
-        )),
-        (_, 0, Some(folder)) => Some(format!(
-            "--log-prompts: nothing more is logged, because all {finished} episodes are finished. Earlier logs are in {}",
-            folder.display()
-        )),
-        (_, 1.., None) => Some(format!(
-            "--log-prompts: the prompts of {finished} episodes that are finished are not logged, only those of the \
-             other {missing}. {ADVICE}"
-        )),
-    }
-}
-
-/// Reports requested combinations that do not exist.
-fn note_omissions(settings: &RunSettings) {
-    let groups = &settings.groups;
-    let blocked_original = |group: &Group| {
-        group.routes.contains(&Route::Blocked) && group.starts.contains(&Start::Original)
-    };
-    if groups.iter().any(blocked_original) {
-        say("blocked routes exist for the new start only: left out for the original start");
-    }
-    let without_demonstrations = |group: &Group| {
-        group.demos.contains(&Demonstrations::NONE)
-            && group.memory.iter().any(|memory| memory.uses_demonstrations())
-    };
-    if groups.iter().any(without_demonstrations) {
-        say("memories of demonstrations need some: left out with `--demos none`");
-    }
-}
-
-/// Starts the external memories of a run and adds their names to the settings. `None` without any, when a signal asked to
-/// stop, and for one that the user starts in a dry run, which does not wait.
-fn start_memories(
-    settings: &mut RunSettings,
-    options: &RunOptions,
-    signals: &Signals,
-) -> Result<Option<StartedMemories>> {
-    let mut progress = ProgressDisplay::new(options.quiet);
-    let logs = if options.dry_run {
-        if std::mem::take(&mut settings.external_memory) {
-            progress.note(
-                "a dry run does not wait for a memory that you start yourself: its conditions are not listed",
-            );
-        }
-        None
-    } else {
-        RunFolder::check(&settings.out)?;
-        if options.fresh {
-            RunFolder::remove_memory_logs(&settings.out)?;
-        }
-        Some(RunFolder::logs_of(&settings.out))
-    };
-    let started =
-        external_memory::start(settings, logs, signals.stop(), &mut |note| progress.note(note))?;
-    if let Some(started) = &started {
-        let told = started.memories.iter().map(|memory| (memory.name, memory.description.learns));
-        settings.add_external_memories(&told.collect::<Vec<_>>());
-    }
-    // With the names all conditions are known.
-    settings::check(settings)?;
-    Ok(started)
-}
-
-/// Reports that a signal came while something was being done before the first episode.
-pub(super) fn stopped_before_episodes(signals: &Signals, meanwhile: &str) -> Exit {
-    let signal = signals.received().unwrap_or_default();
-    say(&format!(
-        "stopped by {} while {meanwhile}, before the first episode. Documents that were complete are kept. To \
-         resume:\n  {}",
-        signals::name(signal),
-        same_command()
-    ));
-    Exit::Signal(signal)
-}
-
-/// What a signal can interrupt before the first episode.
-pub(super) const BUILDING_DOCUMENTS: &str = "documents were being built";
-
-/// The command line that resumes the run: without `--fresh`, which would start over.
-pub(super) fn same_command() -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,=+:".contains(c);
-    let quoted = |argument: String| {
-        if !argument.is_empty() && argument.chars().all(plain) {
-            argument
-        } else {
-            format!("'{}'", argument.replace('\'', r"'\''"))
-        }
-    };
-    let arguments = std::env::args().filter(|argument| argument != "--fresh");
-    arguments.map(quoted).collect::<Vec<_>>().join(" ")
-}
-
-#[cfg(test)]
-mod tests {
-    use results::log::LogError;
-
-    use super::*;
-
-    #[test]
-    fn prompts_that_cannot_be_logged_any_more_are_counted() {
-        let logged = Some(Path::new("runs/x/prompts"));
-        assert_eq!(prompt_log_note(0, 12, None), None);
-        assert_eq!(prompt_log_note(4, 8, logged), None);
-        let note = |finished, missing, logged| prompt_log_note(finished, missing, logged).unwrap();
-        insta::assert_snapshot!(note(12, 0, None), @"--log-prompts: nothing is logged, because all 12 episodes are finished. To log them, run them again with another --out, or all with --fresh");
-        insta::assert_snapshot!(note(12, 0, logged), @"--log-prompts: nothing more is logged, because all 12 episodes are finished. Earlier logs are in runs/x/prompts");
-        insta::assert_snapshot!(note(4, 8, None), @"--log-prompts: the prompts of 4 episodes that are finished are not logged, only those of the other 8. To log them, run them again with another --out, or all with --fresh");
-    }
-
-    #[test]
-    fn a_full_disk_is_noticed_here_and_in_child_processes() {
-        let full = || io::Error::from(Errno::NOSPC);
-        let doing = "write to";
-        let log = LogError::System { doing, path: "episodes.jsonl".into(), source: full() };
-        let reported = format!("the memory process failed: cannot store embeddings: {}", full());
-        for error in [anyhow::Error::from(log).context("session"), anyhow!(reported)] {
-            assert!(is_disk_full(&error), "{error:#}");
-        }
-        assert!(!is_disk_full(&io::Error::from(Errno::ACCESS).into()));
-    }
+    Ok(if done >= planned { Exit::Complete } else { Exit::Failed })
 }

@@ -3,18 +3,18 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use serde::Serialize;
-
-use super::{Exit, print, print_json};
 use results::compare::{compare_conditions, compare_runs, differing_settings};
 use results::log::{Difference, RunLog};
 use results::score::{Comparison, score};
+use serde::Serialize;
+
+use super::{Exit, print, print_json};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Reads the runs' folders and nothing else; a run in progress can be scored, too.
-A comparison is paired: it takes the cases that both sides have, prints both sides' figures and their
-difference, and names the settings in which two runs differ.
+A comparison is paired: it takes the cases that both sides have, prints the figures of both and
+their difference, and names the settings in which two runs differ.
 Exit status 1 when episodes were given up.
 
 Examples:

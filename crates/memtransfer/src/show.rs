@@ -8,14 +8,13 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use domain::prompt_log::RecordedItem;
-
+use replay::World;
 use results::log::{EpisodeRecord, RunLog};
 use results::names::UnknownName;
 use results::step_view::{RecordedPrompt, look_up};
+use settings::select_cases;
 
 use super::{Exit, print, print_json};
-use replay::World;
-use settings::select_cases;
 
 /// Maximum number of cases that a message names.
 const MOST_NAMED: usize = 8;
@@ -172,6 +171,6 @@ fn write_images(folder: &Path, prompt: &RecordedPrompt) -> Result<()> {
         fs::copy(source, &target)
             .with_context(|| format!("cannot copy {} to {}", source.display(), target.display()))?;
     }
-    eprintln!("wrote {} images to {}", named.len(), folder.display());
+    say!("wrote {} images to {}", named.len(), folder.display());
     Ok(())
 }

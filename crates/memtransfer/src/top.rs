@@ -1,4 +1,4 @@
-//! `memtransfer top`: the live status of a running run.
+//! `memtransfer top`: the live status of a run in progress.
 
 use std::collections::BTreeSet;
 use std::io::{IsTerminal, Write};
@@ -9,14 +9,14 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use domain::{MemoryKind, Representation};
+use orchestrator::pipeline::Participant;
+use orchestrator::status::{LiveStatus, MemoryStatus, StageLatency};
 use report::table::table;
 use results::latency::LatencySummary;
 use results::names::UnknownName;
 use shm_types::message::Role;
 
 use super::{Exit, print, print_json};
-use orchestrator::pipeline::Participant;
-use orchestrator::status::{LiveStatus, MemoryStatus, StageLatency};
 
 /// Time between two drawings of the screen.
 const INTERVAL: Duration = Duration::from_millis(500);

@@ -20,10 +20,10 @@ logged, and why the episode failed. Opens a browser where there is one. Views ar
 log's poses, so the run needs no images.
 
 Examples:
-  memtransfer view runs/quick-grounded                      serve it on this machine, until Ctrl-C
-  memtransfer view runs/quick-grounded --out pages          files that open without a server
-  memtransfer view runs/a runs/b --out pages --episodes all two runs side by side
-  memtransfer view runs/quick-grounded --serve 0.0.0.0:8080 for other machines, with a token")]
+  memtransfer view runs/quick-grounded                        serve it here, until Ctrl-C
+  memtransfer view runs/quick-grounded --out pages            files that open without a server
+  memtransfer view runs/a runs/b --out pages --episodes all   two runs side by side
+  memtransfer view runs/quick-grounded --serve 0.0.0.0:8080   for other machines, with a token")]
 pub(super) struct ViewArgs {
     /// The run's folder
     #[arg(value_name = "RUN")]
@@ -51,7 +51,7 @@ pub(super) fn run(args: &ViewArgs) -> Result<Exit> {
     let mut site = Site::new(runs, &view_program()?, args.out.is_none())?;
     if let Some(out) = &args.out {
         let bundle = write_bundle(&mut site, out, args.episodes)?;
-        eprintln!(
+        say!(
             "{} episodes, {} of them with views: {} views, {:.1} MB in all",
             bundle.episodes,
             bundle.shown,
@@ -64,7 +64,7 @@ pub(super) fn run(args: &ViewArgs) -> Result<Exit> {
     }
     let server = ViewServer::listen(args.serve.unwrap_or_default())?;
     print(&server.url())?;
-    eprintln!("serving until Ctrl-C");
+    say!("serving until Ctrl-C");
     args.open(&server.url());
     server.serve(site)?;
     Ok(Exit::Complete)

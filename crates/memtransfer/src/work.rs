@@ -6,18 +6,16 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use domain::cache_folder;
-use results::log::{Manifest, RunFolder, RunLog, UnitId, finish_unit, unit_folder};
-use shm_types::process::die_with_parent;
-
-use super::run::flags::MachineFlags;
-use super::run::{
-    Executed, RunOptions, RunPlan, STARTING_MEMORIES, same_command, stopped_before_episodes,
-};
-use super::{Exit, print};
-use crate::signals::{self, Signals};
 use orchestrator::progress::say;
 use orchestrator::units::{ReadPlan, UnitPlan};
+use results::log::{Manifest, RunFolder, RunLog, UnitId, finish_unit, unit_folder};
 use settings::{Layer, on_this_machine};
+use shm_types::process::die_with_parent;
+
+use super::run::flags::{MachineFlags, RunOptions};
+use super::run_plan::{Executed, Preparation, RunPlan, same_command, stopped_before_episodes};
+use super::{Exit, print};
+use crate::signals::{self, Signals};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -80,7 +78,7 @@ pub(super) fn run(args: WorkArgs) -> Result<Exit> {
         shipment.fetch(args.store.as_deref(), &cache)?;
     }
     let Some(mut unit) = unit_run(&plan, &args, part.clone(), &options, &signals)? else {
-        return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
+        return Ok(stopped_before_episodes(&signals, Preparation::StartingMemories));
     };
     unit.shipped_embeddings = shipment.and_then(|shipment| shipment.embeddings_in(&cache));
     let halted = match unit.execute(&options, &signals)? {

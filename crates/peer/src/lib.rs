@@ -1,4 +1,4 @@
-//! The SDK for a replaceable process of a run: a policy, written by anyone, in a process of its own.
+//! The SDK for the replaceable processes of a run: a policy or a memory of one's own.
 //!
 //! A policy is a type that implements [`Policy`] and a `main` that calls [`serve_from_environment`]. The SDK joins the
 //! run, receives messages, joins those that belong together, pins frames, checks values and reports errors.
@@ -26,7 +26,7 @@
 //! requests and answers them later, from any thread.
 //!
 //! [`run`] and [`connection`] know no role: they attach, join each generation of a run, and serve a [`Service`]. The
-//! role of the policy is the module [`policy`].
+//! roles are the modules [`policy`] and [`memory`].
 
 pub mod connection;
 pub mod memory;

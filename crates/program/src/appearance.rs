@@ -9,11 +9,11 @@ use domain::Appearance;
 pub struct AppearanceArgs {
     /// Whether a coloured plate hangs above every item
     #[arg(long, value_name = "on|off", default_value = "on", action = ArgAction::Set,
-          value_parser = BoolishValueParser::new())]
+          value_parser = BoolishValueParser::new(), hide_possible_values = true)]
     plates: bool,
     /// Whether anything is written: names of items, numbers of bays, signs
     #[arg(long, value_name = "on|off", default_value = "on", action = ArgAction::Set,
-          value_parser = BoolishValueParser::new())]
+          value_parser = BoolishValueParser::new(), hide_possible_values = true)]
     labels: bool,
     /// Vary the light and the tints of walls, floor and racks; 0 is the standard look
     #[arg(long, value_name = "N", default_value_t = 0)]

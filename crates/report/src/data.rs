@@ -2,8 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use super::frame::{DataFrame, FrameBuilder};
-use super::view::ScoredRun;
 use results::compare::run_name;
 use results::conditions::Condition;
 use results::key::EpisodeKey;
@@ -13,6 +11,9 @@ use results::log::{
 use results::score::{
     ConditionScore, Derived, Estimate, Failure, Spread, StreamScore, group_of, path_weight,
 };
+
+use super::frame::{DataFrame, FrameBuilder};
+use super::view::ScoredRun;
 
 /// An episode of a run: finished, or given up.
 #[derive(Debug)]

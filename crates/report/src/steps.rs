@@ -4,10 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::iter::repeat;
 
 use domain::{Action, Feedback, Pose};
-
-use super::frame::{DataFrame, FrameBuilder};
 use results::compare::run_name;
 use results::log::{EpisodeRecord, RequestRecord, RunLog};
+
+use super::frame::{DataFrame, FrameBuilder};
 
 /// A moment of an episode.
 struct StepRow<'a> {

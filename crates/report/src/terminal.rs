@@ -2,6 +2,10 @@
 
 use std::fmt::Write;
 
+use results::compare::{differing_settings, run_name};
+use results::log::RunLog;
+use results::score::{Comparison, FigureDifference, score};
+
 use super::document::{Table, TableCell};
 use super::published::Published;
 use super::sections::{
@@ -12,9 +16,6 @@ use super::sections::{
 };
 use super::view::{ScoredRun, interval_text, p_value, signed};
 use crate::table::{TextTable, table};
-use results::compare::{differing_settings, run_name};
-use results::log::RunLog;
-use results::score::{Comparison, FigureDifference, score};
 
 /// Number of cases in the table of those that fail most.
 const WORST: usize = 5;

@@ -1,7 +1,6 @@
 //! Made-up runs of the whole paper suite and of streams, as plausible as a hash of names can make them.
 
 use domain::{Action, Arm, Heading, MemoryKind, Pose, Representation};
-
 use results::conditions::{Condition, Demonstrations, Route, SegmentContent, Start, Variation};
 use results::events::{Requirement, Visit};
 use results::key::{EpisodeKey, Order};

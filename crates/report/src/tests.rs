@@ -1,9 +1,10 @@
 //! The report of a made-up run, and that it is complete.
 
-use super::testing::{made_up, made_up_streams, paper_conditions};
-use super::*;
 use results::conditions::{Condition, PolicyKind};
 use results::log::EpisodeRecord;
+
+use super::testing::{made_up, made_up_streams, paper_conditions};
+use super::*;
 
 fn published() -> Published {
     Published::load().unwrap()

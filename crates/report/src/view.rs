@@ -3,12 +3,12 @@
 use std::collections::BTreeSet;
 
 use domain::{ExternalName, MemoryKind, Representation};
-
-use super::document::{Group, Missing, TableCell, TableColumn, TableRow};
-use super::published::{Published, PublishedCondition, PublishedSpread};
 use results::conditions::Condition;
 use results::log::RunLog;
 use results::score::{ConditionScore, Interval, Scores, Spread};
+
+use super::document::{Group, Missing, TableCell, TableColumn, TableRow};
+use super::published::{Published, PublishedCondition, PublishedSpread};
 
 /// One run, scored.
 #[derive(Debug)]
@@ -153,7 +153,7 @@ pub(super) fn sure(spread: Spread, digits: usize) -> TableCell {
     }
 }
 
-/// The same, or the reason why there is no figure.
+/// A figure with its interval below, or the reason why there is none.
 pub(super) fn sure_or(spread: Option<Spread>, digits: usize, missing: Missing) -> TableCell {
     spread.map_or(TableCell::Missing(missing), |spread| sure(spread, digits))
 }

@@ -1,6 +1,6 @@
 //! The settings of a run, as the manifest records them.
 //!
-//! The orchestrator merges them from flags, environment variables and suite files, and checks them. A key has the same
+//! The crate `settings` merges them from flags, environment variables and suite files, and checks them. A key has the same
 //! name in all of those places.
 
 mod appearance;

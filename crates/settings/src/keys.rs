@@ -138,8 +138,7 @@ pub(super) const STREAM_KEYS: &[&str] = &["streams", "rounds", "orders", "feedba
 const WHAT: &str = "What is run";
 const GIVEN: &str = "What the agent is given";
 const MODEL: &str = "The model (with --policy openai)";
-const HOW: &str =
-    "How it is run (only --backend, --adapter and --provider may change a result, slightly)";
+const HOW: &str = "How it is run";
 
 /// Writes the table: one line of names and form, one of help.
 macro_rules! keys {
@@ -175,7 +174,7 @@ pub const KEYS: &[Key] = keys! {
          for one of your own that you start yourself (the run prints how); none for external ones only";
     "memory-cmd" "COMMAND" Repeated(is_command),
         "The command that starts a memory of your own, for example \"python my_memory.py\"; it runs \
-         beside those of --memory, under the name that it tells. Can be repeated, up to 8 times";
+         beside those of --memory, under the name it reports. Can be given up to 8 times";
     "starts" "LIST" List(parses::<Start>),
         "Starting poses: original (as demonstrated), new (no demonstration starts there)";
     "routes" "LIST" List(parses::<Route>),
@@ -307,7 +306,7 @@ pub const KEYS: &[Key] = keys! {
         "Render with wgpu (a graphics device) or on the cpu, whose pixels are the same on every \
          machine [default: wgpu where there is a graphics card]";
     "adapter" "NAME" Text(any),
-        "Render with the first graphics adapter whose name contains NAME";
+        "Render with the best Vulkan adapter whose name contains NAME";
     "warm-views" "" Switch,
         "Render every view of the unchanged warehouse before the first step; for measurements";
     "spin-us" "MICROSECONDS" Number(0, 1_000_000, 1),

@@ -52,7 +52,7 @@ impl Layer {
     /// The built-in defaults.
     ///
     /// # Errors
-    /// Never: a test reads them.
+    /// When the built-in defaults are no valid TOML; a test rules that out.
     pub fn defaults() -> Result<Self> {
         let values = toml::from_str(DEFAULTS).map_err(|error| anyhow!("defaults: {error}"))?;
         Ok(Self { origin: Origin::Default, values })

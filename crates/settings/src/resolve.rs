@@ -48,6 +48,8 @@ pub const MACHINE_KEYS: &[&str] = &[
     "elsewhere",
     "base-url",
     "max-connections",
+    "endpoint-limit",
+    "endpoint-limit-folder",
     "max-retries",
     "request-timeout",
     "server-patience",
@@ -65,7 +67,7 @@ pub const MACHINE_KEYS: &[&str] = &[
 /// The settings of a plan with the values of [`MACHINE_KEYS`] that `layers`, weakest first, give.
 ///
 /// # Errors
-/// Never: the values have been checked.
+/// When the merged values are no valid settings, which the checks of each layer rule out.
 pub fn on_this_machine(
     settings: &RunSettings,
     layers: impl IntoIterator<Item = Layer>,

@@ -228,7 +228,7 @@ memtransfer.follow = (run, live, grown) => {
     nextDrawing = end + 300 * (end - start);
   }
   async function ask() {
-    // A page that nobody looks at leaves the cores to the run.
+    // A hidden page leaves the cores to the run.
     if (document.hidden) { timer = setTimeout(ask, 2000); return; }
     try {
       const answer = await fetch(`${run.folder}/new.json?from=${run.episodes.length}`);

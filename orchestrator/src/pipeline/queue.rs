@@ -43,9 +43,9 @@ pub(super) struct EpisodeQueue {
 /// Failed attempts at an episode.
 #[derive(Debug, Default, Clone, Copy)]
 struct FailedAttempts {
-    /// For any reason.
+    /// Failures for any reason.
     all: u32,
-    /// Because a process other than the policy failed.
+    /// Failures because of a process other than the policy.
     by_others: u32,
     /// Because the policy failed on this episode and nothing else.
     spoiled: u32,

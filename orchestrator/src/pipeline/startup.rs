@@ -99,7 +99,7 @@ impl Generation {
             self.bus.listener().wait(TICK)?;
             for handshake in self.inbox.handshakes.drain()? {
                 let Some((sender, said)) = read_handshake(&handshake, run.options)? else {
-                    run.observer.problem(&nobody_s(&handshake));
+                    run.observer.problem(&of_unknown_memory(&handshake));
                     continue;
                 };
                 if facts.contains_key(&sender) || !self.notifiers.contains_key(&sender) {
@@ -233,10 +233,10 @@ pub(super) fn memory_exit(exit: &ChildExit, options: &PipelineOptions) -> Failur
     }
 }
 
-/// The message about a handshake of an external memory that the run does not have.
-pub(super) fn nobody_s(handshake: &Handshake) -> String {
+/// The message about a handshake from an external memory that the run does not have.
+pub(super) fn of_unknown_memory(handshake: &Handshake) -> String {
     format!(
-        "a handshake of external memory {}, which the run does not have: ignored",
+        "a handshake from external memory {}, which the run does not have: ignored",
         handshake.external
     )
 }

@@ -7,7 +7,7 @@ use shm_types::message::{ErrorReport, ErrorReportKind, Role, read_text};
 use shm_types::process::monotonic_ns;
 
 use super::generation::{Generation, role};
-use super::startup::{memory_exit, nobody_s, read_handshake, unexpected};
+use super::startup::{memory_exit, of_unknown_memory, read_handshake, unexpected};
 use super::{Failure, MEMORY_BUILD_TIMEOUT, PipelineOptions, PipelineRun};
 use crate::lanes::PendingAnswer;
 
@@ -36,7 +36,7 @@ impl Generation {
         }
         for handshake in self.inbox.handshakes.drain()? {
             let Some((sender, _)) = read_handshake(&handshake, run.options)? else {
-                run.observer.problem(&nobody_s(&handshake));
+                run.observer.problem(&of_unknown_memory(&handshake));
                 continue;
             };
             let why = unexpected(sender);

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 
-/// There is none.
+/// A bucket that cannot be opened: this build has no client.
 #[derive(Debug)]
 pub(super) struct Bucket(Infallible);
 

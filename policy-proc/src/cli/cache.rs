@@ -1,4 +1,4 @@
-//! `policy-proc cache`: the stored replies. `memtransfer cache` starts it.
+//! `policy-proc cache`: the cached replies. `memtransfer cache` starts it.
 
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime};
@@ -30,7 +30,7 @@ pub(crate) struct CacheArguments {
 
 #[derive(Subcommand)]
 enum CacheVerb {
-    /// List the stored replies by model
+    /// List the cached replies by model
     Ls,
     /// Remove old replies, or the oldest until the rest is small enough
     #[command(group = clap::ArgGroup::new("what").required(true).multiple(true))]
@@ -42,7 +42,7 @@ enum CacheVerb {
         #[arg(long, value_name = "SIZE", value_parser = size, group = "what")]
         max_bytes: Option<u64>,
     },
-    /// Remove all stored replies
+    /// Remove all cached replies
     Clear,
 }
 

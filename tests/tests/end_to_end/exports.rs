@@ -67,16 +67,16 @@ fn every_format_is_read_by_the_programs_it_is_for() {
 }
 
 #[test]
-fn a_film_has_a_picture_for_every_moment() {
+fn a_video_has_a_picture_for_every_moment() {
     let bench = Bench::new();
     small(&bench, "r", "grounded", "working", "40");
     let args = ["--size", "128", "--fps", "4", "--episodes", "2"];
-    let film = export(&bench, "mp4", "film.mp4", &args).expect(0);
-    assert_eq!(film.stdout.trim(), "film.mp4");
+    let video = export(&bench, "mp4", "video.mp4", &args).expect(0);
+    assert_eq!(video.stdout.trim(), "video.mp4");
     let probe = Command::new("ffprobe")
         .args(["-v", "error", "-of", "json", "-show_entries"])
         .arg("stream=codec_name,width,height,pix_fmt,r_frame_rate,nb_frames")
-        .arg(bench.out("film.mp4"))
+        .arg(bench.out("video.mp4"))
         .output();
     let shown: Value = serde_json::from_slice(&probe.unwrap().stdout).unwrap();
     let stream = &shown["streams"][0];

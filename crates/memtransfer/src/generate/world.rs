@@ -59,7 +59,7 @@ pub(super) fn run(args: &WorldGenerateArgs) -> anyhow::Result<Exit> {
         let path = args.out.join(file);
         std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
     }
-    eprintln!(
+    say!(
         "{width} x {height} cells, {} aisles, {} items in {} categories, {} cases in {}",
         world.warehouse.layout.aisles().len(),
         world.warehouse.items.len(),

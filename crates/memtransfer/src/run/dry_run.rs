@@ -3,13 +3,14 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
+use orchestrator::plan::PlannedEpisode;
 use report::table;
 use results::cost::ModelPrices;
 use results::log::{EpisodeRecord, LogError, RunLog};
 
-use super::{RunDocuments, RunPlan};
+use crate::documents::RunDocuments;
 use crate::estimate::{Basis, RunEstimate};
-use orchestrator::plan::PlannedEpisode;
+use crate::run_plan::RunPlan;
 
 /// What would run: conditions, episodes, requests, and the estimated cost of a model.
 pub(super) fn describe(plan: &RunPlan, fresh: bool) -> Result<String> {

@@ -1,8 +1,10 @@
-//! The flags of `memtransfer run` that the table of settings lists, and those of them that `memtransfer work` has.
+//! The flags of `memtransfer run`: those that the table of settings lists, those of them that `memtransfer work` has, and
+//! those of one invocation.
+
+use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, Error, FromArgMatches};
-
 use settings::{KEYS, Key, Layer, MACHINE_KEYS};
 
 /// The settings that were given as flags, each with its text.
@@ -12,7 +14,7 @@ pub(crate) struct SettingFlags {
 }
 
 impl SettingFlags {
-    /// Their values.
+    /// The given values as a layer.
     pub(crate) fn layer(&self) -> Result<Layer> {
         Layer::flags(self.given.iter().map(|(name, text)| (*name, text.as_str())))
     }
@@ -44,7 +46,7 @@ impl FromArgMatches for SettingFlags {
 pub(crate) struct MachineFlags(SettingFlags);
 
 impl MachineFlags {
-    /// Their values.
+    /// The given values as a layer.
     pub(crate) fn layer(&self) -> Result<Layer> {
         self.0.layer()
     }
@@ -100,4 +102,24 @@ fn given(
         }
     }
     given
+}
+
+/// What concerns one invocation, and not the run.
+#[derive(Debug, Default, Args)]
+pub(crate) struct RunOptions {
+    /// Remove an earlier run from the run's folder, and start over
+    #[arg(long)]
+    pub(crate) fresh: bool,
+
+    /// Show no progress, only problems
+    #[arg(long)]
+    pub(crate) quiet: bool,
+
+    /// Write a trace of every process and step for Perfetto (ui.perfetto.dev)
+    #[arg(long, value_name = "FILE")]
+    pub(crate) trace: Option<PathBuf>,
+
+    /// Print what would run, and stop
+    #[arg(long)]
+    pub(crate) dry_run: bool,
 }

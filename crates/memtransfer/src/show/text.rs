@@ -3,7 +3,6 @@
 use std::fmt::Write;
 
 use domain::prompt_log::{RecordedItem, RecordedPart, RecordedView};
-
 use results::source::{SourceStep, distances, sources};
 use results::step_view::{RecordedPrompt, ShownStep, facts, title};
 

@@ -1,8 +1,9 @@
 //! Table `tab:rq2`: what a blocked route does to each representation.
 
+use results::score::{BlockedScore, Derived};
+
 use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
 use crate::view::{ScoredRun, interval_text, name, pair_stubs, published_text, signed, sure_or};
-use results::score::{BlockedScore, Derived};
 
 const NEEDS_BOTH: Missing = Missing::NotMeasured(
     "needs the unchanged and the blocked route, for change also those of working memory",

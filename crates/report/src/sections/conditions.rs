@@ -1,10 +1,11 @@
 //! Every condition that was run.
 
+use results::conditions::{Condition, Route};
+use results::score::ConditionScore;
+
 use super::main_table::{NO_REQUESTS, NO_TOKENS};
 use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, interval_text, plain_or, spread_text, title};
-use results::conditions::{Condition, Route};
-use results::score::ConditionScore;
 
 const NO_RETRIEVAL: Missing = Missing::NotApplicable("nothing is retrieved under this condition");
 const ONE_CASE: Missing = Missing::NotMeasured("one case says nothing about others");

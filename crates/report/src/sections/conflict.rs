@@ -1,11 +1,12 @@
 //! Demonstrations from before and from after a passage has closed.
 
+use results::conditions::{Condition, Demonstrations, Route};
+use results::score::{ConditionScore, HISTORIES};
+
 use super::blocked::NONE_TRIED;
 use super::mixed::NO_RETRIEVAL;
 use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, sure, sure_or, title};
-use results::conditions::{Condition, Demonstrations, Route};
-use results::score::{ConditionScore, HISTORIES};
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     conflict_table(view).map(ReportBlock::Table).into_iter().collect()

@@ -1,12 +1,12 @@
 //! Images, tokens and answers, for each representation.
 
 use domain::MemoryKind;
+use results::conditions::Variation;
+use results::score::RequestScore;
 
 use super::main_table::{NO_REQUESTS, mega};
 use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, name, pair_stubs, plain_or, title};
-use results::conditions::Variation;
-use results::score::RequestScore;
 
 const SETTINGS: [(&str, &str, &str); 2] = [
     ("New start, 1 demo", "new/unchanged", "original"),

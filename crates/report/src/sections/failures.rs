@@ -3,12 +3,12 @@
 use std::collections::BTreeSet;
 
 use domain::MemoryKind;
+use results::score::{ConditionScore, Failure, worst_cases};
 
 use crate::document::{ReportBlock, Table};
 use crate::plot::{Stack, StackRow, stack};
 use crate::sections::conditions::setting;
 use crate::view::{ScoredRun, title};
-use results::score::{ConditionScore, Failure, worst_cases};
 
 /// Cases in the table of the worst.
 const WORST: usize = 10;

@@ -1,11 +1,12 @@
 //! Banks of different sizes: success, right retrievals and costs against size.
 
+use results::score::GrowthScore;
+
 use super::main_table::{dots_if_any, rate_rows};
 use super::mixed::NO_RETRIEVAL;
 use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
 use crate::plot::{Curve, Curves, Dots, curves};
 use crate::view::{OURS, ScoredRun, plain_or, sure, title};
-use results::score::GrowthScore;
 
 const NO_RECALL: Missing = Missing::NotMeasured("no recall was timed");
 const NO_STORE: Missing = Missing::NotMeasured("the memory told no size");

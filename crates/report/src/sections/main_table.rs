@@ -1,11 +1,12 @@
 //! Table `tab:main`: six representations in the four settings of the three questions, with what they cost.
 
+use results::score::{ConditionScore, Spread};
+
 use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
 use crate::plot::{Dot, DotRow, Dots, dots};
 use crate::view::{
     OURS, ScoredRun, THEIRS, name, our_rates, pair_stubs, rate_columns, their_rates, title,
 };
-use results::score::{ConditionScore, Spread};
 
 /// The four settings: heading, start and route, demonstrations.
 const SETTINGS: [(&str, &str, &str); 4] = [

@@ -1,7 +1,8 @@
 //! How the figures are defined.
 
-use crate::document::{ReportBlock, ReportSection};
 use results::score::{RESAMPLES, SEED};
+
+use crate::document::{ReportBlock, ReportSection};
 
 /// The section with the definitions.
 pub(crate) fn method() -> ReportSection {

@@ -4,11 +4,11 @@ use std::collections::BTreeSet;
 
 use domain::representation::RepresentationInfo;
 use domain::{Appearance, Representation};
+use results::conditions::{Condition, Frames, PolicyKind};
+use results::log::{EpisodeRecord, ExternalMemoryFacts, Manifest};
 
 use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, title};
-use results::conditions::{Condition, Frames, PolicyKind};
-use results::log::{EpisodeRecord, ExternalMemoryFacts, Manifest};
 
 /// Notices for the reader of the figures: the policy, controls, missing episodes, damaged lines.
 pub(crate) fn notices(view: &ScoredRun<'_>) -> Vec<String> {

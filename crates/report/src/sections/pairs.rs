@@ -1,13 +1,13 @@
 //! The comparisons that the paper's questions ask for, paired by case.
 
 use domain::{ExternalName, MemoryKind, Representation};
+use results::compare::compare_conditions;
+use results::conditions::Condition;
+use results::score::{Comparison, FigureDifference};
 
 use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
 use crate::sections::conditions::setting;
 use crate::view::{ScoredRun, interval_text, name, p_value, signed, title};
-use results::compare::compare_conditions;
-use results::conditions::Condition;
-use results::score::{Comparison, FigureDifference};
 
 /// A condition without its memory: start and route, demonstrations.
 type Setting = (&'static str, &'static str);

@@ -1,11 +1,11 @@
 //! The origin of the run's figures: program, settings, contents, processes.
 
+use results::log::SessionEvent;
 use serde_json::Value;
 
 use super::overview::facts_table;
 use crate::document::{Missing, ReportBlock, TableCell};
 use crate::view::ScoredRun;
-use results::log::SessionEvent;
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let (log, manifest) = (view.log, &view.log.manifest);

@@ -2,6 +2,9 @@
 
 use std::collections::BTreeSet;
 
+use results::compare::{compare_runs, differing_settings, run_name};
+use results::conditions::Condition;
+
 use super::overview::notices;
 use super::pairs::{cells, columns};
 use crate::document::{
@@ -9,8 +12,6 @@ use crate::document::{
 };
 use crate::sections::conditions::setting;
 use crate::view::{ScoredRun, sure, title};
-use results::compare::{compare_runs, differing_settings, run_name};
-use results::conditions::Condition;
 
 /// The section about all runs together.
 pub(crate) fn runs(views: &[ScoredRun<'_>]) -> ReportSection {

@@ -11,11 +11,11 @@ pub(crate) use retention::transfer_table;
 pub(crate) use success::{differences_table, success_table};
 
 use domain::{Arm, FeedbackLevel};
+use results::conditions::{Condition, Variation};
+use results::score::{Estimate, StreamScore, StreamScores};
 
 use crate::document::{Group, Missing, ReportBlock, ReportSection, Table, TableCell, TableRow};
 use crate::view::{ScoredRun, interval_text, title};
-use results::conditions::{Condition, Variation};
-use results::score::{Estimate, StreamScore, StreamScores};
 
 const NOTHING_RETRIEVED: Missing = Missing::Undefined("nothing was retrieved");
 

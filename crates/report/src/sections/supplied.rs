@@ -1,8 +1,9 @@
 //! What each memory supplied, how long that took, and how large it is.
 
+use results::score::MemoryScore;
+
 use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, plain_or, title};
-use results::score::MemoryScore;
 
 const BUILT_IN: Missing =
     Missing::NotApplicable("a built-in memory has no messages of its own, and asks no model");

@@ -1,12 +1,12 @@
 //! The time of a step by stage.
 
 use domain::MemoryKind;
+use results::log::Stages;
+use results::score::StageTimes;
 
 use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
 use crate::plot::{Stack, StackRow, stack};
 use crate::view::{ScoredRun, title};
-use results::log::Stages;
-use results::score::StageTimes;
 
 /// The stages in which something is computed; the others are transport between processes.
 const WORK: [&str; 5] = ["dynamics", "render", "embed", "search", "decide"];

@@ -119,10 +119,10 @@ pub struct EpisodeRecord {
     /// On a blocked route: what the closed passage does to demonstrations. Absent elsewhere.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub blocked: Option<BlockedRecord>,
-    /// Where memory's answer came from, one word a request: demonstration's letter (`o` original, `p`
-    /// opposite, `n` nearby, `d` distant, `a` after the event) and first step in it, for example `o12`; with the case before it when it
-    /// is another's (`t03-07:o12`); `-` for no match. Several sources are joined by `+`: `o12+n3`. Absent when
-    /// nothing was ever retrieved.
+    /// Where memory's answer came from, one word a request: the demonstration's letter (`o` original, `p` opposite, `n`
+    /// nearby, `d` distant, `a` after the event, `w` elsewhere) and the first step in it, for example `o12`; with the case
+    /// before it when it is another's (`t03-07:o12`). `e4:3` is step 3 of the episode at position 4 of the sequence; `-` is no
+    /// match. Several sources are joined by `+`: `o12+n3`. Absent when nothing was ever retrieved.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub retrieved: Option<String>,
     /// The distance of each source of [`Self::retrieved`], in the same form: four decimals, `-` for one that the memory does

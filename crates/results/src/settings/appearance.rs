@@ -5,9 +5,9 @@ use crate::names::named;
 named! {
     /// Whether something that a person might not find in a warehouse is drawn.
     Drawn, "value" {
-        /// It is.
+        /// Drawn.
         On = "on",
-        /// It is not.
+        /// Not drawn.
         Off = "off",
     }
 }

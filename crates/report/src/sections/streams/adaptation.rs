@@ -1,10 +1,11 @@
 //! Adaptation lag, stale reuse, robustness against the order of blocks.
 
+use results::key::Order;
+use results::score::{OrderScore, StreamScore, StreamScores};
+
 use super::{NOTHING_RETRIEVED, by_condition, sure};
 use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
 use crate::view::{ScoredRun, plain_or};
-use results::key::Order;
-use results::score::{OrderScore, StreamScore, StreamScores};
 
 const NEVER: Missing = Missing::Undefined("no case that an event invalidated ever succeeded");
 const NO_EVENT: Missing = Missing::Undefined("no event invalidated a case");

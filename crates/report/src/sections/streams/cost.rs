@@ -1,10 +1,11 @@
 //! What memory costs against its size, and which cases need it.
 
+use results::score::{Necessity, NecessitySuccess, StreamCost, StreamScore, StreamScores};
+
 use super::{arm, is_tested, short, sure};
 use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
 use crate::plot::{Curve, Curves, curves};
 use crate::view::{ScoredRun, plain_or, title};
-use results::score::{Necessity, NecessitySuccess, StreamCost, StreamScore, StreamScores};
 
 const NO_RECALL: Missing = Missing::NotMeasured("no recall was timed");
 const NO_STORE: Missing = Missing::NotMeasured("the memory told no size");

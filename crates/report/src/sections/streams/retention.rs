@@ -1,9 +1,10 @@
 //! The matrix R; average success, transfer and forgetting.
 
+use results::score::{StreamScore, StreamScores};
+
 use super::{arm, by_condition, minus, sure};
 use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, title};
-use results::score::{StreamScore, StreamScores};
 
 const ONE_BLOCK: Missing = Missing::Undefined("it needs two blocks");
 const NO_BASELINE: Missing =

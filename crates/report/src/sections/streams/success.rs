@@ -1,13 +1,13 @@
 //! Success over the stream, before and after events, and paired differences.
 
 use domain::{Arm, MemoryKind, Representation};
+use results::conditions::Condition;
+use results::score::{FigureDifference, RoundScore, StreamScore, StreamScores};
 
 use super::{by_condition, is_tested, short, sure};
 use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
 use crate::plot::{Course, CourseCurve, course};
 use crate::view::{ScoredRun, interval_text, signed, title};
-use results::conditions::Condition;
-use results::score::{FigureDifference, RoundScore, StreamScore, StreamScores};
 
 const NO_BLOCK: Missing = Missing::Undefined("the streams have no such block");
 const NO_ORACLE: Missing = Missing::NotApplicable(
