@@ -7,7 +7,7 @@
 //! Its only input and output are the embedding cache's file and the snapshots of memories that learn; [`crate::serve`]
 //! connects it to the bus, the encoder and the documents.
 
-use std::collections::{BTreeSet, HashSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, HashSet, VecDeque};
 use std::sync::Arc;
 
 use crate::bank::Viewpoint;
@@ -263,6 +263,7 @@ impl<I: Clone> Engine<I> {
     /// # Errors
     /// When that is not expected.
     pub fn external_built(&mut self, index: u8, message: &ExternalBuilt) -> Result<(), Unusable> {
+        self.externals.hear(index);
         let outcome = self.externals.built(index, message)?;
         self.finish_bank(message.bank, outcome.map_err(Into::into));
         Ok(())
@@ -273,6 +274,7 @@ impl<I: Clone> Engine<I> {
     /// # Errors
     /// When that is not expected.
     pub fn external_stored(&mut self, index: u8, message: &ExternalStored) -> Result<(), Unusable> {
+        self.externals.hear(index);
         self.externals.has_stored(index, message)
     }
 
@@ -287,6 +289,7 @@ impl<I: Clone> Engine<I> {
         now_ns: u64,
     ) -> Result<(), Unusable> {
         let &ExternalAnswer { lane, episode, step, .. } = message;
+        self.externals.hear(index);
         let items = self.externals.items(index, message);
         let name = self.externals.name(index);
         let place = self.lanes.get_mut(lane as usize).and_then(|lane| lane.running.as_mut());
@@ -564,7 +567,17 @@ impl<I: Clone> Engine<I> {
 
     /// Gets the banks of external memories as far as they can get now.
     fn build_banks(&mut self, clock: impl Fn() -> u64) {
-        self.externals.defer_clocks(clock());
+        let mut asked_ns = BTreeMap::new();
+        for running in self.lanes.iter().filter_map(|lane| lane.running.as_ref()) {
+            if let EpisodeMemory::External { index, .. } = running.memory
+                && let Some(PendingObservation { stage: PendingStage::Asked { since_ns }, .. }) =
+                    &running.pending
+            {
+                let oldest = asked_ns.entry(index).or_insert(*since_ns);
+                *oldest = (*oldest).min(*since_ns);
+            }
+        }
+        self.externals.defer_clocks(&asked_ns, clock());
         for id in self.externals.unbuilt.iter().copied().collect::<Vec<_>>() {
             let Self { externals, views, .. } = self;
             let limit = externals.limits.build;
@@ -572,7 +585,7 @@ impl<I: Clone> Engine<I> {
             let (wanted, embeds, viewpoints) =
                 (bank.is_wanted(), bank.embeds, &bank.bank.viewpoints);
             match &mut bank.state {
-                BankState::Building { since_ns } => {
+                BankState::Building { since_ns, .. } => {
                     if clock().saturating_sub(*since_ns) > limit.as_nanos() as u64 {
                         let name = externals.name_of_bank(id);
                         let why = format!(

@@ -87,8 +87,14 @@ pub struct ExternalMemories {
     notes: HashMap<(u8, u32), Note>,
     /// When each external memory was last seen to build, save or load: it answers nothing meanwhile.
     last_busy_ns: BTreeMap<u8, u64>,
+    /// The number of messages that each external memory has sent.
+    heard: BTreeMap<u8, u64>,
     pub(crate) outbox: Vec<(u8, ToExternal)>,
 }
+
+/// A question that is so much older than a bank has been taken before it: an idle memory takes longer to wake up than
+/// the two are apart.
+const WAKE_NS: u64 = 1_000_000_000;
 
 /// A bank of an external memory.
 #[derive(Debug)]
@@ -111,8 +117,8 @@ pub(crate) enum BankState {
     Waiting { ready: usize },
     /// Views are pinned and embedded a few at a time.
     Collecting(Collecting),
-    /// Published at this time.
-    Building { since_ns: u64 },
+    /// Published at this time, when its memory had sent so many messages.
+    Building { since_ns: u64, heard: u64 },
     /// Built.
     Ready { store_bytes: u64 },
     /// Not built, and why.
@@ -148,6 +154,7 @@ impl ExternalMemories {
             stored: HashMap::new(),
             notes: HashMap::new(),
             last_busy_ns: BTreeMap::new(),
+            heard: BTreeMap::new(),
             outbox: Vec::new(),
         }
     }
@@ -263,21 +270,33 @@ impl ExternalMemories {
         };
         let Some(steps) = steps else { return };
         let content = steps.content(bank.with_frames);
-        bank.state = BankState::Building { since_ns: now_ns };
+        let heard = self.heard.get(&bank.index).copied().unwrap_or(0);
+        bank.state = BankState::Building { since_ns: now_ns, heard };
         self.outbox.push((bank.index, ToExternal::Bank(id, content)));
     }
 
     /// Starts the clocks of building and answering anew for what a memory cannot have begun: it does one thing after the
-    /// other, and first builds the banks that it has got, in their order.
-    pub(crate) fn defer_clocks(&mut self, now_ns: u64) {
+    /// other, and first builds the banks that it has got, in their order. `asked_ns` has the time of each memory's oldest
+    /// question that is open: a memory that had it before the bank, and has sent nothing since, is answering.
+    pub(crate) fn defer_clocks(&mut self, asked_ns: &BTreeMap<u8, u64>, now_ns: u64) {
         let storing = self.storing.keys().filter_map(|id| self.banks.get(id));
         let mut is_busy: BTreeSet<u8> = storing.map(|bank| bank.index).collect();
+        let mut is_taken = is_busy.clone();
         for id in &self.unbuilt {
-            if let Some(HostBank { index, state: BankState::Building { since_ns }, .. }) =
-                self.banks.get_mut(id)
-                && !is_busy.insert(*index)
+            if let Some(HostBank {
+                index, state: BankState::Building { since_ns, heard }, ..
+            }) = self.banks.get_mut(id)
             {
-                *since_ns = now_ns;
+                if !is_taken.insert(*index) {
+                    *since_ns = now_ns;
+                    continue;
+                }
+                let asked = asked_ns.get(index).copied().unwrap_or(u64::MAX);
+                let is_answering = asked.saturating_add(WAKE_NS) < *since_ns
+                    && self.heard.get(index).copied().unwrap_or(0) == *heard;
+                if !is_answering {
+                    is_busy.insert(*index);
+                }
             }
         }
         self.last_busy_ns.extend(is_busy.into_iter().map(|index| (index, now_ns)));
@@ -301,7 +320,7 @@ impl ExternalMemories {
             embeds: self.embeds(index),
             with_frames: false,
             users: 1,
-            state: BankState::Building { since_ns: now_ns },
+            state: BankState::Building { since_ns: now_ns, heard: self.heard_from(index) },
         };
         self.banks.insert(id, kept);
         self.unbuilt.insert(id);
@@ -477,6 +496,15 @@ impl ExternalMemories {
         let stage = PendingStage::Asked { since_ns: now_ns };
         episode.pending = Some(PendingObservation { received_ns, content, stage });
         LaneProgress::Waiting
+    }
+
+    /// Notes that an external memory has sent a message.
+    pub(crate) fn hear(&mut self, index: u8) {
+        *self.heard.entry(index).or_default() += 1;
+    }
+
+    fn heard_from(&self, index: u8) -> u64 {
+        self.heard.get(&index).copied().unwrap_or(0)
     }
 
     /// Waits for the answer to the question of `since_ns`, as long as the time limit allows.

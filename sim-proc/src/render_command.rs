@@ -1,5 +1,6 @@
 //! `sim-proc render`: writes views of the warehouse to PNG files.
 
+use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
@@ -64,7 +65,7 @@ pub struct RenderArgs {
     renderer: RendererArgs,
 
     /// The folder with layout.toml, catalogue.toml and cases.toml, instead of what is compiled in.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", env = "MEMTRANSFER_ASSETS")]
     assets: Option<PathBuf>,
 }
 
@@ -167,6 +168,6 @@ fn trajectory(
 
 fn save(image: &RgbaImage, path: &Path) -> Result<()> {
     image.write(path).context("cannot write the image")?;
-    println!("{}", path.display());
+    writeln!(io::stdout(), "{}", path.display())?;
     Ok(())
 }

@@ -13,8 +13,7 @@ pub use entry::{Entry, EntryFigure, EntryPolicy, Score};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
-use results::compare::run_name;
+use anyhow::{Context, Result, bail};
 use results::log::RunLog;
 
 use crate::files::{is_file, write_whole};
@@ -31,13 +30,24 @@ pub struct Found {
 /// Writes the entry of `log` to the file `out`, or into the folder `out` under the name of the run. Returns the file.
 ///
 /// # Errors
-/// When the system refuses.
+/// When the file is the entry of another run, or the system refuses.
 pub fn write_entry(log: &RunLog, out: &Path) -> Result<PathBuf> {
     let path = match is_file(out, "json") {
         true => out.to_owned(),
-        false => out.join(format!("{}.json", run_name(log))),
+        false => out.join(format!("{}.json", log.name)),
     };
-    let mut text = serde_json::to_string_pretty(&Entry::of(log)?)?;
+    let entry = Entry::of(log)?;
+    let before = fs::read_to_string(&path).ok().and_then(|text| Entry::parse(&text).ok());
+    let is_another = |one: &Entry| (&one.date, &one.policy) != (&entry.date, &entry.policy);
+    if let Some(other) = before.filter(is_another) {
+        bail!(
+            "{} is the entry of another run, of {} by {}: give --out another name that ends in .json",
+            path.display(),
+            other.date.as_deref().unwrap_or("an unknown date"),
+            other.policy.name
+        );
+    }
+    let mut text = serde_json::to_string_pretty(&entry)?;
     text.push('\n');
     write_text(&path, &text)?;
     Ok(path)
@@ -68,7 +78,7 @@ pub fn read(paths: &[PathBuf]) -> Result<Found> {
         if path.is_dir() && !is_run(path) {
             found.folder(path)?;
         } else {
-            found.add(entry_at(path)?);
+            found.add(entry_at(path)?, path);
         }
     }
     Ok(found)
@@ -88,10 +98,20 @@ fn entry_at(path: &Path) -> Result<Entry> {
 }
 
 impl Found {
-    fn add(&mut self, entry: Entry) {
-        if !self.entries.iter().any(|known| known.is_of_same_run(&entry)) {
-            self.entries.push(entry);
+    /// Adds the entry at `path`. Where another run has the same name, the folder that holds it stands before it.
+    fn add(&mut self, mut entry: Entry, path: &Path) {
+        if self.entries.iter().any(|known| known.is_of_same_run(&entry)) {
+            return;
         }
+        if entry.scores.is_empty() {
+            return self.left_out.push(format!("{}: no episode is finished", path.display()));
+        }
+        if self.entries.iter().any(|known| known.run == entry.run) {
+            let path = path.canonicalize().unwrap_or(path.to_owned());
+            let folder = path.parent().and_then(Path::file_name).unwrap_or_default();
+            entry.run = format!("{}/{}", folder.to_string_lossy(), entry.run);
+        }
+        self.entries.push(entry);
     }
 
     fn folder(&mut self, folder: &Path) -> Result<()> {
@@ -106,7 +126,7 @@ impl Found {
                 continue;
             }
             match entry_at(&path) {
-                Ok(entry) => self.add(entry),
+                Ok(entry) => self.add(entry, &path),
                 Err(error) => self.left_out.push(format!("{}: {error:#}", path.display())),
             }
         }

@@ -23,7 +23,6 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use domain::Action;
-use results::compare::run_name;
 use results::log::RunLog;
 use results::score::Failure;
 use results::source::{SourceStep, sources};
@@ -110,7 +109,7 @@ impl McapRecording {
         file.metadata(
             "memtransfer",
             &[
-                ("run", &run_name(log)),
+                ("run", &log.name.clone()),
                 ("version", &log.manifest.version),
                 ("suite", settings.suite.word()),
                 ("policy", &log.policy_label()),

@@ -25,12 +25,7 @@ Examples:
   memtransfer conformance --memory-cmd 'python my_memory.py'")]
 pub(super) struct ConformanceArgs {
     /// The command that starts your policy
-    #[arg(
-        long,
-        value_name = "COMMAND",
-        env = "MEMTRANSFER_POLICY_CMD",
-        required_unless_present = "memory_cmd"
-    )]
+    #[arg(long, value_name = "COMMAND", env = "MEMTRANSFER_POLICY_CMD")]
     policy_cmd: Option<String>,
 
     /// The command that starts your memory, to check a memory instead of a policy

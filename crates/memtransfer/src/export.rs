@@ -19,7 +19,7 @@ use settings::select_cases;
 use super::view::view_program;
 use super::{Exit, print};
 
-/// Episodes of MCAP and MP4, unless something else is asked for.
+/// Episodes of MCAP and MP4, unless some are chosen.
 const FEW: Selection = Selection::First(10);
 
 #[derive(Debug, Args)]
@@ -59,7 +59,7 @@ pub(super) struct ExportArgs {
     /// Only episodes of this condition, or of all whose names have these words: episodic,new
     #[arg(long, value_name = "CONDITION")]
     condition: Option<String>,
-    /// The number of episodes, failures first, or `all` [default: 10 for mcap and mp4, otherwise all]
+    /// The number of episodes, failures first, or `all` [default: all; 10 for mcap and mp4 without --cases and --condition]
     #[arg(long, value_name = "N|all")]
     episodes: Option<Selection>,
     /// With mcap and mp4: steps a second [default: 2]
@@ -141,7 +141,8 @@ impl ExportArgs {
         for notice in &run.notices {
             say!("{notice}");
         }
-        self.choose(&mut run.log, FEW)?;
+        let is_chosen = !self.cases.is_empty() || self.condition.is_some();
+        self.choose(&mut run.log, if is_chosen { Selection::All } else { FEW })?;
         let timing = Timing { steps_per_s: self.fps.unwrap_or(2), edge: self.size.unwrap_or(448) };
         Episodes::new(run, &view_program()?, timing)?.write(format, &self.out)
     }
@@ -154,6 +155,9 @@ impl ExportArgs {
 
     /// Leaves the chosen episodes in `log`, the `default` ones unless a number was given.
     fn choose(&self, log: &mut RunLog, default: Selection) -> Result<()> {
+        for line in &log.damaged {
+            say!("warning: damaged, left out: {line}");
+        }
         let before = log.episodes.len();
         if !self.cases.is_empty() {
             let world = World::load(log.manifest.settings.assets.as_deref())?;

@@ -238,7 +238,9 @@ fn suites() -> anyhow::Result<Listing> {
 
 fn runs(dir: &Path) -> anyhow::Result<Listing> {
     let mut rows = Vec::new();
-    if dir.exists() {
+    if dir.join("manifest.json").exists() {
+        rows.push(run_row(dir));
+    } else if dir.exists() {
         let entries = std::fs::read_dir(dir);
         let entries = entries.with_context(|| format!("cannot list {}", dir.display()))?;
         let mut folders = entries

@@ -67,7 +67,8 @@ Examples:
 
 Exit status: 0 complete, 1 incomplete or failed, 2 error, 3 units missing, 128 + n ended by
 signal n.
-Every flag of `run` can be given as a MEMTRANSFER_* variable, or as a key of a suite file.";
+Every setting of `run` can be given as a MEMTRANSFER_* variable, most also as a key of a suite
+file.";
 
 #[derive(Debug, Subcommand)]
 enum MemtransferVerb {
@@ -177,7 +178,7 @@ fn main() -> ExitCode {
     match outcome {
         Ok(exit) => exit.into(),
         // `memtransfer ls cases | head` is not an error.
-        Err(error) if is_closed_pipe(&error) => Exit::Complete.into(),
+        Err(error) if program::is_closed_pipe(&error) => Exit::Complete.into(),
         Err(error) => {
             say!("memtransfer: {}", program::printable(&in_one_line(&error)));
             Exit::Error.into()
@@ -192,11 +193,6 @@ fn in_one_line(error: &anyhow::Error) -> String {
         cause if line.contains(&cause) => line,
         cause => format!("{line}: {cause}"),
     })
-}
-
-fn is_closed_pipe(error: &anyhow::Error) -> bool {
-    let io_error = error.downcast_ref::<io::Error>();
-    io_error.is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
 }
 
 /// Prints a text to stdout, with a line end, and without characters that steer a terminal.

@@ -75,7 +75,8 @@ pub(super) struct ProfileArgs {
     #[arg(long, value_name = "COMMAND")]
     memory_cmd: Vec<String>,
     /// Numbers of lanes to measure beside one
-    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    #[arg(long, value_name = "LIST", value_delimiter = ',',
+          value_parser = clap::value_parser!(u32).range(1..=1024))]
     lanes: Vec<u32>,
     /// Microseconds for which a polling process polls before it sleeps
     #[arg(long, value_name = "MICROSECONDS", default_value_t = 200,

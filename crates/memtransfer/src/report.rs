@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::bail;
 use clap::Args;
+use results::compare::tell_apart;
 use results::log::{REPORT_FOLDER, RunLog};
 
 use super::{Exit, print};
@@ -27,7 +28,9 @@ pub(super) struct ReportArgs {
 }
 
 pub(super) fn run(args: &ReportArgs) -> anyhow::Result<Exit> {
-    let logs = args.runs.iter().map(|dir| RunLog::read(dir)).collect::<Result<Vec<_>, _>>()?;
+    let logs = args.runs.iter().map(|dir| RunLog::read(dir));
+    let mut logs = logs.collect::<Result<Vec<_>, _>>()?;
+    tell_apart(&mut logs);
     let out = match (&args.out, &args.runs[..]) {
         (Some(out), _) => out.clone(),
         (None, [run]) => run.join(REPORT_FOLDER),

@@ -25,8 +25,8 @@ or --runs, more --memory or more --cases, the same folder gets the episodes that
 The settings under \"How it is run\" change no result, except that --backend, --adapter and
 --provider may change one slightly.
 
-Precedence: defaults < suite file < MEMTRANSFER_* variables < flags. Every flag with a value is
-also a variable (MEMTRANSFER_MAX_STEPS=50) and a key of a suite file (max-steps = 50).
+Precedence: defaults < suite file < MEMTRANSFER_* variables < flags. Every setting is also a
+variable (MEMTRANSFER_MAX_STEPS=50), and most are keys of a suite file (max-steps = 50).
 
 Examples:
   memtransfer run                                       the suite `quick` with the policy `grounded`

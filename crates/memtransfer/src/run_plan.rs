@@ -28,7 +28,7 @@ use orchestrator::trace::RunTrace;
 use replay::World;
 use results::conditions::{Demonstrations, Route, Start};
 use results::cost::ModelPrices;
-use results::log::{FORMAT, Manifest, Opened, RunFolder, RunLog, UnitId};
+use results::log::{FORMAT, LogError, Manifest, Opened, RunFolder, RunLog, UnitId};
 use results::settings::{Group, RunSettings};
 use rustix::io::Errno;
 use shm_types::message::{MAX_SOURCES, WIRE_VERSION};
@@ -228,7 +228,13 @@ impl RunPlan {
         };
         manifest.documents = documents.facts();
         if !options.fresh && RunFolder::has_episodes(&settings.out) {
-            RunLog::read(&settings.out)?.check_planned(&self.keys())?;
+            let log = RunLog::read(&settings.out)?;
+            // With other settings a run has other episodes, too: the cause is told.
+            let differences = manifest.differences(&log.manifest);
+            if !differences.is_empty() {
+                return Err(LogError::OtherSettings { dir: log.dir, differences }.into());
+            }
+            log.check_planned(&self.keys())?;
         }
         let opened = RunFolder::open(&settings.out, manifest, options.fresh)?;
         let Opened { mut folder, finished, requests, notes } = opened;
@@ -470,8 +476,6 @@ pub(super) fn same_command() -> String {
 
 #[cfg(test)]
 mod tests {
-    use results::log::LogError;
-
     use super::*;
 
     #[test]

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use results::compare::{compare_conditions, compare_runs, differing_settings};
+use results::compare::{compare_conditions, compare_runs, differing_settings, tell_apart};
 use results::log::{Difference, RunLog};
 use results::score::{Comparison, score};
 use serde::Serialize;
@@ -39,11 +39,15 @@ pub(super) struct ScoreArgs {
 }
 
 pub(super) fn run(args: &ScoreArgs) -> anyhow::Result<Exit> {
-    let log = RunLog::read(&args.run)?;
-    let other = args.other.as_deref().map(RunLog::read).transpose()?;
+    let mut log = RunLog::read(&args.run)?;
+    let mut other = args.other.as_deref().map(RunLog::read).transpose()?;
+    tell_apart([Some(&mut log), other.as_mut()].into_iter().flatten());
     match (&args.compare, &other) {
         (None, None) => args.show(&score(&log), || report::summary(&log))?,
         (None, Some(other)) => {
+            for line in log.damaged.iter().chain(&other.damaged) {
+                say!("warning: damaged, left out: {line}");
+            }
             let compared = compare_runs(&log, other)?;
             let shown = ComparedRuns {
                 differing_settings: differing_settings(&log, other),

@@ -8,6 +8,7 @@ use anyhow::Result;
 use clap::Args;
 use replay::frames::ViewProgram;
 use replay::{RecordedRun, Selection};
+use results::compare::tell_apart;
 use supervise::{QUIET_DRIVER, sibling};
 use viewer::{Address, Site, ViewServer, write_bundle};
 
@@ -47,7 +48,8 @@ pub(super) struct ViewArgs {
 
 pub(super) fn run(args: &ViewArgs) -> Result<Exit> {
     let runs = [Some(&args.run), args.other.as_ref()].into_iter().flatten();
-    let runs = runs.map(|dir| RecordedRun::read(dir)).collect::<Result<_>>()?;
+    let mut runs = runs.map(|dir| RecordedRun::read(dir)).collect::<Result<Vec<_>>>()?;
+    tell_apart(runs.iter_mut().map(|run| &mut run.log));
     let mut site = Site::new(runs, &view_program()?, args.out.is_none())?;
     if let Some(out) = &args.out {
         let bundle = write_bundle(&mut site, out, args.episodes)?;

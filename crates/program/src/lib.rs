@@ -38,10 +38,20 @@ pub fn log_to_stderr() {
 pub fn run(name: &str, main: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitCode {
     log_to_stderr();
     main().unwrap_or_else(|error| {
+        // `memtransfer cache ls | head` is not an error.
+        if is_closed_pipe(&error) {
+            return ExitCode::SUCCESS;
+        }
         // A terminal that was closed does not change how the program ends.
         let _ = writeln!(io::stderr(), "{name}: {}", printable(&format!("{error:#}")));
         ExitCode::from(2)
     })
+}
+
+/// Whether standard output was closed by what read it.
+pub fn is_closed_pipe(error: &anyhow::Error) -> bool {
+    let io_error = error.downcast_ref::<io::Error>();
+    io_error.is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
 }
 
 /// The text with a mark in place of each control character but tabs and line ends: what a model, a server or a run folder

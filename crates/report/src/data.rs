@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use results::compare::run_name;
 use results::conditions::Condition;
 use results::key::EpisodeKey;
 use results::log::{
@@ -63,7 +62,7 @@ pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
     for log in logs {
         let timings: BTreeMap<&str, &EpisodeTimings> =
             log.timings.iter().map(|timings| (timings.key.as_str(), timings)).collect();
-        let name = run_name(log);
+        let name = log.name.clone();
         let finished = log.episodes.iter().map(|record| {
             EpisodeTableRow::Finished(record, timings.get(record.key.as_str()).copied())
         });
@@ -159,7 +158,7 @@ pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
 pub fn timings_frame(logs: &[RunLog]) -> DataFrame {
     let rows: Vec<(String, &EpisodeTimings)> = logs
         .iter()
-        .flat_map(|log| log.timings.iter().map(move |timings| (run_name(log), timings)))
+        .flat_map(|log| log.timings.iter().map(move |timings| (log.name.clone(), timings)))
         .collect();
     let mut frame = FrameBuilder::new(&rows);
     frame.text("log", |(log, _)| Some(log.clone()));
@@ -191,7 +190,7 @@ pub(super) fn conditions(views: &[ScoredRun<'_>]) -> DataFrame {
         .flat_map(|view| view.scores.conditions.iter().map(move |score| (view, score)))
         .collect();
     let mut frame = FrameBuilder::new(&rows);
-    frame.text("log", |(view, _)| Some(run_name(view.log)));
+    frame.text("log", |(view, _)| Some(view.log.name.clone()));
     frame.text("policy", |(view, _)| Some(view.log.manifest.settings.policy.to_string()));
     frame.text("frames", |(view, _)| Some(view.log.manifest.settings.frames.to_string()));
     frame.text("condition", |(_, score)| Some(score.condition.to_string()));
@@ -306,7 +305,7 @@ pub(super) fn streams(views: &[ScoredRun<'_>]) -> DataFrame {
         .flat_map(|(view, streams)| streams.conditions.iter().map(move |score| (view, score)))
         .collect();
     let mut frame = FrameBuilder::new(&rows);
-    frame.text("log", |(view, _)| Some(run_name(view.log)));
+    frame.text("log", |(view, _)| Some(view.log.name.clone()));
     frame.text("policy", |(view, _)| Some(view.log.manifest.settings.policy.to_string()));
     frame.text("condition", |(_, score)| Some(score.condition.to_string()));
     add_condition(&mut frame, |(_, score)| Some(score.condition));

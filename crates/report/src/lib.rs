@@ -42,7 +42,6 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 
-use results::compare::run_name;
 use results::log::RunLog;
 use results::score::score;
 use view::ScoredRun;
@@ -103,7 +102,7 @@ fn arrange(views: &[ScoredRun<'_>]) -> ReportDocument {
     }
     sections.push(sections::method());
     sections.extend(views.iter().map(sections::provenance));
-    let names: Vec<String> = views.iter().map(|view| run_name(view.log)).collect();
+    let names: Vec<String> = views.iter().map(|view| view.log.name.clone()).collect();
     ReportDocument { title: format!("MemTransfer: {}", names.join(", ")), sections }
 }
 

@@ -137,6 +137,17 @@ impl Svg {
         ));
     }
 
+    /// The label of a row, left of [`LEFT`]: smaller where it would not fit.
+    fn row_label(&mut self, text: &str, y: i32) {
+        /// The mean width of a character, in font sizes: of a wide sans-serif font.
+        const WIDTH: f64 = 0.58;
+        let room = f64::from(LEFT - 16) / (WIDTH * text.chars().count() as f64);
+        let (x, size, text) = (LEFT - 12, room.min(16.0), escaped(text));
+        self.element(format_args!(
+            r##"<text x="{x}" y="{y}" dy="0.35em" text-anchor="end" font-size="{size:.1}" class="ink" fill="#000">{text}</text>"##
+        ));
+    }
+
     fn line(&mut self, points: &[(i32, i32)], stroke: Stroke) {
         let (points, stroke) = (coordinates(points), stroke.attributes());
         self.element(format_args!(r#"<polyline points="{points}" fill="none" {stroke}/>"#));

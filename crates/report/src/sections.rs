@@ -84,7 +84,10 @@ pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<ReportSection> {
     let is_of_streams = view.scores.streams.is_some() && view.scores.conditions.is_empty();
     let is_silent = not_run.is_empty() || is_of_streams;
     if let (Some(first), false) = (sections.first_mut(), is_silent) {
-        let text = format!("This run has no conditions for: {}.", not_run.join("; "));
+        let text = match view.log.episodes.is_empty() {
+            true => "No episode of this run is finished.".to_owned(),
+            false => format!("This run has no conditions for: {}.", not_run.join("; ")),
+        };
         first.blocks.push(ReportBlock::Text(text));
     }
     sections.extend(elsewhere::section(view));
@@ -98,7 +101,7 @@ pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<ReportSection> {
 pub(super) fn provenance(view: &ScoredRun<'_>) -> ReportSection {
     let title = match view.prefix.as_str() {
         "" => "Provenance".to_owned(),
-        _ => format!("Provenance of {}", results::compare::run_name(view.log)),
+        _ => format!("Provenance of {}", view.log.name),
     };
     ReportSection::new(view.id("s-provenance"), title, provenance::blocks(view))
 }

@@ -4,7 +4,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::iter::repeat;
 
 use domain::{Action, Feedback, Pose};
-use results::compare::run_name;
 use results::log::{EpisodeRecord, RequestRecord, RunLog};
 
 use super::frame::{DataFrame, FrameBuilder};
@@ -39,7 +38,7 @@ fn words(column: &Option<String>) -> impl Iterator<Item = Option<&str>> {
 /// A row for each moment of the finished episodes of `log`: the start, and after every step. `docs/exports.md` describes
 /// the columns.
 pub fn steps_frame(log: &RunLog) -> DataFrame {
-    let name = run_name(log);
+    let name = log.name.clone();
     let asked: BTreeSet<&str> = log.episodes.iter().map(|record| record.key.as_str()).collect();
     // The last one of a step: requests of attempts that were given up come before those of the finished one.
     let requests: BTreeMap<(&str, u32), &RequestRecord> = log

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use results::compare::{differing_settings, run_name};
+use results::compare::differing_settings;
 use results::log::RunLog;
 use results::score::{Comparison, FigureDifference, score};
 
@@ -20,7 +20,7 @@ use crate::table::{TextTable, table};
 /// Number of cases in the table of those that fail most.
 const WORST: usize = 5;
 /// The rows of the table of times; the other stages are transport between processes.
-const TIMES: [&str; 6] = ["dynamics", "render", "embed", "search", "decide", "sum"];
+const TIMES: [&str; 7] = ["dynamics", "render", "embed", "search", "assemble", "decide", "sum"];
 
 /// The scores of a run as text, at most 100 columns wide.
 pub fn summary(log: &RunLog) -> String {
@@ -58,7 +58,7 @@ pub fn summary(log: &RunLog) -> String {
         ("Cases that fail most", worst_table(&view, WORST)),
         ("Requests to the model, those of repeated episodes included", requests_table(&view)),
         ("What memory supplied, means of an answer", supplied_table(&view)),
-        ("Mean time of a step by stage, in microseconds", time),
+        ("Mean time of a step by stage, in microseconds; the sum has the transport, too", time),
     ] {
         if let Some(table) = table {
             let title = if title.is_empty() { String::new() } else { format!("{title}\n") };
@@ -89,7 +89,8 @@ fn closing(view: &ScoredRun<'_>) -> Vec<String> {
     }
     if let Some(rate) = view.scores.steps_per_s {
         let lanes = view.log.manifest.settings.lanes;
-        lines.push(format!("Speed: {} steps/s with {lanes} lanes.", steps_per_second(rate)));
+        let lanes = if lanes == 1 { "1 lane".to_owned() } else { format!("{lanes} lanes") };
+        lines.push(format!("Speed: {} steps/s with {lanes}.", steps_per_second(rate)));
     }
     lines.push(format!("Run: {}", view.log.dir.display()));
     lines.push(format!("More: memtransfer report {}", view.log.dir.display()));
@@ -132,9 +133,9 @@ pub fn compared_runs(a: &RunLog, b: &RunLog, compared: &[Comparison]) -> String 
             "Note: {} differs: {} in {}, {} in {}.",
             one.key,
             one.there,
-            run_name(a),
+            a.name.clone(),
             one.here,
-            run_name(b)
+            b.name.clone()
         ));
     }
     if !text.is_empty() {

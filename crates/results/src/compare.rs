@@ -2,7 +2,9 @@
 //!
 //! The statistics are [`score::compare`](crate::score::compare)'s.
 
-use crate::log::{Difference, RunLog};
+use std::path::PathBuf;
+
+use crate::log::{Difference, RunLog, last_parts};
 use crate::names::UnknownName;
 use crate::score::{Comparison, Trials, compare};
 
@@ -56,7 +58,7 @@ pub fn compare_conditions(
     let (first, second) = (trials(a)?, trials(b)?);
     let same_run = std::ptr::eq(a.0, b.0);
     let name = |(log, name): (&RunLog, &str)| {
-        if same_run { name.to_owned() } else { format!("{}: {name}", run_name(log)) }
+        if same_run { name.to_owned() } else { format!("{}: {name}", log.name) }
     };
     let (a, b) = (name(a), name(b));
     compare((&a, &first), (&b, &second)).ok_or(CompareError::NoCommonCase { a, b })
@@ -76,7 +78,7 @@ fn trials<'a>((log, name): (&'a RunLog, &str)) -> Result<Trials<'a>, UnknownName
 /// When they have none in common.
 pub fn compare_runs(a: &RunLog, b: &RunLog) -> Result<Vec<Comparison>, CompareError> {
     can_be_paired(a, b)?;
-    let (name_a, name_b) = (run_name(a), run_name(b));
+    let (name_a, name_b) = (a.name.clone(), b.name.clone());
     let (trials_a, trials_b) = (Trials::by_condition(a), Trials::by_condition(b));
     let compared = trials_a.iter().filter_map(|(condition, first)| {
         let names = [&name_a, &name_b].map(|run| format!("{run}: {condition}"));
@@ -115,16 +117,40 @@ fn can_be_paired(a: &RunLog, b: &RunLog) -> Result<(), CompareError> {
     Ok(())
 }
 
-/// The name of a run among others: the last part of its folder.
-pub fn run_name(log: &RunLog) -> String {
-    let name = log.dir.file_name().unwrap_or(log.dir.as_os_str());
-    name.to_string_lossy().into_owned()
+/// Gives runs whose folders have the same last part longer names: as many parts of their folders as differ.
+pub fn tell_apart<'a>(logs: impl IntoIterator<Item = &'a mut RunLog>) {
+    let logs: Vec<&mut RunLog> = logs.into_iter().collect();
+    let folders: Vec<PathBuf> =
+        logs.iter().map(|log| log.dir.canonicalize().unwrap_or(log.dir.clone())).collect();
+    for (at, log) in logs.into_iter().enumerate() {
+        let others = || folders.iter().filter(|folder| **folder != folders[at]);
+        let is_shared = |count: &usize| {
+            others().any(|other| last_parts(other, *count) == last_parts(&folders[at], *count))
+        };
+        let longest = folders[at].components().count();
+        let enough = (1..longest).find(|count| !is_shared(count)).unwrap_or(longest);
+        log.name = last_parts(&folders[at], enough);
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::log::testing::{log, record, stream_log, stream_record};
+
+    #[test]
+    fn runs_are_told_apart_by_their_folders() {
+        let names = |folders: &[&str]| -> Vec<String> {
+            let at = |folder: &&str| RunLog { dir: folder.into(), ..log(vec![]) };
+            let mut logs: Vec<RunLog> = folders.iter().map(at).collect();
+            tell_apart(&mut logs);
+            logs.into_iter().map(|log| log.name).collect()
+        };
+        assert_eq!(names(&["/runs/a", "/runs/b"]), ["a", "b"]);
+        assert_eq!(names(&["/x/runs/a", "/y/runs/a", "/x/b"]), ["x/runs/a", "y/runs/a", "b"]);
+        assert_eq!(names(&["/a", "/x/a"]), ["/a", "x/a"]);
+        assert_eq!(names(&["/runs/a", "/runs/a"]), ["a", "a"]);
+    }
 
     #[test]
     fn settings_that_differ_are_named_with_both_values() {

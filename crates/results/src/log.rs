@@ -41,6 +41,7 @@ pub use record::{
     RequestRecord, SessionEvent, SessionRecord, Stages, StreamRecord, Unread,
 };
 pub use run_log::RunLog;
+pub(crate) use run_log::last_parts;
 
 pub mod testing;
 
@@ -61,7 +62,10 @@ pub enum LogError {
         source: io::Error,
     },
     /// The manifest cannot be understood.
-    #[error("{}: {problem}; start over with --fresh, or choose another --out", path.display())]
+    #[error(
+        "{}: {problem}. The run cannot be read without it; the files beside it are untouched. Restore it, or run into \
+         another --out", path.display()
+    )]
     BrokenManifest {
         /// The file.
         path: PathBuf,

@@ -281,17 +281,26 @@ pub fn check(settings: &RunSettings) -> Result<()> {
         settings.adapter.is_none() || settings.backend.as_deref() != Some("cpu"),
         "--adapter chooses a graphics adapter, and --backend cpu uses none: give one of them"
     );
+    check_arms(settings)?;
     let conditions = settings.conditions();
     if settings.plates == Drawn::Off {
         check_without_plates(settings.policy, &conditions)?;
     }
     let is_complete = !settings.has_external_memories() || !settings.external_names().is_empty();
-    ensure!(
-        !(conditions.is_empty() && is_complete),
-        "no condition is left: a blocked route needs the new start (add `new` to --starts), and a memory of \
-         demonstrations needs some (--demos)"
-    );
-    check_arms(settings)?;
+    if conditions.is_empty() && is_complete {
+        let groups = &settings.groups;
+        let learns = |arms: &[Arm]| arms == [Arm::Learning];
+        bail!(match () {
+            () if groups.iter().all(|group| group.memory.is_empty()) =>
+                "no memory is left: `--memory none` is for a memory of your own (--memory-cmd or --external-memory)",
+            () if groups.iter().all(|group| learns(&group.arms)) =>
+                "no memory is left that learns: the arm `learning` needs `adaptive`, or a memory of your own that says \
+                 that it learns",
+            () =>
+                "no condition is left: a blocked route needs the new start (add `new` to --starts), and a memory of \
+                 demonstrations needs some (--demos)",
+        });
+    }
     // With a model, what exceeds --image-budget is left out and counted.
     if settings.model.is_some() {
         return Ok(());

@@ -248,7 +248,7 @@ memtransfer.episodePage = (current, episodes) => {
     const row = (images) => h("div", { class: "film" }, images.map(picture));
     promptBody.replaceChildren(
       facts(prompt.facts),
-      prompt.hinted && h("p", {}, "The prompt says that a demonstration started where this episode did."),
+      ...(prompt.hinted ? [h("p", {}, "The prompt says that a demonstration started where this episode did.")] : []),
       h("h3", {}, "Window of past steps"), prompt.window.length ? row(prompt.window) : h("p", {}, "Empty."),
       h("h3", {}, "Memory"), ...(prompt.items.length ? prompt.items.map((item) => h("div", {}, h("h4", {}, item.title), item.text !== null && h("pre", {}, item.text), row(item.images))) : [h("p", {}, "Nothing.")]),
       ...prompt.messages.flatMap((message) => [h("h3", {}, `Message of role ${message.role}`),
@@ -272,7 +272,7 @@ memtransfer.episodePage = (current, episodes) => {
   const controls = h("div", { class: "controls" },
     button("First step (Home)", "|◂", () => 0), button("Previous mark (p)", "◂◂", previousMoment), button("Step back (left arrow)", "◂", () => step - 1),
     play, button("Step on (right arrow)", "▸", () => step + 1), button("Next mark (n)", "▸▸", nextMoment), button("Last step (End)", "▸|", () => last), label);
-  const back = h("nav", { "aria-label": "Path" }, h("a", { href: address({ run: runs.length > 1 ? current.run || 1 : "" }) }, `← ${main.run.name}`));
+  const back = h("nav", { "aria-label": "Path" }, h("a", { href: memtransfer.gridAddress || address({ run: runs.length > 1 ? current.run || 1 : "" }) }, `← ${main.run.name}`));
   const title = `${main.run.cases[main.row.case].id}, ${main.run.conditions[main.row.condition].name}`;
   const signs = h("p", { class: "signs" }, "▲ sub-goal  △ arrival before an item  × blocked  ■ closed passage  ? unreadable  ⚑ failure decided");
   const transport = [views.map((view) => h("div", { class: "line" }, isPair && h("span", { class: "hidden" }, view.run.name), view.timeLine(last))), slider, controls, signs, spoken];

@@ -62,6 +62,10 @@ memtransfer.runPage = (current) => {
   function change(values) {
     Object.assign(filters, values);
     memtransfer.note(filters);
+    for (const [name, value] of Object.entries(values)) {
+      const field = document.querySelector(`select[name="${name}"]`);
+      if (field) field.value = value;
+    }
     draw();
   }
 
@@ -78,6 +82,7 @@ memtransfer.runPage = (current) => {
   const legend = h("ul", { class: "outcomes", "aria-label": "Outcomes; choose one to see its episodes alone" });
 
   function drawLegend() {
+    const focused = [...legend.children].findIndex((item) => item.contains(document.activeElement));
     const counts = new Map();
     for (const episode of all) counts.set(episode.outcome, (counts.get(episode.outcome) || 0) + 1);
     legend.replaceChildren(...[...counts.keys()].sort((a, b) => a - b).map((key) => {
@@ -86,15 +91,17 @@ memtransfer.runPage = (current) => {
       return h("li", {}, h("button", { type: "button", title: meaning, "aria-pressed": String(pressed), onclick: () => change({ outcome: pressed ? "" : name }) },
         h("span", { class: `mark ${style}`, "aria-hidden": "true" }, mark), ` ${name} `, h("b", {}, String(counts.get(key)))));
     }));
+    if (focused >= 0) legend.children[focused].querySelector("button").focus();
   }
 
   function draw() {
+    memtransfer.gridAddress = address(filters);
     drawLegend();
     const found = rows();
     const conditions = shownConditions();
     const shown = found.reduce((sum, row) => sum + row.shown.filter(matches).length, 0);
     const planned = run.planned > all.length ? `, of ${run.planned} planned` : "";
-    count.textContent = `${shown} of ${all.length} episodes${planned}, ${found.length} cases.`;
+    count.textContent = `${shown} of ${all.length} episodes${planned}, ${found.length} ${found.length === 1 ? "case" : "cases"}.`;
     const heading = ({ memory, rest, index }) => {
       const ofCondition = all.filter((episode) => episode.condition === index);
       const successes = ofCondition.filter((episode) => episode.outcome === 0).length;

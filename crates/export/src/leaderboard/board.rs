@@ -296,7 +296,7 @@ mod tests {
     fn runs_with_another_protocol_are_apart_and_the_difference_is_named() {
         let entry = |name: &str, success: bool, seed: u64| {
             let mut log = log(vec![record("t01-01", success), record("t01-02", true)]);
-            log.dir = name.into();
+            log.name = name.to_owned();
             log.manifest.settings.seed = seed;
             Entry::of(&log).unwrap()
         };

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, Result, bail};
-use results::compare::run_name;
 use results::conditions::Condition;
 use results::date::date;
 use results::log::RunLog;
@@ -134,7 +133,7 @@ impl Entry {
         let memories = manifest.memories.iter();
         Ok(Self {
             format: FORMAT,
-            run: run_name(log),
+            run: log.name.clone(),
             date: log.began_unix_s().map(date),
             policy: EntryPolicy {
                 name: log.policy_label(),

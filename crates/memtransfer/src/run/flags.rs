@@ -84,7 +84,8 @@ fn add_flag(command: Command, key: &Key) -> Command {
     } else if key.is_repeated() {
         arg.value_name(key.value_name).action(ArgAction::Append)
     } else {
-        arg.value_name(key.value_name).action(ArgAction::Set)
+        // A number that is out of range is told so.
+        arg.value_name(key.value_name).action(ArgAction::Set).allow_negative_numbers(true)
     })
 }
 

@@ -75,7 +75,7 @@ fn draw_legend(svg: &mut Svg, plot: &Dots) {
 }
 
 fn draw_row(svg: &mut Svg, axis: &ValueAxis, row: &DotRow, y: i32) {
-    svg.text(&row.label, (LEFT - 12, y), TextAnchor::Before, TextStyle::Plain);
+    svg.row_label(&row.label, y);
     if row.dots.is_empty() {
         svg.text("no figure", (LEFT + 6, y), TextAnchor::After, TextStyle::Faint);
     }

@@ -61,7 +61,7 @@ pub fn stack(plot: &Stack) -> ReportFigure {
 }
 
 fn draw_row(svg: &mut Svg, axis: &ValueAxis, row: &StackRow, present: &[usize], y: i32) {
-    svg.text(&row.label, (LEFT - 12, y + ROW / 2), TextAnchor::Before, TextStyle::Plain);
+    svg.row_label(&row.label, y + ROW / 2);
     let Some(lengths) = &row.lengths else {
         return svg.text("not run", (LEFT + 6, y + ROW / 2), TextAnchor::After, TextStyle::Faint);
     };

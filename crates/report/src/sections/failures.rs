@@ -91,7 +91,7 @@ pub(crate) fn worst_table(view: &ScoredRun<'_>, most: usize) -> Option<Table> {
         Table::of_text(
             view.id("worst-cases"),
             "The cases that fail most, over all conditions and runs, with the most frequent kind of failure and an \
-             episode of it: `memtransfer show RUN CASE STEP` shows its steps.",
+             episode of it, whose steps are shown by: memtransfer show RUN CASE STEP.",
             (&["Case"], &["Task", "Failed", "Main failure", "Example"]),
             rows,
         )

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use results::compare::{compare_runs, differing_settings, run_name};
+use results::compare::{compare_runs, differing_settings};
 use results::conditions::Condition;
 
 use super::overview::notices;
@@ -17,7 +17,7 @@ use crate::view::{ScoredRun, sure, title};
 pub(crate) fn runs(views: &[ScoredRun<'_>]) -> ReportSection {
     let mut blocks = Vec::new();
     for view in views {
-        let name = run_name(view.log);
+        let name = view.log.name.clone();
         let lines = notices(view).into_iter();
         blocks.extend(lines.map(|line| ReportBlock::Notice(format!("{name}: {line}"))));
     }
@@ -41,7 +41,7 @@ fn overview(views: &[ScoredRun<'_>]) -> Table {
             view.scores.conditions.len().to_string(),
             format!("{} of {}", view.scores.finished, view.scores.planned),
         ];
-        (run_name(view.log), facts)
+        (view.log.name.clone(), facts)
     };
     Table::of_text(
         "runs",
@@ -69,7 +69,7 @@ fn side_by_side(views: &[ScoredRun<'_>]) -> Table {
         rows: conditions.iter().map(row).collect(),
     };
     let columns = views.iter().flat_map(|view| {
-        let name = run_name(view.log);
+        let name = view.log.name.clone();
         [TableColumn::under(name.clone(), "SR %"), TableColumn::under(name, "SPL")]
     });
     Table {
@@ -83,7 +83,7 @@ fn side_by_side(views: &[ScoredRun<'_>]) -> Table {
 }
 
 fn compared(first: &ScoredRun<'_>, second: &ScoredRun<'_>) -> Vec<ReportBlock> {
-    let (a, b) = (run_name(first.log), run_name(second.log));
+    let (a, b) = (first.log.name.clone(), second.log.name.clone());
     let compared = match compare_runs(first.log, second.log) {
         Ok(compared) => compared,
         Err(error) => return vec![ReportBlock::Notice(format!("No comparison: {error}."))],

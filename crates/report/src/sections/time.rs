@@ -9,7 +9,7 @@ use crate::plot::{Stack, StackRow, stack};
 use crate::view::{ScoredRun, title};
 
 /// The stages in which something is computed; the others are transport between processes.
-const WORK: [&str; 5] = ["dynamics", "render", "embed", "search", "decide"];
+const WORK: [&str; 6] = ["dynamics", "render", "embed", "search", "assemble", "decide"];
 
 const NO_STAGE: Missing = Missing::NotApplicable("this memory or policy has no such stage");
 

@@ -308,9 +308,10 @@ impl RunFolder {
         }
         let mut changes = Vec::new();
         for (role, then) in &self.manifest.processes {
-            let now = processes.get(role);
+            // A memory that was left out has no process.
+            let Some(now) = processes.get(role) else { continue };
             for (fact, then) in then {
-                let now = now.and_then(|facts| facts.get(fact)).map_or("nothing", String::as_str);
+                let now = now.get(fact).map_or("nothing", String::as_str);
                 if now != then {
                     changes
                         .push(format!("{role}: {fact} was {then} when the run began, now {now}"));

@@ -183,9 +183,10 @@ impl Manifest {
         }
         for (name, memory) in &self.memories {
             let Some(other) = there.memories.get(name) else { continue };
-            // Command, index and SDK may change.
-            let said = |memory: &ExternalMemoryFacts| -> [(&str, Value); 6] {
+            // Index and SDK may change.
+            let said = |memory: &ExternalMemoryFacts| -> [(&str, Value); 7] {
                 [
+                    ("command", memory.command.clone().into()),
                     ("version", memory.version.clone().into()),
                     ("scope", memory.scope.clone().into()),
                     ("embeddings", memory.embeddings.into()),

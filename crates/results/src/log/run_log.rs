@@ -17,6 +17,9 @@ use super::{
 pub struct RunLog {
     /// The folder.
     pub dir: PathBuf,
+    /// The name of the run among others: the last part of its folder, and as much before it as
+    /// [`tell_apart`](crate::compare::tell_apart) has added.
+    pub name: String,
     /// The manifest.
     pub manifest: Manifest,
     /// Finished episodes, by key.
@@ -76,8 +79,8 @@ impl RunLog {
             open.map(|error| (error.key.clone(), error)).collect();
         let errors = errors.into_values().collect();
         let sessions = read(dir, SESSIONS_FILE, unchecked, &mut damaged)?;
-        let dir = dir.to_owned();
-        Ok(Self { dir, manifest, episodes, timings, requests, errors, sessions, damaged })
+        let (dir, name) = (dir.to_owned(), last_parts(dir, 1));
+        Ok(Self { dir, name, manifest, episodes, timings, requests, errors, sessions, damaged })
     }
 
     /// The name that the policy reported, for example a model's; `None` when none has started.
@@ -100,6 +103,13 @@ impl RunLog {
     pub fn began_unix_s(&self) -> Option<u64> {
         self.sessions.iter().map(|record| record.unix_s).min()
     }
+}
+
+/// The last `count` parts of `dir`.
+pub(crate) fn last_parts(dir: &Path, count: usize) -> String {
+    let parts: Vec<_> = dir.components().collect();
+    let last: PathBuf = parts[parts.len().saturating_sub(count)..].iter().collect();
+    last.to_string_lossy().into_owned()
 }
 
 fn read<T: serde::de::DeserializeOwned>(

@@ -306,6 +306,7 @@ pub fn request(key: &str, step: u32) -> RequestRecord {
 pub fn log(episodes: Vec<EpisodeRecord>) -> RunLog {
     RunLog {
         dir: "run".into(),
+        name: "run".to_owned(),
         manifest: Manifest { episodes: episodes.len() as u32, ..manifest() },
         timings: episodes.iter().map(timings).collect(),
         episodes,

@@ -140,6 +140,7 @@ mod tests {
         });
         let mut log = RunLog {
             dir: "run".into(),
+            name: "run".to_owned(),
             manifest,
             episodes: Vec::new(),
             timings: Vec::new(),

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 
 use domain::{Action, Feedback};
 use replay::RunWorld;
-use results::compare::run_name;
 use results::conditions::{Condition, Frames};
 use results::log::{EpisodeRecord, RunLog};
 use results::score::Failure;
@@ -80,7 +79,7 @@ impl RunData {
             ConditionData { name, memory, rest }
         };
         Self {
-            name: run_name(log),
+            name: log.name.clone(),
             facts: facts(log),
             planned: log.manifest.episodes,
             conditions: conditions.iter().map(condition).collect(),

@@ -335,6 +335,19 @@ fn a_memory_that_builds_has_time_to_answer_and_to_build_the_next_bank_afterwards
 }
 
 #[test]
+fn a_bank_that_comes_later_does_not_extend_the_time_for_an_answer() {
+    let mut rig = ExternalRig::new(3, 1000, description(Scope::Case, false, false));
+    rig.begin(0, 7, 3);
+    rig.queries();
+    rig.now_ns += 2 * SECOND;
+    rig.begin(1, 8, 4);
+    rig.now_ns += 29 * SECOND;
+    rig.settle();
+    let expected = "external memory test has not answered step 0 within 30 s".to_owned();
+    assert_eq!(rig.failures(), [(7, expected)], "it has sent nothing since, so it builds nothing");
+}
+
+#[test]
 fn a_memory_that_cannot_be_reached_fails_its_episode() {
     let mut rig = ExternalRig::new(1, 1000, description(Scope::Case, false, false));
     rig.begin(0, 7, 3);
