@@ -117,8 +117,8 @@ pub(crate) enum BankState {
     Waiting { ready: usize },
     /// Views are pinned and embedded a few at a time.
     Collecting(Collecting),
-    /// Published at this time, when its memory had sent so many messages.
-    Building { since_ns: u64, heard: u64 },
+    /// Published at this time, when its memory had sent so many messages; it may have begun to build at the second time.
+    Building { published_ns: u64, since_ns: u64, heard: u64 },
     /// Built.
     Ready { store_bytes: u64 },
     /// Not built, and why.
@@ -271,7 +271,7 @@ impl ExternalMemories {
         let Some(steps) = steps else { return };
         let content = steps.content(bank.with_frames);
         let heard = self.heard.get(&bank.index).copied().unwrap_or(0);
-        bank.state = BankState::Building { since_ns: now_ns, heard };
+        bank.state = BankState::Building { published_ns: now_ns, since_ns: now_ns, heard };
         self.outbox.push((bank.index, ToExternal::Bank(id, content)));
     }
 
@@ -284,7 +284,9 @@ impl ExternalMemories {
         let mut is_taken = is_busy.clone();
         for id in &self.unbuilt {
             if let Some(HostBank {
-                index, state: BankState::Building { since_ns, heard }, ..
+                index,
+                state: BankState::Building { published_ns, since_ns, heard },
+                ..
             }) = self.banks.get_mut(id)
             {
                 if !is_taken.insert(*index) {
@@ -292,7 +294,7 @@ impl ExternalMemories {
                     continue;
                 }
                 let asked = asked_ns.get(index).copied().unwrap_or(u64::MAX);
-                let is_answering = asked.saturating_add(WAKE_NS) < *since_ns
+                let is_answering = asked.saturating_add(WAKE_NS) < *published_ns
                     && self.heard.get(index).copied().unwrap_or(0) == *heard;
                 if !is_answering {
                     is_busy.insert(*index);
@@ -320,7 +322,11 @@ impl ExternalMemories {
             embeds: self.embeds(index),
             with_frames: false,
             users: 1,
-            state: BankState::Building { since_ns: now_ns, heard: self.heard_from(index) },
+            state: BankState::Building {
+                published_ns: now_ns,
+                since_ns: now_ns,
+                heard: self.heard_from(index),
+            },
         };
         self.banks.insert(id, kept);
         self.unbuilt.insert(id);
