@@ -373,8 +373,10 @@ impl<'a> MemoryServer<'a> {
         for (index, mut message) in engine.take_external_messages() {
             let external = ports.externals.iter_mut().find(|external| external.index == index);
             let Some(external) = external else { continue };
-            if let Err(error) = external.send(&mut message) {
-                engine.external_unreachable(index, &message, &error.to_string());
+            match external.send(&mut message) {
+                // Its process has ended: the orchestrator sees that, and starts all processes and episodes again.
+                Ok(()) | Err(BusError::Deserted { .. }) => {}
+                Err(error) => engine.external_unreachable(index, &message, &error.to_string()),
             }
             external.notifier.notify()?;
         }

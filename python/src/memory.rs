@@ -9,7 +9,7 @@ use peer::memory::{
     Demonstration, Episode, EpisodeEnd, Item, Memory, MemoryDescription, MemoryError, MemoryMethod,
     Query, Scope, Source, Step, Views,
 };
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyBytes, PyList, PyString, PyTuple, PyType};
@@ -159,7 +159,13 @@ impl<'m> PythonMemory<'m> {
             );
             return Err(PyValueError::new_err(problem));
         }
-        answer.try_iter()?.map(|item| self.item(&item?)).collect()
+        let items = answer.try_iter().map_err(|_| {
+            PyTypeError::new_err(format!(
+                "recall returned one {}, but must return a list of items",
+                answer.get_type()
+            ))
+        })?;
+        items.map(|item| self.item(&item?)).collect()
     }
 
     fn item(&self, item: &Bound<'_, PyAny>) -> PyResult<Item> {

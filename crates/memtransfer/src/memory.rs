@@ -155,6 +155,13 @@ struct DocumentArgs {
     made_for: MadeFor,
 }
 
+fn frame_width(text: &str) -> Result<u32, String> {
+    match text.parse() {
+        Ok(width @ 64..=4096) if width % 64 == 0 => Ok(width),
+        _ => Err(format!("{text} is not a multiple of 64 from 64 to 4096")),
+    }
+}
+
 /// The world, frame size and appearance that documents are made for.
 #[derive(Debug, Args)]
 struct MadeFor {
@@ -168,7 +175,7 @@ struct MadeFor {
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
     /// Width and height of the frames that are read [default: $MEMTRANSFER_FRAME_SIZE, else 448]
-    #[arg(long, value_name = "PIXELS")]
+    #[arg(long, value_name = "PIXELS", value_parser = frame_width)]
     frame_size: Option<u32>,
     /// Read frames without anything written in them, as in `run --labels off`
     #[arg(long, value_name = "on|off")]

@@ -43,7 +43,7 @@ pub(crate) fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
     }
     episodes.sort_by(|a, b| a.key.cmp(&b.key));
     let mut log = log(episodes);
-    log.dir = "runs/made-up".into();
+    (log.dir, log.name) = ("runs/made-up".into(), "made-up".to_owned());
     for name in conditions.iter().filter_map(|(condition, _)| condition.memory.external()) {
         let facts = ExternalMemoryFacts {
             index: log.manifest.memories.len() as u8,
@@ -228,7 +228,7 @@ pub(crate) fn made_up_streams() -> RunLog {
         Representation::Adaptive.into(),
     ];
     (group.starts, group.arms) = (vec![Start::New], Arm::ALL.to_vec());
-    log.dir = "runs/made-up-streams".into();
+    (log.dir, log.name) = ("runs/made-up-streams".into(), "made-up-streams".to_owned());
     for (timings, record) in log.timings.iter_mut().zip(&log.episodes) {
         timings.recalls.requests = record.steps;
         timings.stages.search *= 20 + 3 * u64::from(record.stream.as_ref().unwrap().after);

@@ -73,7 +73,7 @@ fn what_was_not_run_is_left_out_and_named_in_one_line() {
         ReportBlock::Text(text) if text.starts_with("This run has no conditions for") => Some(text),
         _ => None,
     });
-    insta::assert_snapshot!(line.unwrap(), @"This run has no conditions for: RQ1: a start that was not demonstrated; RQ2: a blocked route; Design choices.");
+    insta::assert_snapshot!(line.unwrap(), @"This run has no conditions for: RQ1: a start that was not demonstrated; RQ2: a blocked route; RQ3: histories of other tasks; Design choices.");
     let cells = cells(&document);
     let found = |place: &str| {
         let cell = cells.iter().find(|(at, _)| at == place);
@@ -131,6 +131,7 @@ fn external_memories_stand_in_every_table_after_the_built_in_ones() {
         "top-3/new/unchanged/4",
         "top-3/new/blocked/4",
         "top-3/new/unchanged/irrelevant",
+        "top-3/original/unchanged/nearby",
         "bm25/new/unchanged/4",
         "bm25/new/blocked/4",
     ]
@@ -213,7 +214,7 @@ fn two_runs_stand_beside_each_other_and_are_paired() {
     let conditions = only(&["working/new/unchanged/none", "episodic/new/unchanged/4"]);
     let first = made_up(&conditions, &[1, 2]);
     let mut second = made_up(&conditions[1..], &[1, 2]);
-    second.dir = "runs/other".into();
+    second.name = "other".to_owned();
     second.manifest.settings.policy = PolicyKind::Random;
     let document = document(&[first, second], &published());
     let titles: Vec<&str> =
@@ -268,7 +269,7 @@ fn a_report_is_a_folder_of_files_and_the_same_each_time() {
         "episodes.csv",
         "episodes.parquet",
         "tables/main.csv",
-        "figures/mixed-figure.svg",
+        "figures/main-figure.svg",
     ] {
         let content = |dir: &tempfile::TempDir| fs::read(dir.path().join(name)).unwrap();
         assert!(!content(&first).is_empty(), "{name}");

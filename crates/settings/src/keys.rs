@@ -126,10 +126,11 @@ fn is_command(text: &str) -> Result<(), String> {
 }
 
 fn is_backend(text: &str) -> Result<(), String> {
-    match text {
-        "wgpu" | "cpu" => Ok(()),
-        _ => Err(UnknownName::new("backend", text, ["wgpu", "cpu"]).to_string()),
-    }
+    is_one_of("backend", text, ["wgpu", "cpu"])
+}
+
+fn is_provider(text: &str) -> Result<(), String> {
+    is_one_of("execution provider", text, ["cpu", "openvino", "cuda", "tensorrt"])
 }
 
 /// Keys that replace one of a suite's `[stream]` table, and are no keys of a suite file elsewhere.
@@ -296,7 +297,7 @@ pub const KEYS: &[Key] = keys! {
         "Episodes that run at the same time";
     "encoder-threads" "N" Number(1, 1024, 1),
         "Frames embedded at the same time [default: number of cores]";
-    "provider" "NAME" Text(any),
+    "provider" "NAME" Text(is_provider),
         "ONNX Runtime's execution provider for the encoder: cpu, openvino, cuda, tensorrt \
          [default: cpu]";
     "frame-budget" "FRAMES" Number(1, u32::MAX as u64, 1),

@@ -541,7 +541,7 @@ mod tests {
         assert!(only.to_string().contains("memory = [\"none\"]"), "{only}");
         assert!(only.settings.groups[0].memory.is_empty());
         let error = with(&[("memory", "none")]).unwrap_err().to_string();
-        assert!(error.starts_with("no condition is left"), "{error}");
+        assert!(error.starts_with("no memory is left"), "{error}");
         let groups = "[[group]]\nname = \"w\"\nmemory = [\"working\"]\n[[group]]\nname = \"e\"\n\
                       memory = [\"episodic\"]";
         let layer = suite(&format!("memory-cmd = [\"a\"]\n{groups}"));

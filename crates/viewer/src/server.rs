@@ -78,7 +78,12 @@ impl ViewServer {
     /// The address to open in a browser.
     pub fn url(&self) -> String {
         let query = self.token.as_ref().map(|token| format!("?token={token}"));
-        format!("http://{}/{}", self.address, query.unwrap_or_default())
+        let host = match self.address.ip().is_unspecified() {
+            // Other machines reach this one under its name.
+            true => format!("{}:{}", host_name(), self.address.port()),
+            false => self.address.to_string(),
+        };
+        format!("http://{host}/{}", query.unwrap_or_default())
     }
 
     /// Answers requests, one at a time, until the process ends.
@@ -124,6 +129,11 @@ struct SiteService {
     address: SocketAddr,
     token: Option<String>,
     site: RefCell<Site>,
+}
+
+/// The name of this machine.
+fn host_name() -> String {
+    rustix::system::uname().nodename().to_string_lossy().into_owned()
 }
 
 impl SiteService {

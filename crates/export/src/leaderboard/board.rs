@@ -234,10 +234,13 @@ impl BoardTable {
         let columns: Vec<&'static BoardColumn> = COLUMNS.iter().filter(is_measured).collect();
         let mut rows: Vec<BoardRow> =
             scores.iter().map(|(entry, score)| row(entry, score, &columns)).collect();
-        let first =
-            |row: &BoardRow| row.figures.first().copied().flatten().map(|figure| figure.mean);
+        // The two main figures.
+        let means = |row: &BoardRow| {
+            let mean = |figure: &Option<EntryFigure>| figure.map(|figure| figure.mean);
+            row.figures.iter().take(2).map(mean).collect::<Vec<_>>()
+        };
         rows.sort_by(|a, b| {
-            let by_figure = first(b).partial_cmp(&first(a)).unwrap_or(Ordering::Equal);
+            let by_figure = means(b).partial_cmp(&means(a)).unwrap_or(Ordering::Equal);
             by_figure.then_with(|| (&a.run, &a.memory).cmp(&(&b.run, &b.memory)))
         });
         Self { title, columns, rows }

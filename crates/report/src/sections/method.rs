@@ -58,7 +58,8 @@ pub(crate) fn method() -> ReportSection {
          (ChaCha8, seed {SEED}): cases are drawn with replacement, and for each case drawn its repetitions, again with \
          replacement; conditions that enter one figure together are drawn with the same cases. Where every case is \
          alike the bootstrap has no width: SPL and recovery then have Wilson's interval, a difference of success \
-         rates Newcombe's, the others none."
+         rates Newcombe's, the others none. A figure that is undefined in more than one resample of twenty has no \
+         interval, either."
     );
     let missing = "Figures are over finished episodes. An episode that was given up because of a fault is not scored. \
                    Where episodes are missing the report says so, with the success rate and SPL if all of them failed \

@@ -16,6 +16,10 @@ pub(super) const NO_RETRIEVAL: Missing = Missing::NotApplicable(
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let names = |representation| SETS.map(|(_, set)| name(representation, "new/unchanged", set));
+    let is_run = |name: &String| view.score(name).is_some();
+    if !view.historical().into_iter().any(|memory| names(memory)[1..].iter().any(is_run)) {
+        return Vec::new();
+    }
     let rows = view.historical().into_iter().flat_map(|representation| {
         let labelled: Vec<_> = SETS
             .iter()

@@ -18,6 +18,10 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let names = |representation| {
         DEMONSTRATIONS.map(|(_, which)| name(representation, "original/unchanged", which))
     };
+    let is_run = |name: &String| view.score(name).is_some();
+    if !view.historical().into_iter().any(|memory| names(memory)[1..].iter().any(is_run)) {
+        return Vec::new();
+    }
     let table = Table {
         id: view.id("transfer"),
         caption: "RQ1: demonstrations from other starts (the paper's table “RQ1: Changing starting pose”). The test starts \
