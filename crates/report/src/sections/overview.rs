@@ -60,7 +60,7 @@ fn standing(manifest: &Manifest) -> Vec<String> {
         PolicyKind::External => {
             let name = manifest.policy_name().map_or(String::new(), |name| format!(" {name}"));
             match &settings.policy_cmd {
-                Some(command) => format!("Policy: external{name}, started with: {command}."),
+                Some(command) => format!("Policy: external{name}, started with `{command}`."),
                 None => format!("Policy: external{name}."),
             }
         }
@@ -138,7 +138,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let external = view.log.manifest.memories.iter().map(|(name, facts)| {
         let ExternalMemoryFacts { version, command, scope, .. } = facts;
         let started = match command {
-            Some(command) => format!("started with: {command}"),
+            Some(command) => format!("started with `{command}`"),
             None => "started by the user".to_owned(),
         };
         let scope = match scope.as_str() {
