@@ -267,6 +267,10 @@ impl RunPlan {
         if model.is_some_and(|model| model.max_cost.is_some()) && prices.is_none() {
             bail!("--max-cost needs prices: give --prices FILE (docs/costs.md describes it)");
         }
+        if missing.is_empty() {
+            // What a killed run has left goes also when it had finished all episodes.
+            registry::clean(&registry::default_base())?;
+        }
         let budget = Budget::new(model, prices, &requests);
         let mut halted = budget.exceeded().filter(|_| !missing.is_empty());
         if !missing.is_empty() && halted.is_none() {

@@ -183,10 +183,9 @@ impl Manifest {
         }
         for (name, memory) in &self.memories {
             let Some(other) = there.memories.get(name) else { continue };
-            // Index and SDK may change.
-            let said = |memory: &ExternalMemoryFacts| -> [(&str, Value); 7] {
+            // Index and SDK may change, and who starts it.
+            let said = |memory: &ExternalMemoryFacts| -> [(&str, Value); 6] {
                 [
-                    ("command", memory.command.clone().into()),
                     ("version", memory.version.clone().into()),
                     ("scope", memory.scope.clone().into()),
                     ("embeddings", memory.embeddings.into()),
@@ -198,6 +197,10 @@ impl Manifest {
             for ((fact, ours), (_, theirs)) in said(memory).into_iter().zip(said(other)) {
                 here.insert(format!("{fact} of memory {name}"), ours);
                 of_there.insert(format!("{fact} of memory {name}"), theirs);
+            }
+            if let (Some(ours), Some(theirs)) = (&memory.command, &other.command) {
+                here.insert(format!("command of memory {name}"), ours.clone().into());
+                of_there.insert(format!("command of memory {name}"), theirs.clone().into());
             }
         }
         // A run can grow by demonstrations in another warehouse.

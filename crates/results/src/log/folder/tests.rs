@@ -282,7 +282,10 @@ fn an_external_memory_is_the_same_when_a_run_goes_on() {
     let changed = with("top-3", facts("2")).unwrap_err().to_string();
     let lines: Vec<&str> = changed.lines().filter(|line| line.starts_with("  ")).collect();
     assert_eq!(lines, [r#"  version of memory top-3: "1" there, "2" now"#]);
-    // Another command, another index: the same memory. A second one may join.
+    let other = ExternalMemoryFacts { command: Some("python other.py".to_owned()), ..facts("1") };
+    let changed = with("top-3", other).unwrap_err().to_string();
+    assert!(changed.contains("command of memory top-3: "), "{changed}");
+    // Started by the user, another index: the same memory. A second one may join.
     let moved = ExternalMemoryFacts { index: 3, command: None, ..facts("1") };
     assert_eq!(with("top-3", moved).unwrap().finished, [episode.clone()]);
     let opened = with("bm25", facts("1")).unwrap();
