@@ -134,5 +134,8 @@ const memtransfer = (() => {
 
   const episodeAddress = (runNumber, episode, more) => address({ page: "episode", run: runNumber, key: episode.key, ...more });
 
-  return { receive, load, h, state, address, note, runs, page, outcome, episodes, episodeAddress, isServed: () => served };
+  // By number of a run: the address of its grid as it was seen last.
+  const grids = {};
+
+  return { receive, load, h, state, address, note, runs, grids, page, outcome, episodes, episodeAddress, isServed: () => served };
 })();

@@ -272,7 +272,7 @@ memtransfer.episodePage = (current, episodes) => {
   const controls = h("div", { class: "controls" },
     button("First step (Home)", "|◂", () => 0), button("Previous mark (p)", "◂◂", previousMoment), button("Step back (left arrow)", "◂", () => step - 1),
     play, button("Step on (right arrow)", "▸", () => step + 1), button("Next mark (n)", "▸▸", nextMoment), button("Last step (End)", "▸|", () => last), label);
-  const back = h("nav", { "aria-label": "Path" }, h("a", { href: memtransfer.gridAddress || address({ run: runs.length > 1 ? current.run || 1 : "" }) }, `← ${main.run.name}`));
+  const back = h("nav", { "aria-label": "Path" }, h("a", { href: memtransfer.grids[current.run || 1] || address({ run: runs.length > 1 ? current.run || 1 : "" }) }, `← ${main.run.name}`));
   const title = `${main.run.cases[main.row.case].id}, ${main.run.conditions[main.row.condition].name}`;
   const signs = h("p", { class: "signs" }, "▲ sub-goal  △ arrival before an item  × blocked  ■ closed passage  ? unreadable  ⚑ failure decided");
   const transport = [views.map((view) => h("div", { class: "line" }, isPair && h("span", { class: "hidden" }, view.run.name), view.timeLine(last))), slider, controls, signs, spoken];

@@ -95,7 +95,7 @@ memtransfer.runPage = (current) => {
   }
 
   function draw() {
-    memtransfer.gridAddress = address(filters);
+    memtransfer.grids[number] = address(filters);
     drawLegend();
     const found = rows();
     const conditions = shownConditions();

@@ -64,7 +64,10 @@ fn describe(mode: &str, folder: &Path) -> anyhow::Result<()> {
         "undescribed" => {}
         "nameless" => {
             let text = r#"{"name": "My Memory", "version": "1"}"#;
-            fs::write(folder.join("description.json"), text)?;
+            // Renamed, so that it is read whole.
+            let draft = folder.join("draft.json");
+            fs::write(&draft, text)?;
+            fs::rename(draft, folder.join("description.json"))?;
         }
         _ => description.write(folder)?,
     }
