@@ -92,9 +92,8 @@ pub struct ExternalMemories {
     pub(crate) outbox: Vec<(u8, ToExternal)>,
 }
 
-/// A question that is so much older than a bank has been taken before it: an idle memory takes longer to wake up than
-/// the two are apart.
-const WAKE_NS: u64 = 1_000_000_000;
+/// A question that is so much older than a bank has been taken before it: an idle memory wakes up sooner.
+const WAKE_NS: u64 = 200_000_000;
 
 /// A bank of an external memory.
 #[derive(Debug)]
