@@ -23,8 +23,6 @@ enum DrillKind {
     Program {
         program: &'static str,
         arguments: &'static [&'static str],
-        /// Further arguments of a whole drill.
-        whole: &'static [&'static str],
         /// Further arguments of a quick drill, of some 20 seconds.
         quick: &'static [&'static str],
     },
@@ -42,7 +40,6 @@ const DRILLS: &[Drill] = &[
         kind: DrillKind::Program {
             program: "drill-sim",
             arguments: &[],
-            whole: &["--seeds", "5000"],
             // `cargo test` has executed the first.
             quick: &["--first-seed", "8", "--seeds", "32"],
         },
@@ -56,7 +53,7 @@ const DRILLS: &[Drill] = &[
 
 const fn of_processes(name: &'static str, arguments: &'static [&'static str]) -> Drill {
     let program = "drill-processes";
-    Drill { name, kind: DrillKind::Program { program, arguments, whole: &[], quick: &["--quick"] } }
+    Drill { name, kind: DrillKind::Program { program, arguments, quick: &["--quick"] } }
 }
 
 /// The page, and the lines in it between which the results stand.
@@ -156,9 +153,9 @@ fn run_drills(
             DrillKind::Fuzz => {
                 fuzz::run(&FuzzArguments::parse(&arguments.flags), &json, workspace)?
             }
-            DrillKind::Program { program, arguments: first, whole, quick } => {
+            DrillKind::Program { program, arguments: first, quick } => {
                 let mut command = workspace.at_root(&workspace.program(program)?, first);
-                command.args(if arguments.quick { quick } else { whole });
+                command.args(if arguments.quick { quick } else { &[] });
                 command.args(&arguments.flags).arg("--json").arg(json);
                 succeeds(&mut command)?
             }

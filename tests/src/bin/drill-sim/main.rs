@@ -49,7 +49,7 @@ const TEXT: &str = "Small runs in one program: the serve loops of the orchestrat
 #[derive(Debug, Parser)]
 struct Arguments {
     /// Number of seeds
-    #[arg(long, value_name = "N", default_value_t = 100)]
+    #[arg(long, value_name = "N", default_value_t = 5000)]
     seeds: u64,
     /// The first seed
     #[arg(long, value_name = "S", default_value_t = 0)]
