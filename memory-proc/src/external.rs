@@ -95,6 +95,11 @@ pub struct ExternalMemories {
 /// A question that is so much older than a bank has been taken before it: an idle memory wakes up sooner.
 const WAKE_NS: u64 = 200_000_000;
 
+/// How many messages the memory `index` has sent.
+fn count(heard: &BTreeMap<u8, u64>, index: u8) -> u64 {
+    heard.get(&index).copied().unwrap_or(0)
+}
+
 /// A bank of an external memory.
 #[derive(Debug)]
 pub(crate) struct HostBank {
@@ -269,7 +274,7 @@ impl ExternalMemories {
         };
         let Some(steps) = steps else { return };
         let content = steps.content(bank.with_frames);
-        let heard = self.heard.get(&bank.index).copied().unwrap_or(0);
+        let heard = count(&self.heard, bank.index);
         bank.state = BankState::Building { published_ns: now_ns, since_ns: now_ns, heard };
         self.outbox.push((bank.index, ToExternal::Bank(id, content)));
     }
@@ -294,7 +299,7 @@ impl ExternalMemories {
                 }
                 let asked = asked_ns.get(index).copied().unwrap_or(u64::MAX);
                 let is_answering = asked.saturating_add(WAKE_NS) < *published_ns
-                    && self.heard.get(index).copied().unwrap_or(0) == *heard;
+                    && count(&self.heard, *index) == *heard;
                 if !is_answering {
                     is_busy.insert(*index);
                 }
@@ -324,7 +329,7 @@ impl ExternalMemories {
             state: BankState::Building {
                 published_ns: now_ns,
                 since_ns: now_ns,
-                heard: self.heard_from(index),
+                heard: count(&self.heard, index),
             },
         };
         self.banks.insert(id, kept);
@@ -506,10 +511,6 @@ impl ExternalMemories {
     /// Notes that an external memory has sent a message.
     pub(crate) fn hear(&mut self, index: u8) {
         *self.heard.entry(index).or_default() += 1;
-    }
-
-    fn heard_from(&self, index: u8) -> u64 {
-        self.heard.get(&index).copied().unwrap_or(0)
     }
 
     /// Waits for the answer to the question of `since_ns`, as long as the time limit allows.

@@ -136,9 +136,30 @@ impl Found {
 
 #[cfg(test)]
 mod tests {
+    use results::conditions::PolicyKind;
     use results::log::testing::{log, record};
 
     use super::*;
+
+    #[test]
+    fn runs_of_one_name_are_told_apart_and_do_not_replace_each_other() {
+        let dir = tempfile::tempdir().unwrap();
+        let folders = ["one", "two"].map(|name| dir.path().join(name));
+        let one = log(vec![record("t01-01", true)]);
+        let mut two = log(vec![record("t01-01", false)]);
+        two.manifest.settings.policy = PolicyKind::Random;
+        let first = write_entry(&one, &folders[0]).unwrap();
+        assert_eq!(write_entry(&one, &folders[0]).unwrap(), first, "the same run again");
+        let error = write_entry(&two, &folders[0]).unwrap_err().to_string();
+        assert!(error.contains("is the entry of another run"), "{error}");
+        write_entry(&two, &folders[1]).unwrap();
+        let found = read(&folders).unwrap();
+        let names: Vec<&str> = found.entries.iter().map(|entry| entry.run.as_str()).collect();
+        assert_eq!(names, ["run", "two/run"]);
+        let nothing = dir.path().join("nothing.json");
+        write_entry(&log(vec![]), &nothing).unwrap();
+        assert!(read(&[nothing]).unwrap().left_out[0].ends_with("no episode is finished"));
+    }
 
     #[test]
     fn entries_are_read_from_files_and_folders_each_once() {

@@ -109,7 +109,7 @@ impl McapRecording {
         file.metadata(
             "memtransfer",
             &[
-                ("run", &log.name.clone()),
+                ("run", &log.name),
                 ("version", &log.manifest.version),
                 ("suite", settings.suite.word()),
                 ("policy", &log.policy_label()),

@@ -15,7 +15,7 @@ use replay::World;
 use report::table::table;
 use results::settings::Drawn;
 use serde_json::json;
-use settings::variable;
+use settings::{Layer, variable};
 use shm_types::FrameSize;
 use warehouse::Demonstrations;
 
@@ -155,11 +155,10 @@ struct DocumentArgs {
     made_for: MadeFor,
 }
 
-fn frame_width(text: &str) -> Result<u32, String> {
-    match text.parse() {
-        Ok(width @ 64..=4096) if width % 64 == 0 => Ok(width),
-        _ => Err(format!("{text} is not a multiple of 64 from 64 to 4096")),
-    }
+/// A width that `run` accepts.
+fn frame_width(text: &str) -> anyhow::Result<u32> {
+    Layer::flags([("frame-size", text)])?;
+    Ok(text.parse()?)
 }
 
 /// The world, frame size and appearance that documents are made for.

@@ -48,7 +48,7 @@ pub(super) struct MergeArgs {
 pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
     let ReadPlan { plan, digest } = UnitPlan::read(&args.plan)?;
     for folder in args.folders.iter().filter(|folder| !folder.is_dir()) {
-        say!("warning: {} is no folder: no units are taken from there", folder.display());
+        say!("warning: {} is not a folder: no units are taken from there", folder.display());
     }
     let folders = UnitFolders(args.folders.clone());
     let missing = folders.missing(plan.units);

@@ -229,7 +229,7 @@ impl RunPlan {
         manifest.documents = documents.facts();
         if !options.fresh && RunFolder::has_episodes(&settings.out) {
             let log = RunLog::read(&settings.out)?;
-            // With other settings a run has other episodes, too: the cause is told.
+            // Other settings often select other episodes, too: report the cause first.
             let differences = manifest.differences(&log.manifest);
             if !differences.is_empty() {
                 return Err(LogError::OtherSettings { dir: log.dir, differences }.into());
@@ -268,7 +268,7 @@ impl RunPlan {
             bail!("--max-cost needs prices: give --prices FILE (docs/costs.md describes it)");
         }
         if missing.is_empty() {
-            // What a killed run has left goes also when it had finished all episodes.
+            // A killed run may have finished all episodes: remove what it left.
             registry::clean(&registry::default_base())?;
         }
         let budget = Budget::new(model, prices, &requests);

@@ -131,11 +131,7 @@ pub fn compared_runs(a: &RunLog, b: &RunLog, compared: &[Comparison]) -> String 
     for one in differing_settings(a, b) {
         text += &wrapped(&format!(
             "Note: {} differs: {} in {}, {} in {}.",
-            one.key,
-            one.there,
-            a.name.clone(),
-            one.here,
-            b.name.clone()
+            one.key, one.there, a.name, one.here, b.name
         ));
     }
     if !text.is_empty() {

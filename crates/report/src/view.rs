@@ -32,6 +32,11 @@ impl ScoredRun<'_> {
         self.scores.of(&condition)
     }
 
+    /// Whether one of the conditions was run.
+    pub(super) fn has_any(&self, names: &[String]) -> bool {
+        names.iter().any(|name| self.score(name).is_some())
+    }
+
     /// The built-in representations, and after them the external memories of the run.
     pub(super) fn memories(&self) -> Vec<MemoryKind> {
         let built_in = Representation::ALL.iter().copied().map(MemoryKind::BuiltIn);

@@ -117,7 +117,7 @@ fn can_be_paired(a: &RunLog, b: &RunLog) -> Result<(), CompareError> {
     Ok(())
 }
 
-/// Gives runs whose folders have the same last part longer names: as many parts of their folders as differ.
+/// Gives runs whose folders have the same last part longer names: as many parts as it takes to tell them apart.
 pub fn tell_apart<'a>(logs: impl IntoIterator<Item = &'a mut RunLog>) {
     let logs: Vec<&mut RunLog> = logs.into_iter().collect();
     let folders: Vec<PathBuf> =

@@ -52,7 +52,7 @@ impl Layer {
     /// The built-in defaults.
     ///
     /// # Errors
-    /// When the built-in defaults are no valid TOML; a test rules that out.
+    /// When the built-in defaults are not valid TOML; a test rules that out.
     pub fn defaults() -> Result<Self> {
         let values = toml::from_str(DEFAULTS).map_err(|error| anyhow!("defaults: {error}"))?;
         Ok(Self { origin: Origin::Default, values })

@@ -67,7 +67,7 @@ pub const MACHINE_KEYS: &[&str] = &[
 /// The settings of a plan with the values of [`MACHINE_KEYS`] that `layers`, weakest first, give.
 ///
 /// # Errors
-/// When the merged values are no valid settings, which the checks of each layer rule out.
+/// When the merged values are not valid settings, which the checks of each layer rule out.
 pub fn on_this_machine(
     settings: &RunSettings,
     layers: impl IntoIterator<Item = Layer>,
@@ -290,16 +290,19 @@ pub fn check(settings: &RunSettings) -> Result<()> {
     if conditions.is_empty() && is_complete {
         let groups = &settings.groups;
         let learns = |arms: &[Arm]| arms == [Arm::Learning];
-        bail!(match () {
-            () if groups.iter().all(|group| group.memory.is_empty()) =>
-                "no memory is left: `--memory none` is for a memory of your own (--memory-cmd or --external-memory)",
-            () if groups.iter().all(|group| learns(&group.arms)) =>
-                "no memory is left that learns: the arm `learning` needs `adaptive`, or a memory of your own that says \
-                 that it learns",
-            () =>
-                "no condition is left: a blocked route needs the new start (add `new` to --starts), and a memory of \
-                 demonstrations needs some (--demos)",
-        });
+        ensure!(
+            groups.iter().any(|group| !group.memory.is_empty()),
+            "no memory is left: `--memory none` is for a memory of your own (--memory-cmd or --external-memory)"
+        );
+        ensure!(
+            !groups.iter().all(|group| learns(&group.arms)),
+            "no memory is left that learns: the arm `learning` needs `adaptive`, or a memory of your own that says that \
+             it learns"
+        );
+        bail!(
+            "no condition is left: a blocked route needs the new start (add `new` to --starts), and a memory of \
+             demonstrations needs some (--demos)"
+        );
     }
     // With a model, what exceeds --image-budget is left out and counted.
     if settings.model.is_some() {

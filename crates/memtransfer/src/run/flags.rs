@@ -84,7 +84,7 @@ fn add_flag(command: Command, key: &Key) -> Command {
     } else if key.is_repeated() {
         arg.value_name(key.value_name).action(ArgAction::Append)
     } else {
-        // A number that is out of range is told so.
+        // A negative number is reported as out of range, not as an unknown flag.
         arg.value_name(key.value_name).action(ArgAction::Set).allow_negative_numbers(true)
     })
 }

@@ -59,7 +59,7 @@ pub(crate) fn method() -> ReportSection {
          replacement; conditions that enter one figure together are drawn with the same cases. Where every case is \
          alike the bootstrap has no width: SPL and recovery then have Wilson's interval, a difference of success \
          rates Newcombe's, the others none. A figure that is undefined in more than one resample of twenty has no \
-         interval, either."
+         interval either."
     );
     let missing = "Figures are over finished episodes. An episode that was given up because of a fault is not scored. \
                    Where episodes are missing the report says so, with the success rate and SPL if all of them failed \

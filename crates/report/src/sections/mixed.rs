@@ -16,8 +16,7 @@ pub(super) const NO_RETRIEVAL: Missing = Missing::NotApplicable(
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let names = |representation| SETS.map(|(_, set)| name(representation, "new/unchanged", set));
-    let is_run = |name: &String| view.score(name).is_some();
-    if !view.historical().into_iter().any(|memory| names(memory)[1..].iter().any(is_run)) {
+    if !view.historical().into_iter().any(|memory| view.has_any(&names(memory)[1..])) {
         return Vec::new();
     }
     let rows = view.historical().into_iter().flat_map(|representation| {

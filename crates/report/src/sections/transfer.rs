@@ -18,8 +18,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let names = |representation| {
         DEMONSTRATIONS.map(|(_, which)| name(representation, "original/unchanged", which))
     };
-    let is_run = |name: &String| view.score(name).is_some();
-    if !view.historical().into_iter().any(|memory| names(memory)[1..].iter().any(is_run)) {
+    if !view.historical().into_iter().any(|memory| view.has_any(&names(memory)[1..])) {
         return Vec::new();
     }
     let table = Table {
