@@ -1,7 +1,7 @@
 """ONNX Runtime from Python, the package from PyPI: how fast it runs a model on images that are already tensors.
 
-    {"do": "open", "model": "FILE", "threads": 2}    ->    {"version": "...", "setting": "2 sessions of 1 thread"}
-    {"do": "time", "images": 40}                     ->    {"images_per_second": 20.0}
+    {"do": "open", "model": "FILE", "threads": 2, "provider": "cpu"}    ->    {"version": "...", "setting": "..."}
+    {"do": "time", "images": 40}                                        ->    {"images_per_second": 20.0}
 
 "open" tries one session of all threads and as many sessions of one thread, and keeps the faster way. Its tensors are
 made beforehand: preparing images is not part of what is measured here.
@@ -20,12 +20,23 @@ TRIAL_IMAGES = 12
 sessions = []
 
 
-def make(model, count, threads):
+PROVIDERS = {
+    "cpu": "CPUExecutionProvider",
+    "openvino": "OpenVINOExecutionProvider",
+    "cuda": "CUDAExecutionProvider",
+    "tensorrt": "TensorrtExecutionProvider",
+}
+
+
+def make(model, count, threads, provider):
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
-    providers = ["CPUExecutionProvider"]
-    return [onnxruntime.InferenceSession(model, options, providers=providers) for _ in range(count)]
+    made = [onnxruntime.InferenceSession(model, options, providers=[PROVIDERS[provider]]) for _ in range(count)]
+    used = made[0].get_providers()[0]
+    if used != PROVIDERS[provider]:
+        raise RuntimeError(f"ONNX Runtime computes on {used} instead of {PROVIDERS[provider]}")
+    return made
 
 
 def rate(sessions, images):
@@ -51,10 +62,10 @@ def rate(sessions, images):
     return each * len(sessions) / (time.perf_counter() - began)
 
 
-def open_model(model, threads):
+def open_model(model, threads, provider):
     global sessions
     ways = [(1, threads), (threads, 1)]
-    tried = [(rate(made := make(model, *way), TRIAL_IMAGES), way, made) for way in dict.fromkeys(ways)]
+    tried = [(rate(made := make(model, *way, provider), TRIAL_IMAGES), way, made) for way in dict.fromkeys(ways)]
     _, (count, each), sessions = max(tried, key=lambda it: it[0])
     setting = f"sessions: {count}, threads in each: {each}"
     return {"version": onnxruntime.__version__, "setting": setting}

@@ -1,14 +1,18 @@
 //! Command line of `memtransfer-bench`, and the loop over the benches.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result, bail};
+use benches::markdown::{self, Column};
 use benches::results::{BenchOutcome, FILE, Results};
-use benches::{BENCHES, Baselines, Bench, BenchSession, Size, compare, markdown, processes};
+use benches::{BENCHES, Baselines, Bench, BenchSession, Hardware, Size, compare, processes};
 use clap::{Parser, Subcommand};
+use memory_proc::encoder::Provider;
 use orchestrator::commit::commit_of;
+use sim_proc::renderer::Backend;
 
 /// Measures this project beside other programs, alternating on the same machine.
 #[derive(Debug, Parser)]
@@ -36,15 +40,25 @@ struct BenchFlags {
     /// Only show that the benches work; the figures mean nothing
     #[arg(long)]
     tiny: bool,
-    /// Insert the results into this Markdown page, between its markers
-    #[arg(long, value_name = "FILE")]
-    page: Option<PathBuf>,
+    /// What renders: cpu, or wgpu for a graphics card
+    #[arg(long, value_name = "NAME", default_value = "cpu")]
+    backend: Backend,
+    /// What the encoder computes on
+    #[arg(long, value_name = "NAME", value_enum, default_value = "cpu")]
+    provider: Provider,
     #[command(subcommand)]
     verb: Option<BenchVerb>,
 }
 
 #[derive(Debug, Subcommand)]
 enum BenchVerb {
+    /// Write the results of several machines into a Markdown page, side by side, between its markers
+    Page {
+        page: PathBuf,
+        /// Results (bench.json), one file for each machine; the name of the file is the heading of its column
+        #[arg(required = true)]
+        results: Vec<PathBuf>,
+    },
     /// Run a helper process of a bench
     #[command(hide = true)]
     Process { name: String, arguments: Vec<String> },
@@ -66,6 +80,7 @@ pub(super) fn main() -> ExitCode {
         Some(BenchVerb::Process { name, arguments }) => {
             processes::run(name, arguments).map(|()| true)
         }
+        Some(BenchVerb::Page { page, results }) => write_page(page, results).map(|()| true),
         None => run(&arguments),
     };
     match done {
@@ -94,13 +109,14 @@ fn run(arguments: &BenchFlags) -> Result<bool> {
     }
     let size = if arguments.tiny { Size::Tiny } else { Size::Full };
     for bench in benches {
+        let hardware = Hardware { backend: arguments.backend, provider: arguments.provider };
+        let rounds = arguments.rounds;
         let session =
-            BenchSession::new(bench.name, size, arguments.rounds, programs, baselines.as_ref())?;
+            BenchSession::new(bench.name, size, hardware, rounds, programs, baselines.as_ref())?;
         results.add(measure(bench, session));
         write(&results, earlier.as_ref(), &arguments.out)?;
     }
-    let table = markdown::render(&results);
-    print!("{table}");
+    print!("{}", render(&results));
     if let Some(earlier) = &earlier {
         if earlier.machine != results.machine {
             println!(
@@ -109,9 +125,6 @@ fn run(arguments: &BenchFlags) -> Result<bool> {
             );
         }
         println!("\n{}", markdown::changes(&compare::compare(earlier, &results)));
-    }
-    if let Some(page) = &arguments.page {
-        markdown::insert(page, &results)?;
     }
     eprintln!("written to {}", arguments.out.display());
     Ok(results.benches.iter().all(|outcome| outcome.error.is_none()))
@@ -148,9 +161,25 @@ fn measure(bench: &Bench, mut session: BenchSession<'_>) -> BenchOutcome {
     }
 }
 
+fn render(results: &Results) -> String {
+    markdown::render(&[Column { name: "this machine", results }])
+}
+
+fn write_page(page: &Path, files: &[PathBuf]) -> Result<()> {
+    let results = files.iter().map(|file| Results::read(file)).collect::<Result<Vec<_>>>()?;
+    let names: Vec<Cow<'_, str>> =
+        files.iter().map(|file| file.file_stem().unwrap_or_default().to_string_lossy()).collect();
+    let columns: Vec<Column<'_>> = names
+        .iter()
+        .zip(&results)
+        .map(|(name, results)| Column { name: name.as_ref(), results })
+        .collect();
+    markdown::insert(page, &columns)
+}
+
 fn write(results: &Results, earlier: Option<&Results>, out: &Path) -> Result<()> {
     results.write(out)?;
-    let mut text = markdown::render(results);
+    let mut text = render(results);
     if let Some(earlier) = earlier {
         text += &format!("\n{}", markdown::changes(&compare::compare(earlier, results)));
     }

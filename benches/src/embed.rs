@@ -8,7 +8,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use domain::Pose;
 use memory_proc::encoder::{
-    Encoder, Image, ImageSource, ModelFile, PreparedEncoder, Provider, SessionOpening,
+    Encoder, Image, ImageSource, ModelFile, PreparedEncoder, SessionOpening,
 };
 use memory_proc::manifest::EncoderManifest;
 use memory_proc::paths::CacheFolder;
@@ -50,8 +50,8 @@ fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     let poses: Vec<Pose> =
         all.iter().step_by((all.len() / count).max(1)).take(count).copied().collect();
     session.say(format_args!("rendering {} views", poses.len()));
-    let frames = drawn(&warehouse, &poses)?;
-    let mut encoder = open()?;
+    let frames = drawn(session, &warehouse, &poses)?;
+    let mut encoder = open(session)?;
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
     let mut baseline = match session.baselines {
         Some(baselines) => Some(Baseline::start(baselines, "onnx_runtime.py", session.scratch())?),
@@ -60,7 +60,10 @@ fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     let opened = match &mut baseline {
         Some(baseline) => {
             let model = default_model()?.path;
-            baseline.ask(&json!({"do": "open", "model": model, "threads": threads()}))?
+            let provider = session.hardware.provider.word();
+            baseline.ask(&json!({
+                "do": "open", "model": model, "threads": threads(), "provider": provider,
+            }))?
         }
         None => json!({}),
     };
@@ -99,10 +102,11 @@ fn default_model() -> Result<ModelFile> {
 }
 
 /// The default encoder, with a worker for each core; its sessions are open.
-pub(crate) fn open() -> Result<Encoder> {
+pub(crate) fn open(session: &BenchSession<'_>) -> Result<Encoder> {
     let threads = NonZeroUsize::new(threads()).context("no thread")?;
     let runtime = CacheFolder::from_environment()?.runtime();
-    let prepared = PreparedEncoder::new(default_model()?, &runtime, threads, Provider::Cpu)?;
+    let provider = session.hardware.provider;
+    let prepared = PreparedEncoder::new(default_model()?, &runtime, threads, provider)?;
     let mut encoder = prepared.start(SessionOpening::Eagerly, || {});
     let black = FramePixels(vec![0; FrameSize::DEFAULT.bytes()].into());
     // One per worker, so that every worker opens its session.
@@ -118,8 +122,14 @@ pub(crate) fn rate(encoder: &mut Encoder, frames: &[FramePixels]) -> Result<f64>
 }
 
 /// Views of the unchanged world, rendered with the settings of a run.
-pub(crate) fn drawn(warehouse: &Warehouse, poses: &[Pose]) -> Result<Vec<FramePixels>> {
-    let mut renderer = Renderer::new(warehouse, RenderSettings::default())?;
+pub(crate) fn drawn(
+    session: &BenchSession<'_>,
+    warehouse: &Warehouse,
+    poses: &[Pose],
+) -> Result<Vec<FramePixels>> {
+    let backend = Some(session.hardware.backend);
+    let settings = RenderSettings { backend, ..RenderSettings::default() };
+    let mut renderer = Renderer::new(warehouse, settings)?;
     let unchanged = Variant::UNCHANGED;
     let mut draw = |&pose: &Pose| {
         let mut rgba = vec![0; renderer.frame_bytes()];

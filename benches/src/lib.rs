@@ -32,7 +32,7 @@ pub mod suite;
 
 pub use baselines::{Baseline, Baselines};
 pub use figure::{Better, Measurement};
-pub use session::{BenchSession, Size};
+pub use session::{BenchSession, Hardware, Size};
 
 /// One group of measurements.
 #[derive(Debug, Clone, Copy)]

@@ -1,109 +1,186 @@
-//! Results as Markdown: the section of docs/performance.md that `--page` replaces.
+//! Results as Markdown: the section of docs/performance.md that `memtransfer-bench page` writes.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 
 use crate::compare::Change;
-use crate::figure::{Measurement, MeasurementSummary, shown};
+use crate::figure::{BaselineFigure, Measurement, MeasurementSummary, shown};
 use crate::results::{BenchOutcome, Results, write_whole};
 
 /// Markers around the section of a page that [`insert`] replaces.
-const MARKERS: [&str; 2] = ["<!-- written by memtransfer-bench --page -->", "<!-- end -->"];
+const MARKERS: [&str; 2] = ["<!-- written by memtransfer-bench page -->", "<!-- end -->"];
 
-/// Renders machine, table, every figure, and failures.
-pub fn render(results: &Results) -> String {
+/// Results of a machine under its name in the tables.
+#[derive(Debug, Clone, Copy)]
+pub struct Column<'a> {
+    /// Heading of its column.
+    pub name: &'a str,
+    /// What was measured there.
+    pub results: &'a Results,
+}
+
+/// Renders the machines, a table of the targets with a column for each machine, every figure, and failures.
+pub fn render(columns: &[Column<'_>]) -> String {
     let mut text = String::new();
-    for outcome in &results.benches {
-        if let Some(error) = &outcome.error {
-            text += &format!("The bench `{}` failed: {error}\n\n", outcome.name);
+    for Column { name, results } in columns {
+        for outcome in &results.benches {
+            if let Some(error) = &outcome.error {
+                text += &format!("The bench `{}` failed on {name}: {error}\n\n", outcome.name);
+            }
         }
     }
-    text += &format!("Machine: {}.\n", results.machine.summary());
-    let commits: Vec<String> = results
+    for Column { name, results } in columns {
+        let measured = measured_at(results);
+        text += &format!("- {name}: {}.{measured}\n", results.machine.summary());
+    }
+    text += "\nA cell is ours / the baseline's = their ratio. Medians over rounds, with the range in parentheses; ours \
+             and the baseline alternate on one machine.\n\n";
+    let benches = benches_of(columns);
+    let targets = benches.iter().flat_map(|(outcome, rows)| {
+        let rows = rows.iter().filter(|row| row.first().target.is_some());
+        rows.map(|row| row.target_line(&outcome.name))
+    });
+    text += &table(columns, &["what", "against", "target"], &["command"], targets);
+    for (outcome, rows) in &benches {
+        text += &format!("\n### `{}`: {}\n\n", outcome.name, outcome.about);
+        if rows.is_empty() {
+            text += "No figures.\n";
+        } else {
+            text += &table(columns, &["what"], &["id"], rows.iter().map(FigureRow::line));
+        }
+    }
+    text
+}
+
+/// The commits at which these results were measured.
+fn measured_at(results: &Results) -> String {
+    let commits: BTreeSet<String> = results
         .benches
         .iter()
         .map(|outcome| {
             let commit = outcome.commit.as_deref().unwrap_or("no commit");
             let short: String = commit.chars().take(10).collect();
-            format!(
-                "{short}{} on {}",
-                if commit.ends_with('+') { "+" } else { "" },
-                day(&outcome.began)
-            )
+            let changed = if commit.ends_with('+') { "+" } else { "" };
+            format!("{short}{changed} on {}", day(&outcome.began))
         })
         .collect();
-    let mut distinct = commits.clone();
-    distinct.sort();
-    distinct.dedup();
-    if !distinct.is_empty() {
-        text += &format!("Measured at {}.\n", distinct.join("; "));
+    if commits.is_empty() {
+        return String::new();
     }
-    text += "Medians over rounds with the range in parentheses; ours and the baseline alternate on one machine.\n\n";
-    let targets: Vec<[String; 8]> = results
-        .benches
-        .iter()
-        .flat_map(|outcome| outcome.figures.iter().filter_map(|figure| target_row(outcome, figure)))
-        .collect();
-    text += &rows(&TARGET_COLUMNS, &targets);
-    for outcome in &results.benches {
-        text += &format!("\n### `{}`: {}\n\n", outcome.name, outcome.about);
-        if outcome.figures.is_empty() {
-            text += "No figures.\n";
-            continue;
+    format!(" Measured at {}.", commits.into_iter().collect::<Vec<_>>().join("; "))
+}
+
+/// A figure on each machine; `None` where it was not measured.
+struct FigureRow<'a>(Vec<Option<&'a Measurement>>);
+
+/// Every bench with its figures, in the order of the first machine that has it.
+fn benches_of<'a>(columns: &[Column<'a>]) -> Vec<(&'a BenchOutcome, Vec<FigureRow<'a>>)> {
+    let mut benches: Vec<(&BenchOutcome, Vec<FigureRow<'_>>)> = Vec::new();
+    for (number, column) in columns.iter().enumerate() {
+        for outcome in &column.results.benches {
+            let known = benches.iter().position(|(known, _)| known.name == outcome.name);
+            let place = known.unwrap_or_else(|| {
+                benches.push((outcome, Vec::new()));
+                benches.len() - 1
+            });
+            let rows = &mut benches[place].1;
+            for figure in &outcome.figures {
+                let known = rows.iter().position(|row| row.first().id == figure.id);
+                let row = known.unwrap_or_else(|| {
+                    rows.push(FigureRow(vec![None; columns.len()]));
+                    rows.len() - 1
+                });
+                rows[row].0[number] = Some(figure);
+            }
         }
-        let lines: Vec<[String; 5]> = outcome.figures.iter().map(figure_row).collect();
-        text += &rows(&["what", "ours", "baseline", "ours / baseline", "id"], &lines);
     }
-    text
+    benches
 }
 
-/// Columns of the table of targets.
-const TARGET_COLUMNS: [&str; 8] =
-    ["what", "against", "target", "ours", "baseline", "ours / baseline", "target met", "command"];
-
-/// The row of a figure in the table of targets; `None` if it has no target.
-fn target_row(outcome: &BenchOutcome, figure: &Measurement) -> Option<[String; 8]> {
-    let target = figure.target.as_ref()?;
-    let [ours, baseline, ratio] = values(figure);
-    let met = figure.meets_target().map(|met| if met { "yes" } else { "no" });
-    Some([
-        figure.what.clone(),
-        baseline_name(figure).unwrap_or_default(),
-        target.text.clone(),
-        ours,
-        baseline,
-        ratio,
-        met.unwrap_or(NONE).to_owned(),
-        format!("`cargo xtask bench --only {}`", outcome.name),
-    ])
-}
-
-/// The row of a figure in the table of its bench.
-fn figure_row(figure: &Measurement) -> [String; 5] {
-    let parameters: Vec<String> =
-        figure.parameters.iter().map(|(name, value)| format!("{name} {value}")).collect();
-    let about: Vec<String> = std::iter::once(figure.what.clone())
-        .chain((!parameters.is_empty()).then(|| parameters.join(", ")))
-        .chain(figure.note.clone())
-        .collect();
-    let [ours, mut baseline, ratio] = values(figure);
-    if let Some(name) = baseline_name(figure) {
-        baseline = format!("{name}: {baseline}");
+impl<'a> FigureRow<'a> {
+    /// The figure on the first machine that has it.
+    fn first(&self) -> &'a Measurement {
+        let first = self.0.iter().flatten().next();
+        first.unwrap_or_else(|| unreachable!("a row is made for a figure"))
     }
-    [about.join("; "), ours, baseline, ratio, format!("`{}`", figure.id)]
+
+    /// The line in the table of targets.
+    fn target_line(&self, bench: &str) -> Vec<String> {
+        let first = self.first();
+        let target = first.target.as_ref().map(|target| target.text.clone());
+        let against = first.baseline.as_ref().map(|baseline| baseline.name.clone());
+        let mut line =
+            vec![first.what.clone(), against.unwrap_or_default(), target.unwrap_or_default()];
+        line.extend(self.0.iter().map(|figure| match figure {
+            Some(figure) => values(figure) + missed(figure),
+            None => NONE.to_owned(),
+        }));
+        line.push(format!("`cargo xtask bench --only {bench}`"));
+        line
+    }
+
+    /// The line in the table of its bench. Parameters that differ between the machines are in their cells.
+    fn line(&self) -> Vec<String> {
+        let first = self.first();
+        let about = self.0.iter().flatten().map(|figure| parameters(figure));
+        let common = about.reduce(|mut common, other| {
+            common.retain(|parameter| other.contains(parameter));
+            common
+        });
+        let common = common.unwrap_or_default();
+        let mut line = vec![
+            std::iter::once(first.what.clone())
+                .chain((!common.is_empty()).then(|| common.join(", ")))
+                .chain(first.note.clone())
+                .collect::<Vec<_>>()
+                .join("; "),
+        ];
+        line.extend(self.0.iter().map(|figure| match figure {
+            Some(figure) => {
+                let own: Vec<String> =
+                    parameters(figure).into_iter().filter(|one| !common.contains(one)).collect();
+                let own =
+                    if own.is_empty() { own.join("") } else { format!("; {}", own.join(", ")) };
+                values(figure) + &own
+            }
+            None => NONE.to_owned(),
+        }));
+        line.push(format!("`{}`", first.id));
+        line
+    }
 }
 
-/// What stands for a value that there is not.
+/// What a figure was measured with, its baseline among it.
+fn parameters(figure: &Measurement) -> Vec<String> {
+    let parameters = figure.parameters.iter().map(|(name, value)| format!("{name} {value}"));
+    let baseline = figure.baseline.as_ref().map(|BaselineFigure { name, version, .. }| {
+        format!("against {name} {version}").trim_end().to_owned()
+    });
+    baseline.into_iter().chain(parameters).collect()
+}
+
+/// What stands for a figure that was not measured.
 const NONE: &str = "–";
 
-/// Our value, the baseline's, and their ratio.
-fn values(figure: &Measurement) -> [String; 3] {
-    let unit = figure.unit.as_str();
-    [(figure.summary(), unit), (figure.baseline_summary(), unit), (figure.ratio(), "")].map(
-        |(summary, unit)| summary.map_or_else(|| NONE.to_owned(), |found| with_unit(found, unit)),
-    )
+/// Our value; with a baseline, its value and their ratio, too.
+fn values(figure: &Measurement) -> String {
+    let with_unit = |summary: Option<MeasurementSummary>, unit: &str| {
+        summary.map_or_else(|| NONE.to_owned(), |found| with_unit(found, unit))
+    };
+    let ours = with_unit(figure.summary(), &figure.unit);
+    if figure.baseline.is_none() {
+        return ours;
+    }
+    let baseline = with_unit(figure.baseline_summary(), &figure.unit);
+    format!("{ours} / {baseline} = {}", with_unit(figure.ratio(), ""))
+}
+
+/// Says so where a target is missed.
+fn missed(figure: &Measurement) -> &'static str {
+    if figure.meets_target() == Some(false) { "; **missed**" } else { "" }
 }
 
 /// A median with its unit, and the range unless it is a single value.
@@ -113,34 +190,26 @@ fn with_unit(MeasurementSummary { median, min, max }: MeasurementSummary, unit: 
     parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(" ")
 }
 
-fn baseline_name(figure: &Measurement) -> Option<String> {
-    let baseline = figure.baseline.as_ref()?;
-    Some(format!("{} {}", baseline.name, baseline.version).trim().to_owned())
-}
-
 /// Renders changes since earlier results.
 pub fn changes(changes: &[Change]) -> String {
-    let lines: Vec<[String; 6]> = changes
-        .iter()
-        .map(|change| {
-            [
-                format!("`{}`", change.id),
-                with_unit(change.before, &change.unit),
-                with_unit(change.now, &change.unit),
-                shown(change.ratio),
-                change.baseline_ratio.map_or_else(|| NONE.to_owned(), shown),
-                change.verdict.words().to_owned(),
-            ]
-        })
-        .collect();
-    rows(&["figure", "before", "now", "now / before", "baseline, now / before", "verdict"], &lines)
+    let lines = changes.iter().map(|change| {
+        vec![
+            format!("`{}`", change.id),
+            with_unit(change.before, &change.unit),
+            with_unit(change.now, &change.unit),
+            shown(change.ratio),
+            change.baseline_ratio.map_or_else(|| NONE.to_owned(), shown),
+            change.verdict.words().to_owned(),
+        ]
+    });
+    rows(&["figure", "before", "now", "now / before", "baseline, now / before", "verdict"], lines)
 }
 
 /// Replaces the section between the markers of the page in `path`.
 ///
 /// # Errors
 /// When the page cannot be read or written, or has no markers.
-pub fn insert(path: &Path, results: &Results) -> Result<()> {
+pub fn insert(path: &Path, columns: &[Column<'_>]) -> Result<()> {
     let page =
         fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     let parts = page
@@ -149,7 +218,7 @@ pub fn insert(path: &Path, results: &Results) -> Result<()> {
     let Some((before, after)) = parts else {
         bail!("{} has no line {:?} with {:?} after it", path.display(), MARKERS[0], MARKERS[1]);
     };
-    let text = format!("{before}{}\n\n{}\n{}{after}", MARKERS[0], render(results), MARKERS[1]);
+    let text = format!("{before}{}\n\n{}\n{}{after}", MARKERS[0], render(columns), MARKERS[1]);
     write_whole(path, &text)
 }
 
@@ -158,14 +227,26 @@ fn day(date: &str) -> String {
     date.split_whitespace().skip(1).take(3).collect::<Vec<_>>().join(" ")
 }
 
+/// Renders a table with a column for each machine between these.
+fn table(
+    columns: &[Column<'_>],
+    before: &[&str],
+    after: &[&str],
+    lines: impl Iterator<Item = Vec<String>>,
+) -> String {
+    let names = columns.iter().map(|column| column.name);
+    let header: Vec<&str> =
+        before.iter().copied().chain(names).chain(after.iter().copied()).collect();
+    rows(&header, lines)
+}
+
 /// Renders a table.
-fn rows<const N: usize>(header: &[&str; N], rows: &[[String; N]]) -> String {
+fn rows(header: &[&str], lines: impl Iterator<Item = Vec<String>>) -> String {
     let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
-    let cells = |row: &[String; N]| row.iter().map(|cell| cell.replace('|', "\\|")).collect();
     let mut text = line(header.iter().map(|name| (*name).to_owned()).collect());
-    text += &line(vec!["---".to_owned(); N]);
-    for row in rows {
-        text += &line(cells(row));
+    text += &line(vec!["---".to_owned(); header.len()]);
+    for cells in lines {
+        text += &line(cells.iter().map(|cell| cell.replace('|', "\\|")).collect());
     }
     text
 }
@@ -175,27 +256,43 @@ mod tests {
     use super::*;
     use crate::figure::{Better, FigureBound};
 
-    #[test]
-    fn a_figure_with_a_target_has_a_row() {
-        let hop = Measurement::new("hop.round-trip", "a round trip", "ns", Better::Lower)
-            .ours([500.0, 510.0, 490.0])
-            .baseline("iceoryx2", "0.10", [400.0, 400.0, 400.0])
-            .target(FigureBound::Ratio(1.5), "within 1.5 x");
-        let floor = Measurement::new("hop.floor", "no target", "ns", Better::Lower).ours([1.0]);
+    fn results(figures: Vec<Measurement>) -> Results {
         let outcome = BenchOutcome {
             name: "hop".to_owned(),
-            about: String::new(),
+            about: "hops".to_owned(),
             began: String::new(),
             commit: None,
             seconds: 0.0,
             error: None,
-            figures: vec![hop, floor],
+            figures,
         };
-        let rows = outcome.figures.iter().map(|figure| target_row(&outcome, figure));
-        let rows: Vec<Option<String>> = rows.map(|row| Some(row?.join(" | "))).collect();
-        let expected = "a round trip | iceoryx2 0.10 | within 1.5 x | 500 ns (490 to 510) | 400 ns | \
-                        1.25 (1.23 to 1.27) | yes | `cargo xtask bench --only hop`";
-        assert_eq!(rows, [Some(expected.to_owned()), None]);
+        Results { benches: vec![outcome], ..Results::here() }
+    }
+
+    #[test]
+    fn machines_stand_side_by_side() {
+        let hop = |theirs: f64| {
+            Measurement::new("hop.round-trip", "a round trip", "ns", Better::Lower)
+                .ours([500.0, 510.0, 490.0])
+                .baseline("iceoryx2", "0.10", [theirs; 3])
+                .target(FigureBound::Ratio(1.5), "within 1.5 x")
+                .parameter("bytes", 40)
+                .parameter("cores", theirs)
+        };
+        let floor = Measurement::new("hop.floor", "the floor", "ns", Better::Lower).ours([1.0]);
+        let (one, two) = (results(vec![hop(400.0)]), results(vec![floor, hop(200.0)]));
+        let columns = [Column { name: "A", results: &one }, Column { name: "B", results: &two }];
+        let text = render(&columns);
+        for line in [
+            "| what | against | target | A | B | command |",
+            "| a round trip | iceoryx2 | within 1.5 x | 500 ns (490 to 510) / 400 ns = 1.25 (1.23 to 1.27) | 500 ns \
+             (490 to 510) / 200 ns = 2.50 (2.45 to 2.55); **missed** | `cargo xtask bench --only hop` |",
+            "| a round trip; against iceoryx2 0.10, bytes 40 | 500 ns (490 to 510) / 400 ns = 1.25 (1.23 to 1.27); cores \
+             400 | 500 ns (490 to 510) / 200 ns = 2.50 (2.45 to 2.55); cores 200 | `hop.round-trip` |",
+            "| the floor | – | 1.00 ns | `hop.floor` |",
+        ] {
+            assert!(text.lines().any(|found| found == line), "no line {line:?} in\n{text}");
+        }
     }
 
     #[test]
@@ -207,15 +304,17 @@ mod tests {
             format!("Before.\n{}\nwritten before\n{}\nAfter.\n", MARKERS[0], MARKERS[1]),
         )
         .unwrap();
-        insert(&path, &Results::here()).unwrap();
-        insert(&path, &Results::here()).unwrap();
+        let here = Results::here();
+        let columns = [Column { name: "this machine", results: &here }];
+        insert(&path, &columns).unwrap();
+        insert(&path, &columns).unwrap();
         let text = fs::read_to_string(&path).unwrap();
         assert!(
             text.starts_with("Before.\n<!--") && text.ends_with("<!-- end -->\nAfter.\n"),
             "{text}"
         );
-        assert!(text.contains("Machine: ") && !text.contains("written before"), "{text}");
+        assert!(text.contains("- this machine: ") && !text.contains("written before"), "{text}");
         fs::write(&path, "no marks").unwrap();
-        assert!(insert(&path, &Results::here()).is_err());
+        assert!(insert(&path, &columns).is_err());
     }
 }

@@ -48,8 +48,8 @@ fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     let warehouse = Warehouse::shipped();
     let poses: Vec<_> =
         every_pose(&warehouse.layout).step_by(7).take(session.size.pick(2, 128)).collect();
-    let frames = embed::drawn(&warehouse, &poses)?;
-    let mut encoder = embed::open()?;
+    let frames = embed::drawn(session, &warehouse, &poses)?;
+    let mut encoder = embed::open(session)?;
     let dimension = encoder.facts().dimension;
     let (mut rounds, mut views) = (OverlapRounds::default(), (0, 0));
     for round in 1..=session.rounds() {
@@ -117,8 +117,8 @@ struct RunMeasurement {
 
 /// Runs cases with episodic memory and `cache` as the cache folder.
 fn execute(session: &BenchSession<'_>, cache: &Path, flags: &[&str]) -> Result<RunMeasurement> {
-    let mut command = session.memtransfer()?;
-    command.env("MEMTRANSFER_CACHE", cache).args(["run", "--fresh", "--quiet", "--out", "run"]);
+    let mut command = session.run_command()?;
+    command.env("MEMTRANSFER_CACHE", cache).args(["--fresh", "--quiet", "--out", "run"]);
     command.args(["--policy", "grounded", "--memory", "episodic", "--starts", "new"]);
     command.args(["--routes", "unchanged", "--demos", "4", "--lanes", "32"]);
     command.args(["--limit", session.size.pick("1", "50")]).args(flags);

@@ -166,10 +166,14 @@ impl Rival {
             .baseline(cold.baseline, self.said["version"].as_str().unwrap_or_default(), rates)
             .parameter("baseline's size", format_args!("{width} x {height}"))
             .parameter("baseline's processes", processes);
-        match self.said["samples"].as_u64() {
-            Some(samples) => figure.parameter("baseline's samples", samples),
-            None => figure,
-        }
+        let told = [
+            ("renderer", self.said["renderer"].as_str().map(str::to_owned)),
+            ("samples", self.said["samples"].as_u64().map(|count| count.to_string())),
+        ];
+        let told = told.into_iter().filter_map(|(name, value)| Some((name, value?)));
+        told.fold(figure, |figure, (name, value)| {
+            figure.parameter(format!("baseline's {name}"), value)
+        })
     }
 }
 
@@ -200,7 +204,11 @@ pub(crate) struct Drawn {
 
 /// Measures ours in a new process without any resident view.
 pub(crate) fn ours(session: &BenchSession<'_>, samples: Samples) -> Result<Drawn> {
-    let arguments = [samples.count().to_string(), session.size.pick(8, usize::MAX).to_string()];
+    let arguments = [
+        samples.count().to_string(),
+        session.size.pick(8, usize::MAX).to_string(),
+        session.hardware.backend.to_string(),
+    ];
     let printed = processes::output_of(session, "render", &arguments, &[])?;
     serde_json::from_str(&printed)
         .with_context(|| format!("the helper process render printed {printed:?}"))
@@ -233,12 +241,13 @@ impl BenchRenderer {
 
 /// The helper process of [`ours`]: renders views and prints the rate.
 pub(crate) fn render_process(arguments: &[String]) -> Result<()> {
-    let [samples, most] = arguments else {
-        bail!("expected the number of samples and the number of views")
+    let [samples, most, backend] = arguments else {
+        bail!("expected the number of samples, the number of views and the backend")
     };
     let samples = if samples == "1" { Samples::One } else { Samples::Four };
     let warehouse = Warehouse::shipped();
-    let settings = RenderSettings { samples, ..RenderSettings::default() };
+    let backend = Some(backend.parse().map_err(anyhow::Error::msg)?);
+    let settings = RenderSettings { samples, backend, ..RenderSettings::default() };
     let renderers = open_renderers(std::slice::from_ref(&warehouse), settings)?;
     let mut workers: Vec<BenchRenderer> = renderers.into_iter().map(BenchRenderer::new).collect();
     let poses: Vec<Pose> = every_pose(&warehouse.layout).collect();

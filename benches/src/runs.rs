@@ -41,9 +41,9 @@ impl BenchRun {
     /// When `memtransfer` is not built.
     pub fn command(&self, session: &BenchSession<'_>, out: &str) -> Result<(Command, PathBuf)> {
         let folder = session.scratch().join(out);
-        let mut command = session.memtransfer()?;
+        let mut command = session.run_command()?;
         command
-            .args(["run", "--quiet", "--fresh", "--lanes", &self.lanes.to_string()])
+            .args(["--quiet", "--fresh", "--lanes", &self.lanes.to_string()])
             .args(["--runs", &self.runs.to_string(), "--out", out])
             .args(&self.flags)
             .envs(self.env.iter().map(|(name, value)| (name, value)))

@@ -6,6 +6,9 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, Result, bail};
 use tempfile::TempDir;
 
+use memory_proc::encoder::Provider;
+use sim_proc::renderer::Backend;
+
 use crate::baselines::Baselines;
 
 /// How much a bench measures.
@@ -27,11 +30,27 @@ impl Size {
     }
 }
 
+/// What renders and embeds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Hardware {
+    /// What renders views.
+    pub backend: Backend,
+    /// What the encoder computes on.
+    pub provider: Provider,
+}
+
+impl Hardware {
+    /// The processor alone.
+    pub const CPU: Self = Self { backend: Backend::Cpu, provider: Provider::Cpu };
+}
+
 /// The environment of one bench.
 #[derive(Debug)]
 pub struct BenchSession<'a> {
     /// How much to measure.
     pub size: Size,
+    /// What renders and embeds.
+    pub hardware: Hardware,
     /// The Python environment of the baselines; without it a bench measures only this project.
     pub baselines: Option<&'a Baselines>,
     /// The folder of the built programs.
@@ -51,6 +70,7 @@ impl<'a> BenchSession<'a> {
     pub fn new(
         bench: &'static str,
         size: Size,
+        hardware: Hardware,
         rounds: u32,
         programs: &'a Path,
         baselines: Option<&'a Baselines>,
@@ -59,7 +79,8 @@ impl<'a> BenchSession<'a> {
         let registry = tempfile::Builder::new().prefix("mtb").tempdir_in("/tmp");
         let scratch = scratch.context("cannot create a scratch folder")?;
         let registry = registry.context("cannot create a registry folder for runs")?;
-        Ok(Self { size, baselines, programs, rounds: rounds.max(1), bench, scratch, registry })
+        let rounds = rounds.max(1);
+        Ok(Self { size, hardware, baselines, programs, rounds, bench, scratch, registry })
     }
 
     /// Number of rounds, at least one.
@@ -97,6 +118,18 @@ impl<'a> BenchSession<'a> {
             );
         }
         Ok(program)
+    }
+
+    /// A command for `memtransfer run` in the scratch folder, on the session's hardware, with a registry of its own and
+    /// no settings from the environment.
+    ///
+    /// # Errors
+    /// When it is not built.
+    pub fn run_command(&self) -> Result<Command> {
+        let mut command = self.memtransfer()?;
+        let Hardware { backend, provider } = self.hardware;
+        command.args(["run", "--backend", &backend.to_string(), "--provider", provider.word()]);
+        Ok(command)
     }
 
     /// A command for `memtransfer` in the scratch folder, with a registry of its own and no settings from the

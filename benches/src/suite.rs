@@ -53,9 +53,9 @@ fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
 
 /// Runs the suite and returns its duration in seconds.
 fn execute(session: &BenchSession<'_>, cache: &Path, out: &str) -> Result<f64> {
-    let mut command = session.memtransfer()?;
+    let mut command = session.run_command()?;
     command.env("MEMTRANSFER_CACHE", cache);
-    command.args(["run", "--quiet", "--fresh", "--policy", "grounded", "--lanes", LANES]);
+    command.args(["--quiet", "--fresh", "--policy", "grounded", "--lanes", LANES]);
     command.args(["--out", out]);
     command.args(match session.size {
         Size::Full => &["--suite", "paper"][..],

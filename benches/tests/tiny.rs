@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-use benches::{BENCHES, BenchSession, Size};
+use benches::{BENCHES, BenchSession, Hardware, Size};
 
 /// One at a time: benches start processes.
 static MACHINE: Mutex<()> = Mutex::new(());
@@ -15,7 +15,8 @@ fn tiny(name: &str) {
     let _alone = MACHINE.lock().unwrap_or_else(PoisonError::into_inner);
     let programs = Path::new(env!("CARGO_BIN_EXE_memtransfer-bench")).parent().unwrap();
     let bench = BENCHES.iter().find(|bench| bench.name == name).unwrap();
-    let mut session = BenchSession::new(bench.name, Size::Tiny, 1, programs, None).unwrap();
+    let mut session =
+        BenchSession::new(bench.name, Size::Tiny, Hardware::CPU, 1, programs, None).unwrap();
     let figures = (bench.run)(&mut session).unwrap();
     assert!(!figures.is_empty(), "{name} returned no figure");
     let mut ids = BTreeSet::new();
