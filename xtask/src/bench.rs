@@ -32,7 +32,7 @@ pub(crate) struct BenchArguments {
     /// Measure only this project, without installing the baselines
     #[arg(long)]
     pub(crate) no_baselines: bool,
-    /// Further flags for `memtransfer-bench`, for example `-- --page docs/performance.md`
+    /// Further flags for `memtransfer-bench`, for example `-- --backend wgpu --provider cuda`
     #[arg(last = true)]
     flags: Vec<OsString>,
 }

@@ -101,7 +101,7 @@ impl PreparedEncoder {
     /// Loads ONNX Runtime from the library `runtime` for an encoder of `threads` workers.
     ///
     /// # Errors
-    /// When the runtime cannot be used or does not offer the execution provider.
+    /// When the runtime cannot be used, or its execution provider cannot.
     pub fn new(
         file: ModelFile,
         runtime: &Path,
@@ -110,6 +110,8 @@ impl PreparedEncoder {
     ) -> Result<Self> {
         let runtime = Runtime::load(runtime)?;
         provider.check(runtime.path)?;
+        // A first session shows whether the provider's libraries are there: before the run starts, not at its first image.
+        drop(runtime.builder(provider)?);
         let (model, build) = (&file.model, runtime.build());
         let facts = EncoderFacts {
             model: model.label(),

@@ -4,6 +4,7 @@ use std::fmt;
 use std::path::Path;
 
 use clap::ValueEnum;
+use ort::ep::cuda::ConvAlgorithmSearch;
 use ort::ep::{CPU, CUDA, ExecutionProvider, ExecutionProviderDispatch, OpenVINO, TensorRT};
 
 use anyhow::{Result, bail};
@@ -67,7 +68,12 @@ impl Provider {
         match self {
             Self::Cpu => CPU::default().build(),
             Self::Openvino => OpenVINO::default().build(),
-            Self::Cuda => CUDA::default().build(),
+            // Without these settings, each session times the algorithms of a convolution and takes the fastest, and
+            // factors are rounded to TF32 (10 bits), which changes what is retrieved.
+            Self::Cuda => CUDA::default()
+                .with_conv_algorithm_search(ConvAlgorithmSearch::Default)
+                .with_tf32(false)
+                .build(),
             Self::Tensorrt => TensorRT::default().build(),
         }
         .error_on_failure()

@@ -167,6 +167,30 @@ impl Runtime {
         }
     }
 
+    /// Settings of a session on this provider.
+    ///
+    /// # Errors
+    /// When the libraries that the provider needs are missing.
+    pub(super) fn builder(self, provider: Provider) -> Result<SessionBuilder> {
+        fn plain(result: BuilderResult) -> Result<SessionBuilder, ort::Error> {
+            result.map_err(|error| ort::Error::new(error.message()))
+        }
+        let builder = || {
+            let builder = OrtSession::builder(self.environment)?;
+            let builder = plain(builder.with_execution_providers([provider.dispatch()]))?;
+            let builder = plain(builder.with_intra_threads(1))?;
+            let builder = plain(builder.with_deterministic_compute(true))?;
+            plain(builder.with_optimization_level(GraphOptimizationLevel::All))
+        };
+        builder().map_err(|error| {
+            anyhow!(
+                "ONNX Runtime cannot use its execution provider `{provider}`: {}. Install the libraries that this \
+                 provider needs (docs/encoders.md), or pass --provider cpu",
+                error.message().trim_end()
+            )
+        })
+    }
+
     /// The library's build: its commit, or its whole description where that names no commit.
     pub(super) fn build(&self) -> String {
         let info = ort::info();
@@ -190,7 +214,7 @@ impl EncoderSession {
         let rejected = |error: ort::Error| {
             anyhow!("ONNX Runtime rejects the model file {path}: {}", error.message())
         };
-        let mut builder = builder(runtime.environment, provider).map_err(rejected)?;
+        let mut builder = runtime.builder(provider)?;
         let session = builder.commit_from_memory(&file.bytes()?).map_err(rejected)?;
         let model = &file.model;
         let says_untrained = |session: &OrtSession| {
@@ -229,17 +253,6 @@ impl EncoderSession {
             format!("{FAILED}: {output} holds only zeros, or a value that is not finite")
         })
     }
-}
-
-fn builder(environment: &Environment, provider: Provider) -> Result<SessionBuilder, ort::Error> {
-    fn plain(result: BuilderResult) -> Result<SessionBuilder, ort::Error> {
-        result.map_err(|error| ort::Error::new(error.message()))
-    }
-    let builder = OrtSession::builder(environment)?;
-    let builder = plain(builder.with_execution_providers([provider.dispatch()]))?;
-    let builder = plain(builder.with_intra_threads(1))?;
-    let builder = plain(builder.with_deterministic_compute(true))?;
-    plain(builder.with_optimization_level(GraphOptimizationLevel::All))
 }
 
 /// The input or output called `name`.
