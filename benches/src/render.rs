@@ -77,7 +77,7 @@ const COLD: [Cold; 2] = [
         id: "render.4-samples",
         what: "views rendered for the first time, with 4x MSAA",
         samples: Samples::Four,
-        target: (5.0, "five times MiniWorld"),
+        target: (10.0, "ten times MiniWorld"),
         baseline: "MiniWorld",
         script: "miniworld.py",
         size_px: (FrameSize::DEFAULT.width, FrameSize::DEFAULT.height),

@@ -291,6 +291,7 @@ impl<I: Clone> Engine<I> {
         let &ExternalAnswer { lane, episode, step, .. } = message;
         self.externals.hear(index);
         let items = self.externals.items(index, message);
+        let in_time = self.externals.check_time(index, message);
         let name = self.externals.name(index);
         let place = self.lanes.get_mut(lane as usize).and_then(|lane| lane.running.as_mut());
         let is_its_own = |running: &&mut MemoryEpisode| {
@@ -316,10 +317,16 @@ impl<I: Clone> Engine<I> {
             PendingStage::Asked { since_ns } if now == step => Some(since_ns),
             _ => None,
         };
-        let checked = match asked {
-            None => Err(format!("it answers step {step}, and the last question was step {now}")),
-            Some(since_ns) => {
-                items.and_then(|items| running.checked(items)).map(|checked| (checked, since_ns))
+        let refused =
+            |why: String| Reason::from(format!("external memory {name}, step {step}: {why}"));
+        let checked = match (asked, in_time) {
+            (None, _) => Err(refused(format!(
+                "it answers step {step}, and the last question was step {now}"
+            ))),
+            (Some(_), Err(overdue)) => Err(overdue),
+            (Some(since_ns), Ok(())) => {
+                let checked = items.and_then(|items| running.checked(items));
+                checked.map(|checked| (checked, since_ns)).map_err(refused)
             }
         };
         match checked {
@@ -345,10 +352,7 @@ impl<I: Clone> Engine<I> {
                     self.pending.insert(lane);
                 }
             }
-            Err(why) => {
-                let why = format!("external memory {name}, step {step}: {why}");
-                self.fail(lane, why);
-            }
+            Err(why) => self.fail(lane, why),
         }
         Ok(())
     }

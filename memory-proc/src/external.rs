@@ -523,12 +523,28 @@ impl ExternalMemories {
         if u128::from(now_ns.saturating_sub(since_ns)) <= limit.as_nanos() {
             return LaneProgress::Waiting;
         }
-        let name = self.name(index);
         let step = episode.current.as_ref().map_or(0, |now| now.step);
-        let seconds = limit.as_secs_f64();
-        LaneProgress::Failed(Reason::overdue(format!(
+        LaneProgress::Failed(self.unanswered(index, step))
+    }
+
+    /// Checks that the memory itself has not taken longer than the time limit allows: [`wait`](Self::wait) cannot tell
+    /// while the memory may be building a bank.
+    ///
+    /// # Errors
+    /// When it has.
+    pub(crate) fn check_time(&self, index: u8, message: &ExternalAnswer) -> Result<(), Reason> {
+        let taken_ns = message.sent_ns.saturating_sub(message.received_ns);
+        if u128::from(taken_ns) <= self.limits.answer.as_nanos() {
+            return Ok(());
+        }
+        Err(self.unanswered(index, message.step))
+    }
+
+    fn unanswered(&self, index: u8, step: u32) -> Reason {
+        let (name, seconds) = (self.name(index), self.limits.answer.as_secs_f64());
+        Reason::overdue(format!(
             "external memory {name} has not answered step {step} within {seconds} s"
-        )))
+        ))
     }
 
     /// Takes a note.

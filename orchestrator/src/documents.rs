@@ -142,7 +142,14 @@ impl DocumentRequest {
         report: &mut dyn FnMut(BuildStage),
     ) -> Result<Option<ReadyDocuments>> {
         let folder = self.folder()?;
-        let Some(lock) = lock(folder.path(), stop, report)? else { return Ok(None) };
+        // Others are only read.
+        let lock = match self.selection {
+            DocumentSelection::Model(_) | DocumentSelection::Any => None,
+            DocumentSelection::Recipe(_) => match lock(folder.path(), stop, report)? {
+                None => return Ok(None),
+                locked => locked,
+            },
+        };
         let documents = self.find(wanted)?;
         let missing: Vec<&StoredDocument> = documents
             .iter()
@@ -150,7 +157,7 @@ impl DocumentRequest {
             .collect();
         let names: Vec<DocumentName> = missing.iter().map(|document| document.name).collect();
         if names.is_empty() {
-            return Ok(Some(ReadyDocuments { documents, built: names, _lock: Some(lock) }));
+            return Ok(Some(ReadyDocuments { documents, built: names, _lock: lock }));
         }
         if let Some(broken) =
             missing.iter().find(|document| document.state == DocumentState::Broken && !force)
@@ -170,7 +177,7 @@ impl DocumentRequest {
             let problem = bad.problem.clone().unwrap_or_default();
             bail!("document {} was built and is {}: {problem}", bad.name, bad.state.word());
         }
-        Ok(Some(ReadyDocuments { documents, built: names, _lock: Some(lock) }))
+        Ok(Some(ReadyDocuments { documents, built: names, _lock: lock }))
     }
 
     /// The message for a document that a run does not build by itself.

@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, ensure};
+use anyhow::ensure;
 use clap::{Args, Subcommand};
 use warehouse::{CaseSet, SHIPPED_COUNT, SHIPPED_SEED, Warehouse};
 
-use super::{Exit, WorldArgs, print};
+use super::{Exit, WorldArgs, print, write_file};
 
 mod world;
 
@@ -64,8 +64,7 @@ fn cases(args: &GenerateArgs) -> anyhow::Result<Exit> {
     match &args.out {
         None => print(&text)?,
         Some(path) => {
-            std::fs::write(path, text)
-                .with_context(|| format!("cannot write {}", path.display()))?;
+            write_file(path, &text)?;
             say!("{} cases in {}", cases.cases.len(), path.display());
         }
     }

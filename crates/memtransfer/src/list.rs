@@ -61,9 +61,9 @@ enum ListWhat {
     },
     /// The runs in a folder: policy, date, progress and success rate
     Runs {
-        /// The folder of run folders
-        #[arg(default_value = "runs", value_name = "DIR")]
-        dir: PathBuf,
+        /// The folder of run folders [default: runs]
+        #[arg(value_name = "DIR")]
+        dir: Option<PathBuf>,
     },
 }
 
@@ -84,7 +84,7 @@ pub(super) fn run(args: &ListArgs) -> anyhow::Result<Exit> {
         ListWhat::Suites => suites()?,
         ListWhat::Conditions { suite } => conditions(suite)?,
         ListWhat::Streams { suite, seed } => streams(suite, *seed)?,
-        ListWhat::Runs { dir } => runs(dir)?,
+        ListWhat::Runs { dir } => runs(dir.as_deref())?,
     };
     if args.json {
         print_json(&listing.objects())?;
@@ -236,11 +236,13 @@ fn suites() -> anyhow::Result<Listing> {
     Ok(Listing { header: vec!["suite", "about", "conditions", "episodes"], numbers: 2, rows })
 }
 
-fn runs(dir: &Path) -> anyhow::Result<Listing> {
+/// The runs in a folder; without one in `runs`, which the first run makes.
+fn runs(given: Option<&Path>) -> anyhow::Result<Listing> {
+    let dir = given.unwrap_or(Path::new("runs"));
     let mut rows = Vec::new();
     if dir.join("manifest.json").exists() {
         rows.push(run_row(dir));
-    } else if dir.exists() {
+    } else if given.is_some() || dir.exists() {
         let entries = std::fs::read_dir(dir);
         let entries = entries.with_context(|| format!("cannot list {}", dir.display()))?;
         let mut folders = entries
@@ -358,7 +360,7 @@ mod tests {
         let mut folder = opened.folder;
         folder.note(SessionEvent::Failed { generation: 1, reason: "test".to_owned() }).unwrap();
         drop(folder);
-        let listing = runs(dir.path()).unwrap();
+        let listing = runs(Some(dir.path())).unwrap();
         let cell = |name| {
             let column = listing.header.iter().position(|header| *header == name).unwrap();
             listing.rows[0][column].as_str().unwrap().to_owned()

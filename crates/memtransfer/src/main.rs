@@ -35,9 +35,10 @@ mod view;
 mod work;
 
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use replay::World;
 
@@ -116,6 +117,18 @@ enum MemtransferVerb {
     Generate(generate::GenerateArgs),
     /// Check what a run needs on this machine, and say how to get what is missing
     Doctor(doctor::DoctorArgs),
+}
+
+/// Writes a file that a user has named, and makes its folder.
+fn write_file(path: &Path, text: &str) -> anyhow::Result<()> {
+    make_folder_of(path)?;
+    std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// Makes the folder of the file `path`, if it is missing.
+fn make_folder_of(path: &Path) -> anyhow::Result<()> {
+    let Some(folder) = path.parent() else { return Ok(()) };
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))
 }
 
 /// How the program ends.

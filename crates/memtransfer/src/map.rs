@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context;
+use anyhow::{Error, bail};
 use clap::Args;
-use results::names::UnknownName;
+use results::settings::CaseSelector;
+use settings::select_cases;
 use warehouse::{Elsewhere, map};
 
-use super::{Exit, WorldArgs, print};
+use super::{Exit, WorldArgs, print, write_file};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -16,7 +17,7 @@ Examples:
   memtransfer map > floor.svg              the warehouse and its items
   memtransfer map --elsewhere > other.svg  the other warehouse of `run --demos elsewhere`")]
 pub(super) struct MapArgs {
-    /// The case [default: the warehouse alone]
+    /// The case, by id or number [default: the warehouse alone]
     #[arg(value_name = "CASE")]
     case: Option<String>,
     /// The warehouse in which `run --demos elsewhere` demonstrates tasks, drawn from --seed
@@ -41,17 +42,16 @@ pub(super) fn run(args: &MapArgs) -> anyhow::Result<Exit> {
         }
         None => map::floor_svg(&world.warehouse),
         Some(id) => {
-            let case = world.cases.case(id);
-            let case = case.ok_or_else(|| UnknownName::new("case", id, world.case_ids()))?;
-            map::svg(&world.warehouse, case)
+            let selector: CaseSelector = id.parse().map_err(Error::msg)?;
+            match select_cases(&world.case_ids(), &[selector], None)?[..] {
+                [case] => map::svg(&world.warehouse, &world.cases.cases[case]),
+                ref several => bail!("{id} stands for {} cases: give one", several.len()),
+            }
         }
     };
     match &args.out {
         None => print(&svg)?,
-        Some(path) => {
-            std::fs::write(path, svg)
-                .with_context(|| format!("cannot write {}", path.display()))?;
-        }
+        Some(path) => write_file(path, &svg)?,
     }
     Ok(Exit::Complete)
 }

@@ -267,6 +267,9 @@ fn build(args: BuildArgs) -> Result<Exit> {
 }
 
 fn ls(args: LsArgs) -> Result<Exit> {
+    if let Some(folder) = args.documents.as_deref().filter(|folder| !folder.is_dir()) {
+        bail!("{} is no folder", folder.display());
+    }
     let request = args.made_for.request(args.documents, DocumentSelection::Any, &[])?;
     let documents = request.list()?;
     if args.json {

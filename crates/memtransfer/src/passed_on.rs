@@ -2,6 +2,7 @@
 //! cache` is `policy-proc cache`, which caches the replies of models.
 
 use std::ffi::OsString;
+use std::os::unix::process::CommandExt;
 use std::process::Command;
 
 use anyhow::Context;
@@ -23,7 +24,9 @@ impl PassedOn {
     pub(super) fn run(&self, program: &str, verb: &str) -> anyhow::Result<Exit> {
         let program = sibling(program)?;
         let mut command = Command::new(&program);
-        command.arg(verb).args(&self.arguments).env(QUIET_DRIVER.0, QUIET_DRIVER.1);
+        // Help and errors name the command that was given.
+        command.arg0("memtransfer").arg(verb).args(&self.arguments);
+        command.env(QUIET_DRIVER.0, QUIET_DRIVER.1);
         let status = command.status();
         let status = status.with_context(|| format!("cannot start {}", program.display()))?;
         let code = status.code().and_then(|code| u8::try_from(code).ok());

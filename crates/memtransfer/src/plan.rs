@@ -15,7 +15,7 @@ use settings::{Layer, resolve};
 
 use super::run::flags::{RunOptions, SettingFlags};
 use super::run_plan::{ALL, Preparation, RunPlan, stopped_before_episodes};
-use super::{Exit, print};
+use super::{Exit, make_folder_of, print};
 use crate::signals::Signals;
 
 #[derive(Debug, Args)]
@@ -96,6 +96,13 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
         let (store, cache) = (Store::open(store)?, cache_folder()?);
         let encoder = run.matches_views();
         plan.shipment = Some(Shipment::pack(&store, &cache, &run.settings, &paths, encoder)?);
+    }
+    make_folder_of(&path)?;
+    if UnitPlan::read(&path).is_ok_and(|before| before.plan != plan) {
+        bail!(
+            "{} is the plan of another run, or of other units, which may be in progress: give another --out, or remove it",
+            path.display()
+        );
     }
     plan.write(&path)?;
     if !args.quiet {

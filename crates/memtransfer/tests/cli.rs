@@ -326,6 +326,36 @@ fn a_folder_with_other_files_is_not_touched() {
 }
 
 #[test]
+fn a_plan_makes_its_folder_and_is_not_replaced_by_another() {
+    let dir = dir();
+    let plan = "plan --policy expert --limit 1 --out plans/of/one.json";
+    for _ in 0..2 {
+        let output = memtransfer(dir.path(), plan);
+        assert!(output.status.success(), "{}", text(&output.stderr));
+    }
+    let said = refused(dir.path(), &plan.replace("--limit 1", "--limit 2"));
+    assert!(said.contains("one.json is the plan of another run"), "{said}");
+}
+
+#[test]
+fn a_case_is_drawn_by_number_and_a_missing_folder_named() {
+    let dir = dir();
+    assert_eq!(
+        memtransfer(dir.path(), "map 11").stdout,
+        memtransfer(dir.path(), "map t02-01").stdout
+    );
+    for (arguments, said) in [
+        ("map t03", "t03 stands for 10 cases"),
+        ("map 101", "1-100"),
+        ("ls runs missing", "cannot list missing"),
+        ("memory ls --documents missing", "missing is no folder"),
+    ] {
+        let message = refused(dir.path(), arguments);
+        assert!(message.contains(said), "{arguments}: {message}");
+    }
+}
+
+#[test]
 fn lists_are_tables_and_json() {
     let dir = dir();
     for (list, least) in [

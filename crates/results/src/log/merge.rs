@@ -239,7 +239,26 @@ pub fn merge(
     let draft = PathBuf::from(draft);
     fs::create_dir_all(&draft).map_err(system("make", &draft))?;
     let _lock = lock(&draft)?;
-    let mut run = MergedRun::new(&draft, manifest.settings.max_steps)?;
+    let written = write(manifest, units, episodes, &draft);
+    if written.is_err() {
+        // What is wrong with the units is the error to report, not that a folder stays behind.
+        let _ = fs::remove_dir_all(&draft);
+    }
+    let count = written?;
+    fs::rename(&draft, out).map_err(system("rename", &draft))?;
+    let parent = out.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new("."));
+    File::open(parent).and_then(|dir| dir.sync_all()).map_err(system("flush", parent))?;
+    Ok(count)
+}
+
+/// Writes the merged run into the folder `draft`. Returns the number of episodes.
+fn write(
+    manifest: &Manifest,
+    units: &UnitFolders,
+    episodes: impl IntoIterator<Item = UnitEpisode>,
+    draft: &Path,
+) -> Result<u64, MergeError> {
+    let mut run = MergedRun::new(draft, manifest.settings.max_steps)?;
     let mut loaded: Option<LoadedUnit> = None;
     let mut count = 0;
     for UnitEpisode { key, unit } in episodes {
@@ -256,11 +275,8 @@ pub fn merge(
     }
     loaded.map_or(Ok(()), LoadedUnit::check_written)?;
     run.finish()?;
-    manifest.write(&draft)?;
-    sync_all(&draft).map_err(system("flush", &draft))?;
-    fs::rename(&draft, out).map_err(system("rename", &draft))?;
-    let parent = out.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new("."));
-    File::open(parent).and_then(|dir| dir.sync_all()).map_err(system("flush", parent))?;
+    manifest.write(draft)?;
+    sync_all(draft).map_err(system("flush", draft))?;
     Ok(count)
 }
 

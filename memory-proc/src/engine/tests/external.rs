@@ -348,6 +348,22 @@ fn a_bank_that_comes_later_does_not_extend_the_time_for_an_answer() {
 }
 
 #[test]
+fn an_answer_that_took_too_long_is_late_although_a_bank_may_have_been_built_meanwhile() {
+    let mut rig = ExternalRig::new(3, 1000, description(Scope::Case, false, false));
+    rig.begin(0, 7, 3);
+    let asked = rig.queries();
+    rig.begin(1, 8, 4);
+    rig.settle();
+    rig.now_ns += 31 * SECOND;
+    rig.settle();
+    assert_eq!(rig.failures(), [], "it may be building");
+    let late = ExternalAnswer { received_ns: 1, sent_ns: 30 * SECOND + 2, ..answer_to(&asked[0]) };
+    rig.answer(&late).unwrap();
+    let expected = "external memory test has not answered step 0 within 30 s".to_owned();
+    assert_eq!(rig.failures(), [(7, expected)]);
+}
+
+#[test]
 fn a_memory_that_cannot_be_reached_fails_its_episode() {
     let mut rig = ExternalRig::new(1, 1000, description(Scope::Case, false, false));
     rig.begin(0, 7, 3);
