@@ -46,6 +46,9 @@ pub(crate) struct FuzzArguments {
     /// Most minutes for each target
     #[arg(long, value_name = "M")]
     minutes: Option<u64>,
+    /// Go on where earlier runs stopped: their inputs count, too
+    #[arg(long)]
+    go_on: bool,
 }
 
 impl FuzzArguments {
@@ -82,9 +85,13 @@ pub(crate) fn run(
         .iter()
         .filter(|name| arguments.target.is_empty() || arguments.target.contains(name))
         .collect();
-    let mut all = BTreeMap::new();
+    let mut all = if arguments.go_on { earlier(out)? } else { BTreeMap::new() };
     for name in chosen {
-        let fuzzed = fuzz(&program, &folder, &corpus, name, arguments)?;
+        let before = all.get(name).map_or(0, |fuzzed: &Fuzzed| fuzzed.inputs);
+        // One at least, which shows how many edges the inputs so far reach.
+        let runs = arguments.inputs.saturating_sub(before).max(1);
+        let mut fuzzed = fuzz(&program, &folder, &corpus, name, runs, arguments.minutes)?;
+        fuzzed.inputs += before;
         eprintln!("{name}: {} inputs, {} edges", fuzzed.inputs, fuzzed.edges);
         if let Some(failure) = &fuzzed.failure {
             eprintln!("{name} FAILED: {failure}");
@@ -95,6 +102,19 @@ pub(crate) fn run(
     }
     eprintln!("wrote {}", out.display());
     Ok(all.values().all(|fuzzed| fuzzed.failure.is_none()))
+}
+
+/// The inputs of earlier runs, by target.
+fn earlier(out: &Path) -> anyhow::Result<BTreeMap<String, Fuzzed>> {
+    let text = fs::read_to_string(out).with_context(|| {
+        format!("cannot read {}, where earlier runs would be: leave out --go-on", out.display())
+    })?;
+    let page: serde_json::Value =
+        serde_json::from_str(&text).with_context(|| format!("{} is not JSON", out.display()))?;
+    let inputs: BTreeMap<String, u64> = serde_json::from_value(page["faults"].clone())
+        .with_context(|| format!("{} has no inputs by target", out.display()))?;
+    let fuzzed = |inputs| Fuzzed { inputs, ..Fuzzed::default() };
+    Ok(inputs.into_iter().map(|(name, inputs)| (name, fuzzed(inputs))).collect())
 }
 
 /// Builds `drill-fuzz` in `folder`. `None` when it does not compile.
@@ -128,7 +148,8 @@ fn fuzz(
     folder: &Path,
     corpus: &Path,
     name: &str,
-    arguments: &FuzzArguments,
+    runs: u64,
+    minutes: Option<u64>,
 ) -> anyhow::Result<Fuzzed> {
     let found = folder.join("corpus").join(name);
     let failures = folder.join("failures");
@@ -143,8 +164,8 @@ fn fuzz(
         fs::File::create(&log).with_context(|| format!("cannot create {}", log.display()))?;
     let mut command = Command::new(program);
     command
-        .arg(format!("-runs={}", arguments.inputs))
-        .arg(format!("-max_total_time={}", arguments.minutes.unwrap_or(0) * 60))
+        .arg(format!("-runs={runs}"))
+        .arg(format!("-max_total_time={}", minutes.unwrap_or(0) * 60))
         .arg(format!("-rss_limit_mb={MEMORY_MIB}"))
         .arg(format!("-timeout={INPUT_SECONDS}"))
         .arg(format!("-artifact_prefix={}/{name}-", failures.display()))
@@ -203,6 +224,9 @@ fn command(arguments: &FuzzArguments) -> String {
     if let Some(minutes) = arguments.minutes {
         command += &format!(" --minutes {minutes}");
     }
+    if arguments.go_on {
+        command += " --go-on";
+    }
     command
 }
 
@@ -234,6 +258,17 @@ fn write(out: &Path, all: &BTreeMap<String, Fuzzed>, command: &str) -> anyhow::R
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_drill_goes_on_where_the_last_one_stopped() {
+        let dir = tempfile::tempdir().unwrap();
+        let out = dir.path().join("fuzz.json");
+        assert!(earlier(&out).is_err());
+        let png = Fuzzed { inputs: 7, edges: 3, failure: None };
+        write(&out, &BTreeMap::from([("png".to_owned(), png)]), "").unwrap();
+        let before = earlier(&out).unwrap();
+        assert_eq!((before.len(), before["png"].inputs), (1, 7));
+    }
 
     #[test]
     fn counts_and_failures_are_read_from_what_libfuzzer_prints() {
