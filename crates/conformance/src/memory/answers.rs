@@ -2,6 +2,8 @@
 //!
 //! Written from the wire document, apart from the host's own reading in the memory process: the two have to agree.
 
+use std::fmt;
+
 use shm_types::message::{
     AnswerItem, AnswerSource, ExternalAnswer, ItemKind, MAX_ITEMS, MAX_SOURCES,
 };
@@ -21,6 +23,42 @@ pub(crate) struct Supplied {
     pub(crate) views: Vec<u32>,
     actions: bool,
     distance: Option<f32>,
+}
+
+impl fmt::Display for Supplied {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { kind, text, sources, views, actions, distance } = self;
+        let kind = match kind {
+            ItemKind::Text => "a text",
+            ItemKind::Trajectory => "a trajectory",
+            ItemKind::Frame => "a captioned frame",
+            ItemKind::Steps => "steps",
+        };
+        let mut parts = Vec::new();
+        for (demonstration, first, count) in sources {
+            parts.push(match count {
+                1 => format!("step {first} of demonstration {demonstration}"),
+                _ => format!(
+                    "steps {first} to {} of demonstration {demonstration}",
+                    first + count - 1
+                ),
+            });
+        }
+        parts.push(format!("{} views", views.len()));
+        parts.extend(actions.then(|| "actions".to_owned()));
+        parts.extend(distance.map(|distance| format!("distance {distance}")));
+        parts.extend((!text.is_empty()).then(|| format!("{text:?}")));
+        write!(f, "{kind} ({})", parts.join(", "))
+    }
+}
+
+/// Where two answers differ.
+pub(super) fn difference(one: &[Supplied], other: &[Supplied]) -> String {
+    let pairs = one.iter().zip(other);
+    match (0..).zip(pairs).find(|(_, (one, other))| one != other) {
+        Some((number, (one, other))) => format!("item {number} is {one}, then {other}"),
+        None => format!("{} items, then {}", one.len(), other.len()),
+    }
 }
 
 /// Reads an answer for an episode whose bank has demonstrations with these numbers of steps.

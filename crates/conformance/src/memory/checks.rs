@@ -3,12 +3,14 @@
 use std::time::Duration;
 use std::{fs, thread};
 
+use anyhow::Error;
 use shm_types::MemoryDescription;
 use shm_types::description::Scope;
 use supervise::Children;
 
 use crate::LANES;
 use crate::checks::{Check, another_wire_version, clear_away, orchestrator_ends, stops};
+use crate::memory::answers::difference;
 use crate::memory::{MemoryRole, ScriptedDemonstration, demonstrated, wait_for_description};
 use crate::messages::external_episode;
 use crate::subject::{CheckResult, TestedRole, next, wait_for_exit, wrong};
@@ -334,10 +336,20 @@ fn same_query_again(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
         None => Ok(String::new()),
         Some(_) if !is_deterministic => Ok("it does not, as it says".to_owned()),
         Some(at) => wrong(format_args!(
-            "it calls itself deterministic, and answers the same query with {:?}, then with {:?}",
-            answers[0], answers[at]
+            "it calls itself deterministic, and its answers to the same query differ: {}",
+            difference(&answers[0], &answers[at])
         )),
     }
+}
+
+/// The keys in which two descriptions differ, with both values.
+fn differences(before: &MemoryDescription, after: &MemoryDescription) -> CheckResult<String> {
+    let [before, after] = [before, after].map(|one| serde_json::to_value(one));
+    let (before, after) = (before.map_err(Error::from)?, after.map_err(Error::from)?);
+    let keys = before.as_object().into_iter().flat_map(|all| all.keys());
+    let differing = keys.filter(|key| before[*key] != after[*key]);
+    let told = differing.map(|key| format!("`{key}` was {} and is {}", before[key], after[key]));
+    Ok(told.collect::<Vec<_>>().join(", "))
 }
 
 fn restart(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
@@ -352,7 +364,10 @@ fn restart(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let after = subject.role.description.clone();
     if before != after {
-        return wrong(format_args!("it described itself as {before:?}, and then as {after:?}"));
+        return wrong(format_args!(
+            "it describes itself otherwise when it starts again: {}",
+            differences(&before, &after)?
+        ));
     }
     let bank = subject.remember(&ordinary())?;
     let id = subject.begin(0, bank, INSTRUCTION)?;

@@ -10,7 +10,7 @@ use shm_types::message::{ExternalEpisode, ExternalQuery, Learning, NOT_MEASURED,
 use super::episodes::end;
 use super::{INSTRUCTION, MemoryKit, ordinary};
 use crate::checks::clear_away;
-use crate::memory::answers::Supplied;
+use crate::memory::answers::{Supplied, difference};
 use crate::memory::pose;
 use crate::messages::{external_episode, last_query};
 use crate::subject::{CheckResult, next, wrong};
@@ -106,7 +106,8 @@ fn compare_answers(one: &[Vec<Supplied>], other: &[Vec<Supplied>], when: &str) -
     match one.iter().zip(other).find(|(one, other)| one != other) {
         None => Ok(()),
         Some((one, other)) => {
-            wrong(format_args!("it answered a query with {one:?}, and {when} with {other:?}"))
+            let differs = difference(one, other);
+            wrong(format_args!("its answers to the same query differ {when}: {differs}"))
         }
     }
 }
