@@ -71,6 +71,15 @@ pub fn run_of_memory_folder(folder: &Path) -> Option<(&Path, u8)> {
 }
 
 impl MemoryDescription {
+    /// What `now` says otherwise, key by key; empty if nothing.
+    pub fn changes(&self, now: &Self) -> String {
+        let [before, now] = [self, now].map(|one| serde_json::to_value(one).unwrap_or_default());
+        let keys = before.as_object().into_iter().flat_map(|all| all.keys());
+        let changed = keys.filter(|key| before[*key] != now[*key]);
+        let told = changed.map(|key| format!("`{key}` was {} and is {}", before[key], now[key]));
+        told.collect::<Vec<_>>().join(", ")
+    }
+
     /// Reads and checks the description in the folder of an external memory.
     ///
     /// # Errors
@@ -146,6 +155,9 @@ mod tests {
             let bad = MemoryDescription { name: name.to_owned(), ..description.clone() };
             assert!(bad.check().unwrap_err().to_string().starts_with("name is "), "{name}");
         }
+        let newer = MemoryDescription { version: "2".to_owned(), ..description.clone() };
+        assert_eq!(description.changes(&newer), "`version` was \"1\" and is \"2\"");
+        assert_eq!(description.changes(&description), "");
         let blind = MemoryDescription { frames: true, ..description };
         assert!(blind.check().unwrap_err().to_string().starts_with("frames is true"));
     }

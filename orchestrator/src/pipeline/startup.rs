@@ -165,12 +165,12 @@ impl Generation {
         let folder = memory_folder(&self.bus.attach().root, memory.index);
         let now = MemoryDescription::read(&folder)
             .map_err(|error| failed(format!("the external memory {name}: {error}")))?;
-        if now == memory.description {
+        let changes = memory.description.changes(&now);
+        if changes.is_empty() {
             return Ok(());
         }
-        let before = &memory.description;
         Err(failed(format!(
-            "the external memory {name} described itself as {before:?} when the run began, and now as {now:?}"
+            "the external memory {name} describes itself otherwise than when the run began: {changes}"
         )))
     }
 }

@@ -3,7 +3,6 @@
 use std::time::Duration;
 use std::{fs, thread};
 
-use anyhow::Error;
 use shm_types::MemoryDescription;
 use shm_types::description::Scope;
 use supervise::Children;
@@ -342,16 +341,6 @@ fn same_query_again(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     }
 }
 
-/// The keys in which two descriptions differ, with both values.
-fn differences(before: &MemoryDescription, after: &MemoryDescription) -> CheckResult<String> {
-    let [before, after] = [before, after].map(|one| serde_json::to_value(one));
-    let (before, after) = (before.map_err(Error::from)?, after.map_err(Error::from)?);
-    let keys = before.as_object().into_iter().flat_map(|all| all.keys());
-    let differing = keys.filter(|key| before[*key] != after[*key]);
-    let told = differing.map(|key| format!("`{key}` was {} and is {}", before[key], after[key]));
-    Ok(told.collect::<Vec<_>>().join(", "))
-}
-
 fn restart(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let before = subject.role.description.clone();
@@ -362,11 +351,10 @@ fn restart(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     subject.publish_bank(&content)?;
     kit.kill_subject();
     let subject = kit.subject()?;
-    let after = subject.role.description.clone();
-    if before != after {
+    let changes = before.changes(&subject.role.description);
+    if !changes.is_empty() {
         return wrong(format_args!(
-            "it describes itself otherwise when it starts again: {}",
-            differences(&before, &after)?
+            "it describes itself otherwise when it starts again: {changes}"
         ));
     }
     let bank = subject.remember(&ordinary())?;
