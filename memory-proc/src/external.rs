@@ -592,18 +592,17 @@ impl ExternalMemories {
         index: u8,
         message: &ExternalAnswer,
     ) -> Result<Vec<Item>, String> {
-        let note = self.notes.remove(&(index, message.lane));
-        let note = match note {
+        let place = (index, message.lane);
+        let note = match self.notes.get(&place).map(|note| note.header) {
             _ if message.note == 0 => None,
-            Some(note)
-                if (note.header.id, note.header.episode) == (message.note, message.episode) =>
-            {
-                Some(note)
+            // An answer that comes too late leaves the note of the episode after it.
+            Some(header) if (header.id, header.episode) == (message.note, message.episode) => {
+                self.notes.remove(&place)
             }
-            Some(note) => {
+            Some(header) => {
                 return Err(format!(
                     "it names note {}, but the last note of its lane is note {} of episode {}",
-                    message.note, note.header.id, note.header.episode
+                    message.note, header.id, header.episode
                 ));
             }
             None => return Err(format!("it names note {}, which was not published", message.note)),

@@ -291,7 +291,12 @@ impl SequenceMemories {
                 EpisodeMemory::BuiltIn { .. } => Err("it has no memory of a sequence".to_owned()),
             };
             match created {
-                Ok(Some(memory)) => drop(self.memories.insert(sequence, memory)),
+                Ok(Some(memory)) => {
+                    drop(self.memories.insert(sequence, memory));
+                    // From now on it may be dropped, although its episode may be given up before it begins.
+                    self.recent.retain(|other| *other != sequence);
+                    self.recent.push(sequence);
+                }
                 Ok(None) => return Ok(Bound::Waiting),
                 Err(why) => return Ok(Bound::Failed(why.into())),
             }
@@ -340,7 +345,7 @@ impl SequenceMemories {
         let (mut kept, mut bytes) = (0, 0);
         for sequence in unused {
             kept += 1;
-            bytes += self.memories[&sequence].memory.store_bytes();
+            bytes = self.memories[&sequence].memory.store_bytes().saturating_add(bytes);
             if kept > self.kept || bytes > KEPT_BYTES {
                 self.drop_memory(sequence);
             }

@@ -36,10 +36,11 @@ impl StepLatencies {
     pub fn record(&mut self, stamps: &Stamps) {
         let memory = self.of(stamps.memory);
         let values = stamps.stages().values();
-        let mut sum = 0;
+        let mut sum = 0_u64;
         for (histogram, value) in memory.stages.iter_mut().zip(values) {
             histogram.saturating_record(value);
-            sum += value;
+            // A policy may send any stamps.
+            sum = sum.saturating_add(value);
         }
         memory.step.saturating_record(sum);
     }

@@ -137,7 +137,8 @@ fn erase_line() {
 /// Prints a message to stderr. A message that cannot be printed is lost, and does no harm: the terminal may be closed while
 /// a run is stopping, or going on.
 pub fn say(message: &str) {
-    write_to_stderr(&format!("{message}\n"));
+    // A process or a server may have said what the message repeats.
+    write_to_stderr(&format!("{}\n", program::printable(message)));
 }
 
 fn write_to_stderr(text: &str) {
@@ -151,7 +152,7 @@ fn bar(done: u64, total: u64, text: &str, columns: usize) -> String {
     let empty = BAR as usize - full;
     let bar = format!("[{}{}] {text}", "#".repeat(full), ".".repeat(empty));
     // A line that wraps could not be erased.
-    bar.chars().take(columns.saturating_sub(1)).collect()
+    program::printable(&bar).chars().take(columns.saturating_sub(1)).collect()
 }
 
 #[cfg(test)]

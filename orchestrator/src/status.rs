@@ -156,8 +156,9 @@ impl LiveStatus {
         let now = counts.finished.0 + counts.given_up;
         if now > 0 {
             let left = counts.planned.saturating_sub(counts.done()) as f64;
-            let left = Duration::from_secs_f64(left * self.running_s / now as f64);
-            parts.push(format!("{} left", duration(left)));
+            // The file may say anything.
+            let left = Duration::try_from_secs_f64(left * self.running_s / now as f64);
+            parts.extend(left.map(|left| format!("{} left", duration(left))));
         }
         parts.join(", ")
     }

@@ -138,7 +138,11 @@ impl RunDocuments {
     }
 }
 
-/// The names of documents, for a message.
+/// Documents for a message: their names, or of many the number.
 pub(super) fn listed(names: &[DocumentName]) -> String {
+    const MOST_NAMED: usize = 4;
+    if names.len() > MOST_NAMED {
+        return format!("{} documents", names.len());
+    }
     names.iter().map(DocumentName::to_string).collect::<Vec<_>>().join(", ")
 }

@@ -9,7 +9,7 @@
 use std::ffi::OsString;
 use std::fmt::Debug;
 use std::fs::{self, DirBuilder, File};
-use std::io;
+use std::io::{self, Read, Seek, SeekFrom};
 use std::os::unix::fs::DirBuilderExt;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
@@ -26,6 +26,9 @@ use shm_types::message::Role;
 
 /// Lines of the log shown when a child has ended.
 const TAIL_LINES: usize = 12;
+
+/// Most bytes of the end of a log that are read.
+const TAIL_BYTES: u64 = 64 << 10;
 
 /// A variable for programs that render: without a desktop session, one of Mesa's Vulkan layers otherwise prints errors.
 pub const QUIET_DRIVER: (&str, &str) = ("NODEVICE_SELECT", "1");
@@ -385,8 +388,13 @@ fn log_name(role: Role, index: u8) -> String {
 /// The end of `log`, of which the process wrote from byte `start` on: from its final error message (`sim-proc: ...`) if
 /// there is one, otherwise the last lines.
 fn log_tail(log: &Path, start: u64, role: Role) -> io::Result<String> {
-    let bytes = fs::read(log)?;
-    let text = String::from_utf8_lossy(bytes.get(start as usize..).unwrap_or_default());
+    let mut file = File::open(log)?;
+    // A process may have printed any amount.
+    let start = start.max(file.metadata()?.len().saturating_sub(TAIL_BYTES));
+    file.seek(SeekFrom::Start(start))?;
+    let mut bytes = Vec::new();
+    file.take(TAIL_BYTES).read_to_end(&mut bytes)?;
+    let text = String::from_utf8_lossy(&bytes);
     let lines: Vec<&str> = text.lines().collect();
     let message = format!("{}-proc: ", role.word());
     let from = lines.iter().rposition(|line| line.starts_with(&message));

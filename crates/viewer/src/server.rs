@@ -7,6 +7,7 @@ use std::io::{ErrorKind, Read};
 use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::rc::Rc;
 use std::str::FromStr;
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 use http_body_util::Full;
@@ -15,11 +16,18 @@ use hyper::header::{self, HeaderName, HeaderValue};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::{Method, Request, Response, StatusCode};
-use hyper_util::rt::TokioIo;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use rustix::io::Errno;
 use tokio::runtime;
 use tokio::task::{LocalSet, spawn_local};
 
 use crate::site::{File, Site};
+
+/// How long a connection may be open without a request.
+const IDLE: Duration = Duration::from_secs(60);
+
+/// How long the server waits when it has as many connections as it can have.
+const PAUSE: Duration = Duration::from_millis(100);
 
 /// Where a server listens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -91,7 +99,7 @@ impl ViewServer {
     /// # Errors
     /// When no connection can be accepted.
     pub fn serve(self, site: Site) -> Result<()> {
-        let runtime = runtime::Builder::new_current_thread().enable_io().build();
+        let runtime = runtime::Builder::new_current_thread().enable_io().enable_time().build();
         let runtime = runtime.context("cannot serve")?;
         LocalSet::new().block_on(&runtime, self.accept(site)).context("cannot accept a connection")
     }
@@ -107,6 +115,16 @@ impl ViewServer {
             let stream = match listener.accept().await {
                 Ok((stream, _)) => stream,
                 Err(error) if error.kind() == ErrorKind::ConnectionAborted => continue,
+                // Too many connections: some will end.
+                Err(error)
+                    if matches!(
+                        Errno::from_io_error(&error),
+                        Some(Errno::MFILE | Errno::NFILE)
+                    ) =>
+                {
+                    tokio::time::sleep(PAUSE).await;
+                    continue;
+                }
                 Err(error) => return Err(error),
             };
             let answers = Rc::clone(&answers);
@@ -116,7 +134,9 @@ impl ViewServer {
                     async { Ok::<_, Infallible>(answer) }
                 });
                 // A client that has gone needs no answer.
-                let _ = http1::Builder::new().serve_connection(TokioIo::new(stream), answer).await;
+                let mut server = http1::Builder::new();
+                server.timer(TokioTimer::new()).header_read_timeout(IDLE);
+                let _ = server.serve_connection(TokioIo::new(stream), answer).await;
             });
         }
     }

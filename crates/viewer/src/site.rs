@@ -386,7 +386,13 @@ impl RunPages {
         let Some(episodes) = growth.episodes.read_new()? else { return self.start_afresh() };
         let log = &mut self.log;
         let from = (log.episodes.len(), log.timings.len(), log.requests.len());
-        for record in episodes {
+        let max_steps = log.manifest.settings.max_steps;
+        // As when the folder was read, damaged records are left out.
+        let whole = episodes.into_iter().filter(|record| record.check(max_steps).is_ok());
+        for record in whole {
+            if !self.conditions.contains(&record.condition()) {
+                return self.start_afresh();
+            }
             if growth.keys.insert(record.key.clone()) {
                 log.errors.retain(|error| error.key != record.key);
                 log.episodes.push(record);
@@ -416,14 +422,12 @@ impl RunPages {
         Ok(())
     }
 
-    /// Reads everything again, because the run was started afresh.
+    /// Reads everything again, because the run was started afresh, or has conditions that it did not have.
     fn start_afresh(&mut self) -> Result<()> {
-        self.log = RunLog::read(&self.log.dir)?;
-        self.growth = Some(Growth { restarted: true, ..Growth::new(&self.log) });
-        self.sequences.clear();
-        self.timings.clear();
-        self.requests.clear();
-        self.index((0, 0, 0));
+        *self = Self::new(RecordedRun::read(&self.log.dir)?, &self.renderer.program, true)?;
+        if let Some(growth) = &mut self.growth {
+            growth.restarted = true;
+        }
         Ok(())
     }
 }

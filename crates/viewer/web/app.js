@@ -63,8 +63,13 @@ const memtransfer = (() => {
    */
   function note(values) {
     if (location.hash !== noted) return;
-    history.replaceState(null, "", address(values));
+    history.replaceState(history.state, "", address(values));
     noted = location.hash;
+  }
+
+  /** Keeps with the address how far its page is scrolled: the way back leads there. */
+  function noteScroll() {
+    if (location.hash === noted) history.replaceState({ scroll: window.scrollY }, "", location.hash || "#");
   }
 
   const runs = [];
@@ -80,6 +85,9 @@ const memtransfer = (() => {
     } catch (error) {
       return fail(error);
     }
+    // The browser would scroll before the page is there.
+    history.scrollRestoration = "manual";
+    window.addEventListener("scrollend", noteScroll);
     window.addEventListener("hashchange", show);
     show();
   }
@@ -116,7 +124,7 @@ const memtransfer = (() => {
     const main = document.getElementById("main");
     main.replaceChildren(...content.flat().filter(Boolean));
     main.focus({ preventScroll: true });
-    window.scrollTo(0, 0);
+    window.scrollTo(0, history.state ? history.state.scroll : 0);
   }
 
   const CODES = { "no-return": "NR", "no-revisit": "NV", "missed-instance": "MI", "never-saw": "NS", "saw-and-left": "SL", "wrong-order": "WO" };

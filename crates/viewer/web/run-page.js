@@ -222,16 +222,14 @@ memtransfer.follow = (run, live, grown) => {
   let timer = null;
   let isOver = false;
   let isDrawn = true;
-  let isRestarted = false;
   let nextDrawing = 0;
   function draw() {
     const start = performance.now();
-    grown(isRestarted);
+    grown();
     // With the layout, which the browser would compute later.
     document.body.getBoundingClientRect();
     const end = performance.now();
     isDrawn = true;
-    isRestarted = false;
     nextDrawing = end + 300 * (end - start);
   }
   async function ask() {
@@ -242,10 +240,10 @@ memtransfer.follow = (run, live, grown) => {
       if (!answer.ok) throw new Error(`the server answered ${answer.status}`);
       const { restarted, rows, status } = await answer.json();
       if (isOver) return;
-      if (restarted) run.episodes.length = 0;
-      isRestarted ||= restarted;
+      // Its conditions may be others, too.
+      if (restarted) { location.reload(); return; }
       run.episodes.push(...rows);
-      if (rows.length || restarted) isDrawn = false;
+      if (rows.length) isDrawn = false;
       if (!isDrawn && (!status || performance.now() >= nextDrawing)) draw();
       live.replaceChildren(...(status ? [memtransfer.liveStatus(h, status)] : []));
       timer = setTimeout(ask, status ? 2000 : 5000);

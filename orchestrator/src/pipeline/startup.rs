@@ -99,7 +99,7 @@ impl Generation {
             self.bus.listener().wait(TICK)?;
             for handshake in self.inbox.handshakes.drain()? {
                 let Some((sender, said)) = read_handshake(&handshake, run.options)? else {
-                    run.observer.problem(&of_unknown_memory(&handshake));
+                    run.observer.problem(&of_unknown_sender(&handshake));
                     continue;
                 };
                 if facts.contains_key(&sender) || !self.notifiers.contains_key(&sender) {
@@ -234,10 +234,10 @@ pub(super) fn memory_exit(exit: &ChildExit, options: &PipelineOptions) -> Failur
 }
 
 /// The message about a handshake from an external memory that the run does not have.
-pub(super) fn of_unknown_memory(handshake: &Handshake) -> String {
+pub(super) fn of_unknown_sender(handshake: &Handshake) -> String {
+    let Handshake { role, external, .. } = handshake;
     format!(
-        "a handshake from external memory {}, which the run does not have: ignored",
-        handshake.external
+        "a handshake of role {role} and external memory {external}, which the run does not have: ignored"
     )
 }
 
@@ -274,12 +274,12 @@ fn advice_on(command: &str) -> String {
     )
 }
 
-/// The sender of a handshake, and what it reports about itself; `None` for an external memory that the run does not have.
+/// The sender of a handshake, and what it reports about itself; `None` for one that the run does not have.
 pub(super) fn read_handshake(
     handshake: &Handshake,
     options: &PipelineOptions,
 ) -> Result<Option<(Participant, Facts)>, Failure> {
-    let role = role(handshake.role)?;
+    let Ok(role) = role(handshake.role) else { return Ok(None) };
     let Some(sender) = options.participant(role, handshake.external) else { return Ok(None) };
     let facts = read_facts(handshake, sender).map_err(|error| match sender.memory {
         Some(name) => Failure::ExternalMemory(name, format!("{error:#}")),

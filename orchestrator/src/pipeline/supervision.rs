@@ -7,7 +7,7 @@ use shm_types::message::{ErrorReport, ErrorReportKind, Role, read_text};
 use shm_types::process::monotonic_ns;
 
 use super::generation::{Generation, role};
-use super::startup::{memory_exit, of_unknown_memory, read_handshake, unexpected};
+use super::startup::{memory_exit, of_unknown_sender, read_handshake, unexpected};
 use super::{Failure, MEMORY_BUILD_TIMEOUT, PipelineOptions, PipelineRun};
 use crate::lanes::PendingAnswer;
 
@@ -35,8 +35,13 @@ impl Generation {
             return Err(exit);
         }
         for handshake in self.inbox.handshakes.drain()? {
-            let Some((sender, _)) = read_handshake(&handshake, run.options)? else {
-                run.observer.problem(&of_unknown_memory(&handshake));
+            let read = read_handshake(&handshake, run.options).map_err(|failure| match failure {
+                // It cannot be a process that the run waited for: these have been read.
+                Failure::Fatal(error) => Failure::Retry(format!("{error:#}")),
+                other => other,
+            });
+            let Some((sender, _)) = read? else {
+                run.observer.problem(&of_unknown_sender(&handshake));
                 continue;
             };
             let why = unexpected(sender);

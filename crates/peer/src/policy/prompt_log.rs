@@ -166,10 +166,14 @@ impl PromptLogWriter {
         }
         if !path.exists() {
             let draft = path.with_extension(format!("new-{}", std::process::id()));
-            content()
-                .and_then(|content| fs::write(&draft, content))
-                .and_then(|()| fs::rename(&draft, &path))
-                .map_err(at(&path))?;
+            let write = || {
+                let mut file = fs::File::create(&draft)?;
+                file.write_all(&content()?)?;
+                // What has its name is never written again: it must be whole after a crash of the machine, too.
+                file.sync_data()?;
+                fs::rename(&draft, &path)
+            };
+            write().map_err(at(&path))?;
         }
         self.stored.insert(path);
         Ok(())

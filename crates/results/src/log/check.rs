@@ -11,6 +11,9 @@ use super::{BlockedRecord, Ending, EpisodeRecord, Manifest, StreamRecord};
 use crate::conditions::{Condition, Route};
 use crate::key::EpisodeKey;
 
+/// More blocks than any stream has.
+const MOST_BLOCKS: u32 = 1 << 16;
+
 /// Checks that records agree with themselves, that their memories are those of the run, and that none occurs twice.
 pub(super) fn check_records(
     manifest: &Manifest,
@@ -146,6 +149,9 @@ impl EpisodeRecord {
         };
         let StreamRecord { block, place, after, round, invalidated, retrievals, stale, .. } =
             stream;
+        ensure(*place < MOST_BLOCKS && *block < MOST_BLOCKS && *after <= MOST_BLOCKS, || {
+            format!("it is in place {place} after {after} blocks, and no stream has {MOST_BLOCKS}")
+        })?;
         ensure(*round != Some(0), || "\"round\" is counted from 1".to_owned())?;
         ensure(round.is_none() || after == place, || {
             format!("it learns in place {place} after {after} blocks")

@@ -280,6 +280,10 @@ impl RunFolder {
     pub fn note(&mut self, event: SessionEvent) -> Result<(), LogError> {
         let now = SystemTime::now().duration_since(UNIX_EPOCH);
         let unix_s = now.map_or(0, |since| since.as_secs());
+        if let SessionEvent::Ended { .. } = event {
+            // The thread that flushes has nobody left to tell a failure to.
+            self.episodes.sync()?;
+        }
         self.sessions.append(&SessionRecord { session: self.session, unix_s, event })?;
         self.sessions.sync()
     }

@@ -83,8 +83,13 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
         let mut line = serde_json::to_vec(entry)
             .map_err(|error| system("write to", &self.path)(io::Error::other(error)))?;
         line.push(b'\n');
+        let before = self.file.metadata().map_err(system("look at", &self.path))?.len();
         // One write: a kill leaves a line whole, absent or torn, never mixed with another.
-        durable::write(&mut self.file, &self.path, &line).map_err(system("write to", &self.path))
+        durable::write(&mut self.file, &self.path, &line).map_err(|error| {
+            // Nor is the next line mixed with one that a full disk has cut off. If this fails, too, opening the journal finds it.
+            let _ = self.file.set_len(before);
+            system("write to", &self.path)(error)
+        })
     }
 
     /// Returns when everything added so far is on the disk.

@@ -405,6 +405,13 @@ mod outcome_word {
     }
 }
 
+impl Stages {
+    /// Nanoseconds of a recall: embedding, search and assembly.
+    pub const fn recalling(&self) -> u64 {
+        self.embed.saturating_add(self.search).saturating_add(self.assemble)
+    }
+}
+
 /// Declares the stages of a step, in order.
 macro_rules! stages {
     ($($(#[$attribute:meta])* $stage:ident,)*) => {

@@ -221,11 +221,13 @@ pub(super) fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition,
         let Some(found) = &mut score.blocked else { continue };
         let blocked = score.condition;
         let unchanged = Condition { route: Route::Unchanged, ..blocked };
-        let baseline = [blocked, unchanged].map(|condition| Condition {
-            memory: Representation::Working.into(),
-            demonstrations: Demonstrations::NONE,
-            ..condition
-        });
+        let baseline =
+            [blocked, unchanged].map(|Condition { start, route, variation, arm, .. }| {
+                let none = Demonstrations::NONE;
+                let working =
+                    Condition::new(Representation::Working, start, route, none, variation);
+                working.map(|condition| condition.with_arm(arm))
+            });
         let reported = |condition: &Condition| rates.get(condition).copied();
         let (Some(after), Some(before)) = (reported(&blocked), reported(&unchanged)) else {
             continue;
@@ -233,15 +235,15 @@ pub(super) fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition,
         let quartet = Quartet {
             blocked: &trials[&blocked],
             unchanged: &trials[&unchanged],
-            baseline: match baseline.each_ref().map(|condition| trials.get(condition)) {
+            baseline: match baseline.each_ref().map(|condition| trials.get(condition.as_ref()?)) {
                 [Some(blocked), Some(unchanged)] => Some([blocked, unchanged]),
                 _ => None,
             },
         };
         let [change, retention] = related_intervals(quartet);
         // The baseline against itself is 0 by definition, not by measurement.
-        let change = change.filter(|_| blocked != baseline[0]);
-        found.change = match baseline.each_ref().map(reported) {
+        let change = change.filter(|_| Some(blocked) != baseline[0]);
+        found.change = match baseline.map(|condition| reported(&condition?)) {
             [Some(baseline_after), Some(baseline_before)] => Some(Derived {
                 value: blocked::change(after, before, [baseline_after, baseline_before]),
                 interval: change,

@@ -7,10 +7,10 @@ use crate::log::EpisodeRecord;
 /// below the number at full window that section 5 of the specification gives.
 pub(super) fn images_per_request(records: &[&EpisodeRecord]) -> Option<f64> {
     let measured = records.iter().filter_map(|record| Some((record.images?, record.requests?)));
-    let (images, requests) = measured.fold((0, 0), |(images, requests), (more, asked)| {
-        (images + more, requests + u64::from(asked))
+    let (images, requests) = measured.fold((0.0, 0), |(images, requests), (more, asked)| {
+        (images + more as f64, requests + u64::from(asked))
     });
-    (requests > 0).then(|| images as f64 / requests as f64)
+    (requests > 0).then(|| images / requests as f64)
 }
 
 /// Prompt and completion tokens of a hundred cases of one run. `None` if any finished episode was not measured:
@@ -18,7 +18,7 @@ pub(super) fn images_per_request(records: &[&EpisodeRecord]) -> Option<f64> {
 pub(super) fn tokens_per_100(records: &[&EpisodeRecord]) -> Option<f64> {
     let tokens: Option<Vec<f64>> = records
         .iter()
-        .map(|record| Some((record.prompt_tokens? + record.completion_tokens?) as f64))
+        .map(|record| Some(record.prompt_tokens? as f64 + record.completion_tokens? as f64))
         .collect();
     Some(mean(tokens?.into_iter())? * 100.0)
 }

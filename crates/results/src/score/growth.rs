@@ -85,17 +85,17 @@ fn of_condition(
         .collect();
     let timed = || trials.iter().filter_map(|record| timings.get(record.key.as_str()).copied());
     let per_recall = |value: &dyn Fn(&EpisodeTimings) -> u64| {
-        let (sum, recalls) = timed().fold((0, 0), |(sum, recalls), of| {
-            (sum + value(of), recalls + u64::from(of.recalls.requests))
+        let (sum, recalls) = timed().fold((0.0, 0), |(sum, recalls), of| {
+            (sum + value(of) as f64, recalls + u64::from(of.recalls.requests))
         });
-        (recalls > 0).then(|| sum as f64 / recalls as f64)
+        (recalls > 0).then(|| sum / recalls as f64)
     };
     let us = |ns: Option<f64>| ns.map(|ns| ns / 1000.0);
     let tokens: Option<Vec<(u64, u32)>> =
         trials.iter().map(|record| record.memory_tokens.zip(record.requests)).collect();
     let tokens = tokens.map(|all| {
-        all.into_iter().fold((0, 0), |(sum, requests), (more, asked)| {
-            (sum + more, requests + u64::from(asked))
+        all.into_iter().fold((0.0, 0), |(sum, requests), (more, asked)| {
+            (sum + more as f64, requests + u64::from(asked))
         })
     });
     Some(GrowthScore {
@@ -104,11 +104,11 @@ fn of_condition(
         from_own_case: percentage(sources.iter().map(|(_, other)| other.is_none())),
         from_same_type: same_type.and_then(|same| percentage(same.into_iter())),
         search_us: us(per_recall(&|of| of.stages.search)),
-        recall_us: us(per_recall(&|of| of.stages.embed + of.stages.search + of.stages.assemble)),
+        recall_us: us(per_recall(&|of| of.stages.recalling())),
         store_bytes: timed().filter_map(|of| of.recalls.store_bytes).max(),
         images: per_recall(&|of| of.recalls.images),
         tokens: tokens.and_then(|(sum, requests)| {
-            mean((requests > 0).then(|| sum as f64 / requests as f64).into_iter())
+            mean((requests > 0).then(|| sum / requests as f64).into_iter())
         }),
     })
 }

@@ -274,7 +274,7 @@ impl EpisodeData {
         });
         let supplied = self.supplied.iter().flatten().map(|&(one, step, _)| (one, step));
         let beside = led.chain(supplied).flat_map(|(demonstration, step)| {
-            (step..step + FILM).map(move |step| (demonstration, step as usize))
+            (step..step.saturating_add(FILM)).map(move |step| (demonstration, step as usize))
         });
         let demonstrations = self.demonstrations.iter().enumerate();
         let all = demonstrations

@@ -55,7 +55,7 @@ pub(super) fn costs(
         let recall_us = |e: &StreamEpisode<'_>| {
             let timings = timings.get(e.record.key.as_str())?;
             let stages = timings.stages;
-            let ns = (stages.embed + stages.search + stages.assemble) as f64;
+            let ns = stages.recalling() as f64;
             let requests = timings.recalls.requests;
             (requests > 0).then(|| ns / 1000.0 / f64::from(requests))
         };
