@@ -13,6 +13,7 @@ mod bucket;
 
 use std::fs::{self, File};
 use std::io;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Component, Path, PathBuf};
 use std::process::Command;
 
@@ -100,7 +101,7 @@ impl Store {
         match &self.files {
             Files::Folder(folder) => {
                 let object = folder.join(hash);
-                if fs::metadata(&object).is_ok_and(|facts| facts.len() == bytes) {
+                if hash_of(&object).is_ok_and(|(found, _)| found == hash) {
                     return Ok(());
                 }
                 fs::create_dir_all(folder)?;
@@ -160,7 +161,9 @@ fn copy_file(from: &Path, draft: &mut File) -> Result<()> {
 /// Writes the file `to`, which appears only when all of it is there and has the hash.
 fn write_checked(to: &Path, hash: &str, write: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
     let folder = to.parent().context("a file without a folder")?;
-    let mut draft = tempfile::NamedTempFile::new_in(folder)?;
+    // Other users of the store and of the cache folder read it, as far as the umask lets them.
+    let permissions = fs::Permissions::from_mode(0o666);
+    let mut draft = tempfile::Builder::new().permissions(permissions).tempfile_in(folder)?;
     write(draft.as_file_mut())?;
     draft.as_file().sync_all()?;
     let (found, bytes) = hash_of(draft.path())?;

@@ -110,6 +110,13 @@ impl UnitPlan {
         write().with_context(|| format!("cannot write {}", path.display()))
     }
 
+    /// Whether `other` has the same units and store. The embeddings that were known when a plan was written may differ.
+    pub fn is_of_same_units(&self, other: &Self) -> bool {
+        let store = |plan: &Self| plan.shipment.as_ref().map(|shipment| shipment.store.clone());
+        let without = |plan: &Self| Self { shipment: None, ..plan.clone() };
+        without(self) == without(other) && store(self) == store(other)
+    }
+
     /// The units of `episodes`, which are all of the run in their order.
     pub fn assign(
         &self,

@@ -246,7 +246,7 @@ class Steps:
     """Maximum number of steps, which end with the demonstration; `None` for all. By default as many as episodic memory
     supplies at the standard settings."""
     views: bool | Sequence[int] = True
-    """Whether to supply the steps' views, or the numbers of the steps whose views are supplied. Each view counts
+    """Whether to supply the steps' views, or the ascending numbers of the steps whose views are supplied. Each view counts
     against the image budget."""
     actions: bool = True
     """Whether to supply the expert's actions. The last step is always supplied without one."""

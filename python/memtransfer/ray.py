@@ -164,7 +164,12 @@ def main(given: Sequence[str] | None = None) -> int:
     except subprocess.CalledProcessError as error:
         # It has said why.
         return int(error.returncode)
-    ray.init(address=arguments.address, log_to_driver=False, configure_logging=False)
+    try:
+        ray.init(address=arguments.address, log_to_driver=False, configure_logging=False)
+    except ConnectionError as error:
+        print(f"cannot join a Ray cluster at {arguments.address}: {error}", file=sys.stderr)
+        print("Start one with `ray start --head`, or give its address with --address.", file=sys.stderr)
+        return 2
     failed = _execute(arguments, plan, units)
     for message in failed:
         print(message, file=sys.stderr)

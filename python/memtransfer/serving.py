@@ -77,6 +77,13 @@ def _serve_memory(
     name = memory.name or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", kind.__name__).lower()
     if memory.scope not in ("case", "all"):
         raise ValueError(f"scope of memory {name} is {memory.scope!r}, but must be 'case' or 'all'")
+    if not isinstance(memory.version, str):
+        raise TypeError(f"version of memory {name} is {memory.version!r}, but must be a str")
+    for attribute in ("embeddings", "frames", "deterministic", "learns"):
+        if not isinstance(getattr(memory, attribute), bool):
+            raise TypeError(f"{attribute} of memory {name} is {getattr(memory, attribute)!r}, but must be a bool")
+    if memory.learns and (kind.save is Memory.save or kind.load is Memory.load):
+        raise TypeError(f"memory {name} learns: it must override save and load, or a resumed run loses what it has learned")
     needs = (memory.embeddings, memory.frames, memory.deterministic, memory.learns)
     _native.serve_memory(create, (name, memory.version, memory.scope, *needs), folder)
 

@@ -171,7 +171,12 @@ impl<'m> PythonMemory<'m> {
     fn item(&self, item: &Bound<'_, PyAny>) -> PyResult<Item> {
         let py = item.py();
         let classes = &Classes::get(py)?.memory;
-        let distance = || item.getattr(intern!(py, "distance"))?.extract::<Option<f32>>();
+        let distance = || match item.getattr(intern!(py, "distance"))?.extract::<Option<f32>>()? {
+            Some(distance) if distance.is_nan() => Err(PyValueError::new_err(
+                "the distance of an item is nan, but must be a number or None",
+            )),
+            distance => Ok(distance),
+        };
         if let Ok(text) = item.cast::<PyString>() {
             return Ok(Item::text(text.to_str()?));
         }

@@ -325,7 +325,9 @@ fn run_row(folder: &Path) -> Vec<Value> {
     let state = if scores.finished >= scores.planned { "complete" } else { "incomplete" };
     let successes = log.episodes.iter().filter(|record| record.is_success()).count();
     let finished = log.episodes.len();
-    let sr = (finished > 0).then(|| format!("{:.1}", 100.0 * successes as f64 / finished as f64));
+    // Episodes of streams have no rate in common.
+    let has_rate = finished > 0 && log.manifest.settings.stream.is_none();
+    let sr = has_rate.then(|| format!("{:.1}", 100.0 * successes as f64 / finished as f64));
     vec![
         name,
         json!(log.manifest.settings.suite.word()),

@@ -98,13 +98,16 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
         plan.shipment = Some(Shipment::pack(&store, &cache, &run.settings, &paths, encoder)?);
     }
     make_folder_of(&path)?;
-    if UnitPlan::read(&path).is_ok_and(|before| before.plan != plan) {
-        bail!(
-            "{} is the plan of another run, or of other units, which may be in progress: give another --out, or remove it",
+    match UnitPlan::read(&path) {
+        Err(_) => plan.write(&path)?,
+        // Its units name it by its hash. What they get from the store stays what it was.
+        Ok(before) if before.plan.is_of_same_units(&plan) => plan = before.plan,
+        Ok(_) => bail!(
+            "{} is the plan of another run, of other units or with another store, and may be in progress: give another \
+             --out, or remove it",
             path.display()
-        );
+        ),
     }
-    plan.write(&path)?;
     if !args.quiet {
         let (units, episodes) = (plan.units, plan.manifest.episodes);
         say!("{}: {episodes} episodes in {units} units", path.display());

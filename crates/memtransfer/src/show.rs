@@ -32,8 +32,8 @@ pub(super) struct ShowArgs {
     /// The run's folder
     #[arg(value_name = "RUN")]
     run: PathBuf,
-    /// The case, for example t03-07
-    #[arg(value_name = "CASE")]
+    /// The case, for example t03-07, or the key of an episode, as the log has it
+    #[arg(value_name = "CASE|KEY")]
     case: String,
     /// The step: how many were taken before, so 0 is the first
     #[arg(value_name = "STEP")]
@@ -76,6 +76,9 @@ pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
 impl ShowArgs {
     /// The requested episode.
     fn episode<'a>(&self, log: &'a RunLog) -> Result<&'a EpisodeRecord> {
+        if let Some(record) = log.episodes.iter().find(|record| record.key == self.case) {
+            return Ok(record);
+        }
         let of_case: Vec<&EpisodeRecord> =
             log.episodes.iter().filter(|record| record.case == self.case).collect();
         if of_case.is_empty() {
@@ -106,6 +109,15 @@ impl ShowArgs {
                 conditions.join("\n  ")
             );
         }
+        if found.len() > 1 && found[0].stream.is_some() {
+            let keys: Vec<&str> = found.iter().map(|record| record.key.as_str()).collect();
+            bail!(
+                "{} has {} episodes in these streams; give the key of one in place of the case:\n  {}",
+                self.case,
+                keys.len(),
+                keys.join("\n  ")
+            );
+        }
         found.sort_by_key(|record| record.run);
         let chosen = match self.repetition {
             None => found.first().copied(),
@@ -127,6 +139,11 @@ impl ShowArgs {
         let Some(index) = ids.iter().position(|id| id == case) else {
             return UnknownName::new("case", case, ids).into();
         };
+        if settings.stream.is_some() {
+            return anyhow!(
+                "{run} has no finished episode of {case}; `memtransfer ls streams` lists what streams have"
+            );
+        }
         let planned = select_cases(&ids, &settings.cases, settings.limit).unwrap_or_default();
         if planned.contains(&index) {
             anyhow!("no episode of {case} is finished yet in {run}: the run's command resumes it")

@@ -142,6 +142,9 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
             None => "started by the user".to_owned(),
         };
         let scope = match scope.as_str() {
+            _ if view.log.manifest.settings.stream.is_some() => {
+                "remembers the demonstrations of the cases of its stream"
+            }
             "all" => "remembers the demonstrations of all cases",
             _ => "remembers the demonstrations of the episode's case",
         };

@@ -237,6 +237,15 @@ pub fn merge(
     let mut draft = out.as_os_str().to_owned();
     draft.push(".merging");
     let draft = PathBuf::from(draft);
+    let is_ours = |entry: &fs::DirEntry| {
+        let ours =
+            [EPISODES_FILE, TIMINGS_FILE, REQUESTS_FILE, ERRORS_FILE, SESSIONS_FILE, LATENCY_FILE];
+        entry.file_name().to_str().is_some_and(|name| ours.contains(&name))
+    };
+    let earlier = fs::read_dir(&draft).into_iter().flatten().flatten().collect::<Vec<_>>();
+    if !earlier.is_empty() && !earlier.iter().any(is_ours) {
+        return Err(MergeError::NotEmpty { dir: draft });
+    }
     fs::create_dir_all(&draft).map_err(system("make", &draft))?;
     let _lock = lock(&draft)?;
     let written = write(manifest, units, episodes, &draft);
@@ -379,6 +388,10 @@ impl<'a> MergedRun<'a> {
             record.session = record.session.saturating_add(sessions);
             record
         })?;
+        if last == 0 {
+            let problem = format!("{SESSIONS_FILE} names no session");
+            return Err(MergeError::Broken { dir: dir.clone(), problem });
+        }
         let mut timings = BTreeMap::new();
         read_lines(dir, TIMINGS_FILE, |_, line| {
             let record: EpisodeTimings = serde_json::from_slice(line)?;

@@ -77,9 +77,9 @@ impl Interval {
         Self { low: self.low * factor, high: self.high * factor }
     }
 
-    /// Whether both ends are the same.
+    /// Whether both ends are the same, but for rounding in sums of many values.
     pub(super) fn is_point(&self) -> bool {
-        self.high - self.low <= f64::EPSILON * self.high.abs()
+        self.high - self.low <= 1e-12 * self.high.abs().max(self.low.abs())
     }
 }
 
