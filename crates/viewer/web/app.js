@@ -63,14 +63,10 @@ const memtransfer = (() => {
    */
   function note(values) {
     if (location.hash !== noted) return;
-    history.replaceState(history.state, "", address(values));
+    history.replaceState(null, "", address(values));
     noted = location.hash;
   }
 
-  /** Keeps with the address how far its page is scrolled: the way back leads there. */
-  function noteScroll() {
-    if (location.hash === noted) history.replaceState({ scroll: window.scrollY }, "", location.hash || "#");
-  }
 
   const runs = [];
   let served = false;
@@ -85,9 +81,6 @@ const memtransfer = (() => {
     } catch (error) {
       return fail(error);
     }
-    // The browser would scroll before the page is there.
-    history.scrollRestoration = "manual";
-    window.addEventListener("scrollend", noteScroll);
     window.addEventListener("hashchange", show);
     show();
   }
@@ -124,7 +117,7 @@ const memtransfer = (() => {
     const main = document.getElementById("main");
     main.replaceChildren(...content.flat().filter(Boolean));
     main.focus({ preventScroll: true });
-    window.scrollTo(0, history.state ? history.state.scroll : 0);
+    window.scrollTo(0, 0);
   }
 
   const CODES = { "no-return": "NR", "no-revisit": "NV", "missed-instance": "MI", "never-saw": "NS", "saw-and-left": "SL", "wrong-order": "WO" };

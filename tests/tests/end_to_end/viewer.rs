@@ -143,16 +143,6 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
     browser.wait_for(EPISODE);
     browser.value("history.back()");
     browser.wait_for("document.querySelectorAll('td a.mark').length === 120");
-    // The way back leads to the place where the page was left.
-    browser.resize(1300, 500);
-    browser.value("window.scrollTo(0, 200)");
-    browser.wait_for("history.state !== null && history.state.scroll === 200");
-    browser.click("tbody tr:last-child a.mark");
-    browser.wait_for(EPISODE);
-    assert_eq!(browser.value("window.scrollY"), 0);
-    browser.value("history.back()");
-    browser.wait_for("document.querySelectorAll('td a.mark').length === 120");
-    browser.wait_for("window.scrollY === 200");
 
     browser.choose("select[name=memory]", "episodic");
     browser.wait_for("document.querySelectorAll('td a.mark').length === 40");
