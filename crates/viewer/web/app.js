@@ -67,7 +67,6 @@ const memtransfer = (() => {
     noted = location.hash;
   }
 
-
   const runs = [];
   let served = false;
 

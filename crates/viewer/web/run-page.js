@@ -127,7 +127,10 @@ memtransfer.runPage = (current) => {
     head.replaceChildren(h("tr", {}, h("th", { scope: "col" }, "Case"), conditions.map(heading)));
     const { memory, outcome: wanted, a, b } = filters;
     const settings = JSON.stringify([memory, wanted, a, b, conditions.map(({ index }) => index)]);
-    if (settings !== drawnFor) forgetRows();
+    if (settings !== drawnFor) {
+      drawn.clear();
+      body.replaceChildren();
+    }
     drawnFor = settings;
     found.forEach((row, at) => {
       const known = drawn.get(row.index);
@@ -146,11 +149,6 @@ memtransfer.runPage = (current) => {
     if (first && !body.querySelector('a.mark[tabindex="0"]')) first.tabIndex = 0;
     const shownNow = found.length ? table : nothing;
     if (grid.firstElementChild !== shownNow) grid.replaceChildren(shownNow);
-  }
-
-  function forgetRows() {
-    drawn.clear();
-    body.replaceChildren();
   }
 
   // One link of the grid can be reached with Tab; arrow keys move among the others.
@@ -206,9 +204,8 @@ memtransfer.runPage = (current) => {
     h("p", { class: "hint" }, "Choose an episode to see it step by step. Arrow keys move in the grid."), grid, tables);
   if (tables.open) openTables(tables);
   draw();
-  return memtransfer.isServed() ? memtransfer.follow(run, live, (restarted) => {
+  return memtransfer.isServed() ? memtransfer.follow(run, live, () => {
     all = memtransfer.episodes(run);
-    if (restarted) forgetRows();
     draw();
   }) : () => {};
 };
