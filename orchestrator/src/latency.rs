@@ -224,4 +224,14 @@ mod tests {
         latency.clear();
         assert_eq!(latency.summaries().count(), 0);
     }
+
+    #[test]
+    fn any_stamps_of_a_policy_are_added_up() {
+        let mut stamps = Stamps::new(1, 0, Representation::Episodic.into());
+        (stamps.assembled_ns, stamps.joined_ns) = (1, u64::MAX);
+        (stamps.started_ns, stamps.decided_ns) = (1, u64::MAX);
+        let mut latency = StepLatencies::default();
+        latency.record(&stamps);
+        assert!(!latency.is_empty());
+    }
 }

@@ -80,6 +80,17 @@ def test_what_cannot_be_served_is_named(tmp_path) -> None:
     memory.scope = "some"
     with pytest.raises(ValueError, match="scope of memory top-three is 'some'"):
         serve(memory, tmp_path)
+    memory = TopThree()
+    memory.version = 2
+    with pytest.raises(TypeError, match="version of memory top-three is 2, but must be a str"):
+        serve(memory, tmp_path)
+    memory = TopThree()
+    memory.learns = "yes"
+    with pytest.raises(TypeError, match="learns of memory top-three is 'yes', but must be a bool"):
+        serve(memory, tmp_path)
+    memory.learns = True
+    with pytest.raises(TypeError, match="top-three learns: it must override save and load"):
+        serve(memory, tmp_path)
 
 
 def test_a_memory_without_a_run_says_how_to_start_it() -> None:

@@ -98,10 +98,12 @@ pub(super) fn run(args: &ExportArgs) -> Result<Exit> {
         Format::Mp4 => args.write_episodes(EpisodeFormat::Mp4)?,
         Format::Csv => args.write_tables(TableFormat::Csv)?,
         Format::Parquet => args.write_tables(TableFormat::Parquet)?,
-        Format::Leaderboard => vec![leaderboard::write_entry(&args.whole_run()?, &args.out)?],
+        Format::Leaderboard => {
+            vec![leaderboard::write_entry(&RunLog::read(&args.run)?, &args.out)?]
+        }
         Format::HuggingFace => {
             let dataset = args.dataset.as_ref().context("--format hugging-face needs --dataset")?;
-            let log = args.whole_run()?;
+            let log = RunLog::read(&args.run)?;
             vec![write_results(&log, dataset, args.source.as_deref(), &args.out)?]
         }
     };
@@ -111,19 +113,6 @@ pub(super) fn run(args: &ExportArgs) -> Result<Exit> {
 }
 
 impl ExportArgs {
-    /// The run, which is no unit of a plan: a unit's figures are those of a few of the run's episodes.
-    fn whole_run(&self) -> Result<RunLog> {
-        let log = RunLog::read(&self.run)?;
-        match &log.manifest.unit {
-            None => Ok(log),
-            Some(unit) => bail!(
-                "{} is unit {} of a plan, a part of a run: export what `memtransfer merge` makes of all units",
-                self.run.display(),
-                unit.number
-            ),
-        }
-    }
-
     /// Refuses flags that the format does not have.
     fn check(&self) -> Result<()> {
         let (shows, chooses) = match self.format {

@@ -111,9 +111,16 @@ impl Entry {
     /// The entry of the run `log`.
     ///
     /// # Errors
-    /// When a record cannot be written as JSON, which would be a bug.
+    /// When it is a unit of a plan, whose figures are those of a few of the run's episodes.
     pub fn of(log: &RunLog) -> Result<Self> {
         let manifest = &log.manifest;
+        if let Some(unit) = &manifest.unit {
+            bail!(
+                "{} is unit {} of a plan, a part of a run: use what `memtransfer merge` makes of all units",
+                log.dir.display(),
+                unit.number
+            );
+        }
         let scores = score(log);
         let streams = scores.streams.iter().flat_map(|streams| &streams.conditions);
         let mut hashes = manifest.hashes.clone();
@@ -240,6 +247,7 @@ impl Score {
 
 #[cfg(test)]
 mod tests {
+    use results::log::UnitId;
     use results::log::testing::{log, record, stream_log, stream_record};
 
     use super::*;
@@ -253,6 +261,9 @@ mod tests {
         assert_eq!(one.scores[0].figures["sr"].mean, 50.0);
         assert!(one.scores[0].figures["sr"].low.is_some() && !one.is_incomplete());
         assert_eq!(one.suite(), "quick");
+        let mut unit = log(vec![record("t01-01", true)]);
+        unit.manifest.unit = Some(UnitId { plan: String::new(), number: 3 });
+        assert!(Entry::of(&unit).unwrap_err().to_string().contains("is unit 3 of a plan"));
         let other = Entry::of(&log(vec![record("t01-01", true), record("t01-02", true)])).unwrap();
         assert!(!other.is_of_same_run(&one));
         let newer = text.replace("\"memtransfer_leaderboard\":1", "\"memtransfer_leaderboard\":2");

@@ -1,7 +1,7 @@
 //! Every figure, computed by hand for small logs.
 
 use super::*;
-use crate::conditions::{Demonstrations, Route, Start};
+use crate::conditions::{Demonstrations, Route, SegmentContent, Start};
 use crate::key::EpisodeKey;
 use crate::log::testing::{log, record};
 use crate::log::{EpisodeError, EpisodeRecord, Stages, StreamRecord, Unread};
@@ -174,6 +174,13 @@ fn change_and_retention_from_the_mean_success_rates() {
     // The baseline against itself: 0 by definition. R = 25 / 50.
     assert_eq!(working.change, Some(Derived { value: 0.0, interval: None }));
     near(working.retention.unwrap().value, 0.5);
+    // Working memory has no segments: what supplies their images only is compared with the same runs of it.
+    let mut images = all.episodes;
+    for record in images.iter_mut().filter(|one| one.memory == Representation::Episodic) {
+        record.segment = SegmentContent::Images;
+    }
+    let images = blocked_score(&log(images), Representation::Episodic);
+    near(images.change.unwrap().value, -25.0);
 
     // Nothing succeeds on the unchanged route: R is 0 / 0, which is undefined; Delta is still a difference.
     let mut records = four(Representation::Working, None, 0);

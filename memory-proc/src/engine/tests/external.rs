@@ -505,6 +505,22 @@ fn every_field_of_a_malicious_answer_costs_its_own_episode_only() {
 }
 
 #[test]
+fn a_late_answer_leaves_the_note_of_the_episode_after_it() {
+    let mut rig = ExternalRig::new(1, 10, description(Scope::Case, false, false));
+    rig.begin(0, 7, 3);
+    let given_up = rig.queries()[0];
+    rig.begin(0, 8, 3);
+    let query = rig.queries()[0];
+    rig.note(2, 0, 8, b"left");
+    rig.answer(&ExternalAnswer { note: 1, ..answer_to(&given_up) }).unwrap_err();
+    let mut answer = ExternalAnswer { note: 2, ..steps_answer(&query) };
+    answer.items_len = 2;
+    answer.items[1] = AnswerItem { bytes: 4, ..Zeroable::zeroed() };
+    rig.answer(&answer).unwrap();
+    assert_eq!((rig.settle().len(), rig.failures()), (1, vec![]));
+}
+
+#[test]
 fn another_external_memory_cannot_answer_and_a_second_answer_is_refused() {
     let mut rig = ExternalRig::new(2, 1000, description(Scope::Case, false, false));
     let script = rig.begin(0, 7, 3);
