@@ -1,12 +1,14 @@
 //! `memtransfer merge`: joins finished units into one run folder.
 
-use std::path::PathBuf;
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use orchestrator::selection::SelectedCases;
 use orchestrator::units::{ReadPlan, UnitPlan};
-use results::log::{UnitFolders, merge};
+use results::log::{Manifest, RunFolder, UnitFolders, merge};
 use results::settings::RunSettings;
 use settings::{Layer, on_this_machine};
 
@@ -84,6 +86,10 @@ pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
     {
         bail!("the {name} here is not that of the plan: give its folder with --assets");
     }
+    if is_merged(&args.out, &manifest)? {
+        say!("{}: merged before, {} units", args.out.display(), plan.units);
+        return Ok(Exit::Complete);
+    }
     let merged = selection.with_episodes(&settings, |episodes| {
         merge(&manifest, &folders, plan.assign(episodes), &args.out)
     })?;
@@ -93,6 +99,17 @@ pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
         plan.units
     );
     Ok(Exit::Complete)
+}
+
+/// Whether the folder `out` is what this merge makes: it has the manifest and as many episodes.
+fn is_merged(out: &Path, manifest: &Manifest) -> Result<bool> {
+    if !Manifest::read(out).is_ok_and(|before| before == *manifest) {
+        return Ok(false);
+    }
+    let path = RunFolder::episodes_of(out);
+    let file = File::open(&path).with_context(|| format!("cannot open {}", path.display()))?;
+    let lines = BufReader::new(file).split(b'\n').count();
+    Ok(lines == manifest.episodes as usize)
 }
 
 /// The plan's settings with the assets of this machine.

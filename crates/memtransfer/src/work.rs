@@ -64,12 +64,15 @@ pub(super) fn run(args: WorkArgs) -> Result<Exit> {
     let plan = UnitPlan::read(&args.plan)?;
     let whole = args.out.join(unit_folder(args.unit));
     if whole.exists() {
-        check_finished(&whole, &plan.unit_id(args.unit))?;
+        check_unit(&whole, &plan.unit_id(args.unit))?;
         print(&whole.display().to_string())?;
         return Ok(Exit::Complete);
     }
     fs::create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;
     let part = args.out.join(format!("{}.part", unit_folder(args.unit)));
+    if part.join("manifest.json").exists() {
+        check_unit(&part, &plan.unit_id(args.unit))?;
+    }
     let signals = Signals::listen().context("cannot listen to signals")?;
     let options = RunOptions { quiet: args.quiet, ..RunOptions::default() };
     let cache = cache_folder()?;
@@ -144,13 +147,15 @@ fn check_machine(here: &Manifest, ReadPlan { plan, .. }: &ReadPlan, args: &WorkA
 }
 
 /// Checks that the folder `whole` is the unit `id`.
-fn check_finished(whole: &Path, id: &UnitId) -> Result<()> {
+fn check_unit(whole: &Path, id: &UnitId) -> Result<()> {
     let found = Manifest::read(whole)?.unit;
-    if found.as_ref() != Some(id) {
-        bail!(
-            "{} is a unit of another plan: choose another --out for this plan, or remove it",
-            whole.display()
-        );
+    if found.as_ref() == Some(id) {
+        return Ok(());
     }
-    Ok(())
+    let what = match found {
+        Some(other) if other.plan == id.plan => format!("unit {} of this plan", other.number),
+        Some(_) => "a unit of another plan".to_owned(),
+        None => "no unit of a plan".to_owned(),
+    };
+    bail!("{} is {what}: choose another --out, or remove it", whole.display())
 }

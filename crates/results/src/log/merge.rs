@@ -289,6 +289,9 @@ fn write(
     Ok(count)
 }
 
+/// Lines of an episode log by key.
+type LinesByKey = BTreeMap<String, Vec<u8>>;
+
 /// The episodes of a unit that are not written yet.
 struct LoadedUnit {
     number: u32,
@@ -296,7 +299,7 @@ struct LoadedUnit {
     /// Sessions of the units before.
     sessions: u32,
     /// Lines of the log, by key.
-    episodes: BTreeMap<String, Vec<u8>>,
+    episodes: LinesByKey,
     timings: BTreeMap<String, EpisodeTimings>,
 }
 
@@ -360,9 +363,9 @@ impl<'a> MergedRun<'a> {
             let dir = PathBuf::from(unit_folder(number));
             return Err(MergeError::Broken { dir, problem: "it has gone".to_owned() });
         };
-        let episodes = self.lines_by_key(dir)?;
+        let (episodes, mut asked) = self.lines_by_key(dir)?;
         for other in others {
-            let again = self.lines_by_key(other)?;
+            let (again, _) = self.lines_by_key(other)?;
             let mut keys = episodes.keys().chain(again.keys());
             if let Some(key) = keys.find(|key| episodes.get(*key) != again.get(*key)) {
                 let (one, other) = (dir.clone(), other.clone());
@@ -377,9 +380,16 @@ impl<'a> MergedRun<'a> {
             record
         })?;
         copy_lines::<RequestRecord>(dir, REQUESTS_FILE, &mut self.requests, |mut record| {
+            if let Some(left) = asked.get_mut(&record.key) {
+                *left = left.saturating_sub(1);
+            }
             record.session = record.session.saturating_add(sessions);
             record
         })?;
+        if let Some((key, left)) = asked.into_iter().find(|(_, left)| *left > 0) {
+            let problem = format!("{REQUESTS_FILE} lacks {left} requests of {key}");
+            return Err(MergeError::Broken { dir: dir.clone(), problem });
+        }
         copy_lines::<EpisodeError>(dir, ERRORS_FILE, &mut self.errors, |mut record| {
             record.session = record.session.saturating_add(sessions);
             record
@@ -417,20 +427,23 @@ impl<'a> MergedRun<'a> {
         Ok(LoadedUnit { number, dir: dir.clone(), sessions, episodes, timings })
     }
 
-    /// The lines of the episode log in `dir`, checked.
-    fn lines_by_key(&self, dir: &Path) -> Result<BTreeMap<String, Vec<u8>>, MergeError> {
-        let mut lines = BTreeMap::new();
+    /// The lines of the episode log in `dir`, checked, and how many requests to a model each episode took.
+    fn lines_by_key(&self, dir: &Path) -> Result<(LinesByKey, BTreeMap<String, u32>), MergeError> {
+        let (mut lines, mut asked) = (BTreeMap::new(), BTreeMap::new());
         let mut twice = None;
         read_lines(dir, EPISODES_FILE, |_, line| {
             let record: EpisodeRecord = serde_json::from_slice(line)?;
             record.check(self.max_steps).map_err(io::Error::other)?;
+            if let (Some(_), Some(requests)) = (record.prompt_tokens, record.requests) {
+                asked.insert(record.key.clone(), requests);
+            }
             if lines.insert(record.key.clone(), line.to_vec()).is_some() {
                 twice = Some(record.key);
             }
             Ok(())
         })?;
         match twice {
-            None => Ok(lines),
+            None => Ok((lines, asked)),
             Some(key) => Err(MergeError::Broken {
                 dir: dir.to_owned(),
                 problem: format!("its log has {key} twice"),
