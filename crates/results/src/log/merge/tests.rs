@@ -111,6 +111,21 @@ fn what_disagrees_is_named() {
     let error = merge(&manifest(), &units, planned(&[cases[0][..1].to_vec()]), &out).unwrap_err();
     insta::assert_snapshot!(shown(error), @"/one/unit-000000: the unit has no episode episodic/original/unchanged/original/run1/t01-00000001 in the plan, and one in its log; remove this folder and execute the unit again");
 
+    let sessions = units.0[0].join("unit-000000").join(SESSIONS_FILE);
+    let kept = fs::read(&sessions).unwrap();
+    fs::remove_file(&sessions).unwrap();
+    insta::assert_snapshot!(refused(), @"/one/unit-000000: sessions.jsonl names no session; remove this folder and execute the unit again");
+    fs::write(&sessions, kept).unwrap();
+    let asked = "\"prompt_tokens\":7,\"final_pose\"";
+    for folder in &units.0 {
+        let log = folder.join("unit-000000").join(EPISODES_FILE);
+        fs::write(log, text.replacen("\"final_pose\"", asked, 1)).unwrap();
+    }
+    insta::assert_snapshot!(refused(), @"/one/unit-000000: requests.jsonl lacks 10 requests of episodic/original/unchanged/original/run1/t01-00000000; remove this folder and execute the unit again");
+    for folder in &units.0 {
+        fs::write(folder.join("unit-000000").join(EPISODES_FILE), &text).unwrap();
+    }
+
     insta::assert_snapshot!(shown(units.check(1, "cd", &mut manifest()).unwrap_err()), @"/one/unit-000000 is not unit 0 of this plan: it is unit 0 of the plan ab");
     let mut other = manifest();
     other.hashes.insert("layout".to_owned(), "11".to_owned());
@@ -181,6 +196,9 @@ fn merge_in_constant_memory() {
         fs::write(unit.join(EPISODES_FILE), text(&mut lines)).unwrap();
         let mut lines = records.iter().map(|record| serde_json::to_vec(&timings(record)).unwrap());
         fs::write(unit.join(TIMINGS_FILE), text(&mut lines)).unwrap();
+        let event = SessionEvent::Failed { generation: 1, reason: String::new() };
+        let session = SessionRecord { session: 1, unix_s: 0, event };
+        fs::write(unit.join(SESSIONS_FILE), serde_json::to_vec(&session).unwrap()).unwrap();
     }
     let peak = || {
         let status = fs::read_to_string("/proc/self/status").unwrap();
