@@ -120,11 +120,17 @@ impl ViewRenderer {
                 Ok::<_, io::Error>(requests)
             });
             let mut rgba = vec![0; usize::from(edge) * usize::from(edge) * 4];
-            for &view in views {
+            let taken = views.iter().try_for_each(|&view| {
                 self.pixels.read_exact(&mut rgba).map_err(|_| ended())?;
-                take(view, &rgba)?;
+                take(view, &rgba)
+            });
+            if taken.is_err() {
+                // It may wait until its pixels are read, and the thread until it reads.
+                let _ = self.child.kill();
             }
-            asking.join().map_err(|_| ended())?.map_err(|_| ended())
+            let requests = asking.join().map_err(|_| ended())?;
+            taken?;
+            requests.map_err(|_| ended())
         })?;
         self.requests = Some(requests);
         Ok(())
