@@ -15,6 +15,7 @@ use shm_types::process::die_with_parent;
 use super::run::flags::{MachineFlags, RunOptions};
 use super::run_plan::{Executed, Preparation, RunPlan, same_command, stopped_before_episodes};
 use super::{Exit, print};
+use crate::documents::RunDocuments;
 use crate::signals::{self, Signals};
 
 #[derive(Debug, Args)]
@@ -125,8 +126,26 @@ fn unit_run(
         return Ok(None);
     };
     check_machine(&run.manifest(), plan, args)?;
+    check_documents(&run, plan)?;
     run.unit = Some(plan.unit_id(args.unit));
     Ok(Some(run))
+}
+
+/// Checks that the documents that are here already are those of the plan. Others are built, or the run says what is missing.
+fn check_documents(run: &RunPlan, ReadPlan { plan, .. }: &ReadPlan) -> Result<()> {
+    let here = RunDocuments::of(&run.settings, run.world.cases.elsewhere.as_ref(), false);
+    for (name, facts) in here.facts_now() {
+        let Some(there) = plan.manifest.documents.get(&name) else { continue };
+        if there.sha256 != facts.sha256 {
+            bail!(
+                "document {name} is not that of the plan: its SHA-256 is {} there and {} here. Remove it here, and the unit \
+                 builds or fetches it again",
+                there.sha256,
+                facts.sha256
+            );
+        }
+    }
+    Ok(())
 }
 
 /// Checks that the version, the settings and the assets here are those of the plan.
