@@ -149,7 +149,7 @@ fn faults_of_a_memory_are_named() {
         ("draws", "answers the same again", "it calls itself deterministic"),
         ("saves-nothing", "learns and saves", "it has not saved within 3 s"),
         ("saves-the-time", "loads what it has saved", "other bytes after it was loaded: learned"),
-        ("loads-nothing", "loads what it has saved", "and after it was loaded with"),
+        ("loads-nothing", "loads what it has saved", "the same query differ after it was loaded"),
         ("learns-from-evaluations", "evaluates without learning", "it saves other bytes after an"),
         ("leaves-a-lock", "can be restarted", "I run already"),
         ("ignores-stop", "stops", "after 2 s it has neither sent a shutdown report nor ended"),

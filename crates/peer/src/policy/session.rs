@@ -231,13 +231,13 @@ impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
     }
 
     /// Pins the documents and frames of `step`. If one is missing or does not have what an item names, the step cannot be
-    /// decided: its episode fails.
+    /// decided: that is reported.
     fn pin(
         &mut self,
         step: Ready,
         connection: &mut Connection,
     ) -> Result<Option<PinnedStep>, ServeError> {
-        let (lane, number, episode) = (step.lane, step.observed.step, step.episode.id);
+        let (lane, number) = (step.lane, step.observed.step);
         let mut documents = Vec::new();
         for id in step.recalled.documents() {
             documents.extend(self.document(id, &mut connection.errors)?);
@@ -245,18 +245,17 @@ impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
         let mut pinned = match PinnedStep::new(step, &documents) {
             Ok(pinned) => pinned,
             Err(bad) => {
-                connection.errors.fail_episode(lane, episode, &bad.to_string())?;
+                connection.errors.report(bad);
                 return Ok(None);
             }
         };
         let mut frames = Vec::new();
         for id in pinned.frame_ids() {
             let Some(frame) = connection.frame(id)? else {
-                let why = format!(
+                connection.errors.report(format_args!(
                     "lane {lane}, step {number}: frame {id} is not in the store: it was evicted too early or never \
                      published"
-                );
-                connection.errors.fail_episode(lane, episode, &why)?;
+                ));
                 return Ok(None);
             };
             frames.push(frame);
