@@ -125,10 +125,11 @@ pub struct Condition {
 }
 
 impl Condition {
-    /// Whether all of `words`, which are separated by `,` or `/`, are words of its name: `episodic,new`.
+    /// Whether all of `words`, which are separated by `,` or `/`, are words of its name, or its arm: `episodic,new,frozen`.
     pub fn has_words(&self, words: &str) -> bool {
         let name = self.to_string();
-        let own: Vec<&str> = name.split('/').collect();
+        // The arm `frozen` has no word in the name.
+        let own: Vec<&str> = name.split('/').chain([self.arm.word()]).collect();
         words.split([',', '/']).all(|word| own.contains(&word.trim()))
     }
 
@@ -266,6 +267,19 @@ impl Condition {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_condition_is_found_by_words_and_by_its_arm() {
+        let frozen: Condition = "episodic/new/unchanged/original".parse().unwrap();
+        let learning = frozen.with_arm(Arm::Learning);
+        for (words, found) in [
+            ("episodic,new", [true, true]),
+            ("episodic,frozen", [true, false]),
+            ("learning", [false, true]),
+        ] {
+            assert_eq!([frozen, learning].map(|one| one.has_words(words)), found, "{words}");
+        }
+    }
 
     #[test]
     fn a_condition_is_reduced_to_its_normal_form() {
