@@ -13,6 +13,8 @@ pub mod scripted;
 mod subject;
 pub mod testing;
 
+use std::fs::{self, File};
+use std::io::{Read, Seek, SeekFrom};
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
@@ -35,6 +37,10 @@ const FRAME: FrameSize = FrameSize { width: 192, height: 128 };
 
 /// Frames that may be resident: enough for the check with most views.
 const FRAMES: u32 = 128;
+
+/// The most lines of what a process printed that a finding has, and the most bytes that are read for them.
+const PRINTED_LINES: usize = 16;
+const PRINTED_BYTES: u64 = 16 << 10;
 
 /// Longest time for a process to end.
 const MAX_END_TIMEOUT: Duration = Duration::from_secs(10);
@@ -90,6 +96,9 @@ pub struct CheckFinding {
     pub happened: String,
     /// What to do if the check fails.
     pub advice: &'static str,
+    /// If it fails: the last lines that the process printed meanwhile, such as the traceback of an exception.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub printed: String,
 }
 
 impl Conformance {
@@ -135,6 +144,7 @@ impl Conformance {
         for check in checks {
             let mut first = findings.iter().take(required);
             let failed = first.find(|f| f.verdict == CheckVerdict::Failed);
+            let printed_before = kit.printed_bytes();
             let (verdict, happened) = match failed {
                 Some(failed) => (CheckVerdict::Skipped, format!("it needs \"{}\"", failed.name)),
                 None => match (check.run)(&mut kit) {
@@ -150,7 +160,13 @@ impl Conformance {
                 },
             };
             let (name, expected, advice) = (check.name, check.expected, check.advice);
-            let finding = CheckFinding { name, verdict, expected, happened, advice };
+            let printed = match verdict {
+                CheckVerdict::Failed => kit.printed_since(printed_before),
+                CheckVerdict::Passed | CheckVerdict::Warning | CheckVerdict::Skipped => {
+                    String::new()
+                }
+            };
+            let finding = CheckFinding { name, verdict, expected, happened, advice, printed };
             observer(&finding);
             findings.push(finding);
         }
@@ -195,6 +211,32 @@ impl<'a, R: TestedRole> Kit<'a, R> {
     fn take_subject(&mut self) -> CheckResult<Subject<'a, R>> {
         self.subject()?;
         self.subject.take().ok_or_else(|| anyhow::anyhow!("the process was not started").into())
+    }
+
+    /// What the process prints, once it has been started.
+    fn log(&self) -> Option<File> {
+        let mut logs = fs::read_dir(self.run.path().join("logs")).ok()?;
+        File::open(logs.next()?.ok()?.path()).ok()
+    }
+
+    /// How much the process has printed.
+    fn printed_bytes(&self) -> u64 {
+        self.log().and_then(|log| log.metadata().ok()).map_or(0, |facts| facts.len())
+    }
+
+    /// The last lines that the process has printed after its first `bytes` bytes.
+    fn printed_since(&self, bytes: u64) -> String {
+        let read = || {
+            let mut log = self.log()?;
+            let start = log.metadata().ok()?.len().saturating_sub(PRINTED_BYTES).max(bytes);
+            log.seek(SeekFrom::Start(start)).ok()?;
+            let mut text = Vec::new();
+            log.take(PRINTED_BYTES).read_to_end(&mut text).ok()?;
+            Some(String::from_utf8_lossy(&text).into_owned())
+        };
+        let text = read().unwrap_or_default();
+        let lines: Vec<&str> = text.lines().collect();
+        lines[lines.len().saturating_sub(PRINTED_LINES)..].join("\n")
     }
 
     /// Kills the process and all processes that it started.

@@ -110,7 +110,7 @@ pub(super) fn run(args: &ConformanceArgs) -> Result<Exit> {
 
 /// A finding in a line, or in a paragraph where something is to be done.
 fn line(finding: &CheckFinding) -> String {
-    let CheckFinding { name, verdict, expected, happened, advice } = finding;
+    let CheckFinding { name, verdict, expected, happened, advice, printed } = finding;
     let (word, explains) = match verdict {
         CheckVerdict::Passed => ("ok  ", false),
         CheckVerdict::Warning => ("WARN", true),
@@ -118,9 +118,14 @@ fn line(finding: &CheckFinding) -> String {
         CheckVerdict::Skipped => ("-   ", false),
     };
     if explains {
-        let happened = happened.replace('\n', "\n               ");
+        let indented = |text: &str| text.replace('\n', "\n               ");
+        let happened = indented(happened);
+        let printed = match printed.as_str() {
+            "" => String::new(),
+            lines => format!("\n     printed   {}", indented(lines)),
+        };
         return format!(
-            "{word} {name}\n     expected  {expected}\n     happened  {happened}\n     to do     {advice}"
+            "{word} {name}\n     expected  {expected}\n     happened  {happened}{printed}\n     to do     {advice}"
         );
     }
     format!("{word} {name:<36} {happened}").trim_end().to_owned()
