@@ -78,14 +78,9 @@ def _store(archive: bytes, unit: int, units: Path) -> None:
 
 
 def _make_plan(program: str, settings: Sequence[str], units: Path) -> Path:
-    """The plan of these settings, in the folder of its units."""
-    units.mkdir(parents=True, exist_ok=True)
-    plan, draft = units / "plan.json", units / "plan.json.draft"
-    subprocess.run([program, "plan", *settings, "--out", str(draft)], check=True)
-    if plan.exists() and plan.read_bytes() != draft.read_bytes():
-        draft.unlink()
-        raise SystemExit(f"{units} has units of another plan: give the same settings, or another --out")
-    draft.rename(plan)
+    """The plan of these settings, in the folder of its units; `plan` keeps what is there already, and refuses another."""
+    plan = units / "plan.json"
+    subprocess.run([program, "plan", *settings, "--out", str(plan)], check=True)
     return plan
 
 
