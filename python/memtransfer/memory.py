@@ -45,6 +45,15 @@ class DemonstrationStep:
     """The result of the action before."""
 
 
+class _NoFrames(tuple[Frame, ...]):
+    """The frames of demonstrations for a memory that has not declared that it looks at them."""
+
+    __slots__ = ()
+
+    def __getitem__(self, step: Any) -> Any:
+        raise IndexError("there are no frames: set `frames = True` in the memory's class, with scope 'case'")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Demonstration(Sequence[DemonstrationStep]):
     """An expert's demonstration of a task: a sequence of steps, and the same steps as arrays.
@@ -66,6 +75,10 @@ class Demonstration(Sequence[DemonstrationStep]):
     frames: Sequence[Frame] = ()
     """By step: the view. Empty unless `Memory.frames` is true. Pixels are available while `Memory.build` runs: copy
     what you keep."""
+
+    def __post_init__(self) -> None:
+        if not self.frames:
+            object.__setattr__(self, "frames", _NoFrames())
 
     def __len__(self) -> int:
         return len(self.poses)

@@ -64,6 +64,12 @@ def test_a_route_names_the_task_the_start_and_the_corners() -> None:
     assert stays.route() == '"Stay." from (3, 4) facing N: stay.'
 
 
+def test_frames_that_were_not_declared_are_missing_with_a_reason() -> None:
+    assert len(demonstration().frames) == 0
+    with pytest.raises(IndexError, match="set `frames = True`"):
+        demonstration().frames[0]
+
+
 def test_a_memory_can_be_asked_without_a_run() -> None:
     memory = TopThree()
     memory.build([demonstration()])
