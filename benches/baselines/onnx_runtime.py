@@ -17,15 +17,14 @@ from _serve import serve
 
 TRIAL_IMAGES = 12
 
-sessions = []
-
-
 PROVIDERS = {
     "cpu": "CPUExecutionProvider",
     "openvino": "OpenVINOExecutionProvider",
     "cuda": "CUDAExecutionProvider",
     "tensorrt": "TensorrtExecutionProvider",
 }
+
+sessions = []
 
 
 def make(model, count, threads, provider):

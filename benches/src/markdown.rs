@@ -140,11 +140,8 @@ impl<'a> FigureRow<'a> {
         ];
         line.extend(self.0.iter().map(|figure| match figure {
             Some(figure) => {
-                let own: Vec<String> =
-                    parameters(figure).into_iter().filter(|one| !common.contains(one)).collect();
-                let own =
-                    if own.is_empty() { own.join("") } else { format!("; {}", own.join(", ")) };
-                values(figure) + &own
+                let own = parameters(figure).into_iter().filter(|one| !common.contains(one));
+                std::iter::once(values(figure)).chain(own).collect::<Vec<_>>().join("; ")
             }
             None => NONE.to_owned(),
         }));

@@ -4,10 +4,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
-use tempfile::TempDir;
-
 use memory_proc::encoder::Provider;
 use sim_proc::renderer::Backend;
+use tempfile::TempDir;
 
 use crate::baselines::Baselines;
 

@@ -293,9 +293,8 @@ impl SequenceMemories {
             match created {
                 Ok(Some(memory)) => {
                     drop(self.memories.insert(sequence, memory));
-                    // From now on it may be dropped, although its episode may be given up before it begins.
-                    self.recent.retain(|other| *other != sequence);
-                    self.recent.push(sequence);
+                    // Its episode may be given up before it begins: it can be dropped from now on.
+                    self.note_use(sequence);
                 }
                 Ok(None) => return Ok(Bound::Waiting),
                 Err(why) => return Ok(Bound::Failed(why.into())),
@@ -330,10 +329,15 @@ impl SequenceMemories {
         known.learning = learns.then_some(episode.id);
         part.begun = true;
         episode.bank = known.bank.clone();
-        self.recent.retain(|other| *other != sequence);
-        self.recent.push(sequence);
+        self.note_use(sequence);
         self.drop_unused();
         Ok(Bound::Yes)
+    }
+
+    /// Makes the memory of `sequence` the one that was used last.
+    fn note_use(&mut self, sequence: u64) {
+        self.recent.retain(|other| *other != sequence);
+        self.recent.push(sequence);
     }
 
     /// Drops the memories that no episode has used for longest.

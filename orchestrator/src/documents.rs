@@ -142,7 +142,7 @@ impl DocumentRequest {
         report: &mut dyn FnMut(BuildStage),
     ) -> Result<Option<ReadyDocuments>> {
         let folder = self.folder()?;
-        // Others are only read.
+        // Documents that are not built here are only read.
         let lock = match self.selection {
             DocumentSelection::Model(_) | DocumentSelection::Any => None,
             DocumentSelection::Recipe(_) => match lock(folder.path(), stop, report)? {

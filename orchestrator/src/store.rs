@@ -292,6 +292,19 @@ mod tests {
     }
 
     #[test]
+    fn other_users_can_read_a_file_and_a_damaged_one_is_replaced() {
+        let (folder, store, file, _) = stored();
+        let object = folder.path().join("store").join(&file.hash);
+        let plain = folder.path().join("plain");
+        fs::write(&plain, "").unwrap();
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode();
+        assert_eq!(mode(&object), mode(&plain), "as the umask lets them");
+        fs::write(&object, "weighty").unwrap();
+        store.add(&folder.path().join("model"), file.path).unwrap();
+        assert_eq!(fs::read_to_string(object).unwrap(), "weights");
+    }
+
+    #[test]
     fn a_plan_writes_nothing_outside_the_cache_folder() {
         let (folder, store, file, cache) = stored();
         let inside = folder.path().join("x").display().to_string();

@@ -13,8 +13,8 @@ pub mod scripted;
 mod subject;
 pub mod testing;
 
-use std::fs::{self, File};
-use std::io::{Read, Seek, SeekFrom};
+use std::fs;
+use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
@@ -22,7 +22,7 @@ use anyhow::Result;
 use serde::Serialize;
 use shm_types::message::MAX_WINDOW;
 use shm_types::{Attach, FrameSize, RunDir, registry};
-use supervise::Launch;
+use supervise::{Launch, last_lines};
 
 use self::checks::Check;
 use self::memory::MemoryRole;
@@ -37,10 +37,6 @@ const FRAME: FrameSize = FrameSize { width: 192, height: 128 };
 
 /// Frames that may be resident: enough for the check with most views.
 const FRAMES: u32 = 128;
-
-/// The most lines of what a process printed that a finding has, and the most bytes that are read for them.
-const PRINTED_LINES: usize = 16;
-const PRINTED_BYTES: u64 = 16 << 10;
 
 /// Longest time for a process to end.
 const MAX_END_TIMEOUT: Duration = Duration::from_secs(10);
@@ -213,30 +209,20 @@ impl<'a, R: TestedRole> Kit<'a, R> {
         self.subject.take().ok_or_else(|| anyhow::anyhow!("the process was not started").into())
     }
 
-    /// What the process prints, once it has been started.
-    fn log(&self) -> Option<File> {
+    /// The file that the process prints to, once it has been started.
+    fn log(&self) -> Option<PathBuf> {
         let mut logs = fs::read_dir(self.run.path().join("logs")).ok()?;
-        File::open(logs.next()?.ok()?.path()).ok()
+        Some(logs.next()?.ok()?.path())
     }
 
-    /// How much the process has printed.
+    /// How many bytes the process has printed.
     fn printed_bytes(&self) -> u64 {
-        self.log().and_then(|log| log.metadata().ok()).map_or(0, |facts| facts.len())
+        self.log().and_then(|log| fs::metadata(log).ok()).map_or(0, |facts| facts.len())
     }
 
     /// The last lines that the process has printed after its first `bytes` bytes.
     fn printed_since(&self, bytes: u64) -> String {
-        let read = || {
-            let mut log = self.log()?;
-            let start = log.metadata().ok()?.len().saturating_sub(PRINTED_BYTES).max(bytes);
-            log.seek(SeekFrom::Start(start)).ok()?;
-            let mut text = Vec::new();
-            log.take(PRINTED_BYTES).read_to_end(&mut text).ok()?;
-            Some(String::from_utf8_lossy(&text).into_owned())
-        };
-        let text = read().unwrap_or_default();
-        let lines: Vec<&str> = text.lines().collect();
-        lines[lines.len().saturating_sub(PRINTED_LINES)..].join("\n")
+        self.log().and_then(|log| last_lines(&log, bytes).ok()).unwrap_or_default()
     }
 
     /// Kills the process and all processes that it started.

@@ -165,9 +165,9 @@ fn check_machine(here: &Manifest, ReadPlan { plan, .. }: &ReadPlan, args: &WorkA
     );
 }
 
-/// Checks that the folder `whole` is the unit `id`.
-fn check_unit(whole: &Path, id: &UnitId) -> Result<()> {
-    let found = Manifest::read(whole)?.unit;
+/// Checks that the folder `folder` is the unit `id`.
+fn check_unit(folder: &Path, id: &UnitId) -> Result<()> {
+    let found = Manifest::read(folder)?.unit;
     if found.as_ref() == Some(id) {
         return Ok(());
     }
@@ -176,5 +176,5 @@ fn check_unit(whole: &Path, id: &UnitId) -> Result<()> {
         Some(_) => "a unit of another plan".to_owned(),
         None => "no unit of a plan".to_owned(),
     };
-    bail!("{} is {what}: choose another --out, or remove it", whole.display())
+    bail!("{} is {what}: choose another --out, or remove it", folder.display())
 }

@@ -388,18 +388,32 @@ fn log_name(role: Role, index: u8) -> String {
 /// The end of `log`, of which the process wrote from byte `start` on: from its final error message (`sim-proc: ...`) if
 /// there is one, otherwise the last lines.
 fn log_tail(log: &Path, start: u64, role: Role) -> io::Result<String> {
-    let mut file = File::open(log)?;
-    // A process may have printed any amount.
-    let start = start.max(file.metadata()?.len().saturating_sub(TAIL_BYTES));
-    file.seek(SeekFrom::Start(start))?;
-    let mut bytes = Vec::new();
-    file.take(TAIL_BYTES).read_to_end(&mut bytes)?;
-    let text = String::from_utf8_lossy(&bytes);
+    let text = end_of(log, start)?;
     let lines: Vec<&str> = text.lines().collect();
     let message = format!("{}-proc: ", role.word());
     let from = lines.iter().rposition(|line| line.starts_with(&message));
     let from = from.unwrap_or(lines.len().saturating_sub(TAIL_LINES));
     Ok(lines[from..].join("\n"))
+}
+
+/// The end of the file `log` from byte `start` on, at most [`TAIL_BYTES`]: a process may have printed any amount.
+fn end_of(log: &Path, start: u64) -> io::Result<String> {
+    let mut file = File::open(log)?;
+    let start = start.max(file.metadata()?.len().saturating_sub(TAIL_BYTES));
+    file.seek(SeekFrom::Start(start))?;
+    let mut bytes = Vec::new();
+    file.take(TAIL_BYTES).read_to_end(&mut bytes)?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
+/// The last lines of `log` from byte `start` on.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn last_lines(log: &Path, start: u64) -> io::Result<String> {
+    let text = end_of(log, start)?;
+    let lines: Vec<&str> = text.lines().collect();
+    Ok(lines[lines.len().saturating_sub(TAIL_LINES)..].join("\n"))
 }
 
 /// The program `name` beside the running one.

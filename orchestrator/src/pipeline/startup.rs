@@ -233,11 +233,11 @@ pub(super) fn memory_exit(exit: &ChildExit, options: &PipelineOptions) -> Failur
     }
 }
 
-/// The message about a handshake from an external memory that the run does not have.
+/// The message about a handshake from a process that the run does not have.
 pub(super) fn of_unknown_sender(handshake: &Handshake) -> String {
     let Handshake { role, external, .. } = handshake;
     format!(
-        "a handshake of role {role} and external memory {external}, which the run does not have: ignored"
+        "a handshake with role {role} and index {external}, which the run does not have: ignored"
     )
 }
 

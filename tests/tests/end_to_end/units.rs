@@ -97,6 +97,8 @@ impl Units {
             }
         }
         self.merge(&["one", "two"], "merged").expect(0);
+        let again = self.merge(&["one", "two"], "merged").expect(0);
+        assert!(again.stderr.contains("merged before"), "{}", again.stderr);
     }
 
     fn out(&self, name: &str) -> std::path::PathBuf {

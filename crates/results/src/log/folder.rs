@@ -281,7 +281,7 @@ impl RunFolder {
         let now = SystemTime::now().duration_since(UNIX_EPOCH);
         let unix_s = now.map_or(0, |since| since.as_secs());
         if let SessionEvent::Ended { .. } = event {
-            // The thread that flushes has nobody left to tell a failure to.
+            // A later failure of the thread that flushes would go unnoticed.
             self.episodes.sync()?;
         }
         self.sessions.append(&SessionRecord { session: self.session, unix_s, event })?;

@@ -126,6 +126,13 @@ fn what_disagrees_is_named() {
         fs::write(folder.join("unit-000000").join(EPISODES_FILE), &text).unwrap();
     }
 
+    let draft = dir.path().join("run.merging");
+    assert!(!draft.exists(), "a merge that failed leaves nothing behind");
+    fs::create_dir(&draft).unwrap();
+    fs::write(draft.join("thesis.txt"), "years").unwrap();
+    insta::assert_snapshot!(refused(), @"/run.merging is not empty: choose another --out, or remove it");
+    fs::remove_dir_all(&draft).unwrap();
+
     insta::assert_snapshot!(shown(units.check(1, "cd", &mut manifest()).unwrap_err()), @"/one/unit-000000 is not unit 0 of this plan: it is unit 0 of the plan ab");
     let mut other = manifest();
     other.hashes.insert("layout".to_owned(), "11".to_owned());
