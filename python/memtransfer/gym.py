@@ -12,6 +12,7 @@ pose, instruction and feedback. There is no memory of demonstrations. Needs Gymn
 
 from __future__ import annotations
 
+import operator
 import os
 import string
 from collections.abc import Sequence
@@ -78,9 +79,12 @@ class _Episodes:
             raise ValueError(f"num_envs ({lanes}) and max_steps ({settings.max_steps}) must be at least 1")
         size = settings.frame_size
         width, height = (size, size) if isinstance(size, int) else size
-        look = (settings.plates, settings.labels, settings.appearance_seed)
+        seed = _integer("appearance_seed", settings.appearance_seed, 2**64)
+        look = (settings.plates, settings.labels, seed)
         self.lanes = Lanes(lanes, (width, height), look, settings.anti_aliasing, settings.assets)
         cases = _several(settings.case) if settings.case is not None else self.lanes.cases
+        if not cases:
+            raise ValueError("case is empty: leave it out for all cases")
         unknown = sorted(set(cases) - set(self.lanes.cases))
         if unknown:
             raise ValueError(f"there is no case {unknown[0]!r}; `memtransfer ls cases` lists the cases")
@@ -117,6 +121,11 @@ class _Episodes:
     def begin(self, lane: int, random: np.random.Generator, options: dict[str, Any] | None) -> None:
         """Begins an episode."""
         choices = self.choices
+        unknown = sorted({*(options or {})} - {"case", "reset_mask"})
+        if unknown:
+            raise ValueError(
+                f"there is no option {unknown[0]!r}; options are case and, for many environments, reset_mask"
+            )
         wanted = (options or {}).get("case")
         if wanted is not None:
             choices = [choice for choice in choices if choice[0] == wanted]
@@ -132,7 +141,8 @@ class _Episodes:
         steps = self.steps[lane]
         if steps is None:
             raise ResetNeeded("the episode has ended or has not begun: call reset()")
-        self.poses[lane], self.feedback[lane], success = self.lanes.act(lane, int(action))
+        taken = _integer("action", action, len(Action))
+        self.poses[lane], self.feedback[lane], success = self.lanes.act(lane, taken)
         truncated = not success and steps + 1 >= self.max_steps
         self.steps[lane] = None if success or truncated else steps + 1
         return success, truncated
@@ -245,7 +255,10 @@ class MemTransferVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
 
         Environment `i` is seeded with `seed + i`, or with `seed[i]`. `options["case"]` names the case.
         """
-        seeds = [seed + lane for lane in range(self.num_envs)] if isinstance(seed, int) else seed
+        if isinstance(seed, (int, np.integer)):
+            seeds: Sequence[int | None] | None = [int(seed) + lane for lane in range(self.num_envs)]
+        else:
+            seeds = seed
         if seeds is not None and len(seeds) != self.num_envs:
             raise ValueError(f"there are {len(seeds)} seeds for {self.num_envs} environments")
         chosen = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, np.bool_)))
@@ -261,6 +274,8 @@ class MemTransferVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         self, actions: NDArray[np.int64]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Executes an action in every environment."""
+        if len(actions) != self.num_envs:
+            raise ValueError(f"there are {len(actions)} actions for {self.num_envs} environments")
         terminations, truncations = (np.zeros(self.num_envs, np.bool_) for _ in range(2))
         infos: dict[str, Any] = {}
         for lane, action in enumerate(actions):
@@ -335,6 +350,17 @@ class _Window:
 
 def _several(values: str | Sequence[str]) -> Sequence[str]:
     return [values] if isinstance(values, str) else values
+
+
+def _integer(name: str, value: Any, end: int) -> int:
+    """`value` as an integer from 0 up to `end`, without it."""
+    try:
+        integer = operator.index(value)
+    except TypeError as error:
+        raise TypeError(f"{name} must be an integer, not {value!r}") from error
+    if not 0 <= integer < end:
+        raise ValueError(f"{name} must be at least 0 and at most {end - 1}, not {integer}")
+    return integer
 
 
 def _check_render_mode(mode: str | None, metadata: dict[str, Any]) -> None:

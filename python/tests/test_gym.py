@@ -190,6 +190,8 @@ def test_appearance_changes_pixels_only() -> None:
         ({"start": "old"}, "starts are original and new"),
         ({"frame_size": 100}, "the width must be a multiple of 64"),
         ({"max_steps": 0}, "must be at least 1"),
+        ({"case": []}, "case is empty: leave it out for all cases"),
+        ({"appearance_seed": -1}, "appearance_seed must be at least 0"),
         ({"assets": "nowhere"}, "nowhere"),
         ({"render_mode": "ansi"}, "human, rgb_array"),
     ],
@@ -204,8 +206,20 @@ def test_an_invalid_action_is_refused() -> None:
     with pytest.raises(ResetNeeded):
         env.step(Action.FORWARD)
     env.reset()
-    with pytest.raises(ValueError, match="7 is not an action"):
-        env.step(7)
+    for action in (7, -1):
+        with pytest.raises(ValueError, match=f"action must be at least 0 and at most 6, not {action}"):
+            env.step(action)
+    with pytest.raises(TypeError, match="action must be an integer, not 4.9"):
+        env.step(4.9)
+    envs = MemTransferVectorEnv(3, **SMALL)
+    envs.reset()
+    with pytest.raises(ValueError, match="there are 2 actions for 3 environments"):
+        envs.step(np.array([Action.FORWARD, Action.FORWARD]))
+
+
+def test_an_unknown_option_of_reset_is_refused() -> None:
+    with pytest.raises(ValueError, match="there is no option 'cases'; options are case"):
+        MemTransferEnv(**SMALL).reset(options={"cases": "t01-01"})
 
 
 def test_a_person_sees_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
