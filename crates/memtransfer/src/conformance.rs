@@ -11,6 +11,9 @@ use serde::Serialize;
 use super::{Exit, print, print_json};
 use crate::signals::Signals;
 
+/// The variable that `--policy-cmd` stands for.
+const POLICY_VARIABLE: &str = "MEMTRANSFER_POLICY_CMD";
+
 #[derive(Debug, Args)]
 #[command(after_help = "\
 The command is started as `memtransfer run` does with --policy-cmd or --memory-cmd: with a folder in
@@ -25,7 +28,7 @@ Examples:
   memtransfer conformance --memory-cmd 'python my_memory.py'")]
 pub(super) struct ConformanceArgs {
     /// The command that starts your policy
-    #[arg(long, value_name = "COMMAND", env = "MEMTRANSFER_POLICY_CMD")]
+    #[arg(long, value_name = "COMMAND", env = POLICY_VARIABLE)]
     policy_cmd: Option<String>,
 
     /// The command that starts your memory, to check a memory instead of a policy
@@ -61,6 +64,9 @@ struct Report<'a> {
 pub(super) fn run(args: &ConformanceArgs) -> Result<Exit> {
     let signals = Signals::listen().context("cannot listen to signals")?;
     let (role, flag, command) = match (&args.memory_cmd, &args.policy_cmd) {
+        (Some(_), Some(policy)) if std::env::var(POLICY_VARIABLE).as_ref() != Ok(policy) => {
+            anyhow::bail!("one program is checked at a time: give --policy-cmd or --memory-cmd")
+        }
         (Some(memory), _) => (CheckedRole::Memory, "memory_cmd", memory),
         (None, Some(policy)) => (CheckedRole::Policy, "policy_cmd", policy),
         (None, None) => {

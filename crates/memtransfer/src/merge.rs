@@ -48,6 +48,9 @@ pub(super) struct MergeArgs {
 }
 
 pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
+    if args.out.is_file() {
+        bail!("{} is a file: --out is the run folder to make", args.out.display());
+    }
     let ReadPlan { plan, digest } = UnitPlan::read(&args.plan)?;
     for folder in args.folders.iter().filter(|folder| !folder.is_dir()) {
         say!("warning: {} is not a folder: no units are taken from there", folder.display());

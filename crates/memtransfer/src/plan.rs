@@ -77,6 +77,9 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
     let Some(path) = flags.take_text("out").map(PathBuf::from) else {
         bail!("give the plan's file: --out plan.json");
     };
+    if path.is_dir() {
+        bail!("{0} is a folder: give the plan's file, such as --out {0}/plan.json", path.display());
+    }
     let settings = resolve([environment, flags])?.settings;
     check(&settings)?;
     let signals = Signals::listen().context("cannot listen to signals")?;

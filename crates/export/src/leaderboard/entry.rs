@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use results::conditions::Condition;
 use results::date::date;
 use results::log::RunLog;
@@ -10,6 +10,17 @@ use results::score::{ConditionScore, Estimate, Interval, Spread, StreamScore, sc
 use results::settings::FREE_KEYS;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+
+/// The figures that lie between 0 and a largest value, with that value.
+const LIMITS: [(&str, f64); 7] = [
+    ("sr", 100.0),
+    ("follow", 100.0),
+    ("recovery", 100.0),
+    ("success", 100.0),
+    ("acc", 100.0),
+    ("spl", 1.0),
+    ("t_ndtw", 1.0),
+];
 
 /// Changes when programs that read the old entries cannot read the new ones.
 const FORMAT: u32 = 1;
@@ -168,7 +179,7 @@ impl Entry {
     /// Reads an entry.
     ///
     /// # Errors
-    /// When the text is none, or one of another format.
+    /// When the text is none, one of another format, or has figures that no run can have.
     pub fn parse(text: &str) -> Result<Self> {
         let value: Value = serde_json::from_str(text).context("no JSON")?;
         match value.get("memtransfer_leaderboard").and_then(Value::as_u64) {
@@ -178,7 +189,32 @@ impl Entry {
                 "no entry of a leaderboard; `memtransfer export RUN --format leaderboard` writes one"
             ),
         }
-        serde_json::from_value(value).context("a damaged entry of a leaderboard")
+        let entry: Self =
+            serde_json::from_value(value).context("a damaged entry of a leaderboard")?;
+        entry.check().context("a wrong entry of a leaderboard")?;
+        Ok(entry)
+    }
+
+    fn check(&self) -> Result<()> {
+        let Self { planned, finished, given_up, scores, .. } = self;
+        ensure!(
+            finished.saturating_add(*given_up) <= *planned,
+            "{finished} episodes finished and {given_up} given up of {planned}"
+        );
+        for Score { condition, count, planned, figures } in scores {
+            ensure!(count <= planned, "{condition}: {count} of {planned}");
+            for (name, &EntryFigure { mean, low, high, .. }) in figures {
+                let limit = LIMITS.iter().find(|(limited, _)| limited == name);
+                let is_possible = |value: f64| {
+                    limit.is_none_or(|(_, most)| (-1e-9..=most + 1e-9).contains(&value))
+                };
+                ensure!(
+                    [Some(mean), low, high].into_iter().flatten().all(is_possible),
+                    "{condition}: {name} is {mean}, which no run can have"
+                );
+            }
+        }
+        Ok(())
     }
 
     /// The name of the suite.
@@ -269,6 +305,16 @@ mod tests {
         let newer = text.replace("\"memtransfer_leaderboard\":1", "\"memtransfer_leaderboard\":2");
         assert!(Entry::parse(&newer).unwrap_err().to_string().contains("format 2"));
         assert!(Entry::parse("[]").is_err() && Entry::parse("no").is_err());
+        for (from, to, said) in [
+            ("\"mean\":50.0", "\"mean\":250.0", "sr is 250, which no run can have"),
+            ("\"finished\":2", "\"finished\":20", "20 episodes finished and 0 given up of"),
+            ("\"count\":2", "\"count\":2000", "2000 of"),
+        ] {
+            let changed = text.replacen(from, to, 1);
+            assert_ne!(changed, text, "{from}");
+            let error = format!("{:#}", Entry::parse(&changed).unwrap_err());
+            assert!(error.contains("a wrong entry") && error.contains(said), "{error}");
+        }
     }
 
     #[test]
