@@ -33,9 +33,16 @@ impl SnapshotFolder {
 
     /// An empty folder for the files of a snapshot that [`Self::finish`] completes.
     pub(crate) fn begin(&self, sequence: u64) -> Result<PathBuf, SnapshotError> {
-        let folder = self.of(sequence).join(UNFINISHED);
+        let of_sequence = self.of(sequence);
+        if !of_sequence.is_dir() {
+            done(&of_sequence, "create", fs::create_dir_all(&of_sequence))?;
+            // The log names what is in it, so its own name must be on disk before.
+            sync(&self.0)?;
+            sync(self.0.parent().filter(|run| *run != Path::new("")).unwrap_or(Path::new(".")))?;
+        }
+        let folder = of_sequence.join(UNFINISHED);
         remove(&folder)?;
-        done(&folder, "create", fs::create_dir_all(&folder))?;
+        done(&folder, "create", fs::create_dir(&folder))?;
         Ok(folder)
     }
 
@@ -153,6 +160,8 @@ fn done<T>(path: &Path, what: &str, outcome: io::Result<T>) -> Result<T, Snapsho
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Mutex;
+
     use super::*;
 
     fn write(folder: &SnapshotFolder, text: &str, earlier: SnapshotId) -> SnapshotId {
@@ -175,6 +184,30 @@ mod tests {
         assert_eq!(found, [false, true, true]);
         assert_eq!(fs::read_dir(folder.of(7)).unwrap().count(), 2);
         assert!(folder.find(8, third).is_err());
+    }
+
+    /// The paths that were flushed; no operation fails.
+    struct Flushed(&'static Mutex<Vec<PathBuf>>);
+
+    impl durable::Faults for Flushed {
+        fn fault(&self, operation: durable::Operation, path: &Path) -> Option<durable::Fault> {
+            if operation == durable::Operation::Sync {
+                self.0.lock().unwrap().push(path.to_owned());
+            }
+            None
+        }
+    }
+
+    #[test]
+    fn folders_that_lead_to_a_snapshot_are_on_disk_before_it() {
+        static FLUSHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+        assert!(durable::inject(Box::new(Flushed(&FLUSHED))));
+        let root = tempfile::tempdir().unwrap();
+        let snapshots = root.path().join("snapshots");
+        let folder = SnapshotFolder::new(snapshots.clone());
+        folder.begin(7).unwrap();
+        let flushed = |path: &Path| FLUSHED.lock().unwrap().iter().any(|found| found == path);
+        assert!(flushed(&snapshots) && flushed(root.path()));
     }
 
     #[test]

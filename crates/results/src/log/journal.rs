@@ -1,8 +1,9 @@
 //! An append-only file of JSON lines that survives a kill at any moment, and damage to any line.
 
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::marker::PhantomData;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::thread::{self, JoinHandle};
 
@@ -189,7 +190,9 @@ pub fn read_journal<T: DeserializeOwned>(
 #[derive(Debug)]
 pub struct JournalTail<T> {
     path: PathBuf,
-    /// Bytes of whole lines that were read.
+    /// The file that was read last. While it is open, no other file can be taken for it.
+    file: Option<File>,
+    /// Bytes of its whole lines that were read.
     read: u64,
     entries: PhantomData<fn() -> T>,
 }
@@ -197,12 +200,12 @@ pub struct JournalTail<T> {
 impl<T: DeserializeOwned> JournalTail<T> {
     /// Reads the journal in `path` from its start.
     pub fn new(path: PathBuf) -> Self {
-        Self { path, read: 0, entries: PhantomData }
+        Self { path, file: None, read: 0, entries: PhantomData }
     }
 
     /// The entries of the lines that were added since the last call. Lines that are no entry are left out. `None` when the
-    /// journal has become shorter, because the run was started afresh or damaged lines were moved: the next call begins at
-    /// its start.
+    /// journal is another file or has become shorter, because the run was started afresh or damaged lines were moved: the
+    /// next call begins at its start.
     ///
     /// # Errors
     /// When an operation of the system fails.
@@ -211,8 +214,12 @@ impl<T: DeserializeOwned> JournalTail<T> {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Some(Vec::new())),
             file => file.map_err(system("read", &self.path))?,
         };
+        let identity = |file: &Metadata| (file.dev(), file.ino());
         let mut read = || {
-            if file.metadata()?.len() < self.read {
+            let now = file.metadata()?;
+            let before = self.file.as_ref().map(File::metadata).transpose()?;
+            let is_another = before.is_some_and(|before| identity(&before) != identity(&now));
+            if is_another || now.len() < self.read {
                 return Ok(None);
             }
             let mut text = Vec::new();
@@ -220,7 +227,9 @@ impl<T: DeserializeOwned> JournalTail<T> {
             file.read_to_end(&mut text)?;
             Ok(Some(text))
         };
-        let Some(text) = read().map_err(system("read", &self.path))? else {
+        let text = read().map_err(system("read", &self.path))?;
+        self.file = Some(file);
+        let Some(text) = text else {
             self.read = 0;
             return Ok(None);
         };
@@ -334,6 +343,15 @@ mod tests {
         std::fs::write(&path, b"[7,\"\"]\n").unwrap();
         assert_eq!(tail.read_new().unwrap(), None);
         assert_eq!(tail.read_new().unwrap(), Some(vec![(7, String::new())]));
+        std::fs::remove_file(&path).unwrap();
+        assert_eq!(
+            tail.read_new().unwrap(),
+            Some(vec![]),
+            "nothing new in a moment without a file"
+        );
+        std::fs::write(&path, b"[8,\"\"]\n[9,\"longer than before\"]\n").unwrap();
+        assert_eq!(tail.read_new().unwrap(), None);
+        assert_eq!(tail.read_new().unwrap().unwrap().len(), 2);
     }
 
     #[test]
