@@ -13,11 +13,17 @@ use crate::quantized::{QuantizedMatrix, QuantizedQuery};
 /// Rows that are measured before their distances are compared.
 const ROWS_TOGETHER: usize = 128;
 
-/// Blocks that a thread takes at a time.
+/// Most blocks that a thread takes at a time.
 const BLOCKS_TOGETHER: usize = 64;
 
-/// Blocks that are sampled before the scan for a first limit.
+/// Times that a thread takes blocks, at least, so that all end at about the same time.
+const TURNS: usize = 4;
+
+/// Most blocks that are sampled before the scan for a first limit.
 const SAMPLED_BLOCKS: usize = 16;
+
+/// One of so many blocks is sampled at most: what is sampled is read twice.
+const SAMPLED_SHARE: usize = 4;
 
 /// The nearest rows found so far, in order of distance. Rows as far as the last wanted one are all kept.
 #[derive(Debug, Clone)]
@@ -138,7 +144,9 @@ impl PendingQuery {
 impl QuantizedScan<'_> {
     fn run(&self, threads: usize) -> Vec<NearestRows> {
         let next_block = AtomicUsize::new(0);
-        let mut parts = crate::on_threads(threads, || self.scan_blocks(&next_block)).into_iter();
+        let together = (self.quantized.blocks() / (threads * TURNS)).clamp(1, BLOCKS_TOGETHER);
+        let scan = || self.scan_blocks(&next_block, together);
+        let mut parts = crate::on_threads(threads, scan).into_iter();
         let mut all = parts.next().unwrap_or_default();
         for part in parts {
             for (nearest, part) in all.iter_mut().zip(part) {
@@ -148,17 +156,17 @@ impl QuantizedScan<'_> {
         all
     }
 
-    /// Takes blocks until none is left.
-    fn scan_blocks(&self, next_block: &AtomicUsize) -> Vec<NearestRows> {
+    /// Takes so many blocks at a time until none is left.
+    fn scan_blocks(&self, next_block: &AtomicUsize, together: usize) -> Vec<NearestRows> {
         let mut nearest = vec![NearestRows::new(self.wanted); self.queries.len()];
         // Limit and threshold of each query.
         let mut thresholds = vec![(f32::NAN, f32::NAN); self.queries.len()];
         loop {
-            let first = next_block.fetch_add(BLOCKS_TOGETHER, Ordering::Relaxed);
+            let first = next_block.fetch_add(together, Ordering::Relaxed);
             if first >= self.quantized.blocks() {
                 return nearest;
             }
-            for block in first..self.quantized.blocks().min(first + BLOCKS_TOGETHER) {
+            for block in first..self.quantized.blocks().min(first + together) {
                 for (at, query) in self.queries.iter().enumerate() {
                     let limit = query.limit();
                     if limit != thresholds[at].0 {
@@ -202,7 +210,8 @@ impl QuantizedScan<'_> {
         if blocks < self.wanted {
             return;
         }
-        let step = blocks.div_ceil(SAMPLED_BLOCKS.max(self.wanted));
+        let sampled = (blocks / SAMPLED_SHARE).min(SAMPLED_BLOCKS).max(self.wanted);
+        let step = blocks.div_ceil(sampled);
         let sample: Vec<usize> = (0..blocks).step_by(step).collect();
         for query in &self.queries {
             let mut nearest = NearestRows::new(self.wanted);

@@ -48,7 +48,7 @@ const QUANTIZED_FROM_ROWS: usize = 1000;
 /// Number of queries from which quantized vectors are scanned even for few rows.
 const QUANTIZED_FROM_QUERIES: usize = 16;
 
-/// Number of bytes of codes from which a search uses several threads.
+/// Number of bytes that all queries of a search together compare with codes, from which it uses several threads.
 const THREADED_FROM_BYTES: usize = 8 << 20;
 
 /// Remembered views, ready to be searched.
@@ -184,7 +184,7 @@ impl Index {
 
     /// Threads that a search of `queries` queries uses.
     pub fn threads(&self, queries: usize) -> usize {
-        if self.uses_quantized(queries) { self.quantized_threads() } else { 1 }
+        if self.uses_quantized(queries) { self.quantized_threads(queries) } else { 1 }
     }
 
     pub(crate) fn rows(&self) -> &Matrix {
@@ -193,7 +193,7 @@ impl Index {
 
     pub(crate) fn quantized(&self) -> &QuantizedMatrix {
         let quantize =
-            || QuantizedMatrix::new(SimdLevel::best(), &self.rows, self.quantized_threads());
+            || QuantizedMatrix::new(SimdLevel::best(), &self.rows, self.quantized_threads(1));
         self.quantized.get_or_init(quantize)
     }
 
@@ -201,8 +201,8 @@ impl Index {
         self.rows.len() >= QUANTIZED_FROM_ROWS || queries >= QUANTIZED_FROM_QUERIES
     }
 
-    fn quantized_threads(&self) -> usize {
-        if self.rows.len() * self.rows.dimension() < THREADED_FROM_BYTES {
+    fn quantized_threads(&self, queries: usize) -> usize {
+        if self.rows.len() * self.rows.dimension() * queries < THREADED_FROM_BYTES {
             return 1;
         }
         let cores = || std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
@@ -217,7 +217,7 @@ impl Index {
         assert!(queries.iter().all(|query| query.len() == dimension), "another encoder's query");
         let (level, rows) = (SimdLevel::best(), &self.rows);
         if self.uses_quantized(queries.len()) {
-            let threads = self.quantized_threads();
+            let threads = self.quantized_threads(queries.len());
             return exact::scan_quantized(level, rows, self.quantized(), queries, wanted, threads);
         }
         queries.iter().map(|query| exact::scan(level, rows, query, wanted)).collect()
