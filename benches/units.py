@@ -7,6 +7,10 @@ executes the run once to fill the cache of embeddings, once more as the referenc
 units in random order, in as many processes at a time. Every third process is killed at a random moment with SIGKILL, and its
 unit given again. The views that units share are removed before, so the units render them. It checks that the merged log has
 the lines of the single run, and prints wall and processor time of each. Processor time includes killed processes.
+
+    python3 benches/units.py --suite paper --units 40 --workers 2 --cold
+
+begins the single run and the units with a cache folder each that has no embeddings, so both compute all of them.
 """
 
 import argparse
@@ -57,6 +61,15 @@ def measured(action):
     return time.monotonic() - wall, cpu_s() - cpu
 
 
+def without_embeddings(cache, fresh):
+    """Makes a cache folder `fresh` with all that `cache` has but embeddings and views. Programs use it from now on."""
+    fresh.mkdir()
+    for entry in cache.iterdir():
+        if entry.name not in ("embeddings", "views"):
+            (fresh / entry.name).symlink_to(entry)
+    os.environ["MEMTRANSFER_CACHE"] = str(fresh)
+
+
 def lines(run):
     return sorted((run / "episodes.jsonl").read_bytes().splitlines())
 
@@ -104,12 +117,13 @@ def main():
     parser.add_argument("--workers", default="1,2", help="workers at a time, one measurement each")
     parser.add_argument("--kill-every", type=int, default=3, help="kill every Nth process; 0 kills none")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--no-warm-up", action="store_true", help="embeddings are in the cache already")
+    caches = parser.add_mutually_exclusive_group()
+    caches.add_argument("--no-warm-up", action="store_true", help="embeddings are in the cache already")
+    caches.add_argument("--cold", action="store_true", help="begin without embeddings")
     parser.add_argument("flags", nargs="*", help="further flags of the run, after --")
     options = parser.parse_args()
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
-    cache = os.environ.get("MEMTRANSFER_CACHE") or os.path.expanduser("~/.cache/memtransfer")
-    views = Path(cache) / "views"
+    cache = Path(os.environ.get("MEMTRANSFER_CACHE") or os.path.expanduser("~/.cache/memtransfer"))
     with tempfile.TemporaryDirectory(prefix="units-") as folder:
         folder = Path(folder)
         settings = ["--suite", options.suite, "--policy", "grounded", *options.flags]
@@ -118,7 +132,9 @@ def main():
             command = [options.program, "run", *settings, "--out", folder / name, "--quiet"]
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
-        if not options.no_warm_up:
+        if options.cold:
+            without_embeddings(cache, folder / "cache")
+        elif not options.no_warm_up:
             single("warm")
         wall, cpu = measured(lambda: single("single"))
         expected = lines(folder / "single")
@@ -132,7 +148,10 @@ def main():
         print("| | wall | processor | wall, ratio | processor, ratio |\n|---|---|---|---|---|")
         print(f"| one run | {wall:.1f} s | {cpu:.1f} s | | |", flush=True)
         for workers in map(int, options.workers.split(",")):
-            shutil.rmtree(views, ignore_errors=True)
+            if options.cold:
+                without_embeddings(cache, folder / f"cache-{workers}")
+            else:
+                shutil.rmtree(cache / "views", ignore_errors=True)
             out, merged = folder / f"units-{workers}", folder / f"merged-{workers}"
             work = Units(options.program, plan, out, units, options)
 

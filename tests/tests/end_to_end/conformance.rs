@@ -102,6 +102,10 @@ fn faults_of_a_policy_are_named() {
         ("ignores-the-wire-version", "refuses another wire version", "it still runs"),
     ];
     check_faults(&bench, "policy", &faults);
+    let crash = misbehaving("policy", "crash");
+    let checks = checks(&bench, ["--policy-cmd", &crash], SHORT, 1);
+    let printed = |check: &Value| Some(check["printed"].as_str()?.contains("I am no good at this"));
+    assert!(checks.iter().any(|check| printed(check) == Some(true)), "{checks:?}");
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 

@@ -17,6 +17,23 @@ max-steps = 40
 frame-size = 128
 "#;
 
+/// Python with Ray, to its end.
+fn python(bench: &Bench, args: &[&str]) -> Ended {
+    let ray = tempfile::Builder::new().prefix("ray").tempdir_in("/tmp").unwrap();
+    let mut command = Command::new(needs::ray_python());
+    command
+        .args(args)
+        .current_dir(bench.folder.path())
+        .env("MEMTRANSFER_RUN_DIR", bench.registry.path())
+        // Ray's files, and units that are being executed.
+        .env("TMPDIR", ray.path())
+        .env("PYTHONPATH", repository("python"))
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    Ended::of(command.spawn().unwrap())
+}
+
 #[test]
 fn nodes_that_are_lost_and_added_do_not_change_the_log() {
     let bench = Bench::new();
@@ -24,26 +41,25 @@ fn nodes_that_are_lost_and_added_do_not_change_the_log() {
     let settings = ["--suite", "./suite.toml", "--policy", "grounded"];
     bench.run(&[&["run", "--out", "whole"], &settings[..]].concat()).expect(0);
 
-    let package = repository("python");
-    let ray = tempfile::Builder::new().prefix("ray").tempdir_in("/tmp").unwrap();
-    let mut command = Command::new(needs::ray_python());
-    command
-        .arg(package.join("tests/ray_cluster.py"))
-        .arg("merged")
-        .arg(program("memtransfer"))
-        .args(settings)
-        .current_dir(bench.folder.path())
-        .env("MEMTRANSFER_RUN_DIR", bench.registry.path())
-        // Ray's files, and units that are being executed.
-        .env("TMPDIR", ray.path())
-        .env("PYTHONPATH", &package)
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped());
-    let ended = Ended::of(command.spawn().unwrap()).expect(0);
+    let cluster = repository("python/tests/ray_cluster.py");
+    let program = program("memtransfer");
+    let args = [&[cluster.to_str().unwrap(), "merged", program.to_str().unwrap()], &settings[..]];
+    let ended = python(&bench, &args.concat()).expect(0);
     assert_eq!(ended.stdout.matches("killed a node").count(), 2, "{}", ended.stdout);
     assert_eq!(sorted_log(&bench.out("merged")), sorted_log(&bench.out("whole")));
     eventually("processes of lost nodes to end", || {
         processes_of(bench.registry.path()).is_empty().then_some(())
     });
+}
+
+#[test]
+fn without_a_cluster_a_message_says_how_to_start_one() {
+    let bench = Bench::new();
+    let program = program("memtransfer");
+    let run = ["-m", "memtransfer.ray", "run", "--out", "merged", "--policy", "random"];
+    let ended = python(&bench, &[&run[..], &["--program", program.to_str().unwrap()]].concat());
+    let said = ended.expect(2).stderr;
+    assert!(said.contains("cannot join a Ray cluster at auto"), "{said}");
+    assert!(said.contains("`ray start --head`") && !said.contains("Traceback"), "{said}");
+    assert!(bench.out("merged.units/plan.json").exists(), "the plan waits for the next try");
 }
