@@ -143,7 +143,7 @@ fn service(
     attach: &Attach,
     (of, index): Waiter,
 ) -> Result<PortFactory<Ipc>, BusError> {
-    let roles = attach.places(Role::ALL);
+    let roles = attach.places(&Role::ALL);
     let name = match of {
         Role::ExternalMemory => format!("event/{}-{index}", of.word()),
         _ => format!("event/{}", of.word()),

@@ -38,37 +38,22 @@ macro_rules! code_sets {
         $(
             $crate::coded_enum! {
                 $(#[doc = $doc])*
-                $name $(#[$attribute])* {
+                $name, concat!(
+                    $what, " (", $first_code, " ", $first_word,
+                    $(", ", $other_code, " ", $other_word,)* ")"
+                );
+                $(#[$attribute])* {
                     $(#[doc = $first_doc])* $first = $first_code,
                     $($(#[doc = $other_doc])* $other = $other_code,)*
                 }
             }
 
             impl $name {
-                /// All members, in code order.
-                pub const ALL: &'static [Self] = &[Self::$first, $(Self::$other),*];
-
                 /// The word for it in files, on the command line and in messages.
                 pub const fn word(self) -> &'static str {
                     match self {
                         Self::$first => $first_word,
                         $(Self::$other => $other_word,)*
-                    }
-                }
-            }
-
-            impl TryFrom<u8> for $name {
-                type Error = $crate::UnknownCode;
-
-                fn try_from(code: u8) -> Result<Self, $crate::UnknownCode> {
-                    const WHAT: &str = concat!(
-                        $what, " (", $first_code, " ", $first_word,
-                        $(", ", $other_code, " ", $other_word,)* ")"
-                    );
-                    match code {
-                        $first_code => Ok(Self::$first),
-                        $($other_code => Ok(Self::$other),)*
-                        _ => Err($crate::UnknownCode::new(code, WHAT)),
                     }
                 }
             }
@@ -79,10 +64,10 @@ macro_rules! code_sets {
     };
 }
 
-/// Declares an enum whose members have `u8` codes.
+/// Declares an enum whose members have `u8` codes, which are positions in `ALL`. Errors about a code say what is `$expected`.
 #[macro_export]
 macro_rules! coded_enum {
-    ($(#[doc = $doc:literal])* $name:ident $(#[$attribute:meta])* {
+    ($(#[doc = $doc:literal])* $name:ident, $expected:expr; $(#[$attribute:meta])* {
         $($(#[doc = $member_doc:literal])* $member:ident = $code:literal,)*
     }) => {
         $(#[doc = $doc])*
@@ -90,6 +75,20 @@ macro_rules! coded_enum {
         $(#[$attribute])*
         #[repr(u8)]
         pub enum $name { $($(#[doc = $member_doc])* $member = $code,)* }
+
+        impl $name {
+            /// All members, in code order.
+            pub const ALL: [Self; [$($code),*].len()] = [$(Self::$member),*];
+        }
+
+        impl TryFrom<u8> for $name {
+            type Error = $crate::UnknownCode;
+
+            fn try_from(code: u8) -> Result<Self, $crate::UnknownCode> {
+                let found = Self::ALL.get(usize::from(code)).copied();
+                found.ok_or_else(|| $crate::UnknownCode::new(code, $expected))
+            }
+        }
 
         impl $crate::codes::Codes for $name {
             const CODES: $crate::codes::CodeSet = $crate::codes::CodeSet {
@@ -101,6 +100,27 @@ macro_rules! coded_enum {
                     doc: concat!($($member_doc, "\n",)*),
                 },)*],
             };
+        }
+    };
+}
+
+/// Lets serde read and write a type as the text of its `FromStr` and `Display`, given
+/// `#[serde(try_from = "String", into = "String")]`.
+#[macro_export]
+macro_rules! serde_as_text {
+    ($name:ty) => {
+        impl TryFrom<String> for $name {
+            type Error = <$name as std::str::FromStr>::Err;
+
+            fn try_from(text: String) -> Result<Self, Self::Error> {
+                text.parse()
+            }
+        }
+
+        impl From<$name> for String {
+            fn from(value: $name) -> Self {
+                value.to_string()
+            }
         }
     };
 }

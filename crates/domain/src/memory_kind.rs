@@ -6,6 +6,7 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use crate::representation::{Representation, RepresentationInfo, Trajectories};
+use crate::serde_as_text;
 
 /// Most bytes of the name of an external memory.
 pub const MAX_MEMORY_NAME: usize = 24;
@@ -84,19 +85,7 @@ impl fmt::Debug for ExternalName {
     }
 }
 
-impl TryFrom<String> for ExternalName {
-    type Error = BadMemoryName;
-
-    fn try_from(text: String) -> Result<Self, BadMemoryName> {
-        text.parse()
-    }
-}
-
-impl From<ExternalName> for String {
-    fn from(name: ExternalName) -> Self {
-        name.as_str().to_owned()
-    }
-}
+serde_as_text!(ExternalName);
 
 impl MemoryKind {
     /// The built-in representation, if it is one.
@@ -165,19 +154,7 @@ impl FromStr for MemoryKind {
     }
 }
 
-impl TryFrom<String> for MemoryKind {
-    type Error = BadMemoryName;
-
-    fn try_from(text: String) -> Result<Self, BadMemoryName> {
-        text.parse()
-    }
-}
-
-impl From<MemoryKind> for String {
-    fn from(memory: MemoryKind) -> Self {
-        memory.name().to_owned()
-    }
-}
+serde_as_text!(MemoryKind);
 
 impl From<Representation> for MemoryKind {
     fn from(representation: Representation) -> Self {

@@ -4,7 +4,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::coded_enum;
+use crate::{coded_enum, serde_as_text};
 
 /// A value in a message or file that is not valid.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -76,7 +76,7 @@ impl std::fmt::Display for Cell {
 
 coded_enum! {
     /// The direction in which an agent faces.
-    Heading
+    Heading, "a heading (0 N, 1 E, 2 S, 3 W)";
     #[derive(Serialize, Deserialize)] {
         /// North: `y` grows.
         N = 0,
@@ -90,9 +90,6 @@ coded_enum! {
 }
 
 impl Heading {
-    /// All four, clockwise from north; the position is the wire code.
-    pub const ALL: [Self; 4] = [Self::N, Self::E, Self::S, Self::W];
-
     /// The unit step (east, north) of this heading.
     pub const fn vector(self) -> (i8, i8) {
         match self {
@@ -146,15 +143,6 @@ impl Heading {
             Self::S => 'S',
             Self::W => 'W',
         }
-    }
-}
-
-impl TryFrom<u8> for Heading {
-    type Error = UnknownCode;
-
-    fn try_from(code: u8) -> Result<Self, UnknownCode> {
-        let heading = Self::ALL.get(usize::from(code)).copied();
-        heading.ok_or_else(|| UnknownCode::new(code, "a heading (0 N, 1 E, 2 S, 3 W)"))
     }
 }
 
@@ -244,23 +232,11 @@ impl std::str::FromStr for Pose {
     }
 }
 
-impl TryFrom<String> for Pose {
-    type Error = UnknownCode;
-
-    fn try_from(text: String) -> Result<Self, UnknownCode> {
-        text.parse()
-    }
-}
-
-impl From<Pose> for String {
-    fn from(pose: Pose) -> Self {
-        pose.to_string()
-    }
-}
+serde_as_text!(Pose);
 
 coded_enum! {
     /// What an agent can do in one step: seven actions (specification, section 2).
-    Action {
+    Action, "an action (0 to 6)"; {
         /// One cell along the heading.
         Forward = 0,
         /// One cell against the heading, still facing it.
@@ -279,17 +255,6 @@ coded_enum! {
 }
 
 impl Action {
-    /// All seven; the position is the wire code.
-    pub const ALL: [Self; 7] = [
-        Self::Forward,
-        Self::Backward,
-        Self::Left,
-        Self::Right,
-        Self::TurnLeft,
-        Self::TurnRight,
-        Self::TurnAround,
-    ];
-
     /// The words for it in prompts and answers.
     pub const fn words(self) -> &'static str {
         match self {
@@ -343,18 +308,9 @@ impl Action {
     }
 }
 
-impl TryFrom<u8> for Action {
-    type Error = UnknownCode;
-
-    fn try_from(code: u8) -> Result<Self, UnknownCode> {
-        let action = Self::ALL.get(usize::from(code)).copied();
-        action.ok_or_else(|| UnknownCode::new(code, "an action (0 to 6)"))
-    }
-}
-
 coded_enum! {
     /// The response of the world to an action. It never says that a target was reached.
-    Feedback {
+    Feedback, "a feedback (0 to 4)"; {
         /// There was no action yet.
         Start = 0,
         /// The move succeeded.
@@ -369,10 +325,6 @@ coded_enum! {
 }
 
 impl Feedback {
-    /// All five; the position is the wire code.
-    pub const ALL: [Self; 5] =
-        [Self::Start, Self::Moved, Self::Turned, Self::Blocked, Self::NotUnderstood];
-
     /// The sentence for it in prompts.
     pub const fn words(self) -> &'static str {
         match self {
@@ -382,15 +334,6 @@ impl Feedback {
             Self::Blocked => "Something blocks the way: you did not move.",
             Self::NotUnderstood => "Your last answer was not understood: you did not move.",
         }
-    }
-}
-
-impl TryFrom<u8> for Feedback {
-    type Error = UnknownCode;
-
-    fn try_from(code: u8) -> Result<Self, UnknownCode> {
-        let feedback = Self::ALL.get(usize::from(code)).copied();
-        feedback.ok_or_else(|| UnknownCode::new(code, "a feedback (0 to 4)"))
     }
 }
 

@@ -5,13 +5,12 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::coded_enum;
 use crate::outcome::DocumentKind;
-use crate::pose::UnknownCode;
+use crate::{coded_enum, serde_as_text};
 
 coded_enum! {
     /// A memory representation.
-    Representation
+    Representation, "a representation (0 to 6)";
     #[derive(Serialize, Deserialize)]
     #[serde(try_from = "String", into = "String")] {
         /// The window alone: no memory of demonstrations.
@@ -71,17 +70,6 @@ pub enum Trajectories {
 }
 
 impl Representation {
-    /// All representations, in the order of the tables; the position is the code.
-    pub const ALL: &'static [Self] = &[
-        Self::Working,
-        Self::FullContext,
-        Self::Summary,
-        Self::Semantic,
-        Self::Hybrid,
-        Self::Episodic,
-        Self::Adaptive,
-    ];
-
     /// Its properties.
     pub const fn describe(self) -> RepresentationInfo {
         const NOTHING: RepresentationInfo = RepresentationInfo {
@@ -176,15 +164,6 @@ impl std::fmt::Display for Representation {
     }
 }
 
-impl TryFrom<u8> for Representation {
-    type Error = UnknownCode;
-
-    fn try_from(code: u8) -> Result<Self, UnknownCode> {
-        let found = Self::ALL.get(usize::from(code)).copied();
-        found.ok_or_else(|| UnknownCode::new(code, "a representation (0 to 6)"))
-    }
-}
-
 /// An unknown name of a representation.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("no representation is called {0:?}")]
@@ -199,19 +178,7 @@ impl std::str::FromStr for Representation {
     }
 }
 
-impl TryFrom<String> for Representation {
-    type Error = UnknownRepresentation;
-
-    fn try_from(text: String) -> Result<Self, UnknownRepresentation> {
-        text.parse()
-    }
-}
-
-impl From<Representation> for String {
-    fn from(representation: Representation) -> Self {
-        representation.name().to_owned()
-    }
-}
+serde_as_text!(Representation);
 
 #[cfg(test)]
 mod tests {

@@ -96,32 +96,12 @@ macro_rules! named {
             }
         }
 
-        $crate::serde_as_text!($name);
+        $crate::names::serde_as_text!($name);
     )*};
 }
 
-/// Lets serde read and write a type as the text of its `FromStr` and `Display`, given
-/// `#[serde(try_from = "String", into = "String")]`.
-#[macro_export]
-macro_rules! serde_as_text {
-    ($name:ty) => {
-        impl TryFrom<String> for $name {
-            type Error = <$name as std::str::FromStr>::Err;
-
-            fn try_from(text: String) -> Result<Self, Self::Error> {
-                text.parse()
-            }
-        }
-
-        impl From<$name> for String {
-            fn from(value: $name) -> Self {
-                value.to_string()
-            }
-        }
-    };
-}
-
-pub use {named, serde_as_text};
+pub use domain::serde_as_text;
+pub use named;
 
 #[cfg(test)]
 mod tests {

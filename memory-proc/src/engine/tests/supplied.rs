@@ -80,7 +80,7 @@ fn nothing_is_supplied_but_the_selected_demonstrations() {
                 .iter()
                 .flat_map(|demonstration| demonstration.poses.iter().copied())
                 .collect();
-            for (id, &representation) in (1..).zip(Representation::ALL) {
+            for (id, representation) in (1..).zip(Representation::ALL) {
                 let start = if case % 2 == 0 { Start::Test } else { Start::Blocked };
                 let script = rig.script(0, id, case as u32, start, representation);
                 let script = script.remembering(set);
