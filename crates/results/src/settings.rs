@@ -3,7 +3,6 @@
 //! The crate `settings` merges them from flags, environment variables and suite files, and checks them. A key has the same
 //! name in all of those places.
 
-mod appearance;
 mod cases;
 mod documents;
 mod group;
@@ -11,7 +10,6 @@ mod model;
 mod stream;
 mod suite;
 
-pub use appearance::Drawn;
 pub use cases::CaseSelector;
 pub use documents::DocumentSource;
 pub use group::Group;
@@ -26,6 +24,19 @@ use domain::{Appearance, ExternalName, MemoryKind};
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{Condition, Frames, PolicyKind};
+use crate::names::named;
+
+named! {
+    /// Whether something that a person might not find in a warehouse is drawn: `--plates` and `--labels`.
+    #[derive(Default)]
+    Drawn, "value" {
+        /// Drawn.
+        #[default]
+        On = "on",
+        /// Not drawn.
+        Off = "off",
+    }
+}
 
 /// The settings of a run, complete. `memtransfer run --help` describes each field under the same name.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -10,16 +10,20 @@ use crate::names::named;
 
 named! {
     /// The content of a retrieved segment.
+    #[derive(Default)]
     SegmentContent, "segment content" {
         /// The expert's actions and the views they led to.
+        #[default]
         Actions = "actions",
         /// The views alone.
         Images = "images",
     }
 
     /// Whether the prompt states that the demonstration starts at the agent's starting pose, where it does.
+    #[derive(Default)]
     Hint, "hint" {
         /// It does.
+        #[default]
         On = "on",
         /// It does not.
         Off = "off",
@@ -62,18 +66,6 @@ impl SegmentContent {
             Self::Actions => domain::SegmentContent::Actions,
             Self::Images => domain::SegmentContent::Images,
         }
-    }
-}
-
-impl Default for SegmentContent {
-    fn default() -> Self {
-        Variation::STANDARD.segment
-    }
-}
-
-impl Default for Hint {
-    fn default() -> Self {
-        Variation::STANDARD.hint
     }
 }
 
