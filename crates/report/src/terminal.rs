@@ -209,13 +209,11 @@ fn wrapped(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use domain::Representation;
+    use results::log::EpisodeRecord;
+    use results::log::testing::{log, record, under};
 
     use super::*;
     use crate::testing::{made_up, paper_conditions};
-    use results::conditions::Demonstrations;
-    use results::key::EpisodeKey;
-    use results::log::testing::{log, record};
     use results::score::Interval;
 
     fn is_narrow(text: &str) {
@@ -226,18 +224,8 @@ mod tests {
     #[test]
     fn the_summary_of_a_run() {
         let mut episodes = vec![record("t01-01", true), record("t01-02", false)];
-        let mut without = record("t01-01", false);
-        (without.memory, without.demonstrations) =
-            (Representation::Working.into(), Demonstrations::NONE);
-        without.images = Some(1400);
-        without.key = EpisodeKey {
-            condition: without.condition(),
-            run: 1,
-            place: None,
-            case: "t01-01".into(),
-        }
-        .to_string();
-        episodes.push(without);
+        let without = EpisodeRecord { images: Some(1400), ..record("t01-01", false) };
+        episodes.push(under("working/original/unchanged/none".parse().unwrap(), without));
         insta::assert_snapshot!(summary(&log(episodes)));
     }
 

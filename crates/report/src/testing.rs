@@ -1,10 +1,10 @@
 //! Made-up runs of the whole paper suite and of streams, as plausible as a hash of names can make them.
 
 use domain::{Action, Arm, Heading, MemoryKind, Pose, Representation};
-use results::conditions::{Condition, Demonstrations, Route, SegmentContent, Start, Variation};
+use results::conditions::{Condition, Demonstrations, Route, SegmentContent, Start};
 use results::events::{Requirement, Visit};
 use results::key::{EpisodeKey, Order};
-use results::log::testing::{log, record, sequence, settings, stream_log};
+use results::log::testing::{log, record, sequence, settings, stream_log, under};
 use results::log::{
     Ending, EpisodeRecord, ExternalMemoryFacts, RecallTotals, RunLog, StreamRecord, Unread,
 };
@@ -88,21 +88,12 @@ fn episode(key: EpisodeKey, task: u8) -> EpisodeRecord {
     let chance = (luck + hash(&key, |_| {}) % 40) as i64;
     let condition = key.condition;
     let success = chance < likely(&condition) - if task == 9 { 20 } else { 0 };
-    let mut record = record(&key.case, success);
-    record.key = key.to_string();
-    (record.memory, record.start, record.route) =
-        (condition.memory, condition.start, condition.route);
-    record.demonstrations = condition.demonstrations;
-    let Variation { window, segment, hint } = condition.variation;
-    (record.window, record.segment, record.hint) = (window, segment, hint);
-    (record.run, record.task) = (key.run, task);
+    let record = EpisodeRecord { run: key.run, task, ..record(&key.case, success) };
+    let mut record = under(condition, record);
     record.steps = if success { 20 + chance as u32 } else { 200 };
     (record.reference, record.required) = (18, if task < 3 { 1 } else { 3 });
     record.requests = Some(record.steps);
-    record.images = Some(
-        u64::from(record.steps)
-            * u64::from(1 + window + settings().memory_images_of(condition.memory)),
-    );
+    record.images = Some(u64::from(record.steps) * u64::from(settings().images(&condition)));
     record.start_pose = Pose::new(8, 0, Heading::N);
     record.sub_goals =
         if success { vec![record.steps; record.required as usize] } else { Vec::new() };

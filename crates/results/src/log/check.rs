@@ -9,7 +9,6 @@ use domain::{Action, Arm, ExternalName};
 
 use super::{BlockedRecord, Ending, EpisodeRecord, Manifest, StreamRecord};
 use crate::conditions::{Condition, Route};
-use crate::key::EpisodeKey;
 
 /// More blocks than any stream has.
 const MOST_BLOCKS: u32 = 1 << 16;
@@ -52,10 +51,7 @@ impl EpisodeRecord {
         let condition = Condition::new(memory, start, route, demonstrations, variation);
         let condition = condition.map(|condition| condition.with_arm(arm));
         let condition = condition.filter(|condition| *condition == self.condition());
-        let key = condition.map(|condition| {
-            let place = self.stream.as_ref().map(StreamRecord::key_place);
-            EpisodeKey { condition, run: self.run, place, case: self.case.clone() }.to_string()
-        });
+        let key = condition.map(|_| self.own_key().to_string());
         ensure(key.as_ref() == Some(&self.key), || {
             format!("its fields make the key {}", key.as_deref().unwrap_or("of no condition"))
         })

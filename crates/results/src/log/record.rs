@@ -14,7 +14,7 @@ use crate::conditions::{
     is_standard_window, standard_window,
 };
 use crate::events::{Requirement, Visit};
-use crate::key::{Order, StreamPlace};
+use crate::key::{EpisodeKey, Order, StreamPlace};
 use crate::names::named;
 
 named! {
@@ -31,7 +31,7 @@ named! {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EpisodeRecord {
-    /// The [`EpisodeKey`](crate::key::EpisodeKey) as it is written: unique in the log.
+    /// The [`EpisodeKey`] as it is written: unique in the log.
     pub key: String,
     /// The memory.
     pub memory: MemoryKind,
@@ -225,6 +225,16 @@ impl EpisodeRecord {
             demonstrations: self.demonstrations,
             variation: Variation { window: self.window, segment: self.segment, hint: self.hint },
             arm: self.arm,
+        }
+    }
+
+    /// The key that its fields make.
+    pub fn own_key(&self) -> EpisodeKey {
+        EpisodeKey {
+            condition: self.condition(),
+            run: self.run,
+            place: self.stream.as_ref().map(StreamRecord::key_place),
+            case: self.case.clone(),
         }
     }
 

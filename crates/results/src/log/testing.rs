@@ -9,7 +9,7 @@ use super::{
     Stages, StreamRecord, Unread,
 };
 use crate::conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
-use crate::key::{EpisodeKey, Order};
+use crate::key::Order;
 use crate::settings::{
     CaseSelector, DocumentSource, Drawn, Group, RunSettings, StreamSettings, SuiteName,
 };
@@ -92,25 +92,17 @@ pub fn settings() -> RunSettings {
 
 /// The record of `case` under episodic memory: a success is 10 steps for a reference of 8, a failure 200.
 pub fn record(case: &str, success: bool) -> EpisodeRecord {
-    let condition = Condition {
+    let steps = if success { 10 } else { 200 };
+    keyed(EpisodeRecord {
+        key: String::new(),
         memory: Representation::Episodic.into(),
         start: Start::Original,
         route: Route::Unchanged,
         demonstrations: Demonstrations::ORIGINAL,
-        variation: Variation::STANDARD,
+        window: Variation::STANDARD.window,
+        segment: Variation::STANDARD.segment,
+        hint: Variation::STANDARD.hint,
         arm: Arm::Frozen,
-    };
-    let steps = if success { 10 } else { 200 };
-    EpisodeRecord {
-        key: EpisodeKey { condition, run: 1, place: None, case: case.to_owned() }.to_string(),
-        memory: condition.memory,
-        start: condition.start,
-        route: condition.route,
-        demonstrations: condition.demonstrations,
-        window: condition.variation.window,
-        segment: condition.variation.segment,
-        hint: condition.variation.hint,
-        arm: condition.arm,
         run: 1,
         case: case.to_owned(),
         task: 1,
@@ -143,7 +135,29 @@ pub fn record(case: &str, success: bool) -> EpisodeRecord {
         memory_images_dropped: 0,
         memory_text_dropped: 0,
         stream: None,
-    }
+    })
+}
+
+/// The record with the key that its fields make.
+pub fn keyed(record: EpisodeRecord) -> EpisodeRecord {
+    EpisodeRecord { key: record.own_key().to_string(), ..record }
+}
+
+/// The record, of an episode under `condition`.
+pub fn under(condition: Condition, record: EpisodeRecord) -> EpisodeRecord {
+    let Condition { memory, start, route, demonstrations, variation, arm } = condition;
+    let Variation { window, segment, hint } = variation;
+    keyed(EpisodeRecord {
+        memory,
+        start,
+        route,
+        demonstrations,
+        window,
+        segment,
+        hint,
+        arm,
+        ..record
+    })
 }
 
 /// The record of `case` as a learning episode: stream 2, reversed, position 17, in a block that events have changed.
@@ -165,16 +179,12 @@ pub fn stream_record(case: &str, success: bool) -> EpisodeRecord {
         snapshot: Some("0123456789abcdef".repeat(2)),
         store_bytes: Some(1000),
     };
-    let mut record = EpisodeRecord {
+    keyed(EpisodeRecord {
         start: Start::New,
         arm: Arm::Learning,
-        stream: Some(stream.clone()),
+        stream: Some(stream),
         ..record(case, success)
-    };
-    let place = Some(stream.key_place());
-    record.key = EpisodeKey { condition: record.condition(), run: 1, place, case: case.to_owned() }
-        .to_string();
-    record
+    })
 }
 
 /// A whole sequence: an evaluation of all `blocks`, and for each one round of learning and another evaluation. A block is
@@ -208,19 +218,8 @@ pub fn sequence(
                 snapshot: learns.then(|| "0123456789abcdef".repeat(2)),
                 store_bytes: Some(1000 * (1 + after as u64)),
             };
-            let key_place = Some(place.key_place());
-            let key = EpisodeKey { condition, run, place: key_place, case: (*case).to_owned() };
-            episodes.push(EpisodeRecord {
-                key: key.to_string(),
-                memory: condition.memory,
-                start: condition.start,
-                route: condition.route,
-                demonstrations: condition.demonstrations,
-                arm: condition.arm,
-                run,
-                stream: Some(place.clone()),
-                ..record(case, outcome(&place, case))
-            });
+            let record = record(case, outcome(&place, case));
+            episodes.push(under(condition, EpisodeRecord { run, stream: Some(place), ..record }));
         }
     };
     (0..blocks.len()).for_each(|place| add(place, 0, None));

@@ -2,9 +2,8 @@
 
 use super::*;
 use crate::conditions::{Demonstrations, Route, SegmentContent, Start};
-use crate::key::EpisodeKey;
-use crate::log::testing::{log, record};
-use crate::log::{EpisodeError, EpisodeRecord, Stages, StreamRecord, Unread};
+use crate::log::testing::{keyed, log, record};
+use crate::log::{EpisodeError, EpisodeRecord, Stages, Unread};
 use domain::Representation;
 
 fn only(log: &RunLog) -> ConditionScore {
@@ -18,17 +17,8 @@ fn near(found: f64, expected: f64) {
     assert!((found - expected).abs() < 1e-9, "{found}, expected {expected}");
 }
 
-/// Gives the record the key that its condition, run and case make.
-fn keyed(mut record: EpisodeRecord) -> EpisodeRecord {
-    let (condition, case) = (record.condition(), record.case.clone());
-    let place = record.stream.as_ref().map(StreamRecord::key_place);
-    record.key = EpisodeKey { condition, run: record.run, place, case }.to_string();
-    record
-}
-
-fn in_run(run: u32, mut record: EpisodeRecord) -> EpisodeRecord {
-    record.run = run;
-    keyed(record)
+fn in_run(run: u32, record: EpisodeRecord) -> EpisodeRecord {
+    keyed(EpisodeRecord { run, ..record })
 }
 
 #[test]

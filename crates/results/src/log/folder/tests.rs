@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use super::*;
 use crate::log::manifest::MANIFEST_FILE;
-use crate::log::testing::{manifest, record, request, stream_record, timings};
+use crate::log::testing::{keyed, manifest, record, request, stream_record, timings};
 use crate::log::{DocumentFacts, RunLog};
 
 fn keys(records: &[EpisodeRecord]) -> Vec<&str> {
@@ -272,11 +272,8 @@ fn an_external_memory_is_the_same_when_a_run_goes_on() {
     fs::create_dir(dir.path().join(LOGS_FOLDER)).unwrap();
     fs::write(dir.path().join(LOGS_FOLDER).join("external-memory-0.log"), "x").unwrap();
     let mut folder = with("top-3", facts("1")).unwrap().folder;
-    let mut episode = record("t01-01", true);
-    episode.memory = MemoryKind::External("top-3".parse().unwrap());
-    let condition = episode.condition();
-    episode.key = crate::key::EpisodeKey { condition, run: 1, place: None, case: "t01-01".into() }
-        .to_string();
+    let memory = MemoryKind::External("top-3".parse().unwrap());
+    let episode = keyed(EpisodeRecord { memory, ..record("t01-01", true) });
     folder.finish(&[(episode.clone(), timings(&episode))]).unwrap();
     drop(folder);
     let changed = with("top-3", facts("2")).unwrap_err().to_string();
