@@ -8,7 +8,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use domain::MemoryKind;
 use results::conditions::{Condition, Frames, PolicyKind};
-use results::log::RunFolder;
+use results::log::{DOCUMENTS_FOLDER, ELSEWHERE_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE};
 use results::settings::{ModelSettings, RunSettings};
 use shm_types::message::Role;
 use shm_types::process::shared_memory_space;
@@ -160,10 +160,9 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
     let assets = ("--assets", path(&settings.assets));
     // Not in the folder to which processes attach: a policy and external memories must not see it.
-    let streams = settings.stream.is_some().then(|| RunFolder::streams_of(&settings.out));
+    let streams = settings.stream.is_some().then(|| settings.out.join(STREAMS_FILE));
     let streams = ("--streams", path(&streams));
-    let elsewhere =
-        settings.demonstrates_elsewhere().then(|| RunFolder::elsewhere_of(&settings.out));
+    let elsewhere = settings.demonstrates_elsewhere().then(|| settings.out.join(ELSEWHERE_FILE));
     let elsewhere = ("--elsewhere", path(&elsewhere));
     let mut renderer = vec![
         assets.clone(),
@@ -180,7 +179,7 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     if !settings.policy.has_process() {
         return Ok(vec![sim]);
     }
-    let snapshots = settings.stream.is_some().then(|| RunFolder::snapshots_of(&settings.out));
+    let snapshots = settings.stream.is_some().then(|| settings.out.join(SNAPSHOTS_FOLDER));
     let mut encoder = vec![
         assets,
         streams,
@@ -190,7 +189,7 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
         ("--encoder-file", path(&settings.encoder_file)),
         ("--encoder-threads", settings.encoder_threads.map(|n| n.to_string())),
         ("--provider", settings.provider.clone()),
-        ("--documents", Some(RunFolder::documents_of(&settings.out).display().to_string())),
+        ("--documents", Some(settings.out.join(DOCUMENTS_FOLDER).display().to_string())),
     ];
     let timeout = (!memories.is_empty()).then(|| settings.memory_timeout.to_string());
     encoder.push(("--memory-timeout", timeout));

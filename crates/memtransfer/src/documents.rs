@@ -8,7 +8,7 @@ use documents::{
 };
 use orchestrator::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};
 use orchestrator::progress::BuildProgress;
-use results::log::{DocumentFacts, RunFolder};
+use results::log::{DOCUMENTS_FOLDER, DocumentFacts, RunFolder};
 use results::settings::{DocumentSource, RunSettings};
 use warehouse::Elsewhere;
 
@@ -42,7 +42,7 @@ impl RunDocuments {
         };
         let uses_memory = settings.policy.has_process();
         let own = (!fresh && RunFolder::has_episodes(&settings.out))
-            .then(|| DocumentFolder::new(RunFolder::documents_of(&settings.out)));
+            .then(|| DocumentFolder::new(settings.out.join(DOCUMENTS_FOLDER)));
         Self {
             needed: if uses_memory { needed(&settings.conditions()) } else { Vec::new() },
             request,

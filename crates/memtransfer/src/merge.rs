@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use orchestrator::selection::SelectedCases;
 use orchestrator::units::{ReadPlan, UnitPlan};
-use results::log::{Manifest, RunFolder, UnitFolders, merge};
+use results::log::{EPISODES_FILE, Manifest, UnitFolders, merge};
 use results::settings::RunSettings;
 use settings::{Layer, on_this_machine};
 
@@ -109,7 +109,7 @@ fn is_merged(out: &Path, manifest: &Manifest) -> Result<bool> {
     if !Manifest::read(out).is_ok_and(|before| before == *manifest) {
         return Ok(false);
     }
-    let path = RunFolder::episodes_of(out);
+    let path = out.join(EPISODES_FILE);
     let file = File::open(&path).with_context(|| format!("cannot open {}", path.display()))?;
     let lines = BufReader::new(file).split(b'\n').count();
     Ok(lines == manifest.episodes as usize)

@@ -19,7 +19,7 @@ use orchestrator::profile::summary::summary;
 use orchestrator::profile::{AccessRun, CacheState, Profile, SCHEMA, search};
 use replay::World;
 use results::conditions::representation;
-use results::log::RunFolder;
+use results::log::DOCUMENTS_FOLDER;
 use results::settings::RunSettings;
 use settings::{Layer, resolve, select_cases, variable};
 use shm_types::message::Role;
@@ -316,7 +316,7 @@ impl Profiler<'_> {
         else {
             return Ok(None);
         };
-        supply.copy_to(&RunFolder::documents_of(&settings.out))?;
+        supply.copy_to(&settings.out.join(DOCUMENTS_FOLDER))?;
         drop(supply);
         let (folder, children) = match started {
             Some(started) => (started.run, started.children),

@@ -5,7 +5,7 @@ use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use anyhow::{Result, anyhow, bail, ensure};
 use domain::cache_folder;
 use domain::prompt_log::session_folder;
 use domain::representation::Trajectories;
@@ -28,7 +28,10 @@ use orchestrator::trace::RunTrace;
 use replay::World;
 use results::conditions::{Demonstrations, Route, Start};
 use results::cost::ModelPrices;
-use results::log::{FORMAT, LogError, Manifest, Opened, RunFolder, RunLog, UnitId};
+use results::log::{
+    DOCUMENTS_FOLDER, ELSEWHERE_FILE, FORMAT, LOGS_FOLDER, LogError, Manifest, Opened,
+    PROMPTS_FOLDER, RunFolder, RunLog, STREAMS_FILE, UnitId,
+};
 use results::settings::{Group, RunSettings};
 use rustix::io::Errno;
 use shm_types::message::{MAX_SOURCES, WIRE_VERSION};
@@ -37,7 +40,7 @@ use supervise::Children;
 
 use super::documents::RunDocuments;
 use super::run::flags::RunOptions;
-use super::{Exit, in_one_line};
+use super::{Exit, in_one_line, write_file};
 use crate::signals::{self, Signals};
 
 /// All episodes of a run.
@@ -241,22 +244,18 @@ impl RunPlan {
         for note in notes {
             say(&note);
         }
-        documents.copy_to(&RunFolder::documents_of(folder.dir()))?;
+        documents.copy_to(&folder.dir().join(DOCUMENTS_FOLDER))?;
         drop(documents);
         if let Some(streams) = &self.streams {
-            let path = RunFolder::streams_of(folder.dir());
-            let written = std::fs::write(&path, streams.set.to_text());
-            written.with_context(|| format!("cannot write {}", path.display()))?;
+            write_file(&folder.dir().join(STREAMS_FILE), &streams.set.to_text())?;
         }
         if let Some(elsewhere) = &self.world.cases.elsewhere {
-            let path = RunFolder::elsewhere_of(folder.dir());
-            let written = std::fs::write(&path, elsewhere.to_text());
-            written.with_context(|| format!("cannot write {}", path.display()))?;
+            write_file(&folder.dir().join(ELSEWHERE_FILE), &elsewhere.to_text())?;
         }
         let remaining = Remaining::of(&self.episodes, &finished)?;
         let missing = &remaining.missing;
         if settings.log_prompts {
-            let logged = RunFolder::prompts_of(folder.dir());
+            let logged = folder.dir().join(PROMPTS_FOLDER);
             let logged = logged.exists().then_some(&*logged);
             if let Some(note) = prompt_log_note(finished.len(), missing.len(), logged) {
                 say(&note);
@@ -322,7 +321,7 @@ impl RunPlan {
                 (&own, &[])
             }
         };
-        let prompts = RunFolder::prompts_of(&settings.out);
+        let prompts = settings.out.join(PROMPTS_FOLDER);
         let prompts = settings.log_prompts.then(|| session_folder(&prompts, folder.session()));
         let mut attach = launch::attach(
             settings,
@@ -338,7 +337,7 @@ impl RunPlan {
             progress.note(&format!("rendering {views} views before the first step"));
         }
         let mut pipeline_options =
-            launch::pipeline_options(settings, memories, RunFolder::logs_of(folder.dir()))?;
+            launch::pipeline_options(settings, memories, folder.dir().join(LOGS_FOLDER))?;
         if unit.is_some() {
             launch::share_views(&mut pipeline_options, &cache_folder()?.join("views"));
         }
@@ -435,7 +434,7 @@ fn start_memories(
         if options.fresh {
             RunFolder::remove_memory_logs(&settings.out)?;
         }
-        Some(RunFolder::logs_of(&settings.out))
+        Some(settings.out.join(LOGS_FOLDER))
     };
     let started =
         external_memory::start(settings, logs, signals.stop(), &mut |note| progress.note(note))?;

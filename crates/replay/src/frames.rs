@@ -9,7 +9,7 @@ use std::thread;
 use anyhow::{Context, Result, anyhow};
 use domain::Pose;
 use jpeg_encoder::{ColorType, Encoder};
-use results::log::{ELSEWHERE_HASH, RunFolder, RunLog};
+use results::log::{ELSEWHERE_FILE, ELSEWHERE_HASH, RunLog, STREAMS_FILE};
 
 /// The program that renders views, `sim-proc`, and a variable that it needs.
 #[derive(Debug, Clone)]
@@ -50,10 +50,10 @@ pub fn world_arguments(log: &RunLog) -> Vec<OsString> {
         flag("--assets", assets.into());
     }
     if settings.stream.is_some() {
-        flag("--streams", RunFolder::streams_of(&log.dir).into());
+        flag("--streams", log.dir.join(STREAMS_FILE).into());
     }
     if log.manifest.hashes.contains_key(ELSEWHERE_HASH) {
-        flag("--elsewhere", RunFolder::elsewhere_of(&log.dir).into());
+        flag("--elsewhere", log.dir.join(ELSEWHERE_FILE).into());
     }
     for (name, value) in settings.appearance().flags() {
         flag(name, value.into());

@@ -6,7 +6,7 @@ use std::fs;
 
 use anyhow::{Context, Result};
 use results::conditions::Route;
-use results::log::{ELSEWHERE_HASH, EpisodeRecord, RunFolder, RunLog};
+use results::log::{ELSEWHERE_FILE, ELSEWHERE_HASH, EpisodeRecord, RunLog, STREAMS_FILE};
 use warehouse::{
     Case, CaseSet, ELSEWHERE_VARIANT, Elsewhere, Layout, StreamSet, Trajectory, Variant, Warehouse,
     WorldState,
@@ -36,14 +36,14 @@ impl RunWorld {
     pub fn new(log: &RunLog, warehouse: Warehouse, mut cases: CaseSet) -> Result<Self> {
         let mut streams = None;
         if log.manifest.settings.stream.is_some() {
-            let file = RunFolder::streams_of(&log.dir);
+            let file = log.dir.join(STREAMS_FILE);
             let text = fs::read_to_string(&file)
                 .with_context(|| format!("cannot read {}", file.display()))?;
             let set = StreamSet::parse(&text, &warehouse, &cases);
             streams = Some(set.with_context(|| file.display().to_string())?);
         }
         if log.manifest.hashes.contains_key(ELSEWHERE_HASH) {
-            let file = RunFolder::elsewhere_of(&log.dir);
+            let file = log.dir.join(ELSEWHERE_FILE);
             cases.elsewhere = Some(Elsewhere::read(&file, &warehouse, &cases)?);
         }
         let states = streams.as_ref().map(|set| set.states(&warehouse)).transpose()?;

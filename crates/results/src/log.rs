@@ -27,7 +27,10 @@ mod record;
 mod replay;
 mod run_log;
 
-pub use files::{REPORT_FOLDER, STATUS_FILE};
+pub use files::{
+    DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, LOGS_FOLDER, PROMPTS_FOLDER, REPORT_FOLDER,
+    REQUESTS_FILE, SNAPSHOTS_FOLDER, STATUS_FILE, STREAMS_FILE, TIMINGS_FILE,
+};
 pub use folder::{Opened, RunFolder};
 pub use journal::{DamagedLine, Journal, JournalContents, JournalTail, damaged_file, read_journal};
 pub use manifest::{

@@ -20,7 +20,7 @@ use domain::prompt_log::{
 use domain::{Action, Pose};
 use serde::Serialize;
 
-use crate::log::{EpisodeRecord, EpisodeTimings, RunFolder, RunLog};
+use crate::log::{EpisodeRecord, EpisodeTimings, PROMPTS_FOLDER, RunLog};
 
 /// One step.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -125,7 +125,7 @@ pub struct PromptLog {
 impl PromptLog {
     /// The prompt log of `log`, which may have none.
     pub fn of(log: &RunLog) -> Self {
-        Self { folder: RunFolder::prompts_of(&log.dir), files: BTreeMap::new() }
+        Self { folder: log.dir.join(PROMPTS_FOLDER), files: BTreeMap::new() }
     }
 
     /// Whether the run has one.

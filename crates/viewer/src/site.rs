@@ -28,7 +28,8 @@ use report::Published;
 use results::conditions::Condition;
 use results::key::EpisodeKey;
 use results::log::{
-    EpisodeRecord, EpisodeTimings, JournalTail, RequestRecord, RunFolder, RunLog, STATUS_FILE,
+    EPISODES_FILE, EpisodeRecord, EpisodeTimings, JournalTail, PROMPTS_FOLDER, REQUESTS_FILE,
+    RequestRecord, RunLog, STATUS_FILE, TIMINGS_FILE,
 };
 use results::step_view::PromptLog;
 use serde::Serialize;
@@ -257,8 +258,7 @@ impl RunPages {
             },
             Some(("images", name)) => match name.strip_suffix(".jpg") {
                 Some(hash) if is_hash(hash) => {
-                    let folder = RunFolder::prompts_of(&self.log.dir);
-                    let file = image_file(&folder, hash);
+                    let file = image_file(&self.log.dir.join(PROMPTS_FOLDER), hash);
                     if file.exists() { Some(image(&file)?) } else { None }
                 }
                 _ => None,
@@ -437,9 +437,9 @@ impl Growth {
     fn new(log: &RunLog) -> Self {
         Self {
             restarted: false,
-            episodes: JournalTail::new(RunFolder::episodes_of(&log.dir)),
-            timings: JournalTail::new(RunFolder::timings_of(&log.dir)),
-            requests: JournalTail::new(RunFolder::requests_of(&log.dir)),
+            episodes: JournalTail::new(log.dir.join(EPISODES_FILE)),
+            timings: JournalTail::new(log.dir.join(TIMINGS_FILE)),
+            requests: JournalTail::new(log.dir.join(REQUESTS_FILE)),
             known_requests: log.requests.len(),
             keys: log.episodes.iter().map(|record| record.key.clone()).collect(),
         }

@@ -1,23 +1,31 @@
-//! The names of the files in a run folder.
+//! The names of the files and folders in a run folder.
 
 use super::manifest::MANIFEST_FILE;
 
-/// Name of the file in a run's folder.
+/// The live status of a session.
 pub const STATUS_FILE: &str = "status.json";
-
-pub(super) const EPISODES_FILE: &str = "episodes.jsonl";
-pub(super) const TIMINGS_FILE: &str = "timings.jsonl";
-pub(super) const REQUESTS_FILE: &str = "requests.jsonl";
+/// The journal of finished episodes.
+pub const EPISODES_FILE: &str = "episodes.jsonl";
+/// The journal of their timings.
+pub const TIMINGS_FILE: &str = "timings.jsonl";
+/// The journal of requests to a model.
+pub const REQUESTS_FILE: &str = "requests.jsonl";
 pub(super) const ERRORS_FILE: &str = "errors.jsonl";
 pub(super) const SESSIONS_FILE: &str = "sessions.jsonl";
 pub(super) const LATENCY_FILE: &str = "latency.jsonl";
-pub(super) const STREAMS_FILE: &str = "streams.json";
-pub(super) const ELSEWHERE_FILE: &str = "elsewhere.json";
-pub(super) const SNAPSHOTS_FOLDER: &str = "snapshots";
-pub(super) const DOCUMENTS_FOLDER: &str = "documents";
-pub(super) const PROMPTS_FOLDER: &str = "prompts";
-pub(super) const LOGS_FOLDER: &str = "logs";
-/// The folder of reports about a single run.
+/// The streams, of a run that consists of streams.
+pub const STREAMS_FILE: &str = "streams.json";
+/// The other warehouse, if tasks are demonstrated in one.
+pub const ELSEWHERE_FILE: &str = "elsewhere.json";
+/// The snapshots of memories that learn.
+pub const SNAPSHOTS_FOLDER: &str = "snapshots";
+/// The documents that memory supplied.
+pub const DOCUMENTS_FOLDER: &str = "documents";
+/// The requests to the policy and its answers.
+pub const PROMPTS_FOLDER: &str = "prompts";
+/// The logs of the processes.
+pub const LOGS_FOLDER: &str = "logs";
+/// The reports about a single run.
 pub const REPORT_FOLDER: &str = "report";
 
 /// Everything that a run folder may hold. No other file in it is touched.

@@ -12,8 +12,8 @@ use super::existing::{
     existing, has_episodes, has_requests, is_of_external_memory, lock, remove_logs, remove_run,
 };
 use super::files::{
-    DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, LOGS_FOLDER,
-    PROMPTS_FOLDER, REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE, TIMINGS_FILE,
+    EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, LOGS_FOLDER, REQUESTS_FILE, SESSIONS_FILE,
+    TIMINGS_FILE,
 };
 use super::journal::unchecked;
 use super::{
@@ -104,14 +104,14 @@ impl RunFolder {
         };
         manifest.write(dir)?;
 
-        let mut open = JournalOpener { dir, notes: &mut notes };
         let check = check_records(&manifest);
-        let (episodes, finished) = open.journal::<EpisodeRecord>(EPISODES_FILE, check)?;
-        let (timings, _) = open.journal(TIMINGS_FILE, unchecked)?;
-        let (requests, asked) = open.journal(REQUESTS_FILE, unchecked)?;
-        let (errors, _) = open.journal(ERRORS_FILE, unchecked)?;
-        let (sessions, past) = open.journal::<SessionRecord>(SESSIONS_FILE, unchecked)?;
-        let (latency, _) = open.journal(LATENCY_FILE, unchecked)?;
+        let (episodes, finished) = journal(&dir.join(EPISODES_FILE), check, &mut notes)?;
+        let (timings, _) = journal(&dir.join(TIMINGS_FILE), unchecked, &mut notes)?;
+        let (requests, asked) = journal(&dir.join(REQUESTS_FILE), unchecked, &mut notes)?;
+        let (errors, _) = journal(&dir.join(ERRORS_FILE), unchecked, &mut notes)?;
+        let (sessions, past): (Journal<SessionRecord>, _) =
+            journal(&dir.join(SESSIONS_FILE), unchecked, &mut notes)?;
+        let (latency, _) = journal(&dir.join(LATENCY_FILE), unchecked, &mut notes)?;
         let logs = dir.join(LOGS_FOLDER);
         create_private_folder(&logs).map_err(system("make", &logs))?;
         File::open(dir).and_then(|dir| dir.sync_all()).map_err(system("flush", dir))?;
@@ -171,51 +171,6 @@ impl RunFolder {
     /// Whether the run folder at `dir` has finished episodes.
     pub fn has_episodes(dir: &Path) -> bool {
         has_episodes(dir)
-    }
-
-    /// Where a run folder at `dir` keeps the documents that memory supplied.
-    pub fn documents_of(dir: &Path) -> PathBuf {
-        dir.join(DOCUMENTS_FOLDER)
-    }
-
-    /// Where a run folder at `dir` keeps its streams, if the run consists of streams.
-    pub fn streams_of(dir: &Path) -> PathBuf {
-        dir.join(STREAMS_FILE)
-    }
-
-    /// Where a run folder at `dir` keeps the other warehouse, if tasks are demonstrated in one.
-    pub fn elsewhere_of(dir: &Path) -> PathBuf {
-        dir.join(ELSEWHERE_FILE)
-    }
-
-    /// Where a run folder at `dir` keeps the snapshots of memories that learn.
-    pub fn snapshots_of(dir: &Path) -> PathBuf {
-        dir.join(SNAPSHOTS_FOLDER)
-    }
-
-    /// Where a run folder at `dir` keeps the requests to the policy and its answers.
-    pub fn prompts_of(dir: &Path) -> PathBuf {
-        dir.join(PROMPTS_FOLDER)
-    }
-
-    /// The journal of finished episodes in a run folder at `dir`.
-    pub fn episodes_of(dir: &Path) -> PathBuf {
-        dir.join(EPISODES_FILE)
-    }
-
-    /// The journal of their timings in a run folder at `dir`.
-    pub fn timings_of(dir: &Path) -> PathBuf {
-        dir.join(TIMINGS_FILE)
-    }
-
-    /// The journal of requests to a model in a run folder at `dir`.
-    pub fn requests_of(dir: &Path) -> PathBuf {
-        dir.join(REQUESTS_FILE)
-    }
-
-    /// Where a run folder at `dir` keeps the logs of its processes.
-    pub fn logs_of(dir: &Path) -> PathBuf {
-        dir.join(LOGS_FOLDER)
     }
 
     /// The file that the process called `role` writes its stderr to.
@@ -326,33 +281,25 @@ impl RunFolder {
     }
 }
 
-/// Opens journals, and collects notes on what was cut or set aside.
-struct JournalOpener<'a> {
-    dir: &'a Path,
-    notes: &'a mut Vec<String>,
-}
-
-impl JournalOpener<'_> {
-    fn journal<T: serde::Serialize + serde::de::DeserializeOwned>(
-        &mut self,
-        file: &str,
-        check: impl FnMut(&T) -> Result<(), String>,
-    ) -> Result<(Journal<T>, Vec<T>), LogError> {
-        let path = self.dir.join(file);
-        let (journal, contents) = Journal::open(&path, check)?;
-        if contents.torn > 0 {
-            self.notes.push(format!(
-                "{file}: cut {} bytes of a line that was being written when the program was killed",
-                contents.torn
-            ));
-        }
-        let lines = contents
-            .damaged
-            .iter()
-            .map(|line| format!("{line}; moved to {}", damaged_file(&path).display()));
-        self.notes.extend(lines);
-        Ok((journal, contents.entries))
+/// Opens the journal in `path`, and adds notes on what was cut or set aside.
+fn journal<T: serde::Serialize + serde::de::DeserializeOwned>(
+    path: &Path,
+    check: impl FnMut(&T) -> Result<(), String>,
+    notes: &mut Vec<String>,
+) -> Result<(Journal<T>, Vec<T>), LogError> {
+    let (journal, contents) = Journal::open(path, check)?;
+    if contents.torn > 0 {
+        notes.push(format!(
+            "{}: cut {} bytes of a line that was being written when the program was killed",
+            path.file_name().unwrap_or_default().display(),
+            contents.torn
+        ));
     }
+    let aside = damaged_file(path);
+    notes.extend(
+        contents.damaged.iter().map(|line| format!("{line}; moved to {}", aside.display())),
+    );
+    Ok((journal, contents.entries))
 }
 
 /// The first 16 bytes of the BLAKE3 hash of a key. A run can have millions of keys, whose text would take more memory.

@@ -21,7 +21,10 @@ use orchestrator::status::EpisodeCounts;
 use orchestrator::streams::Remaining;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use results::log::{Opened, RunFolder, RunLog, SessionEvent, SessionRecord, read_journal};
+use results::log::{
+    EPISODES_FILE, LOGS_FOLDER, Opened, RunFolder, RunLog, SNAPSHOTS_FOLDER, STREAMS_FILE,
+    SessionEvent, SessionRecord, TIMINGS_FILE, read_journal,
+};
 use results::settings::RunSettings;
 use shm_types::RunDir;
 use shm_types::message::Role;
@@ -183,7 +186,7 @@ fn session(
     let opened = RunFolder::open(&settings.out, manifest, false)?;
     let Opened { mut folder, finished, requests, .. } = opened;
     if let Some(streams) = streams {
-        fs::write(RunFolder::streams_of(folder.dir()), streams.set.to_text())?;
+        fs::write(folder.dir().join(STREAMS_FILE), streams.set.to_text())?;
     }
     let Remaining { missing, learned } = Remaining::of(&scenario.episodes, &finished)?;
     if missing.is_empty() {
@@ -223,15 +226,15 @@ fn session(
             worlds: scenario.worlds.clone(),
             files: Files {
                 assets: scenario.assets.clone(),
-                streams: streams.map(|_| RunFolder::streams_of(folder.dir())),
-                snapshots: streams.map(|_| RunFolder::snapshots_of(folder.dir())),
+                streams: streams.map(|_| folder.dir().join(STREAMS_FILE)),
+                snapshots: streams.map(|_| folder.dir().join(SNAPSHOTS_FOLDER)),
                 caches: place.caches(),
             },
             plant,
         }),
         launches: Role::CHILDREN.into_iter().map(launch).collect(),
         external_policy: false,
-        logs: RunFolder::logs_of(folder.dir()),
+        logs: folder.dir().join(LOGS_FOLDER),
         start_timeout: Duration::from_secs(settings.start_timeout.into()),
         answer_timeout: timeout,
         decision_timeout: Some(timeout),
@@ -274,7 +277,7 @@ fn problems(out: &Path) -> Result<Vec<String>> {
 
 /// The lines of the episode log in `out`, sorted.
 fn sorted_log(out: &Path) -> Result<Vec<String>> {
-    let path = RunFolder::episodes_of(out);
+    let path = out.join(EPISODES_FILE);
     if !path.exists() {
         return Ok(Vec::new());
     }
@@ -301,7 +304,7 @@ fn differences(expected: &[String], log: &[String]) -> Vec<String> {
 
 /// What a defect that is planted does to the log of a run that is complete.
 fn damage(plant: Plant, out: &Path) -> Result<()> {
-    let path = RunFolder::episodes_of(out);
+    let path = out.join(EPISODES_FILE);
     let text = fs::read_to_string(&path)?;
     let mut lines: Vec<&str> = text.lines().collect();
     match plant {
@@ -314,7 +317,7 @@ fn damage(plant: Plant, out: &Path) -> Result<()> {
 
 /// The journals of the run in `out` whose last lines may not be on the disk when the power fails.
 fn journals(out: &Path) -> [PathBuf; 3] {
-    [RunFolder::episodes_of(out), RunFolder::timings_of(out), out.join(SESSIONS_FILE)]
+    [out.join(EPISODES_FILE), out.join(TIMINGS_FILE), out.join(SESSIONS_FILE)]
 }
 
 /// Bytes in each journal.
