@@ -69,7 +69,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use crate::conditions::Condition;
-use crate::log::{EpisodeTimings, Manifest, RunLog};
+use crate::log::{Manifest, RunLog};
 
 /// The scores of a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -113,8 +113,7 @@ impl Scores {
 
 /// Computes the scores of a run.
 pub fn score(log: &RunLog) -> Scores {
-    let timings: BTreeMap<&str, &EpisodeTimings> =
-        log.timings.iter().map(|timings| (timings.key.as_str(), timings)).collect();
+    let timings = log.timings_by_key();
     let trials = Trials::by_condition(log);
     let streams = streams::score(log, &timings);
     // The manifest counts the episodes of streams, too, so beside them it says nothing about a condition.

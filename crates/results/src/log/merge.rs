@@ -373,37 +373,34 @@ impl<'a> MergedRun<'a> {
             }
         }
         let sessions = self.session_count;
+        let renumber = |session: &mut u32| *session = session.saturating_add(sessions);
         let mut last = 0;
-        copy_lines::<SessionRecord>(dir, SESSIONS_FILE, &mut self.sessions, |mut record| {
+        copy_lines(dir, SESSIONS_FILE, &mut self.sessions, |record: &mut SessionRecord| {
             last = last.max(record.session);
-            record.session = record.session.saturating_add(sessions);
-            record
+            renumber(&mut record.session);
         })?;
-        copy_lines::<RequestRecord>(dir, REQUESTS_FILE, &mut self.requests, |mut record| {
+        copy_lines(dir, REQUESTS_FILE, &mut self.requests, |record: &mut RequestRecord| {
             if let Some(left) = asked.get_mut(&record.key) {
                 *left = left.saturating_sub(1);
             }
-            record.session = record.session.saturating_add(sessions);
-            record
+            renumber(&mut record.session);
         })?;
         if let Some((key, left)) = asked.into_iter().find(|(_, left)| *left > 0) {
             let problem = format!("{REQUESTS_FILE} lacks {left} requests of {key}");
             return Err(MergeError::Broken { dir: dir.clone(), problem });
         }
-        copy_lines::<EpisodeError>(dir, ERRORS_FILE, &mut self.errors, |mut record| {
-            record.session = record.session.saturating_add(sessions);
-            record
+        copy_lines(dir, ERRORS_FILE, &mut self.errors, |record: &mut EpisodeError| {
+            renumber(&mut record.session);
         })?;
-        copy_lines::<LatencyRecord>(dir, LATENCY_FILE, &mut self.latency, |mut record| {
-            record.session = record.session.saturating_add(sessions);
-            record
+        copy_lines(dir, LATENCY_FILE, &mut self.latency, |record: &mut LatencyRecord| {
+            renumber(&mut record.session);
         })?;
         if last == 0 {
             let problem = format!("{SESSIONS_FILE} names no session");
             return Err(MergeError::Broken { dir: dir.clone(), problem });
         }
         let mut timings = BTreeMap::new();
-        read_lines(dir, TIMINGS_FILE, |_, line| {
+        read_lines(dir, TIMINGS_FILE, |line| {
             let record: EpisodeTimings = serde_json::from_slice(line)?;
             timings.insert(record.key.clone(), record);
             Ok(())
@@ -431,7 +428,7 @@ impl<'a> MergedRun<'a> {
     fn lines_by_key(&self, dir: &Path) -> Result<(LinesByKey, BTreeMap<String, u32>), MergeError> {
         let (mut lines, mut asked) = (BTreeMap::new(), BTreeMap::new());
         let mut twice = None;
-        read_lines(dir, EPISODES_FILE, |_, line| {
+        read_lines(dir, EPISODES_FILE, |line| {
             let record: EpisodeRecord = serde_json::from_slice(line)?;
             record.check(self.max_steps).map_err(io::Error::other)?;
             if let (Some(_), Some(requests)) = (record.prompt_tokens, record.requests) {
@@ -482,11 +479,11 @@ impl<'a> MergedRun<'a> {
     }
 }
 
-/// Calls `each` with the number, from 1, and the bytes of every line of a unit's file; a missing one is empty.
+/// Calls `each` with the bytes of every line of a unit's file; a missing one is empty.
 fn read_lines(
     dir: &Path,
     file: &str,
-    mut each: impl FnMut(usize, &[u8]) -> io::Result<()>,
+    mut each: impl FnMut(&[u8]) -> io::Result<()>,
 ) -> Result<(), MergeError> {
     let path = dir.join(file);
     let mut lines = match File::open(&path) {
@@ -502,7 +499,7 @@ fn read_lines(
         }
         let torn = || io::Error::other("the line is torn");
         let used = line.ends_with(b"\n").then_some(()).ok_or_else(torn);
-        used.and_then(|()| each(number, &line)).map_err(|error| MergeError::Broken {
+        used.and_then(|()| each(&line)).map_err(|error| MergeError::Broken {
             dir: dir.to_owned(),
             problem: format!("{file}, line {number}: {error}"),
         })?;
@@ -515,9 +512,13 @@ fn copy_lines<T: Serialize + DeserializeOwned>(
     dir: &Path,
     file: &str,
     to: &mut BufWriter<File>,
-    mut change: impl FnMut(T) -> T,
+    mut change: impl FnMut(&mut T),
 ) -> Result<(), MergeError> {
-    read_lines(dir, file, |_, line| write_line(to, &change(serde_json::from_slice(line)?)))
+    read_lines(dir, file, |line| {
+        let mut entry = serde_json::from_slice(line)?;
+        change(&mut entry);
+        write_line(to, &entry)
+    })
 }
 
 fn write_line(to: &mut BufWriter<File>, entry: &impl Serialize) -> io::Result<()> {
@@ -525,7 +526,6 @@ fn write_line(to: &mut BufWriter<File>, entry: &impl Serialize) -> io::Result<()
     to.write_all(b"\n")
 }
 
-/// Copies a file or folder, if it is there, and nothing that is there already: the names of equal things are equal.
 /// The sessions that have a folder in the folder `prompts`, which may be missing.
 fn sessions_in(prompts: &Path) -> Result<Vec<u32>, LogError> {
     if !prompts.exists() {
@@ -541,6 +541,7 @@ fn sessions_in(prompts: &Path) -> Result<Vec<u32>, LogError> {
     Ok(sessions)
 }
 
+/// Copies a file or folder, if it is there, and nothing that is there already: the names of equal things are equal.
 fn copy(from: &Path, to: &Path) -> Result<(), LogError> {
     if !from.exists() {
         return Ok(());

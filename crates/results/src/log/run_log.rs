@@ -99,6 +99,11 @@ impl RunLog {
         }
     }
 
+    /// The timings of the finished episodes, by key.
+    pub fn timings_by_key(&self) -> BTreeMap<&str, &EpisodeTimings> {
+        self.timings.iter().map(|timings| (timings.key.as_str(), timings)).collect()
+    }
+
     /// When the run began, in seconds since 1970.
     pub fn began_unix_s(&self) -> Option<u64> {
         self.sessions.iter().map(|record| record.unix_s).min()

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use super::condition::{ConditionScore, score_condition};
-use super::spread::{mean, percentage};
+use super::spread::percentage;
 use super::trial::Trials;
 use crate::conditions::Condition;
 use crate::log::{EpisodeRecord, EpisodeTimings};
@@ -91,13 +91,10 @@ fn of_condition(
         (recalls > 0).then(|| sum / recalls as f64)
     };
     let us = |ns: Option<f64>| ns.map(|ns| ns / 1000.0);
-    let tokens: Option<Vec<(u64, u32)>> =
-        trials.iter().map(|record| record.memory_tokens.zip(record.requests)).collect();
-    let tokens = tokens.map(|all| {
-        all.into_iter().fold((0.0, 0), |(sum, requests), (more, asked)| {
-            (sum + more as f64, requests + u64::from(asked))
-        })
-    });
+    let sum =
+        |count: fn(&EpisodeRecord) -> Option<u64>| trials.iter().map(count).sum::<Option<u64>>();
+    let asked = sum(|record| record.requests.map(u64::from)).filter(|requests| *requests > 0);
+    let tokens = sum(|record| record.memory_tokens).zip(asked);
     Some(GrowthScore {
         size: condition.demonstrations.bank_size().unwrap_or(0),
         score: score_condition(condition, trials, 0, timings)?,
@@ -107,9 +104,7 @@ fn of_condition(
         recall_us: us(per_recall(&|of| of.stages.recalling())),
         store_bytes: timed().filter_map(|of| of.recalls.store_bytes).max(),
         images: per_recall(&|of| of.recalls.images),
-        tokens: tokens.and_then(|(sum, requests)| {
-            mean((requests > 0).then(|| sum / requests as f64).into_iter())
-        }),
+        tokens: tokens.map(|(tokens, requests)| tokens as f64 / requests as f64),
     })
 }
 

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use domain::MemoryKind;
 use serde::Serialize;
 
-use crate::log::{EpisodeTimings, RecallTotals, RunLog};
+use crate::log::{EpisodeRecord, EpisodeTimings, RecallTotals, RunLog};
 
 /// Figures of the recalls of one memory, over its finished episodes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -39,62 +39,45 @@ pub struct MemoryScore {
 impl MemoryScore {
     /// The figures of each memory that answered a request.
     pub fn by_memory(log: &RunLog) -> Vec<(MemoryKind, Self)> {
-        let timings: BTreeMap<&str, &EpisodeTimings> =
-            log.timings.iter().map(|timings| (timings.key.as_str(), timings)).collect();
+        let timings = log.timings_by_key();
         let memories: BTreeSet<MemoryKind> =
             log.episodes.iter().map(|record| record.memory).collect();
-        let of = |memory| Some((memory, Self::of(log, memory, &timings)?));
+        let of = |memory| {
+            let of_memory = log.episodes.iter().filter(|record| record.memory == memory);
+            Some((memory, Self::of(&of_memory.collect::<Vec<_>>(), &timings)?))
+        };
         memories.into_iter().filter_map(of).collect()
     }
 
-    fn of(
-        log: &RunLog,
-        memory: MemoryKind,
-        timings: &BTreeMap<&str, &EpisodeTimings>,
-    ) -> Option<Self> {
-        let (mut sum, mut recall_ns) = (RecallTotals::default(), 0);
-        let (mut items_dropped, mut images_dropped, mut text_dropped) = (0, 0, 0);
-        let more = |sum: Option<u64>, more: Option<u64>| {
-            more.map_or(sum, |more| Some(sum.unwrap_or(0).saturating_add(more)))
+    fn of(records: &[&EpisodeRecord], timings: &BTreeMap<&str, &EpisodeTimings>) -> Option<Self> {
+        let timed = records.iter().filter_map(|record| timings.get(record.key.as_str()));
+        let answered: Vec<&EpisodeTimings> =
+            timed.copied().filter(|timings| !timings.recalls.is_none()).collect();
+        let told = |count: fn(&RecallTotals) -> Option<u64>| {
+            let counts = answered.iter().filter_map(|timings| count(&timings.recalls));
+            counts.reduce(u64::saturating_add)
         };
-        for record in log.episodes.iter().filter(|record| record.memory == memory) {
-            items_dropped = u64::saturating_add(items_dropped, record.memory_items_dropped);
-            images_dropped = u64::saturating_add(images_dropped, record.memory_images_dropped);
-            text_dropped = u64::saturating_add(text_dropped, record.memory_text_dropped);
-            let Some(timings) = timings.get(record.key.as_str()) else { continue };
-            let RecallTotals { requests, items, images, text, .. } = timings.recalls;
-            if requests == 0 {
-                continue;
-            }
-            sum.requests = sum.requests.saturating_add(requests);
-            sum.items = sum.items.saturating_add(items);
-            sum.images = sum.images.saturating_add(images);
-            sum.text = sum.text.saturating_add(text);
-            sum.store_bytes = sum.store_bytes.max(timings.recalls.store_bytes);
-            sum.method_ns = more(sum.method_ns, timings.recalls.method_ns);
-            sum.answer_ns = more(sum.answer_ns, timings.recalls.answer_ns);
-            sum.tokens = more(sum.tokens, timings.recalls.tokens);
-            let stages = &timings.stages;
-            for ns in [stages.embed, stages.search, stages.assemble] {
-                recall_ns = u64::saturating_add(recall_ns, ns);
-            }
-        }
-        let requests = f64::from(sum.requests);
-        let us = |ns: u64| ns as f64 / 1000.0 / requests;
-        let wire_ns = sum.answer_ns.zip(sum.method_ns).map(|(all, own)| all.saturating_sub(own));
-        (sum.requests > 0).then(|| Self {
-            requests: sum.requests.into(),
-            items_each: sum.items as f64 / requests,
-            images_each: sum.images as f64 / requests,
-            text_each: sum.text as f64 / requests,
-            items_dropped,
-            images_dropped,
-            text_dropped,
-            recall_us: us(recall_ns),
-            method_us: sum.method_ns.map(us),
-            wire_us: wire_ns.map(us),
-            store_bytes: sum.store_bytes,
-            tokens_each: sum.tokens.map(|tokens| tokens as f64 / requests),
+        let dropped = |count: fn(&EpisodeRecord) -> u64| {
+            records.iter().map(|record| count(record)).fold(0, u64::saturating_add)
+        };
+        let requests = told(|recalls| Some(recalls.requests.into()))?;
+        let each = |sum: u64| sum as f64 / requests as f64;
+        let us = |ns: u64| ns as f64 / 1000.0 / requests as f64;
+        let (method_ns, answer_ns) = (told(|one| one.method_ns), told(|one| one.answer_ns));
+        let recall_ns = answered.iter().map(|timings| timings.stages.recalling());
+        Some(Self {
+            requests,
+            items_each: each(told(|recalls| Some(recalls.items))?),
+            images_each: each(told(|recalls| Some(recalls.images))?),
+            text_each: each(told(|recalls| Some(recalls.text))?),
+            items_dropped: dropped(|record| record.memory_items_dropped),
+            images_dropped: dropped(|record| record.memory_images_dropped),
+            text_dropped: dropped(|record| record.memory_text_dropped),
+            recall_us: us(recall_ns.fold(0, u64::saturating_add)),
+            method_us: method_ns.map(us),
+            wire_us: answer_ns.zip(method_ns).map(|(all, own)| us(all.saturating_sub(own))),
+            store_bytes: answered.iter().filter_map(|timings| timings.recalls.store_bytes).max(),
+            tokens_each: told(|recalls| recalls.tokens).map(each),
         })
     }
 }

@@ -114,7 +114,7 @@ fn quantile(sorted: &[u64], percent: usize) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::log::testing::{manifest, record, request};
+    use crate::log::testing::{log, manifest, record, request};
 
     #[test]
     fn shares_latencies_and_costs_by_hand() {
@@ -138,17 +138,7 @@ mod tests {
             cached_prompt: Some("0".parse().unwrap()),
             completion: "10".parse().unwrap(),
         });
-        let mut log = RunLog {
-            dir: "run".into(),
-            name: "run".to_owned(),
-            manifest,
-            episodes: Vec::new(),
-            timings: Vec::new(),
-            requests,
-            errors: Vec::new(),
-            sessions: Vec::new(),
-            damaged: Vec::new(),
-        };
+        let mut log = RunLog { manifest, requests, ..log(Vec::new()) };
         let found = RequestScore::of_run(&log).unwrap();
         assert_eq!((found.usage.requests, found.usage.replayed), (10, 1));
         assert_eq!((found.prompt_tokens_each, found.memory_share), (Some(1000.0), Some(30.0)));

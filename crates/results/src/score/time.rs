@@ -37,8 +37,7 @@ impl StageTimes {
 
     /// The means of each memory that was timed, over all its conditions.
     pub fn by_memory(log: &RunLog) -> Vec<(MemoryKind, Self)> {
-        let timings: BTreeMap<&str, &EpisodeTimings> =
-            log.timings.iter().map(|timings| (timings.key.as_str(), timings)).collect();
+        let timings = log.timings_by_key();
         let of = |memory: MemoryKind| {
             let records = || log.episodes.iter().filter(move |record| record.memory == memory);
             let timed = records().filter_map(|record| timings.get(record.key.as_str()).copied());
