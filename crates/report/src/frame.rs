@@ -75,24 +75,30 @@ impl<'a, T> FrameBuilder<'a, T> {
         Self { rows, columns: Vec::new() }
     }
 
-    pub(super) fn text(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<String>) {
-        let values = Values::Text(self.rows.iter().map(value).collect());
+    fn add(&mut self, name: impl Into<String>, values: Values) {
         self.columns.push(Series { name: name.into(), values });
     }
 
-    pub(super) fn whole(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<i64>) {
-        let values = Values::Whole(self.rows.iter().map(value).collect());
-        self.columns.push(Series { name: name.into(), values });
+    pub(super) fn text(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<String>) {
+        self.add(name, Values::Text(self.rows.iter().map(value).collect()));
+    }
+
+    /// A count that is not an `i64` is a null.
+    pub(super) fn whole<N: TryInto<i64>>(
+        &mut self,
+        name: impl Into<String>,
+        value: impl Fn(&T) -> Option<N>,
+    ) {
+        let whole = |row| value(row)?.try_into().ok();
+        self.add(name, Values::Whole(self.rows.iter().map(whole).collect()));
     }
 
     pub(super) fn real(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<f64>) {
-        let values = Values::Real(self.rows.iter().map(value).collect());
-        self.columns.push(Series { name: name.into(), values });
+        self.add(name, Values::Real(self.rows.iter().map(value).collect()));
     }
 
     pub(super) fn flag(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<bool>) {
-        let values = Values::Flag(self.rows.iter().map(value).collect());
-        self.columns.push(Series { name: name.into(), values });
+        self.add(name, Values::Flag(self.rows.iter().map(value).collect()));
     }
 
     pub(super) fn finish(self) -> DataFrame {

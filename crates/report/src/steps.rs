@@ -72,18 +72,18 @@ pub fn steps_frame(log: &RunLog) -> DataFrame {
     frame.text("key", |row| Some(row.record.key.clone()));
     frame.text("memory", |row| Some(row.record.memory.to_string()));
     frame.text("case", |row| Some(row.record.case.clone()));
-    frame.whole("run", |row| Some(row.record.run.into()));
-    frame.whole("step", |row| Some(row.step.into()));
-    frame.whole("x", |row| Some(row.pose.cell.x.into()));
-    frame.whole("y", |row| Some(row.pose.cell.y.into()));
+    frame.whole("run", |row| Some(row.record.run));
+    frame.whole("step", |row| Some(row.step));
+    frame.whole("x", |row| Some(row.pose.cell.x));
+    frame.whole("y", |row| Some(row.pose.cell.y));
     frame.text("heading", |row| Some(row.pose.heading.letter().to_string()));
     frame.text("feedback", |row| Some(row.feedback.words().to_owned()));
     frame.text("action", |row| Some(row.action()?.words().to_owned()));
     frame.flag("is_last", |row| Some(row.step == row.record.steps));
     frame.whole("sub_goals_met", |row| {
-        Some(row.record.sub_goals.iter().filter(|met| **met <= row.step).count() as i64)
+        Some(row.record.sub_goals.iter().filter(|met| **met <= row.step).count())
     });
-    frame.whole("sub_goals", |row| Some(row.record.required.into()));
+    frame.whole("sub_goals", |row| Some(row.record.required));
     frame.flag("tried_closed", |row| {
         row.record.tried_closed?;
         Some(row.record.tried_closed_at == Some(row.step))
@@ -91,17 +91,11 @@ pub fn steps_frame(log: &RunLog) -> DataFrame {
     frame.text("sources", |row| row.sources.map(str::to_owned));
     frame.text("distances", |row| row.distances.map(str::to_owned));
     frame.text("outcome", |row| Some(row.request?.outcome.word().to_owned()));
-    type Count = fn(&RequestRecord) -> Option<u64>;
-    let counts: [(&str, Count); 5] = [
-        ("latency_us", |request| request.latency_us),
-        ("images", |request| request.images.map(u64::from)),
-        ("prompt_tokens", |request| request.prompt_tokens.map(u64::from)),
-        ("completion_tokens", |request| request.completion_tokens.map(u64::from)),
-        ("memory_tokens", |request| request.memory_tokens.map(u64::from)),
-    ];
-    for (name, count) in counts {
-        frame.whole(name, |row| i64::try_from(count(row.request?)?).ok());
-    }
+    frame.whole("latency_us", |row| row.request?.latency_us);
+    frame.whole("images", |row| row.request?.images);
+    frame.whole("prompt_tokens", |row| row.request?.prompt_tokens);
+    frame.whole("completion_tokens", |row| row.request?.completion_tokens);
+    frame.whole("memory_tokens", |row| row.request?.memory_tokens);
     frame.finish()
 }
 
