@@ -11,11 +11,7 @@ use super::frame::DataFrame;
 /// When writing fails.
 pub(super) fn write_table(table: &Table, out: impl Write) -> csv::Result<()> {
     let mut writer = csv::Writer::from_writer(out);
-    let columns = table.columns.iter().map(|column| match column.over.as_str() {
-        "" => column.name.clone(),
-        over => format!("{over}: {}", column.name),
-    });
-    writer.write_record(table.stubs.iter().cloned().chain(columns))?;
+    writer.write_record(table.headings())?;
     for group in &table.groups {
         for row in &group.rows {
             let labels = group.label.iter().chain([&row.label]).cloned();

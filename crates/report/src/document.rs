@@ -68,6 +68,13 @@ pub enum ReportBlock {
     Figure(ReportFigure),
 }
 
+impl ReportBlock {
+    /// The tables that there are.
+    pub(super) fn tables(tables: impl IntoIterator<Item = Option<Table>>) -> Vec<Self> {
+        tables.into_iter().flatten().map(Self::Table).collect()
+    }
+}
+
 /// A table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Table {
@@ -112,6 +119,13 @@ pub struct TableRow {
     pub published: bool,
     /// One cell per column.
     pub cells: Vec<TableCell>,
+}
+
+impl TableRow {
+    /// Makes a row that is not of published figures.
+    pub fn new(label: impl Into<String>, cells: Vec<TableCell>) -> Self {
+        Self { label: label.into(), published: false, cells }
+    }
 }
 
 /// A cell.
@@ -202,10 +216,8 @@ impl Table {
         (stubs, columns): (&[&str], &[&str]),
         rows: impl IntoIterator<Item = (String, Vec<String>)>,
     ) -> Self {
-        let row = |(label, cells): (String, Vec<String>)| TableRow {
-            label,
-            published: false,
-            cells: cells.into_iter().map(TableCell::Value).collect(),
+        let row = |(label, cells): (String, Vec<String>)| {
+            TableRow::new(label, cells.into_iter().map(TableCell::Value).collect())
         };
         Self {
             id: id.into(),
@@ -280,6 +292,15 @@ impl Table {
             }
         }
         spans
+    }
+
+    /// The headings of all columns, with those that they share before them.
+    pub(super) fn headings(&self) -> impl Iterator<Item = String> {
+        let columns = self.columns.iter().map(|column| match column.over.as_str() {
+            "" => column.name.clone(),
+            over => format!("{over}: {}", column.name),
+        });
+        self.stubs.iter().cloned().chain(columns)
     }
 
     /// Whether columns share a heading.

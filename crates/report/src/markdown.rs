@@ -28,14 +28,9 @@ pub(super) fn render(document: &ReportDocument) -> askama::Result<String> {
 
 /// The table as lines of a Markdown table. A group's label stands in each of its rows.
 fn table_lines(table: &Table) -> Vec<String> {
-    let columns = table.columns.iter().map(|column| match column.over.as_str() {
-        "" => column.name.clone(),
-        over => format!("{over}: {}", column.name),
-    });
-    let header: Vec<String> = table.stubs.iter().cloned().chain(columns).collect();
     let alignments = table.columns.iter().map(|column| if column.is_text { "---" } else { "---:" });
     let rule = table.stubs.iter().map(|_| "---").chain(alignments).map(str::to_owned);
-    let mut lines = vec![line(header.iter().cloned()), line(rule)];
+    let mut lines = vec![line(table.headings()), line(rule)];
     for group in &table.groups {
         for row in &group.rows {
             let labels = group.label.iter().chain([&row.label]).cloned();

@@ -9,12 +9,14 @@ mod curves;
 mod dots;
 mod stack;
 
-pub(super) use course::{Course, CourseCurve, course};
+pub(super) use course::{Course, course};
 pub use curves::{Curve, Curves, curves};
-pub(super) use dots::{Dot, DotRow, Dots, dots};
+pub(super) use dots::{Dot, DotRow, dots};
 pub use stack::{Stack, StackRow, stack};
 
 use std::fmt::Write;
+
+use crate::document::ReportFigure;
 
 /// The width of every figure: that of the text of the page.
 const WIDTH: i32 = 820;
@@ -105,12 +107,20 @@ impl Svg {
         Self { height, body: String::new() }
     }
 
-    fn finish(self) -> String {
-        format!(
+    /// The figure with this image and its content `in_words`.
+    fn finish(
+        self,
+        id: &str,
+        caption: &str,
+        in_words: impl Iterator<Item = String>,
+    ) -> ReportFigure {
+        let svg = format!(
             "<svg width=\"{WIDTH}\" height=\"{0}\" viewBox=\"0 0 {WIDTH} {0}\" \
              xmlns=\"http://www.w3.org/2000/svg\" font-family=\"sans-serif\">\n{1}</svg>\n",
             self.height, self.body
-        )
+        );
+        let alt = format!("{caption} {}", in_words.collect::<Vec<_>>().join("; "));
+        ReportFigure { id: id.to_owned(), caption: caption.to_owned(), alt, svg }
     }
 
     fn element(&mut self, element: std::fmt::Arguments<'_>) {

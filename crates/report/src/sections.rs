@@ -49,15 +49,17 @@ const PARTS: [SectionEntry; 15] = [
     ("conditions", "All conditions", conditions::blocks),
     ("main", "Success across the three questions", main_table::blocks),
     ("transfer", "RQ1: a start that was not demonstrated", transfer::blocks),
-    ("blocked", "RQ2: a blocked route", blocked::blocks),
+    ("blocked", "RQ2: a blocked route", |view| ReportBlock::tables([blocked_table(view)])),
     ("mixed", "RQ3: histories of other tasks", mixed::blocks),
-    ("conflict", "Demonstrations from before and after an event", conflict::blocks),
+    ("conflict", "Demonstrations from before and after an event", |view| {
+        ReportBlock::tables([conflict_table(view)])
+    }),
     ("growth", "Banks of different sizes", growth::blocks),
     ("groups", "Task groups", groups::blocks),
     ("design", "Design choices", design::blocks),
     ("failures", "Why episodes failed", failures::blocks),
     ("cost", "Images, tokens, unreadable answers", cost::blocks),
-    ("supplied", "What memory supplied", supplied::blocks),
+    ("supplied", "What memory supplied", |view| ReportBlock::tables([supplied_table(view)])),
     ("time", "Time by stage", time::blocks),
     ("pairs", "Paired comparisons", pairs::blocks),
 ];

@@ -83,7 +83,7 @@ impl ScoredRun<'_> {
         theirs: impl Fn(MemoryKind) -> Vec<TableCell>,
     ) -> Vec<Group> {
         let group = |&memory: &MemoryKind| {
-            let ours = TableRow { label: OURS.to_owned(), published: false, cells: ours(memory) };
+            let ours = TableRow::new(OURS, ours(memory));
             let theirs = memory.built_in().map(|_| TableRow {
                 label: THEIRS.to_owned(),
                 published: true,
@@ -149,13 +149,21 @@ fn unpublished(name: &str) -> TableCell {
     }))
 }
 
-/// `95.3 ± 0.6` with its interval below.
-pub(super) fn sure(spread: Spread, digits: usize) -> TableCell {
-    let figure = spread_text(spread, digits);
-    match spread.interval {
+/// A figure with its interval below, if it has one.
+pub(super) fn with_interval(
+    figure: String,
+    interval: Option<Interval>,
+    digits: usize,
+) -> TableCell {
+    match interval {
         Some(found) => TableCell::Sure { figure, interval: interval_text(found, digits) },
         None => TableCell::Value(figure),
     }
+}
+
+/// `95.3 ± 0.6` with its interval below.
+pub(super) fn sure(spread: Spread, digits: usize) -> TableCell {
+    with_interval(spread_text(spread, digits), spread.interval, digits)
 }
 
 /// A figure with its interval below, or the reason why there is none.

@@ -1,7 +1,7 @@
 //! Percentages over the blocks of a stream, with the events between blocks marked.
 
 use super::curves::{draw_curve, legend};
-use super::{BOTTOM, RIGHT, Stroke, Svg, TextAnchor, TextStyle, WIDTH, escaped};
+use super::{BOTTOM, Curve, RIGHT, Stroke, Svg, TextAnchor, TextStyle, WIDTH};
 use crate::document::ReportFigure;
 
 /// A plot of curves over blocks.
@@ -9,20 +9,9 @@ use crate::document::ReportFigure;
 pub(crate) struct Course {
     pub(crate) id: String,
     pub(crate) caption: String,
-    /// The name of the vertical axis, in percent.
-    pub(crate) up: &'static str,
     pub(crate) blocks: u32,
-    pub(crate) curves: Vec<CourseCurve>,
-}
-
-/// A curve.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct CourseCurve {
-    pub(crate) name: String,
-    /// Whether others are compared with it: drawn gray, without points.
-    pub(crate) is_bound: bool,
-    /// Place in blocks, from 0 to their number, and percentage.
-    pub(crate) points: Vec<(f64, f64)>,
+    /// A point is a place in blocks, from 0 to their number, and a percentage.
+    pub(crate) curves: Vec<Curve>,
 }
 
 const HEIGHT: i32 = 260;
@@ -56,7 +45,7 @@ pub(crate) fn course(plot: &Course) -> ReportFigure {
         let name = format!("block {block}");
         svg.text(&name, (middle, bottom + 14), TextAnchor::Around, TextStyle::Plain);
     }
-    svg.text(plot.up, (8, top - 14), TextAnchor::After, TextStyle::Faint);
+    svg.text("Success, %", (8, top - 14), TextAnchor::After, TextStyle::Faint);
     for (curve, shape) in plot.curves.iter().zip(shapes) {
         let pixels: Vec<(i32, i32)> =
             curve.points.iter().map(|(at, percent)| (x(*at), y(*percent))).collect();
@@ -67,8 +56,7 @@ pub(crate) fn course(plot: &Course) -> ReportFigure {
             curve.points.iter().map(|(_, percent)| format!("{percent:.0}")).collect();
         format!("{}: {}", curve.name, values.join(", "))
     });
-    let alt = escaped(&format!("{} {}", plot.caption, in_words.collect::<Vec<_>>().join("; ")));
-    ReportFigure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
+    svg.finish(&plot.id, &plot.caption, in_words)
 }
 
 #[cfg(test)]
@@ -77,7 +65,7 @@ mod tests {
 
     #[test]
     fn events_stand_between_blocks_and_the_text_has_the_values() {
-        let curve = |name: &str, is_bound| CourseCurve {
+        let curve = |name: &str, is_bound| Curve {
             name: name.to_owned(),
             is_bound,
             points: vec![(0.5, 100.0), (1.5, 25.0)],
@@ -85,7 +73,6 @@ mod tests {
         let figure = course(&Course {
             id: "course".to_owned(),
             caption: "Success.".to_owned(),
-            up: "Success, %",
             blocks: 3,
             curves: vec![curve("frozen", false), curve("no memory", true)],
         });

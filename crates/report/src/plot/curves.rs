@@ -98,8 +98,7 @@ pub fn curves(plot: &Curves) -> ReportFigure {
             points.iter().map(|(x, y)| format!("{} at {}", label(*y), label(*x))).collect();
         format!("{}: {}", curve.name, points.join(", "))
     });
-    let alt = format!("{} {}", plot.caption, in_words.collect::<Vec<_>>().join("; "));
-    ReportFigure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
+    svg.finish(&plot.id, &plot.caption, in_words)
 }
 
 fn draw_axes(svg: &mut Svg, plot: &Curves, across: &Scale, up: &Scale) {

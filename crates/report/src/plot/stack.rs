@@ -55,9 +55,8 @@ pub fn stack(plot: &Stack) -> ReportFigure {
     for (row, y) in plot.rows.iter().zip((top..).step_by(ROW as usize)) {
         draw_row(&mut svg, &axis, row, &present, y);
     }
-    let rows: Vec<String> = plot.rows.iter().map(|row| in_words(row, &plot.parts)).collect();
-    let alt = format!("{} {}", plot.caption, rows.join("; "));
-    ReportFigure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
+    let rows = plot.rows.iter().map(|row| in_words(row, &plot.parts));
+    svg.finish(&plot.id, &plot.caption, rows)
 }
 
 fn draw_row(svg: &mut Svg, axis: &ValueAxis, row: &StackRow, present: &[usize], y: i32) {

@@ -2,8 +2,8 @@
 
 use results::score::{BlockedScore, Derived};
 
-use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
-use crate::view::{ScoredRun, interval_text, name, pair_stubs, published_text, signed, sure_or};
+use crate::document::{Missing, Table, TableCell, TableColumn};
+use crate::view::{ScoredRun, name, pair_stubs, published_text, signed, sure_or, with_interval};
 
 const NEEDS_BOTH: Missing = Missing::NotMeasured(
     "needs the unchanged and the blocked route, for change also those of working memory",
@@ -12,10 +12,6 @@ const NOTHING_TO_RETAIN: Missing =
     Missing::Undefined("no episode succeeds on the unchanged route, so there is nothing to retain");
 pub(super) const NONE_TRIED: Missing =
     Missing::Undefined("no episode tried to enter a closed cell, so none could recover");
-
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
-    blocked_table(view).map(ReportBlock::Table).into_iter().collect()
-}
 
 /// The paper's table with the run's figures; `None` where no blocked route was run.
 pub(crate) fn blocked_table(view: &ScoredRun<'_>) -> Option<Table> {
@@ -70,11 +66,7 @@ fn derived(
     digits: usize,
     missing: &Missing,
 ) -> TableCell {
-    match found {
-        None => TableCell::Missing(missing.clone()),
-        Some(Derived { value, interval: Some(interval) }) => {
-            TableCell::Sure { figure: shown(value), interval: interval_text(interval, digits) }
-        }
-        Some(Derived { value, interval: None }) => TableCell::Value(shown(value)),
-    }
+    found.map_or(TableCell::Missing(missing.clone()), |Derived { value, interval }| {
+        with_interval(shown(value), interval, digits)
+    })
 }

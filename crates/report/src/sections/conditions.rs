@@ -26,7 +26,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
                      tokens per 100 cases (Mtok), percentage of unreadable answers and of retrievals from another \
                      task's history: means. conditions.csv and conditions.parquet hold every figure in full."
         .to_owned();
-    table.pruned().map(ReportBlock::Table).into_iter().collect()
+    ReportBlock::tables([table.pruned()])
 }
 
 /// The conditions by memory with success rate, interval, SPL, steps and images.
@@ -52,18 +52,15 @@ fn row(score: &ConditionScore) -> TableRow {
         false => score.episodes.to_string(),
     };
     let interval = score.sr.interval.map(|interval| TableCell::Value(interval_text(interval, 1)));
-    TableRow {
-        label: setting(&score.condition),
-        published: false,
-        cells: vec![
-            TableCell::Value(episodes),
-            TableCell::Value(spread_text(score.sr, 1)),
-            interval.unwrap_or(TableCell::Missing(ONE_CASE)),
-            TableCell::Value(format!("{:.3}", score.spl.mean)),
-            plain_or(score.mean_steps, 1, NO_REQUESTS),
-            plain_or(score.images_per_request.map(|images| images.mean), 1, NO_REQUESTS),
-        ],
-    }
+    let cells = vec![
+        TableCell::Value(episodes),
+        TableCell::Value(spread_text(score.sr, 1)),
+        interval.unwrap_or(TableCell::Missing(ONE_CASE)),
+        TableCell::Value(format!("{:.3}", score.spl.mean)),
+        plain_or(score.mean_steps, 1, NO_REQUESTS),
+        plain_or(score.images_per_request.map(|images| images.mean), 1, NO_REQUESTS),
+    ];
+    TableRow::new(setting(&score.condition), cells)
 }
 
 /// A condition without its memory: `original, 1 demonstration`.

@@ -5,12 +5,9 @@ use results::score::{ConditionScore, HISTORIES};
 
 use super::blocked::NONE_TRIED;
 use super::mixed::NO_RETRIEVAL;
-use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
+use super::streams::NOTHING_RETRIEVED;
+use crate::document::{Group, Missing, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, sure, sure_or, title};
-
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
-    conflict_table(view).map(ReportBlock::Table).into_iter().collect()
-}
 
 /// Success on both routes and use of outdated demonstrations, by memory and demonstrations; `None` where there is no
 /// demonstration from after the event.
@@ -36,7 +33,7 @@ pub(crate) fn conflict_table(view: &ScoredRun<'_>) -> Option<Table> {
                 sure_or(found.follow, 1, NONE_TRIED),
                 match memory.retrieves() {
                     false => TableCell::Missing(NO_RETRIEVAL),
-                    true => sure_or(found.stale, 1, Missing::Undefined("nothing was retrieved")),
+                    true => sure_or(found.stale, 1, NOTHING_RETRIEVED),
                 },
             ),
         };
@@ -46,11 +43,7 @@ pub(crate) fn conflict_table(view: &ScoredRun<'_>) -> Option<Table> {
             other => other.to_string().replace('-', ", "),
         };
         let cells = vec![rate(unchanged), rate(blocked), follow, stale];
-        (unchanged.is_some() || blocked.is_some()).then_some(TableRow {
-            label,
-            published: false,
-            cells,
-        })
+        (unchanged.is_some() || blocked.is_some()).then(|| TableRow::new(label, cells))
     };
     let groups = view.memories().into_iter().map(|memory| {
         let sets = [Demonstrations::NONE].into_iter().chain(HISTORIES);

@@ -64,8 +64,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         columns,
         groups: view.pairs(&view.memories(), ours, theirs),
     };
-    let tables = [table.pruned(), requests_table(view)];
-    tables.into_iter().flatten().map(ReportBlock::Table).collect()
+    ReportBlock::tables([table.pruned(), requests_table(view)])
 }
 
 /// Figures of the requests, a column for each memory; `None` where no model was asked.
@@ -102,10 +101,8 @@ pub(crate) fn requests_table(view: &ScoredRun<'_>) -> Option<Table> {
         };
         figures.push((format!("Cost, {}", prices.currency), cost));
     }
-    let row = |(label, figure): (String, Figure)| TableRow {
-        label,
-        published: false,
-        cells: scores.iter().map(|score| figure(score)).collect(),
+    let row = |(label, figure): (String, Figure)| {
+        TableRow::new(label, scores.iter().map(|score| figure(score)).collect())
     };
     let columns = by_memory.iter().map(|(memory, _)| title(*memory)).chain(["All".to_owned()]);
     Some(Table {

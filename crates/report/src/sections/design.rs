@@ -3,18 +3,15 @@
 use domain::{MemoryKind, Representation};
 
 use crate::document::{Group, ReportBlock, Table, TableRow};
-use crate::plot::Dots;
-use crate::sections::main_table::{dots_if_any, rate_rows};
+use crate::sections::main_table::{rate_figure, rate_rows};
 use crate::view::{OURS, ScoredRun, THEIRS, name, our_rates, rate_columns, their_rates, title};
 
 const ORIGINAL: &str = "original/unchanged";
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let choices = choices(view);
-    let row = |(choice, name): &(String, String)| TableRow {
-        label: choice.clone(),
-        published: false,
-        cells: our_rates(view, name).into_iter().chain(their_rates(view, name)).collect(),
+    let row = |(choice, name): &(String, String)| {
+        TableRow::new(choice, [our_rates(view, name), their_rates(view, name)].concat())
     };
     let group = |(heading, conditions): &(String, Vec<(String, String)>)| Group {
         label: Some(heading.clone()),
@@ -30,16 +27,12 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     };
     let rows =
         choices.iter().flat_map(|(heading, conditions)| rate_rows(view, heading, conditions));
-    let figure = dots_if_any(Dots {
-        id: view.id("design-figure"),
-        caption: "Success rate by design choice. Filled: this run with its 95 % interval. Open: published, mean ± \
-                  standard deviation where it is printed."
-            .to_owned(),
-        axis: "Success rate, %",
-        range: (0.0, 100.0),
-        series: vec![OURS.to_owned(), THEIRS.to_owned()],
-        rows: rows.collect(),
-    });
+    let figure = rate_figure(
+        view.id("design-figure"),
+        "Success rate by design choice. Filled: this run with its 95 % interval. Open: published, mean ± standard \
+         deviation where it is printed.",
+        rows.collect(),
+    );
     table.pruned().map(ReportBlock::Table).into_iter().chain(figure).collect()
 }
 

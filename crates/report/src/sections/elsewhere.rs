@@ -42,7 +42,6 @@ pub(super) fn section(view: &ScoredRun<'_>) -> Option<ReportSection> {
         columns: columns(),
         groups: groups.collect(),
     };
-    let table = table.pruned()?;
-    let heading = "Demonstrations in another warehouse";
-    Some(ReportSection::new(view.id("s-elsewhere"), heading, vec![ReportBlock::Table(table)]))
+    let blocks = vec![ReportBlock::Table(table.pruned()?)];
+    Some(ReportSection::new(view.id("s-elsewhere"), "Demonstrations in another warehouse", blocks))
 }

@@ -3,7 +3,7 @@
 use warehouse::TaskGroup;
 
 use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
-use crate::view::{ScoredRun, name, pair_stubs};
+use crate::view::{ScoredRun, name, pair_stubs, plain_or};
 
 const HEADINGS: [(TaskGroup, &str); 4] = [
     (TaskGroup::Basic, "Basic (T1–T2)"),
@@ -30,9 +30,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
                 let found = score.groups.iter().find(|found| found.group == group);
                 let missing =
                     Missing::NotMeasured("the run's selection of cases has none of this group");
-                found.map_or(TableCell::Missing(missing), |found| {
-                    TableCell::Value(format!("{:.0}", found.sr.mean))
-                })
+                plain_or(found.map(|found| found.sr.mean), 0, missing)
             })
         })
     };
@@ -52,5 +50,5 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         columns: columns.collect(),
         groups: view.pairs(&view.memories(), ours, theirs),
     };
-    table.pruned().map(ReportBlock::Table).into_iter().collect()
+    ReportBlock::tables([table.pruned()])
 }

@@ -2,16 +2,15 @@
 
 use results::score::GrowthScore;
 
-use super::main_table::{dots_if_any, rate_rows};
+use super::main_table::{NO_TOKENS, rate_figure, rate_rows};
 use super::mixed::NO_RETRIEVAL;
+use super::streams::NOTHING_RETRIEVED;
 use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
-use crate::plot::{Curve, Curves, Dots, curves};
-use crate::view::{OURS, ScoredRun, plain_or, sure, title};
+use crate::plot::{Curve, Curves, curves};
+use crate::view::{ScoredRun, plain_or, sure, title};
 
-const NO_RECALL: Missing = Missing::NotMeasured("no recall was timed");
-const NO_STORE: Missing = Missing::NotMeasured("the memory told no size");
-const NO_TOKENS: Missing =
-    Missing::NotMeasured("this run's policy counts no tokens (a scripted policy has none)");
+pub(super) const NO_RECALL: Missing = Missing::NotMeasured("no recall was timed");
+pub(super) const NO_STORE: Missing = Missing::NotMeasured("the memory told no size");
 const NO_TYPE: Missing = Missing::NotMeasured("the ids of cases do not begin with their type");
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
@@ -21,16 +20,11 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
             scores.iter().map(|one| (label(one), one.score.condition.to_string())).collect();
         rate_rows(view, &heading(scores), &labelled)
     });
-    let success = dots_if_any(Dots {
-        id: view.id("growth-figure"),
-        caption:
-            "Success rate by the number of demonstrations in the bank, with its 95 % interval."
-                .to_owned(),
-        axis: "Success rate, %",
-        range: (0.0, 100.0),
-        series: vec![OURS.to_owned()],
-        rows: rows.collect(),
-    });
+    let success = rate_figure(
+        view.id("growth-figure"),
+        "Success rate by the number of demonstrations in the bank, with its 95 % interval.",
+        rows.collect(),
+    );
     let curve = |up: &str, value: fn(&GrowthScore) -> Option<f64>| {
         let of = |scores: &&[GrowthScore]| {
             let points = scores.iter().filter_map(|one| Some((f64::from(one.size), value(one)?)));
@@ -88,20 +82,17 @@ pub(crate) fn growth_table(view: &ScoredRun<'_>) -> Option<Table> {
             true => plain_or(value, 1, missing),
         };
         let kib = one.store_bytes.map(|bytes| bytes as f64 / 1024.0);
-        TableRow {
-            label: label(one),
-            published: false,
-            cells: vec![
-                sure(one.score.sr, 1),
-                share(one.from_own_case, Missing::Undefined("nothing was retrieved")),
-                share(one.from_same_type, NO_TYPE),
-                plain_or(one.search_us, 1, NO_RECALL),
-                plain_or(one.recall_us, 1, NO_RECALL),
-                plain_or(kib, 0, NO_STORE),
-                plain_or(one.images, 1, NO_RECALL),
-                plain_or(one.tokens, 0, NO_TOKENS),
-            ],
-        }
+        let cells = vec![
+            sure(one.score.sr, 1),
+            share(one.from_own_case, NOTHING_RETRIEVED),
+            share(one.from_same_type, NO_TYPE),
+            plain_or(one.search_us, 1, NO_RECALL),
+            plain_or(one.recall_us, 1, NO_RECALL),
+            plain_or(kib, 0, NO_STORE),
+            plain_or(one.images, 1, NO_RECALL),
+            plain_or(one.tokens, 0, NO_TOKENS),
+        ];
+        TableRow::new(label(one), cells)
     };
     let groups: Vec<Group> = by_memory(view)
         .map(|scores| Group {

@@ -1,11 +1,11 @@
 //! Table `tab:main`: six representations in the four settings of the three questions, with what they cost.
 
-use results::score::{ConditionScore, Spread};
+use results::score::{ConditionScore, Interval};
 
 use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
-use crate::plot::{Dot, DotRow, Dots, dots};
+use crate::plot::{Dot, DotRow, dots};
 use crate::view::{
-    OURS, ScoredRun, THEIRS, name, our_rates, pair_stubs, rate_columns, their_rates, title,
+    ScoredRun, name, our_rates, pair_stubs, plain_or, rate_columns, their_rates, title,
 };
 
 /// The four settings: heading, start and route, demonstrations.
@@ -66,22 +66,18 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let memories = view.memories();
     let rows =
         memories.iter().flat_map(|&memory| rate_rows(view, &title(memory), &settings(memory)));
-    let figure = dots_if_any(Dots {
-        id: view.id("main-figure"),
-        caption: "Success rate in the four settings. Filled: this run with its 95 % interval. Open: published, \
-                  mean ± standard deviation."
-            .to_owned(),
-        axis: "Success rate, %",
-        range: (0.0, 100.0),
-        series: vec![OURS.to_owned(), THEIRS.to_owned()],
-        rows: rows.collect(),
-    });
+    let figure = rate_figure(
+        view.id("main-figure"),
+        "Success rate in the four settings. Filled: this run with its 95 % interval. Open: published, mean ± standard \
+         deviation.",
+        rows.collect(),
+    );
     table.pruned().map(ReportBlock::Table).into_iter().chain(figure).collect()
 }
 
-/// The plot, if it has rows.
-pub(super) fn dots_if_any(plot: Dots) -> Option<ReportBlock> {
-    (!plot.rows.is_empty()).then(|| ReportBlock::Figure(dots(&plot)))
+/// The plot of success rates, if it has rows.
+pub(super) fn rate_figure(id: String, caption: &str, rows: Vec<DotRow>) -> Option<ReportBlock> {
+    (!rows.is_empty()).then(|| ReportBlock::Figure(dots(&id, caption, &rows)))
 }
 
 /// The rows of a plot of success rates: one for each of the `conditions` (label, name) that was run, with the
@@ -92,43 +88,33 @@ pub(super) fn rate_rows(
     conditions: &[(String, String)],
 ) -> Vec<DotRow> {
     let run = conditions.iter().filter_map(|(label, name)| Some((label, name, view.score(name)?)));
+    // The standard deviation is the error bar where there is no interval.
+    let dot = |mean: f64, std: Option<f64>, interval: Option<Interval>| {
+        let interval = interval.map(|interval| (interval.low, interval.high));
+        Dot { value: mean, range: interval.or(std.map(|std| (mean - std, mean + std))) }
+    };
     let row = |(index, (label, name, score)): (usize, (&String, &String, &ConditionScore))| {
-        let ours = dot(0, score.sr);
         let published = view.published.of(name).and_then(|published| published.sr);
-        let theirs = published.map(|spread| Dot {
-            series: 1,
-            value: spread.mean,
-            range: spread.std.map(|std| (spread.mean - std, spread.mean + std)),
-        });
         DotRow {
             heading: (index == 0).then(|| heading.to_owned()),
             label: label.clone(),
-            dots: [ours].into_iter().chain(theirs).collect(),
+            ours: dot(score.sr.mean, score.sr.std, score.sr.interval),
+            published: published.map(|spread| dot(spread.mean, spread.std, None)),
         }
     };
     run.enumerate().map(row).collect()
 }
 
-/// A figure with its interval as the error bar, or its standard deviation where there is none.
-pub(super) fn dot(series: usize, spread: Spread) -> Dot {
-    let interval = spread.interval.map(|interval| (interval.low, interval.high));
-    let deviation = spread.std.map(|std| (spread.mean - std, spread.mean + std));
-    Dot { series, value: spread.mean, range: interval.or(deviation) }
-}
-
 fn images(view: &ScoredRun<'_>, one: &str, four: &str) -> TableCell {
-    let Some(score) = view.score(one).or_else(|| view.score(four)) else {
-        return TableCell::Missing(Missing::NotRun);
-    };
-    score.images_per_request.map_or(TableCell::Missing(NO_REQUESTS), |images| {
-        TableCell::Value(format!("{:.1}", images.mean))
+    let score = view.score(one).or_else(|| view.score(four));
+    score.map_or(TableCell::Missing(Missing::NotRun), |score| {
+        plain_or(score.images_per_request.map(|images| images.mean), 1, NO_REQUESTS)
     })
 }
 
 /// Million tokens a hundred cases.
 pub(super) fn mega(view: &ScoredRun<'_>, name: &str) -> TableCell {
     view.ours(name, |score| {
-        let tokens = score.tokens_per_100.map(|tokens| format!("{:.1}", tokens.mean / 1e6));
-        tokens.map_or(TableCell::Missing(NO_TOKENS), TableCell::Value)
+        plain_or(score.tokens_per_100.map(|tokens| tokens.mean / 1e6), 1, NO_TOKENS)
     })
 }

@@ -1,11 +1,8 @@
 //! Figure `fig:rq3` and its numbers: four demonstrations, of which two are replaced by other tasks' histories.
 
 use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
-use crate::plot::Dots;
-use crate::sections::main_table::{dots_if_any, rate_rows};
-use crate::view::{
-    OURS, ScoredRun, THEIRS, name, pair_stubs, published_text, sure, sure_or, title,
-};
+use crate::sections::main_table::{rate_figure, rate_rows};
+use crate::view::{ScoredRun, name, pair_stubs, published_text, sure, sure_or, title};
 
 const SETS: [(&str, &str); 3] =
     [("4 relevant", "4"), ("2 of 4 irrelevant", "irrelevant"), ("2 of 4 confusable", "confusable")];
@@ -27,17 +24,13 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
             .collect();
         rate_rows(view, &title(representation), &labelled)
     });
-    let figure = dots_if_any(Dots {
-        id: view.id("mixed-figure"),
-        caption: "RQ3: success under mixed histories (the paper's figure “RQ3: Success under mixed histories”). New start, unchanged route, four \
-                  demonstrations; in the mixed sets two of them are replaced by other tasks' histories. Filled: this \
-                  run with its 95 % interval. Open: published, where it prints a number."
-            .to_owned(),
-        axis: "Success rate, %",
-        range: (0.0, 100.0),
-        series: vec![OURS.to_owned(), THEIRS.to_owned()],
-        rows: rows.collect(),
-    });
+    let figure = rate_figure(
+        view.id("mixed-figure"),
+        "RQ3: success under mixed histories (the paper's figure “RQ3: Success under mixed histories”). New start, unchanged \
+         route, four demonstrations; in the mixed sets two of them are replaced by other tasks' histories. Filled: this run \
+         with its 95 % interval. Open: published, where it prints a number.",
+        rows.collect(),
+    );
     let mut columns = SETS.map(|(heading, _)| TableColumn::under("SR %", heading)).to_vec();
     columns.extend(
         SETS[1..].iter().map(|(heading, _)| TableColumn::under("From other tasks, %", *heading)),

@@ -169,9 +169,7 @@ pub(super) fn facts_table(
     caption: &str,
     facts: impl IntoIterator<Item = (impl Into<String>, TableCell)>,
 ) -> Table {
-    let row = |(label, cell): (_, TableCell)| -> TableRow {
-        TableRow { label: Into::into(label), published: false, cells: vec![cell] }
-    };
+    let row = |(label, cell)| TableRow::new(label, vec![cell]);
     Table {
         id,
         caption: caption.to_owned(),

@@ -7,7 +7,7 @@ use results::score::{Comparison, FigureDifference};
 
 use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
 use crate::sections::conditions::setting;
-use crate::view::{ScoredRun, interval_text, name, p_value, signed, title};
+use crate::view::{ScoredRun, name, p_value, signed, title, with_interval};
 
 /// A condition without its memory: start and route, demonstrations.
 type Setting = (&'static str, &'static str);
@@ -53,7 +53,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         columns: columns(),
         groups: view.memories().iter().map(group).collect(),
     };
-    [table.pruned(), against_others(view)].into_iter().flatten().map(ReportBlock::Table).collect()
+    ReportBlock::tables([table.pruned(), against_others(view)])
 }
 
 /// Each external memory against every other memory of the run, in each setting that both have; `None` without external
@@ -102,26 +102,18 @@ pub(super) fn columns() -> Vec<TableColumn> {
 
 pub(super) fn row(view: &ScoredRun<'_>, label: &str, a: &str, b: &str) -> TableRow {
     let compared = compare_conditions((view.log, a), (view.log, b));
-    let cells = match &compared {
-        Ok(compared) => cells(compared),
-        Err(_) => vec![TableCell::Missing(Missing::NotRun); columns().len()],
-    };
-    TableRow { label: label.to_owned(), published: false, cells }
+    let not_run = |_| vec![TableCell::Missing(Missing::NotRun); columns().len()];
+    TableRow::new(label, compared.as_ref().map_or_else(not_run, cells))
 }
 
 /// The cells of a comparison under [`columns`].
 pub(super) fn cells(compared: &Comparison) -> Vec<TableCell> {
     let Comparison { cases, sr, spl, more_under_a, more_under_b, p, .. } = compared;
     let three = |FigureDifference { a, b, mean, interval }: &FigureDifference, digits: usize| {
-        let figure = signed(*mean, digits);
-        let difference = match interval {
-            None => TableCell::Value(figure),
-            Some(found) => TableCell::Sure { figure, interval: interval_text(*found, digits) },
-        };
         [
             TableCell::Value(format!("{a:.digits$}")),
             TableCell::Value(format!("{b:.digits$}")),
-            difference,
+            with_interval(signed(*mean, digits), *interval, digits),
         ]
     };
     let mut cells = vec![TableCell::Value(cases.to_string())];

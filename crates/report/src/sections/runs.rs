@@ -62,7 +62,7 @@ fn side_by_side(views: &[ScoredRun<'_>]) -> Table {
             Some(score) => [sure(score.sr, 1), TableCell::Value(format!("{:.3}", score.spl.mean))],
             None => [TableCell::Missing(Missing::NotRun), TableCell::Missing(Missing::NotRun)],
         });
-        TableRow { label: setting(condition), published: false, cells: cells.collect() }
+        TableRow::new(setting(condition), cells.collect())
     };
     let group = |conditions: &[Condition]| Group {
         label: conditions.first().map(|condition| title(condition.memory)),
@@ -93,11 +93,10 @@ fn compared(first: &ScoredRun<'_>, second: &ScoredRun<'_>) -> Vec<ReportBlock> {
         ReportBlock::Notice(format!("{key} differs: {there} in {a}, {here} in {b}."))
     });
     let mut blocks: Vec<ReportBlock> = differing.collect();
-    let rows = compared.iter().map(|compared| TableRow {
-        label: compared.a.trim_start_matches(&format!("{a}: ")).to_owned(),
-        published: false,
-        cells: cells(compared),
-    });
+    let own = format!("{a}: ");
+    let rows = compared
+        .iter()
+        .map(|compared| TableRow::new(compared.a.trim_start_matches(&own), cells(compared)));
     blocks.push(ReportBlock::Table(Table {
         id: format!("compare-{}{}", first.prefix, second.prefix.trim_end_matches('-')),
         caption: format!(

@@ -13,11 +13,12 @@ pub(crate) use success::{differences_table, success_table};
 use domain::{Arm, FeedbackLevel};
 use results::conditions::{Condition, Variation};
 use results::score::{Estimate, StreamScore, StreamScores};
+use retention::matrix_table;
 
-use crate::document::{Group, Missing, ReportBlock, ReportSection, Table, TableCell, TableRow};
-use crate::view::{ScoredRun, interval_text, title};
+use crate::document::{Group, Missing, ReportBlock, ReportSection, TableCell, TableRow};
+use crate::view::{ScoredRun, title, with_interval};
 
-const NOTHING_RETRIEVED: Missing = Missing::Undefined("nothing was retrieved");
+pub(super) const NOTHING_RETRIEVED: Missing = Missing::Undefined("nothing was retrieved");
 
 /// The sections about streams; none for a run without.
 pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<ReportSection> {
@@ -31,15 +32,19 @@ pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<ReportSection> {
         (
             "retention",
             "Streams: what is kept and what carries over",
-            retention::blocks(view, scores),
+            ReportBlock::tables([transfer_table(view), matrix_table(view, scores)]),
         ),
         (
             "adaptation",
             "Streams: adaptation, stale reuse and orders",
-            adaptation::blocks(view, scores),
+            ReportBlock::tables([adaptation_table(view), orders_table(view)]),
         ),
         ("stream-cost", "Streams: cost against size", cost::blocks(view, scores)),
-        ("necessity", "Streams: cases that need memory", cost::necessity_blocks(view, scores)),
+        (
+            "necessity",
+            "Streams: cases that need memory",
+            ReportBlock::tables([necessity_table(view)]),
+        ),
     ] {
         if !blocks.is_empty() {
             let section = ReportSection::new(view.id(&format!("s-{id}")), title, blocks);
@@ -99,46 +104,30 @@ fn short(condition: &Condition) -> String {
     }
 }
 
-/// A table with a row for each condition, by memory.
+/// The headings of the label columns of rows [by condition](by_condition).
+fn memory_and_arm() -> Vec<String> {
+    vec!["Memory".to_owned(), "Arm".to_owned()]
+}
+
+/// A row for each condition, by memory.
 fn by_condition(
     scores: &StreamScores,
-    table: Table,
-    row: impl Fn(&StreamScore) -> Option<Vec<TableCell>>,
-) -> Table {
-    let of_memory = scores
-        .conditions
-        .chunk_by(|a, b| a.condition.memory == b.condition.memory)
-        .filter_map(|scores| {
-            let rows: Vec<TableRow> = scores
-                .iter()
-                .filter_map(|score| {
-                    Some(TableRow {
-                        label: arm(&score.condition),
-                        published: false,
-                        cells: row(score)?,
-                    })
-                })
-                .collect();
-            let label = scores.first().map(|score| title(score.condition.memory));
-            (!rows.is_empty()).then_some(Group { label, rows })
-        });
-    Table {
-        stubs: vec!["Memory".to_owned(), "Arm".to_owned()],
-        groups: of_memory.collect(),
-        ..table
-    }
+    cells: impl Fn(&StreamScore) -> Option<Vec<TableCell>>,
+) -> Vec<Group> {
+    let row = |score: &StreamScore| Some(TableRow::new(arm(&score.condition), cells(score)?));
+    let of_memory = scores.conditions.chunk_by(|a, b| a.condition.memory == b.condition.memory);
+    let group = |scores: &[StreamScore]| Group {
+        label: scores.first().map(|score| title(score.condition.memory)),
+        rows: scores.iter().filter_map(row).collect(),
+    };
+    of_memory.map(group).filter(|group| !group.rows.is_empty()).collect()
 }
 
 /// A figure with its interval, or why there is none.
 fn sure(estimate: Option<Estimate>, digits: usize, missing: Missing) -> TableCell {
-    let Some(Estimate { mean, interval, .. }) = estimate else {
-        return TableCell::Missing(missing);
-    };
-    let figure = minus(mean, digits);
-    match interval {
-        Some(found) => TableCell::Sure { figure, interval: interval_text(found, digits) },
-        None => TableCell::Value(figure),
-    }
+    estimate.map_or(TableCell::Missing(missing), |Estimate { mean, interval, .. }| {
+        with_interval(minus(mean, digits), interval, digits)
+    })
 }
 
 /// A number with a typographic minus where it is below zero.

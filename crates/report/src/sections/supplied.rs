@@ -1,46 +1,36 @@
 //! What each memory supplied, how long that took, and how large it is.
 
+use domain::MemoryKind;
 use results::score::MemoryScore;
 
-use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
+use crate::document::{Group, Missing, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, plain_or, title};
 
 const BUILT_IN: Missing =
     Missing::NotApplicable("a built-in memory has no messages of its own, and asks no model");
 const NOT_TOLD: Missing = Missing::NotMeasured("the memory does not tell it");
 
-pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
-    supplied_table(view).map(ReportBlock::Table).into_iter().collect()
-}
-
 /// A row for each memory; `None` where nothing was supplied, or the log is an earlier one.
 pub(crate) fn supplied_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = MemoryScore::by_memory(view.log);
-    let rows: Vec<TableRow> = scores
-        .iter()
-        .map(|(memory, score)| {
-            let is_external = memory.external().is_some();
-            let external = |value: Option<f64>, missing: Missing| {
-                plain_or(value, 0, if is_external { missing } else { BUILT_IN })
-            };
-            let store = score.store_bytes.map(|bytes| bytes as f64 / 1024.0);
-            TableRow {
-                label: title(*memory),
-                published: false,
-                cells: vec![
-                    TableCell::Value(format!("{:.2}", score.items_each)),
-                    TableCell::Value(format!("{:.2}", score.images_each)),
-                    TableCell::Value(format!("{:.0}", score.text_each)),
-                    TableCell::Value(score.items_dropped.to_string()),
-                    TableCell::Value(format!("{:.0}", score.recall_us)),
-                    external(score.method_us, NOT_TOLD),
-                    external(score.wire_us, NOT_TOLD),
-                    plain_or(store, 1, NOT_TOLD),
-                    external(score.tokens_each, NOT_TOLD),
-                ],
-            }
-        })
-        .collect();
+    let row = |(memory, score): &(MemoryKind, MemoryScore)| {
+        let untold = if memory.external().is_some() { NOT_TOLD } else { BUILT_IN };
+        let external = |value: Option<f64>| plain_or(value, 0, untold.clone());
+        let store = score.store_bytes.map(|bytes| bytes as f64 / 1024.0);
+        let cells = vec![
+            TableCell::Value(format!("{:.2}", score.items_each)),
+            TableCell::Value(format!("{:.2}", score.images_each)),
+            TableCell::Value(format!("{:.0}", score.text_each)),
+            TableCell::Value(score.items_dropped.to_string()),
+            TableCell::Value(format!("{:.0}", score.recall_us)),
+            external(score.method_us),
+            external(score.wire_us),
+            plain_or(store, 1, NOT_TOLD),
+            external(score.tokens_each),
+        ];
+        TableRow::new(title(*memory), cells)
+    };
+    let rows: Vec<TableRow> = scores.iter().map(row).collect();
     let columns =
         ["Items", "Images", "Text", "Dropped", "Recall us", "Method us", "Wire us", "Store KiB"];
     (!rows.is_empty()).then(|| Table {

@@ -4,9 +4,9 @@ use domain::MemoryKind;
 use results::log::Stages;
 use results::score::StageTimes;
 
-use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
+use crate::document::{Group, Missing, ReportBlock, Table, TableColumn, TableRow};
 use crate::plot::{Stack, StackRow, stack};
-use crate::view::{ScoredRun, title};
+use crate::view::{ScoredRun, plain_or, title};
 
 /// The stages in which something is computed; the others are transport between processes.
 const WORK: [&str; 6] = ["dynamics", "render", "embed", "search", "assemble", "decide"];
@@ -38,16 +38,9 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
 /// A row for each stage, a column for each memory; `None` when nothing was timed.
 pub(crate) fn time_table(view: &ScoredRun<'_>) -> Option<Table> {
     let times = StageTimes::by_memory(view.log);
-    let row = |label: &str, us: &dyn Fn(&StageTimes) -> Option<f64>| TableRow {
-        label: label.to_owned(),
-        published: false,
-        cells: times
-            .iter()
-            .map(|(_, times)| us(times))
-            .map(|us| {
-                us.map_or(TableCell::Missing(NO_STAGE), |us| TableCell::Value(format!("{us:.0}")))
-            })
-            .collect(),
+    let row = |label: &str, us: &dyn Fn(&StageTimes) -> Option<f64>| {
+        let cells = times.iter().map(|(_, times)| plain_or(us(times), 0, NO_STAGE));
+        TableRow::new(label, cells.collect())
     };
     let stages = Stages::NAMES.iter().map(|stage| row(stage, &|times| times.stage(stage)));
     let rows = stages.chain([row("sum", &|times| Some(times.sum))]).collect();

@@ -1,11 +1,8 @@
 //! Table `tab:transfer` (RQ1): the test stays at the original start, the demonstration's start changes.
 
 use crate::document::{ReportBlock, Table};
-use crate::plot::Dots;
-use crate::sections::main_table::{dots_if_any, rate_rows};
-use crate::view::{
-    OURS, ScoredRun, THEIRS, name, our_rates, pair_stubs, rate_columns, their_rates, title,
-};
+use crate::sections::main_table::{rate_figure, rate_rows};
+use crate::view::{ScoredRun, name, our_rates, pair_stubs, rate_columns, their_rates, title};
 
 const DEMONSTRATIONS: [(&str, &str); 4] = [
     ("Original start", "original"),
@@ -47,15 +44,11 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
             .collect();
         rate_rows(view, &title(representation), &labelled)
     });
-    let figure = dots_if_any(Dots {
-        id: view.id("transfer-figure"),
-        caption: "Success rate at the original start, by the demonstration in memory. Filled: this run with \
-                  its 95 % interval. Open: published, mean ± standard deviation."
-            .to_owned(),
-        axis: "Success rate, %",
-        range: (0.0, 100.0),
-        series: vec![OURS.to_owned(), THEIRS.to_owned()],
-        rows: rows.collect(),
-    });
+    let figure = rate_figure(
+        view.id("transfer-figure"),
+        "Success rate at the original start, by the demonstration in memory. Filled: this run with its 95 % interval. \
+         Open: published, mean ± standard deviation.",
+        rows.collect(),
+    );
     table.pruned().map(ReportBlock::Table).into_iter().chain(figure).collect()
 }

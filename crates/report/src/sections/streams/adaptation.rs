@@ -1,10 +1,10 @@
 //! Adaptation lag, stale reuse, robustness against the order of blocks.
 
 use results::key::Order;
-use results::score::{OrderScore, StreamScore, StreamScores};
+use results::score::{OrderScore, StreamScore};
 
-use super::{NOTHING_RETRIEVED, by_condition, sure};
-use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
+use super::{NOTHING_RETRIEVED, by_condition, memory_and_arm, sure};
+use crate::document::{Missing, Table, TableCell, TableColumn};
 use crate::view::{ScoredRun, plain_or};
 
 const NEVER: Missing = Missing::Undefined("no case that an event invalidated ever succeeded");
@@ -13,29 +13,12 @@ const NO_REFERENCE: Missing =
     Missing::NotMeasured("an episode's record does not have the actions of its reference");
 const TWO_ORDERS: Missing = Missing::Undefined("no stream was run in three orders");
 
-pub(super) fn blocks(view: &ScoredRun<'_>, _: &StreamScores) -> Vec<ReportBlock> {
-    let tables = [adaptation_table(view), orders_table(view)];
-    tables.into_iter().flatten().map(ReportBlock::Table).collect()
-}
-
 /// Adaptation lag and stale reuse.
 pub(crate) fn adaptation_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = view.scores.streams.as_ref()?;
     let mut columns = vec![TableColumn::new("Lag"), TableColumn::new("Adapted %")];
     columns.extend(["all", "after events"].map(|name| TableColumn::under("Stale %", name)));
     columns.push(TableColumn::new("t-nDTW"));
-    let table = Table {
-        id: view.id("stream-adaptation"),
-        caption: "Learning episodes. Lag: episodes from the start of a block to the first success of a case whose \
-                  demonstration an event has invalidated, that one included; over the blocks in which there is one. Adapted: \
-                  share of the blocks with an invalidated case that have such a success. A lag counts only together with \
-                  that share. Stale: share of the retrieved sources that complete their task in the world in which they were \
-                  recorded, and not in the episode's. t-nDTW: how closely paths follow the references, from 0 to 1."
-            .to_owned(),
-        stubs: Vec::new(),
-        columns,
-        groups: Vec::new(),
-    };
     let row = |score: &StreamScore| {
         let no_lag = if score.adapted.is_some() { NEVER } else { NO_EVENT };
         Some(vec![
@@ -46,7 +29,19 @@ pub(crate) fn adaptation_table(view: &ScoredRun<'_>) -> Option<Table> {
             sure(score.t_ndtw, 3, NO_REFERENCE),
         ])
     };
-    by_condition(scores, table, row).pruned()
+    let table = Table {
+        id: view.id("stream-adaptation"),
+        caption: "Learning episodes. Lag: episodes from the start of a block to the first success of a case whose \
+                  demonstration an event has invalidated, that one included; over the blocks in which there is one. Adapted: \
+                  share of the blocks with an invalidated case that have such a success. A lag counts only together with \
+                  that share. Stale: share of the retrieved sources that complete their task in the world in which they were \
+                  recorded, and not in the episode's. t-nDTW: how closely paths follow the references, from 0 to 1."
+            .to_owned(),
+        stubs: memory_and_arm(),
+        columns,
+        groups: by_condition(scores, row),
+    };
+    table.pruned()
 }
 
 /// Success in each order, and its range.
@@ -56,16 +51,6 @@ pub(crate) fn orders_table(view: &ScoredRun<'_>) -> Option<Table> {
     let columns = ["Success %", "ACC"]
         .into_iter()
         .flat_map(|over| names().map(move |name| TableColumn::under(over, name)));
-    let table = Table {
-        id: view.id("stream-orders"),
-        caption: "Success of the learning episodes, and average success after the last block (ACC), by the order of the \
-                  blocks. Range: largest minus smallest over the orders of a stream, a mean over streams that were run in \
-                  three."
-            .to_owned(),
-        stubs: Vec::new(),
-        columns: columns.collect(),
-        groups: Vec::new(),
-    };
     let row = |score: &StreamScore| {
         let of = |figure: fn(&OrderScore) -> Option<f64>| {
             Order::ALL.map(|order| match score.orders.iter().find(|one| one.order == order) {
@@ -79,5 +64,15 @@ pub(crate) fn orders_table(view: &ScoredRun<'_>) -> Option<Table> {
         cells.push(plain_or(score.order_spread_average.map(|range| range.mean), 1, TWO_ORDERS));
         Some(cells)
     };
-    by_condition(scores, table, row).pruned()
+    let table = Table {
+        id: view.id("stream-orders"),
+        caption: "Success of the learning episodes, and average success after the last block (ACC), by the order of the \
+                  blocks. Range: largest minus smallest over the orders of a stream, a mean over streams that were run in \
+                  three."
+            .to_owned(),
+        stubs: memory_and_arm(),
+        columns: columns.collect(),
+        groups: by_condition(scores, row),
+    };
+    table.pruned()
 }

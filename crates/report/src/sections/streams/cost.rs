@@ -2,15 +2,13 @@
 
 use results::score::{Necessity, NecessitySuccess, StreamCost, StreamScore, StreamScores};
 
-use super::{arm, is_tested, short, sure};
+use super::{arm, is_tested, memory_and_arm, short, sure};
 use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
 use crate::plot::{Curve, Curves, curves};
+use crate::sections::growth::{NO_RECALL, NO_STORE};
+use crate::sections::main_table::NO_TOKENS;
 use crate::view::{ScoredRun, plain_or, title};
 
-const NO_RECALL: Missing = Missing::NotMeasured("no recall was timed");
-const NO_STORE: Missing = Missing::NotMeasured("the memory told no size");
-const NO_TOKENS: Missing =
-    Missing::NotMeasured("this run's policy counts no tokens (a scripted policy has none)");
 const NO_CASE: Missing = Missing::Undefined("no case is certified");
 
 pub(super) fn blocks(view: &ScoredRun<'_>, scores: &StreamScores) -> Vec<ReportBlock> {
@@ -23,15 +21,14 @@ fn tested(scores: &StreamScores) -> impl Iterator<Item = &StreamScore> {
 }
 
 fn cost_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<Table> {
-    let row = |cost: &StreamCost| TableRow {
-        label: format!("after {}", cost.after),
-        published: false,
-        cells: vec![
+    let row = |cost: &StreamCost| {
+        let cells = vec![
             TableCell::Value(format!("{:.0}", cost.episodes)),
             plain_or(cost.recall_us, 1, NO_RECALL),
             plain_or(cost.store_bytes.map(|bytes| bytes / 1024.0), 1, NO_STORE),
             plain_or(cost.tokens, 0, NO_TOKENS),
-        ],
+        ];
+        TableRow::new(format!("after {}", cost.after), cells)
     };
     let group = |score: &StreamScore| Group {
         label: Some(format!("{}, {}", title(score.condition.memory), arm(&score.condition))),
@@ -72,25 +69,20 @@ fn cost_figure(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<crate::Rep
     })
 }
 
-pub(super) fn necessity_blocks(view: &ScoredRun<'_>, _: &StreamScores) -> Vec<ReportBlock> {
-    necessity_table(view).map(ReportBlock::Table).into_iter().collect()
-}
-
 /// The share of cases that need memory, and success on those.
 pub(crate) fn necessity_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = view.scores.streams.as_ref()?;
     let group = |necessity: &Necessity| {
         let Necessity { oracle, cases, certified, success } = necessity;
         let share = 100.0 * *certified as f64 / *cases as f64;
-        let row = |one: &NecessitySuccess| TableRow {
-            label: arm(&one.condition),
-            published: false,
-            cells: vec![
+        let row = |one: &NecessitySuccess| {
+            let cells = vec![
                 TableCell::Value(format!("{certified} of {cases}")),
                 TableCell::Value(format!("{share:.1}")),
                 sure(one.all, 1, NO_CASE),
                 sure(one.certified, 1, NO_CASE),
-            ],
+            ];
+            TableRow::new(arm(&one.condition), cells)
         };
         Group { label: Some(title(oracle.memory)), rows: success.iter().map(row).collect() }
     };
@@ -103,7 +95,7 @@ pub(crate) fn necessity_table(view: &ScoredRun<'_>) -> Option<Table> {
                   certified ones. The rows none and oracle decide which cases are certified, so their success on those is \
                   so by selection."
             .to_owned(),
-        stubs: vec!["Memory".to_owned(), "Arm".to_owned()],
+        stubs: memory_and_arm(),
         columns,
         groups: scores.necessity.iter().map(group).collect(),
     };

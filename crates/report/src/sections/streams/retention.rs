@@ -2,34 +2,18 @@
 
 use results::score::{StreamScore, StreamScores};
 
-use super::{arm, by_condition, minus, sure};
-use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
-use crate::view::{ScoredRun, title};
+use super::{arm, by_condition, memory_and_arm, sure};
+use crate::document::{Group, Missing, Table, TableColumn, TableRow};
+use crate::view::{ScoredRun, plain_or, title};
 
 const ONE_BLOCK: Missing = Missing::Undefined("it needs two blocks");
 const NO_BASELINE: Missing =
     Missing::NotApplicable("forward transfer is against no memory, where that was run");
 const NOT_EVALUATED: Missing = Missing::Undefined("no case of the block was evaluated");
 
-pub(super) fn blocks(view: &ScoredRun<'_>, scores: &StreamScores) -> Vec<ReportBlock> {
-    let tables = [transfer_table(view), matrix_table(view, scores)];
-    tables.into_iter().flatten().map(ReportBlock::Table).collect()
-}
-
 /// ACC, BWT, FWT and forgetting.
 pub(crate) fn transfer_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = view.scores.streams.as_ref()?;
-    let table = Table {
-        id: view.id("stream-transfer"),
-        caption: "From read-only evaluations of every block after each block. ACC: average success over all blocks after the \
-                  last, in percent. In percentage points: BWT, backward transfer, what later learning changes about a block; \
-                  FWT, forward transfer, success on a block before it is learned, minus that without memory; forgetting, the \
-                  best earlier success on a block minus the last (Lopez-Paz and Ranzato 2017; Chaudhry et al. 2018)."
-            .to_owned(),
-        stubs: Vec::new(),
-        columns: ["ACC", "BWT", "FWT", "Forgetting"].map(TableColumn::new).to_vec(),
-        groups: Vec::new(),
-    };
     let row = |score: &StreamScore| {
         score.average?;
         Some(vec![
@@ -39,23 +23,27 @@ pub(crate) fn transfer_table(view: &ScoredRun<'_>) -> Option<Table> {
             sure(score.forgetting, 1, ONE_BLOCK),
         ])
     };
-    by_condition(scores, table, row).pruned()
+    let table = Table {
+        id: view.id("stream-transfer"),
+        caption: "From read-only evaluations of every block after each block. ACC: average success over all blocks after the \
+                  last, in percent. In percentage points: BWT, backward transfer, what later learning changes about a block; \
+                  FWT, forward transfer, success on a block before it is learned, minus that without memory; forgetting, the \
+                  best earlier success on a block minus the last (Lopez-Paz and Ranzato 2017; Chaudhry et al. 2018)."
+            .to_owned(),
+        stubs: memory_and_arm(),
+        columns: ["ACC", "BWT", "FWT", "Forgetting"].map(TableColumn::new).to_vec(),
+        groups: by_condition(scores, row),
+    };
+    table.pruned()
 }
 
 /// R: a group for each condition, a row for each number of blocks learned, a column for each block.
-fn matrix_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<Table> {
+pub(super) fn matrix_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<Table> {
     let blocks = scores.conditions.iter().map(|score| score.matrix.len()).max()?.checked_sub(1)?;
-    let row = |(learned, cells): (usize, &Vec<Option<f64>>)| TableRow {
-        label: format!("after {learned}"),
-        published: false,
-        cells: (0..blocks)
-            .map(|block| {
-                let cell = cells.get(block).copied().flatten();
-                cell.map_or(TableCell::Missing(NOT_EVALUATED), |cell| {
-                    TableCell::Value(minus(cell, 1))
-                })
-            })
-            .collect(),
+    let row = |(learned, rates): (usize, &Vec<Option<f64>>)| {
+        let rates = (0..blocks).map(|block| rates.get(block).copied().flatten());
+        let cells = rates.map(|rate| plain_or(rate, 1, NOT_EVALUATED));
+        TableRow::new(format!("after {learned}"), cells.collect())
     };
     let group = |score: &StreamScore| Group {
         label: Some(format!("{}, {}", title(score.condition.memory), arm(&score.condition))),

@@ -4,10 +4,10 @@ use domain::{Arm, MemoryKind, Representation};
 use results::conditions::Condition;
 use results::score::{FigureDifference, RoundScore, StreamScore, StreamScores};
 
-use super::{by_condition, is_tested, short, sure};
+use super::{by_condition, is_tested, memory_and_arm, short, sure};
 use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
-use crate::plot::{Course, CourseCurve, course};
-use crate::view::{ScoredRun, interval_text, signed, title};
+use crate::plot::{Course, Curve, course};
+use crate::view::{ScoredRun, signed, title, with_interval};
 
 const NO_BLOCK: Missing = Missing::Undefined("the streams have no such block");
 const NO_ORACLE: Missing = Missing::NotApplicable(
@@ -22,8 +22,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>, scores: &StreamScores) -> Vec<ReportB
     let mut blocks: Vec<ReportBlock> =
         memories.into_iter().filter_map(|memory| rounds_figure(view, scores, memory)).collect();
     blocks.extend(running_figure(view, scores));
-    let tables = [success_table(view), differences_table(view)];
-    blocks.extend(tables.into_iter().flatten().map(ReportBlock::Table));
+    blocks.extend(ReportBlock::tables([success_table(view), differences_table(view)]));
     blocks
 }
 
@@ -76,7 +75,7 @@ fn draw<'a>(
             let within = (f64::from(round.round) - 0.5) / rounds_of(round.place) as f64;
             (f64::from(round.place) + within, value(round))
         };
-        CourseCurve {
+        Curve {
             name: short(&score.condition),
             is_bound: !score.condition.memory.uses_demonstrations(),
             points: score.rounds.iter().map(point).collect(),
@@ -87,7 +86,6 @@ fn draw<'a>(
     let plot = Course {
         id,
         caption,
-        up: "Success, %",
         blocks: places.max()?,
         curves: scores.into_iter().map(curve).collect(),
     };
@@ -102,16 +100,6 @@ pub(crate) fn success_table(view: &ScoredRun<'_>) -> Option<Table> {
         ["all", "before events", "after events"].map(|name| TableColumn::under("Success %", name)),
     );
     columns.push(TableColumn::new("Regret"));
-    let table = Table {
-        id: view.id("stream-success"),
-        caption: "Success of the learning episodes, in percent. All: stream success at the end. Before events: in block 0; \
-                  after events: in the other blocks, in whatever order they come. Regret: successes of the oracle arm of the \
-                  same memory minus its own, summed over the learning episodes of a sequence."
-            .to_owned(),
-        stubs: Vec::new(),
-        columns,
-        groups: Vec::new(),
-    };
     let row = |score: &StreamScore| {
         Some(vec![
             TableCell::Value(match score.planned > score.sequences {
@@ -124,28 +112,31 @@ pub(crate) fn success_table(view: &ScoredRun<'_>) -> Option<Table> {
             sure(score.regret, 1, NO_ORACLE),
         ])
     };
-    by_condition(scores, table, row).pruned()
+    let table = Table {
+        id: view.id("stream-success"),
+        caption: "Success of the learning episodes, in percent. All: stream success at the end. Before events: in block 0; \
+                  after events: in the other blocks, in whatever order they come. Regret: successes of the oracle arm of the \
+                  same memory minus its own, summed over the learning episodes of a sequence."
+            .to_owned(),
+        stubs: memory_and_arm(),
+        columns,
+        groups: by_condition(scores, row),
+    };
+    table.pruned()
 }
 
 /// Pairs of conditions on the same sequences.
 pub(crate) fn differences_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = view.scores.streams.as_ref()?;
-    let cell = |found: &Option<FigureDifference>| match found {
-        None => TableCell::Missing(NO_BLOCK),
-        Some(FigureDifference { mean, interval: None, .. }) => TableCell::Value(signed(*mean, 1)),
-        Some(FigureDifference { mean, interval: Some(interval), .. }) => {
-            TableCell::Sure { figure: signed(*mean, 1), interval: interval_text(*interval, 1) }
-        }
+    let cell = |found: Option<FigureDifference>| {
+        found.map_or(TableCell::Missing(NO_BLOCK), |FigureDifference { mean, interval, .. }| {
+            with_interval(signed(mean, 1), interval, 1)
+        })
     };
-    let rows = scores.differences.iter().map(|found| TableRow {
-        label: format!("{} − {}", short(&found.a), short(&found.b)),
-        published: false,
-        cells: vec![
-            TableCell::Value(found.streams.to_string()),
-            cell(&found.before),
-            cell(&found.after),
-            cell(&found.average),
-        ],
+    let rows = scores.differences.iter().map(|found| {
+        let streams = TableCell::Value(found.streams.to_string());
+        let cells = vec![streams, cell(found.before), cell(found.after), cell(found.average)];
+        TableRow::new(format!("{} − {}", short(&found.a), short(&found.b)), cells)
     });
     let table = Table {
         id: view.id("stream-differences"),
