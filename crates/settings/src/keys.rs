@@ -19,25 +19,6 @@ use shm_types::message::{MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW};
 /// Maximum number of images in a prompt (paper, Experimental Setup).
 pub const MAX_IMAGES: u32 = 50;
 
-/// Keys that concern a model: for `--policy openai` only.
-pub(super) const MODEL_KEYS: &[&str] = &[
-    "model",
-    "base-url",
-    "image-format",
-    "image-budget",
-    "answer-tokens",
-    "max-connections",
-    "endpoint-limit",
-    "endpoint-limit-folder",
-    "max-retries",
-    "request-timeout",
-    "server-patience",
-    "response-cache",
-    "prices",
-    "max-tokens-total",
-    "max-cost",
-];
-
 /// One setting.
 #[derive(Debug)]
 pub struct Key {
@@ -101,7 +82,7 @@ fn is_one_of<const N: usize>(
 }
 
 fn is_arm(text: &str) -> Result<(), String> {
-    is_one_of("arm", text, [Arm::Frozen, Arm::Learning, Arm::Oracle, Arm::Wrong].map(Arm::word))
+    is_one_of("arm", text, Arm::ALL.map(Arm::word))
 }
 
 fn is_order(text: &str) -> Result<(), String> {
@@ -109,8 +90,7 @@ fn is_order(text: &str) -> Result<(), String> {
 }
 
 fn is_feedback(text: &str) -> Result<(), String> {
-    use FeedbackLevel::{None, SubGoals, Success};
-    is_one_of("feedback", text, [None, Success, SubGoals].map(FeedbackLevel::word))
+    is_one_of("feedback", text, FeedbackLevel::ALL.map(FeedbackLevel::word))
 }
 
 /// Accepts any text but an empty one.
@@ -320,6 +300,11 @@ pub const KEYS: &[Key] = keys! {
     "start-timeout" "SECONDS" SECONDS,
         "Time limit for the processes to get ready";
 };
+
+/// Names of the keys that concern a model: for `--policy openai` only.
+pub(super) fn model_keys() -> impl Iterator<Item = &'static str> {
+    KEYS.iter().filter(|key| key.heading == MODEL).map(|key| key.name)
+}
 
 /// The defaults of keys that no source sets. A suite sets most of them.
 pub(super) const DEFAULTS: &str = r#"

@@ -180,7 +180,7 @@ pub fn variable(name: &str) -> Result<Option<Value>> {
 }
 
 /// Keys of a `[[group]]` beside its name.
-pub const GROUP_KEYS: &[&str] =
+pub(super) const GROUP_KEYS: &[&str] =
     &["memory", "starts", "routes", "demos", "window", "segment", "hint", "arms", "runs"];
 
 #[cfg(test)]

@@ -13,6 +13,6 @@ mod suite;
 
 pub use cases::select_cases;
 pub use keys::{KEYS, Key, MAX_IMAGES};
-pub use layer::{GROUP_KEYS, Layer, Origin, variable};
+pub use layer::{Layer, Origin, variable};
 pub use resolve::{MACHINE_KEYS, Resolved, check, on_this_machine, resolve};
 pub use suite::{SHIPPED_SUITES, load_suite};

@@ -12,7 +12,7 @@ use results::settings::{Drawn, RunSettings, SuiteName};
 use serde_json::{Map, Value, json};
 use shm_types::message::MAX_EXTERNAL_MEMORIES;
 
-use super::keys::{KEYS, MAX_IMAGES, MODEL_KEYS, STREAM_KEYS};
+use super::keys::{KEYS, MAX_IMAGES, STREAM_KEYS, model_keys};
 use super::layer::{GROUP_KEYS, Layer, Origin};
 use super::load_suite;
 
@@ -143,13 +143,13 @@ fn choose_policy(merged: &mut Map<String, Value>, origins: &mut Origins) -> Resu
         );
         return Ok(policy);
     }
-    for key in MODEL_KEYS {
+    for key in model_keys() {
         // A variable may be set for other runs.
-        if origins.get(*key) == Some(&Origin::CommandLine) {
+        if origins.get(key) == Some(&Origin::CommandLine) {
             return Err(other(key, PolicyKind::Openai));
         }
-        merged.remove(*key);
-        origins.remove(*key);
+        merged.remove(key);
+        origins.remove(key);
     }
     Ok(policy)
 }
@@ -449,8 +449,13 @@ mod tests {
         Layer::suite("mine.toml", text).unwrap()
     }
 
+    /// Of the defaults and `layers`.
+    fn merged(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved> {
+        merge([Layer::defaults().unwrap()].into_iter().chain(layers))
+    }
+
     fn with(given: &[(&str, &str)]) -> Result<Resolved> {
-        merge([Layer::defaults().unwrap(), flags(given)])
+        merged([flags(given)])
     }
 
     #[test]
@@ -465,7 +470,7 @@ mod tests {
             (vec![file.clone(), variable, flag], 4, CommandLine),
             (vec![file, flags(&[])], 2, Suite),
         ] {
-            let resolved = merge([Layer::defaults().unwrap()].into_iter().chain(layers)).unwrap();
+            let resolved = merged(layers).unwrap();
             assert_eq!((resolved.settings.lanes, resolved.origins["lanes"]), (expected, origin));
         }
     }
@@ -501,15 +506,12 @@ mod tests {
     #[test]
     fn settings_are_shown_as_a_suite_file() {
         let quick = load_suite(&SuiteName::quick(), None).unwrap();
-        let resolved =
-            merge([Layer::defaults().unwrap(), quick, flags(&[("lanes", "4")])]).unwrap();
+        let resolved = merged([quick, flags(&[("lanes", "4")])]).unwrap();
         insta::assert_snapshot!(resolved);
-        let read_again = |resolved: &Resolved| {
-            let layer = suite(&resolved.to_string());
-            merge([Layer::defaults().unwrap(), layer]).unwrap().settings
-        };
+        let read_again =
+            |resolved: &Resolved| merged([suite(&resolved.to_string())]).unwrap().settings;
         assert_eq!(read_again(&resolved).lanes, 4);
-        let resolved = merge([Layer::defaults().unwrap(), suite(GROUPS)]).unwrap();
+        let resolved = merged([suite(GROUPS)]).unwrap();
         insta::assert_snapshot!("groups-as-a-suite-file", resolved);
         assert_eq!(read_again(&resolved), resolved.settings);
     }
@@ -519,11 +521,11 @@ mod tests {
         let given =
             [("memory", "working,external"), ("memory-cmd", "python a.py, b"), ("starts", "new")];
         let layer = flags(&[&given[..], &[("memory-cmd", "./c")]].concat());
-        let resolved = merge([Layer::defaults().unwrap(), layer]).unwrap();
+        let resolved = merged([layer]).unwrap();
         let shown = resolved.to_string();
         assert!(shown.contains("memory = [\"working\",\"external\"]"), "{shown}");
         assert!(shown.contains("memory-cmd = [\"python a.py, b\",\"./c\"]"), "{shown}");
-        let again = merge([Layer::defaults().unwrap(), suite(&shown)]).unwrap().settings;
+        let again = merged([suite(&shown)]).unwrap().settings;
         let mut settings = resolved.settings;
         assert_eq!(again, settings);
         assert_eq!((settings.memory_cmd.len(), settings.external_memory), (2, true));
@@ -548,7 +550,7 @@ mod tests {
         let groups = "[[group]]\nname = \"w\"\nmemory = [\"working\"]\n[[group]]\nname = \"e\"\n\
                       memory = [\"episodic\"]";
         let layer = suite(&format!("memory-cmd = [\"a\"]\n{groups}"));
-        let mut settings = merge([Layer::defaults().unwrap(), layer]).unwrap().settings;
+        let mut settings = merged([layer]).unwrap().settings;
         settings.add_external_memories(&[("a".parse().unwrap(), true)]);
         let counts: Vec<usize> = settings.groups.iter().map(|group| group.memory.len()).collect();
         assert_eq!(counts, [1, 2]);
@@ -556,22 +558,21 @@ mod tests {
 
     #[test]
     fn external_memories_are_of_no_use_to_a_policy_without_memory() {
-        let with = |policy, given: &[_]| {
+        let of = |policy, given: &[_]| {
             let layers =
                 [suite("memory-cmd = [\"a\"]"), flags(&[("policy", policy)]), flags(given)];
-            merge([Layer::defaults().unwrap()].into_iter().chain(layers)).unwrap().settings
+            merged(layers).unwrap().settings
         };
-        assert_eq!(with("grounded", &[]).memory_cmd, ["a"]);
-        assert!(!with("random", &[]).has_external_memories());
-        assert_eq!(with("random", &[("memory-cmd", "b")]).memory_cmd, ["b"]);
-        assert!(
-            !with("expert", &[("memory-cmd", "b"), ("memory", "external")]).has_external_memories()
-        );
+        assert_eq!(of("grounded", &[]).memory_cmd, ["a"]);
+        assert!(!of("random", &[]).has_external_memories());
+        assert_eq!(of("random", &[("memory-cmd", "b")]).memory_cmd, ["b"]);
+        let given = [("memory-cmd", "b"), ("memory", "external")];
+        assert!(!of("expert", &given).has_external_memories());
         let nine: Vec<(&str, &str)> = vec![("memory-cmd", "x"); 9];
-        let error = merge([Layer::defaults().unwrap(), flags(&nine)]).unwrap_err().to_string();
+        let error = with(&nine).unwrap_err().to_string();
         assert!(error.starts_with("the run has 9 external memories"), "{error}");
-        let error = merge([Layer::defaults().unwrap(), flags(&[("memory-images", "50")])]);
-        assert!(error.is_ok(), "no built-in memory supplies as many");
+        let settings = with(&[("memory-images", "50")]);
+        assert!(settings.is_ok(), "no built-in memory supplies as many");
     }
 
     const GROUPS: &str = r#"
@@ -593,7 +594,7 @@ runs = 5
 
     fn in_groups(policy: &str, given: &[(&str, &str)]) -> String {
         let policy = suite(&format!("policy = \"{policy}\"\n{GROUPS}"));
-        let resolved = merge([Layer::defaults().unwrap(), policy, flags(given)]).unwrap();
+        let resolved = merged([policy, flags(given)]).unwrap();
         let conditions = resolved.settings.runs();
         let shown = conditions.iter().map(|(condition, runs)| format!("{condition} x{runs}"));
         shown.collect::<Vec<_>>().join("\n")
@@ -660,9 +661,7 @@ feedback = "none"
 
     #[test]
     fn flags_replace_parts_of_the_stream_table() {
-        let with = |text: &str, given: &[_]| {
-            merge([Layer::defaults().unwrap(), suite(text), flags(given)])
-        };
+        let with = |text: &str, given: &[_]| merged([suite(text), flags(given)]);
         let given = [("streams", "7"), ("feedback", "sub-goals"), ("orders", "reversed,drawn")];
         let resolved = with(STREAM, &given).unwrap();
         let stream = resolved.settings.stream.as_ref().unwrap();
@@ -686,7 +685,7 @@ feedback = "none"
         // What is shown is a suite file with the same meaning.
         let shown = resolved.to_string();
         assert!(shown.contains("\n[stream]\n") && shown.contains("rounds = 1"), "{shown}");
-        let again = merge([Layer::defaults().unwrap(), suite(&shown)]).unwrap();
+        let again = merged([suite(&shown)]).unwrap();
         assert_eq!(again.settings.stream, resolved.settings.stream);
 
         let error = |text: &str, given: &[_]| with(text, given).unwrap_err().to_string();
@@ -699,7 +698,7 @@ feedback = "none"
             assert!(error.contains(expected), "{error}");
         }
         let variable = environment("MEMTRANSFER_ROUNDS", "2");
-        assert!(merge([Layer::defaults().unwrap(), variable]).is_ok(), "it is for other runs");
+        assert!(merged([variable]).is_ok(), "it is for other runs");
         let unknown = Layer::suite("my.toml", &STREAM.replace("rounds", "turns")).unwrap_err();
         assert!(unknown.to_string().starts_with("suite my.toml, stream: unknown field `turns`"));
     }
