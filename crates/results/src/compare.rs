@@ -94,11 +94,8 @@ pub fn compare_runs(a: &RunLog, b: &RunLog) -> Result<Vec<Comparison>, CompareEr
 /// The settings, contents and versions in which two runs differ beside their policies and their lists of episodes.
 /// Any of them can be why their figures differ.
 pub fn differing_settings(a: &RunLog, b: &RunLog) -> Vec<Difference> {
-    const COMPARED: [&str; 8] =
-        ["policy", "policy-cmd", "model", "cases", "limit", "group", "log-prompts", "episodes"];
     let mut differences = b.manifest.differences(&a.manifest);
-    differences
-        .retain(|one| !COMPARED.contains(&one.key.as_str()) && !one.key.starts_with("runs of "));
+    differences.retain(|one| !["policy", "policy-cmd", "model"].contains(&one.key.as_str()));
     differences
 }
 
