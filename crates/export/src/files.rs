@@ -6,27 +6,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-/// The name of `path` while it is written.
-pub(crate) fn draft_of(path: &Path) -> PathBuf {
-    let mut name = OsString::from(path);
-    name.push(".part");
-    name.into()
-}
-
-/// Makes the folder that `path` lies in.
-pub(crate) fn make_parent(path: &Path) -> Result<()> {
-    match path.parent() {
-        Some(parent) => {
-            fs::create_dir_all(parent).with_context(|| format!("cannot make {}", parent.display()))
-        }
-        None => Ok(()),
-    }
-}
-
 /// Writes a file by way of its draft, which `write` is given; a file of that name is replaced.
 pub(crate) fn write_whole(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
-    make_parent(path)?;
-    let draft = draft_of(path);
+    if let Some(parent) = path.parent() {
+        fs::create_dir_all(parent).with_context(|| format!("cannot make {}", parent.display()))?;
+    }
+    let mut draft = OsString::from(path);
+    draft.push(".part");
+    let draft = PathBuf::from(draft);
     let written = write(&draft).and_then(|()| {
         fs::rename(&draft, path).with_context(|| format!("cannot write {}", path.display()))
     });
@@ -35,6 +22,13 @@ pub(crate) fn write_whole(path: &Path, write: impl FnOnce(&Path) -> Result<()>) 
         let _ = fs::remove_file(&draft);
     }
     written
+}
+
+/// Writes a text in the same way.
+pub(crate) fn write_text(path: &Path, text: &str) -> Result<()> {
+    write_whole(path, |draft| {
+        fs::write(draft, text).with_context(|| format!("cannot write {}", path.display()))
+    })
 }
 
 /// Whether `path` names a file with this extension, as opposed to a folder.

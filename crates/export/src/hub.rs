@@ -2,15 +2,14 @@
 //! (<https://huggingface.co/docs/hub/eval-results>).
 
 use std::fmt::Write;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use results::date::date;
 use results::log::RunLog;
 
-use crate::files::{is_file, write_whole};
+use crate::files::{is_file, write_text};
 use crate::leaderboard::{Board, Entry, Score};
 
 /// The id of the benchmark's data set on the Hub: `ORGANISATION/NAME`.
@@ -59,9 +58,7 @@ pub fn write_results(
         false => out.join(format!("memtransfer-{}.yaml", entry.suite())),
     };
     let text = yaml(&entry, log.began_unix_s(), dataset, source)?;
-    write_whole(&path, |draft| {
-        fs::write(draft, &text).with_context(|| format!("cannot write {}", path.display()))
-    })?;
+    write_text(&path, &text)?;
     Ok(path)
 }
 
@@ -136,7 +133,7 @@ mod tests {
         log.manifest.episodes = 2;
         let path = write_results(&log, &dataset, Some("team/\"x\""), dir.path()).unwrap();
         assert!(path.ends_with("memtransfer-quick.yaml"), "{}", path.display());
-        let text = fs::read_to_string(path).unwrap();
+        let text = std::fs::read_to_string(path).unwrap();
         let protocol = text.split("protocol ").nth(1).and_then(|rest| rest.get(..8)).unwrap();
         insta::assert_snapshot!(text.replace(protocol, "ID"), @r#"
         - dataset:

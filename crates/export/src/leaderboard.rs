@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use results::log::RunLog;
 
-use crate::files::{is_file, write_whole};
+use crate::files::{is_file, write_text};
 
 /// Entries that were read.
 #[derive(Debug, Default)]
@@ -59,12 +59,6 @@ pub fn write_entry(log: &RunLog, out: &Path) -> Result<PathBuf> {
 /// When the system refuses.
 pub fn write_page(board: &Board, path: &Path) -> Result<()> {
     write_text(path, &page::render(board)?)
-}
-
-fn write_text(path: &Path, text: &str) -> Result<()> {
-    write_whole(path, |draft| {
-        fs::write(draft, text).with_context(|| format!("cannot write {}", path.display()))
-    })
 }
 
 /// Reads the entries that `paths` name: files of entries, run folders, and folders that hold either. The same entry twice

@@ -31,7 +31,6 @@ use serde_json::{Value, json};
 
 use crate::episodes::{EpisodeSink, Moments, Timing, events};
 use file::{ChannelId, McapFile};
-use foxglove::LogTime;
 
 /// Nanoseconds in a second.
 const SECOND: u64 = 1_000_000_000;
@@ -121,8 +120,9 @@ impl McapRecording {
         Ok(Self { file, channels, step_ns, begins_ns: 0 })
     }
 
-    fn instant(&self, step: u32) -> LogTime {
-        LogTime { ns: self.begins_ns + u64::from(step) * self.step_ns }
+    /// The time of a step, in nanoseconds from the beginning of the file.
+    fn instant(&self, step: u32) -> u64 {
+        self.begins_ns + u64::from(step) * self.step_ns
     }
 }
 
@@ -136,13 +136,14 @@ fn json_channel(
     Ok(file.channel(topic, &format!("memtransfer.{name}"), "jsonschema", &schema, "json"))
 }
 
-fn schema(title: &str, properties: &[(&str, &str)]) -> Value {
-    let properties = properties.iter().map(|(name, kind)| {
+/// The schema of a message, with the names of its properties by their type.
+fn schema(title: &str, properties: &[(&str, &[&str])]) -> Value {
+    let properties = properties.iter().flat_map(|(kind, names)| {
         let value = match *kind {
             "strings" => json!({ "type": "array", "items": { "type": "string" } }),
             kind => json!({ "type": kind }),
         };
-        ((*name).to_owned(), value)
+        names.iter().map(move |name| ((*name).to_owned(), value.clone()))
     });
     let properties: serde_json::Map<String, Value> = properties.collect();
     json!({ "title": format!("memtransfer.{title}"), "type": "object", "properties": properties })
@@ -152,17 +153,9 @@ fn step_schema() -> Value {
     schema(
         "Step",
         &[
-            ("episode", "string"),
-            ("step", "integer"),
-            ("x", "integer"),
-            ("y", "integer"),
-            ("heading", "string"),
-            ("feedback", "string"),
-            ("action", "string"),
-            ("sub_goals_met", "integer"),
-            ("sub_goals", "integer"),
-            ("sources", "strings"),
-            ("distances", "string"),
+            ("string", &["episode", "heading", "feedback", "action", "distances"]),
+            ("integer", &["step", "x", "y", "sub_goals_met", "sub_goals"]),
+            ("strings", &["sources"]),
         ],
     )
 }
@@ -171,16 +164,9 @@ fn episode_schema() -> Value {
     schema(
         "Episode",
         &[
-            ("key", "string"),
-            ("instruction", "string"),
-            ("condition", "string"),
-            ("case", "string"),
-            ("run", "integer"),
-            ("success", "boolean"),
-            ("failure", "string"),
-            ("decided_at", "integer"),
-            ("steps", "integer"),
-            ("reference", "integer"),
+            ("string", &["key", "instruction", "condition", "case", "failure"]),
+            ("integer", &["run", "decided_at", "steps", "reference"]),
+            ("boolean", &["success"]),
         ],
     )
 }
@@ -202,8 +188,8 @@ impl EpisodeSink for McapRecording {
             reference: record.reference,
         };
         let begins = self.instant(0);
-        self.file.message(self.channels.episode, begins.ns, &serde_json::to_vec(&about)?);
-        self.file.message(self.channels.transforms, begins.ns, &foxglove::camera_mount(begins));
+        self.file.message(self.channels.episode, begins, &serde_json::to_vec(&about)?);
+        self.file.message(self.channels.transforms, begins, &foxglove::camera_mount(begins));
         let events = events(record);
         let mut events = events.iter().peekable();
         let retrieved = record.retrieved.as_deref().unwrap_or_default();
@@ -213,9 +199,9 @@ impl EpisodeSink for McapRecording {
         for ((step, &(pose, feedback)), view) in (0..).zip(&moments.poses).zip(&moments.views) {
             let at = self.instant(step);
             let image = moments.images.get(view).context("a view was not rendered")?;
-            self.file.message(self.channels.camera, at.ns, &foxglove::image(at, image));
-            self.file.message(self.channels.transforms, at.ns, &foxglove::agent(at, pose));
-            self.file.message(self.channels.pose, at.ns, &foxglove::pose(at, pose));
+            self.file.message(self.channels.camera, at, &foxglove::image(at, image));
+            self.file.message(self.channels.transforms, at, &foxglove::agent(at, pose));
+            self.file.message(self.channels.pose, at, &foxglove::pose(at, pose));
             let supplied = sources(words.next().unwrap_or_default());
             let data = McapStep {
                 episode: &record.key,
@@ -230,14 +216,14 @@ impl EpisodeSink for McapRecording {
                 sources: supplied.iter().map(SourceStep::in_words).collect(),
                 distances: distances.next(),
             };
-            self.file.message(self.channels.step, at.ns, &serde_json::to_vec(&data)?);
+            self.file.message(self.channels.step, at, &serde_json::to_vec(&data)?);
             while let Some((_, level, words)) = events.next_if(|(happened, ..)| *happened <= step) {
                 let name = &record.key;
                 let message = foxglove::log(at, *level, &format!("step {step}: {words}"), name);
-                self.file.message(self.channels.events, at.ns, &message);
+                self.file.message(self.channels.events, at, &message);
             }
         }
-        self.begins_ns = self.instant(moments.poses.len() as u32).ns;
+        self.begins_ns = self.instant(moments.poses.len() as u32);
         self.file.end_chunk()?;
         Ok(())
     }

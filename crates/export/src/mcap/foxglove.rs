@@ -1,6 +1,6 @@
 //! Messages of Foxglove's well-known schemas, in Protocol Buffers: Rerun reads these and not their JSON form. Field numbers
 //! and types are those of <https://github.com/foxglove/foxglove-sdk/tree/main/schemas/proto>; fields that are not written
-//! are left out of the descriptors.
+//! are left out of the descriptors. Times are in nanoseconds from the beginning of the file.
 
 use domain::{Heading, Pose};
 
@@ -9,12 +9,6 @@ use crate::episodes::Level;
 
 /// Height of the camera above the floor, in metres (specification, section 2).
 const CAMERA_HEIGHT: f64 = 1.2;
-
-/// A time, in nanoseconds from the beginning of the file.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct LogTime {
-    pub(super) ns: u64,
-}
 
 /// The type of a field, with the name of a message or enum.
 #[derive(Clone, Copy)]
@@ -153,10 +147,10 @@ fn describe(out: &mut ProtobufMessage, (name, fields): (&str, Fields)) {
     }
 }
 
-fn timestamp(out: &mut ProtobufMessage, at: LogTime) {
+fn timestamp(out: &mut ProtobufMessage, at: u64) {
     out.nested(1, |time| {
-        time.whole(1, at.ns / super::SECOND);
-        time.whole(2, at.ns % super::SECOND);
+        time.whole(1, at / super::SECOND);
+        time.whole(2, at % super::SECOND);
     });
 }
 
@@ -183,7 +177,7 @@ fn position(pose: Pose) -> [f64; 3] {
 }
 
 /// `foxglove.CompressedImage`: a view.
-pub(super) fn image(at: LogTime, jpeg: &[u8]) -> Vec<u8> {
+pub(super) fn image(at: u64, jpeg: &[u8]) -> Vec<u8> {
     ProtobufMessage::of(|message| {
         timestamp(message, at);
         message.data(2, jpeg);
@@ -193,17 +187,17 @@ pub(super) fn image(at: LogTime, jpeg: &[u8]) -> Vec<u8> {
 }
 
 /// `foxglove.FrameTransform`: where the agent is.
-pub(super) fn agent(at: LogTime, pose: Pose) -> Vec<u8> {
+pub(super) fn agent(at: u64, pose: Pose) -> Vec<u8> {
     transform(at, ["warehouse", "agent"], position(pose), yaw(pose.heading))
 }
 
 /// `foxglove.FrameTransform`: where the camera is on the agent. Its z axis points forward, its x axis to the right.
-pub(super) fn camera_mount(at: LogTime) -> Vec<u8> {
+pub(super) fn camera_mount(at: u64) -> Vec<u8> {
     transform(at, ["agent", "camera"], [0.0, 0.0, CAMERA_HEIGHT], [-0.5, 0.5, -0.5, 0.5])
 }
 
 fn transform(
-    at: LogTime,
+    at: u64,
     [parent, child]: [&str; 2],
     translation: [f64; 3],
     rotation: [f64; 4],
@@ -218,7 +212,7 @@ fn transform(
 }
 
 /// `foxglove.PoseInFrame`: the pose of the agent.
-pub(super) fn pose(at: LogTime, pose: Pose) -> Vec<u8> {
+pub(super) fn pose(at: u64, pose: Pose) -> Vec<u8> {
     ProtobufMessage::of(|message| {
         timestamp(message, at);
         message.text(2, "warehouse");
@@ -230,7 +224,7 @@ pub(super) fn pose(at: LogTime, pose: Pose) -> Vec<u8> {
 }
 
 /// `foxglove.Log`: an event of the episode `name`.
-pub(super) fn log(at: LogTime, level: Level, text: &str, name: &str) -> Vec<u8> {
+pub(super) fn log(at: u64, level: Level, text: &str, name: &str) -> Vec<u8> {
     let level = match level {
         Level::Info => 2,
         Level::Warning => 3,
