@@ -110,9 +110,9 @@ impl BundleFolder<'_> {
                 let file = RunPages::prompts_file(name, index, &prompts)?;
                 self.write(&format!("{name}/prompts/{index}.js"), &file)?;
             } else {
-                data.without_prompts();
+                data.prompts = false;
             }
-            grounds.insert(data.ground());
+            grounds.insert(data.ground);
             let file = RunPages::episode_file(name, index, &data)?;
             self.write(&format!("{name}/episodes/{index}.js"), &file)?;
         }

@@ -67,7 +67,7 @@ pub struct EpisodeData {
     /// The items that the task is about.
     targets: Vec<TargetData>,
     /// The drawing of the floor.
-    ground: u32,
+    pub(crate) ground: u32,
     reference_path: Vec<(u8, u8)>,
     /// By step: the cells that came into view, as row * columns + column.
     seen: Vec<Vec<u16>>,
@@ -84,7 +84,7 @@ pub struct EpisodeData {
     stages: Vec<(&'static str, u64)>,
     requests: Vec<RequestData>,
     /// Whether there is a file with its prompts.
-    prompts: bool,
+    pub(crate) prompts: bool,
 }
 
 /// An index into the demonstrations, a step in that one, and the distance, where the memory tells it.
@@ -297,16 +297,6 @@ impl EpisodeData {
         }
     }
 
-    /// The drawing of the floor.
-    pub fn ground(&self) -> u32 {
-        self.ground
-    }
-
-    /// Says that there is no file with its prompts.
-    pub fn without_prompts(&mut self) {
-        self.prompts = false;
-    }
-
     /// Replaces the names of views by those that `name` gives; empty ones are left out.
     pub fn rename_views(&mut self, name: impl Fn(&str) -> Option<String>) {
         let lists = self.demonstrations.iter_mut().map(|one| &mut one.views);
@@ -515,7 +505,6 @@ fn request_data(request: &RequestRecord) -> RequestData {
 
 #[cfg(test)]
 mod tests {
-    use domain::Representation;
     use results::conditions::Route;
     use results::log::testing::{log, record};
     use serde_json::Value;
@@ -523,18 +512,18 @@ mod tests {
 
     use super::*;
 
-    /// The data of an episode of the first case on its blocked route that retrieves `retrieved` and tries to enter the closed
-    /// passage at step 2.
-    fn data(retrieved: Option<&str>) -> Value {
+    /// The data of an episode of the first case that takes these actions and retrieves `retrieved`, with other `changes`.
+    fn episode(
+        actions: &str,
+        retrieved: Option<&str>,
+        changes: impl FnOnce(&mut EpisodeRecord),
+    ) -> EpisodeData {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-        let case = &cases.cases[0];
-        let mut record = record(&case.id, false);
-        record.memory = Representation::Episodic.into();
-        record.route = Route::Blocked;
-        (record.start_pose, record.actions) = (case.test.start, "LR".to_owned());
-        (record.steps, record.tried_closed_at) = (2, Some(2));
+        let mut record = record(&cases.cases[0].id, false);
+        (record.start_pose, record.actions) = (cases.cases[0].test.start, actions.to_owned());
+        record.steps = actions.len() as u32;
         record.retrieved = retrieved.map(str::to_owned);
-        record.distances = retrieved.map(|_| "- 0.0132".to_owned());
+        changes(&mut record);
         let world = RunWorld::new(&log(Vec::new()), warehouse, cases).unwrap();
         let episode = LoggedEpisode {
             record: &record,
@@ -543,7 +532,15 @@ mod tests {
             horizon: 6,
             prompts: false,
         };
-        let data = EpisodeData::new(&world, &episode, |_| None).unwrap();
+        EpisodeData::new(&world, &episode, |_| None).unwrap()
+    }
+
+    /// An episode on the blocked route that tries to enter the closed passage at step 2.
+    fn data(retrieved: Option<&str>) -> Value {
+        let data = episode("LR", retrieved, |record| {
+            (record.route, record.tried_closed_at) = (Route::Blocked, Some(2));
+            record.distances = retrieved.map(|_| "- 0.0132".to_owned());
+        });
         serde_json::to_value(data).unwrap()
     }
 
@@ -576,20 +573,7 @@ mod tests {
 
     #[test]
     fn views_of_what_was_supplied_are_the_last_to_be_left_out() {
-        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-        let mut record = record(&cases.cases[0].id, false);
-        (record.start_pose, record.actions) = (cases.cases[0].test.start, "L".to_owned());
-        (record.memory, record.steps) = (Representation::Episodic.into(), 1);
-        record.retrieved = Some("o4".to_owned());
-        let world = RunWorld::new(&log(Vec::new()), warehouse, cases).unwrap();
-        let episode = LoggedEpisode {
-            record: &record,
-            timings: None,
-            requests: Vec::new(),
-            horizon: 6,
-            prompts: false,
-        };
-        let mut data = EpisodeData::new(&world, &episode, |_| None).unwrap();
+        let mut data = episode("L", Some("o4"), |_| ());
         let kept = |data: &EpisodeData| -> Vec<(usize, usize)> {
             let demonstrations = data.demonstrations.iter().enumerate();
             let views = demonstrations.flat_map(|(index, one)| {
