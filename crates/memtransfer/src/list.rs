@@ -257,7 +257,6 @@ fn runs(given: Option<&Path>) -> anyhow::Result<Listing> {
     Ok(Listing { header, numbers: 5, rows })
 }
 
-/// The blocks of a suite's streams; a row for each event, or one for a block without.
 fn conditions(suite: &str) -> anyhow::Result<Listing> {
     let settings = resolve([Layer::flags([("suite", suite)])?])?.settings;
     if settings.stream.is_some() {
@@ -282,6 +281,7 @@ fn conditions(suite: &str) -> anyhow::Result<Listing> {
     Ok(Listing { header, numbers: 6, rows: rows.collect() })
 }
 
+/// The blocks of a suite's streams; a row for each event, or one for a block without.
 fn streams(suite: &str, seed: Option<u64>) -> anyhow::Result<Listing> {
     let seed = seed.map(|seed| seed.to_string());
     let flags = [("suite", Some(suite)), ("seed", seed.as_deref())];

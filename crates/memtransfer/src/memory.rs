@@ -19,7 +19,7 @@ use settings::{Layer, variable};
 use shm_types::FrameSize;
 use warehouse::Demonstrations;
 
-use super::{Exit, print, print_json};
+use super::{Exit, WorldArgs, print, print_json};
 use crate::signals::Signals;
 
 #[derive(Debug, Args)]
@@ -164,9 +164,8 @@ fn frame_width(text: &str) -> anyhow::Result<u32> {
 /// The world, frame size and appearance that documents are made for.
 #[derive(Debug, Args)]
 struct MadeFor {
-    /// Use the layout, catalogue and cases in DIR instead of the built-in ones
-    #[arg(long, value_name = "DIR", env = "MEMTRANSFER_ASSETS")]
-    assets: Option<PathBuf>,
+    #[command(flatten)]
+    world: WorldArgs,
     /// The warehouse of --demos elsewhere, as in `run --elsewhere` [default: drawn from --seed]
     #[arg(long, value_name = "DIR")]
     elsewhere: Option<PathBuf>,
@@ -203,7 +202,14 @@ impl MadeFor {
         selection: DocumentSelection,
         demos: &[Demonstrations],
     ) -> Result<DocumentRequest> {
-        let Self { assets, elsewhere, seed, frame_size, labels, appearance_seed } = self;
+        let Self {
+            world: WorldArgs { assets },
+            elsewhere,
+            seed,
+            frame_size,
+            labels,
+            appearance_seed,
+        } = self;
         let of_run = variable("seed")?.and_then(|seed| seed.as_u64());
         let elsewhere = if demos.iter().any(|set| set.take_place_elsewhere()) {
             let mut world = World::load(assets.as_deref())?;

@@ -14,7 +14,9 @@ use results::settings::RunSettings;
 use settings::{Layer, resolve};
 
 use super::run::flags::{RunOptions, SettingFlags};
-use super::run_plan::{ALL, Preparation, RunPlan, stopped_before_episodes};
+use super::run_plan::{
+    ALL, BUILDING_DOCUMENTS, RunPlan, STARTING_MEMORIES, stopped_before_episodes,
+};
 use super::{Exit, make_folder_of, print};
 use crate::signals::Signals;
 
@@ -86,10 +88,10 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
     // External memories start, so that their names are known, and end with the plan.
     let options = RunOptions { dry_run: true, quiet: args.quiet, ..RunOptions::default() };
     let Some(run) = RunPlan::new(settings, ALL, &options, &signals)? else {
-        return Ok(stopped_before_episodes(&signals, Preparation::StartingMemories));
+        return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
     let Some(documents) = run.documents(&options, &signals)? else {
-        return Ok(stopped_before_episodes(&signals, Preparation::BuildingDocuments));
+        return Ok(stopped_before_episodes(&signals, BUILDING_DOCUMENTS));
     };
     let mut manifest = run.manifest();
     manifest.documents = documents.facts();

@@ -8,11 +8,12 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use clap::Args;
 use flags::{RunOptions, SettingFlags};
-use orchestrator::progress::say;
 use results::log::RunLog;
 use settings::{Layer, resolve};
 
-use super::run_plan::{ALL, Executed, Preparation, RunPlan, same_command, stopped_before_episodes};
+use super::run_plan::{
+    ALL, Executed, RunPlan, STARTING_MEMORIES, same_command, stopped_before_episodes,
+};
 use super::{Exit, print};
 use crate::signals::{self, Signals};
 
@@ -60,7 +61,7 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
     }
     let signals = Signals::listen().context("cannot listen to signals")?;
     let Some(mut plan) = RunPlan::new(resolved.settings, ALL, &options, &signals)? else {
-        return Ok(stopped_before_episodes(&signals, Preparation::StartingMemories));
+        return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
     if options.dry_run {
         print(&dry_run::describe(&plan, options.fresh)?)?;
@@ -77,27 +78,24 @@ fn conclude(out: &Path, halted: Option<String>, signals: &Signals) -> Result<Exi
     let log = RunLog::read(out)?;
     let (done, planned) = (log.episodes.len(), log.manifest.episodes as usize);
     if let Some(signal) = signals.received() {
-        say(&format!(
+        say!(
             "stopped by {}: {done} of {planned} episodes are finished and kept in {}. To resume:\n  {}",
             signals::name(signal),
             out.display(),
             same_command()
-        ));
+        );
         return Ok(Exit::Signal(signal));
     }
     print(&report::summary(&log))?;
     if let Some(why) = halted {
-        say(&format!(
-            "stopped: {why}\nFinished episodes are kept. To resume:\n  {}",
-            same_command()
-        ));
+        say!("stopped: {why}\nFinished episodes are kept. To resume:\n  {}", same_command());
     } else if done < planned {
-        say(&format!(
+        say!(
             "{} of {planned} episodes could not be finished, and count neither as success nor as failure. To \
              run them again:\n  {}",
             planned - done,
             same_command()
-        ));
+        );
     }
     Ok(if done >= planned { Exit::Complete } else { Exit::Failed })
 }

@@ -63,13 +63,8 @@ pub(super) struct RunPlan {
 }
 
 /// What a signal can interrupt before the first episode.
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Preparation {
-    /// External memories are being started.
-    StartingMemories,
-    /// Documents are being built.
-    BuildingDocuments,
-}
+pub(super) const STARTING_MEMORIES: &str = "external memories were being started";
+pub(super) const BUILDING_DOCUMENTS: &str = "documents were being built";
 
 /// How the execution of a run ended.
 pub(super) enum Executed {
@@ -139,13 +134,10 @@ impl RunPlan {
         if episodes.is_empty() {
             bail!("no case is left: --limit is 0, or --cases selects none");
         }
-        let prices = match &settings.model {
-            None => None,
-            Some(model) => {
-                let file = model.prices.as_deref();
-                file.map(|file| ModelPrices::read(file, &model.model)).transpose()?
-            }
-        };
+        let priced =
+            settings.model.as_ref().and_then(|model| Some((model, model.prices.as_ref()?)));
+        let prices =
+            priced.map(|(model, file)| ModelPrices::read(file, &model.model)).transpose()?;
         let SelectedCases { world, streams, .. } = selection;
         Ok(Some(Self {
             settings,
@@ -202,8 +194,7 @@ impl RunPlan {
 
     /// Whether a memory of the run matches views.
     pub(super) fn matches_views(&self) -> bool {
-        let memories = self.started.as_ref().map_or(&[][..], |started| &started.memories);
-        launch::matches_views(&self.settings, memories)
+        launch::matches_views(&self.settings, self.memories())
     }
 
     /// Runs what is missing.
@@ -224,10 +215,7 @@ impl RunPlan {
         RunFolder::check(&settings.out)?;
         let mut manifest = self.manifest();
         let Some(documents) = self.documents(options, signals)? else {
-            return Ok(Executed::Stopped(stopped_before_episodes(
-                signals,
-                Preparation::BuildingDocuments,
-            )));
+            return Ok(Executed::Stopped(stopped_before_episodes(signals, BUILDING_DOCUMENTS)));
         };
         manifest.documents = documents.facts();
         if !options.fresh && RunFolder::has_episodes(&settings.out) {
@@ -241,9 +229,7 @@ impl RunPlan {
         }
         let opened = RunFolder::open(&settings.out, manifest, options.fresh)?;
         let Opened { mut folder, finished, requests, notes } = opened;
-        for note in notes {
-            say(&note);
-        }
+        notes.iter().for_each(|note| say(note));
         documents.copy_to(&folder.dir().join(DOCUMENTS_FOLDER))?;
         drop(documents);
         if let Some(streams) = &self.streams {
@@ -277,7 +263,7 @@ impl RunPlan {
             let total = finished.len() + missing.len();
             if !finished.is_empty() && !options.quiet {
                 let (out, done) = (settings.out.display(), finished.len());
-                say(&format!("resuming {out}: {done} of {total} episodes are finished"));
+                say!("resuming {out}: {done} of {total} episodes are finished");
             }
             let counts = EpisodeCounts {
                 planned: total as u64,
@@ -447,19 +433,15 @@ fn start_memories(
     Ok(started)
 }
 
-/// Reports that a signal came while something was being done before the first episode.
-pub(super) fn stopped_before_episodes(signals: &Signals, meanwhile: Preparation) -> Exit {
-    let meanwhile = match meanwhile {
-        Preparation::StartingMemories => "external memories were being started",
-        Preparation::BuildingDocuments => "documents were being built",
-    };
+/// Reports that a signal came before the first episode, while something else was being done.
+pub(super) fn stopped_before_episodes(signals: &Signals, meanwhile: &str) -> Exit {
     let signal = signals.received().unwrap_or_default();
-    say(&format!(
+    say!(
         "stopped by {} while {meanwhile}, before the first episode. Documents that were complete are kept. To \
          resume:\n  {}",
         signals::name(signal),
         same_command()
-    ));
+    );
     Exit::Signal(signal)
 }
 

@@ -6,14 +6,15 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use domain::cache_folder;
-use orchestrator::progress::say;
 use orchestrator::units::{ReadPlan, UnitPlan};
 use results::log::{Manifest, RunFolder, RunLog, UnitId, finish_unit, unit_folder};
 use settings::{Layer, on_this_machine};
 use shm_types::process::die_with_parent;
 
 use super::run::flags::{MachineFlags, RunOptions};
-use super::run_plan::{Executed, Preparation, RunPlan, same_command, stopped_before_episodes};
+use super::run_plan::{
+    Executed, RunPlan, STARTING_MEMORIES, same_command, stopped_before_episodes,
+};
 use super::{Exit, print};
 use crate::documents::RunDocuments;
 use crate::signals::{self, Signals};
@@ -82,7 +83,7 @@ pub(super) fn run(args: WorkArgs) -> Result<Exit> {
         shipment.fetch(args.store.as_deref(), &cache)?;
     }
     let Some(mut unit) = unit_run(&plan, &args, part.clone(), &options, &signals)? else {
-        return Ok(stopped_before_episodes(&signals, Preparation::StartingMemories));
+        return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
     unit.shipped_embeddings = shipment.and_then(|shipment| shipment.embeddings_in(&cache));
     let halted = match unit.execute(&options, &signals)? {
@@ -96,12 +97,12 @@ pub(super) fn run(args: WorkArgs) -> Result<Exit> {
             (None, Some(why)) => format!("stopped: {why}"),
             (None, None) => "some episodes could not be finished".to_owned(),
         };
-        say(&format!(
+        say!(
             "unit {}: {why}; {done} of {planned} episodes are finished and kept in {}. To resume:\n  {}",
             args.unit,
             part.display(),
             same_command()
-        ));
+        );
         return Ok(signals.received().map_or(Exit::Failed, Exit::Signal));
     }
     finish_unit(&part, &whole)?;

@@ -11,11 +11,16 @@ use tempfile::TempDir;
 
 /// `memtransfer ARGUMENTS` in `dir`, away from this machine's settings.
 fn memtransfer(dir: &Path, arguments: &str) -> Output {
+    memtransfer_with(dir, arguments, &[])
+}
+
+/// The same with these variables.
+fn memtransfer_with(dir: &Path, arguments: &str, variables: &[(&str, &str)]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_memtransfer"));
     for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("MEMTRANSFER_")) {
         command.env_remove(name);
     }
-    command.args(arguments.split_whitespace()).current_dir(dir);
+    command.args(arguments.split_whitespace()).current_dir(dir).envs(variables.iter().copied());
     command.env("MEMTRANSFER_RUN_DIR", dir.join("live")).output().unwrap()
 }
 
@@ -222,13 +227,9 @@ fn the_other_warehouse_is_drawn_or_named() {
 fn settings_come_from_all_sources_in_order() {
     let dir = dir();
     fs::write(dir.path().join("mine.toml"), "lanes = 3\nruns = 4\nseed = 5").unwrap();
-    let shown = |arguments: &str| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_memtransfer"));
-        command.args(arguments.split_whitespace()).current_dir(dir.path());
-        let output = command.env("MEMTRANSFER_RUNS", "6").env("MEMTRANSFER_SEED", "7").output();
-        text(&output.unwrap().stdout)
-    };
-    let found = shown("run --suite mine.toml --seed 8 --show-settings");
+    let variables = [("MEMTRANSFER_RUNS", "6"), ("MEMTRANSFER_SEED", "7")];
+    let arguments = "run --suite mine.toml --seed 8 --show-settings";
+    let found = text(&memtransfer_with(dir.path(), arguments, &variables).stdout);
     for (key, origin) in [
         ("window = [6]", "default"),
         ("lanes = 3", "suite"),
@@ -249,11 +250,8 @@ fn a_wrong_variable_is_named() {
         ("MEMTRANSFER_LANS", "3", "did you mean `MEMTRANSFER_LANES`?"),
         ("MEMTRANSFER_POLICY", "ground", "MEMTRANSFER_POLICY: unknown policy `ground`"),
     ] {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_memtransfer"));
-        command.args(["run", "--dry-run"]).current_dir(dir.path()).env(variable, value);
-        let output = command.output().unwrap();
-        let found = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{found}");
+        let output = memtransfer_with(dir.path(), "run --dry-run", &[(variable, value)]);
+        let found = message(&output, variable);
         assert!(found.contains(said) && !found.contains("--lanes"), "{found}");
     }
 }

@@ -7,22 +7,29 @@ use anyhow::Result;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, Error, FromArgMatches};
 use settings::{KEYS, Key, Layer, MACHINE_KEYS};
 
-/// The settings that were given as flags, each with its text.
+/// Settings that were given as flags, each with its text: any, or those among [`MACHINE_KEYS`].
 #[derive(Debug, Clone, Default)]
-pub(crate) struct SettingFlags {
+pub(crate) struct KeyFlags<const OF_MACHINE: bool> {
     given: Vec<(&'static str, String)>,
 }
 
-impl SettingFlags {
+pub(crate) type SettingFlags = KeyFlags<false>;
+pub(crate) type MachineFlags = KeyFlags<true>;
+
+impl<const OF_MACHINE: bool> KeyFlags<OF_MACHINE> {
     /// The given values as a layer.
     pub(crate) fn layer(&self) -> Result<Layer> {
         Layer::flags(self.given.iter().map(|(name, text)| (*name, text.as_str())))
     }
+
+    fn keys() -> impl Iterator<Item = &'static Key> {
+        KEYS.iter().filter(|key| !OF_MACHINE || MACHINE_KEYS.contains(&key.name))
+    }
 }
 
-impl Args for SettingFlags {
+impl<const OF_MACHINE: bool> Args for KeyFlags<OF_MACHINE> {
     fn augment_args(command: Command) -> Command {
-        KEYS.iter().fold(command, add_flag)
+        Self::keys().fold(command, add_flag)
     }
 
     fn augment_args_for_update(command: Command) -> Command {
@@ -30,45 +37,18 @@ impl Args for SettingFlags {
     }
 }
 
-impl FromArgMatches for SettingFlags {
+impl<const OF_MACHINE: bool> FromArgMatches for KeyFlags<OF_MACHINE> {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
-        Ok(Self { given: given(matches, KEYS) })
-    }
-
-    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), Error> {
-        *self = Self::from_arg_matches(matches)?;
-        Ok(())
-    }
-}
-
-/// The settings among [`MACHINE_KEYS`] that were given as flags.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct MachineFlags(SettingFlags);
-
-impl MachineFlags {
-    /// The given values as a layer.
-    pub(crate) fn layer(&self) -> Result<Layer> {
-        self.0.layer()
-    }
-}
-
-fn machine_keys() -> impl Iterator<Item = &'static Key> {
-    KEYS.iter().filter(|key| MACHINE_KEYS.contains(&key.name))
-}
-
-impl Args for MachineFlags {
-    fn augment_args(command: Command) -> Command {
-        machine_keys().fold(command, add_flag)
-    }
-
-    fn augment_args_for_update(command: Command) -> Command {
-        Self::augment_args(command)
-    }
-}
-
-impl FromArgMatches for MachineFlags {
-    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
-        Ok(Self(SettingFlags { given: given(matches, machine_keys()) }))
+        let mut given = Vec::new();
+        for key in Self::keys() {
+            if key.is_switch() {
+                given.extend(matches.get_flag(key.name).then(|| (key.name, "true".to_owned())));
+            } else {
+                let texts = matches.get_many::<String>(key.name).into_iter().flatten();
+                given.extend(texts.map(|text| (key.name, text.clone())));
+            }
+        }
+        Ok(Self { given })
     }
 
     fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), Error> {
@@ -87,22 +67,6 @@ fn add_flag(command: Command, key: &Key) -> Command {
         // A negative number is reported as out of range, not as an unknown flag.
         arg.value_name(key.value_name).action(ArgAction::Set).allow_negative_numbers(true)
     })
-}
-
-fn given(
-    matches: &ArgMatches,
-    keys: impl IntoIterator<Item = &'static Key>,
-) -> Vec<(&'static str, String)> {
-    let mut given = Vec::new();
-    for key in keys {
-        if key.is_switch() {
-            given.extend(matches.get_flag(key.name).then(|| (key.name, "true".to_owned())));
-        } else {
-            let texts = matches.get_many::<String>(key.name).into_iter().flatten();
-            given.extend(texts.map(|text| (key.name, text.clone())));
-        }
-    }
-    given
 }
 
 /// What concerns one invocation, and not the run.
