@@ -102,11 +102,8 @@ pub struct DocumentFile {
 #[derive(Debug, thiserror::Error)]
 pub enum DocumentFileError {
     /// There is no such file.
-    #[error("{} is missing", path.display())]
-    Missing {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("{} is missing", .0.display())]
+    Missing(PathBuf),
     /// A file cannot be read or written.
     #[error("cannot {action} {}: {cause}", path.display())]
     Io {
@@ -152,7 +149,7 @@ impl DocumentFile {
             Ok(text) => text,
             Err(cause) => {
                 return Err(match cause.kind() {
-                    io::ErrorKind::NotFound => DocumentFileError::Missing { path },
+                    io::ErrorKind::NotFound => DocumentFileError::Missing(path),
                     io::ErrorKind::InvalidData => {
                         DocumentFileError::Broken { path, problem: cause.to_string() }
                     }
@@ -251,7 +248,7 @@ pub(crate) mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("summary-4.json");
         let missing = DocumentFile::load(&path).unwrap_err();
-        assert!(matches!(missing, DocumentFileError::Missing { .. }), "{missing}");
+        assert!(matches!(missing, DocumentFileError::Missing(_)), "{missing}");
         DocumentFile::new(provenance(), "# A summary".to_owned()).save(&path).unwrap();
         let json = fs::read_to_string(&path).unwrap();
         for (from, to, problem) in [

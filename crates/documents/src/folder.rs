@@ -82,6 +82,16 @@ impl StoredDocument {
             document: Some(document),
         }
     }
+
+    /// A document that cannot be used.
+    fn unusable(
+        name: DocumentName,
+        file: PathBuf,
+        state: DocumentState,
+        problem: impl Into<String>,
+    ) -> Self {
+        Self { name, file, address: None, state, problem: Some(problem.into()), document: None }
+    }
 }
 
 impl DocumentSelection {
@@ -166,13 +176,10 @@ impl DocumentFolder {
         let mut usable = distinct(usable);
         match usable.len() {
             1 => Ok(usable.remove(0)),
-            0 => Ok(others.into_iter().next().unwrap_or_else(|| StoredDocument {
-                name,
-                file: self.run_copy(name),
-                address: None,
-                state: DocumentState::Missing,
-                problem: Some(format!("{} has no document {name}", self.0.display())),
-                document: None,
+            0 => Ok(others.into_iter().next().unwrap_or_else(|| {
+                let problem = format!("{} has no document {name}", self.0.display());
+                let file = self.run_copy(name);
+                StoredDocument::unusable(name, file, DocumentState::Missing, problem)
             })),
             _ => {
                 let versions = usable.iter().filter_map(|stored| {
@@ -189,13 +196,8 @@ impl DocumentFolder {
                      files to another folder:{}",
                     versions.collect::<String>()
                 );
-                Ok(StoredDocument {
-                    state: DocumentState::Broken,
-                    problem: Some(problem),
-                    address: None,
-                    document: None,
-                    ..usable.remove(0)
-                })
+                let file = usable.remove(0).file;
+                Ok(StoredDocument::unusable(name, file, DocumentState::Broken, problem))
             }
         }
     }
@@ -241,35 +243,25 @@ fn name_of(file: &str) -> Option<DocumentName> {
 
 /// Loads a document that should have this name, and determines whether it was made from these sources.
 fn load(name: DocumentName, file: PathBuf, sources_sha256: &str) -> StoredDocument {
-    let mut stored = StoredDocument {
-        name,
-        file,
-        address: None,
-        state: DocumentState::Current,
-        problem: None,
-        document: None,
-    };
-    match DocumentFile::load(&stored.file) {
-        Ok(document) if document.provenance.name() != name => {
-            let problem =
-                format!("{} holds document {}", stored.file.display(), document.provenance.name());
-            (stored.state, stored.problem) = (DocumentState::Broken, Some(problem));
-        }
-        Ok(document) => {
-            if document.provenance.sources_sha256 != sources_sha256 {
-                let problem = "made from other demonstrations, layout, catalogue or frame size, or by another version \
-                               of this program";
-                (stored.state, stored.problem) =
-                    (DocumentState::Outdated, Some(problem.to_owned()));
-            }
-            stored.address = Some(document.provenance.address());
-            stored.document = Some(document);
-        }
+    let document = match DocumentFile::load(&file) {
+        Ok(document) => document,
         Err(error) => {
-            let is_missing = matches!(error, DocumentFileError::Missing { .. });
-            stored.state = if is_missing { DocumentState::Missing } else { DocumentState::Broken };
-            stored.problem = Some(error.to_string());
+            let is_missing = matches!(error, DocumentFileError::Missing(_));
+            let state = if is_missing { DocumentState::Missing } else { DocumentState::Broken };
+            return StoredDocument::unusable(name, file, state, error.to_string());
         }
+    };
+    let (own, is_current) =
+        (document.provenance.name(), document.provenance.sources_sha256 == sources_sha256);
+    if own != name {
+        let problem = format!("{} holds document {own}", file.display());
+        return StoredDocument::unusable(name, file, DocumentState::Broken, problem);
+    }
+    let mut stored = StoredDocument::current(file, document);
+    if !is_current {
+        let problem = "made from other demonstrations, layout, catalogue or frame size, or by another version of this \
+                       program";
+        (stored.state, stored.problem) = (DocumentState::Outdated, Some(problem.to_owned()));
     }
     stored
 }

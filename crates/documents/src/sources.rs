@@ -36,25 +36,23 @@ impl Sources {
     /// # Errors
     /// When a file cannot be read or is invalid.
     pub fn load(assets: Option<&Path>) -> Result<Self> {
-        let mut world = Sha256::new();
-        let (warehouse, cases) = match assets {
+        let (warehouse, cases, world_sha256) = match assets {
             None => {
-                WORLD_FILES.iter().for_each(|(_, built_in)| world.update(Sha256::digest(built_in)));
-                (Warehouse::shipped(), CaseSet::shipped())
+                let files = WORLD_FILES.map(|(_, built_in)| built_in);
+                (Warehouse::shipped(), CaseSet::shipped(), sha256_of_files(files))
             }
             Some(folder) => {
-                for (name, _) in WORLD_FILES {
+                let read = |(name, _)| {
                     let path = folder.join(name);
-                    let bytes = fs::read(&path);
-                    let bytes = bytes.with_context(|| format!("cannot read {}", path.display()))?;
-                    world.update(Sha256::digest(bytes));
-                }
+                    fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
+                };
+                let files: Vec<Vec<u8>> =
+                    WORLD_FILES.into_iter().map(read).collect::<Result<_>>()?;
                 let warehouse = Warehouse::load(folder)?;
                 let cases = CaseSet::load(&folder.join(CASES_FILE), &warehouse)?;
-                (warehouse, cases)
+                (warehouse, cases, sha256_of_files(files))
             }
         };
-        let world_sha256 = hex(&world.finalize());
         Ok(Self { warehouse, cases, world_sha256, appearance: Appearance::STANDARD })
     }
 
@@ -68,11 +66,7 @@ impl Sources {
     fn world_of(&self, selection: Demonstrations) -> String {
         match self.cases.elsewhere.as_ref().filter(|_| selection.take_place_elsewhere()) {
             None => self.world_sha256.clone(),
-            Some(elsewhere) => {
-                let mut world = Sha256::new();
-                elsewhere.files().into_iter().for_each(|text| world.update(Sha256::digest(text)));
-                hex(&world.finalize())
-            }
+            Some(elsewhere) => sha256_of_files(elsewhere.files()),
         }
     }
 
@@ -127,6 +121,13 @@ impl Sources {
         }
         sha256_of_parts(parts.iter().map(String::as_str))
     }
+}
+
+/// The SHA-256 of the SHA-256 of each file, in hexadecimal digits.
+fn sha256_of_files(files: impl IntoIterator<Item: AsRef<[u8]>>) -> String {
+    let mut hasher = Sha256::new();
+    files.into_iter().for_each(|file| hasher.update(Sha256::digest(file)));
+    hex(&hasher.finalize())
 }
 
 #[cfg(test)]
