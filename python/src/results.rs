@@ -18,7 +18,7 @@ type Run<'py> = (String, String, Vec<DataColumn<'py>>, Vec<DataColumn<'py>>);
 #[pyfunction]
 pub(crate) fn read_run(py: Python<'_>, folder: PathBuf) -> PyResult<Run<'_>> {
     let log = py.detach(|| RunLog::read(&folder)).map_err(|error| match error {
-        LogError::NoRun { .. } => PyFileNotFoundError::new_err(error.to_string()),
+        LogError::NoRun(_) => PyFileNotFoundError::new_err(error.to_string()),
         error => PyValueError::new_err(error.to_string()),
     })?;
     let json = |text: serde_json::Result<String>| {

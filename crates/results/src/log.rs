@@ -104,26 +104,17 @@ pub enum LogError {
     },
     /// The folder holds something else.
     #[error(
-        "{} holds files and is no run folder (it has no manifest.json): choose another --out", dir.display()
+        "{} holds files and is no run folder (it has no manifest.json): choose another --out", .0.display()
     )]
-    NotARun {
-        /// The folder.
-        dir: PathBuf,
-    },
+    NotARun(PathBuf),
     /// There is no run there.
-    #[error("{} holds no run: `memtransfer ls runs` lists the runs", dir.display())]
-    NoRun {
-        /// The folder.
-        dir: PathBuf,
-    },
+    #[error("{} holds no run: `memtransfer ls runs` lists the runs", .0.display())]
+    NoRun(PathBuf),
     /// Another process is writing to it.
     #[error(
-        "another memtransfer is writing to {}: wait until it is done, or choose another --out", dir.display()
+        "another memtransfer is writing to {}: wait until it is done, or choose another --out", .0.display()
     )]
-    Locked {
-        /// The folder.
-        dir: PathBuf,
-    },
+    Locked(PathBuf),
 }
 
 fn system<'a>(doing: &'static str, path: &'a Path) -> impl FnOnce(io::Error) -> LogError + 'a {

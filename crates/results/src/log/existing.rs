@@ -5,7 +5,7 @@ use std::path::Path;
 
 use rustix::fs::FlockOperation;
 
-use super::files::{CONTENTS, EPISODES_FILE, LOGS_FOLDER, REQUESTS_FILE};
+use super::files::{CONTENTS, EPISODES_FILE, LOGS_FOLDER};
 use super::manifest::MANIFEST_FILE;
 use super::{LogError, Manifest, system};
 
@@ -14,7 +14,7 @@ pub(super) fn lock(dir: &Path) -> Result<File, LogError> {
     let file = File::open(dir).map_err(system("open", dir))?;
     match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
         Ok(()) => Ok(file),
-        Err(rustix::io::Errno::WOULDBLOCK) => Err(LogError::Locked { dir: dir.to_owned() }),
+        Err(rustix::io::Errno::WOULDBLOCK) => Err(LogError::Locked(dir.to_owned())),
         Err(errno) => Err(system("lock", dir)(errno.into())),
     }
 }
@@ -29,32 +29,21 @@ pub(super) fn existing(dir: &Path) -> Result<Option<Result<Manifest, LogError>>,
         let name = entry.map_err(system("list", dir))?.file_name();
         // Only a draft of the manifest: the run was killed when it had just begun. Logs: external memories start earlier.
         if name != "manifest.json.new" && name != LOGS_FOLDER {
-            return Err(LogError::NotARun { dir: dir.to_owned() });
+            return Err(LogError::NotARun(dir.to_owned()));
         }
     }
     Ok(None)
 }
 
-/// Whether the run in `dir` has finished an episode.
-pub(super) fn has_episodes(dir: &Path) -> bool {
-    fs::metadata(dir.join(EPISODES_FILE)).is_ok_and(|file| file.len() > 0)
-}
-
-/// Whether the run in `dir` has sent a request.
-pub(super) fn has_requests(dir: &Path) -> bool {
-    fs::metadata(dir.join(REQUESTS_FILE)).is_ok_and(|file| file.len() > 0)
+/// Whether the journal `file` in `dir` has anything in it.
+pub(super) fn has_lines(dir: &Path, file: &str) -> bool {
+    fs::metadata(dir.join(file)).is_ok_and(|file| file.len() > 0)
 }
 
 /// Removes the run in `dir` and returns a note about it.
-pub(super) fn remove_run(dir: &Path) -> Result<Vec<String>, LogError> {
-    let lines = |file: &str| {
-        fs::read(dir.join(file)).map_or(0, |text| text.iter().filter(|&&b| b == b'\n').count())
-    };
-    let note = format!(
-        "--fresh: removed the earlier run in {} ({} finished episodes)",
-        dir.display(),
-        lines(EPISODES_FILE)
-    );
+pub(super) fn remove_run(dir: &Path) -> Result<String, LogError> {
+    let episodes = fs::read(dir.join(EPISODES_FILE)).unwrap_or_default();
+    let finished = episodes.iter().filter(|&&byte| byte == b'\n').count();
     // The manifest goes last: what is left of a run stays recognisable as one.
     for name in CONTENTS.iter().rev() {
         let path = dir.join(name);
@@ -66,7 +55,10 @@ pub(super) fn remove_run(dir: &Path) -> Result<Vec<String>, LogError> {
             fs::remove_file(&path).map_err(system("remove", &path))?;
         }
     }
-    Ok(vec![note])
+    Ok(format!(
+        "--fresh: removed the earlier run in {} ({finished} finished episodes)",
+        dir.display()
+    ))
 }
 
 /// Whether a log is that of an external memory. These start before the run's folder is opened, and write to theirs already

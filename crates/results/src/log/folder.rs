@@ -8,9 +8,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use domain::create_private_folder;
 
 use super::check::check_records;
-use super::existing::{
-    existing, has_episodes, has_requests, is_of_external_memory, lock, remove_logs, remove_run,
-};
+use super::existing::{existing, has_lines, is_of_external_memory, lock, remove_logs, remove_run};
 use super::files::{
     EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, LOGS_FOLDER, REQUESTS_FILE, SESSIONS_FILE,
     TIMINGS_FILE,
@@ -69,7 +67,7 @@ impl RunFolder {
         let mut notes = Vec::new();
         let manifest = match existing(dir)? {
             // A run without an episode or a request, for example because a model was missing, is replaced.
-            Some(_) if !fresh && !has_episodes(dir) && !has_requests(dir) => {
+            Some(_) if !fresh && !Self::has_episodes(dir) && !has_lines(dir, REQUESTS_FILE) => {
                 remove_run(dir)?;
                 manifest
             }
@@ -97,7 +95,7 @@ impl RunFolder {
                 Manifest { processes, commit, prices, documents, memories, ..manifest }
             }
             Some(_) => {
-                notes.extend(remove_run(dir)?);
+                notes.push(remove_run(dir)?);
                 manifest
             }
             None => manifest,
@@ -170,7 +168,7 @@ impl RunFolder {
 
     /// Whether the run folder at `dir` has finished episodes.
     pub fn has_episodes(dir: &Path) -> bool {
-        has_episodes(dir)
+        has_lines(dir, EPISODES_FILE)
     }
 
     /// The file that the process called `role` writes its stderr to.

@@ -166,7 +166,7 @@ impl Manifest {
         write().map_err(system("write", &path))
     }
 
-    /// The name that the policy reported; `None` before it has.
+    /// The name that the policy reported, for example a model's; `None` before it has.
     pub fn policy_name(&self) -> Option<&str> {
         self.processes.get("policy")?.get("policy").map(String::as_str)
     }
@@ -240,10 +240,7 @@ impl Manifest {
             "stream",
         ];
         const CONTENTS: [&str; 4] = ["layout", "catalogue", "cases", ELSEWHERE_HASH];
-        let mut settings = match serde_json::to_value(&self.settings) {
-            Ok(Value::Object(settings)) => settings,
-            _ => Map::new(),
-        };
+        let mut settings = self.settings_by_key();
         let mut protocol: BTreeMap<String, Value> = SETTINGS
             .iter()
             .filter_map(|key| Some(((*key).to_owned(), settings.remove(*key)?)))
@@ -255,12 +252,16 @@ impl Manifest {
         protocol
     }
 
-    /// The settings and contents that determine the outcome of an episode, by name.
-    fn identity(&self) -> Map<String, Value> {
-        let mut identity = match serde_json::to_value(&self.settings) {
+    fn settings_by_key(&self) -> Map<String, Value> {
+        match serde_json::to_value(&self.settings) {
             Ok(Value::Object(settings)) => settings,
             _ => Map::new(),
-        };
+        }
+    }
+
+    /// The settings and contents that determine the outcome of an episode, by name.
+    fn identity(&self) -> Map<String, Value> {
+        let mut identity = self.settings_by_key();
         // `cases`, `limit` and `group` determine which episodes the run has.
         for key in FREE_KEYS.iter().chain(&["cases", "limit", "group"]) {
             identity.remove(*key);

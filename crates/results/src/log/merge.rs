@@ -77,11 +77,8 @@ pub enum MergeError {
         key: String,
     },
     /// The folder of the merged run has files.
-    #[error("{} is not empty: choose another --out, or remove it", dir.display())]
-    NotEmpty {
-        /// The folder.
-        dir: PathBuf,
-    },
+    #[error("{} is not empty: choose another --out, or remove it", .0.display())]
+    NotEmpty(PathBuf),
 }
 
 /// A machine's part in the run differs from another's in a fact that may change results in the last bits.
@@ -232,7 +229,7 @@ pub fn merge(
     out: &Path,
 ) -> Result<u64, MergeError> {
     if fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some()) {
-        return Err(MergeError::NotEmpty { dir: out.to_owned() });
+        return Err(MergeError::NotEmpty(out.to_owned()));
     }
     let mut draft = out.as_os_str().to_owned();
     draft.push(".merging");
@@ -244,7 +241,7 @@ pub fn merge(
     };
     let earlier = fs::read_dir(&draft).into_iter().flatten().flatten().collect::<Vec<_>>();
     if !earlier.is_empty() && !earlier.iter().any(is_ours) {
-        return Err(MergeError::NotEmpty { dir: draft });
+        return Err(MergeError::NotEmpty(draft));
     }
     fs::create_dir_all(&draft).map_err(system("make", &draft))?;
     let _lock = lock(&draft)?;

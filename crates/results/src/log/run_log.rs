@@ -59,7 +59,7 @@ impl RunLog {
     /// When there is none, or its log is broken.
     pub fn read(dir: &Path) -> Result<Self, LogError> {
         if !dir.join(MANIFEST_FILE).exists() {
-            return Err(LogError::NoRun { dir: dir.to_owned() });
+            return Err(LogError::NoRun(dir.to_owned()));
         }
         let manifest = Manifest::read(dir)?;
         let mut damaged = Vec::new();
@@ -83,17 +83,12 @@ impl RunLog {
         Ok(Self { dir, name, manifest, episodes, timings, requests, errors, sessions, damaged })
     }
 
-    /// The name that the policy reported, for example a model's; `None` when none has started.
-    pub fn policy_name(&self) -> Option<&str> {
-        self.manifest.policy_name()
-    }
-
     /// The policy, with the name that an external one gives itself, or the model of `openai`.
     pub fn policy_label(&self) -> String {
         let settings = &self.manifest.settings;
         let model = settings.model.as_ref().map(|model| model.model.as_str());
         let kind = settings.policy.to_string();
-        match model.or(self.policy_name()) {
+        match model.or(self.manifest.policy_name()) {
             Some(name) if name != kind => format!("{kind} ({name})"),
             _ => kind,
         }

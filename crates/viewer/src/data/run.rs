@@ -140,7 +140,7 @@ fn facts(log: &RunLog) -> Vec<(&'static str, String)> {
     let settings = &log.manifest.settings;
     let mut facts = vec![
         ("Suite", settings.suite.to_string()),
-        ("Policy", log.policy_name().unwrap_or(settings.policy.name()).to_owned()),
+        ("Policy", log.manifest.policy_name().unwrap_or(settings.policy.name()).to_owned()),
     ];
     facts.extend(settings.model.as_ref().map(|model| ("Model", model.model.clone())));
     facts.push(("Seed", settings.seed.to_string()));
