@@ -4,10 +4,8 @@ use domain::{Action, Arm, Heading, MemoryKind, Pose, Representation};
 use results::conditions::{Condition, Demonstrations, Route, SegmentContent, Start};
 use results::events::{Requirement, Visit};
 use results::key::{EpisodeKey, Order};
-use results::log::testing::{log, record, sequence, settings, stream_log, under};
-use results::log::{
-    Ending, EpisodeRecord, ExternalMemoryFacts, RecallTotals, RunLog, StreamRecord, Unread,
-};
+use results::log::testing::{external_memory, log, record, sequence, settings, stream_log, under};
+use results::log::{Ending, EpisodeRecord, RecallTotals, RunLog, StreamRecord, Unread};
 use results::settings::{Group, RunSettings};
 
 /// Every condition of the shipped suite `paper`, each with its number of runs.
@@ -45,18 +43,7 @@ pub(crate) fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
     let mut log = log(episodes);
     (log.dir, log.name) = ("runs/made-up".into(), "made-up".to_owned());
     for name in conditions.iter().filter_map(|(condition, _)| condition.memory.external()) {
-        let facts = ExternalMemoryFacts {
-            index: log.manifest.memories.len() as u8,
-            version: "1".to_owned(),
-            command: Some(format!("python {name}.py")),
-            scope: "case".to_owned(),
-            embeddings: true,
-            frames: false,
-            deterministic: true,
-            learns: false,
-            sdk: "made up".to_owned(),
-        };
-        log.manifest.memories.entry(name).or_insert(facts);
+        log.manifest.memories.entry(name).or_insert_with(|| external_memory("1"));
     }
     for (timings, record) in log.timings.iter_mut().zip(&log.episodes) {
         let requests = record.steps;

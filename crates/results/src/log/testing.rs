@@ -1,18 +1,20 @@
 //! Manifests and records for tests.
 
-use std::collections::{BTreeMap, BTreeSet};
+#![expect(clippy::unwrap_used, reason = "a fixture that cannot be made fails its test")]
+
+use std::collections::BTreeMap;
 
 use domain::{Arm, FeedbackLevel, Heading, Outcome, Pose, Representation};
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
 
 use super::{
-    Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, RecallTotals, RequestRecord, RunLog,
-    Stages, StreamRecord, Unread,
+    Ending, EpisodeRecord, EpisodeTimings, ExternalMemoryFacts, FORMAT, Manifest, RecallTotals,
+    RequestRecord, RunLog, Stages, StreamRecord,
 };
-use crate::conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
+use crate::conditions::{Condition, Demonstrations, Start, Variation};
 use crate::key::Order;
-use crate::settings::{
-    CaseSelector, DocumentSource, Drawn, Group, RunSettings, StreamSettings, SuiteName,
-};
+use crate::settings::{RunSettings, StreamSettings};
 
 /// The manifest of a run with every setting at its default.
 pub fn manifest() -> Manifest {
@@ -32,110 +34,67 @@ pub fn manifest() -> Manifest {
     }
 }
 
+/// What `json` says, where nothing is said as in a log of a run with defaults.
+fn made<T: DeserializeOwned>(json: Value) -> T {
+    serde_json::from_value(json).unwrap()
+}
+
 /// The settings of a suite like `quick`, with every value at its default.
 pub fn settings() -> RunSettings {
-    RunSettings {
-        suite: SuiteName::quick(),
-        policy: PolicyKind::Grounded,
-        policy_cmd: None,
-        memory_cmd: Vec::new(),
-        external_memory: false,
-        learning_memories: BTreeSet::new(),
-        groups: vec![Group {
-            name: None,
-            memory: Representation::ALL.iter().copied().map(Into::into).collect(),
-            starts: Start::ALL.to_vec(),
-            routes: vec![Route::Unchanged],
-            demos: vec![Demonstrations::ORIGINAL],
-            window: vec![Variation::STANDARD.window],
-            segment: vec![Variation::STANDARD.segment],
-            hint: vec![Variation::STANDARD.hint],
-            arms: vec![Arm::Frozen],
-            runs: 1,
+    made(json!({
+        "suite": "quick",
+        "policy": "grounded",
+        "group": [{
+            "memory": Representation::ALL,
+            "starts": Start::ALL,
+            "routes": ["unchanged"],
+            "demos": ["original"],
+            "window": [6],
+            "segment": ["actions"],
+            "hint": ["on"],
+            "runs": 1,
         }],
-        stream: None,
-        cases: vec![CaseSelector::All],
-        limit: None,
-        seed: 1,
-        max_steps: 200,
-        horizon: 6,
-        hits: 1,
-        keyframes: 40,
-        memory_images: None,
-        memory_text_bytes: crate::settings::MEMORY_TEXT_BYTES,
-        documents: DocumentSource::Extractive,
-        frame_size: 448,
-        frames: Frames::Rendered,
-        plates: Drawn::On,
-        labels: Drawn::On,
-        appearance_seed: 0,
-        encoder: "dinov2-s14".to_owned(),
-        encoder_file: None,
-        model: None,
-        assets: None,
-        elsewhere: None,
-        out: "runs/quick-grounded".into(),
-        log_prompts: false,
-        lanes: 16,
-        encoder_threads: None,
-        frame_budget: None,
-        adapter: None,
-        backend: None,
-        provider: None,
-        warm_views: false,
-        spin_us: 0,
-        step_timeout: 120,
-        memory_timeout: crate::settings::MEMORY_TIMEOUT,
-        start_timeout: 300,
-    }
+        "cases": ["all"],
+        "seed": 1,
+        "max-steps": 200,
+        "horizon": 6,
+        "keyframes": 40,
+        "documents": "extractive",
+        "frame-size": 448,
+        "frames": "rendered",
+        "encoder": "dinov2-s14",
+        "out": "runs/quick-grounded",
+        "lanes": 16,
+        "spin-us": 0,
+        "step-timeout": 120,
+        "start-timeout": 300,
+    }))
 }
 
 /// The record of `case` under episodic memory: a success is 10 steps for a reference of 8, a failure 200.
 pub fn record(case: &str, success: bool) -> EpisodeRecord {
-    let steps = if success { 10 } else { 200 };
-    keyed(EpisodeRecord {
-        key: String::new(),
-        memory: Representation::Episodic.into(),
-        start: Start::Original,
-        route: Route::Unchanged,
-        demonstrations: Demonstrations::ORIGINAL,
-        window: Variation::STANDARD.window,
-        segment: Variation::STANDARD.segment,
-        hint: Variation::STANDARD.hint,
-        arm: Arm::Frozen,
-        run: 1,
-        case: case.to_owned(),
-        task: 1,
-        seed: 5,
-        ending: if success { Ending::Complete } else { Ending::OutOfSteps },
-        steps,
-        reference: 8,
-        actions: "f".repeat(steps as usize),
-        sub_goals: if success { vec![10] } else { vec![] },
-        required: 1,
-        visits: Vec::new(),
-        first_seen: BTreeMap::new(),
-        blocked_moves: Vec::new(),
-        tried_closed: None,
-        tried_closed_at: None,
-        start_pose: Pose::new(1, 2, Heading::N),
-        final_pose: Pose::new(1, 2 + steps as u8, Heading::N),
-        requests: Some(steps),
-        images: Some(u64::from(steps) * 14),
-        images_dropped: 0,
-        prompt_tokens: None,
-        completion_tokens: None,
-        memory_tokens: None,
-        unread: Unread::default(),
-        blocked: None,
-        retrieved: None,
-        distances: None,
-        distance: None,
-        memory_items_dropped: 0,
-        memory_images_dropped: 0,
-        memory_text_dropped: 0,
-        stream: None,
-    })
+    let steps: u8 = if success { 10 } else { 200 };
+    keyed(made(json!({
+        "key": "",
+        "memory": "episodic",
+        "start": "original",
+        "route": "unchanged",
+        "demonstrations": Demonstrations::ORIGINAL,
+        "run": 1,
+        "case": case,
+        "task": 1,
+        "seed": 5,
+        "ending": if success { Ending::Complete } else { Ending::OutOfSteps },
+        "steps": steps,
+        "reference": 8,
+        "actions": "f".repeat(steps.into()),
+        "sub_goals": if success { vec![10] } else { vec![] },
+        "required": 1,
+        "start_pose": Pose::new(1, 2, Heading::N),
+        "final_pose": Pose::new(1, 2 + steps, Heading::N),
+        "requests": steps,
+        "images": u64::from(steps) * 14,
+    })))
 }
 
 /// The record with the key that its fields make.
@@ -262,21 +221,23 @@ pub fn timings(record: &EpisodeRecord) -> EpisodeTimings {
         ended_ns: 2_000_000_000,
         steps: record.steps,
         invalid_messages: 0,
-        stages: Stages {
-            command: each,
-            dynamics: each,
-            render: each,
-            publish: each,
-            observation: each,
-            embed: each,
-            search: each,
-            assemble: each,
-            recall: each,
-            queue: each,
-            decide: each,
-            decision: each,
-        },
+        stages: made(Stages::NAMES.map(|stage| (stage, json!(each))).into_iter().collect()),
         recalls: RecallTotals::default(),
+    }
+}
+
+/// An external memory in this version of its own.
+pub fn external_memory(version: &str) -> ExternalMemoryFacts {
+    ExternalMemoryFacts {
+        index: 0,
+        version: version.to_owned(),
+        command: Some("python mine.py".to_owned()),
+        scope: "case".to_owned(),
+        embeddings: true,
+        frames: false,
+        deterministic: true,
+        learns: false,
+        sdk: "memtransfer 1".to_owned(),
     }
 }
 

@@ -168,12 +168,12 @@ fn a_folder_that_is_in_use_or_holds_other_files_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let open = || RunFolder::open(dir.path(), manifest(), true);
     let held = open().unwrap();
-    assert!(matches!(open(), Err(LogError::Locked { .. })));
+    assert!(matches!(open(), Err(LogError::Locked(_))));
     drop(held);
     fs::remove_file(dir.path().join(MANIFEST_FILE)).unwrap();
-    assert!(matches!(open(), Err(LogError::NotARun { .. })));
+    assert!(matches!(open(), Err(LogError::NotARun(_))));
     assert!(dir.path().join(EPISODES_FILE).exists());
-    assert!(matches!(RunLog::read(dir.path()), Err(LogError::NoRun { .. })));
+    assert!(matches!(RunLog::read(dir.path()), Err(LogError::NoRun(_))));
 }
 
 #[test]
@@ -251,19 +251,9 @@ fn an_external_memory_is_the_same_when_a_run_goes_on() {
     use domain::MemoryKind;
 
     use crate::log::ExternalMemoryFacts;
+    use crate::log::testing::external_memory as facts;
 
     let dir = tempfile::tempdir().unwrap();
-    let facts = |version: &str| ExternalMemoryFacts {
-        index: 0,
-        version: version.to_owned(),
-        command: Some("python top_3.py".to_owned()),
-        scope: "case".to_owned(),
-        embeddings: true,
-        frames: false,
-        deterministic: true,
-        learns: false,
-        sdk: "memtransfer 1".to_owned(),
-    };
     let with = |name: &str, facts: ExternalMemoryFacts| {
         let memories = BTreeMap::from([(name.parse().unwrap(), facts)]);
         RunFolder::open(dir.path(), Manifest { memories, ..manifest() }, false)
@@ -284,7 +274,7 @@ fn an_external_memory_is_the_same_when_a_run_goes_on() {
     assert!(changed.contains("command of memory top-3: "), "{changed}");
     // Started by the user, another index: the same memory. A second one may join.
     let moved = ExternalMemoryFacts { index: 3, command: None, ..facts("1") };
-    assert_eq!(with("top-3", moved).unwrap().finished, [episode.clone()]);
+    assert_eq!(with("top-3", moved).unwrap().finished, [episode]);
     let opened = with("bm25", facts("1")).unwrap();
     assert_eq!(opened.folder.manifest().memories.len(), 2);
     drop(opened);
