@@ -84,11 +84,10 @@ impl RecordedRun {
     #[new]
     fn new(folder: PathBuf, size_px: Option<(u32, u32)>) -> PyResult<Self> {
         let read = Recorded::read(&folder).map_err(|error| match error.downcast_ref() {
-            Some(LogError::NoRun { .. }) => PyFileNotFoundError::new_err(error.to_string()),
+            Some(LogError::NoRun(_)) => PyFileNotFoundError::new_err(error.to_string()),
             _ => invalid(&error),
         })?;
-        let Recorded { log, warehouse, cases, notices } = read;
-        let world = RunWorld::new(&log, warehouse, cases).map_err(|error| invalid(&error))?;
+        let Recorded { log, world, notices } = read;
         let of_run = log.manifest.settings.frame_size;
         let (width_px, height_px) = size_px.unwrap_or((of_run, of_run));
         let settings = RenderSettings {

@@ -75,12 +75,11 @@ impl Episodes {
     /// The episodes in the log of `run`; `program` renders their views.
     ///
     /// # Errors
-    /// When the run's files do not fit, or the renderer does not start.
+    /// When the renderer does not start.
     pub fn new(run: RecordedRun, program: &ViewProgram, timing: Timing) -> Result<Self> {
-        let RecordedRun { log, warehouse, cases, notices: _ } = run;
+        let RecordedRun { log, world, notices: _ } = run;
         let format = ViewFormat { edge: timing.edge, quality: QUALITY };
         let renderer = ViewRenderer::start(program, &world_arguments(&log), format)?;
-        let world = RunWorld::new(&log, warehouse, cases)?;
         Ok(Self { log, world, timing, renderer })
     }
 

@@ -15,23 +15,20 @@ use std::path::Path;
 
 use anyhow::Result;
 use results::log::RunLog;
-use warehouse::{CaseSet, Warehouse};
 
-/// A run, and what is needed to render its views.
+/// A run, and the worlds that it took place in.
 #[derive(Debug)]
 pub struct RecordedRun {
     /// The run's log.
     pub log: RunLog,
-    /// The warehouse that it took place in.
-    pub warehouse: Warehouse,
-    /// Its cases.
-    pub cases: CaseSet,
+    /// The worlds of its episodes.
+    pub world: RunWorld,
     /// What the user must know about it.
     pub notices: Vec<String>,
 }
 
 impl RecordedRun {
-    /// Reads the run in the folder `dir`, and the world that it took place in.
+    /// Reads the run in the folder `dir`, and its worlds.
     ///
     /// # Errors
     /// When `dir` holds no run, or a file of its world cannot be used.
@@ -39,6 +36,7 @@ impl RecordedRun {
         let log = RunLog::read(dir)?;
         let World { warehouse, cases, hashes } =
             World::load(log.manifest.settings.assets.as_deref())?;
+        let world = RunWorld::new(&log, warehouse, cases)?;
         let differs = |name: &&str| log.manifest.hashes.get(*name) != hashes.get(*name);
         let changed: Vec<&str> =
             ["layout", "catalogue", "cases"].into_iter().filter(differs).collect();
@@ -49,6 +47,6 @@ impl RecordedRun {
                 changed.join(", another ")
             ));
         }
-        Ok(Self { log, warehouse, cases, notices })
+        Ok(Self { log, world, notices })
     }
 }

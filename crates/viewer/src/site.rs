@@ -184,12 +184,11 @@ impl LazyRenderer {
 
 impl RunPages {
     fn new(run: RecordedRun, program: &ViewProgram, is_served: bool) -> Result<Self> {
-        let RecordedRun { log, warehouse, cases, notices } = run;
+        let RecordedRun { log, world, notices } = run;
         let settings = &log.manifest.settings;
         let arguments = world_arguments(&log);
         let growth = is_served.then(|| Growth::new(&log));
         let renderer = LazyRenderer { program: program.clone(), arguments, running: None };
-        let world = RunWorld::new(&log, warehouse, cases)?;
         let mut conditions = settings.conditions();
         for record in &log.episodes {
             if !conditions.contains(&record.condition()) {
@@ -229,43 +228,42 @@ impl RunPages {
         let number = |name: &str, end: &str| -> Option<usize> {
             name.strip_suffix(end)?.parse().ok().filter(|number| format!("{number}{end}") == name)
         };
-        let file = match path.split_once('/') {
-            None if path == "run.js" => Some(self.run(folder, |_| true)?),
-            None if path == "report.html" => {
-                self.read_details()?;
-                Some(self.report()?)
-            }
-            None if path == "new.json" => Some(self.news(query)?),
-            Some(("episodes", name)) => match number(name, ".js") {
-                Some(index) if self.has_episode(index)? => {
-                    Some(Self::episode_file(folder, index, &self.episode(index)?)?)
+        let Some((kind, name)) = path.split_once('/') else {
+            return match path {
+                "run.js" => self.run(folder, |_| true).map(Some),
+                "report.html" => {
+                    self.read_details()?;
+                    self.report().map(Some)
                 }
-                _ => None,
-            },
-            Some(("prompts", name)) => match number(name, ".js") {
-                Some(index) if self.has_episode(index)? => {
-                    let prompts = self.prompts(index, &mut PromptLog::of(&self.log))?;
-                    Some(Self::prompts_file(folder, index, &prompts)?)
-                }
-                _ => None,
-            },
-            Some(("maps", name)) => {
-                number(name, ".svg").and_then(|ground| self.map(u32::try_from(ground).ok()?))
-            }
-            Some(("views", name)) => match ViewFile::of_name(name) {
-                Some(wanted) => self.view(wanted)?,
-                None => None,
-            },
-            Some(("images", name)) => match name.strip_suffix(".jpg") {
-                Some(hash) if is_hash(hash) => {
-                    let file = image_file(&self.log.dir.join(PROMPTS_FOLDER), hash);
-                    if file.exists() { Some(image(&file)?) } else { None }
-                }
-                _ => None,
-            },
-            _ => None,
+                "new.json" => self.news(query).map(Some),
+                _ => Ok(None),
+            };
         };
-        Ok(file)
+        match kind {
+            "episodes" | "prompts" => {
+                let Some(index) = number(name, ".js") else { return Ok(None) };
+                self.read_details()?;
+                if index >= self.log.episodes.len() {
+                    return Ok(None);
+                }
+                if kind == "episodes" {
+                    return Self::episode_file(folder, index, &self.episode(index)?).map(Some);
+                }
+                let prompts = self.prompts(index, &mut PromptLog::of(&self.log))?;
+                Self::prompts_file(folder, index, &prompts).map(Some)
+            }
+            "maps" => {
+                let ground = number(name, ".svg").and_then(|ground| u32::try_from(ground).ok());
+                Ok(ground.and_then(|ground| self.map(ground)))
+            }
+            "views" => ViewFile::of_name(name).map_or(Ok(None), |wanted| self.view(wanted)),
+            "images" => {
+                let hash = name.strip_suffix(".jpg").filter(|hash| is_hash(hash));
+                let file = hash.map(|hash| image_file(&self.log.dir.join(PROMPTS_FOLDER), hash));
+                file.filter(|file| file.exists()).map(|file| image(&file)).transpose()
+            }
+            _ => Ok(None),
+        }
     }
 
     /// `run.js`, where `has_views` says of which episodes views are there.
@@ -372,12 +370,6 @@ impl RunPages {
             status.filter(|status| Path::new("/proc").join(status["pid"].to_string()).exists());
         let news = json!({ "restarted": from.is_none(), "rows": rows, "status": status });
         Ok(File::text("application/json", serde_json::to_vec(&news)?))
-    }
-
-    /// Whether there is an episode number `index`; if so, reads what has been recorded of it.
-    fn has_episode(&mut self, index: usize) -> Result<bool> {
-        self.read_details()?;
-        Ok(index < self.log.episodes.len())
     }
 
     /// Reads the episodes that were added.
