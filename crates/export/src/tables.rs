@@ -1,11 +1,11 @@
 //! Tables of episodes and steps.
 
 use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use report::{DataFrame, episodes_frame, steps_frame};
+use report::{episodes_frame, steps_frame};
 use results::log::RunLog;
 
 use crate::files::write_whole;
@@ -19,40 +19,30 @@ pub enum TableFormat {
     Parquet,
 }
 
-impl TableFormat {
-    const fn extension(self) -> &'static str {
-        match self {
-            Self::Csv => "csv",
-            Self::Parquet => "parquet",
-        }
-    }
-
-    fn write(self, frame: &DataFrame, out: impl Write) -> io::Result<()> {
-        match self {
-            Self::Csv => frame.write_csv(out),
-            Self::Parquet => frame.write_parquet(out),
-        }
-    }
-}
-
 /// Writes `episodes` and `steps` of `log` into the folder `dir`. Returns the files.
 ///
 /// # Errors
 /// When the system refuses.
 pub fn write_tables(log: &RunLog, format: TableFormat, dir: &Path) -> Result<Vec<PathBuf>> {
-    let extension = format.extension();
+    let extension = match format {
+        TableFormat::Csv => "csv",
+        TableFormat::Parquet => "parquet",
+    };
     let frames =
         [("episodes", episodes_frame(std::slice::from_ref(log))), ("steps", steps_frame(log))];
     let mut files = Vec::new();
     for (name, frame) in frames {
         let path = dir.join(format!("{name}.{extension}"));
         write_whole(&path, |draft| {
-            let file = || {
+            let write = || {
                 let mut file = BufWriter::new(File::create(draft)?);
-                format.write(&frame, &mut file)?;
+                match format {
+                    TableFormat::Csv => frame.write_csv(&mut file)?,
+                    TableFormat::Parquet => frame.write_parquet(&mut file)?,
+                }
                 file.flush()
             };
-            file().with_context(|| format!("cannot write {}", path.display()))
+            write().with_context(|| format!("cannot write {}", path.display()))
         })?;
         files.push(path);
     }

@@ -16,11 +16,13 @@ enum Type {
     Double,
     Int64,
     Int32,
-    String,
+    Text,
     Message(&'static str),
     Bytes,
     Enum(&'static str),
 }
+
+use Type::{Bytes, Double, Int32, Int64, Text};
 
 impl Type {
     /// The number in `FieldDescriptorProto.Type`.
@@ -29,7 +31,7 @@ impl Type {
             Self::Double => 1,
             Self::Int64 => 3,
             Self::Int32 => 5,
-            Self::String => 9,
+            Self::Text => 9,
             Self::Message(_) => 11,
             Self::Bytes => 12,
             Self::Enum(_) => 14,
@@ -37,63 +39,37 @@ impl Type {
     }
 }
 
-type Fields = &'static [(&'static str, u32, Type)];
+/// Names and types; fields are numbered from 1.
+type Fields = &'static [(&'static str, Type)];
 
 const TIME: Type = Type::Message(".google.protobuf.Timestamp");
 const VECTOR: Type = Type::Message(".foxglove.Vector3");
 const QUATERNION: Type = Type::Message(".foxglove.Quaternion");
+const POSE: Type = Type::Message(".foxglove.Pose");
+const LEVEL: Type = Type::Enum(".foxglove.Log.Level");
 
-const TIMESTAMP: (&str, Fields) =
-    ("Timestamp", &[("seconds", 1, Type::Int64), ("nanos", 2, Type::Int32)]);
+const TIMESTAMP: (&str, Fields) = ("Timestamp", &[("seconds", Int64), ("nanos", Int32)]);
 
 const MESSAGES: [(&str, Fields); 7] = [
-    ("Vector3", &[("x", 1, Type::Double), ("y", 2, Type::Double), ("z", 3, Type::Double)]),
-    (
-        "Quaternion",
-        &[
-            ("x", 1, Type::Double),
-            ("y", 2, Type::Double),
-            ("z", 3, Type::Double),
-            ("w", 4, Type::Double),
-        ],
-    ),
-    ("Pose", &[("position", 1, VECTOR), ("orientation", 2, QUATERNION)]),
-    (
-        "PoseInFrame",
-        &[
-            ("timestamp", 1, TIME),
-            ("frame_id", 2, Type::String),
-            ("pose", 3, Type::Message(".foxglove.Pose")),
-        ],
-    ),
+    ("Vector3", &[("x", Double), ("y", Double), ("z", Double)]),
+    ("Quaternion", &[("x", Double), ("y", Double), ("z", Double), ("w", Double)]),
+    ("Pose", &[("position", VECTOR), ("orientation", QUATERNION)]),
+    ("PoseInFrame", &[("timestamp", TIME), ("frame_id", Text), ("pose", POSE)]),
     (
         "FrameTransform",
         &[
-            ("timestamp", 1, TIME),
-            ("parent_frame_id", 2, Type::String),
-            ("child_frame_id", 3, Type::String),
-            ("translation", 4, VECTOR),
-            ("rotation", 5, QUATERNION),
+            ("timestamp", TIME),
+            ("parent_frame_id", Text),
+            ("child_frame_id", Text),
+            ("translation", VECTOR),
+            ("rotation", QUATERNION),
         ],
     ),
     (
         "CompressedImage",
-        &[
-            ("timestamp", 1, TIME),
-            ("data", 2, Type::Bytes),
-            ("format", 3, Type::String),
-            ("frame_id", 4, Type::String),
-        ],
+        &[("timestamp", TIME), ("data", Bytes), ("format", Text), ("frame_id", Text)],
     ),
-    (
-        "Log",
-        &[
-            ("timestamp", 1, TIME),
-            ("level", 2, Type::Enum(".foxglove.Log.Level")),
-            ("message", 3, Type::String),
-            ("name", 4, Type::String),
-        ],
-    ),
+    ("Log", &[("timestamp", TIME), ("level", LEVEL), ("message", Text), ("name", Text)]),
 ];
 
 /// The levels of a log message, by number.
@@ -123,10 +99,10 @@ pub(super) fn descriptor_set() -> Vec<u8> {
 /// Writes a `DescriptorProto`.
 fn describe(out: &mut ProtobufMessage, (name, fields): (&str, Fields)) {
     out.text(1, name);
-    for &(name, number, kind) in fields {
+    for (number, &(name, kind)) in (1..).zip(fields) {
         out.nested(2, |field| {
             field.text(1, name);
-            field.whole(3, number.into());
+            field.whole(3, number);
             field.whole(4, 1); // LABEL_OPTIONAL
             field.whole(5, kind.code());
             if let Type::Message(of) | Type::Enum(of) = kind {
