@@ -5,7 +5,6 @@ use serde::Serialize;
 
 use super::interval::Interval;
 use super::spread::{Spread, percentage};
-use super::trial::Trials;
 use crate::log::EpisodeRecord;
 
 /// The figures that exist on a blocked route only.
@@ -65,13 +64,4 @@ pub(super) fn change(blocked: f64, unchanged: f64, baseline: [f64; 2]) -> f64 {
 /// none.
 pub(super) fn retention(blocked: f64, unchanged: f64) -> Option<f64> {
     (unchanged > 0.0).then(|| blocked / unchanged)
-}
-
-/// The four sets of episodes that [`change`] and [`retention`] need.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Quartet<'t, 'a> {
-    pub(super) blocked: &'t Trials<'a>,
-    pub(super) unchanged: &'t Trials<'a>,
-    /// Working memory: blocked, unchanged. `None` when it was not run.
-    pub(super) baseline: Option<[&'t Trials<'a>; 2]>,
 }

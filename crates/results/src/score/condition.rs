@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use domain::Representation;
 use serde::Serialize;
 
-use super::blocked::{self, BlockedScore, Derived, Quartet};
+use super::blocked::{self, BlockedScore, Derived};
 use super::bootstrap::intervals;
 use super::cost;
 use super::failure::Failures;
@@ -219,34 +219,26 @@ pub(super) fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition,
         scores.iter().map(|score| (score.condition, score.sr.mean)).collect();
     for score in scores {
         let Some(found) = &mut score.blocked else { continue };
-        let blocked = score.condition;
-        let unchanged = Condition { route: Route::Unchanged, ..blocked };
-        let baseline =
-            [blocked, unchanged].map(|Condition { start, route, variation, arm, .. }| {
-                let none = Demonstrations::NONE;
-                let working =
-                    Condition::new(Representation::Working, start, route, none, variation);
-                working.map(|condition| condition.with_arm(arm))
-            });
-        let reported = |condition: &Condition| rates.get(condition).copied();
-        let (Some(after), Some(before)) = (reported(&blocked), reported(&unchanged)) else {
+        let own = [score.condition, Condition { route: Route::Unchanged, ..score.condition }];
+        let baseline = own.map(|Condition { start, route, variation, arm, .. }| {
+            let none = Demonstrations::NONE;
+            let working = Condition::new(Representation::Working, start, route, none, variation);
+            working.map(|condition| condition.with_arm(arm))
+        });
+        let rate = |condition: Option<Condition>| rates.get(&condition?).copied();
+        let [Some(after), Some(before)] = own.map(|condition| rate(Some(condition))) else {
             continue;
         };
-        let quartet = Quartet {
-            blocked: &trials[&blocked],
-            unchanged: &trials[&unchanged],
-            baseline: match baseline.each_ref().map(|condition| trials.get(condition.as_ref()?)) {
-                [Some(blocked), Some(unchanged)] => Some([blocked, unchanged]),
-                _ => None,
-            },
-        };
-        let [change, retention] = related_intervals(quartet);
-        // The baseline against itself is 0 by definition, not by measurement.
-        let change = change.filter(|_| Some(blocked) != baseline[0]);
-        found.change = match baseline.map(|condition| reported(&condition?)) {
+        let mut arms = own.map(|condition| &trials[&condition]).to_vec();
+        if let [Some(blocked), Some(unchanged)] = baseline.map(|one| trials.get(&one?)) {
+            arms.extend([blocked, unchanged]);
+        }
+        let [change, retention] = related_intervals(&arms);
+        found.change = match baseline.map(rate) {
             [Some(baseline_after), Some(baseline_before)] => Some(Derived {
                 value: blocked::change(after, before, [baseline_after, baseline_before]),
-                interval: change,
+                // The baseline against itself is 0 by definition, not by measurement.
+                interval: change.filter(|_| Some(own[0]) != baseline[0]),
             }),
             _ => None,
         };
@@ -255,11 +247,10 @@ pub(super) fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition,
     }
 }
 
-/// The bootstrap intervals of change and retention; none where all cases are alike.
-fn related_intervals(quartet: Quartet<'_, '_>) -> [Option<Interval>; 2] {
-    let mut arms = vec![quartet.blocked, quartet.unchanged];
-    arms.extend(quartet.baseline.into_iter().flatten());
-    let cases: Vec<_> = paired(&arms).into_values().collect();
+/// The bootstrap intervals of change and retention, from the trials of a condition, blocked and unchanged, and of working
+/// memory, if there are any; none where all cases are alike.
+fn related_intervals(arms: &[&Trials<'_>]) -> [Option<Interval>; 2] {
+    let cases: Vec<_> = paired(arms).into_values().collect();
     let found = intervals(&cases, |arms| {
         let rates: Option<Vec<f64>> = arms.iter().map(|arm| rate(arm)).collect();
         match rates.as_deref() {

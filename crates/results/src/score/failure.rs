@@ -107,7 +107,7 @@ impl Failure {
                 record.requests.is_some_and(|asked| asked > 0 && record.unread.total() * 2 >= asked)
             }
             Self::Blocked => record.tried_closed_at.is_some_and(|step| gave_up(record, step)),
-            Self::Looped => looped(record),
+            Self::Looped => looped_at(record).is_some(),
             Self::WrongOrder => {
                 matches!(record.task, 6 | 9 | 10)
                     && record.sub_goals.len() == 1
@@ -154,13 +154,6 @@ fn gave_up(record: &EpisodeRecord, tried_at: u32) -> bool {
     let entered: BTreeSet<_> = after.iter().map(|pose| pose.cell).collect();
     let met = record.sub_goals.iter().any(|&step| step >= tried_at);
     !met && entered.difference(&known).count() < NEW_CELLS
-}
-
-fn looped(record: &EpisodeRecord) -> bool {
-    let mut last = record.poses();
-    last.drain(..last.len().saturating_sub(LOOP_STEPS));
-    last.sort();
-    last.chunk_by(|a, b| a == b).any(|same| same.len() >= LOOP_VISITS)
 }
 
 /// The step of the [`LOOP_VISITS`]th visit to a pose within the last [`LOOP_STEPS`] steps, the first such.
