@@ -39,7 +39,7 @@ pub use steps::steps_frame;
 pub use terminal::{compared_runs, comparison, summary};
 
 use std::fs::{self, File};
-use std::io::{self, BufWriter};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use results::log::RunLog;
@@ -125,15 +125,15 @@ pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
     let views = views(logs, &published);
     let document = arrange(&views);
     let template = |page| move |source| ReportError::Template { page, source };
-    let out = ReportFolder { dir };
-    let page =
-        out.text("report.html", &html::render(&document).map_err(template("report.html"))?)?;
-    out.text("report.md", &markdown::render(&document).map_err(template("report.md"))?)?;
+    let text =
+        |name: &str, text: &str| write_file(dir.join(name), |file| file.write_all(text.as_bytes()));
+    let page = text("report.html", &html::render(&document).map_err(template("report.html"))?)?;
+    text("report.md", &markdown::render(&document).map_err(template("report.md"))?)?;
     for figure in document.figures() {
-        out.text(&format!("figures/{}.svg", figure.id), &figure.svg)?;
+        text(&format!("figures/{}.svg", figure.id), &figure.svg)?;
     }
     for table in document.tables() {
-        out.stream(&format!("tables/{}.csv", table.id), |file| {
+        write_file(dir.join(format!("tables/{}.csv", table.id)), |file| {
             csv::write_table(table, file).map_err(io::Error::other)
         })?;
     }
@@ -143,39 +143,27 @@ pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
         frames.push(("streams", data::streams(&views)));
     }
     for (name, frame) in frames {
-        out.stream(&format!("{name}.csv"), |file| frame.write_csv(file))?;
-        out.stream(&format!("{name}.parquet"), |file| frame.write_parquet(file))?;
+        write_file(dir.join(format!("{name}.csv")), |file| frame.write_csv(file))?;
+        write_file(dir.join(format!("{name}.parquet")), |file| frame.write_parquet(file))?;
     }
     Ok(page)
 }
 
-/// The folder that a report is written into.
-struct ReportFolder<'a> {
-    dir: &'a Path,
-}
-
-impl ReportFolder<'_> {
-    fn text(&self, name: &str, content: &str) -> Result<PathBuf, ReportError> {
-        self.stream(name, |file| io::Write::write_all(file, content.as_bytes()))
-    }
-
-    fn stream(
-        &self,
-        name: &str,
-        write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
-    ) -> Result<PathBuf, ReportError> {
-        let path = self.dir.join(name);
-        let written = || {
-            if let Some(parent) = path.parent() {
-                fs::create_dir_all(parent)?;
-            }
-            let mut file = BufWriter::new(File::create(&path)?);
-            write(&mut file)?;
-            io::Write::flush(&mut file)
-        };
-        match written() {
-            Ok(()) => Ok(path),
-            Err(source) => Err(ReportError::Write { path, source }),
+/// Writes the file `path`, and makes its folder.
+fn write_file(
+    path: PathBuf,
+    write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<PathBuf, ReportError> {
+    let written = || {
+        if let Some(parent) = path.parent() {
+            fs::create_dir_all(parent)?;
         }
+        let mut file = BufWriter::new(File::create(&path)?);
+        write(&mut file)?;
+        file.flush()
+    };
+    match written() {
+        Ok(()) => Ok(path),
+        Err(source) => Err(ReportError::Write { path, source }),
     }
 }

@@ -1,5 +1,6 @@
 //! Table `tab:main`: six representations in the four settings of the three questions, with what they cost.
 
+use domain::MemoryKind;
 use results::score::{ConditionScore, Interval};
 
 use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
@@ -8,8 +9,10 @@ use crate::view::{
     ScoredRun, name, our_rates, pair_stubs, plain_or, rate_columns, their_rates, title,
 };
 
-/// The four settings: heading, start and route, demonstrations.
-const SETTINGS: [(&str, &str, &str); 4] = [
+/// A heading, start and route, demonstrations.
+pub(super) type Setting = (&'static str, &'static str, &'static str);
+
+const SETTINGS: [Setting; 4] = [
     ("Original start, 1 demo", "original/unchanged", "original"),
     ("New start, 1 demo", "new/unchanged", "original"),
     ("New start, 4 demos", "new/unchanged", "4"),
@@ -28,23 +31,20 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         TableColumn::under("Mtok", "4 demos"),
     ];
     columns.extend(rate_columns(&SETTINGS.map(|(heading, _, _)| heading)));
-    let of = |representation, (_, rest, demonstrations): (&str, &str, &str)| {
-        name(representation, rest, demonstrations)
-    };
-    let ours = |representation| {
-        let [_, one, four, _] = SETTINGS.map(|setting| of(representation, setting));
-        let mut cells = vec![images(view, &one, &four), mega(view, &one), mega(view, &four)];
-        let settings = SETTINGS.map(|setting| of(representation, setting));
-        cells.extend(settings.iter().flat_map(|name| our_rates(view, name)));
+    let ours = |memory| {
+        let names = names(memory, SETTINGS);
+        let [_, one, four, _] = &names;
+        let mut cells = vec![images(view, one, four), mega(view, one), mega(view, four)];
+        cells.extend(names.iter().flat_map(|name| our_rates(view, name)));
         cells
     };
-    let theirs = |representation| {
-        let [original, one, four, _] = SETTINGS.map(|setting| of(representation, setting));
-        let mut cells = vec![view.theirs(&original, |p| p.img.map(|img| format!("{img:.0}")))];
+    let theirs = |memory| {
+        let names = names(memory, SETTINGS);
+        let [original, one, four, _] = &names;
+        let mut cells = vec![view.theirs(original, |p| p.img.map(|img| format!("{img:.0}")))];
         let mega = |name: &String| view.theirs(name, |p| p.mtok.map(|mtok| format!("{mtok:.0}")));
-        cells.extend([&one, &four].map(mega));
-        let settings = SETTINGS.map(|setting| of(representation, setting));
-        cells.extend(settings.iter().flat_map(|name| their_rates(view, name)));
+        cells.extend([one, four].map(mega));
+        cells.extend(names.iter().flat_map(|name| their_rates(view, name)));
         cells
     };
     let table = Table {
@@ -60,17 +60,11 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         columns,
         groups: view.pairs(&view.memories(), ours, theirs),
     };
-    let settings = |representation| {
-        SETTINGS.map(|setting| (setting.0.to_owned(), of(representation, setting)))
-    };
-    let memories = view.memories();
-    let rows =
-        memories.iter().flat_map(|&memory| rate_rows(view, &title(memory), &settings(memory)));
     let figure = rate_figure(
         view.id("main-figure"),
         "Success rate in the four settings. Filled: this run with its 95 % interval. Open: published, mean ± standard \
          deviation.",
-        rows.collect(),
+        rates_by_memory(view, &view.memories(), SETTINGS),
     );
     table.pruned().map(ReportBlock::Table).into_iter().chain(figure).collect()
 }
@@ -78,6 +72,25 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
 /// The plot of success rates, if it has rows.
 pub(super) fn rate_figure(id: String, caption: &str, rows: Vec<DotRow>) -> Option<ReportBlock> {
     (!rows.is_empty()).then(|| ReportBlock::Figure(dots(&id, caption, &rows)))
+}
+
+/// The names of a memory's conditions in these settings.
+pub(super) fn names<const N: usize>(memory: MemoryKind, settings: [Setting; N]) -> [String; N] {
+    settings.map(|(_, rest, demonstrations)| name(memory, rest, demonstrations))
+}
+
+/// The rows of a plot of success rates: one for each setting in which a memory was run.
+pub(super) fn rates_by_memory<const N: usize>(
+    view: &ScoredRun<'_>,
+    memories: &[MemoryKind],
+    settings: [Setting; N],
+) -> Vec<DotRow> {
+    let rows = |&memory: &MemoryKind| {
+        let labels = settings.iter().map(|(heading, _, _)| (*heading).to_owned());
+        let conditions: Vec<_> = labels.zip(names(memory, settings)).collect();
+        rate_rows(view, &title(memory), &conditions)
+    };
+    memories.iter().flat_map(rows).collect()
 }
 
 /// The rows of a plot of success rates: one for each of the `conditions` (label, name) that was run, with the

@@ -1,45 +1,41 @@
 //! Figure `fig:rq3` and its numbers: four demonstrations, of which two are replaced by other tasks' histories.
 
-use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
-use crate::sections::main_table::{rate_figure, rate_rows};
-use crate::view::{ScoredRun, name, pair_stubs, published_text, sure, sure_or, title};
+use domain::MemoryKind;
 
-const SETS: [(&str, &str); 3] =
-    [("4 relevant", "4"), ("2 of 4 irrelevant", "irrelevant"), ("2 of 4 confusable", "confusable")];
+use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
+use crate::sections::main_table::{Setting, names, rate_figure, rates_by_memory};
+use crate::view::{ScoredRun, pair_stubs, published_text, sure, sure_or};
+
+const SETTINGS: [Setting; 3] = [
+    ("4 relevant", "new/unchanged", "4"),
+    ("2 of 4 irrelevant", "new/unchanged", "irrelevant"),
+    ("2 of 4 confusable", "new/unchanged", "confusable"),
+];
 
 pub(super) const NO_RETRIEVAL: Missing = Missing::NotApplicable(
     "of the built-in memories only Episodic retrieves; the others supply the same at each step",
 );
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
-    let names = |representation| SETS.map(|(_, set)| name(representation, "new/unchanged", set));
+    let names = |memory| names(memory, SETTINGS);
     if !view.historical().into_iter().any(|memory| view.has_any(&names(memory)[1..])) {
         return Vec::new();
     }
-    let rows = view.historical().into_iter().flat_map(|representation| {
-        let labelled: Vec<_> = SETS
-            .iter()
-            .zip(names(representation))
-            .map(|((label, _), name)| ((*label).to_owned(), name))
-            .collect();
-        rate_rows(view, &title(representation), &labelled)
-    });
     let figure = rate_figure(
         view.id("mixed-figure"),
         "RQ3: success under mixed histories (the paper's figure “RQ3: Success under mixed histories”). New start, unchanged \
          route, four demonstrations; in the mixed sets two of them are replaced by other tasks' histories. Filled: this run \
          with its 95 % interval. Open: published, where it prints a number.",
-        rows.collect(),
+        rates_by_memory(view, &view.historical(), SETTINGS),
     );
-    let mut columns = SETS.map(|(heading, _)| TableColumn::under("SR %", heading)).to_vec();
-    columns.extend(
-        SETS[1..].iter().map(|(heading, _)| TableColumn::under("From other tasks, %", *heading)),
-    );
-    let ours = |representation| {
-        let names = names(representation);
+    let headings = SETTINGS.map(|(heading, _, _)| heading);
+    let mut columns = headings.map(|heading| TableColumn::under("SR %", heading)).to_vec();
+    columns.extend(headings[1..].iter().map(|one| TableColumn::under("From other tasks, %", *one)));
+    let ours = |memory: MemoryKind| {
+        let names = names(memory);
         let mut cells: Vec<TableCell> =
             names.iter().map(|name| view.ours(name, |score| sure(score.sr, 1))).collect();
-        cells.extend(names[1..].iter().map(|name| match representation.retrieves() {
+        cells.extend(names[1..].iter().map(|name| match memory.retrieves() {
             false => TableCell::Missing(NO_RETRIEVAL),
             true => view.ours(name, |score| {
                 let missing = Missing::NotMeasured("nothing was retrieved");
@@ -48,11 +44,11 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         }));
         cells
     };
-    let theirs = |representation| {
-        let names = names(representation);
+    let theirs = |memory: MemoryKind| {
+        let names = names(memory);
         let mut cells: Vec<TableCell> =
             names.iter().map(|name| view.theirs(name, |p| p.sr.map(published_text))).collect();
-        cells.extend(names[1..].iter().map(|name| match representation.retrieves() {
+        cells.extend(names[1..].iter().map(|name| match memory.retrieves() {
             false => TableCell::Missing(NO_RETRIEVAL),
             true => view.theirs(name, |p| p.from_others.map(published_text)),
         }));
