@@ -41,7 +41,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         for (key, value) in settings {
             // Each group of a suite has a row of its own.
             match value {
-                Value::Array(groups) if key == "groups" => {
+                Value::Array(groups) if key == "group" => {
                     facts.extend(groups.iter().map(group_fact))
                 }
                 value => facts.push((format!("setting {key}"), TableCell::Value(words(&value)))),
