@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, ensure};
+use documents::hex;
 use redb::{
     ConcurrencyMode, Database, DatabaseError, ReadableDatabase, ReadableTable, StorageError,
     TableDefinition, TableError,
@@ -75,8 +76,7 @@ impl EmbeddingCache {
         fingerprint: &[u8; 32],
         dimension: usize,
     ) -> Result<Self, CacheError> {
-        let name: String = fingerprint.iter().map(|byte| format!("{byte:02x}")).collect();
-        let path = folder.join(name).with_extension(EXTENSION);
+        let path = folder.join(hex(fingerprint)).with_extension(EXTENSION);
         let failed = |action| {
             let path = path.clone();
             move |cause: redb::Error| CacheError { action, path, cause: cause.into() }

@@ -14,8 +14,7 @@ use crate::bank::Viewpoint;
 use crate::embedded_views::EmbeddedViews;
 use crate::embedding_cache::{CacheError, EmbeddingCache};
 use crate::episode::{
-    EpisodeMemory, MemoryAnswer, MemoryEpisode, PendingObservation, PendingStage, Reason, Unusable,
-    unusable,
+    EpisodeMemory, MemoryAnswer, MemoryEpisode, PendingObservation, PendingStage, Reason,
 };
 use crate::external::{BankState, ExternalMemories, ToExternal, query_message};
 use crate::items::{Assembler, DocumentSupplier};
@@ -115,7 +114,7 @@ impl<I: Clone> Engine<I> {
     ///
     /// # Errors
     /// When a value in the message is invalid, or its views do not fit.
-    pub fn config(&mut self, config: &MemoryEpisodeConfig) -> Result<(), Unusable> {
+    pub fn config(&mut self, config: &MemoryEpisodeConfig) -> Result<(), String> {
         let Self { externals, worlds, .. } = self;
         let external = |set| match config.sequence {
             0 => externals.bank(config, set, &worlds.warehouse, &worlds.cases),
@@ -123,14 +122,14 @@ impl<I: Clone> Engine<I> {
         };
         let episode = MemoryEpisode::announced(config, worlds, external)?;
         if episode.learns() && !self.sequences.can_save() {
-            return Err(unusable!(
+            return Err(format!(
                 "config of episode {}: its memory learns, and memory-proc was started without --snapshots",
                 config.episode
             ));
         }
         let (needed, room) = (episode.viewpoints().len(), self.views.pinned.room());
         if needed > room {
-            return Err(unusable!(
+            return Err(format!(
                 "config of episode {}: its memory needs {needed} views and there is room for {room}: raise \
                  --frame-budget or lower --lanes",
                 config.episode
@@ -138,7 +137,7 @@ impl<I: Clone> Engine<I> {
         }
         let lanes = self.lanes.len();
         let lane = self.lanes.get_mut(config.lane as usize).ok_or_else(|| {
-            unusable!("config of episode {}: lane {} of {lanes}", config.episode, config.lane)
+            format!("config of episode {}: lane {} of {lanes}", config.episode, config.lane)
         })?;
         if let (EpisodeMemory::External { bank, .. }, None) = (&episode.memory, &episode.stream) {
             self.externals.retain(*bank);
@@ -160,9 +159,9 @@ impl<I: Clone> Engine<I> {
         &mut self,
         seen: &Observation,
         received_ns: u64,
-    ) -> Result<Option<FrameId>, Unusable> {
+    ) -> Result<Option<FrameId>, String> {
         let unknown =
-            || unusable!("observation of unknown episode {} in lane {}", seen.episode, seen.lane);
+            || format!("observation of unknown episode {} in lane {}", seen.episode, seen.lane);
         let lane = self.lanes.get_mut(seen.lane as usize).ok_or_else(unknown)?;
         if let Some(next) = lane.next.take_if(|next| next.id == seen.episode)
             && let Some(abandoned) = lane.running.replace(next)
@@ -232,7 +231,7 @@ impl<I: Clone> Engine<I> {
         frame: FrameId,
         content: ContentHash,
         image: I,
-    ) -> Result<(), Unusable> {
+    ) -> Result<(), String> {
         match self.views.pinned.arrived(viewpoint, PinnedView { frame, content, image }) {
             Arrival::Needed { embedded: true } if self.views.embeddings.get(&content).is_none() => {
                 self.views.background.push_back(viewpoint);
@@ -242,7 +241,7 @@ impl<I: Clone> Engine<I> {
             Arrival::Dismissed => self.admit(),
             Arrival::Unexpected => {
                 let Viewpoint { variant, pose } = viewpoint;
-                return Err(unusable!(
+                return Err(format!(
                     "view of {pose} in variant {variant} as frame {frame}, which was not requested"
                 ));
             }
@@ -254,7 +253,7 @@ impl<I: Clone> Engine<I> {
     ///
     /// # Errors
     /// When it names a lane that does not exist.
-    pub fn external_note(&mut self, index: u8, note: Note) -> Result<(), Unusable> {
+    pub fn external_note(&mut self, index: u8, note: Note) -> Result<(), String> {
         self.externals.take_note(index, self.lanes.len() as u32, note)
     }
 
@@ -262,7 +261,7 @@ impl<I: Clone> Engine<I> {
     ///
     /// # Errors
     /// When that is not expected.
-    pub fn external_built(&mut self, index: u8, message: &ExternalBuilt) -> Result<(), Unusable> {
+    pub fn external_built(&mut self, index: u8, message: &ExternalBuilt) -> Result<(), String> {
         self.externals.hear(index);
         let outcome = self.externals.built(index, message)?;
         self.finish_bank(message.bank, outcome.map_err(Into::into));
@@ -273,7 +272,7 @@ impl<I: Clone> Engine<I> {
     ///
     /// # Errors
     /// When that is not expected.
-    pub fn external_stored(&mut self, index: u8, message: &ExternalStored) -> Result<(), Unusable> {
+    pub fn external_stored(&mut self, index: u8, message: &ExternalStored) -> Result<(), String> {
         self.externals.hear(index);
         self.externals.has_stored(index, message)
     }
@@ -287,7 +286,7 @@ impl<I: Clone> Engine<I> {
         index: u8,
         message: &ExternalAnswer,
         now_ns: u64,
-    ) -> Result<(), Unusable> {
+    ) -> Result<(), String> {
         let &ExternalAnswer { lane, episode, step, .. } = message;
         self.externals.hear(index);
         let items = self.externals.items(index, message);
@@ -302,14 +301,14 @@ impl<I: Clone> Engine<I> {
             running.id == episode && of == Some(index)
         };
         let Some(running) = place.filter(is_its_own) else {
-            return Err(unusable!(
+            return Err(format!(
                 "answer of external memory {name} for episode {episode} in lane {lane}, which is no running episode \
                  of it"
             ));
         };
         let now = running.current.as_ref().map_or(0, |now| now.step);
         let Some(pending) = &running.pending else {
-            return Err(unusable!(
+            return Err(format!(
                 "answer of external memory {name} for step {step} of episode {episode}, after it was answered or given up"
             ));
         };

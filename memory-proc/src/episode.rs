@@ -21,17 +21,6 @@ use crate::representation::{MemorySettings, built_in};
 use crate::sequences::{KeptMemory, Recording, SequenceEpisode, SequenceMemory};
 use crate::worlds::{BankOrigin, WorldStates};
 
-/// A message that cannot be used. The text names the value and what was expected.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{0}")]
-pub struct Unusable(pub(crate) String);
-
-/// Makes an [`Unusable`] from a format string.
-macro_rules! unusable {
-    ($($text:tt)*) => { $crate::episode::Unusable(format!($($text)*)) };
-}
-pub(crate) use unusable;
-
 /// Why something cannot go on.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Reason {
@@ -161,10 +150,10 @@ impl MemoryEpisode {
     pub(crate) fn announced(
         config: &MemoryEpisodeConfig,
         worlds: &WorldStates,
-        external: impl FnOnce(Demonstrations) -> Result<ExternalBank, Unusable>,
-    ) -> Result<Self, Unusable> {
+        external: impl FnOnce(Demonstrations) -> Result<ExternalBank, String>,
+    ) -> Result<Self, String> {
         let MemoryEpisodeConfig { case, demonstrations, lane, .. } = *config;
-        let refused = |what: String| unusable!("config of episode {}: {what}", config.episode);
+        let refused = |what: String| format!("config of episode {}: {what}", config.episode);
         let WorldStates { warehouse, cases, .. } = worlds;
         let unknown = || {
             refused(format!(
@@ -182,8 +171,7 @@ impl MemoryEpisode {
             if none {
                 return Err(refused("external memory of no demonstrations".to_owned()));
             }
-            let ExternalBank { id, bank, pins_bank, embeds } =
-                external(set).map_err(|what| refused(what.0))?;
+            let ExternalBank { id, bank, pins_bank, embeds } = external(set).map_err(refused)?;
             let memory = EpisodeMemory::External { index: config.external, bank: id, begun: false };
             (memory, bank, pins_bank, embeds)
         } else {
@@ -247,10 +235,10 @@ impl MemoryEpisode {
         &mut self,
         seen: &Observation,
         worlds: &WorldStates,
-    ) -> Result<(), Unusable> {
+    ) -> Result<(), String> {
         let Observation { episode, step, frame, .. } = *seen;
         let broken =
-            |what: String| unusable!("observation of episode {episode}, step {step}: {what}");
+            |what: String| format!("observation of episode {episode}, step {step}: {what}");
         let pose = Pose::try_from(seen.pose).map_err(|error| broken(error.to_string()))?;
         let feedback =
             Feedback::try_from(seen.feedback).map_err(|error| broken(error.to_string()))?;

@@ -23,8 +23,7 @@ use crate::bank::{BankSteps, Collecting, KnownView, ReplayedBank, Viewpoint};
 use crate::demonstrations;
 use crate::engine::LaneProgress;
 use crate::episode::{
-    EpisodeMemory, ExternalBank, MemoryEpisode, PendingObservation, PendingStage, Reason, Unusable,
-    unusable,
+    EpisodeMemory, ExternalBank, MemoryEpisode, PendingObservation, PendingStage, Reason,
 };
 
 mod messages;
@@ -185,10 +184,10 @@ impl ExternalMemories {
         set: Demonstrations,
         warehouse: &Warehouse,
         cases: &CaseSet,
-    ) -> Result<ExternalBank, Unusable> {
+    ) -> Result<ExternalBank, String> {
         let &MemoryEpisodeConfig { external: index, case, .. } = config;
         let description = self.descriptions.get(&index).ok_or_else(|| {
-            unusable!("external memory {index}, which does not take part in the run")
+            format!("external memory {index}, which does not take part in the run")
         })?;
         let MemoryDescription { scope, embeddings: embeds, frames, .. } = *description;
         let of = Some(((scope == Scope::Case).then_some(case), set));
@@ -201,7 +200,7 @@ impl ExternalMemories {
                     Scope::All => demonstrations::of_all_cases(warehouse, cases, set.bits()),
                 };
                 let chosen =
-                    chosen.ok_or_else(|| unusable!("demonstrations {set}, which do not exist"))?;
+                    chosen.ok_or_else(|| format!("demonstrations {set}, which do not exist"))?;
                 let bank = Arc::new(ReplayedBank::new(chosen));
                 let pins_bank = scope == Scope::Case && (embeds || frames);
                 let with_frames = pins_bank && frames;
@@ -222,10 +221,10 @@ impl ExternalMemories {
     }
 
     /// What is known about the bank of a sequence before its first step.
-    pub(crate) fn of_stream(&self, config: &MemoryEpisodeConfig) -> Result<ExternalBank, Unusable> {
+    pub(crate) fn of_stream(&self, config: &MemoryEpisodeConfig) -> Result<ExternalBank, String> {
         let index = config.external;
         let known = self.descriptions.get(&index).ok_or_else(|| {
-            unusable!("external memory {index}, which does not take part in the run")
+            format!("external memory {index}, which does not take part in the run")
         })?;
         let embeds = known.embeddings;
         Ok(ExternalBank { id: 0, bank: Arc::default(), pins_bank: false, embeds })
@@ -423,16 +422,12 @@ impl ExternalMemories {
     }
 
     /// The memory of a bank has saved or loaded.
-    pub(crate) fn has_stored(
-        &mut self,
-        index: u8,
-        message: &ExternalStored,
-    ) -> Result<(), Unusable> {
+    pub(crate) fn has_stored(&mut self, index: u8, message: &ExternalStored) -> Result<(), String> {
         let &ExternalStored { bank: id, store_bytes, failure } = message;
         let is_its_own = self.banks.get(&id).is_some_and(|bank| bank.index == index);
         let name = self.name(index).to_owned();
         if !is_its_own || self.storing.remove(&id).is_none() {
-            return Err(unusable!(
+            return Err(format!(
                 "external memory {name} has stored bank {id}, which it was not asked for"
             ));
         }
@@ -548,11 +543,11 @@ impl ExternalMemories {
     }
 
     /// Takes a note.
-    pub(crate) fn take_note(&mut self, index: u8, lanes: u32, note: Note) -> Result<(), Unusable> {
+    pub(crate) fn take_note(&mut self, index: u8, lanes: u32, note: Note) -> Result<(), String> {
         let lane = note.header.lane;
         if lane >= lanes && lane != NO_LANE {
             let name = self.name(index);
-            return Err(unusable!("note of external memory {name}: lane {lane} of {lanes}"));
+            return Err(format!("note of external memory {name}: lane {lane} of {lanes}"));
         }
         self.notes.insert((index, lane), note);
         Ok(())
@@ -563,14 +558,14 @@ impl ExternalMemories {
         &mut self,
         index: u8,
         message: &ExternalBuilt,
-    ) -> Result<Result<u64, String>, Unusable> {
+    ) -> Result<Result<u64, String>, String> {
         let &ExternalBuilt { bank: id, store_bytes, failure, .. } = message;
         let is_building = self.banks.get(&id).is_some_and(|bank| {
             bank.index == index && matches!(bank.state, BankState::Building { .. })
         });
         let name = self.name(index);
         if !is_building {
-            return Err(unusable!(
+            return Err(format!(
                 "external memory {name} has built bank {id}, which it was not asked for"
             ));
         }

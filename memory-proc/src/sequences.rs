@@ -566,8 +566,7 @@ impl SequenceMemory {
                 }
             }
         };
-        let saved = folder.finish(part.sequence, self.snapshot);
-        self.snapshot = saved.map_err(|error| error.to_string())?;
+        self.snapshot = folder.finish(part.sequence, self.snapshot)?;
         self.learning = None;
         Ok(Some(SnapshotReport {
             episode: episode.id,
@@ -597,7 +596,7 @@ impl SequenceMemory {
 
     /// Writes the host's part of a snapshot. Returns the folder for the memory's own.
     fn begin_snapshot(&self, folder: &SnapshotFolder, sequence: u64) -> Result<PathBuf, String> {
-        let unfinished = folder.begin(sequence).map_err(|error| error.to_string())?;
+        let unfinished = folder.begin(sequence)?;
         let path = unfinished.join(EXPERIENCE_FILE);
         let written = serde_json::to_vec(&self.experiences).map_err(|error| error.to_string())?;
         durable::write_file(&path, &written)
@@ -621,7 +620,7 @@ impl SequenceMemory {
         let folder = folder.ok_or(
             "it continues from a snapshot, and memory-proc was started without --snapshots",
         )?;
-        let found = folder.find(part.sequence, part.snapshot).map_err(|error| error.to_string())?;
+        let found = folder.find(part.sequence, part.snapshot)?;
         let failed = |what: String| format!("snapshot {}: {what}", found.display());
         self.experiences = read_experiences(&found).map_err(&failed)?;
         for (number, experience) in self.experiences.iter().enumerate() {

@@ -39,7 +39,6 @@ use crate::encoder::{
     SessionOpening,
 };
 use crate::engine::{Engine, EpisodeFailure};
-use crate::episode::{Unusable, unusable};
 use crate::external::{ExternalLimits, ExternalMemories};
 use crate::manifest::EncoderManifest;
 use crate::paths::CacheFolder;
@@ -403,13 +402,13 @@ impl<'a> MemoryServer<'a> {
     }
 
     /// Checks that this process was started with what an episode's memory needs.
-    fn can_serve(&self, config: &MemoryEpisodeConfig) -> Result<(), Unusable> {
+    fn can_serve(&self, config: &MemoryEpisodeConfig) -> Result<(), String> {
         if config.representation == EXTERNAL {
             // Checked at the start.
             return Ok(());
         }
         match Representation::try_from(config.representation) {
-            Ok(asked) if asked.matches_views() && self.encoder.is_none() => Err(unusable!(
+            Ok(asked) if asked.matches_views() && self.encoder.is_none() => Err(format!(
                 "config of episode {}: {asked} memory matches views, and memory-proc was started with \
                  --no-encoder",
                 config.episode
@@ -513,7 +512,7 @@ impl<'a> MemoryServer<'a> {
         }
     }
 
-    fn report_unusable(&mut self, outcome: Result<(), Unusable>) {
+    fn report_unusable(&mut self, outcome: Result<(), String>) {
         if let Err(unusable) = outcome {
             self.reporter.report(unusable);
         }

@@ -7,6 +7,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use documents::hex;
 use shm_types::message::SnapshotId;
 
 /// The folder that a snapshot is written into before it has its name.
@@ -15,11 +16,6 @@ const UNFINISHED: &str = "unfinished";
 /// The folder of a run's snapshots.
 #[derive(Debug, Clone)]
 pub struct SnapshotFolder(PathBuf);
-
-/// Why a snapshot cannot be written or read. The text names the file.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct SnapshotError(String);
 
 impl SnapshotFolder {
     /// Snapshots in `folder`, which is created with the first of them.
@@ -32,7 +28,7 @@ impl SnapshotFolder {
     }
 
     /// An empty folder for the files of a snapshot that [`Self::finish`] completes.
-    pub(crate) fn begin(&self, sequence: u64) -> Result<PathBuf, SnapshotError> {
+    pub(crate) fn begin(&self, sequence: u64) -> Result<PathBuf, String> {
         let of_sequence = self.of(sequence);
         if !of_sequence.is_dir() {
             done(&of_sequence, "create", fs::create_dir_all(&of_sequence))?;
@@ -48,20 +44,16 @@ impl SnapshotFolder {
 
     /// Completes the snapshot that was begun: syncs and names it. Keeps `earlier` beside it and removes all others of the
     /// sequence.
-    pub(crate) fn finish(
-        &self,
-        sequence: u64,
-        earlier: SnapshotId,
-    ) -> Result<SnapshotId, SnapshotError> {
+    pub(crate) fn finish(&self, sequence: u64, earlier: SnapshotId) -> Result<SnapshotId, String> {
         let folder = self.of(sequence);
         let unfinished = folder.join(UNFINISHED);
         let id = digest(&unfinished, true)?;
-        let target = folder.join(word(id));
+        let target = folder.join(hex(&id));
         // One of the same content may be damaged.
         remove(&target)?;
         done(&target, "create", durable::rename(&unfinished, &target))?;
         sync(&folder)?;
-        let kept = [word(id), word(earlier)];
+        let kept = [hex(&id), hex(&earlier)];
         for entry in done(&folder, "read", fs::read_dir(&folder))? {
             let entry = done(&folder, "read", entry)?;
             if !kept.iter().any(|kept| entry.file_name() == kept.as_str()) {
@@ -72,30 +64,25 @@ impl SnapshotFolder {
     }
 
     /// The folder of a snapshot, if it is whole.
-    pub(crate) fn find(&self, sequence: u64, id: SnapshotId) -> Result<PathBuf, SnapshotError> {
-        let folder = self.of(sequence).join(word(id));
+    pub(crate) fn find(&self, sequence: u64, id: SnapshotId) -> Result<PathBuf, String> {
+        let folder = self.of(sequence).join(hex(&id));
         let what = match folder.is_dir() {
             false => "is missing".to_owned(),
             true => match digest(&folder, false)? {
                 found if found == id => return Ok(folder),
-                found => format!("is damaged: its content is that of {}", word(found)),
+                found => format!("is damaged: its content is that of {}", hex(&found)),
             },
         };
-        Err(SnapshotError(format!(
+        Err(format!(
             "snapshot {} {what}. Run again with --fresh, or delete the lines of this sequence from the log",
             folder.display()
-        )))
+        ))
     }
-}
-
-/// A snapshot's id as it is written.
-fn word(id: SnapshotId) -> String {
-    id.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// The first bytes of the BLAKE3 hash of all files in `folder`: names and contents, in the order of names. Folders are
 /// part of the names.
-fn digest(folder: &Path, sync_files: bool) -> Result<SnapshotId, SnapshotError> {
+fn digest(folder: &Path, sync_files: bool) -> Result<SnapshotId, String> {
     let mut hasher = blake3::Hasher::new();
     add_folder(&mut hasher, folder, "", sync_files)?;
     let mut id = SnapshotId::default();
@@ -108,14 +95,14 @@ fn add_folder(
     folder: &Path,
     prefix: &str,
     sync_files: bool,
-) -> Result<(), SnapshotError> {
+) -> Result<(), String> {
     let entries: io::Result<Vec<_>> = fs::read_dir(folder).and_then(Iterator::collect);
     let mut names = Vec::new();
     for entry in done(folder, "read", entries)? {
         let name = entry.file_name().into_string();
-        names.push(name.map_err(|name| {
-            SnapshotError(format!("{}: file name {name:?} is not UTF-8", folder.display()))
-        })?);
+        names.push(
+            name.map_err(|name| format!("{}: file name {name:?} is not UTF-8", folder.display()))?,
+        );
     }
     names.sort_unstable();
     for name in names {
@@ -135,18 +122,18 @@ fn add_folder(
             }
         } else {
             let path = path.display();
-            return Err(SnapshotError(format!("{path} is neither a file nor a folder")));
+            return Err(format!("{path} is neither a file nor a folder"));
         }
     }
     if sync_files { sync(folder) } else { Ok(()) }
 }
 
 /// Waits until a file or the entries of a folder are on disk.
-fn sync(path: &Path) -> Result<(), SnapshotError> {
+fn sync(path: &Path) -> Result<(), String> {
     done(path, "sync", durable::sync_path(path))
 }
 
-fn remove(path: &Path) -> Result<(), SnapshotError> {
+fn remove(path: &Path) -> Result<(), String> {
     let removed = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
     match removed {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
@@ -154,8 +141,8 @@ fn remove(path: &Path) -> Result<(), SnapshotError> {
     }
 }
 
-fn done<T>(path: &Path, what: &str, outcome: io::Result<T>) -> Result<T, SnapshotError> {
-    outcome.map_err(|error| SnapshotError(format!("cannot {what} {}: {error}", path.display())))
+fn done<T>(path: &Path, what: &str, outcome: io::Result<T>) -> Result<T, String> {
+    outcome.map_err(|error| format!("cannot {what} {}: {error}", path.display()))
 }
 
 #[cfg(test)]

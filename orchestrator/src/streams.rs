@@ -153,12 +153,7 @@ impl Remaining {
     }
 }
 
-/// The name of a snapshot in the log: 32 hexadecimal digits.
-pub fn snapshot_name(snapshot: SnapshotId) -> String {
-    snapshot.iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
-/// The snapshot with this [name](snapshot_name).
+/// The snapshot with this name in the log: 32 hexadecimal digits.
 fn read_snapshot(name: &str) -> Option<SnapshotId> {
     let number = u128::from_str_radix(name, 16).ok()?;
     (name.len() == 32).then(|| number.to_be_bytes())

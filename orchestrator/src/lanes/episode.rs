@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use bytemuck::Zeroable;
+use documents::hex;
 use domain::{Action, Cell, Feedback, MemoryKind, Outcome, Pose};
 use results::conditions::Route;
 use results::log::{
@@ -21,7 +22,6 @@ use super::{
 };
 use crate::event_recorder::EventRecorder;
 use crate::plan::{PlannedEpisode, StreamPart};
-use crate::streams::snapshot_name;
 
 /// An episode under way.
 #[derive(Debug)]
@@ -450,7 +450,7 @@ impl ActiveEpisode {
         if let Some((SnapshotReport { snapshot, store_bytes, .. }, stream)) =
             snapshot.zip(result.record.stream.as_mut())
         {
-            stream.snapshot = Some(snapshot_name(snapshot));
+            stream.snapshot = Some(hex(&snapshot));
             stream.store_bytes =
                 Some(store_bytes).filter(|bytes| *bytes > 0).or(stream.store_bytes);
             if let Some(part) = &mut result.episode.part {

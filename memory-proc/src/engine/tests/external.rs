@@ -111,7 +111,7 @@ impl ExternalRig {
         std::mem::take(&mut self.queries)
     }
 
-    fn answer(&mut self, message: &ExternalAnswer) -> Result<(), Unusable> {
+    fn answer(&mut self, message: &ExternalAnswer) -> Result<(), String> {
         self.rig.engine.external_answer(2, message, self.now_ns)
     }
 

@@ -152,7 +152,7 @@ impl Rig {
         self.frames.len() as FrameId
     }
 
-    pub(super) fn observe(&mut self, mut seen: Observation) -> Result<(), Unusable> {
+    pub(super) fn observe(&mut self, mut seen: Observation) -> Result<(), String> {
         let pose = Pose::try_from(seen.pose).unwrap();
         seen.frame = if seen.last == 1 { NO_FRAME } else { self.frame(pose) };
         if let Some(frame) = self.engine.observe(&seen, 1)? {

@@ -101,8 +101,7 @@ impl StreamRig {
     }
 
     fn snapshot(&self, id: SnapshotId) -> PathBuf {
-        let word: String = id.iter().map(|byte| format!("{byte:02x}")).collect();
-        self.folder.path().join(format!("{:016x}", 77)).join(word)
+        self.folder.path().join(format!("{:016x}", 77)).join(documents::hex(&id))
     }
 
     /// The reason why an episode gets no answer.
