@@ -15,7 +15,7 @@ use warehouse::{CaseSet, Demonstrations, History, Warehouse};
 use crate::bank::Viewpoint;
 
 /// A replayed demonstration, or an episode that a memory has learned from.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ReplayedDemonstration {
     /// Its case's index; of an episode, its position in its sequence.
     pub case: u32,

@@ -18,7 +18,7 @@ use crate::episode::{
 };
 use crate::external::{BankState, ExternalMemories, ToExternal, query_message};
 use crate::items::{Assembler, DocumentSupplier};
-use crate::sequences::{Bound, SequenceEpisode, SequenceMemories};
+use crate::sequences::{SequenceEpisode, SequenceMemories};
 use crate::snapshots::SnapshotFolder;
 use crate::views::{Arrival, PinnedView};
 use crate::worlds::WorldStates;
@@ -139,8 +139,8 @@ impl<I: Clone> Engine<I> {
         let lane = self.lanes.get_mut(config.lane as usize).ok_or_else(|| {
             format!("config of episode {}: lane {} of {lanes}", config.episode, config.lane)
         })?;
-        if let (EpisodeMemory::External { bank, .. }, None) = (&episode.memory, &episode.stream) {
-            self.externals.retain(*bank);
+        if let Some(bank) = episode.own_bank() {
+            self.externals.retain(bank);
         }
         if let Some(dropped) = lane.next.replace(episode) {
             self.close(dropped);
@@ -294,11 +294,7 @@ impl<I: Clone> Engine<I> {
         let name = self.externals.name(index);
         let place = self.lanes.get_mut(lane as usize).and_then(|lane| lane.running.as_mut());
         let is_its_own = |running: &&mut MemoryEpisode| {
-            let of = match running.memory {
-                EpisodeMemory::External { index, .. } => Some(index),
-                EpisodeMemory::BuiltIn { .. } | EpisodeMemory::Sequence { .. } => None,
-            };
-            running.id == episode && of == Some(index)
+            running.id == episode && running.external().is_some_and(|(of, _)| of == index)
         };
         let Some(running) = place.filter(is_its_own) else {
             return Err(format!(
@@ -330,12 +326,10 @@ impl<I: Clone> Engine<I> {
         };
         match checked {
             Ok((checked, embedded_ns)) => {
-                let bank_bytes = match running.memory {
-                    EpisodeMemory::External { bank, .. } => self.externals.store_bytes(bank),
-                    EpisodeMemory::BuiltIn { .. } | EpisodeMemory::Sequence { .. } => 0,
+                let store_bytes = match (message.store_bytes, running.external()) {
+                    (0, Some((_, bank))) => self.externals.store_bytes(bank),
+                    (told, _) => told,
                 };
-                let store_bytes =
-                    if message.store_bytes == 0 { bank_bytes } else { message.store_bytes };
                 let method_ns = message.sent_ns.saturating_sub(message.received_ns);
                 let answer = MemoryAnswer {
                     checked,
@@ -506,7 +500,7 @@ impl<I: Clone> Engine<I> {
         let is_new = |part: &SequenceEpisode| !part.begun;
         if episode.pending.is_some() && episode.stream.as_ref().is_some_and(is_new) {
             let mut bound = sequences.bind(episode, worlds, documents, (externals, clock()))?;
-            if let Bound::Waiting = bound {
+            if let Ok(false) = bound {
                 for collecting in sequences.unfinished_banks() {
                     views.collect(collecting, true);
                 }
@@ -514,9 +508,9 @@ impl<I: Clone> Engine<I> {
                 bound = sequences.bind(episode, worlds, documents, (externals, clock()))?;
             }
             match bound {
-                Bound::Yes => {}
-                Bound::Waiting => return Ok(LaneProgress::Waiting),
-                Bound::Failed(why) => return Ok(LaneProgress::Failed(why)),
+                Ok(true) => {}
+                Ok(false) => return Ok(LaneProgress::Waiting),
+                Err(why) => return Ok(LaneProgress::Failed(why)),
             }
         }
         let Some(pending) = &episode.pending else { return Ok(LaneProgress::Gone) };
@@ -543,7 +537,7 @@ impl<I: Clone> Engine<I> {
                     return Ok(LaneProgress::Waiting);
                 }
                 let embedding = embedding.flatten();
-                if let EpisodeMemory::External { .. } = episode.memory {
+                if episode.external().is_some() {
                     return Ok(externals.ask(episode, embedding, clock()));
                 }
                 let mut ready = episode.ready;
@@ -554,13 +548,12 @@ impl<I: Clone> Engine<I> {
                 }
                 let embeds = episode.embeds;
                 let view = |viewpoint| views.known(viewpoint, embeds);
-                let answer = match &episode.stream {
-                    None => episode.ask_built_in(embedding, view, documents, &clock)?,
-                    Some(part) => match sequences.of(part.sequence) {
-                        Some(memory) => episode.ask_sequence(memory, embedding, &clock)?,
-                        None => return Ok(LaneProgress::Failed("its memory is gone".into())),
-                    },
-                };
+                let shared = episode.stream.as_ref().map(|part| sequences.of(part.sequence));
+                if let Some(None) = shared {
+                    return Ok(LaneProgress::Failed("its memory is gone".into()));
+                }
+                let shared = shared.flatten();
+                let answer = episode.ask_built_in(shared, embedding, view, documents, &clock)?;
                 let Some(pending) = &mut episode.pending else { return Ok(LaneProgress::Gone) };
                 pending.stage = PendingStage::Answered(Box::new(answer));
             }
@@ -572,7 +565,7 @@ impl<I: Clone> Engine<I> {
     fn build_banks(&mut self, clock: impl Fn() -> u64) {
         let mut asked_ns = BTreeMap::new();
         for running in self.lanes.iter().filter_map(|lane| lane.running.as_ref()) {
-            if let EpisodeMemory::External { index, .. } = running.memory
+            if let Some((index, _)) = running.external()
                 && let Some(PendingObservation { stage: PendingStage::Asked { since_ns }, .. }) =
                     &running.pending
             {
@@ -654,8 +647,8 @@ impl<I: Clone> Engine<I> {
         }
         self.views.pinned.release(&episode.recalled);
         self.sequences.release(&episode);
-        if let (EpisodeMemory::External { bank, .. }, None) = (&episode.memory, &episode.stream) {
-            self.externals.release(*bank);
+        if let Some(bank) = episode.own_bank() {
+            self.externals.release(bank);
         }
         self.admit();
     }

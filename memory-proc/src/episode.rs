@@ -9,13 +9,13 @@ use domain::{Action, Arm, Feedback, FeedbackLevel, Pose, Representation, Segment
 use peer::memory::{Item, Memory, Query, Step};
 use search::{ContentHash, Embedding};
 use shm_types::message::{
-    EXTERNAL, FrameId, MAX_ITEMS, MAX_SEGMENT, MemoryEpisodeConfig, NO_ACTION, NO_FRAME,
-    NOT_MEASURED, Observation, Recall, RecallTrace,
+    EXPERIENCE, EXTERNAL, FrameId, MAX_ITEMS, MAX_SEGMENT, MemoryEpisodeConfig, NO_ACTION,
+    NO_FRAME, NOT_MEASURED, Observation, Recall, RecallTrace,
 };
 use warehouse::{Demonstrations, Progress};
 
 use crate::bank::{BankSteps, KnownView, ReplayedBank, Viewpoint};
-use crate::demonstrations;
+use crate::demonstrations::{self, ReplayedDemonstration};
 use crate::items::{AssembledRecall, Budgets, CheckedAnswer, DocumentSupplier, PublishedTexts};
 use crate::representation::{MemorySettings, built_in};
 use crate::sequences::{KeptMemory, Recording, SequenceEpisode, SequenceMemory};
@@ -44,9 +44,13 @@ impl<T: Into<String>> From<T> for Reason {
 /// The memory that answers an episode's queries.
 pub(crate) enum EpisodeMemory {
     /// A built-in one.
-    BuiltIn { representation: Representation, memory: BuiltInMemory },
-    /// A built-in one that it shares with the other episodes of its sequence.
-    Sequence { representation: Representation, settings: MemorySettings, set: Demonstrations },
+    BuiltIn {
+        representation: Representation,
+        settings: MemorySettings,
+        set: Demonstrations,
+        /// Once it is built. `None` for one that the episode shares with others of its sequence.
+        own: Option<Box<dyn Memory>>,
+    },
     /// The external memory with this index, with the bank that the episode remembers.
     External {
         index: u8,
@@ -54,12 +58,6 @@ pub(crate) enum EpisodeMemory {
         /// Whether it has been told that the episode begins.
         begun: bool,
     },
-}
-
-/// A built-in memory before and after it is built.
-pub(crate) enum BuiltInMemory {
-    Announced { settings: MemorySettings, set: Demonstrations },
-    Built(Box<dyn Memory>),
 }
 
 /// An observation whose recall has not been sent.
@@ -182,22 +180,23 @@ impl MemoryEpisode {
             }
             let settings = settings(config, representation).map_err(refused)?;
             let embeds = representation.matches_views();
+            let memory = EpisodeMemory::BuiltIn { representation, settings, set, own: None };
             if is_shared && !none {
-                let memory = EpisodeMemory::Sequence { representation, settings, set };
                 (memory, Arc::default(), false, embeds)
             } else {
                 let chosen = demonstrations::selected(warehouse, cases, case, demonstrations)
                     .ok_or_else(unknown)?;
-                let memory = BuiltInMemory::Announced { settings, set };
-                let memory = EpisodeMemory::BuiltIn { representation, memory };
                 (memory, Arc::new(ReplayedBank::new(chosen)), embeds, embeds)
             }
         };
+        let instruction = cases.cases[case as usize].task.instruction(&warehouse.catalogue);
         let stream = match &memory {
             // A memory of no demonstrations has nothing that could persist.
             _ if none => None,
-            _ if config.sequence != 0 => Some(stream_part(config, set, worlds).map_err(refused)?),
-            EpisodeMemory::Sequence { representation, settings, .. } => {
+            _ if config.sequence != 0 => {
+                Some(stream_part(config, set, worlds, &instruction).map_err(refused)?)
+            }
+            EpisodeMemory::BuiltIn { representation, settings, .. } if is_shared => {
                 Some(bank_part(config, set, worlds, (*representation, settings)))
             }
             _ => None,
@@ -217,7 +216,7 @@ impl MemoryEpisode {
             seed: config.seed,
             repeat: config.repeat,
             case,
-            instruction: cases.cases[case as usize].task.instruction(&warehouse.catalogue),
+            instruction,
             current: None,
             pending: None,
             last: None,
@@ -268,94 +267,63 @@ impl MemoryEpisode {
             progress.visit(pose.cell);
         }
         let recording = self.stream.as_mut().and_then(|part| part.recording.as_mut());
-        if let Some(recording) = recording {
-            recording.poses.push(pose);
-            recording.feedback.push(feedback);
-            recording.stages.push(progress.stage());
+        if let Some(Recording { lived, is_complete }) = recording {
+            lived.poses.push(pose);
+            lived.feedback.push(feedback);
+            lived.stages.push(progress.stage());
             if step > 0 {
-                recording.actions.push(action);
+                lived.actions.push(action);
             }
-            recording.is_complete = progress.is_complete();
+            *is_complete = progress.is_complete();
         }
         self.current = Some(CurrentStep { step, pose, feedback, action, frame, progress });
         Ok(())
     }
 
-    /// Asks a built-in memory, which is built first if it has not been. The views of a pinned bank are ready; `embedding` is
-    /// that of the current view.
+    /// Asks a built-in memory: `shared`, that of the episode's sequence, or its own, which is built first if it has not been.
+    /// The views of a pinned bank are ready; `embedding` is that of the current view. A memory that learns from the episode
+    /// observes the step first.
     ///
     /// # Errors
     /// When a document is missing, or the memory cannot be built or fails.
     pub(crate) fn ask_built_in(
         &mut self,
+        shared: Option<&mut SequenceMemory>,
         embedding: Option<&Embedding>,
         view: impl Fn(Viewpoint) -> Option<KnownView>,
         documents: &mut dyn DocumentSupplier,
         clock: impl Fn() -> u64,
     ) -> anyhow::Result<MemoryAnswer> {
-        let (EpisodeMemory::BuiltIn { representation, memory }, Some(now)) =
+        let learns = self.learns();
+        let (EpisodeMemory::BuiltIn { representation, settings, set, own }, Some(now)) =
             (&mut self.memory, &self.current)
         else {
             bail!("episode {} has no built-in memory, or has not begun", self.id);
         };
         let failed = format!("{representation} memory");
-        if let BuiltInMemory::Announced { settings, set } = memory {
-            let steps = match self.pins_bank {
-                true => self.bank.with_views(view).context("a view of the bank is missing")?,
-                false => BankSteps::without_views(&self.bank),
-            };
-            let built = build_built_in(*representation, settings, *set, &steps, documents)?;
-            *memory = BuiltInMemory::Built(built);
-        }
-        let BuiltInMemory::Built(memory) = memory else { bail!("{failed} has not been built") };
-        let embedded_ns = clock();
-        let step = now.step(self.lane, self.id, embedding);
-        let query = now.query(step, &self.instruction, self.budgets);
-        let items = memory.recall(&query).context(failed.clone())?;
-        let store_bytes = memory.store_bytes().unwrap_or(0);
-        self.answer(items, store_bytes, [embedded_ns, clock()], &failed)
-    }
-
-    /// Asks the memory of its sequence, which observes the step first if it learns from the episode.
-    ///
-    /// # Errors
-    /// When the memory fails.
-    pub(crate) fn ask_sequence(
-        &mut self,
-        known: &mut SequenceMemory,
-        embedding: Option<&Embedding>,
-        clock: impl Fn() -> u64,
-    ) -> anyhow::Result<MemoryAnswer> {
-        let (Some(now), EpisodeMemory::Sequence { representation, .. }) =
-            (&self.current, &self.memory)
-        else {
-            bail!("episode {} has no memory of a sequence, or has not begun", self.id);
-        };
-        let failed = format!("{representation} memory");
-        let KeptMemory::BuiltIn(memory) = &mut known.memory else {
-            bail!("{failed} is not that of the sequence");
+        let memory = match (shared, own) {
+            (Some(SequenceMemory { memory: KeptMemory::BuiltIn(memory), .. }), _) => memory,
+            (Some(_), _) => bail!("{failed} is not that of the sequence"),
+            (None, Some(memory)) => memory,
+            (None, own @ None) => {
+                let steps = match self.pins_bank {
+                    true => self.bank.with_views(view).context("a view of the bank is missing")?,
+                    false => BankSteps::without_views(&self.bank),
+                };
+                own.insert(build_built_in(*representation, settings, *set, &steps, documents)?)
+            }
         };
         let embedded_ns = clock();
         let step = now.step(self.lane, self.id, embedding);
         let query = now.query(step, &self.instruction, self.budgets);
-        if self.learns() {
+        if learns {
             memory.observe(&query.now).context(failed.clone())?;
         }
         let items = memory.recall(&query).context(failed.clone())?;
         let store_bytes = memory.store_bytes().unwrap_or(0);
-        self.answer(items, store_bytes, [embedded_ns, clock()], &failed)
-    }
-
-    fn answer(
-        &self,
-        items: Vec<Item>,
-        store_bytes: u64,
-        [embedded_ns, searched_ns]: [u64; 2],
-        failed: &str,
-    ) -> anyhow::Result<MemoryAnswer> {
-        let checked = self.checked(items).map_err(|what| anyhow!("{failed}: {what}"))?;
+        let searched_ns = clock();
         Ok(MemoryAnswer {
-            checked,
+            checked: self.checked(items).map_err(|what| anyhow!("{failed}: {what}"))?,
             embedded_ns,
             searched_ns,
             method_ns: 0,
@@ -363,6 +331,19 @@ impl MemoryEpisode {
             tokens: NOT_MEASURED,
             pinned: false,
         })
+    }
+
+    /// The index of its external memory, and the bank that it remembers.
+    pub(crate) fn external(&self) -> Option<(u8, u64)> {
+        match self.memory {
+            EpisodeMemory::External { index, bank, .. } => Some((index, bank)),
+            EpisodeMemory::BuiltIn { .. } => None,
+        }
+    }
+
+    /// The bank of an external memory that it uses itself, and not through a sequence.
+    pub(crate) fn own_bank(&self) -> Option<u64> {
+        self.external().filter(|_| self.stream.is_none()).map(|(_, bank)| bank)
     }
 
     /// Whether the memory learns from it.
@@ -477,7 +458,7 @@ impl CurrentStep {
 /// When a document is missing, or the memory cannot be built.
 pub(crate) fn build_built_in(
     representation: Representation,
-    settings: &mut MemorySettings,
+    settings: &MemorySettings,
     set: Demonstrations,
     steps: &BankSteps<'_>,
     documents: &mut dyn DocumentSupplier,
@@ -485,9 +466,9 @@ pub(crate) fn build_built_in(
     let failed = || format!("{representation} memory");
     let kinds = representation.describe().documents.iter();
     let texts: anyhow::Result<_> = kinds.map(|&kind| documents.consolidated(kind, set)).collect();
-    settings.documents = texts.with_context(failed)?;
-    settings.embeddings = steps.embeddings();
-    let mut built = built_in(representation, settings);
+    let (documents, embeddings) = (texts.with_context(failed)?, steps.embeddings());
+    let settings = MemorySettings { documents, embeddings, ..settings.clone() };
+    let mut built = built_in(representation, &settings);
     built.build(&steps.demonstrations()).with_context(failed)?;
     Ok(built)
 }
@@ -497,6 +478,7 @@ fn stream_part(
     config: &MemoryEpisodeConfig,
     set: Demonstrations,
     worlds: &WorldStates,
+    instruction: &str,
 ) -> Result<SequenceEpisode, String> {
     let arm = Arm::try_from(config.arm).map_err(|error| error.to_string())?;
     let feedback = FeedbackLevel::try_from(config.feedback).map_err(|error| error.to_string())?;
@@ -511,10 +493,18 @@ fn stream_part(
         sequence: config.sequence,
         snapshot: config.snapshot,
         origin: BankOrigin::new(arm, config.stream, config.block, set),
-        position: config.position,
         variant: config.variant,
         feedback,
-        recording: learns.then(Recording::default),
+        recording: learns.then(|| Recording {
+            lived: ReplayedDemonstration {
+                case: config.position,
+                number: EXPERIENCE,
+                variant: config.variant,
+                instruction: instruction.to_owned(),
+                ..ReplayedDemonstration::default()
+            },
+            is_complete: false,
+        }),
         begun: false,
     })
 }
@@ -535,7 +525,6 @@ fn bank_part(
         sequence: hasher.finish() | 1 << 63,
         snapshot: Default::default(),
         origin,
-        position: 0,
         variant: config.variant,
         feedback: FeedbackLevel::None,
         recording: None,

@@ -17,18 +17,17 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use bytemuck::Zeroable;
-use domain::{Action, Feedback, FeedbackLevel, Pose, Representation};
+use domain::{Action, Feedback, FeedbackLevel, Pose};
 use peer::memory::{Episode, EpisodeEnd, Memory};
 use serde::{Deserialize, Serialize};
 use shm_types::message::{EXPERIENCE, SnapshotId, SnapshotReport};
-use warehouse::{Demonstrations, Progress, step};
+use warehouse::{Progress, step};
 
 use crate::bank::{BankSteps, Collecting, ReplayedBank};
 use crate::demonstrations::ReplayedDemonstration;
 use crate::episode::{EpisodeMemory, MemoryEpisode, PendingStage, Reason, build_built_in};
 use crate::external::ExternalMemories;
 use crate::items::DocumentSupplier;
-use crate::representation::MemorySettings;
 use crate::snapshots::SnapshotFolder;
 use crate::worlds::{BankOrigin, WorldStates};
 
@@ -48,7 +47,6 @@ pub(crate) struct SequenceEpisode {
     /// The snapshot that it begins with; zero: the memory as it was built.
     pub(crate) snapshot: SnapshotId,
     pub(crate) origin: BankOrigin,
-    pub(crate) position: u32,
     pub(crate) variant: u32,
     pub(crate) feedback: FeedbackLevel,
     /// What has happened so far, if the memory learns from it.
@@ -57,13 +55,10 @@ pub(crate) struct SequenceEpisode {
     pub(crate) begun: bool,
 }
 
-/// An episode so far, step by step, as in a [`ReplayedDemonstration`].
-#[derive(Debug, Default)]
+/// An episode so far, as the demonstration that it becomes.
+#[derive(Debug)]
 pub(crate) struct Recording {
-    pub(crate) poses: Vec<Pose>,
-    pub(crate) feedback: Vec<Feedback>,
-    pub(crate) stages: Vec<u32>,
-    pub(crate) actions: Vec<Option<Action>>,
+    pub(crate) lived: ReplayedDemonstration,
     pub(crate) is_complete: bool,
 }
 
@@ -72,7 +67,7 @@ impl Recording {
     fn sub_goals(&self) -> Vec<u32> {
         let mut reached = 0;
         let mut steps = Vec::new();
-        for (at, &stage) in (0..).zip(&self.stages) {
+        for (at, &stage) in (0..).zip(&self.lived.stages) {
             steps.extend((reached..stage).map(|_| at));
             reached = stage;
         }
@@ -97,15 +92,16 @@ pub(crate) struct StoredExperience {
 const NO_LETTER: char = '-';
 
 impl StoredExperience {
-    fn new(episode: &MemoryEpisode, part: &SequenceEpisode, recording: &Recording) -> Self {
+    /// An episode of a case, as it was lived.
+    fn new(case: u32, lived: &ReplayedDemonstration) -> Self {
         let letter = |action: &Option<Action>| action.map_or(NO_LETTER, Action::letter);
-        let Pose { cell, heading } = recording.poses[0];
+        let Pose { cell, heading } = lived.poses[0];
         Self {
-            case: episode.case,
-            variant: part.variant,
-            position: part.position,
+            case,
+            variant: lived.variant,
+            position: lived.case,
             start: [cell.x, cell.y, heading as u8],
-            actions: recording.actions.iter().map(letter).collect(),
+            actions: lived.actions.iter().map(letter).collect(),
         }
     }
 
@@ -197,16 +193,6 @@ impl KeptMemory {
     }
 }
 
-/// Whether an episode has its memory.
-pub(crate) enum Bound {
-    /// It has.
-    Yes,
-    /// Views of the bank are not known yet.
-    Waiting,
-    /// It cannot have it.
-    Failed(Reason),
-}
-
 /// The memories of the sequences that run, and the banks of their streams.
 pub(crate) struct SequenceMemories {
     snapshots: Option<SnapshotFolder>,
@@ -258,7 +244,8 @@ impl SequenceMemories {
         collecting.filter(|collecting| !collecting.is_complete())
     }
 
-    /// Gives an episode the memory of its sequence, in the state that the episode's config names.
+    /// Gives an episode the memory of its sequence, in the state that the episode's config names. `Ok(Ok(false))` while that
+    /// is not ready; `Ok(Err(_))` if the episode cannot have it.
     ///
     /// # Errors
     /// When a document is missing or a built-in memory cannot be built.
@@ -268,9 +255,9 @@ impl SequenceMemories {
         worlds: &WorldStates,
         documents: &mut dyn DocumentSupplier,
         (externals, now_ns): (&mut ExternalMemories, u64),
-    ) -> anyhow::Result<Bound> {
+    ) -> anyhow::Result<Result<bool, Reason>> {
         let Some(part) = &mut episode.stream else {
-            return Ok(Bound::Failed("it is no part of a stream".into()));
+            return Ok(Err("it is no part of a stream".into()));
         };
         let sequence = part.sequence;
         let is_usable = |memory: &SequenceMemory| {
@@ -280,27 +267,18 @@ impl SequenceMemories {
         };
         if !self.memories.get(&sequence).is_some_and(is_usable) {
             self.drop_memory(sequence);
-            let created = match &episode.memory {
-                EpisodeMemory::Sequence { representation, settings, set } => {
-                    let of = (*representation, settings.clone(), *set);
-                    self.create(part, of, worlds, documents)?
-                }
-                EpisodeMemory::External { index, .. } => {
-                    self.create_external(part, *index, worlds, (externals, now_ns))
-                }
-                EpisodeMemory::BuiltIn { .. } => Err("it has no memory of a sequence".to_owned()),
-            };
-            match created {
+            let of = (&episode.memory, episode.embeds);
+            match self.create(part, of, worlds, documents, (&mut *externals, now_ns))? {
                 Ok(Some(memory)) => {
                     drop(self.memories.insert(sequence, memory));
                     // Its episode may be given up before it begins: it can be dropped from now on.
                     self.note_use(sequence);
                 }
-                Ok(None) => return Ok(Bound::Waiting),
-                Err(why) => return Ok(Bound::Failed(why.into())),
+                Ok(None) => return Ok(Ok(false)),
+                Err(why) => return Ok(Err(why.into())),
             }
         }
-        let Some(known) = self.memories.get_mut(&sequence) else { return Ok(Bound::Waiting) };
+        let Some(known) = self.memories.get_mut(&sequence) else { return Ok(Ok(false)) };
         let learns = part.recording.is_some();
         match (&mut known.memory, &mut episode.memory) {
             (KeptMemory::BuiltIn(memory), _) => memory.begin_episode(&Episode {
@@ -316,14 +294,14 @@ impl SequenceMemories {
             (KeptMemory::External { bank: id, to_load }, EpisodeMemory::External { bank, .. }) => {
                 match is_loaded(*id, to_load, externals, now_ns) {
                     Ok(true) => *bank = *id,
-                    Ok(false) => return Ok(Bound::Waiting),
+                    Ok(false) => return Ok(Ok(false)),
                     Err(why) => {
                         self.drop_memory(sequence);
-                        return Ok(Bound::Failed(why));
+                        return Ok(Err(why));
                     }
                 }
             }
-            _ => return Ok(Bound::Failed("its sequence has another memory".into())),
+            _ => return Ok(Err("its sequence has another memory".into())),
         }
         known.users.insert(episode.id);
         known.learning = learns.then_some(episode.id);
@@ -331,7 +309,7 @@ impl SequenceMemories {
         episode.bank = known.bank.clone();
         self.note_use(sequence);
         self.drop_unused();
-        Ok(Bound::Yes)
+        Ok(Ok(true))
     }
 
     /// Makes the memory of `sequence` the one that was used last.
@@ -356,15 +334,16 @@ impl SequenceMemories {
         }
     }
 
-    /// The memory of a sequence as its snapshot has it. `Ok(None)` while views of its bank are not known.
+    /// The memory of a sequence as its snapshot has it; an external one is built and loads on its own. `Ok(Ok(None))` while
+    /// views of its bank are not known.
     fn create(
         &mut self,
         part: &SequenceEpisode,
-        (representation, mut settings, set): (Representation, MemorySettings, Demonstrations),
+        (memory, embeds): (&EpisodeMemory, bool),
         worlds: &WorldStates,
         documents: &mut dyn DocumentSupplier,
+        (externals, now_ns): (&mut ExternalMemories, u64),
     ) -> anyhow::Result<Result<Option<SequenceMemory>, String>> {
-        let embeds = representation.matches_views();
         let known = match self.bank(part.origin, embeds, worlds) {
             Ok(known) => known,
             Err(why) => return Ok(Err(why)),
@@ -373,37 +352,29 @@ impl SequenceMemories {
             return Ok(Ok(None));
         }
         let steps = known.steps(embeds).context("a view of the bank is missing")?;
-        let memory = build_built_in(representation, &mut settings, set, &steps, documents)?;
-        let mut made =
-            SequenceMemory::new(part.origin, known.bank.clone(), KeptMemory::BuiltIn(memory));
-        Ok(made.load(self.snapshots.as_ref(), part, worlds).map(|()| Some(made)))
-    }
-
-    /// The same for an external memory, which is built and loads on its own.
-    fn create_external(
-        &mut self,
-        part: &SequenceEpisode,
-        index: u8,
-        worlds: &WorldStates,
-        (externals, now_ns): (&mut ExternalMemories, u64),
-    ) -> Result<Option<SequenceMemory>, String> {
-        let embeds = externals.embeds(index);
-        let known = self.bank(part.origin, embeds, worlds)?;
-        if !known.collecting.is_complete() {
-            return Ok(None);
+        let memory = match memory {
+            EpisodeMemory::BuiltIn { representation, settings, set, .. } => KeptMemory::BuiltIn(
+                build_built_in(*representation, settings, *set, &steps, documents)?,
+            ),
+            EpisodeMemory::External { index, .. } => {
+                let bank = externals.publish_for_sequence(*index, &known.bank, steps, now_ns);
+                KeptMemory::External { bank, to_load: None }
+            }
+        };
+        let mut made = SequenceMemory {
+            origin: part.origin,
+            bank: known.bank.clone(),
+            experiences: Vec::new(),
+            snapshot: SnapshotId::default(),
+            learning: None,
+            users: BTreeSet::new(),
+            memory,
+        };
+        let loaded = made.load(self.snapshots.as_ref(), part, worlds);
+        if let (Err(_), KeptMemory::External { bank, .. }) = (&loaded, &made.memory) {
+            self.dropped.push(*bank);
         }
-        let steps = known.steps(embeds).ok_or("a view of the bank is missing")?;
-        let id = externals.publish_for_sequence(index, &known.bank, steps, now_ns);
-        let mut made = SequenceMemory::new(
-            part.origin,
-            known.bank.clone(),
-            KeptMemory::External { bank: id, to_load: None },
-        );
-        if let Err(why) = made.load(self.snapshots.as_ref(), part, worlds) {
-            self.dropped.push(id);
-            return Err(why);
-        }
-        Ok(Some(made))
+        Ok(loaded.map(|()| Some(made)))
     }
 
     /// The bank of a stream.
@@ -503,19 +474,6 @@ fn is_loaded(
 }
 
 impl SequenceMemory {
-    /// A memory that has been built, or is being built, and has not learned.
-    const fn new(origin: BankOrigin, bank: Arc<ReplayedBank>, memory: KeptMemory) -> Self {
-        Self {
-            origin,
-            bank,
-            experiences: Vec::new(),
-            snapshot: [0; 16],
-            learning: None,
-            users: BTreeSet::new(),
-            memory,
-        }
-    }
-
     fn learn(
         &mut self,
         episode: &MemoryEpisode,
@@ -549,7 +507,9 @@ impl SequenceMemory {
                     success,
                     sub_goals,
                 };
-                self.record(episode, part, recording);
+                self.experiences.push(StoredExperience::new(episode.case, &recording.lived));
+                let lived = Arc::new(recording.lived.clone());
+                Arc::make_mut(&mut self.bank).demonstrations.push(lived);
                 let own = self.begin_snapshot(folder, part.sequence)?;
                 match &mut self.memory {
                     KeptMemory::BuiltIn(memory) => {
@@ -575,23 +535,6 @@ impl SequenceMemory {
             lane: episode.lane,
             ..Zeroable::zeroed()
         }))
-    }
-
-    /// Appends an episode to the bank.
-    fn record(&mut self, episode: &MemoryEpisode, part: &SequenceEpisode, recording: &Recording) {
-        let Recording { poses, feedback, stages, actions, .. } = recording;
-        let learned = ReplayedDemonstration {
-            case: part.position,
-            number: EXPERIENCE,
-            variant: part.variant,
-            instruction: episode.instruction.clone(),
-            poses: poses.clone(),
-            feedback: feedback.clone(),
-            stages: stages.clone(),
-            actions: actions.clone(),
-        };
-        Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(learned));
-        self.experiences.push(StoredExperience::new(episode, part, recording));
     }
 
     /// Writes the host's part of a snapshot. Returns the folder for the memory's own.
