@@ -264,7 +264,7 @@ impl<I: Clone> Engine<I> {
     pub fn external_built(&mut self, index: u8, message: &ExternalBuilt) -> Result<(), String> {
         self.externals.hear(index);
         let outcome = self.externals.built(index, message)?;
-        self.finish_bank(message.bank, outcome.map_err(Into::into));
+        self.finish_bank(message.bank, outcome);
         Ok(())
     }
 
@@ -578,8 +578,7 @@ impl<I: Clone> Engine<I> {
             let Self { externals, views, .. } = self;
             let limit = externals.limits.build;
             let Some(bank) = externals.banks.get_mut(&id) else { continue };
-            let (wanted, embeds, viewpoints) =
-                (bank.is_wanted(), bank.embeds, &bank.bank.viewpoints);
+            let (wanted, embeds, viewpoints) = (bank.users > 0, bank.embeds, &bank.bank.viewpoints);
             match &mut bank.state {
                 BankState::Building { since_ns, .. } => {
                     if clock().saturating_sub(*since_ns) > limit.as_nanos() as u64 {

@@ -13,8 +13,9 @@ use peer::memory::{EpisodeEnd, Item};
 use search::Embedding;
 use shm_types::description::Scope;
 use shm_types::message::{
-    ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore, ExternalStored,
-    MAX_FOLDER, MAX_SUB_GOALS, MemoryEpisodeConfig, NOT_MEASURED, write_text,
+    DocumentId, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore,
+    ExternalStored, MAX_FOLDER, MAX_SUB_GOALS, MemoryEpisodeConfig, NO_DOCUMENT, NOT_MEASURED,
+    write_text,
 };
 use shm_types::{BankContent, MemoryDescription, Note};
 use warehouse::{CaseSet, Demonstrations, Warehouse};
@@ -99,6 +100,12 @@ fn count(heard: &BTreeMap<u8, u64>, index: u8) -> u64 {
     heard.get(&index).copied().unwrap_or(0)
 }
 
+/// The state of a bank that is published to the memory `index` now.
+fn published(heard: &BTreeMap<u8, u64>, index: u8, now_ns: u64) -> BankState {
+    let heard = count(heard, index);
+    BankState::Building { published_ns: now_ns, since_ns: now_ns, heard }
+}
+
 /// A bank of an external memory.
 #[derive(Debug)]
 pub(crate) struct HostBank {
@@ -109,7 +116,8 @@ pub(crate) struct HostBank {
     pub(crate) pins_bank: bool,
     pub(crate) embeds: bool,
     with_frames: bool,
-    users: u32,
+    /// The episodes that wait for it or use it.
+    pub(crate) users: u32,
     pub(crate) state: BankState,
 }
 
@@ -126,21 +134,6 @@ pub(crate) enum BankState {
     Ready { store_bytes: u64 },
     /// Not built, and why.
     Failed(Reason),
-}
-
-impl HostBank {
-    /// What to do with the bank before anything is known about its views.
-    fn first_state(scope: Scope, embeds: bool, bank: &ReplayedBank) -> BankState {
-        match scope {
-            Scope::All if embeds => BankState::Collecting(Collecting::new(bank)),
-            Scope::Case | Scope::All => BankState::Waiting { ready: 0 },
-        }
-    }
-
-    /// Whether an episode waits for it.
-    pub(crate) fn is_wanted(&self) -> bool {
-        self.users > 0
-    }
 }
 
 impl ExternalMemories {
@@ -186,10 +179,8 @@ impl ExternalMemories {
         cases: &CaseSet,
     ) -> Result<ExternalBank, String> {
         let &MemoryEpisodeConfig { external: index, case, .. } = config;
-        let description = self.descriptions.get(&index).ok_or_else(|| {
-            format!("external memory {index}, which does not take part in the run")
-        })?;
-        let MemoryDescription { scope, embeddings: embeds, frames, .. } = *description;
+        let &MemoryDescription { scope, embeddings: embeds, frames, .. } =
+            self.description(index)?;
         let of = Some(((scope == Scope::Case).then_some(case), set));
         let known = self.banks.iter().find(|(_, bank)| bank.index == index && bank.of == of);
         let id = match known {
@@ -204,14 +195,14 @@ impl ExternalMemories {
                 let bank = Arc::new(ReplayedBank::new(chosen));
                 let pins_bank = scope == Scope::Case && (embeds || frames);
                 let with_frames = pins_bank && frames;
-                let state = HostBank::first_state(scope, embeds, &bank);
-                self.last_bank += 1;
-                let id = self.last_bank;
+                let state = match scope {
+                    Scope::All if embeds => BankState::Collecting(Collecting::new(&bank)),
+                    Scope::Case | Scope::All => BankState::Waiting { ready: 0 },
+                };
                 let users = 0;
                 let bank =
                     HostBank { index, of, bank, pins_bank, embeds, with_frames, users, state };
-                self.banks.insert(id, bank);
-                self.unbuilt.insert(id);
+                let id = self.add(bank);
                 self.unused.push_back(id);
                 id
             }
@@ -220,13 +211,22 @@ impl ExternalMemories {
         Ok(ExternalBank { id, bank: bank.clone(), pins_bank: *pins_bank, embeds: *embeds })
     }
 
+    /// Adds a bank that is not built. Returns its id.
+    fn add(&mut self, bank: HostBank) -> u64 {
+        self.last_bank += 1;
+        self.banks.insert(self.last_bank, bank);
+        self.unbuilt.insert(self.last_bank);
+        self.last_bank
+    }
+
+    fn description(&self, index: u8) -> Result<&MemoryDescription, String> {
+        let known = self.descriptions.get(&index);
+        known.ok_or_else(|| format!("external memory {index}, which does not take part in the run"))
+    }
+
     /// What is known about the bank of a sequence before its first step.
     pub(crate) fn of_stream(&self, config: &MemoryEpisodeConfig) -> Result<ExternalBank, String> {
-        let index = config.external;
-        let known = self.descriptions.get(&index).ok_or_else(|| {
-            format!("external memory {index}, which does not take part in the run")
-        })?;
-        let embeds = known.embeddings;
+        let embeds = self.description(config.external)?.embeddings;
         Ok(ExternalBank { id: 0, bank: Arc::default(), pins_bank: false, embeds })
     }
 
@@ -273,8 +273,7 @@ impl ExternalMemories {
         };
         let Some(steps) = steps else { return };
         let content = steps.content(bank.with_frames);
-        let heard = count(&self.heard, bank.index);
-        bank.state = BankState::Building { published_ns: now_ns, since_ns: now_ns, heard };
+        bank.state = published(&self.heard, bank.index, now_ns);
         self.outbox.push((bank.index, ToExternal::Bank(id, content)));
     }
 
@@ -315,9 +314,7 @@ impl ExternalMemories {
         steps: BankSteps<'_>,
         now_ns: u64,
     ) -> u64 {
-        self.last_bank += 1;
-        let id = self.last_bank;
-        let kept = HostBank {
+        let id = self.add(HostBank {
             index,
             of: None,
             bank: bank.clone(),
@@ -325,14 +322,8 @@ impl ExternalMemories {
             embeds: self.embeds(index),
             with_frames: false,
             users: 1,
-            state: BankState::Building {
-                published_ns: now_ns,
-                since_ns: now_ns,
-                heard: count(&self.heard, index),
-            },
-        };
-        self.banks.insert(id, kept);
-        self.unbuilt.insert(id);
+            state: published(&self.heard, index, now_ns),
+        });
         self.outbox.push((index, ToExternal::Bank(id, steps.content(false))));
         id
     }
@@ -425,20 +416,13 @@ impl ExternalMemories {
     pub(crate) fn has_stored(&mut self, index: u8, message: &ExternalStored) -> Result<(), String> {
         let &ExternalStored { bank: id, store_bytes, failure } = message;
         let is_its_own = self.banks.get(&id).is_some_and(|bank| bank.index == index);
-        let name = self.name(index).to_owned();
         if !is_its_own || self.storing.remove(&id).is_none() {
+            let name = self.name(index);
             return Err(format!(
                 "external memory {name} has stored bank {id}, which it was not asked for"
             ));
         }
-        let outcome = if failure == 0 {
-            Ok(store_bytes)
-        } else {
-            let note = self.notes.remove(&(index, NO_LANE));
-            let note = note.filter(|note| note.header.id == failure);
-            let why = note.map_or_else(|| readable(&[]), |note| readable(&note.bytes));
-            Err(format!("external memory {name} cannot learn, save or load: {why}").into())
-        };
+        let outcome = self.outcome(index, store_bytes, failure, "learn, save or load");
         self.stored.insert(id, outcome);
         Ok(())
     }
@@ -483,10 +467,10 @@ impl ExternalMemories {
         let EpisodeMemory::External { index, bank: id, begun } = episode.memory else {
             return LaneProgress::Gone;
         };
-        match self.banks.get(&id).map(|bank| &bank.state) {
-            Some(BankState::Ready { .. }) => {}
-            Some(BankState::Failed(why)) => return LaneProgress::Failed(why.clone()),
-            _ => return LaneProgress::Waiting,
+        match self.is_built(id) {
+            Ok(true) => {}
+            Ok(false) => return LaneProgress::Waiting,
+            Err(why) => return LaneProgress::Failed(why),
         }
         if !begun {
             self.outbox.push((index, ToExternal::Episode(episode_message(episode, id))));
@@ -558,24 +542,35 @@ impl ExternalMemories {
         &mut self,
         index: u8,
         message: &ExternalBuilt,
-    ) -> Result<Result<u64, String>, String> {
+    ) -> Result<Result<u64, Reason>, String> {
         let &ExternalBuilt { bank: id, store_bytes, failure, .. } = message;
         let is_building = self.banks.get(&id).is_some_and(|bank| {
             bank.index == index && matches!(bank.state, BankState::Building { .. })
         });
-        let name = self.name(index);
         if !is_building {
+            let name = self.name(index);
             return Err(format!(
                 "external memory {name} has built bank {id}, which it was not asked for"
             ));
         }
-        if failure == 0 {
-            return Ok(Ok(store_bytes));
+        Ok(self.outcome(index, store_bytes, failure, "be built"))
+    }
+
+    /// Bytes of a memory's store; or why it `cannot` do what it was asked for, if the note `failure` tells that.
+    fn outcome(
+        &mut self,
+        index: u8,
+        store_bytes: u64,
+        failure: DocumentId,
+        cannot: &str,
+    ) -> Result<u64, Reason> {
+        if failure == NO_DOCUMENT {
+            return Ok(store_bytes);
         }
         let note = self.notes.remove(&(index, NO_LANE));
         let note = note.filter(|note| note.header.id == failure);
         let why = note.map_or_else(|| readable(&[]), |note| readable(&note.bytes));
-        Ok(Err(format!("external memory {} cannot be built: {why}", self.name(index))))
+        Err(format!("external memory {} cannot {cannot}: {why}", self.name(index)).into())
     }
 
     /// The items of an answer.
