@@ -5,7 +5,7 @@ use std::sync::Arc;
 use shm_types::documents::Document;
 use shm_types::message::{Observation, PolicyEpisodeConfig, Recall};
 
-use super::join::{BadMessage, Join, Recalled};
+use super::join::{Join, Recalled};
 use super::pinned::PinnedStep;
 
 /// A message to the policy.
@@ -28,7 +28,7 @@ pub fn requests(
     let mut join = Join::new(lanes);
     let (mut complete, mut refused) = (Vec::new(), 0);
     for message in messages {
-        let taken: Result<(), BadMessage> = match message {
+        let taken = match message {
             Incoming::Config(config) => join.begin(&config),
             Incoming::Observation(observation) => join.observe(&observation),
             Incoming::Recall(recall) => Recalled::read(&recall).and_then(|read| join.recall(read)),

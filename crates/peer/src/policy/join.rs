@@ -5,6 +5,7 @@
 //! nothing.
 
 use std::collections::VecDeque;
+use std::fmt::Display;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -17,30 +18,6 @@ use shm_types::message::{
 };
 
 const RECALL: &str = "recall";
-
-/// Why a message cannot be used.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub(super) enum BadMessage {
-    #[error("{message} for lane {lane}: the run has {lanes} lanes")]
-    Lane { message: &'static str, lane: u32, lanes: usize },
-    #[error("{message} for lane {lane}, step {step}: {problem}")]
-    Value { message: &'static str, lane: u32, step: u32, problem: UnknownCode },
-    #[error("{message} for lane {lane}, step {step}: {count} {what}, but at most {most} fit")]
-    Count {
-        message: &'static str,
-        lane: u32,
-        step: u32,
-        what: &'static str,
-        count: u32,
-        most: usize,
-    },
-    #[error("recall for lane {lane}, step {step}: item {item} {problem}")]
-    Item { lane: u32, step: u32, item: usize, problem: String },
-    #[error("observation for lane {lane}, step {step}: it names no frame")]
-    NoFrame { lane: u32, step: u32 },
-    #[error("observation for lane {lane}, step {step}: step {expected} is next")]
-    Order { lane: u32, step: u32, expected: u32 },
-}
 
 /// The episode of a lane.
 #[derive(Debug, PartialEq, Eq)]
@@ -124,24 +101,20 @@ pub(super) struct StepsKind {
 
 impl Recalled {
     /// Reads a message where it lies.
-    pub(super) fn read(message: &Recall) -> Result<Self, BadMessage> {
+    pub(super) fn read(message: &Recall) -> Result<Self, String> {
         let &Recall { lane, step, episode, .. } = message;
         let count = |what, count: u32, most: usize| {
             let fits = usize::try_from(count).ok().filter(|&count| count <= most);
-            fits.ok_or(BadMessage::Count { message: RECALL, lane, step, what, count, most })
+            fits.ok_or_else(|| bad_count(RECALL, lane, step, (count, what, most)))
         };
         let items = &message.items[..count("items", message.items_len, MAX_ITEMS)?];
         let steps = &message.steps[..count("steps", message.steps_len, MAX_STEPS)?];
         let supplied = |supplied: &SegmentStep| Ok((supplied.frame, action(supplied.action)?));
-        let steps = steps.iter().map(supplied).collect::<Result<Vec<_>, _>>();
-        let steps = steps.map_err(bad_value(RECALL, lane, step))?;
+        let steps = steps.iter().map(supplied).collect::<Result<Vec<_>, UnknownCode>>();
+        let steps = steps.map_err(|problem| bad(RECALL, lane, step, problem))?;
         let items = items.iter().enumerate().map(|(item, content)| {
-            ItemContent::read(content, &steps).map_err(|problem| BadMessage::Item {
-                lane,
-                step,
-                item,
-                problem,
-            })
+            ItemContent::read(content, &steps)
+                .map_err(|problem| bad_item(lane, step, item, &problem))
         });
         let items = items.collect::<Result<_, _>>()?;
         Ok(Self { lane, episode, step, items, steps })
@@ -234,23 +207,16 @@ impl Join {
     }
 
     /// Begins an episode in a lane, and drops what the lane had.
-    pub(super) fn begin(&mut self, config: &PolicyEpisodeConfig) -> Result<(), BadMessage> {
+    pub(super) fn begin(&mut self, config: &PolicyEpisodeConfig) -> Result<(), String> {
         const MESSAGE: &str = "episode config";
         let number = config.lane;
         let lane = self.lane_mut(MESSAGE, number)?;
         let instruction = read_text(&config.instruction, config.instruction_len)
-            .map_err(bad_value(MESSAGE, number, 0))?;
+            .map_err(|problem| bad(MESSAGE, number, 0, problem))?;
         let window = usize::from(config.window);
         if window > MAX_WINDOW {
-            let (count, what, most) = (config.window.into(), "past steps", MAX_WINDOW);
-            return Err(BadMessage::Count {
-                message: MESSAGE,
-                lane: number,
-                step: 0,
-                what,
-                count,
-                most,
-            });
+            let count = (config.window.into(), "past steps", MAX_WINDOW);
+            return Err(bad_count(MESSAGE, number, 0, count));
         }
         let episode = LaneEpisode {
             id: config.episode,
@@ -266,7 +232,7 @@ impl Join {
     }
 
     /// Takes the observation of a step. One of another episode is late and is dropped.
-    pub(super) fn observe(&mut self, message: &Observation) -> Result<(), BadMessage> {
+    pub(super) fn observe(&mut self, message: &Observation) -> Result<(), String> {
         const MESSAGE: &str = "observation";
         let &Observation { lane: number, step, frame, .. } = message;
         let lane = self.lane_mut(MESSAGE, number)?;
@@ -278,16 +244,17 @@ impl Join {
             *lane = Lane::default();
             return Ok(());
         }
-        let bad = bad_value(MESSAGE, number, step);
         if frame == NO_FRAME {
-            return Err(BadMessage::NoFrame { lane: number, step });
+            return Err(bad(MESSAGE, number, step, "it names no frame"));
         }
-        let pose = message.pose.try_into().map_err(&bad)?;
-        let feedback = message.feedback.try_into().map_err(&bad)?;
-        let action = action(message.action).map_err(&bad)?;
+        let bad_value = |problem| bad(MESSAGE, number, step, problem);
+        let pose = message.pose.try_into().map_err(bad_value)?;
+        let feedback = message.feedback.try_into().map_err(bad_value)?;
+        let action = action(message.action).map_err(bad_value)?;
         let expected = lane.current.map_or(0, |current| current.step + 1);
         if step != expected {
-            return Err(BadMessage::Order { lane: number, step, expected });
+            let problem = format_args!("step {expected} is next");
+            return Err(bad(MESSAGE, number, step, problem));
         }
         if let Some(past) = lane.current {
             lane.window.push_back(JoinedStep { frame: past.frame, action, feedback });
@@ -301,7 +268,7 @@ impl Join {
     }
 
     /// Takes the recall of a step. One of another episode is late and is dropped.
-    pub(super) fn recall(&mut self, recalled: Recalled) -> Result<(), BadMessage> {
+    pub(super) fn recall(&mut self, recalled: Recalled) -> Result<(), String> {
         let lane = self.lane_mut(RECALL, recalled.lane)?;
         if lane.is_running(recalled.episode) {
             lane.recalled = Some(recalled);
@@ -344,9 +311,10 @@ impl Join {
         self.lanes.get(id.lane as usize).is_some_and(|lane| lane.is_running(id.episode))
     }
 
-    fn lane_mut(&mut self, message: &'static str, lane: u32) -> Result<&mut Lane, BadMessage> {
+    fn lane_mut(&mut self, message: &str, lane: u32) -> Result<&mut Lane, String> {
         let lanes = self.lanes.len();
-        self.lanes.get_mut(lane as usize).ok_or(BadMessage::Lane { message, lane, lanes })
+        let lane_of = self.lanes.get_mut(lane as usize);
+        lane_of.ok_or_else(|| format!("{message} for lane {lane}: the run has {lanes} lanes"))
     }
 }
 
@@ -354,8 +322,23 @@ fn action(code: u8) -> Result<Option<Action>, UnknownCode> {
     if code == NO_ACTION { Ok(None) } else { Action::try_from(code).map(Some) }
 }
 
-fn bad_value(message: &'static str, lane: u32, step: u32) -> impl Fn(UnknownCode) -> BadMessage {
-    move |problem| BadMessage::Value { message, lane, step, problem }
+/// Why a message cannot be used.
+fn bad(message: &str, lane: u32, step: u32, problem: impl Display) -> String {
+    format!("{message} for lane {lane}, step {step}: {problem}")
+}
+
+fn bad_count(
+    message: &str,
+    lane: u32,
+    step: u32,
+    (count, what, most): (u32, &str, usize),
+) -> String {
+    bad(message, lane, step, format_args!("{count} {what}, but at most {most} fit"))
+}
+
+/// Why an item of a recall cannot be used; `problem` continues "item 2 ...".
+pub(super) fn bad_item(lane: u32, step: u32, item: usize, problem: &str) -> String {
+    bad(RECALL, lane, step, format_args!("item {item} {problem}"))
 }
 
 #[cfg(test)]
@@ -380,7 +363,7 @@ mod tests {
         Recall { lane, episode, step, ..Zeroable::zeroed() }
     }
 
-    fn recalled(join: &mut Join, message: &Recall) -> Result<(), BadMessage> {
+    fn recalled(join: &mut Join, message: &Recall) -> Result<(), String> {
         join.recall(Recalled::read(message)?)
     }
 

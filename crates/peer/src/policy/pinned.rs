@@ -8,7 +8,7 @@ use shm_types::Frame;
 use shm_types::documents::{Content, Document};
 use shm_types::message::{DocumentId, FrameId, NO_FRAME, RequestId};
 
-use super::join::{BadMessage, ItemContent, Ready, StepsKind, SuppliedStep, TextPart};
+use super::join::{ItemContent, Ready, StepsKind, SuppliedStep, TextPart, bad_item};
 use super::request::{
     CaptionedView, FrameView, Item, PastView, Request, StepView, StepsView, TextView,
 };
@@ -76,16 +76,13 @@ struct PinnedText {
 
 impl PinnedStep {
     /// `step` with those of `documents` that it names.
-    pub(super) fn new(step: Ready, documents: &[Arc<Document>]) -> Result<Self, BadMessage> {
+    pub(super) fn new(step: Ready, documents: &[Arc<Document>]) -> Result<Self, String> {
         let (items, steps) = (Vec::with_capacity(step.recalled.items.len()), Vec::new());
+        let (lane, number) = (step.lane, step.observed.step);
         let mut pinned = Self { step, items, steps, frames: Vec::new() };
         for item in 0..pinned.step.recalled.items.len() {
-            pinned.add(item, documents).map_err(|problem| BadMessage::Item {
-                lane: pinned.step.lane,
-                step: pinned.step.observed.step,
-                item,
-                problem,
-            })?;
+            let added = pinned.add(item, documents);
+            added.map_err(|problem| bad_item(lane, number, item, &problem))?;
         }
         Ok(pinned)
     }
