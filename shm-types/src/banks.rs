@@ -150,10 +150,7 @@ impl BankPublisher {
     /// # Errors
     /// When this process is not the memory, or the service cannot be opened.
     pub fn new(bus: &Bus, index: u8) -> Result<Self, BusError> {
-        let role = bus.role();
-        if role != Role::Memory {
-            return Err(BusError::WrongRole { service: BANK_SERVICE, role, verb: "send" });
-        }
+        bus.allowed(&[Role::Memory], BANK_SERVICE, "send")?;
         let publisher = service(bus, index)?
             .publisher_builder()
             .initial_max_slice_len(INITIAL_BYTES / 8)
@@ -327,10 +324,7 @@ impl BankReceiver {
     /// # Errors
     /// When this process is not an external memory, or the service cannot be opened.
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
-        let role = bus.role();
-        if role != Role::ExternalMemory {
-            return Err(BusError::WrongRole { service: BANK_SERVICE, role, verb: "receive" });
-        }
+        bus.allowed(&[Role::ExternalMemory], BANK_SERVICE, "receive")?;
         let subscriber = service(bus, bus.index())?
             .subscriber_builder()
             .create()

@@ -195,7 +195,8 @@ impl Bus {
         Ok(Receiver { port, most, all: self.receivers.clone() })
     }
 
-    fn allowed(
+    /// Checks that this process has one of `roles`, which may `verb` on the service.
+    pub(crate) fn allowed(
         &self,
         roles: &[Role],
         service: &'static str,

@@ -190,10 +190,8 @@ impl DocumentPublisher {
     /// # Errors
     /// When this process is not the memory, or the service cannot be opened.
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
-        let (role, attach) = (bus.role(), bus.attach());
-        if role != Role::Memory {
-            return Err(BusError::WrongRole { service: DOCUMENT_SERVICE, role, verb: "send" });
-        }
+        bus.allowed(&[Role::Memory], DOCUMENT_SERVICE, "send")?;
+        let attach = bus.attach();
         let publisher = service(bus)?
             .publisher_builder()
             .initial_max_slice_len(INITIAL_BYTES)
@@ -246,10 +244,7 @@ impl DocumentStore {
     /// # Errors
     /// When this process is not the policy, or the service cannot be opened.
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
-        let role = bus.role();
-        if role != Role::Policy {
-            return Err(BusError::WrongRole { service: DOCUMENT_SERVICE, role, verb: "receive" });
-        }
+        bus.allowed(&[Role::Policy], DOCUMENT_SERVICE, "receive")?;
         let subscriber = service(bus)?
             .subscriber_builder()
             .create()

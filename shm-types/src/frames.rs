@@ -162,10 +162,8 @@ impl FramePublisher {
     /// # Errors
     /// When this process is not the simulator, or the service cannot be opened.
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
-        let (role, attach) = (bus.role(), bus.attach());
-        if role != Role::Sim {
-            return Err(BusError::WrongRole { service: FRAME_SERVICE, role, verb: "send" });
-        }
+        bus.allowed(&[Role::Sim], FRAME_SERVICE, "send")?;
+        let attach = bus.attach();
         let chunks = attach.frame_chunks();
         let service = service(bus)?;
         let publisher = service
@@ -319,10 +317,7 @@ impl FrameStore {
     /// # Errors
     /// When this role does not receive frames, or a service cannot be opened.
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
-        let role = bus.role();
-        if !FRAME_CONSUMERS.contains(&role) {
-            return Err(BusError::WrongRole { service: FRAME_SERVICE, role, verb: "receive" });
-        }
+        bus.allowed(&FRAME_CONSUMERS, FRAME_SERVICE, "receive")?;
         let evictions = bus.receiver()?;
         let subscriber = service(bus)?
             .subscriber_builder()

@@ -63,10 +63,7 @@ impl NotePublisher {
     /// # Errors
     /// When this process is not an external memory, or the service cannot be opened.
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
-        let role = bus.role();
-        if role != Role::ExternalMemory {
-            return Err(BusError::WrongRole { service: NOTE_SERVICE, role, verb: "send" });
-        }
+        bus.allowed(&[Role::ExternalMemory], NOTE_SERVICE, "send")?;
         let publisher = service(bus, bus.index())?
             .publisher_builder()
             .initial_max_slice_len(INITIAL_BYTES)
@@ -125,10 +122,7 @@ impl NoteReceiver {
     /// # Errors
     /// When this process is not the memory, or the service cannot be opened.
     pub fn new(bus: &Bus, index: u8) -> Result<Self, BusError> {
-        let role = bus.role();
-        if role != Role::Memory {
-            return Err(BusError::WrongRole { service: NOTE_SERVICE, role, verb: "receive" });
-        }
+        bus.allowed(&[Role::Memory], NOTE_SERVICE, "receive")?;
         let subscriber = service(bus, index)?
             .subscriber_builder()
             .create()
