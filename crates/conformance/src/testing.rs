@@ -24,7 +24,7 @@ use shm_types::{
 };
 use tempfile::TempDir;
 
-use crate::neighbours::{Neighbours, PolicyNeighbours};
+use crate::neighbours::{self, Neighbours, PolicyNeighbours};
 
 /// A wait that takes this long hangs.
 pub const LONG: Duration = Duration::from_secs(120);
@@ -279,6 +279,26 @@ impl PolicyRig {
             (all.len() >= count).then_some(())
         });
         all
+    }
+}
+
+impl SubjectNeighbours for neighbours::MemoryNeighbours {
+    const SUBJECT: Role = Role::ExternalMemory;
+
+    fn join(attach: &Attach) -> Result<Self, BusError> {
+        Self::join(attach)
+    }
+}
+
+/// An external memory among its neighbours.
+pub type ExternalMemoryRig = Rig<neighbours::MemoryNeighbours>;
+
+impl ExternalMemoryRig {
+    /// Publishes a grey frame of one brightness.
+    pub fn publish(&mut self, grey: u8) -> FrameId {
+        let mut slot = self.neighbours.frames.loan().unwrap();
+        slot.pixels_mut().fill(grey);
+        self.neighbours.frames.publish(slot, [grey; 16]).unwrap()
     }
 }
 

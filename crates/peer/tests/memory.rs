@@ -3,14 +3,12 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::mpsc;
-use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
+use conformance::testing::{ExternalMemoryRig, LONG};
 use domain::{Action, Feedback, Heading, Pose};
-use peer::ServeError;
 use peer::memory::{
     Demonstration, Episode, EpisodeEnd, Item, Memory, MemoryDescription, MemoryError, Method,
     Query, Scope, Source, Step, Views, serve,
@@ -18,131 +16,54 @@ use peer::memory::{
 use shm_types::banks::{BankDemonstration, BankStep};
 use shm_types::description::memory_folder;
 use shm_types::message::{
-    ErrorReport, Eviction, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery,
-    ExternalStore, ExternalStored, FrameId, Handshake, ItemKind, Learning, NO_ACTION, NO_FRAME,
-    NOT_MEASURED, Role, ShutdownReport, Stop, read_text, write_text,
+    ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore, ExternalStored,
+    FrameId, Handshake, ItemKind, Learning, NO_ACTION, NO_FRAME, NOT_MEASURED, Role, write_text,
 };
-use shm_types::{
-    Attach, BankContent, BankPublisher, Bus, FramePublisher, FrameSize, Note, NoteReceiver,
-    Receiver, RunDir, Sender,
-};
-use tempfile::TempDir;
-
-const TIMEOUT: Duration = Duration::from_secs(60);
+use shm_types::{Attach, BankContent, Note};
 
 /// The index of the external memory.
 const INDEX: u8 = 3;
 
-/// A memory that serves in a thread, and its neighbours. Fields are dropped in order: the run before its folder.
+/// A memory that serves in a thread, among its neighbours.
 struct Rig {
-    banks: BankPublisher,
-    episodes: Sender<ExternalEpisode>,
-    queries: Sender<ExternalQuery>,
-    built: Receiver<ExternalBuilt>,
-    stores: Sender<ExternalStore>,
-    stored: Receiver<ExternalStored>,
-    answers: Receiver<ExternalAnswer>,
-    notes: NoteReceiver,
-    frames: FramePublisher,
-    evictions: Sender<Eviction>,
-    stop: Sender<Stop>,
-    error_reports: Receiver<ErrorReport>,
-    shutdown_reports: Receiver<ShutdownReport>,
+    rig: ExternalMemoryRig,
     handshake: Handshake,
     told: mpsc::Receiver<String>,
-    folder: PathBuf,
-    serving: JoinHandle<Result<(), ServeError>>,
-    memory: Bus,
-    _others: [Bus; 2],
-    _run: RunDir,
-    _base: TempDir,
 }
 
 impl Rig {
     fn new() -> Self {
-        let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
-        let run = RunDir::create(base.path()).unwrap();
-        let folder = memory_folder(run.path(), INDEX);
-        std::fs::create_dir(&folder).unwrap();
         let (say, told) = mpsc::channel();
-        let serving = thread::spawn({
-            let folder = folder.clone();
-            let description = MemoryDescription {
-                name: "recorder".to_owned(),
-                version: "7".to_owned(),
-                scope: Scope::Case,
-                embeddings: true,
-                frames: true,
-                ..MemoryDescription::default()
-            };
-            move || {
-                let create = || Recorder { say: say.clone(), steps: 0 };
-                serve(&Method::new(description, create), &folder)
-            }
+        let description = MemoryDescription {
+            name: "recorder".to_owned(),
+            version: "7".to_owned(),
+            scope: Scope::Case,
+            embeddings: true,
+            frames: true,
+            ..MemoryDescription::default()
+        };
+        let change = |attach: &mut Attach| {
+            attach.external_memories = vec![INDEX];
+            (attach.frame_capacity, attach.window) = (32, 2);
+        };
+        let mut rig = ExternalMemoryRig::in_thread(change, move |run| {
+            let folder = memory_folder(run, INDEX);
+            fs::create_dir(&folder)?;
+            let create = || Recorder { say: say.clone(), steps: 0 };
+            Ok(serve(&Method::new(description, create), &folder)?)
         });
-        // The description is there before the run begins.
-        let deadline = Instant::now() + TIMEOUT;
-        while MemoryDescription::read(&folder).is_err() {
-            assert!(Instant::now() < deadline, "no description");
-            thread::sleep(Duration::from_millis(2));
-        }
-        let frame = FrameSize { width: 64, height: 64 };
-        let attach = Attach {
-            participants: Vec::new(),
-            external_memories: vec![INDEX],
-            frame,
-            frame_capacity: 32,
-            lanes: 4,
-            window: 2,
-            ..run.attach()
-        };
-        let [orchestrator, sim, memory] = [Role::Orchestrator, Role::Sim, Role::Memory]
-            .map(|role| Bus::join(attach.clone(), role).unwrap());
-        let handshakes: Receiver<Handshake> = orchestrator.receiver().unwrap();
-        let error_reports = orchestrator.receiver().unwrap();
-        let shutdown_reports = orchestrator.receiver().unwrap();
-        let mut rig = Self {
-            banks: BankPublisher::new(&memory, INDEX).unwrap(),
-            episodes: memory.sender_to(INDEX).unwrap(),
-            queries: memory.sender_to(INDEX).unwrap(),
-            built: memory.receiver_from(INDEX).unwrap(),
-            stores: memory.sender_to(INDEX).unwrap(),
-            stored: memory.receiver_from(INDEX).unwrap(),
-            answers: memory.receiver_from(INDEX).unwrap(),
-            notes: NoteReceiver::new(&memory, INDEX).unwrap(),
-            frames: FramePublisher::new(&sim).unwrap(),
-            evictions: sim.sender().unwrap(),
-            stop: orchestrator.sender().unwrap(),
-            error_reports,
-            shutdown_reports,
-            handshake: Zeroable::zeroed(),
-            told,
-            folder,
-            serving,
-            memory,
-            _others: [orchestrator, sim],
-            _run: run,
-            _base: base,
-        };
-        attach.write(&attach.root).unwrap();
-        rig.handshake = until(|| handshakes.next().unwrap());
-        rig
+        let handshake = rig.handshake();
+        Self { rig, handshake, told }
     }
 
     fn publish(&mut self, grey: u8) -> FrameId {
-        let mut slot = self.frames.loan().unwrap();
-        slot.pixels_mut().fill(grey);
-        self.frames.publish(slot, [grey; 16]).unwrap()
-    }
-
-    fn notify(&self) {
-        self.memory.external_memory_notifier(INDEX).unwrap().notify().unwrap();
+        self.rig.publish(grey)
     }
 
     fn publish_bank(&mut self, id: u64, content: &BankContent) -> ExternalBuilt {
-        self.banks.publish(id, content).unwrap();
-        self.notify();
-        until(|| self.built.next().unwrap())
+        self.rig.neighbours.banks.publish(id, content).unwrap();
+        self.rig.notify();
+        self.rig.until(|neighbours| neighbours.built.next().unwrap())
     }
 
     fn begin(&self, lane: u32, episode: u64, bank: u64) {
@@ -155,61 +76,45 @@ impl Rig {
         (message.seed, message.repeat) = (5, 1);
         (message.image_budget, message.text_budget) = (9, 99);
         message.instruction_len = write_text(&mut message.instruction, "Find a cone.");
-        self.episodes.send(&message).unwrap();
+        self.rig.neighbours.episodes.send(&message).unwrap();
     }
 
     fn ask(&self, query: &ExternalQuery) {
-        self.queries.send(query).unwrap();
-        self.notify();
+        self.rig.neighbours.queries.send(query).unwrap();
+        self.rig.notify();
     }
 
     fn send_store(&self, bank: u64, loads: bool, folder: &Path) {
         let mut message = ExternalStore { bank, loads: loads.into(), ..Zeroable::zeroed() };
         message.folder_len = write_text(&mut message.folder, folder.to_str().unwrap());
-        self.stores.send(&message).unwrap();
-        self.notify();
+        self.rig.neighbours.stores.send(&message).unwrap();
+        self.rig.notify();
     }
 
-    fn stored(&self) -> ExternalStored {
-        until(|| self.stored.next().unwrap())
+    fn stored(&mut self) -> ExternalStored {
+        self.rig.until(|neighbours| neighbours.stored.next().unwrap())
     }
 
-    fn answer(&self) -> ExternalAnswer {
-        until(|| self.answers.next().unwrap())
+    fn answer(&mut self) -> ExternalAnswer {
+        self.rig.until(|neighbours| neighbours.answers.next().unwrap())
     }
 
     fn note(&mut self) -> Note {
-        until(|| self.notes.drain().unwrap().pop())
+        self.rig.until(|neighbours| neighbours.notes.drain().unwrap().pop())
     }
 
-    fn error_report(&self) -> String {
-        let report = until(|| self.error_reports.next().unwrap());
+    fn error_report(&mut self) -> String {
+        let (report, text) = self.rig.error_report();
         assert_eq!((report.role, report.external), (Role::ExternalMemory as u32, u32::from(INDEX)));
-        read_text(&report.text, report.text_len).unwrap().to_owned()
+        text
     }
 
     fn told(&self) -> String {
-        self.told.recv_timeout(TIMEOUT).unwrap()
+        self.told.recv_timeout(LONG).unwrap()
     }
 
     fn stop(self) {
-        self.stop.send(&Stop { reserved: 0 }).unwrap();
-        self.notify();
-        self.serving.join().unwrap().unwrap();
-        let report = self.shutdown_reports.next().unwrap().unwrap();
-        assert_eq!(report.external, u32::from(INDEX));
-    }
-}
-
-/// What `look` finds before the time is up.
-fn until<T>(mut look: impl FnMut() -> Option<T>) -> T {
-    let deadline = Instant::now() + TIMEOUT;
-    loop {
-        if let Some(found) = look() {
-            return found;
-        }
-        assert!(Instant::now() < deadline, "nothing came");
-        thread::sleep(Duration::from_millis(1));
+        assert_eq!(self.rig.stop().external, u32::from(INDEX));
     }
 }
 
@@ -369,7 +274,8 @@ fn a_memory_is_built_asked_and_ended() {
     let facts = rig.handshake.facts().unwrap();
     assert_eq!(rig.handshake.external, u32::from(INDEX));
     assert_eq!((facts["memory"].as_str(), facts["version"].as_str()), ("recorder", "7"));
-    assert!(MemoryDescription::read(&rig.folder).unwrap().sdk.starts_with("peer "));
+    let folder = memory_folder(&rig.rig.neighbours.attach().root, INDEX);
+    assert!(MemoryDescription::read(&folder).unwrap().sdk.starts_with("peer "));
 
     let frames = [10, 20, 30].map(|grey| rig.publish(grey));
     let built = rig.publish_bank(5, &bank(frames, "Find a barrel."));
@@ -425,7 +331,11 @@ fn a_memory_is_built_asked_and_ended() {
     assert_eq!(rig.answer().episode, 42);
 
     // The end of an episode and the beginning of the lane's next one can arrive together.
-    rig.queries.send(&ExternalQuery { last: 1, ..query(2, 42, 1, NO_FRAME) }).unwrap();
+    rig.rig
+        .neighbours
+        .queries
+        .send(&ExternalQuery { last: 1, ..query(2, 42, 1, NO_FRAME) })
+        .unwrap();
     rig.begin(2, 43, 5);
     rig.ask(&query(2, 43, 0, now));
     for told in ["42 ended at step 1", "end of 42", "episode 43 in 2", "step 0"] {
@@ -433,8 +343,8 @@ fn a_memory_is_built_asked_and_ended() {
         assert!(heard.starts_with(told), "{heard}");
     }
     assert_eq!(rig.answer().episode, 43);
-    assert!(rig.error_reports.next().unwrap().is_none());
-    rig.evictions.send(&Eviction { frame: now }).unwrap();
+    assert!(rig.rig.neighbours.error_reports.next().unwrap().is_none());
+    rig.rig.neighbours.evict(now).unwrap();
     rig.stop();
 }
 
@@ -477,10 +387,10 @@ fn what_cannot_be_built_or_is_not_known_is_answered_with_the_reason() {
     rig.ask(&query(900, 61, 0, frames[0]));
     assert_eq!(rig.error_report(), "episode 61 in lane 900: invalid values");
     assert_eq!(rig.error_report(), "query of unknown episode 61 in lane 900");
-    assert!(rig.answers.next().unwrap().is_none());
+    assert!(rig.rig.neighbours.answers.next().unwrap().is_none());
 
     // A bank that is taken back is known no longer.
-    rig.banks.take_back(7).unwrap();
+    rig.rig.neighbours.banks.take_back(7).unwrap();
     rig.begin(1, 62, 7);
     rig.ask(&query(1, 62, 0, frames[0]));
     assert_eq!(rig.answer().failed, 1);
@@ -504,7 +414,7 @@ fn a_memory_learns_from_an_episode_and_is_saved_and_loaded() {
     let mut last = ExternalQuery { last: 1, ..query(0, 41, 1, NO_FRAME) };
     (last.outcome, last.demonstration, last.sub_goals_len) = (2, 1, 2);
     last.sub_goals[..2].copy_from_slice(&[0, 1]);
-    rig.queries.send(&last).unwrap();
+    rig.rig.neighbours.queries.send(&last).unwrap();
     let folder = tempfile::tempdir().unwrap();
     rig.send_store(5, false, folder.path());
     assert_eq!(rig.told(), "41 ended at step 1");
