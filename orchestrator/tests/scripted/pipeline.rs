@@ -1,70 +1,23 @@
 //! The pipeline among scripted peers: threads on the wire, some of which send invalid messages.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
-use std::collections::BTreeMap;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-use anyhow::Result;
-use conformance::scripted::{self, ScriptedRun, ScriptedSim};
+use conformance::scripted::{ScriptedRun, ScriptedSim};
 use conformance::testing::ScratchRun;
-use domain::{Arm, Representation};
-use orchestrator::lanes::{FinishedEpisode, Lanes, Rules};
-use orchestrator::pipeline::{Ending, Facts, Observer, Participant, PipelineOptions, run_episodes};
+use orchestrator::lanes::{Lanes, Rules};
+use orchestrator::pipeline::{Ending, run_episodes};
 use orchestrator::plan::plan;
-use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
-use shm_types::message::{Decision, MAX_EXTERNAL_MEMORIES, Role};
-use supervise::{Children, Launch, System};
+use shm_types::message::{Decision, Role};
+use supervise::{Children, Launch};
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
+use crate::common::{MAX_STEPS, RULES, Seen, options};
+
 const LANES: u32 = 4;
-const MAX_STEPS: u32 = 10;
-const RULES: Rules = Rules {
-    horizon: 6,
-    hits: 1,
-    keyframes: 40,
-    memory_images: 40,
-    memory_text_bytes: 65_536,
-    max_steps: MAX_STEPS,
-    expert: false,
-    external_memories: [None; MAX_EXTERNAL_MEMORIES],
-};
 /// The case whose episode the policy spoils.
 const VICTIM: usize = 2;
-
-/// What an observer saw.
-#[derive(Default)]
-struct Seen {
-    finished: Vec<usize>,
-    problems: Vec<String>,
-    generations: u32,
-    steps: u64,
-}
-
-impl Observer for Seen {
-    fn starting(&mut self, generation: u32) {
-        self.generations = generation;
-    }
-    fn ready(&mut self, facts: &BTreeMap<Participant, Facts>) -> Result<()> {
-        assert_eq!(facts.len(), 3);
-        assert!(facts.values().all(|facts| facts["kind"] == scripted::KIND));
-        Ok(())
-    }
-    fn finished(&mut self, finished: &FinishedEpisode, _attempt: u32) -> Result<()> {
-        assert_eq!(finished.record.steps, MAX_STEPS);
-        self.finished.push(finished.episode.case_index);
-        Ok(())
-    }
-    fn progress(&mut self, steps: u64) {
-        self.steps += steps;
-    }
-    fn problem(&mut self, what: &str) {
-        self.problems.push(what.to_owned());
-    }
-}
 
 /// A simulator that is a shell script.
 fn simulator(script: &str) -> Launch {
@@ -83,30 +36,11 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
     let scratch = ScratchRun::new(&Role::CHILDREN, |attach| attach.lanes = LANES);
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
     let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
-    let condition = Condition {
-        memory: Representation::Working.into(),
-        start: Start::Original,
-        route: Route::Unchanged,
-        demonstrations: Demonstrations::NONE,
-        variation: Variation::STANDARD,
-        arm: Arm::Frozen,
-    };
-    let conditions = [(condition, 1)];
+    let conditions = [("working/original/unchanged/none".parse().unwrap(), 1)];
     let episodes = plan(&conditions, &[0, 1, 2, 3, 4, 5, 6, 7], &ids, 1);
-    let rules = Rules { expert: false, ..RULES };
-    let mut lanes = Lanes::new(&warehouse, &cases, rules, LANES as usize);
+    let mut lanes = Lanes::new(&warehouse, &cases, RULES, LANES as usize);
     // The peers are threads; the process that the pipeline watches only has to live.
-    let options = PipelineOptions {
-        launcher: Arc::new(System),
-        launches: vec![simulator("exec sleep 300")],
-        external_policy: false,
-        logs: scratch.base().join("logs"),
-        start_timeout: Duration::from_secs(60),
-        answer_timeout: Duration::from_secs(2),
-        decision_timeout: Some(Duration::from_secs(2)),
-        memories: Vec::new(),
-        memory_timeout: Duration::from_secs(2),
-    };
+    let options = options(&scratch, vec![simulator("exec sleep 300")], Duration::from_secs(2));
     let mut seen = Seen::default();
     let over = AtomicBool::new(false);
     let peers = ScriptedRun { attach: scratch.attach(), over: &over };
@@ -168,22 +102,11 @@ fn a_policy_that_answers_something_else_spoils_that_episode_and_no_other() {
 fn run_with_simulator(script: &str) -> (u32, String) {
     let scratch = ScratchRun::new(&[Role::Sim], |attach| attach.lanes = 1);
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-    let condition = "working/original/unchanged/none".parse().unwrap();
-    let conditions = [(condition, 1)];
+    let conditions = [("working/original/unchanged/none".parse().unwrap(), 1)];
     let episodes = plan(&conditions, &[0], &["t01-01"], 1);
     let rules = Rules { expert: true, ..RULES };
     let mut lanes = Lanes::new(&warehouse, &cases, rules, 1);
-    let options = PipelineOptions {
-        launcher: Arc::new(System),
-        launches: vec![simulator(script)],
-        external_policy: false,
-        logs: scratch.base().join("logs"),
-        start_timeout: Duration::from_secs(60),
-        answer_timeout: Duration::from_secs(2),
-        decision_timeout: None,
-        memories: Vec::new(),
-        memory_timeout: Duration::from_secs(2),
-    };
+    let options = options(&scratch, vec![simulator(script)], Duration::from_secs(2));
     let (mut seen, stop) = (Seen::default(), AtomicBool::new(false));
     let (attach, none) = (scratch.attach(), Children::default());
     let outcome = run_episodes(&mut lanes, episodes, attach, &options, none, &stop, &mut seen);

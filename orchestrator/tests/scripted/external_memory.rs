@@ -1,83 +1,42 @@
 //! A run with an external memory that works, ends, hangs or complains, among scripted processes.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::collections::BTreeMap;
+use std::sync::Once;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Once};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::Result;
 use bytemuck::Zeroable;
 use conformance::messages::{recall, recall_trace};
 use conformance::scripted::{ScriptedProcess, ScriptedRun, ScriptedSim, request};
 use conformance::testing::ScratchRun;
-use domain::ExternalName;
 use orchestrator::external_memory::ExternalMemory;
-use orchestrator::lanes::{FinishedEpisode, Lanes, Rules};
-use orchestrator::pipeline::{
-    Ending, Facts, MemoryState, Observer, Participant, PipelineOptions, run_episodes,
-};
+use orchestrator::lanes::Lanes;
+use orchestrator::pipeline::{Ending, MemoryState, PipelineOptions, run_episodes};
 use orchestrator::plan::plan;
 use results::conditions::Condition;
 use shm_types::description::{DESCRIPTION_FILE, memory_folder};
 use shm_types::message::{
-    EXTERNAL, ErrorReport, ErrorReportKind, Heartbeat, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig,
-    Observation, RequestId, Role, write_text,
+    EXTERNAL, ErrorReport, ErrorReportKind, Heartbeat, MemoryEpisodeConfig, Observation, RequestId,
+    Role, write_text,
 };
 use shm_types::{Attach, Bus, MemoryDescription};
-use supervise::{Children, Launch, System};
+use supervise::{Children, Launch};
 use warehouse::{CaseSet, Variant, Warehouse, step};
+
+use crate::common::{RULES, Seen, options};
 
 const TICK: Duration = Duration::from_millis(20);
 const LANES: u32 = 4;
-const RULES: Rules = Rules {
-    horizon: 6,
-    hits: 1,
-    keyframes: 40,
-    memory_images: 40,
-    memory_text_bytes: 65_536,
-    max_steps: 10,
-    expert: false,
-    external_memories: [None; MAX_EXTERNAL_MEMORIES],
-};
-
-/// What an observer saw.
-#[derive(Default)]
-struct Seen {
-    finished: Vec<usize>,
-    problems: Vec<String>,
-    generations: u32,
-    states: Vec<MemoryState>,
-}
-
-impl Observer for Seen {
-    fn starting(&mut self, generation: u32) {
-        self.generations = generation;
-    }
-    fn memory_state(&mut self, name: ExternalName, state: &MemoryState) -> Result<()> {
-        assert_eq!(name.as_str(), MEMORY);
-        self.states.push(state.clone());
-        Ok(())
-    }
-    fn ready(&mut self, facts: &BTreeMap<Participant, Facts>) -> Result<()> {
-        let memories = facts.keys().filter(|one| one.memory.is_some()).count();
-        assert_eq!(facts.len(), 3 + memories);
-        Ok(())
-    }
-    fn finished(&mut self, finished: &FinishedEpisode, _attempt: u32) -> Result<()> {
-        self.finished.push(finished.episode.case_index);
-        Ok(())
-    }
-    fn progress(&mut self, _steps: u64) {}
-    fn problem(&mut self, what: &str) {
-        self.problems.push(what.to_owned());
-    }
-}
 
 /// The name of the external memory of the tests below.
 const MEMORY: &str = "top-3";
+
+/// The external memory, which `command` starts.
+fn memory(command: Option<String>) -> ExternalMemory {
+    let description = MemoryDescription { name: MEMORY.to_owned(), ..MemoryDescription::default() };
+    ExternalMemory { index: 0, name: MEMORY.parse().unwrap(), description, command }
+}
 
 /// What the host of the external memory does about its episodes.
 #[derive(Clone, Copy)]
@@ -195,11 +154,9 @@ fn run_with_memory(
     let conditions = ["working/original/unchanged/none", "top-3/original/unchanged/original"];
     let conditions = conditions.map(|name| (Condition::logged(name).unwrap(), 1));
     let episodes = plan(&conditions, &[0, 1, 2, 3], &ids, 1);
-    let name: ExternalName = MEMORY.parse().unwrap();
     let mut rules = RULES;
-    rules.external_memories[0] = Some(name);
+    rules.external_memories[0] = Some(MEMORY.parse().unwrap());
     let mut lanes = Lanes::new(&warehouse, &cases, rules, LANES as usize);
-    let description = MemoryDescription { name: MEMORY.to_owned(), ..MemoryDescription::default() };
     let script = format!(
         "cd $MEMTRANSFER_ATTACH; echo '{}' > d; mv d {DESCRIPTION_FILE}; {script}",
         r#"{"name": "top-3"}"#
@@ -207,15 +164,9 @@ fn run_with_memory(
     let command = format!("/bin/sh -c {}", shlex::try_quote(&script).unwrap());
     let sleeper = Launch::command(Role::Sim, "sleep 300").unwrap();
     let options = PipelineOptions {
-        launcher: Arc::new(System),
-        launches: vec![sleeper],
-        external_policy: false,
-        logs: scratch.base().join("logs"),
-        start_timeout: Duration::from_secs(60),
-        answer_timeout: Duration::from_secs(20),
-        decision_timeout: Some(Duration::from_secs(20)),
-        memories: vec![ExternalMemory { index: 0, name, description, command: Some(command) }],
+        memories: vec![memory(Some(command))],
         memory_timeout: Duration::from_millis(300),
+        ..options(&scratch, vec![sleeper], Duration::from_secs(20))
     };
     let (mut seen, over) = (Seen::default(), AtomicBool::new(false));
     let outcome = thread::scope(|scope| {
@@ -266,19 +217,10 @@ fn the_orchestrator_creates_its_services_before_others_can_join() {
     let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
     let episodes = plan(&conditions, &[0], &ids, 1);
     let mut lanes = Lanes::new(&warehouse, &cases, RULES, 1);
-    let name: ExternalName = MEMORY.parse().unwrap();
-    let description = MemoryDescription { name: MEMORY.to_owned(), ..MemoryDescription::default() };
-    let long = Duration::from_secs(120);
     let options = PipelineOptions {
-        launcher: Arc::new(System),
-        launches: Vec::new(),
         external_policy: true,
-        logs: scratch.base().join("logs"),
-        start_timeout: long,
-        answer_timeout: long,
-        decision_timeout: Some(long),
-        memories: vec![ExternalMemory { index: 0, name, description, command: None }],
-        memory_timeout: long,
+        memories: vec![memory(None)],
+        ..options(&scratch, Vec::new(), Duration::from_secs(120))
     };
     let stop = AtomicBool::new(false);
     let attached = thread::scope(|scope| {
@@ -328,8 +270,10 @@ fn an_external_memory_that_fails_three_times_is_left_out_and_the_run_goes_on() {
     let (seen, ending) = run_with_memory(Host::Waits, "sleep 0.5; exit 7", |_| ());
     let said = ["failed 3 times without finishing an episode", "exit status 7"];
     check_only_the_memory_suffers(&seen, &ending, &said);
+    assert!(seen.states.iter().all(|(name, _)| name.as_str() == MEMORY));
+    let states: Vec<_> = seen.states.iter().map(|(_, state)| state).collect();
     assert!(matches!(
-        &seen.states[..],
+        states[..],
         [MemoryState::Failed(1), MemoryState::Failed(2), MemoryState::Excluded(_)]
     ));
 }

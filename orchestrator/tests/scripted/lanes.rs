@@ -1,5 +1,4 @@
 //! Lanes against a scripted simulator, memory and policy: no process, no shared memory.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use bytemuck::Zeroable;
 use conformance::messages::{self, recall_trace};
@@ -12,22 +11,15 @@ use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use results::key::{EpisodeKey, Order, StreamPlace};
 use results::log::Ending;
 use shm_types::message::{
-    Decision, EXPERIENCE, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, NOT_MEASURED, Observation,
-    RecallTrace, RecalledSource, Role, SnapshotReport,
+    Decision, EXPERIENCE, MemoryEpisodeConfig, NOT_MEASURED, Observation, RecallTrace,
+    RecalledSource, Role, SnapshotReport,
 };
 use warehouse::stream::{Block, Stream};
 use warehouse::{CaseSet, History, Mixture, StreamSet, Variant, Warehouse, WorldChange, step};
 
-const RULES: Rules = Rules {
-    horizon: 6,
-    hits: 1,
-    keyframes: 40,
-    memory_images: 40,
-    memory_text_bytes: 65_536,
-    max_steps: 200,
-    expert: false,
-    external_memories: [None; MAX_EXTERNAL_MEMORIES],
-};
+use crate::common;
+
+const RULES: Rules = Rules { max_steps: 200, ..common::RULES };
 
 fn world() -> (Warehouse, CaseSet) {
     (Warehouse::shipped(), CaseSet::shipped())
@@ -36,14 +28,8 @@ fn world() -> (Warehouse, CaseSet) {
 fn episode(cases: &CaseSet, case_index: usize, start: Start, route: Route) -> PlannedEpisode {
     let demonstrations = Demonstrations::ORIGINAL;
     let variation = Variation::STANDARD;
-    let condition = Condition {
-        memory: Representation::Episodic.into(),
-        start,
-        route,
-        demonstrations,
-        variation,
-        arm: Arm::Frozen,
-    };
+    let memory = Representation::Episodic.into();
+    let condition = Condition { memory, start, route, demonstrations, variation, arm: Arm::Frozen };
     let case = cases.cases[case_index].id.clone();
     PlannedEpisode {
         key: EpisodeKey { condition, run: 1, place: None, case },

@@ -1,0 +1,84 @@
+//! What the tests have in common.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Result;
+use conformance::scripted;
+use conformance::testing::ScratchRun;
+use domain::ExternalName;
+use orchestrator::lanes::{FinishedEpisode, Rules};
+use orchestrator::pipeline::{Facts, MemoryState, Observer, Participant, PipelineOptions};
+use shm_types::message::MAX_EXTERNAL_MEMORIES;
+use supervise::{Launch, System};
+
+pub(crate) const MAX_STEPS: u32 = 10;
+
+pub(crate) const RULES: Rules = Rules {
+    horizon: 6,
+    hits: 1,
+    keyframes: 40,
+    memory_images: 40,
+    memory_text_bytes: 65_536,
+    max_steps: MAX_STEPS,
+    expert: false,
+    external_memories: [None; MAX_EXTERNAL_MEMORIES],
+};
+
+/// A run that starts `launches`, with so much time for an answer.
+pub(crate) fn options(
+    scratch: &ScratchRun,
+    launches: Vec<Launch>,
+    answer: Duration,
+) -> PipelineOptions {
+    PipelineOptions {
+        launcher: Arc::new(System),
+        launches,
+        external_policy: false,
+        logs: scratch.base().join("logs"),
+        start_timeout: Duration::from_secs(60),
+        answer_timeout: answer,
+        decision_timeout: Some(answer),
+        memories: Vec::new(),
+        memory_timeout: answer,
+    }
+}
+
+/// What an observer saw of a run among scripted processes.
+#[derive(Default)]
+pub(crate) struct Seen {
+    pub(crate) finished: Vec<usize>,
+    pub(crate) problems: Vec<String>,
+    pub(crate) generations: u32,
+    pub(crate) steps: u64,
+    /// What became of external memories.
+    pub(crate) states: Vec<(ExternalName, MemoryState)>,
+}
+
+impl Observer for Seen {
+    fn starting(&mut self, generation: u32) {
+        self.generations = generation;
+    }
+    fn memory_state(&mut self, name: ExternalName, state: &MemoryState) -> Result<()> {
+        self.states.push((name, state.clone()));
+        Ok(())
+    }
+    fn ready(&mut self, facts: &BTreeMap<Participant, Facts>) -> Result<()> {
+        let memories = facts.keys().filter(|one| one.memory.is_some()).count();
+        assert_eq!(facts.len(), 3 + memories);
+        assert!(facts.values().all(|facts| facts["kind"] == scripted::KIND));
+        Ok(())
+    }
+    fn finished(&mut self, finished: &FinishedEpisode, _attempt: u32) -> Result<()> {
+        assert_eq!(finished.record.steps, MAX_STEPS);
+        self.finished.push(finished.episode.case_index);
+        Ok(())
+    }
+    fn progress(&mut self, steps: u64) {
+        self.steps += steps;
+    }
+    fn problem(&mut self, what: &str) {
+        self.problems.push(what.to_owned());
+    }
+}
