@@ -240,14 +240,7 @@ impl Attach {
     /// When a value is invalid, or the file cannot be written.
     pub fn write(&self, dir: &Path) -> Result<(), AttachError> {
         self.check()?;
-        let path = dir.join(ATTACH_FILE);
-        let draft = dir.join("attach.json.new");
-        let json_error = |cause| AttachError::Json { path: path.clone(), cause };
-        let text = serde_json::to_string_pretty(self).map_err(json_error)?;
-        fs::File::create(&draft)
-            .and_then(|mut file| writeln!(file, "{text}"))
-            .and_then(|()| fs::rename(&draft, &path))
-            .map_err(|cause| AttachError::File { path: path.clone(), cause })
+        write_json(dir, ATTACH_FILE, self)
     }
 
     /// Removes `attach.json` from the run's folder `dir`: the run is over.
@@ -362,6 +355,21 @@ impl Attach {
         let messages = (16 << 20) + self.lanes as u64 * (64 << 10);
         self.frame_chunks() as u64 * chunk as u64 + messages
     }
+}
+
+/// Writes `value` into the file `name` of the folder `dir`, atomically.
+pub(crate) fn write_json(
+    dir: &Path,
+    name: &str,
+    value: &impl Serialize,
+) -> Result<(), AttachError> {
+    let (path, draft) = (dir.join(name), dir.join(format!("{name}.new")));
+    let json_error = |cause| AttachError::Json { path: path.clone(), cause };
+    let text = serde_json::to_string_pretty(value).map_err(json_error)?;
+    fs::File::create(&draft)
+        .and_then(|mut file| writeln!(file, "{text}"))
+        .and_then(|()| fs::rename(&draft, &path))
+        .map_err(|cause| AttachError::File { path: path.clone(), cause })
 }
 
 /// The prefix of the names in shared memory of the run in `folder`.

@@ -4,14 +4,13 @@
 //! waits for `attach.json`, because the orchestrator plans with its name.
 
 use std::fs;
-use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
 use domain::ExternalName;
 
-use crate::attach::AttachError;
+use crate::attach::{AttachError, write_json};
 use crate::message::MAX_EXTERNAL_MEMORIES;
 
 /// Name of the file in the folder of an external memory.
@@ -100,14 +99,7 @@ impl MemoryDescription {
     /// When a value is not valid, or the file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<(), AttachError> {
         self.check()?;
-        let path = folder.join(DESCRIPTION_FILE);
-        let draft = folder.join("description.json.new");
-        let json_error = |cause| AttachError::Json { path: path.clone(), cause };
-        let text = serde_json::to_string_pretty(self).map_err(json_error)?;
-        fs::File::create(&draft)
-            .and_then(|mut file| writeln!(file, "{text}"))
-            .and_then(|()| fs::rename(&draft, &path))
-            .map_err(|cause: io::Error| AttachError::File { path: path.clone(), cause })
+        write_json(folder, DESCRIPTION_FILE, self)
     }
 
     /// Checks the name, and that no pixels are expected where there are none.
