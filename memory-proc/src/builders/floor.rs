@@ -37,6 +37,13 @@ impl Stretch {
         let (Self::Column { from, to, .. } | Self::Row { from, to, .. }) = self;
         to - from + 1
     }
+
+    fn has(self, cell: Cell) -> bool {
+        match self {
+            Self::Column { x, from, to } => cell.x == x && (from..=to).contains(&cell.y),
+            Self::Row { y, from, to } => cell.y == y && (from..=to).contains(&cell.x),
+        }
+    }
 }
 
 impl Floor {
@@ -66,15 +73,6 @@ impl Floor {
             needed.extend(all.iter().rev().filter(|s| s.has(cell)).max_by_key(|s| s.cells()));
         }
         needed.into_iter().collect()
-    }
-}
-
-impl Stretch {
-    fn has(self, cell: Cell) -> bool {
-        match self {
-            Self::Column { x, from, to } => cell.x == x && (from..=to).contains(&cell.y),
-            Self::Row { y, from, to } => cell.y == y && (from..=to).contains(&cell.x),
-        }
     }
 }
 

@@ -87,7 +87,15 @@ impl<A: AskModel> DocumentBuilder for ModelBuilder<A> {
             ask: &mut self.ask,
             recipe: &self.recipe,
             steps: StepFolder::open(steps, &self.recipe.model)?,
-            usage: BuildUsage::default(),
+            models: Vec::new(),
+            account: BuildAccount {
+                model: None,
+                prompt_version: Some(PROMPT_VERSION),
+                requests: Some(0),
+                cut_off: Some(0),
+                prompt_tokens: Some(0),
+                completion_tokens: Some(0),
+            },
         };
         let text = match kind {
             DocumentKind::Summary => draft.summary(&narrated, progress)?,
@@ -102,7 +110,8 @@ impl<A: AskModel> DocumentBuilder for ModelBuilder<A> {
             text.len()
         );
         draft.steps.finish()?;
-        Ok(BuiltText { text: text + "\n", account: draft.usage.account() })
+        let model = (!draft.models.is_empty()).then(|| draft.models.join(", "));
+        Ok(BuiltText { text: text + "\n", account: BuildAccount { model, ..draft.account } })
     }
 }
 
@@ -111,7 +120,9 @@ struct Draft<'a> {
     ask: &'a mut dyn AskModel,
     recipe: &'a ModelRecipe,
     steps: StepFolder,
-    usage: BuildUsage,
+    /// The models that have answered, each once.
+    models: Vec<String>,
+    account: BuildAccount,
 }
 
 impl Draft<'_> {
@@ -249,7 +260,9 @@ impl Draft<'_> {
             .steps
             .next(stage, &prompt, || usable(ask(&prompt, waiting)?))
             .with_context(failed)?;
-        self.usage.add(&reply);
+        count(&mut self.account, &reply);
+        let known = |model: &&String| self.models.contains(model);
+        self.models.extend(reply.model.as_ref().filter(|model| !known(model)).cloned());
         if is_cut_off(&reply) {
             tracing::warn!(
                 "an answer at the stage `{}` reached the limit of {} tokens; its incomplete end is left out",
@@ -311,57 +324,17 @@ fn chars(text: &str) -> usize {
     text.chars().count()
 }
 
-/// Requests and tokens of a document.
-#[derive(Debug, Default)]
-struct BuildUsage {
-    requests: u64,
-    cut_off: u64,
-    models: Vec<String>,
-    prompt_tokens: CompleteSum,
-    completion_tokens: CompleteSum,
+/// Adds `part` to a sum that is absent when one of its parts is.
+fn add(sum: &mut Option<u64>, part: Option<u64>) {
+    *sum = sum.zip(part).and_then(|(sum, part)| sum.checked_add(part));
 }
 
-/// A sum that is absent when one of its parts is.
-#[derive(Debug, Clone, Copy)]
-struct CompleteSum(Option<u64>);
-
-impl Default for CompleteSum {
-    fn default() -> Self {
-        Self(Some(0))
-    }
-}
-
-impl CompleteSum {
-    fn add(&mut self, part: Option<u64>) {
-        let Self(sum) = self;
-        *sum = sum.zip(part).and_then(|(sum, part)| sum.checked_add(part));
-    }
-}
-
-impl BuildUsage {
-    fn add(&mut self, reply: &ChatReply) {
-        self.requests += 1;
-        self.cut_off += u64::from(is_cut_off(reply));
-        if let Some(model) = &reply.model
-            && !self.models.contains(model)
-        {
-            self.models.push(model.clone());
-        }
-        self.prompt_tokens.add(reply.prompt_tokens);
-        self.completion_tokens.add(reply.completion_tokens);
-    }
-
-    fn account(self) -> BuildAccount {
-        let Self { requests, cut_off, models, prompt_tokens, completion_tokens } = self;
-        BuildAccount {
-            model: (!models.is_empty()).then(|| models.join(", ")),
-            prompt_version: Some(PROMPT_VERSION),
-            requests: Some(requests),
-            cut_off: Some(cut_off),
-            prompt_tokens: prompt_tokens.0,
-            completion_tokens: completion_tokens.0,
-        }
-    }
+/// Counts a reply.
+fn count(account: &mut BuildAccount, reply: &ChatReply) {
+    add(&mut account.requests, Some(1));
+    add(&mut account.cut_off, Some(is_cut_off(reply).into()));
+    add(&mut account.prompt_tokens, reply.prompt_tokens);
+    add(&mut account.completion_tokens, reply.completion_tokens);
 }
 
 #[cfg(test)]

@@ -5,8 +5,8 @@
 
 use std::collections::BTreeSet;
 use std::ffi::OsString;
-use std::fs::{self, File};
-use std::io::{self, Write};
+use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -116,12 +116,9 @@ fn load(path: &Path) -> anyhow::Result<Option<StepFile>> {
 
 /// Writes all of it or nothing, and durably: a reply may have cost money.
 fn save(path: &Path, step: &StepFile) -> io::Result<()> {
-    let draft = path.with_extension("json.new");
-    let mut file = File::create(&draft)?;
-    serde_json::to_writer_pretty(&mut file, step)?;
-    file.write_all(b"\n")?;
-    file.sync_all()?;
-    fs::rename(&draft, path)
+    let mut bytes = serde_json::to_vec_pretty(step)?;
+    bytes.push(b'\n');
+    durable::replace(path, &path.with_extension("json.new"), &bytes)
 }
 
 #[cfg(test)]
