@@ -269,6 +269,10 @@ struct EncoderArguments {
 const MAX_DEFAULT_THREADS: NonZeroUsize = NonZeroUsize::new(8).unwrap();
 
 impl EncoderArguments {
+    fn manifest(&self) -> anyhow::Result<EncoderManifest> {
+        self.assets.as_deref().map_or_else(EncoderManifest::shipped, EncoderManifest::load)
+    }
+
     fn settings(self) -> anyhow::Result<EncoderSettings> {
         Ok(EncoderSettings {
             name: self.encoder,
@@ -326,18 +330,10 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
             serve(&settings)
         }
         MemoryProcVerb::Embed { files, repeat, encoder } => {
-            let manifest = match &encoder.assets {
-                None => EncoderManifest::shipped()?,
-                Some(folder) => EncoderManifest::load(folder)?,
-            };
-            embed_command::run(&files, repeat, &manifest, &encoder.settings()?)
+            embed_command::run(&files, repeat, &encoder.manifest()?, &encoder.settings()?)
         }
         MemoryProcVerb::Embeddings { out, encoder } => {
-            let manifest = match &encoder.assets {
-                None => EncoderManifest::shipped()?,
-                Some(folder) => EncoderManifest::load(folder)?,
-            };
-            embed_command::ship(&out, &manifest, &encoder.settings()?)
+            embed_command::ship(&out, &encoder.manifest()?, &encoder.settings()?)
         }
         MemoryProcVerb::Profile(arguments) => profile(arguments),
         MemoryProcVerb::Vectors { vectors, entries, queries } => {

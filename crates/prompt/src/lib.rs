@@ -20,6 +20,7 @@ pub mod tokens;
 use std::sync::Arc;
 
 use domain::Action;
+use domain::prompt_log::hex;
 use peer::{FrameView, Request};
 use serde_json::{Value, json};
 
@@ -187,6 +188,5 @@ impl<'a> Prompt<'a> {
 
 /// The name of an image in logs and golden files: `image:` and the hexadecimal digits of its pixels' hash.
 pub fn image_name(view: &FrameView<'_>) -> Arc<str> {
-    let digits = view.content_hash.iter().map(|byte| format!("{byte:02x}"));
-    digits.fold("image:".to_owned(), |name, digits| name + &digits).into()
+    format!("image:{}", hex(view.content_hash)).into()
 }
