@@ -6,7 +6,6 @@
 mod building;
 
 use std::collections::BTreeMap;
-use std::ffi::OsString;
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -215,23 +214,18 @@ impl DocumentRequest {
     }
 
     /// The flags of `memory-proc build` for a recipe.
-    fn builder_flags(&self, recipe: &Recipe) -> Vec<OsString> {
-        let mut flags: Vec<OsString> = vec!["--builder".into(), recipe.builder().into()];
+    fn builder_flags(&self, recipe: &Recipe) -> Vec<(&'static str, Option<String>)> {
+        let mut flags = vec![("--builder", Some(recipe.builder().into()))];
         if let Recipe::Model(ModelRecipe { model, context_chars, max_tokens }) = recipe {
             let ModelServer { base_url, timeout, max_retries } = &self.server;
-            let values = [
+            flags.extend([
                 ("--model", Some(model.clone())),
                 ("--context-chars", Some(context_chars.to_string())),
                 ("--max-tokens", Some(max_tokens.to_string())),
                 ("--base-url", base_url.clone()),
                 ("--timeout", timeout.map(|seconds| seconds.to_string())),
                 ("--max-retries", max_retries.map(|retries| retries.to_string())),
-            ];
-            for (flag, value) in values {
-                if let Some(value) = value {
-                    flags.extend([flag.into(), value.into()]);
-                }
-            }
+            ]);
         }
         flags
     }

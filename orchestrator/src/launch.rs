@@ -140,21 +140,6 @@ fn at_once(episodes: &[PlannedEpisode]) -> u32 {
     (alone + sequences.len()) as u32
 }
 
-/// Arguments of a process, written as flags with values that may be missing.
-type Flags = Vec<(&'static str, Option<String>)>;
-
-fn launch(
-    role: Role,
-    program: &str,
-    mut args: Vec<std::ffi::OsString>,
-    flags: Flags,
-) -> Result<Launch> {
-    for (flag, value) in flags {
-        args.extend(value.into_iter().flat_map(|value| [flag.into(), value.into()]));
-    }
-    Launch::sibling(role, program, args)
-}
-
 /// The processes that a run starts.
 fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<Launch>> {
     let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
@@ -172,7 +157,8 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
         ("--adapter", settings.adapter.clone()),
     ];
     renderer.extend(settings.appearance().flags().map(|(flag, value)| (flag, Some(value))));
-    let mut sim = launch(Role::Sim, "sim-proc", vec!["serve".into()], renderer)?;
+    let serve = || vec!["serve".into()];
+    let mut sim = Launch::sibling(Role::Sim, "sim-proc", serve())?.with_flags(renderer);
     if settings.warm_views {
         sim.args.push("--warm-views".into());
     }
@@ -193,7 +179,7 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     ];
     let timeout = (!memories.is_empty()).then(|| settings.memory_timeout.to_string());
     encoder.push(("--memory-timeout", timeout));
-    let mut memory = launch(Role::Memory, "memory-proc", vec!["serve".into()], encoder)?;
+    let mut memory = Launch::sibling(Role::Memory, "memory-proc", serve())?.with_flags(encoder);
     if !matches_views(settings, memories) {
         memory.args.push("--no-encoder".into());
     }
@@ -220,11 +206,11 @@ fn policy_launch(settings: &RunSettings) -> Result<Option<Launch>> {
     }
     let args = vec!["serve".into(), "--policy".into(), settings.policy.to_string().into()];
     let flags = settings.model.as_ref().map(model_flags).unwrap_or_default();
-    launch(Role::Policy, "policy-proc", args, flags).map(Some)
+    Ok(Some(Launch::sibling(Role::Policy, "policy-proc", args)?.with_flags(flags)))
 }
 
 /// The policy process's flags about the model.
-fn model_flags(model: &ModelSettings) -> Flags {
+fn model_flags(model: &ModelSettings) -> Vec<(&'static str, Option<String>)> {
     let limit_folder = model.endpoint_limit_folder.as_ref().map(|path| path.display().to_string());
     vec![
         ("--model", Some(model.model.clone())),

@@ -244,11 +244,8 @@ fn encoder_files(settings: &RunSettings, written: &Path) -> Result<Vec<PathBuf>>
         ("--provider", settings.provider.clone()),
         ("--out", Some(written.display().to_string())),
     ];
-    let mut args = vec!["embeddings".into()];
-    for (flag, value) in given {
-        args.extend(value.into_iter().flat_map(|value| [flag.into(), value.into()]));
-    }
-    let Launch { program, args, .. } = Launch::sibling(Role::Memory, "memory-proc", args)?;
+    let launch = Launch::sibling(Role::Memory, "memory-proc", vec!["embeddings".into()])?;
+    let Launch { program, args, .. } = launch.with_flags(given);
     let output = Command::new(&program).args(args).stderr(std::process::Stdio::inherit()).output();
     let output = output.with_context(|| format!("cannot start {}", program.display()))?;
     ensure!(output.status.success(), "memory-proc could not write the embeddings that are known");

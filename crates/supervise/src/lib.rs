@@ -83,6 +83,17 @@ impl Launch {
         Ok(Self { index, ..Self::command(Role::ExternalMemory, command)? })
     }
 
+    /// Passes it those of `flags` that have a value.
+    pub fn with_flags(
+        mut self,
+        flags: impl IntoIterator<Item = (&'static str, Option<String>)>,
+    ) -> Self {
+        for (flag, value) in flags {
+            self.args.extend(value.into_iter().flat_map(|value| [flag.into(), value.into()]));
+        }
+        self
+    }
+
     /// Tells the process which run to join: the project's own programs by an argument, external ones by a variable. An
     /// external memory receives its own folder in the run's.
     pub fn attached_to(mut self, run: &Path) -> Self {

@@ -52,11 +52,21 @@ pub(super) fn build(
     check_shared_memory(attach.shared_memory_bytes())?;
     attach.write(&attach.root)?;
     let bus = Bus::join(attach, Role::Orchestrator)?;
-    let inbox = BuildInbox::new(&bus)?;
+    let (handshakes, heartbeats) = (bus.receiver()?, bus.receiver()?);
+    let (error_reports, shutdown_reports) = (bus.receiver()?, bus.receiver()?);
     report(BuildStage::Starting);
     let launches = launches(request, recipe, folder.path(), names, run.path())?;
     let children = Children::start(&launches, &folder.path().join("logs"))?;
-    Build { children, inbox, bus: &bus, last_report: None }.run(stop, report)
+    let build = Build {
+        children,
+        handshakes,
+        heartbeats,
+        error_reports,
+        shutdown_reports,
+        bus: &bus,
+        last_report: None,
+    };
+    build.run(stop, report)
 }
 
 fn launches(
@@ -94,33 +104,16 @@ fn launches(
     memory.args.extend(["--documents".into(), folder.into()]);
     let names: Vec<String> = names.iter().map(DocumentName::to_string).collect();
     memory.args.extend(["--wanted".into(), names.join(",").into()]);
-    memory.args.extend(request.builder_flags(recipe));
-    Ok(vec![sim, memory])
-}
-
-/// The messages of a build.
-struct BuildInbox {
-    handshakes: Receiver<Handshake>,
-    heartbeats: Receiver<Heartbeat>,
-    error_reports: Receiver<ErrorReport>,
-    shutdown_reports: Receiver<ShutdownReport>,
-}
-
-impl BuildInbox {
-    fn new(bus: &Bus) -> Result<Self> {
-        Ok(Self {
-            handshakes: bus.receiver()?,
-            heartbeats: bus.receiver()?,
-            error_reports: bus.receiver()?,
-            shutdown_reports: bus.receiver()?,
-        })
-    }
+    Ok(vec![sim, memory.with_flags(request.builder_flags(recipe))])
 }
 
 /// A build that is running. Fields are dropped in order: processes end before the services that they use.
 struct Build<'a> {
     children: Children,
-    inbox: BuildInbox,
+    handshakes: Receiver<Handshake>,
+    heartbeats: Receiver<Heartbeat>,
+    error_reports: Receiver<ErrorReport>,
+    shutdown_reports: Receiver<ShutdownReport>,
     bus: &'a Bus,
     /// The last reported stage.
     last_report: Option<BuildStage>,
@@ -134,16 +127,16 @@ impl Build<'_> {
             if stop.load(Ordering::Relaxed) {
                 return Ok(false);
             }
-            self.inbox.handshakes.drain()?;
-            for heartbeat in self.inbox.heartbeats.drain()? {
+            self.handshakes.drain()?;
+            for heartbeat in self.heartbeats.drain()? {
                 if heartbeat.role == Role::Memory as u32 {
                     self.report(heartbeat, report);
                 }
             }
-            for report in self.inbox.error_reports.drain()? {
+            for report in self.error_reports.drain()? {
                 error = read_text(&report.text, report.text_len).ok().map(str::to_owned);
             }
-            let reports = self.inbox.shutdown_reports.drain()?;
+            let reports = self.shutdown_reports.drain()?;
             if reports.iter().any(|report| report.role == Role::Memory as u32) {
                 self.finish()?;
                 return Ok(true);
@@ -178,7 +171,7 @@ impl Build<'_> {
             self.bus.notifier(role)?.notify()?;
         }
         let deadline = Instant::now() + SHUTDOWN_TIMEOUT;
-        while Instant::now() < deadline && self.inbox.shutdown_reports.drain()?.is_empty() {
+        while Instant::now() < deadline && self.shutdown_reports.drain()?.is_empty() {
             self.bus.listener().wait(TICK)?;
         }
         self.children.wait_or_kill(SHUTDOWN_TIMEOUT);
