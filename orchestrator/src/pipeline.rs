@@ -25,7 +25,7 @@ use anyhow::{Result, bail};
 use domain::{ExternalName, MemoryKind};
 use shm_types::message::{Heartbeat, Role, ShutdownReport};
 use shm_types::{Attach, clock};
-use supervise::{Children, Launch, Launcher};
+use supervise::{ChildExit, Children, Launch, Launcher};
 
 use crate::external_memory::ExternalMemory;
 use crate::lanes::{AnsweredRequest, FinishedEpisode, Lanes, PendingAnswer, Stamps};
@@ -200,6 +200,23 @@ enum Failure {
     ExternalMemory(ExternalName, String),
     /// No other generation would do better.
     Fatal(anyhow::Error),
+}
+
+impl Failure {
+    /// That of `sender`.
+    fn of(sender: Participant, why: String) -> Self {
+        match (sender.role, sender.memory) {
+            (_, Some(name)) => Self::ExternalMemory(name, why),
+            (Role::Policy, None) => Self::Policy(why),
+            (_, None) => Self::Retry(why),
+        }
+    }
+
+    /// That of a child which has exited.
+    fn of_exit(exit: &ChildExit, options: &PipelineOptions) -> Self {
+        let sender = options.participant(exit.role, exit.index.into());
+        Self::of(sender.unwrap_or(exit.role.into()), exit.to_string())
+    }
 }
 
 impl<E: Into<anyhow::Error>> From<E> for Failure {

@@ -13,7 +13,7 @@ use shm_types::description::{DESCRIPTION_FILE, memory_folder};
 use shm_types::message::{Handshake, Role, WIRE_VERSION, read_text};
 use shm_types::process::{ProcessWatch, check_shared_memory, monotonic_ns};
 use shm_types::{Attach, Bus, BusError, MemoryDescription};
-use supervise::{ChildExit, Children, Launch};
+use supervise::{Children, Launch};
 
 use super::generation::{Generation, Inbox, TICK, role};
 use super::{Facts, Failure, Participant, PipelineOptions, PipelineRun};
@@ -122,7 +122,7 @@ impl Generation {
             // A process that cannot start reports an error and exits: it is reported once, here.
             if let Some(exit) = self.children.exited() {
                 if exit.role == Role::ExternalMemory {
-                    return Err(memory_exit(&exit, run.options));
+                    return Err(Failure::of_exit(&exit, run.options));
                 }
                 let advice = exit.command.as_deref().map(advice_on).unwrap_or_default();
                 let why = format!("{exit}{advice}");
@@ -222,14 +222,6 @@ fn is_started_by_user(one: Participant, options: &PipelineOptions) -> bool {
             options.memories.iter().any(|memory| memory.name == name && memory.command.is_none())
         }
         None => one.role == Role::Policy && options.external_policy,
-    }
-}
-
-/// The failure that the exit of an external memory means.
-pub(super) fn memory_exit(exit: &ChildExit, options: &PipelineOptions) -> Failure {
-    match options.memory(exit.index.into()) {
-        Some(memory) => Failure::ExternalMemory(memory.name, exit.to_string()),
-        None => Failure::Retry(exit.to_string()),
     }
 }
 

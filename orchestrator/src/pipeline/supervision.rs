@@ -7,7 +7,7 @@ use shm_types::message::{ErrorReport, ErrorReportKind, Role, read_text};
 use shm_types::process::monotonic_ns;
 
 use super::generation::{Generation, role};
-use super::startup::{memory_exit, of_unknown_sender, read_handshake, unexpected};
+use super::startup::{of_unknown_sender, read_handshake, unexpected};
 use super::{Failure, MEMORY_BUILD_TIMEOUT, PipelineOptions, PipelineRun};
 use crate::lanes::PendingAnswer;
 
@@ -44,12 +44,7 @@ impl Generation {
                 run.observer.problem(&of_unknown_sender(&handshake));
                 continue;
             };
-            let why = unexpected(sender);
-            return Err(match (sender.role, sender.memory) {
-                (Role::Policy, _) => Failure::Policy(why),
-                (_, Some(name)) => Failure::ExternalMemory(name, why),
-                _ => Failure::Retry(why),
-            });
+            return Err(Failure::of(sender, unexpected(sender)));
         }
         self.check_overdue(run)?;
         Ok(None)
@@ -175,22 +170,10 @@ impl Generation {
 
     /// The failure that a process's exit means, if one has exited.
     pub(super) fn exited(&mut self, options: &PipelineOptions) -> Option<Failure> {
-        for (sender, watch) in &self.external {
-            if watch.has_ended() {
-                return Some(match sender.memory {
-                    Some(name) => Failure::ExternalMemory(
-                        name,
-                        format!("the external memory {name} has exited"),
-                    ),
-                    None => Failure::Policy("the external policy has exited".to_owned()),
-                });
-            }
+        if let Some(&(sender, _)) = self.external.iter().find(|(_, watch)| watch.has_ended()) {
+            let which = sender.memory.map_or("policy".to_owned(), |name| format!("memory {name}"));
+            return Some(Failure::of(sender, format!("the external {which} has exited")));
         }
-        let exit = self.children.exited()?;
-        if exit.role == Role::ExternalMemory {
-            return Some(memory_exit(&exit, options));
-        }
-        let why = exit.to_string();
-        Some(if exit.role == Role::Policy { Failure::Policy(why) } else { Failure::Retry(why) })
+        self.children.exited().map(|exit| Failure::of_exit(&exit, options))
     }
 }
