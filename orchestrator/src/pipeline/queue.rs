@@ -155,7 +155,7 @@ impl EpisodeQueue {
         true
     }
 
-    /// A generation ended with `under_way`, for a reason that they have no part in: they start over, however often.
+    /// A generation ended with `under_way`, and none of them is known to be the reason: they start over, however often.
     pub(super) fn interrupted(&mut self, under_way: Vec<PlannedEpisode>) {
         for episode in under_way {
             self.failures.entry(episode.key.clone()).or_default().all += 1;
@@ -199,10 +199,7 @@ impl EpisodeQueue {
             let width = (under_way.len() / 2).max(1);
             let suspects: BTreeSet<_> =
                 under_way.iter().map(|episode| episode.key.clone()).collect();
-            for episode in under_way {
-                self.failures.entry(episode.key.clone()).or_default().all += 1;
-                self.waiting.push_front(episode);
-            }
+            self.interrupted(under_way);
             if !suspects.is_empty() {
                 self.search = Some(CulpritSearch { suspects, width });
             }
