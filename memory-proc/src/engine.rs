@@ -169,30 +169,19 @@ impl<I: Clone> Engine<I> {
             self.close(abandoned);
         }
         let running = &mut self.lanes[seen.lane as usize].running;
-        let is_its_own = |running: &&mut MemoryEpisode| running.id == seen.episode;
-        if seen.last == 1
-            && let Some(learned) =
-                running.as_mut().filter(is_its_own).filter(|running| running.learns())
-        {
-            learned.observe(seen, &self.worlds)?;
-            let stage = PendingStage::Ended;
-            learned.pending = Some(PendingObservation { received_ns, content: None, stage });
-            self.pending.insert(seen.lane);
-            return Ok(None);
-        }
-        if seen.last == 1 {
-            let done = running.take_if(|running| running.id == seen.episode);
-            let mut done = done.ok_or_else(unknown)?;
+        let is_last = seen.last == 1;
+        let done = running.take_if(|own| own.id == seen.episode && is_last && !own.learns());
+        if let Some(mut done) = done {
             self.pass_on_last(&mut done, seen);
             self.close(done);
             return Ok(None);
         }
-        let running = running.as_mut().filter(is_its_own);
+        let running = running.as_mut().filter(|running| running.id == seen.episode);
         let running = running.ok_or_else(unknown)?;
         running.observe(seen, &self.worlds)?;
-        let stage = PendingStage::New;
+        let stage = if is_last { PendingStage::Ended } else { PendingStage::New };
         running.pending = Some(PendingObservation { received_ns, content: None, stage });
-        if running.embeds {
+        if running.embeds && !is_last {
             return Ok(Some(seen.frame));
         }
         self.pending.insert(seen.lane);
@@ -308,20 +297,16 @@ impl<I: Clone> Engine<I> {
                 "answer of external memory {name} for step {step} of episode {episode}, after it was answered or given up"
             ));
         };
-        let asked = match pending.stage {
-            PendingStage::Asked { since_ns } if now == step => Some(since_ns),
-            _ => None,
-        };
         let refused =
             |why: String| Reason::from(format!("external memory {name}, step {step}: {why}"));
-        let checked = match (asked, in_time) {
-            (None, _) => Err(refused(format!(
-                "it answers step {step}, and the last question was step {now}"
-            ))),
-            (Some(_), Err(overdue)) => Err(overdue),
-            (Some(since_ns), Ok(())) => {
+        let checked = match pending.stage {
+            PendingStage::Asked { since_ns } if now == step => in_time.and_then(|()| {
                 let checked = items.and_then(|items| running.checked(items));
                 checked.map(|checked| (checked, since_ns)).map_err(refused)
+            }),
+            _ => {
+                let why = format!("it answers step {step}, and the last question was step {now}");
+                Err(refused(why))
             }
         };
         match checked {

@@ -251,10 +251,7 @@ impl ExternalMemories {
         while self.unused.len() > KEPT_BANKS {
             let oldest = self.unused.iter().position(|id| !in_use(&self.banks[id].state));
             let Some(id) = oldest.and_then(|at| self.unused.remove(at)) else { return };
-            self.unbuilt.remove(&id);
-            if let Some(bank) = self.banks.remove(&id) {
-                self.outbox.push((bank.index, ToExternal::TakeBack(id)));
-            }
+            self.take_back(id);
         }
     }
 
@@ -340,7 +337,7 @@ impl ExternalMemories {
         }
     }
 
-    /// Takes back the bank of a sequence.
+    /// Takes back a bank.
     pub(crate) fn take_back(&mut self, id: u64) {
         self.unbuilt.remove(&id);
         self.storing.remove(&id);
@@ -495,9 +492,7 @@ impl ExternalMemories {
     /// Waits for the answer to the question of `since_ns`, as long as the time limit allows.
     pub(crate) fn wait(&self, episode: &MemoryEpisode, since_ns: u64, now_ns: u64) -> LaneProgress {
         let limit = self.limits.answer;
-        let EpisodeMemory::External { index, .. } = episode.memory else {
-            return LaneProgress::Gone;
-        };
+        let Some((index, _)) = episode.external() else { return LaneProgress::Gone };
         let since_ns = self.last_busy_ns.get(&index).map_or(since_ns, |last| since_ns.max(*last));
         if u128::from(now_ns.saturating_sub(since_ns)) <= limit.as_nanos() {
             return LaneProgress::Waiting;
