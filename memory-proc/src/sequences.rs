@@ -456,21 +456,16 @@ fn is_loaded(
     if !externals.is_built(bank)? {
         return Ok(false);
     }
-    match to_load {
-        None => return Ok(true),
-        Some((folder, asked @ false)) => {
-            externals.store(bank, folder, true, now_ns)?;
-            *asked = true;
-        }
-        Some((_, true)) => {
-            if let Some(outcome) = externals.take_stored(bank, now_ns) {
-                outcome?;
-                *to_load = None;
-                return Ok(true);
-            }
-        }
+    let Some((folder, is_asked)) = to_load else { return Ok(true) };
+    if !*is_asked {
+        externals.store(bank, folder, true, now_ns)?;
+        *is_asked = true;
+        return Ok(false);
     }
-    Ok(false)
+    let Some(outcome) = externals.take_stored(bank, now_ns) else { return Ok(false) };
+    outcome?;
+    *to_load = None;
+    Ok(true)
 }
 
 impl SequenceMemory {
@@ -495,17 +490,13 @@ impl SequenceMemory {
             }
             _ => {
                 let sub_goals = recording.sub_goals();
-                let (success, sub_goals) = match part.feedback {
-                    FeedbackLevel::None => (None, None),
-                    FeedbackLevel::Success => (Some(recording.is_complete), None),
-                    FeedbackLevel::SubGoals => (Some(recording.is_complete), Some(&*sub_goals)),
-                };
                 let end = EpisodeEnd {
                     lane: episode.lane,
                     episode: episode.id,
                     demonstration: Some(self.bank.demonstrations.len() as u32),
-                    success,
-                    sub_goals,
+                    success: (part.feedback != FeedbackLevel::None)
+                        .then_some(recording.is_complete),
+                    sub_goals: (part.feedback == FeedbackLevel::SubGoals).then_some(&sub_goals),
                 };
                 self.experiences.push(StoredExperience::new(episode.case, &recording.lived));
                 let lived = Arc::new(recording.lived.clone());
