@@ -8,13 +8,12 @@ use bytemuck::Zeroable;
 use domain::{Action, Feedback, Pose, UnknownCode};
 use shm_types::banks::BankStep;
 use shm_types::message::{
-    DocumentId, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore,
-    ExternalStored, Learning, NO_ACTION, NOT_MEASURED, RequestId, Role, read_text,
+    ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore, ExternalStored,
+    Learning, NO_ACTION, NOT_MEASURED, RequestId, Role, read_text,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
-    Bank, BankReceiver, Bus, BusError, ErrorReporter, Frame, NotePublisher, Notifier, Receiver,
-    Sender,
+    Bank, BankReceiver, Bus, ErrorReporter, Frame, NotePublisher, Notifier, Receiver, Sender,
 };
 
 use super::answer::UnsentAnswer;
@@ -128,7 +127,7 @@ impl<'s> MemorySession<'s> {
             }
             Err(error) => {
                 tracing::warn!(bank = id, %error, "the memory cannot be built");
-                message.failure = self.publish_note(NO_LANE, 0, error.to_string().as_bytes())?;
+                message.failure = self.notes.publish(NO_LANE, 0, error.to_string().as_bytes())?;
                 self.memories.insert(id, None);
             }
         }
@@ -243,7 +242,11 @@ impl<'s> MemorySession<'s> {
             _ => connection.frame(message.frame)?,
         };
         let memory = self.memories.get_mut(&running.bank).and_then(Option::as_mut);
-        let answer = running.answer(message, frame.as_ref(), memory, self.window);
+        let answer = match &running.failure {
+            Some(failure) => Err(failure.clone()),
+            None => running.ask(message, frame.as_ref(), memory, self.window),
+        };
+        running.failure = answer.as_ref().err().cloned();
         if message.last == 1 {
             let Some(ended) = self.lanes[lane as usize].take() else { return Ok(false) };
             let Some(Some(memory)) = self.memories.get_mut(&ended.bank) else { return Ok(false) };
@@ -292,7 +295,7 @@ impl<'s> MemorySession<'s> {
             Ok(store_bytes) => message.store_bytes = store_bytes,
             Err(error) => {
                 tracing::warn!(bank, %error, "the memory cannot be saved or loaded");
-                message.failure = self.publish_note(NO_LANE, 0, error.to_string().as_bytes())?;
+                message.failure = self.notes.publish(NO_LANE, 0, error.to_string().as_bytes())?;
             }
         }
         self.stored.send(&message)?;
@@ -309,21 +312,12 @@ impl<'s> MemorySession<'s> {
         let RequestId { lane, episode, step } = id;
         let mut message = ExternalAnswer { episode, lane, step, received_ns, ..answer.message };
         if !answer.note.is_empty() {
-            message.note = self.publish_note(lane, episode, &answer.note)?;
+            message.note = self.notes.publish(lane, episode, &answer.note)?;
         }
         message.sent_ns = monotonic_ns();
         self.answers.send(&message)?;
         self.answered += 1;
         Ok(())
-    }
-
-    fn publish_note(
-        &mut self,
-        lane: u32,
-        episode: u64,
-        bytes: &[u8],
-    ) -> Result<DocumentId, BusError> {
-        self.notes.publish(lane, episode, bytes)
     }
 }
 
@@ -332,21 +326,6 @@ impl AskedEpisode {
     ///
     /// # Errors
     /// When the episode cannot be served.
-    fn answer(
-        &mut self,
-        message: &ExternalQuery,
-        frame: Option<&Arc<Frame>>,
-        memory: Option<&mut Box<dyn Memory + '_>>,
-        window: usize,
-    ) -> Result<UnsentAnswer, MemoryError> {
-        if let Some(failure) = &self.failure {
-            return Err(failure.clone());
-        }
-        let answer = self.ask(message, frame, memory, window);
-        self.failure = answer.as_ref().err().cloned();
-        answer
-    }
-
     fn ask(
         &mut self,
         message: &ExternalQuery,
