@@ -20,7 +20,7 @@ use domain::{Pose, Representation};
 use shm_types::clock::{Instant, sleep};
 use shm_types::description::memory_folder;
 use shm_types::message::{
-    EXTERNAL, FrameId, Handshake, Heartbeat, MAX_EMBEDDING, MemoryEpisodeConfig, Observation, Role,
+    FrameId, Handshake, Heartbeat, MAX_EMBEDDING, MemoryEpisodeConfig, Observation, Role,
     ShutdownReport, View,
 };
 use shm_types::process::{die_with_parent, monotonic_ns};
@@ -403,17 +403,13 @@ impl<'a> MemoryServer<'a> {
 
     /// Checks that this process was started with what an episode's memory needs.
     fn can_serve(&self, config: &MemoryEpisodeConfig) -> Result<(), String> {
-        if config.representation == EXTERNAL {
-            // Checked at the start.
-            return Ok(());
-        }
         match Representation::try_from(config.representation) {
             Ok(asked) if asked.matches_views() && self.encoder.is_none() => Err(format!(
                 "config of episode {}: {asked} memory matches views, and memory-proc was started with \
                  --no-encoder",
                 config.episode
             )),
-            // The engine refuses unknown representations.
+            // External memories are checked at the start, and the engine refuses unknown representations.
             Ok(_) | Err(_) => Ok(()),
         }
     }

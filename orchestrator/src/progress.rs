@@ -94,16 +94,13 @@ impl ProgressDisplay {
         }
         phase.clone_into(&mut self.phase);
         self.shown = Some(Instant::now());
-        match self.target {
-            ProgressTarget::Bar => {
-                let columns = terminal_size::terminal_size_of(std::io::stderr());
-                let columns = columns.map_or(COLUMNS, |(width, _)| usize::from(width.0));
-                erase_line();
-                write_to_stderr(&bar(done, total, &line(), columns));
-            }
-            ProgressTarget::Lines => say(&line()),
-            ProgressTarget::Nothing | ProgressTarget::Silence => {}
+        if self.target == ProgressTarget::Lines {
+            return say(&line());
         }
+        let columns = terminal_size::terminal_size_of(std::io::stderr());
+        let columns = columns.map_or(COLUMNS, |(width, _)| usize::from(width.0));
+        erase_line();
+        write_to_stderr(&bar(done, total, &line(), columns));
     }
 
     /// Prints a message that stays, above the bar; also where no progress is shown.
@@ -120,12 +117,10 @@ impl ProgressDisplay {
     /// Removes the bar; where there are lines, prints the `last` one.
     pub fn close(self, last: impl FnOnce() -> String) {
         match self.target {
-            ProgressTarget::Bar if self.shown.is_some() => erase_line(),
-            ProgressTarget::Lines if self.shown.is_some() => say(&last()),
-            ProgressTarget::Bar
-            | ProgressTarget::Lines
-            | ProgressTarget::Nothing
-            | ProgressTarget::Silence => {}
+            _ if self.shown.is_none() => {}
+            ProgressTarget::Bar => erase_line(),
+            ProgressTarget::Lines => say(&last()),
+            ProgressTarget::Nothing | ProgressTarget::Silence => {}
         }
     }
 }
