@@ -383,21 +383,16 @@ mod tests {
 
     fn attach() -> Attach {
         Attach {
-            wire_version: WIRE_VERSION,
             prefix: "mt0_".to_owned(),
             generation: 3,
             orchestrator_pid: 17,
             participants: vec![Role::Sim],
             external_memories: vec![0, 2],
             lanes: 8,
-            window: 6,
-            frame: FrameSize::DEFAULT,
             frame_capacity: 100,
             wait: Wait { spin_us: 20 },
             frame_control: FrameControl::Swapped,
-            prompts: None,
-            spans: None,
-            root: PathBuf::new(),
+            ..Attach::new(Path::new(""))
         }
     }
 

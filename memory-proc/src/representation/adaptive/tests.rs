@@ -57,9 +57,9 @@ fn step<'a>(number: usize, seen: &Seen, embedding: Option<&'a [f32]>) -> Step<'a
     }
 }
 
-/// Lives through an episode of [`TASK`]. The last step has no view.
-fn live(memory: &mut Adaptive, number: u32, seen: &[Seen], success: Option<bool>) {
-    let episode = Episode {
+/// An episode of [`TASK`].
+fn episode(learns: bool) -> Episode<'static> {
+    Episode {
         lane: 0,
         episode: 9,
         instruction: TASK,
@@ -67,9 +67,13 @@ fn live(memory: &mut Adaptive, number: u32, seen: &[Seen], success: Option<bool>
         repeat: 1,
         image_budget: 60,
         text_budget: 0,
-        learns: true,
-    };
-    memory.begin_episode(&episode).unwrap();
+        learns,
+    }
+}
+
+/// Lives through an episode. The last step has no view.
+fn live(memory: &mut Adaptive, number: u32, seen: &[Seen], success: Option<bool>) {
+    memory.begin_episode(&episode(true)).unwrap();
     for (number, step_of) in seen.iter().enumerate() {
         let view = angle(step_of.0, step_of.3);
         let view = (number + 1 < seen.len()).then_some(&*view);
@@ -240,17 +244,7 @@ fn a_memory_that_is_loaded_is_the_one_that_was_saved() {
 fn an_episode_that_is_not_learned_from_changes_nothing() {
     let mut memory = memory(&[(5, 9)]);
     let before = memory.trajectories.clone();
-    let episode = Episode {
-        lane: 0,
-        episode: 9,
-        instruction: TASK,
-        seed: 1,
-        repeat: 1,
-        image_budget: 60,
-        text_budget: 0,
-        learns: false,
-    };
-    memory.begin_episode(&episode).unwrap();
+    memory.begin_episode(&episode(false)).unwrap();
     supplied(&mut memory, at(3, 6), 1, TASK);
     memory.observe(&step(0, &north(5, 6)[0], Some(&angle(at(3, 5), 0.0)))).unwrap();
     memory.end_episode(&EpisodeEnd::unlearned(0, 9)).unwrap();
