@@ -384,40 +384,36 @@ mod tests {
         .collect()
     }
 
-    fn next(queue: &mut EpisodeQueue) -> Option<PlannedEpisode> {
-        queue.next(0)
-    }
-
     #[test]
     fn a_sequence_waits_for_its_episode_and_goes_on_from_its_snapshot() {
         let mut queue = EpisodeQueue::new(sequences());
-        let (mut one, other) = (next(&mut queue).unwrap(), next(&mut queue).unwrap());
+        let (mut one, other) = (queue.next(0).unwrap(), queue.next(0).unwrap());
         assert_eq!((one.case_index, other.case_index), (0, 10));
-        assert_eq!(next(&mut queue), None, "the others wait for these");
+        assert_eq!(queue.next(0), None, "the others wait for these");
         // What fails is repeated, and nothing else of its sequence.
         queue.failed(vec![other]);
-        let other = next(&mut queue).unwrap();
-        assert_eq!((other.case_index, next(&mut queue)), (10, None));
+        let other = queue.next(0).unwrap();
+        assert_eq!((other.case_index, queue.next(0)), (10, None));
         one.part.as_mut().unwrap().snapshot = [7; 16];
         queue.finish(&one);
-        let second = next(&mut queue).unwrap();
+        let second = queue.next(0).unwrap();
         assert_eq!((second.case_index, second.part.unwrap().snapshot), (1, [7; 16]));
         queue.finish(&second);
-        let third = next(&mut queue).unwrap();
+        let third = queue.next(0).unwrap();
         assert_eq!((third.case_index, third.part.unwrap().snapshot), (2, [7; 16]));
         queue.finish(&third);
         queue.finish(&other);
-        assert_eq!(next(&mut queue).unwrap().case_index, 11);
+        assert_eq!(queue.next(0).unwrap().case_index, 11);
     }
 
     #[test]
     fn an_episode_without_a_result_ends_its_sequence() {
         let mut queue = EpisodeQueue::new(sequences());
-        let (one, other) = (next(&mut queue).unwrap(), next(&mut queue).unwrap());
+        let (one, other) = (queue.next(0).unwrap(), queue.next(0).unwrap());
         queue.give_up(one, "no answer".into());
         queue.finish(&other);
         let left: Vec<usize> = std::iter::from_fn(|| {
-            let episode = next(&mut queue)?;
+            let episode = queue.next(0)?;
             queue.finish(&episode);
             Some(episode.case_index)
         })
