@@ -18,44 +18,62 @@ const DIGITS: u8 = 2;
 
 const STAGES: usize = Stages::NAMES.len();
 
-/// Histograms of every stage, and of whole steps, by memory.
-#[derive(Debug, Default)]
-pub struct StepLatencies {
-    memories: Vec<(MemoryKind, StageHistograms)>,
+/// Histograms of `N` times for each `K`.
+#[derive(Debug)]
+struct TimesOf<K, const N: usize>(Vec<(K, [Histogram<u64>; N])>);
+
+impl<K, const N: usize> Default for TimesOf<K, N> {
+    fn default() -> Self {
+        Self(Vec::new())
+    }
 }
 
-/// The histograms of one memory.
-#[derive(Debug)]
-struct StageHistograms {
-    stages: [Histogram<u64>; STAGES],
-    step: Histogram<u64>,
+impl<K: PartialEq, const N: usize> TimesOf<K, N> {
+    fn of(&mut self, key: K) -> &mut [Histogram<u64>; N] {
+        let at = self.0.iter().position(|(known, _)| *known == key);
+        let at = at.unwrap_or_else(|| {
+            self.0.push((key, std::array::from_fn(|_| histogram(DIGITS))));
+            self.0.len() - 1
+        });
+        &mut self.0[at].1
+    }
+
+    fn record(&mut self, key: K, times_ns: [u64; N]) {
+        for (histogram, time_ns) in self.of(key).iter_mut().zip(times_ns) {
+            histogram.saturating_record(time_ns);
+        }
+    }
+
+    /// Removes everything that was recorded, and keeps the allocations.
+    fn clear(&mut self) {
+        self.0.iter_mut().flat_map(|(_, histograms)| histograms).for_each(Histogram::reset);
+    }
 }
+
+/// Histograms of every stage and, after them, of whole steps, by memory.
+#[derive(Debug, Default)]
+pub struct StepLatencies(TimesOf<MemoryKind, { STAGES + 1 }>);
 
 impl StepLatencies {
     /// Adds a step.
     pub fn record(&mut self, stamps: &Stamps) {
-        let memory = self.of(stamps.memory);
-        let values = stamps.stages().values();
-        let mut sum = 0_u64;
-        for (histogram, value) in memory.stages.iter_mut().zip(values) {
-            histogram.saturating_record(value);
-            // A policy may send any stamps.
-            sum = sum.saturating_add(value);
-        }
-        memory.step.saturating_record(sum);
+        let stages = stamps.stages().values();
+        let mut times = [0; STAGES + 1];
+        times[..STAGES].copy_from_slice(&stages);
+        // A policy may send any stamps.
+        times[STAGES] = stages.into_iter().fold(0, u64::saturating_add);
+        self.0.record(stamps.memory, times);
     }
 
     /// Whether nothing was recorded.
     pub fn is_empty(&self) -> bool {
-        self.memories.is_empty()
+        self.0.0.is_empty()
     }
 
     /// Adds what `other` recorded.
     pub fn add(&mut self, other: &Self) {
-        for (memory, theirs) in &other.memories {
-            let ours = self.of(*memory);
-            let pairs = ours.stages.iter_mut().zip(&theirs.stages);
-            for (ours, theirs) in pairs.chain([(&mut ours.step, &theirs.step)]) {
+        for (memory, theirs) in &other.0.0 {
+            for (ours, theirs) in self.0.of(*memory).iter_mut().zip(theirs) {
                 if let Err(impossible) = ours.add(theirs) {
                     unreachable!("all histograms have the same bounds: {impossible}");
                 }
@@ -65,23 +83,18 @@ impl StepLatencies {
 
     /// Removes everything that was recorded, and keeps the allocations.
     pub fn clear(&mut self) {
-        for (_, memory) in &mut self.memories {
-            memory.stages.iter_mut().chain([&mut memory.step]).for_each(Histogram::reset);
-        }
+        self.0.clear();
     }
 
     /// Every stage of every memory, and `step` for all stages together, in order.
     pub fn summaries(
         &self,
     ) -> impl Iterator<Item = (MemoryKind, &'static str, LatencySummary)> + '_ {
-        self.memories.iter().filter(|(_, memory)| !memory.step.is_empty()).flat_map(
-            |(memory, histograms)| {
-                let stages = Stages::NAMES.into_iter().zip(&histograms.stages);
-                stages
-                    .chain([("step", &histograms.step)])
-                    .map(|(stage, histogram)| (*memory, stage, summarize(histogram)))
-            },
-        )
+        let recorded = self.0.0.iter().filter(|(_, histograms)| !histograms[STAGES].is_empty());
+        recorded.flat_map(|(memory, histograms)| {
+            let names = Stages::NAMES.into_iter().chain(["step"]);
+            names.zip(histograms).map(|(name, times)| (*memory, name, summarize(times)))
+        })
     }
 
     /// The lines of `latency.jsonl` for `session`.
@@ -93,74 +106,35 @@ impl StepLatencies {
             summary,
         })
     }
-
-    fn of(&mut self, memory: MemoryKind) -> &mut StageHistograms {
-        let at = self.memories.iter().position(|(known, _)| *known == memory);
-        let at = at.unwrap_or_else(|| {
-            self.memories.push((memory, StageHistograms::new()));
-            self.memories.len() - 1
-        });
-        &mut self.memories[at].1
-    }
 }
 
-/// Histograms of the recalls of external memories, apart from what they compute.
+/// Histograms of the recalls of external memories, of what they compute, and of the messages to them and back.
 #[derive(Debug, Default)]
-pub struct RecallLatencies {
-    memories: Vec<(ExternalName, RecallHistograms)>,
-}
-
-#[derive(Debug)]
-struct RecallHistograms {
-    recall: Histogram<u64>,
-    method: Histogram<u64>,
-    wire: Histogram<u64>,
-}
+pub struct RecallLatencies(TimesOf<ExternalName, 3>);
 
 impl RecallLatencies {
     /// Adds a step, if its memory is an external one.
     pub fn record(&mut self, stamps: &Stamps) {
         let MemoryKind::External(name) = stamps.memory else { return };
-        let at = self.memories.iter().position(|(known, _)| *known == name);
-        let at = at.unwrap_or_else(|| {
-            let [recall, method, wire] = std::array::from_fn(|_| histogram(DIGITS));
-            self.memories.push((name, RecallHistograms { recall, method, wire }));
-            self.memories.len() - 1
-        });
         let Stamps { received_ns, embedded_ns, searched_ns, recalled_ns, method_ns, .. } = *stamps;
-        let histograms = &mut self.memories[at].1;
-        histograms.recall.saturating_record(recalled_ns.saturating_sub(received_ns));
-        histograms.method.saturating_record(method_ns);
-        let answer_ns = searched_ns.saturating_sub(embedded_ns);
-        histograms.wire.saturating_record(answer_ns.saturating_sub(method_ns));
+        let recall_ns = recalled_ns.saturating_sub(received_ns);
+        let wire_ns = searched_ns.saturating_sub(embedded_ns).saturating_sub(method_ns);
+        self.0.record(name, [recall_ns, method_ns, wire_ns]);
     }
 
     /// The status of the memory called `name`, which is in `state`.
     pub fn status(&self, name: ExternalName, state: &str) -> MemoryStatus {
-        let of = |histogram: fn(&RecallHistograms) -> &Histogram<u64>| {
-            let (_, found) = self.memories.iter().find(|(known, _)| *known == name)?;
-            Some(histogram(found)).filter(|times| !times.is_empty()).map(summarize)
-        };
-        MemoryStatus {
-            name,
-            state: state.to_owned(),
-            recall: of(|found| &found.recall),
-            method: of(|found| &found.method),
-            wire: of(|found| &found.wire),
-        }
+        let found = self.0.0.iter().find(|(known, _)| *known == name);
+        let [recall, method, wire] = std::array::from_fn(|time| {
+            let times = found.map(|(_, histograms)| &histograms[time]);
+            times.filter(|times| !times.is_empty()).map(summarize)
+        });
+        MemoryStatus { name, state: state.to_owned(), recall, method, wire }
     }
 
     /// Removes everything that was recorded, and keeps the allocations.
     pub fn clear(&mut self) {
-        for (_, RecallHistograms { recall, method, wire }) in &mut self.memories {
-            [recall, method, wire].into_iter().for_each(Histogram::reset);
-        }
-    }
-}
-
-impl StageHistograms {
-    fn new() -> Self {
-        Self { stages: std::array::from_fn(|_| histogram(DIGITS)), step: histogram(DIGITS) }
+        self.0.clear();
     }
 }
 

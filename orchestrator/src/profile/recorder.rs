@@ -59,20 +59,7 @@ pub struct AccessLatency {
 }
 
 /// Histograms of the parts, in the order of [`AccessPart::ALL`].
-#[derive(Debug, Clone)]
-struct PartHistograms(Vec<Histogram<u64>>);
-
-impl PartHistograms {
-    fn new() -> Self {
-        Self(vec![histogram(DIGITS); AccessPart::ALL.len()])
-    }
-
-    fn record(&mut self, times: [u64; AccessPart::ALL.len()]) {
-        for (histogram, time) in self.0.iter_mut().zip(times) {
-            histogram.saturating_record(time);
-        }
-    }
-}
+type PartHistograms = [Histogram<u64>; AccessPart::ALL.len()];
 
 /// The parts of one access; `None` where the expert decided, or stamps are out of order.
 fn parts(stamps: &Stamps) -> Option<[u64; AccessPart::ALL.len()]> {
@@ -122,9 +109,11 @@ impl AccessRecorder {
             self.unordered += 1;
             return;
         };
-        let classes = self.histograms.entry(stamps.memory);
-        let classes = classes.or_insert_with(|| [PartHistograms::new(), PartHistograms::new()]);
-        classes[usize::from(stamps.step > 0)].record(times);
+        let new = || std::array::from_fn(|_| std::array::from_fn(|_| histogram(DIGITS)));
+        let classes = self.histograms.entry(stamps.memory).or_insert_with(new);
+        for (part, time) in classes[usize::from(stamps.step > 0)].iter_mut().zip(times) {
+            part.saturating_record(time);
+        }
     }
 
     /// Seconds from the first command to the last decision.
@@ -136,7 +125,7 @@ impl AccessRecorder {
     pub fn latencies(&self) -> Vec<AccessLatency> {
         let mut latencies = Vec::new();
         for (&memory, classes) in &self.histograms {
-            for (&step, PartHistograms(parts)) in StepClass::ALL.iter().zip(classes) {
+            for (&step, parts) in StepClass::ALL.iter().zip(classes) {
                 let parts = AccessPart::ALL.iter().zip(parts);
                 latencies.extend(parts.filter(|(_, times)| !times.is_empty()).map(
                     |(&part, times)| AccessLatency { memory, step, part, times: summarize(times) },
@@ -171,30 +160,18 @@ mod tests {
 
     /// The stamps of a step.
     fn stamps(step: u32, memory: Representation, times: [u64; 6]) -> Stamps {
-        let memory = memory.into();
         let [published_ns, received_ns, embedded_ns, searched_ns, assembled_ns, joined_ns] = times;
         Stamps {
-            episode: 1,
-            lane: 0,
             step,
-            memory,
             commanded_ns: 5,
-            woken_ns: 6,
-            stepped_ns: 7,
-            rendered_ns: 8,
             published_ns,
             received_ns,
             embedded_ns,
             searched_ns,
-            method_ns: 0,
             assembled_ns,
-            recalled_ns: assembled_ns,
             joined_ns,
-            started_ns: joined_ns,
-            prompted_ns: 0,
-            requested_ns: 0,
             decided_ns: joined_ns + 5,
-            logged_ns: joined_ns + 9,
+            ..Stamps::new(1, 0, memory.into())
         }
     }
 
