@@ -47,7 +47,7 @@ use crate::worlds::WorldStates;
 use ports::Ports;
 
 /// The longest wait for an event. Nothing depends on it; it bounds the time until a lost event is noticed.
-const LONGEST_SLEEP: Duration = Duration::from_secs(1);
+pub(crate) const LONGEST_SLEEP: Duration = Duration::from_secs(1);
 
 /// How long to wait for the description of an external memory: longer than the orchestrator waits for the memory.
 const DESCRIPTION_TIMEOUT: Duration = Duration::from_secs(3600);
@@ -56,7 +56,7 @@ const DESCRIPTION_TIMEOUT: Duration = Duration::from_secs(3600);
 const DESCRIPTION_POLL: Duration = Duration::from_millis(20);
 
 /// How long to stay after reporting an error, so that the report is received.
-const LAST_WORDS: Duration = Duration::from_millis(500);
+pub(crate) const LAST_WORDS: Duration = Duration::from_millis(500);
 
 /// How the memory process is started.
 #[derive(Debug, Clone)]
@@ -116,11 +116,16 @@ impl EncoderSettings {
 /// When the run cannot be joined, its transport fails, the assets or the encoder cannot be used, or a document is
 /// missing. Errors after joining are reported to the orchestrator as well.
 pub fn serve(settings: &ServeSettings) -> anyhow::Result<()> {
-    let attach = Attach::read(&settings.attach).context("cannot join the run")?;
+    let bus = join(&settings.attach)?;
+    serve_with(settings, &bus, |wake, reporter| open_encoder(settings, wake, reporter))
+}
+
+/// Joins the run in the folder `run`.
+pub(crate) fn join(run: &Path) -> anyhow::Result<Bus> {
+    let attach = Attach::read(run).context("cannot join the run")?;
     die_with_parent(attach.orchestrator_pid)
         .context("cannot tie this process to its orchestrator")?;
-    let bus = Bus::join(attach, Role::Memory)?;
-    serve_with(settings, &bus, |wake, reporter| open_encoder(settings, wake, reporter))
+    Ok(Bus::join(attach, Role::Memory)?)
 }
 
 /// As [`serve`], in the run that `bus` has joined, with the encoder and the known embeddings that `open` returns. The
@@ -562,7 +567,7 @@ fn external_memories(
 
 /// The number of demonstration views that fit into the frame store beside what running episodes pin: each lane's window,
 /// its current view and the one before.
-fn room_for_views(attach: &Attach) -> usize {
+pub(crate) fn room_for_views(attach: &Attach) -> usize {
     let pinned = u64::from(attach.lanes) * (u64::from(attach.window) + 2);
     u64::from(attach.frame_capacity).saturating_sub(pinned) as usize
 }

@@ -15,25 +15,17 @@ use domain::{Appearance, Pose};
 use shm_types::message::{
     Handshake, Heartbeat, NO_FRAME, Role, ShutdownReport, Stop, View, ViewRequest, ViewRequestKind,
 };
-use shm_types::process::die_with_parent;
-use shm_types::{
-    Attach, Bus, ErrorReporter, Frame, FrameError, FrameStore, Notifier, Receiver, Sender,
-};
+use shm_types::{Bus, ErrorReporter, Frame, FrameError, FrameStore, Notifier, Receiver, Sender};
 use warehouse::{Demonstrations, Elsewhere, Viewpoint};
 
 use documents::{DocumentFile, DocumentFolder, DocumentName, Provenance, Recipe, Sources};
 
 use super::transcript::sha256;
 use super::{BuiltText, DocumentBuilder, FrameReading, transcripts};
-
-/// The longest wait for an event. Nothing depends on it; it bounds the time until a lost event is noticed.
-const LONGEST_SLEEP: Duration = Duration::from_secs(1);
+use crate::serve::{LAST_WORDS, LONGEST_SLEEP, join, room_for_views};
 
 /// How often progress is reported.
 const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(250);
-
-/// How long to stay after reporting an error, so that the report is received.
-const LAST_WORDS: Duration = Duration::from_millis(500);
 
 /// What to build, and where.
 #[derive(Debug, Clone)]
@@ -64,10 +56,7 @@ pub struct BuildSettings {
 /// When the run cannot be joined, its transport or the simulator fails, the assets cannot be used, or a document cannot
 /// be built or written. Documents that have been written are kept.
 pub fn build(settings: &BuildSettings, builder: &mut dyn DocumentBuilder) -> Result<()> {
-    let attach = Attach::read(&settings.attach).context("cannot join the run")?;
-    die_with_parent(attach.orchestrator_pid)
-        .context("cannot tie this process to its orchestrator")?;
-    let bus = Bus::join(attach, Role::Memory)?;
+    let bus = join(&settings.attach)?;
     let mut reporter = ErrorReporter::new(&bus)?;
     let done = BuildProcess::new(&bus).and_then(|mut process| {
         let sources = Sources::load(settings.assets.as_deref())?.seen_with(settings.appearance);
@@ -133,9 +122,7 @@ impl<'a> BuildProcess<'a> {
         &mut self,
         viewpoints: &[Viewpoint],
     ) -> Result<HashMap<Viewpoint, Arc<FrameReading>>> {
-        let attach = self.bus.attach();
-        let pinned = u64::from(attach.lanes) * (u64::from(attach.window) + 2);
-        let room = u64::from(attach.frame_capacity).saturating_sub(pinned) as usize;
+        let room = room_for_views(self.bus.attach());
         if room == 0 {
             bail!("the frame store has no room for a view: raise --frame-budget");
         }
