@@ -17,10 +17,7 @@ mod render;
 mod template;
 pub mod tokens;
 
-use std::sync::Arc;
-
 use domain::Action;
-use domain::prompt_log::hex;
 use peer::{FrameView, Request};
 use serde_json::{Value, json};
 
@@ -163,30 +160,4 @@ impl<'a> Prompt<'a> {
         let parts: usize = characters.sum();
         if section == PromptSection::Rules { parts + self.system.chars().count() } else { parts }
     }
-
-    /// The two messages of a chat request, with `url` as the address of each image. Without an image the user message is
-    /// one plain text, which servers of models that cannot see accept too.
-    pub fn messages(&self, mut url: impl FnMut(&FrameView<'a>) -> Arc<str>) -> Value {
-        let content = if self.images_sent() == 0 {
-            let texts = self.parts.iter().filter_map(|part| match &part.content {
-                PartContent::Text(text) => Some(text.as_str()),
-                PartContent::View(_) => None,
-            });
-            Value::String(texts.collect())
-        } else {
-            let parts = self.parts.iter().map(|part| match &part.content {
-                PartContent::Text(text) => json!({"type": "text", "text": text}),
-                PartContent::View(view) => {
-                    json!({"type": "image_url", "image_url": {"url": &*url(view)}})
-                }
-            });
-            parts.collect()
-        };
-        json!([{"role": "system", "content": self.system}, {"role": "user", "content": content}])
-    }
-}
-
-/// The name of an image in logs and golden files: `image:` and the hexadecimal digits of its pixels' hash.
-pub fn image_name(view: &FrameView<'_>) -> Arc<str> {
-    format!("image:{}", hex(view.content_hash)).into()
 }

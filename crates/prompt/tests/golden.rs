@@ -10,9 +10,10 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use domain::prompt_log::hex;
 use domain::{Action, DocumentKind, Feedback, Heading, Pose};
 use peer::{CaptionedView, FrameView, Item, PastView, Request, StepView, StepsView, TextView};
-use prompt::{PartContent, Prompt, PromptSection, image_name};
+use prompt::{PartContent, Prompt, PromptPart, PromptSection};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -160,7 +161,7 @@ fn outcome(plain: &PlainRequest, image_budget: u32) -> (Value, String) {
             .collect()
     };
     let outcome = json!({
-        "messages": prompt.messages(image_name),
+        "messages": messages(&prompt),
         "sections": sections,
         "images_asked": prompt.images_asked,
         "images_sent": prompt.images_sent(),
@@ -168,6 +169,30 @@ fn outcome(plain: &PlainRequest, image_budget: u32) -> (Value, String) {
         "characters": by_section(&|section| prompt.characters(section).into()),
     });
     (outcome, readable(&prompt))
+}
+
+/// The two messages of a chat request, with images by name. Without an image the user message is one plain text, which
+/// servers of models that cannot see accept too.
+fn messages(prompt: &Prompt<'_>) -> Value {
+    let text = |part: &PromptPart<'_>| match &part.content {
+        PartContent::Text(text) => text.clone(),
+        PartContent::View(view) => panic!("{view:?}"),
+    };
+    let part = |part: &PromptPart<'_>| match &part.content {
+        PartContent::Text(text) => json!({"type": "text", "text": text}),
+        PartContent::View(view) => {
+            json!({"type": "image_url", "image_url": {"url": image_name(view)}})
+        }
+    };
+    let content: Value = match prompt.images_sent() {
+        0 => prompt.parts.iter().map(text).collect::<String>().into(),
+        _ => prompt.parts.iter().map(part).collect(),
+    };
+    json!([{"role": "system", "content": prompt.system}, {"role": "user", "content": content}])
+}
+
+fn image_name(view: &FrameView<'_>) -> String {
+    format!("image:{}", hex(view.content_hash))
 }
 
 /// The prompt as docs/prompt.md shows it.
