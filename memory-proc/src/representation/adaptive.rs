@@ -445,15 +445,11 @@ impl Memory for Adaptive {
             .flat_map(Embedding::as_slice)
             .flat_map(|number| number.to_le_bytes())
             .collect();
-        let written =
-            serde_json::to_vec(&state).map_err(|error| error.to_string()).and_then(|state| {
-                let files = [(STATE_FILE, state), (VIEWS_FILE, views)];
-                let mut files = files.into_iter();
-                files
-                    .try_for_each(|(name, bytes)| durable::write_file(&folder.join(name), &bytes))
-                    .map_err(|error| error.to_string())
-            });
-        written.map_err(MemoryError::new)
+        let write = |name, bytes: &[u8]| {
+            durable::write_file(&folder.join(name), bytes).map_err(MemoryError::new)
+        };
+        write(STATE_FILE, &serde_json::to_vec(&state).map_err(MemoryError::new)?)?;
+        write(VIEWS_FILE, &views)
     }
 
     fn load(&mut self, folder: &Path) -> Result<(), MemoryError> {
