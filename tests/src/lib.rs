@@ -175,6 +175,12 @@ pub struct Ended {
 }
 
 impl Ended {
+    /// Runs a command, whose output is captured, and waits for it.
+    pub fn run(command: &mut Command) -> Self {
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        Self::of(command.spawn().expect("the program starts"))
+    }
+
     /// Waits for `child`, and kills it after [`WATCHDOG`].
     pub fn of(child: Child) -> Self {
         let pid = child.id();
@@ -277,6 +283,18 @@ pub fn sorted_log(run: &Path) -> Vec<String> {
 /// The run's episode log so far; empty if there is none.
 pub fn episodes(run: &Path) -> String {
     fs::read_to_string(run.join("episodes.jsonl")).unwrap_or_default()
+}
+
+/// Waits until the run has finished `count` episodes.
+pub fn wait_for_episodes(run: &Path, count: usize) {
+    eventually("episodes to be finished", || {
+        (episodes(run).lines().count() >= count).then_some(())
+    });
+}
+
+/// The arguments in a command line without quotes.
+pub fn words(line: &str) -> Vec<&str> {
+    line.split_whitespace().collect()
 }
 
 /// The records of a run's episode log.

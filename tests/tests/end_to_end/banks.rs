@@ -1,26 +1,13 @@
 //! Banks and conflicting demonstrations through the real processes.
 
-use memtransfer_tests::{Bench, records, sorted_log};
+use memtransfer_tests::{Bench, records, sorted_log, words};
+
 #[test]
 fn a_slice_of_the_suite_growth() {
     let bench = Bench::new();
     let run = |out: &str, lanes: &str| {
-        let arguments = [
-            "run",
-            "--suite",
-            "growth",
-            "--policy",
-            "grounded",
-            "--limit",
-            "2",
-            "--max-steps",
-            "20",
-            "--lanes",
-            lanes,
-            "--out",
-            out,
-        ];
-        bench.run(&arguments).expect(0)
+        let line = "run --suite growth --policy grounded --limit 2 --max-steps 20";
+        bench.run(&[&words(line)[..], &["--lanes", lanes, "--out", out]].concat()).expect(0)
     };
     let ended = run("wide", "16");
     assert!(ended.stdout.contains("Banks of different sizes"), "{}", ended.stdout);
@@ -39,30 +26,17 @@ fn a_slice_of_the_suite_growth() {
     assert_eq!(of_others("bank-1"), 0);
     assert!(of_others("bank-400") > 0, "nothing from another case");
 
-    let arguments = ["run", "--demos", "bank-401", "--memory", "episodic", "--out", "too-large"];
-    let refused = bench.run(&arguments).expect(2);
+    let too_large = words("run --demos bank-401 --memory episodic --out too-large");
+    let refused = bench.run(&too_large).expect(2);
     assert!(refused.stderr.contains("the largest bank is bank-400"), "{}", refused.stderr);
 }
 
 #[test]
 fn a_slice_of_the_suite_conflict() {
     let bench = Bench::new();
-    let arguments = [
-        "run",
-        "--suite",
-        "conflict",
-        "--policy",
-        "grounded",
-        "--limit",
-        "4",
-        "--max-steps",
-        "30",
-        "--memory",
-        "working,full-context,episodic,adaptive",
-        "--out",
-        "run",
-    ];
-    let ended = bench.run(&arguments).expect(0);
+    let line = "run --suite conflict --policy grounded --limit 4 --max-steps 30 \
+                --memory working,full-context,episodic,adaptive --out run";
+    let ended = bench.run(&words(line)).expect(0);
     assert!(ended.stdout.contains("from before and after the passage closed"), "{}", ended.stdout);
     let records = records(&bench.out("run"));
     assert_eq!(records.len(), 4 * 2 * (1 + 3 * 4));

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use domain::{Cell, Pose};
 use memtransfer_tests::{Bench, Ended, eventually};
@@ -11,7 +11,9 @@ use plates::Plate;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use warehouse::sight::sees;
-use warehouse::{CaseSet, Demonstrations, Task, Warehouse};
+use warehouse::{CaseSet, Demonstrations, Warehouse};
+
+use crate::real_server::stored;
 
 /// A line under "Items": standpoint, letter of the heading, and the plate's digits.
 type Bay = ((Cell, char), String);
@@ -51,26 +53,11 @@ impl Truth {
     fn targets(&self, selection: Demonstrations) -> BTreeSet<Cell> {
         let mut targets = BTreeSet::new();
         for case in &self.cases.cases {
-            let wanted: Vec<usize> = match case.task {
-                Task::FindCategory { c } | Task::EveryOfCategory { c } => {
-                    self.warehouse.catalogue.types_in(c).collect()
-                }
-                Task::FindType { a }
-                | Task::EveryOfType { a }
-                | Task::FindAndReturn { a }
-                | Task::EveryAndReturn { a } => vec![a],
-                Task::BothTypes { a, b }
-                | Task::InOrder { a, b }
-                | Task::Revisit { a, b }
-                | Task::InOrderAndReturn { a, b } => vec![a, b],
-            };
+            let wanted = case.task.targets(&self.warehouse);
             for start in selection.own() {
                 let replay = case.replay(&self.warehouse, start);
                 let cells = replay.goal_steps.iter().map(|&step| replay.poses[step as usize].cell);
-                let is_target = |cell: &Cell| {
-                    let mut items = self.warehouse.items.iter();
-                    items.any(|i| i.standpoint == *cell && wanted.contains(&i.item_type))
-                };
+                let is_target = |cell: &Cell| wanted.iter().any(|item| item.standpoint == *cell);
                 targets.extend(cells.filter(is_target));
             }
         }
@@ -80,12 +67,7 @@ impl Truth {
 
 /// The document whose file name is `name` and an address.
 fn document(folder: &Path, name: &str) -> (Value, String) {
-    let files = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-    let is_it = |path: &PathBuf| {
-        let file = path.file_name().unwrap().to_string_lossy();
-        file.starts_with(&format!("{name}-")) && file.ends_with(".json")
-    };
-    let json = fs::read_to_string(files.into_iter().find(is_it).unwrap()).unwrap();
+    let json = fs::read_to_string(stored(folder, name).unwrap()).unwrap();
     let value: Value = serde_json::from_str(&json).unwrap();
     (value["provenance"].clone(), value["text"].as_str().unwrap().to_owned())
 }

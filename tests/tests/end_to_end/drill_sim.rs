@@ -1,6 +1,6 @@
 //! The simulated drill: a few seeds hold, and defects that are planted are found.
 
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use memtransfer_tests::{Bench, Ended, program};
 use serde_json::Value;
@@ -9,9 +9,7 @@ use serde_json::Value;
 fn drill(bench: &Bench, args: &[&str]) -> (Option<i32>, Value) {
     let summary = bench.out("summary.json");
     let mut command = Command::new(program("drill-sim"));
-    command.args(args).arg("--json").arg(&summary).stdin(Stdio::null());
-    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    let ended = Ended::of(child);
+    let ended = Ended::run(command.args(args).arg("--json").arg(&summary));
     let text = std::fs::read_to_string(&summary);
     let text = text.unwrap_or_else(|error| panic!("{error}: {}", ended.stderr));
     (ended.status, serde_json::from_str(&text).unwrap())

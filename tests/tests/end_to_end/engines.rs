@@ -1,33 +1,18 @@
 //! The scripts of `memtransfer plan` for engines do what they say.
 
 use std::fs;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
-use memtransfer_tests::{Bench, Ended, needs, program, sorted_log};
+use memtransfer_tests::{Bench, Ended, needs, program, sorted_log, words};
 
-/// Twenty episodes in five units, for two workers.
-const PLAN: [&str; 16] = [
-    "--policy",
-    "random",
-    "--limit",
-    "10",
-    "--starts",
-    "original,new",
-    "--max-steps",
-    "5",
-    "--frame-size",
-    "64",
-    "--seed",
-    "3",
-    "--unit-episodes",
-    "4",
-    "--workers",
-    "2",
-];
+/// Twenty episodes.
+const RUN: &str =
+    "--policy random --limit 10 --starts original,new --max-steps 5 --frame-size 64 --seed 3";
 
+/// The script for an engine that executes them in five units by two workers.
 fn script(bench: &Bench, engine: &str) -> String {
-    let plan = [&["plan", "--out", "plan.json", engine], &PLAN[..]].concat();
-    let text = bench.run(&plan).expect(0).stdout;
+    let plan = format!("plan --out plan.json {engine} {RUN} --unit-episodes 4 --workers 2");
+    let text = bench.run(&words(&plan)).expect(0).stdout;
     fs::write(bench.out("script"), &text).unwrap();
     text
 }
@@ -35,7 +20,7 @@ fn script(bench: &Bench, engine: &str) -> String {
 #[test]
 fn the_slurm_script_executes_all_units_and_merges_them() {
     let bench = Bench::new();
-    bench.run(&[&["run", "--out", "whole"], &PLAN[..12]].concat()).expect(0);
+    bench.run(&words(&format!("run --out whole {RUN}"))).expect(0);
     let text = script(&bench, "--slurm");
     assert!(text.contains("#SBATCH --array=0-1\n"), "{text}");
     let programs = program("memtransfer");
@@ -47,8 +32,7 @@ fn the_slurm_script_executes_all_units_and_merges_them() {
         command.args(args).current_dir(bench.folder.path()).env("PATH", &path);
         command.env("MEMTRANSFER_RUN_DIR", bench.registry.path());
         command.env("SLURM_ARRAY_TASK_ID", index).env("SLURM_ARRAY_TASK_COUNT", "2");
-        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        Ended::of(command.spawn().unwrap())
+        Ended::run(&mut command)
     };
     bash(&["-n", "script"], "0").expect(0);
     let missing = bash(&["script", "merge"], "0").expect(3);
@@ -71,9 +55,7 @@ fn the_kubernetes_manifest_fits_the_schema() {
                 kubernetes_validate.validate(manifest, '1.33', strict=True)\n\
                 print(manifest['spec']['template']['spec']['containers'][0]['command'][2])\n";
     let mut command = Command::new(needs::ray_python());
-    command.args(["-c", code]).arg(bench.out("script"));
-    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    let ended = Ended::of(command.spawn().unwrap()).expect(0);
+    let ended = Ended::run(command.args(["-c", code]).arg(bench.out("script"))).expect(0);
     let status = Command::new("bash").args(["-n", "-c", &ended.stdout]).status().unwrap();
     assert!(status.success(), "{}", ended.stdout);
 }

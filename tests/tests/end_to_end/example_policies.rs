@@ -9,7 +9,7 @@ fn run_script(bench: &Bench, script: &str, package: &str) -> Vec<serde_json::Val
     command
         .args(["--memory", "working,full-context,episodic", "--policy-cmd", &policy])
         .env("PYTHONPATH", package);
-    Ended::of(command.spawn().unwrap()).expect(0);
+    Ended::run(&mut command).expect(0);
     let records = records(&bench.out("out"));
     assert_eq!(records.len(), 60);
     assert_eq!(bench.leftovers(), Vec::<String>::new());

@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use memtransfer_tests::browser::Browser;
 use memtransfer_tests::{Bench, Ended, needs, repository};
@@ -25,15 +25,9 @@ fn export(bench: &Bench, format: &str, out: &str, more: &[&str]) -> Ended {
 
 /// Checks that Rerun's viewer opens `file` and draws the views whose paths end so.
 pub(crate) fn is_shown_in_rerun(python: &Path, file: &Path, views: &[&str]) {
-    let viewer = Command::new(python)
-        .arg(repository("tests/python/open_in_rerun.py"))
-        .arg(file)
-        .args(views)
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn();
-    Ended::of(viewer.unwrap()).expect(0);
+    let mut viewer = Command::new(python);
+    viewer.arg(repository("tests/python/open_in_rerun.py")).arg(file).args(views);
+    Ended::run(&mut viewer).expect(0);
 }
 
 #[test]
@@ -50,14 +44,9 @@ fn every_format_is_read_by_the_programs_it_is_for() {
         export(&bench, format, "x/tables", &[]).expect(0);
     }
     export(&bench, "hugging-face", "x/hub", &["--dataset", "team/memtransfer"]).expect(0);
-    let python = Command::new(needs::exports_python())
-        .arg(repository("tests/python/read_exports.py"))
-        .args([bench.out("r"), bench.out("x")])
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn();
-    Ended::of(python.unwrap()).expect(0);
+    let mut python = Command::new(needs::exports_python());
+    python.arg(repository("tests/python/read_exports.py")).args([bench.out("r"), bench.out("x")]);
+    Ended::run(&mut python).expect(0);
     is_shown_in_rerun(&needs::exports_python(), &bench.out("x/all.mcap"), &["/camera", "/"]);
 
     // The same log gives the same files.
@@ -87,9 +76,8 @@ fn a_video_has_a_picture_for_every_moment() {
     let moments = fs::read_to_string(bench.out("tables/steps.csv")).unwrap().lines().count() - 1;
     assert_eq!(stream["nb_frames"], moments.to_string());
 
-    let args = ["export", "r", "--format", "mp4", "--out", "other.mp4"];
-    let mut without = bench.command(&args);
-    let ended = Ended::of(without.env("PATH", bench.folder.path()).spawn().unwrap()).expect(2);
+    let mut without = bench.command(&["export", "r", "--format", "mp4", "--out", "other.mp4"]);
+    let ended = Ended::run(without.env("PATH", bench.folder.path())).expect(2);
     assert!(ended.stderr.contains("apt-get install ffmpeg"), "{}", ended.stderr);
     // Nothing is left of a failed attempt.
     assert!(!bench.out("other.mp4").exists() && !bench.out("other.mp4.part").exists());

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use memtransfer_tests::{
-    Bench, Ended, episodes, eventually, kill, process_of, processes_with, program, sorted_log,
+    Bench, Ended, kill, process_of, processes_with, program, sorted_log, wait_for_episodes,
 };
 
 /// The arguments of a run of twelve episodes.
@@ -29,11 +29,6 @@ fn reference(bench: &Bench) -> Vec<String> {
     log
 }
 
-/// Waits until the first episode is finished.
-fn wait_for_an_episode(run: &Path) {
-    eventually("an episode to be finished", || (!episodes(run).is_empty()).then_some(()));
-}
-
 #[test]
 fn killing_a_policy_command_changes_no_log_and_leaves_nothing_behind() {
     let bench = Bench::new();
@@ -42,7 +37,7 @@ fn killing_a_policy_command_changes_no_log_and_leaves_nothing_behind() {
     let mark = format!("86400.{}", std::process::id());
     let command = format!("sh -c 'sleep {mark} & {}; exit $?'", built_in("grounded"));
     let child = bench.start(&slice("killed", "4", &["--policy-cmd", &command]));
-    wait_for_an_episode(&bench.out("killed"));
+    wait_for_episodes(&bench.out("killed"), 1);
     kill(process_of(bench.registry.path(), "policy"));
     let ended = Ended::of(child).expect(0);
     assert!(ended.stderr.contains("the policy process (`sh -c "), "{}", ended.stderr);
@@ -108,7 +103,7 @@ fn a_run_waits_for_a_policy_to_attach_and_to_attach_again() {
     let mut child = bench.start(&slice("attached", "4", &["--policy", "external"]));
     let run = folder_to_attach_to(&mut child);
     let mut first = attach(&run);
-    wait_for_an_episode(&bench.out("attached"));
+    wait_for_episodes(&bench.out("attached"), 1);
 
     let second = Ended::of(attach(&run)).expect(2);
     assert!(second.stderr.contains("the run already has a policy process"), "{}", second.stderr);
@@ -116,7 +111,7 @@ fn a_run_waits_for_a_policy_to_attach_and_to_attach_again() {
     // The first policy is a zombie while the third attaches.
     kill(first.id());
     let third = attach(&run);
-    wait_for_an_episode(&bench.out("attached"));
+    wait_for_episodes(&bench.out("attached"), 1);
     // The other processes are restarted, and the policy joins the new generation.
     kill(process_of(bench.registry.path(), "sim"));
     Ended::of(child).expect(0);
@@ -135,7 +130,7 @@ fn an_attached_policy_ends_with_the_orchestrator() {
     let mut child = bench.start(&slice("gone", "4", &["--policy", "external"]));
     let run = folder_to_attach_to(&mut child);
     let policy = attach(&run);
-    wait_for_an_episode(&bench.out("gone"));
+    wait_for_episodes(&bench.out("gone"), 1);
     kill(child.id());
     child.wait().unwrap();
     let policy = Ended::of(policy).expect(2);
@@ -145,7 +140,7 @@ fn an_attached_policy_ends_with_the_orchestrator() {
 }
 
 /// The instruction of a case.
-fn instruction(case: &str) -> String {
+pub(crate) fn instruction(case: &str) -> String {
     let (warehouse, cases) = (warehouse::Warehouse::shipped(), warehouse::CaseSet::shipped());
     let case = cases.cases.iter().find(|other| other.id == case).unwrap();
     case.task.instruction(&warehouse.catalogue)

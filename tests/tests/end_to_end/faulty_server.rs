@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::SeqCst};
 use std::time::{Duration, Instant};
 
 use llm::scripted::{Reaction, Received, Server, completion};
-use memtransfer_tests::{Bench, Ended, episodes, eventually, records, sorted_log};
+use memtransfer_tests::{Bench, Ended, eventually, records, sorted_log, wait_for_episodes};
 use serde_json::{Value, json};
 
 /// Lanes, and the limit of concurrent requests.
@@ -108,7 +108,7 @@ fn check_kill_and_resume(bench: &Bench, reference: &[String], out: &str, cache: 
     let args = slice(&base_url, out, cache);
     let run = bench.out(out);
     let child = bench.start(&args);
-    eventually("an episode to be finished", || (!episodes(&run).is_empty()).then_some(()));
+    wait_for_episodes(&run, 1);
     bench.kill_run(child);
     bench.run(&args).expect(0);
 
@@ -257,7 +257,7 @@ fn runs_keep_to_one_limit_of_their_server() {
     Ended::of(other).expect(0);
     assert_eq!(records(&bench.out("second")).len(), EPISODES);
     assert_eq!(most.load(SeqCst), LIMIT);
-    Ended::of(limited("first").spawn().unwrap()).expect(0);
+    Ended::run(&mut limited("first")).expect(0);
     assert_eq!(records(&bench.out("first")).len(), EPISODES);
 }
 
@@ -289,7 +289,7 @@ fn doctor_sends_a_request_of_the_runs_size_and_times_it() {
     let mut command = bench.command(&args);
     command.args(["--json"]).env("MEMTRANSFER_FRAME_SIZE", "64");
     command.env("MEMTRANSFER_IMAGE_BUDGET", "9").env("MEMTRANSFER_MEMORY", "full-context");
-    let ended = Ended::of(command.spawn().unwrap());
+    let ended = Ended::run(&mut command);
     let findings: Value = serde_json::from_str(&ended.stdout).unwrap();
     let report = findings.as_array().unwrap().iter().find(|f| f["what"] == "endpoint").unwrap();
     let sized = &report["data"]["run_sized"];

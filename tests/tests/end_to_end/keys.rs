@@ -49,7 +49,7 @@ fn repeating(seen: &Arc<Seen>) -> Server {
 fn command(bench: &Bench, args: &[&str]) -> Ended {
     let mut command = bench.command(args);
     command.env("OPENAI_API_KEY", KEY).env("RUST_LOG", "trace").env("RUST_BACKTRACE", "1");
-    let ended = Ended::of(command.spawn().unwrap());
+    let ended = Ended::run(&mut command);
     assert!(!ended.stdout.contains(KEY), "printed by {args:?}");
     assert!(!ended.stderr.contains(KEY), "printed by {args:?}");
     ended

@@ -2,15 +2,16 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
 
 use memtransfer_tests::example_memories::{command, example, process_of_example, run, start};
 use memtransfer_tests::llama::{LlamaServer, MODEL};
 use memtransfer_tests::{
-    Bench, Ended, episodes, eventually, kill, needs, process_of, records, repository, sorted_log,
-    success_rate,
+    Bench, Ended, kill, needs, process_of, records, repository, sorted_log, success_rate,
+    wait_for_episodes, words,
 };
 use serde_json::Value;
+
+use crate::external::instruction;
 
 /// The examples that need no server.
 const EXAMPLES: [&str; 5] = ["top-k", "bm25", "robotmem", "langgraph", "mem0"];
@@ -36,18 +37,10 @@ fn the_examples_run_slices_of_rq1_and_rq2_beside_built_in_memories() {
     let bench = Bench::new();
     let memories = EXAMPLES.map(example);
     for (suite, cases, episodes) in [("rq1", "t01-01", 5), ("rq2", "t01-01,t03-02", 4)] {
-        let args = [
-            "run",
-            "--suite",
-            suite,
-            "--cases",
-            cases,
-            "--runs",
-            "1",
-            "--memory",
-            "working,episodic",
-        ];
-        run(&bench, &[&args[..], &["--out", suite]].concat(), &memories).expect(0);
+        let line = format!(
+            "run --suite {suite} --cases {cases} --runs 1 --memory working,episodic --out {suite}"
+        );
+        run(&bench, &words(&line), &memories).expect(0);
         let records = records(&bench.out(suite));
         let mut expected = BTreeMap::from(EXAMPLES.map(|name| (name, episodes)));
         expected.insert("episodic", episodes);
@@ -67,8 +60,7 @@ fn the_examples_run_slices_of_rq1_and_rq2_beside_built_in_memories() {
 #[test]
 fn a_memory_that_finds_the_demonstrated_step_transfers_it() {
     let bench = Bench::new();
-    let args = ["run", "--limit", "5", "--memory", "working,episodic", "--starts", "original"];
-    let args = [&args[..], &["--out", "out"]].concat();
+    let args = words("run --limit 5 --memory working,episodic --starts original --out out");
     run(&bench, &args, &["top-k", "langgraph"].map(example)).expect(0);
     let records = records(&bench.out("out"));
     let rate = |memory| success_rate(&records, |record| record["memory"] == memory);
@@ -87,11 +79,11 @@ fn a_memory_that_finds_the_demonstrated_step_transfers_it() {
 fn notes_are_written_by_a_language_model() {
     let bench = Bench::new();
     let server = LlamaServer::start(2048, 1);
-    let args = ["run", "--cases", "t01-01", "--memory", "working", "--max-steps", "5"];
-    let args = [&args[..], &["--starts", "original", "--log-prompts", "--out", "out"]].concat();
+    let line = "run --cases t01-01 --memory working --max-steps 5 --starts original --log-prompts --out out";
+    let args = words(line);
     let mut command = command(&bench, &args, &[example("model-notes")]);
     command.env("OPENAI_BASE_URL", server.base_url()).env("NOTES_MODEL", MODEL);
-    Ended::of(command.spawn().unwrap()).expect(0);
+    Ended::run(&mut command).expect(0);
     assert_eq!(
         counts(&records(&bench.out("out"))),
         BTreeMap::from([("model-notes", 1), ("working", 1)])
@@ -102,18 +94,12 @@ fn notes_are_written_by_a_language_model() {
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
-/// Waits until the first episodes are finished.
-fn wait_for_episodes(run: &Path) {
-    eventually("an episode to be finished", || (!episodes(run).is_empty()).then_some(()));
-}
-
 #[test]
 fn killing_any_process_of_a_run_with_external_memories_changes_no_log() {
     let bench = Bench::new();
     let memories = ["top-k", "bm25"].map(example);
     let args = |out| {
-        let args =
-            ["run", "--cases", "t01-01,t03-02,t09-05", "--memory", "working", "--lanes", "3"];
+        let args = words("run --cases t01-01,t03-02,t09-05 --memory working --lanes 3");
         [&args[..], &["--out", out]].concat()
     };
     run(&bench, &args("reference"), &memories).expect(0);
@@ -126,7 +112,7 @@ fn killing_any_process_of_a_run_with_external_memories_changes_no_log() {
     ];
     for (killed, process) in kinds {
         let child = start(&bench, &args(killed), &memories);
-        wait_for_episodes(&bench.out(killed));
+        wait_for_episodes(&bench.out(killed), 1);
         kill(process());
         Ended::of(child).expect(0);
         assert_eq!(sorted_log(&bench.out(killed)), reference, "{killed}");
@@ -135,28 +121,15 @@ fn killing_any_process_of_a_run_with_external_memories_changes_no_log() {
 }
 
 /// Two cases at the original start, with short episodes on small frames.
-const SHORT: [&str; 13] = [
-    "run",
-    "--cases",
-    "t01-01,t03-02",
-    "--memory",
-    "working",
-    "--starts",
-    "original",
-    "--frame-size",
-    "64",
-    "--max-steps",
-    "20",
-    "--out",
-    "out",
-];
+const SHORT: &str = "run --cases t01-01,t03-02 --memory working --starts original --frame-size 64 \
+    --max-steps 20 --out out";
 
 #[test]
 fn a_memory_is_given_demonstrations_and_queries_without_a_copy() {
     let bench = Bench::new();
     let seen = bench.out("seen");
     let memory = scripted("Checks", seen.to_str().unwrap());
-    run(&bench, &SHORT, &[memory]).expect(0);
+    run(&bench, &words(SHORT), &[memory]).expect(0);
     let records = records(&bench.out("out"));
     assert_eq!(counts(&records), BTreeMap::from([("scripted", 2), ("working", 2)]));
     let seen = fs::read_to_string(seen).unwrap();
@@ -167,7 +140,7 @@ fn a_memory_is_given_demonstrations_and_queries_without_a_copy() {
 /// The errors of a run with one memory, whose episodes all end without a result.
 fn failures(memory_trait: &str) -> (Vec<String>, String) {
     let bench = Bench::new();
-    let ended = run(&bench, &SHORT, &[scripted(memory_trait, "")]).expect(1);
+    let ended = run(&bench, &words(SHORT), &[scripted(memory_trait, "")]).expect(1);
     let out = bench.out("out");
     assert_eq!(counts(&records(&out)), BTreeMap::from([("working", 2)]), "{memory_trait}");
     let errors = fs::read_to_string(out.join("errors.jsonl")).unwrap();
@@ -200,10 +173,7 @@ fn a_fault_of_a_memory_costs_its_own_episodes_and_is_named() {
 #[test]
 fn an_exception_in_one_episode_costs_that_episode() {
     let bench = Bench::new();
-    let (warehouse, cases) = (warehouse::Warehouse::shipped(), warehouse::CaseSet::shipped());
-    let case = cases.cases.iter().find(|case| case.id == "t03-02").unwrap();
-    let instruction = case.task.instruction(&warehouse.catalogue);
-    run(&bench, &SHORT, &[scripted("RaisesInOne", &instruction)]).expect(1);
+    run(&bench, &words(SHORT), &[scripted("RaisesInOne", &instruction("t03-02"))]).expect(1);
     let records = records(&bench.out("out"));
     assert_eq!(counts(&records), BTreeMap::from([("scripted", 1), ("working", 2)]));
     assert_eq!(bench.leftovers(), Vec::<String>::new());
@@ -218,8 +188,7 @@ fn the_memory_of_the_tutorial_is_short_and_runs() {
     assert!(code.lines().count() < 50, "{code}");
     fs::write(bench.out("my_memory.py"), code).unwrap();
     let memory = format!("{} my_memory.py", needs::python().display());
-    let args = ["run", "--limit", "2", "--memory", "working", "--out", "out"];
-    run(&bench, &args, &[memory]).expect(0);
+    run(&bench, &words("run --limit 2 --memory working --out out"), &[memory]).expect(0);
     assert_eq!(counts(&records(&bench.out("out"))), BTreeMap::from([("top-3", 4), ("working", 4)]));
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }

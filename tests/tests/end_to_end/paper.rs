@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 
-use memtransfer_tests::{Bench, episodes, eventually, records, sorted_log};
+use memtransfer_tests::{Bench, records, sorted_log, wait_for_episodes};
 
 /// A case of each group of tasks: basic, multi-object, return loop, revisit.
 const CASES: &str = "t01-01,t03-02,t07-01,t09-05";
@@ -29,9 +29,7 @@ fn every_condition_of_the_paper_runs_resumes_and_is_reported() {
     let out = bench.out("paper");
 
     let child = bench.start(&run);
-    eventually("some episodes to be finished", || {
-        (episodes(&out).lines().count() >= 20).then_some(())
-    });
+    wait_for_episodes(&out, 20);
     bench.kill_run(child);
     let killed = sorted_log(&out).len();
     assert!((20..212).contains(&killed), "{killed} episodes before the kill");

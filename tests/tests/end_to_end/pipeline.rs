@@ -1,12 +1,11 @@
 //! Whole runs: four processes, rendered frames, the real encoder.
 
 use std::fs;
-use std::path::Path;
 use std::process::{Command, Stdio};
 
 use memtransfer_tests::{
-    Bench, Ended, episodes, eventually, kill, process_of, records, shared_memory_of, sorted_log,
-    success_rate,
+    Bench, Ended, episodes, kill, process_of, records, shared_memory_of, sorted_log, success_rate,
+    wait_for_episodes,
 };
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
@@ -39,7 +38,7 @@ fn the_log_depends_neither_on_lanes_nor_on_crashes() {
     for role in ["sim", "memory", "policy"] {
         let out = format!("{role}-killed");
         let child = bench.start(&slice(&out, "4"));
-        wait_for_episodes(&bench.out(&out));
+        wait_for_episodes(&bench.out(&out), 2);
         kill(process_of(bench.registry.path(), role));
         let ended = Ended::of(child).expect(0);
         assert!(ended.stderr.contains(&format!("the {role} process")), "{}", ended.stderr);
@@ -47,7 +46,7 @@ fn the_log_depends_neither_on_lanes_nor_on_crashes() {
     }
 
     let child = bench.start(&slice("killed", "4"));
-    wait_for_episodes(&bench.out("killed"));
+    wait_for_episodes(&bench.out("killed"), 2);
     bench.kill_run(child);
     let dead = bench.runs();
     assert!(!shared_memory_of(&dead).is_empty(), "kill -9 leaves shared memory behind");
@@ -67,11 +66,6 @@ fn the_log_depends_neither_on_lanes_nor_on_crashes() {
     assert_eq!(shared_memory_of(&dead), Vec::<String>::new());
 }
 
-/// Waits until the first episodes are finished.
-fn wait_for_episodes(run: &Path) {
-    eventually("an episode to be finished", || (episodes(run).lines().count() >= 2).then_some(()));
-}
-
 /// A closed terminal sends SIGHUP, and usually twice: once for the shell and once for its jobs.
 #[test]
 fn a_closed_terminal_stops_a_run_and_nohup_lets_it_go_on() {
@@ -85,7 +79,7 @@ fn a_closed_terminal_stops_a_run_and_nohup_lets_it_go_on() {
     // The tests themselves may have been started by nohup.
     let listening = ["env", "--default-signal=HUP"];
     let child = through(&bench, &listening, &args("stopped", endless)).spawn().unwrap();
-    wait_for_episodes(&bench.out("stopped"));
+    wait_for_episodes(&bench.out("stopped"), 2);
     hang_up(child.id());
     hang_up(child.id());
     let ended = Ended::of(child);
@@ -103,7 +97,7 @@ fn a_closed_terminal_stops_a_run_and_nohup_lets_it_go_on() {
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 
     let child = through(&bench, &["nohup"], &args("kept", "20")).spawn().unwrap();
-    wait_for_episodes(&bench.out("kept"));
+    wait_for_episodes(&bench.out("kept"), 2);
     hang_up(child.id());
     Ended::of(child).expect(0);
     assert_eq!(records(&bench.out("kept")).len(), 20 * 12);
@@ -240,7 +234,7 @@ fn no_pixel_crosses_a_process_boundary_by_copy() {
     let mut child = bench.start(&args);
     let roles = ["sim", "memory", "policy"];
     // Models are loaded before the first episode ends, so counting starts there.
-    eventually("the first episode", || (!episodes(&run).is_empty()).then_some(()));
+    wait_for_episodes(&run, 1);
     let pids = roles.map(|role| process_of(bench.registry.path(), role));
     let before = pids.map(|pid| bytes_through_system_calls(pid).unwrap());
     let mut after = before;

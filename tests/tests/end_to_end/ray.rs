@@ -1,7 +1,7 @@
 //! A run on a Ray cluster that loses nodes is the run of one machine.
 
 use std::fs;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use memtransfer_tests::{
     Bench, Ended, eventually, needs, processes_of, program, repository, sorted_log,
@@ -27,11 +27,8 @@ fn python(bench: &Bench, args: &[&str]) -> Ended {
         .env("MEMTRANSFER_RUN_DIR", bench.registry.path())
         // Ray's files, and units that are being executed.
         .env("TMPDIR", ray.path())
-        .env("PYTHONPATH", repository("python"))
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped());
-    Ended::of(command.spawn().unwrap())
+        .env("PYTHONPATH", repository("python"));
+    Ended::run(&mut command)
 }
 
 #[test]

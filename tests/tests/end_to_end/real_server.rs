@@ -45,7 +45,7 @@ fn build(base_url: &str) -> Vec<&str> {
 }
 
 /// The file of a document, whose name ends in its address.
-fn stored(folder: &Path, name: &str) -> Option<PathBuf> {
+pub(crate) fn stored(folder: &Path, name: &str) -> Option<PathBuf> {
     let files = fs::read_dir(folder).ok()?.map(|entry| entry.unwrap().path());
     let is_it = |path: &PathBuf| {
         let file = path.file_name().unwrap().to_string_lossy();

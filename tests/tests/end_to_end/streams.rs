@@ -2,12 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::Path;
 
 use memtransfer_tests::example_memories::{example, process_of_example, run, start};
-use memtransfer_tests::{
-    Bench, Ended, episodes, eventually, kill, process_of, records, sorted_log,
-};
+use memtransfer_tests::{Bench, Ended, kill, process_of, records, sorted_log, wait_for_episodes};
 
 /// One stream of two blocks, with a memory that learns and one that does not.
 const SUITE: &str = r#"
@@ -37,10 +34,6 @@ fn bench() -> Bench {
 
 fn arguments<'a>(out: &'a str, lanes: &'a str) -> Vec<&'a str> {
     vec!["run", "--suite", "./suite.toml", "--policy", "grounded", "--lanes", lanes, "--out", out]
-}
-
-fn wait_for_episodes(run: &Path, count: usize) {
-    eventually("episodes in the log", || (episodes(run).lines().count() >= count).then_some(()));
 }
 
 #[test]

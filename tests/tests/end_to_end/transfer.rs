@@ -3,34 +3,19 @@
 use std::fs;
 
 use memtransfer_tests::{
-    Bench, Ended, episodes, eventually, kill, process_of, records, sorted_log,
+    Bench, Ended, episodes, kill, process_of, records, sorted_log, wait_for_episodes, words,
 };
 use serde_json::Value;
 
 /// Two cases with every built-in memory.
-const SLICE: [&str; 15] = [
-    "run",
-    "--suite",
-    "transfer",
-    "--policy",
-    "grounded",
-    "--runs",
-    "1",
-    "--cases",
-    "t01-01,t09-05",
-    "--max-steps",
-    "60",
-    "--demos",
-    "original,elsewhere",
-    "--memory",
-    "working,full-context,summary,semantic,hybrid,episodic,adaptive",
-];
+const SLICE: &str = "run --suite transfer --policy grounded --runs 1 --cases t01-01,t09-05 --max-steps 60 \
+    --demos original,elsewhere --memory working,full-context,summary,semantic,hybrid,episodic,adaptive";
 
 /// Two cases under thirteen conditions.
 const EPISODES: usize = 2 * 13;
 
 fn run(bench: &Bench, more: &[&str]) -> Ended {
-    bench.run(&[&SLICE[..], more].concat())
+    bench.run(&[&words(SLICE)[..], more].concat())
 }
 
 #[test]
@@ -43,10 +28,8 @@ fn tasks_demonstrated_elsewhere_are_tested_here_and_nothing_changes_the_log() {
     assert_eq!(sorted_log(&bench.out("wide")), reference, "1 lane or 16");
     for role in ["sim", "memory"] {
         let out = format!("{role}-killed");
-        let child = bench.start(&[&SLICE[..], &["--lanes", "4", "--out", &out]].concat());
-        eventually("an episode", || {
-            (episodes(&bench.out(&out)).lines().count() >= 2).then_some(())
-        });
+        let child = bench.start(&[&words(SLICE)[..], &["--lanes", "4", "--out", &out]].concat());
+        wait_for_episodes(&bench.out(&out), 2);
         kill(process_of(bench.registry.path(), role));
         Ended::of(child).expect(0);
         assert_eq!(sorted_log(&bench.out(&out)), reference, "{role} killed");

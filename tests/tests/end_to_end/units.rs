@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use memtransfer_tests::{Bench, Ended, episodes, program, repository, sorted_log};
+use memtransfer_tests::{Bench, Ended, episodes, program, repository, sorted_log, words};
 
 /// Three memories from two starts, small.
 const SMALL: &str = r#"
@@ -158,16 +158,8 @@ fn a_stream_is_executed_whole() {
 fn a_worker_gets_what_it_needs_from_the_plans_store() {
     let bench = Bench::new();
     fs::write(bench.out("suite.toml"), SMALL).unwrap();
-    let settings = [
-        "--suite",
-        "./suite.toml",
-        "--policy",
-        "grounded",
-        "--memory",
-        "summary,episodic",
-        "--limit",
-        "3",
-    ];
+    let settings =
+        words("--suite ./suite.toml --policy grounded --memory summary,episodic --limit 3");
     // The first machine knows documents and embeddings after this.
     bench.run(&[&["run"], &settings[..], &["--out", "whole", "--lanes", "1"]].concat()).expect(0);
     let plan = ["--out", "plan.json", "--unit-episodes", "100", "--store", "store"];
@@ -182,7 +174,7 @@ fn a_worker_gets_what_it_needs_from_the_plans_store() {
     let work = ["work", "--plan", "plan.json", "--unit", "0", "--out", "units", "--lanes", "4"];
     let worker = |more: &[&str]| {
         let mut command = bench.command(&[&work, more].concat());
-        Ended::of(command.env("MEMTRANSFER_CACHE", &cache).spawn().unwrap())
+        Ended::run(command.env("MEMTRANSFER_CACHE", &cache))
     };
     let ended = worker(&[]).expect(2);
     assert!(ended.stderr.contains("cannot get "), "{}", ended.stderr);

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use domain::prompt_log::PromptLogEntry;
 use memtransfer_tests::browser::Browser;
-use memtransfer_tests::{Bench, Ended, KilledOnDrop, eventually, records};
+use memtransfer_tests::{Bench, Ended, KilledOnDrop, records, wait_for_episodes, words};
 use results::log::RunLog;
 use serde_json::{Value, json};
 
@@ -601,13 +601,10 @@ fn an_episode_that_arrives_late_does_not_replace_the_page_opened_since() {
 #[test]
 fn new_episodes_of_a_run_in_progress_appear() {
     let bench = Bench::new();
-    let args = [
-        "run", "--suite", "quick", "--limit", "30", "--policy", "grounded", "--lanes", "1",
-        "--out", "r",
-    ];
-    let running = bench.start(&args);
+    let line = "run --suite quick --limit 30 --policy grounded --lanes 1 --out r";
+    let running = bench.start(&words(line));
     let run = bench.out("r");
-    eventually("an episode", || (!memtransfer_tests::episodes(&run).is_empty()).then_some(()));
+    wait_for_episodes(&run, 1);
     let served = Served::start(&bench, &["view", run.to_str().unwrap(), "--serve"]);
     let mut browser = Browser::start(1000, 800);
     browser.open(&served.url);

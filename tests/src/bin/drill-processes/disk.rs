@@ -75,12 +75,8 @@ fn inside(extent: &Extent) -> Result<Report, String> {
             return Ok(report);
         }
         let outcome = full_run_folder(&sandbox, &small, kib);
-        conclude(
-            &mut report,
-            "run folder full",
-            &format!("a run folder with {kib} KiB left"),
-            outcome,
-        );
+        let what = format!("a run folder with {kib} KiB left");
+        conclude(&mut report, "run folder full", &what, outcome);
     }
     for &kib in left {
         if extent.is_over(&report) {
@@ -89,16 +85,11 @@ fn inside(extent: &Extent) -> Result<Report, String> {
         let outcome = full_cache(&mut sandbox, kib);
         conclude(&mut report, "cache full", &format!("a cache with {kib} KiB left"), outcome);
     }
-    let shared: &[(u64, &str)] =
-        if extent.is_quick { &[(8, "8m")] } else { &[(1, "1m"), (8, "8m"), (24, "24m")] };
-    for &(mib, size) in shared {
-        let outcome = small_shared_memory(&mut sandbox, size);
-        conclude(
-            &mut report,
-            "shared memory too small",
-            &format!("{mib} MiB of shared memory"),
-            outcome,
-        );
+    let shared: &[u64] = if extent.is_quick { &[8] } else { &[1, 8, 24] };
+    for mib in shared {
+        let outcome = small_shared_memory(&mut sandbox, &format!("{mib}m"));
+        let what = format!("{mib} MiB of shared memory");
+        conclude(&mut report, "shared memory too small", &what, outcome);
     }
     let times = [100, 250, 400, 600, 800].map(|ms| Some(Duration::from_millis(ms)));
     let moments: &[Option<Duration>] = if extent.is_quick { &[] } else { &times };
@@ -139,13 +130,16 @@ fn conclude(report: &mut Report, class: &str, what: &str, outcome: Result<(), St
     report.outcome(what, outcome);
 }
 
-/// Mounts a file system of this size on `folder`.
-fn mount(folder: &Path, options: &str) -> Result<(), String> {
-    command(Command::new("mount").args(["-t", "tmpfs", "-o", options, "tmpfs"]).arg(folder))
-}
-
-fn unmount(folder: &Path) -> Result<(), String> {
-    command(Command::new("umount").arg("--lazy").arg(folder))
+/// Does `disturb` while a file system of this size is mounted on `folder`.
+fn mounted(
+    folder: &Path,
+    options: &str,
+    disturb: impl FnOnce() -> Result<(), String>,
+) -> Result<(), String> {
+    command(Command::new("mount").args(["-t", "tmpfs", "-o", options, "tmpfs"]).arg(folder))?;
+    let outcome = disturb();
+    command(Command::new("umount").arg("--lazy").arg(folder))?;
+    outcome
 }
 
 fn command(command: &mut Command) -> Result<(), String> {
@@ -199,44 +193,31 @@ fn expect_error(ended: &Ended, said: &[&str]) -> Result<(), String> {
 const FULL: [&str; 2] = ["No space left on device", "os error 28"];
 
 fn full_run_folder(sandbox: &Sandbox, small: &Path, kib: u64) -> Result<(), String> {
-    mount(small, "size=2m")?;
-    let outcome = (|| {
-        fill(small, kib)?;
-        let run = sandbox.run_in(small.join("run"));
-        let ended = start(sandbox, &run)?;
-        if ended.status != Some(0) {
-            expect_error(&ended, &FULL)?;
-        }
-        make_room(small)?;
-        sandbox.check_recovery(&run, &ended, false)
-    })();
-    unmount(small)?;
-    outcome
+    let run = sandbox.run_in(small.join("run"));
+    mounted(small, "size=2m", || full(sandbox, &run, small, kib))
+}
+
+/// Executes a run while the file system of `folder` is full.
+fn full(sandbox: &Sandbox, run: &Run, folder: &Path, kib: u64) -> Result<(), String> {
+    fill(folder, kib)?;
+    let ended = start(sandbox, run)?;
+    if ended.status != Some(0) {
+        expect_error(&ended, &FULL)?;
+    }
+    make_room(folder)?;
+    sandbox.check_recovery(run, &ended, false)
 }
 
 /// A full cache costs time, but no result.
 fn full_cache(sandbox: &mut Sandbox, kib: u64) -> Result<(), String> {
     let embeddings = sandbox.cache().join("embeddings");
     fs::create_dir_all(&embeddings).map_err(|error| error.to_string())?;
-    mount(&embeddings, "size=1m")?;
-    let outcome = (|| {
-        fill(&embeddings, kib)?;
-        let run = sandbox.run();
-        let ended = start(sandbox, &run)?;
-        if ended.status != Some(0) {
-            expect_error(&ended, &FULL)?;
-        }
-        make_room(&embeddings)?;
-        sandbox.check_recovery(&run, &ended, false)
-    })();
-    unmount(&embeddings)?;
-    outcome
+    let run = sandbox.run();
+    mounted(&embeddings, "size=1m", || full(sandbox, &run, &embeddings, kib))
 }
 
 fn small_shared_memory(sandbox: &mut Sandbox, size: &str) -> Result<(), String> {
-    let shared = Path::new("/dev/shm");
-    mount(shared, &format!("size={size}"))?;
-    let outcome = (|| {
+    mounted(Path::new("/dev/shm"), &format!("size={size}"), || {
         let run = sandbox.run();
         let ended = start(sandbox, &run)?;
         if ended.status != Some(0) {
@@ -244,17 +225,14 @@ fn small_shared_memory(sandbox: &mut Sandbox, size: &str) -> Result<(), String> 
         }
         command(Command::new("mount").args(["-o", "remount,size=4g", "/dev/shm"]))?;
         sandbox.check_recovery(&run, &ended, false)
-    })();
-    unmount(shared)?;
-    outcome
+    })
 }
 
 /// Another program takes all of shared memory while a run uses it: processes end on SIGBUS. Without a `moment`, after the
 /// first episode; then the policy is killed, so that the orchestrator has to see it before it starts the processes again.
 fn shared_memory_fills(sandbox: &mut Sandbox, moment: Option<Duration>) -> Result<(), String> {
     let shared = Path::new("/dev/shm");
-    mount(shared, "size=256m")?;
-    let outcome = (|| {
+    mounted(shared, "size=256m", || {
         let run = sandbox.run();
         let child = sandbox.start(&run, &[])?;
         match moment {
@@ -272,9 +250,7 @@ fn shared_memory_fills(sandbox: &mut Sandbox, moment: Option<Duration>) -> Resul
         }
         make_room(shared)?;
         sandbox.check_recovery(&run, &ended, false)
-    })();
-    unmount(shared)?;
-    outcome
+    })
 }
 
 fn wait_for_an_episode(run: &Run) -> Result<(), String> {
@@ -289,17 +265,14 @@ fn wait_for_an_episode(run: &Run) -> Result<(), String> {
 }
 
 fn read_only(sandbox: &Sandbox, small: &Path) -> Result<(), String> {
-    mount(small, "size=2m")?;
-    let outcome = (|| {
+    mounted(small, "size=2m", || {
         command(Command::new("mount").args(["-o", "remount,ro"]).arg(small))?;
         let run = sandbox.run_in(small.join("run"));
         let ended = start(sandbox, &run)?;
         expect_error(&ended, &["Read-only file system"])?;
         command(Command::new("mount").args(["-o", "remount,rw"]).arg(small))?;
         sandbox.check_recovery(&run, &ended, false)
-    })();
-    unmount(small)?;
-    outcome
+    })
 }
 
 /// A finished run in whose folder another file is put in the place of `name`: a link to a file elsewhere, or a folder where

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use orchestrator::budget::Budget;
 use orchestrator::frame_budget::Demand;
 use orchestrator::lanes::Lanes;
@@ -161,7 +161,7 @@ pub(crate) fn execute(
     if let (Some(plant), true) = (plant, is_complete) {
         damage(plant, &out)?;
     }
-    let log = sorted_log(&out)?;
+    let log = memtransfer_tests::sorted_log(&out);
     if let (Some(expected), true) = (expected, is_complete) {
         violations.extend(differences(expected, &log));
     }
@@ -273,18 +273,6 @@ fn problems(out: &Path) -> Result<Vec<String>> {
         _ => None,
     };
     Ok(of_last.filter_map(problem).collect())
-}
-
-/// The lines of the episode log in `out`, sorted.
-fn sorted_log(out: &Path) -> Result<Vec<String>> {
-    let path = out.join(EPISODES_FILE);
-    if !path.exists() {
-        return Ok(Vec::new());
-    }
-    let text = fs::read_to_string(&path).with_context(|| path.display().to_string())?;
-    let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
-    lines.sort();
-    Ok(lines)
 }
 
 /// How a log differs from the expected one.
