@@ -93,20 +93,20 @@ fn markings(b: &mut MeshBuilder, layout: &Layout, cell: Cell) {
         cell.step(heading).is_some_and(|next| layout.square(next) == Square::Rack)
     };
     let (inner, outer, z) = (0.34, 0.40, 0.003);
+    // A point in the frame of a viewer who looks towards `heading`: to the right, then ahead.
+    let point = |heading: Heading, along: f32, ahead: f32| {
+        let ((fx, fy), (rx, ry)) = (vector(heading), vector(heading.right()));
+        [cx + rx * along + fx * ahead, cy + ry * along + fy * ahead, z]
+    };
     b.material(LINE);
     for heading in Heading::ALL {
         if !is_rack(heading) {
             continue;
         }
-        // In the frame of a viewer who faces the rack: along its face, then towards it.
+        let at = |along: f32, ahead: f32| point(heading, along, ahead);
         let (left, right) = (is_rack(heading.left()), is_rack(heading.right()));
         let l = if left { -inner } else { -0.5 };
         let r = if right { inner } else { 0.5 };
-        let at = |along: f32, ahead: f32| {
-            let (fx, fy) = vector(heading);
-            let (rx, ry) = vector(heading.right());
-            [cx + rx * along + fx * ahead, cy + ry * along + fy * ahead, z]
-        };
         b.polygon(&[at(l, inner), at(r, inner), at(r, outer), at(l, outer)]);
     }
     // Around an outer corner of a rack the line continues through the diagonal cell.
@@ -118,11 +118,7 @@ fn markings(b: &mut MeshBuilder, layout: &Layout, cell: Cell) {
         if !corner {
             continue;
         }
-        let at = |along: f32, ahead: f32| {
-            let (fx, fy) = vector(heading);
-            let (rx, ry) = vector(heading.right());
-            [cx + rx * along + fx * ahead, cy + ry * along + fy * ahead, z]
-        };
+        let at = |along: f32, ahead: f32| point(heading, along, ahead);
         b.polygon(&[at(inner, inner), at(0.5, inner), at(0.5, outer), at(inner, outer)]);
         b.polygon(&[at(inner, outer), at(outer, outer), at(outer, 0.5), at(inner, 0.5)]);
     }

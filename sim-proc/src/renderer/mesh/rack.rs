@@ -181,7 +181,7 @@ impl RackBay {
         let heights = [0, 1, 2].map(|i| (joints[i], joints[i + 1]));
         for (low, high) in heights {
             b.material(SHEET);
-            b.polygon(&[[l, d, low], [r, d, low], [r, d, high], [l, d, high]]);
+            upright(b, l, r, d, low, high);
             for (edge, sign) in sides {
                 let Some((out, y)) = edge.side_sheet() else { continue };
                 let x = sign * out;
@@ -197,13 +197,7 @@ impl RackBay {
                 let (p, q) = (sign * edge.inside(), sign * COVER_END_M);
                 let (x0, x1) = (p.min(q), p.max(q));
                 b.material(END_SHEET);
-                let (y, top) = (COVER_M, RACK_HEIGHT_M);
-                b.polygon(&[
-                    [x0, y, BELOW_FLOOR_M],
-                    [x1, y, BELOW_FLOOR_M],
-                    [x1, y, top],
-                    [x0, y, top],
-                ]);
+                upright(b, x0, x1, COVER_M, BELOW_FLOOR_M, RACK_HEIGHT_M);
                 b.material(FLOOR);
                 let (x0, x1) = (x0.min(UNDER_M * sign), x1.max(UNDER_M * sign));
                 let (y, z) = (0.1, z - 0.003);

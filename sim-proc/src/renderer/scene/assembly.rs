@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Point3};
 use plates::Plate;
 use raster::{Atlas, Geometry, PlateVertex, SolidVertex, TextVertex, TriangleLayer};
 
-use super::object::{Scene, SceneObject, StockObjects};
+use super::object::{Scene, SceneObject, StockObjects, bounds};
 use crate::renderer::light::{MeshPart, baked};
 use crate::renderer::look::Look;
 use crate::renderer::mesh::builder::Mesh;
@@ -70,16 +70,10 @@ impl Assembly {
         let (first, start) = (counts(self), ends(self));
         add(self);
         let end = ends(self);
-        let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
         let solid = self.solid.vertices[first[0]..].iter().map(|v| v.position);
         let plate = self.plate.vertices[first[1]..].iter().map(|v| v.position);
         let text = self.text.vertices[first[2]..].iter().map(|v| v.vertex.position);
-        for position in solid.chain(plate).chain(text) {
-            for axis in 0..3 {
-                min[axis] = min[axis].min(position[axis]);
-                max[axis] = max[axis].max(position[axis]);
-            }
-        }
+        let [min, max] = bounds(solid.chain(plate).chain(text));
         self.objects.push(SceneObject {
             min,
             max,

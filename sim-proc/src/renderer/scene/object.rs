@@ -47,17 +47,25 @@ impl Scene {
     /// The bounds of a barricade's side that stands at `side`.
     pub(in crate::renderer) fn barricade_at(&self, side: Placement) -> SceneObject {
         let solid = &self.geometry.solid;
-        let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
         let [cos, sin] = side.turn;
-        for &corner in &solid.indices[self.geometry.barricade.clone()] {
+        let corners = solid.indices[self.geometry.barricade.clone()].iter().map(|&corner| {
             let [x, y, z] = solid.vertices[corner as usize].position;
             // As in `solid.wgsl`.
-            let position = [side.at[0] + cos * x - sin * y, side.at[1] + sin * x + cos * y, z];
-            for axis in 0..3 {
-                min[axis] = min[axis].min(position[axis]);
-                max[axis] = max[axis].max(position[axis]);
-            }
-        }
+            [side.at[0] + cos * x - sin * y, side.at[1] + sin * x + cos * y, z]
+        });
+        let [min, max] = bounds(corners);
         SceneObject { min, max, ..SceneObject::default() }
     }
+}
+
+/// The least and the greatest coordinates of these points.
+pub(super) fn bounds(points: impl Iterator<Item = [f32; 3]>) -> [[f32; 3]; 2] {
+    let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    for point in points {
+        for axis in 0..3 {
+            min[axis] = min[axis].min(point[axis]);
+            max[axis] = max[axis].max(point[axis]);
+        }
+    }
+    [min, max]
 }
