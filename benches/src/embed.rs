@@ -14,7 +14,7 @@ use memory_proc::manifest::EncoderManifest;
 use memory_proc::paths::CacheFolder;
 use serde_json::json;
 use shm_types::attach::FrameSize;
-use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, ViewSpec};
+use sim_proc::renderer::{RenderSettings, Renderer, ViewSpec};
 use sim_proc::view_control::every_pose;
 use warehouse::{Variant, Warehouse};
 
@@ -131,11 +131,9 @@ pub(crate) fn drawn(
     let settings = RenderSettings { backend, ..RenderSettings::default() };
     let mut renderer = Renderer::new(warehouse, settings)?;
     let unchanged = Variant::UNCHANGED;
-    let mut draw = |&pose: &Pose| {
-        let mut rgba = vec![0; renderer.frame_bytes()];
-        let view = ViewSpec { pose, variant: &unchanged, stock: 0 };
-        renderer.render(&mut [RenderJob { view, destination: Destination::Memory(&mut rgba) }])?;
-        Ok(FramePixels(rgba.into()))
+    let draw = |&pose: &Pose| {
+        let image = renderer.render_image(ViewSpec { pose, variant: &unchanged, stock: 0 })?;
+        Ok(FramePixels(image.as_bytes().into()))
     };
-    poses.iter().map(&mut draw).collect()
+    poses.iter().map(draw).collect()
 }

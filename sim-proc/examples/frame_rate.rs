@@ -7,10 +7,11 @@
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use domain::{Heading, Pose};
+use domain::Pose;
 use sim_proc::renderer::{
     Backend, Destination, RenderJob, RenderSettings, Renderer, Samples, ViewSpec,
 };
+use sim_proc::view_control::every_pose;
 use warehouse::{Variant, Warehouse};
 
 const PAGE: usize = 4096;
@@ -20,11 +21,7 @@ static UNCHANGED: Variant = Variant::UNCHANGED;
 fn main() -> Result<()> {
     let rounds: u32 = std::env::args().nth(1).map_or(Ok(3), |text| text.parse())?;
     let warehouse = Warehouse::shipped();
-    let poses: Vec<Pose> = warehouse
-        .layout
-        .free_cells()
-        .flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading }))
-        .collect();
+    let poses: Vec<Pose> = every_pose(&warehouse.layout).collect();
     let only: Option<u32> = std::env::args().nth(2).map(|text| text.parse()).transpose()?;
     let backend = std::env::args().nth(3);
     let (backend, adapter) = match backend.as_deref() {

@@ -18,10 +18,9 @@ use shm_types::message::{
 };
 use shm_types::{Attach, Bus, FrameControl, FrameSize};
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
-use sim_proc::renderer::{
-    Backend, Destination, RenderJob, RenderSettings, Renderer, ViewSpec, VisibleChanges,
-};
+use sim_proc::renderer::{Backend, RenderSettings, Renderer, ViewSpec, VisibleChanges};
 use sim_proc::serve::serve;
+use sim_proc::view_control::every_pose;
 use sim_proc::worlds::Worlds;
 use warehouse::{
     CaseSet, ELSEWHERE_VARIANT, Elsewhere, StockChange, Variant, Warehouse, WorldChange,
@@ -152,10 +151,16 @@ fn shown_code(rig: &mut SimRig, frame: FrameId) -> [u8; 4] {
 
 /// The poses of the shipped floor.
 fn poses() -> Vec<Pose> {
-    let layout = Warehouse::shipped().layout;
-    let cells = layout.free_cells();
-    cells.flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading })).collect()
+    every_pose(&Warehouse::shipped().layout).collect()
 }
+
+/// Renderers of small frames.
+fn small(backend: Option<Backend>) -> RenderSettings {
+    let FrameSize { width: width_px, height: height_px } = SMALL;
+    RenderSettings { width_px, height_px, backend, ..RenderSettings::default() }
+}
+
+const SMALL: FrameSize = FrameSize { width: 128, height: 96 };
 
 fn act(lane: u32, episode: u64, step: u32, action: Action) -> StepCommand {
     messages::act(RequestId { lane, episode, step }, action)
@@ -531,54 +536,41 @@ fn a_store_without_room_for_warm_views_is_reported() {
 /// Frames in shared memory equal the renderer's, byte for byte, and are copied only where the device cannot write them.
 #[test]
 fn the_renderer_writes_into_the_frame_store() {
-    let size = FrameSize { width: 128, height: 96 };
-    let settings = move |frame: FrameSize| RenderSettings {
-        width_px: frame.width,
-        height_px: frame.height,
-        ..RenderSettings::default()
-    };
     let mut sim = simulator_with(
         |attach| {
-            (attach.frame, attach.frame_capacity, attach.lanes, attach.window) = (size, 6, 1, 2)
+            (attach.frame, attach.frame_capacity, attach.lanes, attach.window) = (SMALL, 6, 1, 2)
         },
         false,
-        move |frame| RenderSetup::open(&worlds(), settings(frame), None),
+        |_| RenderSetup::open(&worlds(), small(None), None),
     );
     let handshake = sim.handshake();
     let facts = handshake.facts().unwrap();
-    let mut expected = vec![0; size.bytes()];
-    let mut renderer = Renderer::new(&Warehouse::shipped(), settings(size)).unwrap();
+    let mut renderer = Renderer::new(&Warehouse::shipped(), small(None)).unwrap();
     let case = CaseSet::shipped().cases[0].clone();
     let variant = Variant::closing(case.barricade.iter().copied());
     let mut command = reset(0, 1, 1, case.blocked.start);
     for (&action, step) in case.blocked.actions.iter().zip(1..) {
         let seen = sim.ask(&command);
         let pose = Pose::try_from(seen.pose).unwrap();
-        let destination = Destination::Memory(&mut expected);
         let view = ViewSpec { pose, variant: &variant, stock: 0 };
-        renderer.render(&mut [RenderJob { view, destination }]).unwrap();
+        let expected = renderer.render_image(view).unwrap();
         for store in &mut sim.neighbours.stores {
-            assert!(store.get(seen.frame).unwrap().unwrap().pixels() == expected, "{pose}");
+            let frame = store.get(seen.frame).unwrap().unwrap();
+            assert!(frame.pixels() == expected.as_bytes(), "{pose}");
         }
         command = act(0, 1, step, action);
     }
     let ShutdownReport { frames_rendered, frames_evicted, pixel_bytes_copied, .. } = sim.stop();
     assert!(frames_rendered > 6 && frames_evicted >= frames_rendered - 6);
     let copied = if facts["frame path"] == "direct" { 0 } else { frames_rendered };
-    assert_eq!(pixel_bytes_copied, copied * size.bytes() as u64, "{facts:?}");
+    assert_eq!(pixel_bytes_copied, copied * SMALL.bytes() as u64, "{facts:?}");
 }
 
 /// Simulators share views through a folder: the first renders them, the next reads them, and one that finds a damaged file
 /// renders the view again.
 #[test]
 fn views_that_another_simulator_has_rendered_are_read_from_files() {
-    let size = FrameSize { width: 128, height: 96 };
-    let settings = RenderSettings {
-        width_px: size.width,
-        height_px: size.height,
-        backend: Some(Backend::Cpu),
-        ..RenderSettings::default()
-    };
+    let settings = small(Some(Backend::Cpu));
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path().to_owned();
     let case = CaseSet::shipped().cases[0].clone();
@@ -587,22 +579,21 @@ fn views_that_another_simulator_has_rendered_are_read_from_files() {
     let mut walk = || {
         let (settings, root) = (settings.clone(), root.clone());
         let mut sim = simulator_with(
-            |attach| attach.frame = size,
+            |attach| attach.frame = SMALL,
             false,
             move |_| RenderSetup::open(&worlds(), settings, Some(&root)),
         );
         sim.handshake();
         let mut command = reset(0, 1, 1, case.blocked.start);
-        let mut expected = vec![0; size.bytes()];
         for (&action, step) in case.blocked.actions.iter().zip(1..) {
             let seen = sim.ask(&command);
             let pose = Pose::try_from(seen.pose).unwrap();
-            let destination = Destination::Memory(&mut expected);
             let view = ViewSpec { pose, variant: &variant, stock: 0 };
-            renderer.render(&mut [RenderJob { view, destination }]).unwrap();
+            let expected = renderer.render_image(view).unwrap();
             let frame = sim.neighbours.stores[0].get(seen.frame).unwrap().unwrap();
-            assert!(frame.pixels() == expected, "{pose}");
-            assert_eq!(frame.content_hash()[..], blake3::hash(&expected).as_bytes()[..16]);
+            assert!(frame.pixels() == expected.as_bytes(), "{pose}");
+            let hash = blake3::hash(expected.as_bytes());
+            assert_eq!(frame.content_hash()[..], hash.as_bytes()[..16]);
             command = act(0, 1, step, action);
         }
         sim.stop();
@@ -636,16 +627,10 @@ fn views_that_another_simulator_has_rendered_are_read_from_files() {
 /// The other warehouse has its own floor plan, stock and scene, in one frame store with the tested one.
 #[test]
 fn views_of_the_other_warehouse_are_those_of_a_simulator_that_is_started_in_it() {
-    let size = FrameSize { width: 128, height: 96 };
-    let settings = RenderSettings {
-        width_px: size.width,
-        height_px: size.height,
-        backend: Some(Backend::Cpu),
-        ..RenderSettings::default()
-    };
+    let settings = small(Some(Backend::Cpu));
     let with = settings.clone();
     let mut sim = simulator_with(
-        |attach| attach.frame = size,
+        |attach| attach.frame = SMALL,
         false,
         move |_| RenderSetup::open(&worlds(), with, None),
     );
@@ -654,11 +639,8 @@ fn views_of_the_other_warehouse_are_those_of_a_simulator_that_is_started_in_it()
     let mut renderer = Renderer::new(other.warehouse(), settings.clone()).unwrap();
     let mut here = Renderer::new(&tested, settings).unwrap();
     let render = |renderer: &mut Renderer, pose| {
-        let mut pixels = vec![0; size.bytes()];
-        let destination = Destination::Memory(&mut pixels);
         let view = ViewSpec { pose, variant: &Variant::UNCHANGED, stock: 0 };
-        renderer.render(&mut [RenderJob { view, destination }]).unwrap();
-        pixels
+        renderer.render_image(view).unwrap()
     };
     let (task, shown) = other.demonstration(0).unwrap();
     let replay = shown.replay(other.warehouse(), task, &Variant::UNCHANGED);
@@ -670,12 +652,12 @@ fn views_of_the_other_warehouse_are_those_of_a_simulator_that_is_started_in_it()
         assert_eq!(Pose::try_from(seen.pose), Ok(pose));
         for store in &mut sim.neighbours.stores {
             let frame = store.get(seen.frame).unwrap().unwrap();
-            assert!(frame.pixels() == render(&mut renderer, pose), "{pose}");
+            assert!(frame.pixels() == render(&mut renderer, pose).as_bytes(), "{pose}");
         }
         if tested.layout.is_free(pose.cell) {
             let seen = sim.ask(&reset(1, 100 + u64::from(step), 0, pose));
             let frame = sim.neighbours.stores[0].get(seen.frame).unwrap().unwrap();
-            assert!(frame.pixels() == render(&mut here, pose), "{pose}");
+            assert!(frame.pixels() == render(&mut here, pose).as_bytes(), "{pose}");
         }
         if let Some(action) = action {
             command = act(0, 1, step, action);

@@ -1,15 +1,10 @@
 //! The two backends draw the same images but for rounding, and the CPU draws the same bytes with every vector width.
 
-use domain::{Heading, Pose};
 use raster::Level;
 use warehouse::{CaseSet, Variant, Warehouse};
 
 use super::*;
-
-fn poses(warehouse: &Warehouse) -> Vec<Pose> {
-    let cells = warehouse.layout.free_cells();
-    cells.flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading })).collect()
-}
+use crate::view_control::every_pose;
 
 fn renderer(warehouse: &Warehouse, settings: &RenderSettings, backend: Backend) -> Renderer {
     let backend = Some(backend);
@@ -27,7 +22,7 @@ fn both_backends_draw_the_same_images() {
         let mut cpu = renderer(&warehouse, &settings, Backend::Cpu);
         let mut wgpu = renderer(&warehouse, &settings, Backend::Wgpu);
         let mut worst = 0;
-        for pose in poses(&warehouse).into_iter().step_by(step) {
+        for pose in every_pose(&warehouse.layout).step_by(step) {
             let view = ViewSpec { pose, variant: &Variant::UNCHANGED, stock: 0 };
             let (cpu, wgpu) = (cpu.render_image(view).unwrap(), wgpu.render_image(view).unwrap());
             let is_off =
@@ -65,8 +60,7 @@ fn neither_the_vector_width_nor_earlier_views_change_a_byte() {
     for samples in [Samples::One, Samples::Four] {
         let settings =
             RenderSettings { samples, width_px: 192, height_px: 126, ..RenderSettings::default() };
-        let views: Vec<ViewSpec<'_>> = poses(&warehouse)
-            .into_iter()
+        let views: Vec<ViewSpec<'_>> = every_pose(&warehouse.layout)
             .step_by(61)
             .flat_map(|pose| [&open, &blocked].map(|variant| ViewSpec { pose, variant, stock: 0 }))
             .filter(|view| !view.variant.is_closed(view.pose.cell))

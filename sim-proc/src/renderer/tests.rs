@@ -11,6 +11,7 @@ use warehouse::{CaseSet, StockChange, Variant, WorldChange, WorldState};
 use super::camera::Camera;
 use super::visibility::{VisibleSet, nearest_first};
 use super::*;
+use crate::view_control::every_pose;
 
 const SIDE_PX: u32 = 448;
 
@@ -27,11 +28,6 @@ fn both(warehouse: &Warehouse) -> [Renderer; 2] {
         let backend = Some(backend);
         renderer(warehouse, RenderSettings { backend, ..RenderSettings::default() })
     })
-}
-
-fn poses(warehouse: &Warehouse) -> Vec<Pose> {
-    let cells = warehouse.layout.free_cells();
-    cells.flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading })).collect()
 }
 
 /// Draws these objects instead of the visible set.
@@ -77,7 +73,7 @@ fn culling_changes_no_pixel_and_the_hall_has_no_holes() {
 /// What is wrong with every `step`th pose.
 fn losses(warehouse: &Warehouse, renderer: &mut Renderer, step: usize) -> Vec<String> {
     let mut wrong = Vec::new();
-    for pose in poses(warehouse).into_iter().step_by(step) {
+    for pose in every_pose(&warehouse.layout).step_by(step) {
         let camera = Camera::new(pose, SIDE_PX, SIDE_PX);
         let scene = renderer.visibility.scene();
         let stock = &scene.stocks[0];
@@ -139,8 +135,7 @@ fn neither_the_frame_path_nor_the_batch_changes_a_byte() {
     assert!(matches!(copied.report().frame_path, FramePath::Copied { .. }));
     let open = Variant::UNCHANGED;
     let blocked = Variant::closing(CaseSet::shipped().cases[0].barricade.iter().copied());
-    let views: Vec<ViewSpec<'_>> = poses(&warehouse)
-        .into_iter()
+    let views: Vec<ViewSpec<'_>> = every_pose(&warehouse.layout)
         .step_by(47)
         .zip([&open, &blocked].into_iter().cycle())
         .map(|(pose, variant)| ViewSpec { pose, variant, stock: 0 })
@@ -270,7 +265,7 @@ fn a_barricade_that_is_hidden_changes_no_byte() {
     }
     let (mut ahead, mut elsewhere, mut views) = (Vec::new(), Vec::new(), 0);
     for (number, variant) in barricades.iter().enumerate() {
-        for pose in poses(&warehouse).into_iter().filter(|pose| !variant.is_closed(pose.cell)) {
+        for pose in every_pose(&warehouse.layout).filter(|pose| !variant.is_closed(pose.cell)) {
             views += 1;
             if !both[0].visibility.changes(ViewSpec { pose, variant, stock: 0 }).barricades {
                 let is_ahead = variant.closed().iter().any(|&cell| is_ahead(pose, cell));
@@ -374,7 +369,7 @@ fn a_stock_looks_as_in_a_scene_of_its_own_and_nothing_else_changes() {
     changes.dedup_by_key(|change| change.standpoint);
     let near = |pose: &Pose| changes.iter().any(|c| c.standpoint.distance(pose.cell) <= 1);
     let step = std::env::var("POSE_STEP").map_or(29, |step| step.parse().unwrap());
-    let all = poses(&base).into_iter().enumerate();
+    let all = every_pose(&base.layout).enumerate();
     let chosen: Vec<Pose> = all
         .filter(|(n, pose)| n % step == 0 || (n % 3 == 0 && near(pose)))
         .map(|(_, pose)| pose)

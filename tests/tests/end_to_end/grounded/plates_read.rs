@@ -1,10 +1,11 @@
 //! Plates that are read from rendered views, compared with the catalogue.
 
 use plates::{self, Landmark, Plate};
+use sim_proc::view_control::every_pose;
 use warehouse::sight::sees;
 use warehouse::{Item, Variant, Warehouse};
 
-use super::views::{Views, poses};
+use super::views::Views;
 
 /// Every how many poses one is tested. Coprime to the number of headings, so that all headings occur.
 const EVERY: usize = 7;
@@ -26,7 +27,7 @@ fn plates_in_rendered_views_agree_with_the_catalogue() {
     let items: Vec<_> =
         warehouse.items.iter().map(|item| (item, landmark(&warehouse, item))).collect();
     let (mut near, mut found) = (0, 0);
-    for pose in poses(&warehouse).into_iter().step_by(EVERY) {
+    for pose in every_pose(&warehouse.layout).step_by(EVERY) {
         let image = views.of(pose, &Variant::UNCHANGED);
         let frame = image.frame();
         let read: Vec<_> = plates::read(frame.width, frame.height, frame.pixels)

@@ -6,13 +6,14 @@ use std::sync::Arc;
 use domain::{Action, DocumentKind, Feedback, Pose, Representation};
 use peer::{Item, PastView, Policy, Request, StepsView, TextView};
 use policy_proc::grounded::Grounded;
+use sim_proc::view_control::every_pose;
 use warehouse::{
     Case, CaseSet, Demonstrations, MAX_STEPS, Progress, Start, Variant, Warehouse, step,
 };
 
 use super::documents;
 use super::recall;
-use super::views::{Image, Views, poses};
+use super::views::{Image, Views};
 
 /// The frames that the policy gets.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,7 +64,7 @@ pub(crate) struct Runner {
 impl Runner {
     pub(crate) fn new() -> Self {
         let warehouse = Warehouse::shipped();
-        let mut poses = poses(&warehouse);
+        let mut poses: Vec<Pose> = every_pose(&warehouse.layout).collect();
         poses.sort_unstable();
         Self {
             cases: CaseSet::shipped(),

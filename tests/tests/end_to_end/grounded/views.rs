@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
-use domain::{Cell, Heading, Pose};
+use domain::{Cell, Pose};
 use peer::FrameView;
 use sim_proc::renderer::{RenderSettings, Renderer, ViewSpec};
 use warehouse::{Variant, Warehouse};
@@ -89,10 +89,4 @@ impl Views {
         };
         Arc::clone(rendered.entry(pose).or_insert_with(render))
     }
-}
-
-/// All poses, in a fixed order.
-pub(crate) fn poses(warehouse: &Warehouse) -> Vec<Pose> {
-    let cells = warehouse.layout.free_cells();
-    cells.flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading })).collect()
 }
