@@ -379,18 +379,35 @@ impl<'a, R: TestedRole> Subject<'a, R> {
         Ok(self.neighbours.notify()?)
     }
 
-    /// Waits until every open request is answered.
+    /// Notifies the process, and waits until every open request is answered.
     pub(crate) fn wait(&mut self) -> CheckResult<()> {
-        let deadline = Instant::now() + self.terms.answer_timeout;
+        self.notify()?;
+        let open = |subject: &Self| -> Vec<RequestId> {
+            let open = subject.requests.iter().filter(|(_, state)| **state == RequestState::Open);
+            open.map(|(id, _)| *id).collect()
+        };
+        self.listen_until(
+            self.terms.answer_timeout,
+            |subject| open(subject).is_empty(),
+            |subject| subject.no_answer(&open(subject)),
+        )
+    }
+
+    /// Receives messages until something `has_happened`, for `timeout` at most: then `what_is_missing` is wrong.
+    pub(crate) fn listen_until(
+        &mut self,
+        timeout: Duration,
+        has_happened: impl Fn(&Self) -> bool,
+        what_is_missing: impl Fn(&Self) -> String,
+    ) -> CheckResult<()> {
+        let deadline = Instant::now() + timeout;
         loop {
             self.listen()?;
-            let open = self.requests.iter().filter(|(_, state)| **state == RequestState::Open);
-            let open: Vec<RequestId> = open.map(|(id, _)| *id).collect();
-            if open.is_empty() {
+            if has_happened(self) {
                 return Ok(());
             }
             if Instant::now() > deadline {
-                return wrong(self.no_answer(&open));
+                return wrong(what_is_missing(self));
             }
             self.check_alive()?;
             self.neighbours.wait()?;

@@ -406,20 +406,15 @@ impl TestedMemory<'_> {
 
     /// Waits until every published bank is built.
     pub(crate) fn wait_for_banks(&mut self) -> CheckResult<()> {
-        let deadline = Instant::now() + self.terms.start_timeout;
-        loop {
-            self.listen()?;
-            if self.role.pending.is_empty() {
-                return Ok(());
-            }
-            if Instant::now() > deadline {
-                let (count, seconds) =
-                    (self.role.pending.len(), self.terms.start_timeout.as_secs());
-                return wrong(format_args!("{count} banks were not built within {seconds} s"));
-            }
-            self.check_alive()?;
-            self.neighbours.wait()?;
-        }
+        let timeout = self.terms.start_timeout;
+        self.listen_until(
+            timeout,
+            |subject| subject.role.pending.is_empty(),
+            |subject| {
+                let count = subject.role.pending.len();
+                format!("{count} banks were not built within {} s", timeout.as_secs())
+            },
+        )
     }
 
     /// Has the memory of a bank save into `folder`, or load from it, and waits for that.
@@ -432,20 +427,12 @@ impl TestedMemory<'_> {
         self.role.storing = Some(bank);
         self.neighbours.stores.send(&message)?;
         self.notify()?;
-        let deadline = Instant::now() + self.terms.start_timeout;
-        loop {
-            self.listen()?;
-            if self.role.storing.is_none() {
-                return Ok(());
-            }
-            if Instant::now() > deadline {
-                let verb = if loads { "loaded" } else { "saved" };
-                let seconds = self.terms.start_timeout.as_secs();
-                return wrong(format_args!("it has not {verb} within {seconds} s"));
-            }
-            self.check_alive()?;
-            self.neighbours.wait()?;
-        }
+        let (verb, timeout) = (if loads { "loaded" } else { "saved" }, self.terms.start_timeout);
+        self.listen_until(
+            timeout,
+            |subject| subject.role.storing.is_none(),
+            |_| format!("it has not {verb} within {} s", timeout.as_secs()),
+        )
     }
 
     /// The memory of a bank can name the steps of another episode. Returns the number of the demonstration.
@@ -500,7 +487,6 @@ impl TestedMemory<'_> {
         seed: u64,
     ) -> CheckResult<(ExternalAnswer, Vec<Supplied>)> {
         self.ask(id, seed)?;
-        self.notify()?;
         self.wait()?;
         self.supplied(id)
     }

@@ -222,7 +222,6 @@ fn many_lanes(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
         let frame = frames[lane as usize % frames.len()];
         subject.ask(id, &RequestScene { frame, ..RequestScene::default() })?;
     }
-    subject.notify()?;
     subject.wait()?;
     clear_away(subject)
 }
@@ -268,7 +267,6 @@ fn new_episode(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     subject.ask(old, &scene)?;
     let new = subject.begin(9, 2, "Find a red cone.")?;
     subject.ask(new, &scene)?;
-    subject.notify()?;
     subject.wait()?;
     // The episode ends between observation and recall.
     let half = subject.begin(9, 3, INSTRUCTION)?;
@@ -280,7 +278,6 @@ fn new_episode(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     subject.recall(&scene.recall(new))?;
     subject.notify()?;
     subject.observe(&observation(new, scene.frame))?;
-    subject.notify()?;
     subject.wait()?;
     clear_away(subject)
 }
@@ -312,7 +309,6 @@ fn slow_messages(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     subject.listen_for(pause)?;
     subject.expect(id);
     subject.recall(&scene.recall(id))?;
-    subject.notify()?;
     subject.wait()?;
     clear_away(subject)
 }

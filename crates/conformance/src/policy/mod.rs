@@ -151,7 +151,6 @@ impl TestedPolicy<'_> {
         scene: &RequestScene,
     ) -> CheckResult<Decision> {
         self.ask(id, scene)?;
-        self.notify()?;
         self.wait()?;
         self.answer(id)
     }

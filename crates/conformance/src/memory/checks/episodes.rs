@@ -66,7 +66,6 @@ pub(super) fn many_lanes(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
         let id = subject.begin(lane, bank, INSTRUCTION)?;
         subject.ask(id, u64::from(lane) % 8)?;
     }
-    subject.notify()?;
     subject.wait()?;
     clear_away(subject)
 }
@@ -86,7 +85,6 @@ pub(super) fn interleaved(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     for &id in &queries {
         subject.ask(id, 3)?;
     }
-    subject.notify()?;
     subject.wait()?;
     clear_away(subject)
 }
@@ -108,7 +106,6 @@ pub(super) fn small_banks(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
             subject.ask(*id, seed)?;
             *id = next(*id);
         }
-        subject.notify()?;
         subject.wait()?;
     }
     clear_away(subject)
@@ -123,7 +120,6 @@ pub(super) fn new_episode(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     subject.ask(old, 4)?;
     let new = subject.begin(9, other, "Find a red cone.")?;
     subject.ask(new, 4)?;
-    subject.notify()?;
     subject.wait()?;
     // A report about the old query is welcome, and none is, too.
     subject.take_errors();

@@ -11,7 +11,7 @@ use crate::memory::pose;
 use crate::messages::{external_episode, query};
 use crate::subject::{CheckResult, Trouble, wrong};
 
-/// A message that cannot be used, in words.
+/// A message that cannot be used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Invalid {
     Feedback,
@@ -22,33 +22,21 @@ enum Invalid {
     Demonstration,
 }
 
-impl Invalid {
-    const ALL: [Self; 6] = [
-        Self::Feedback,
-        Self::Heading,
-        Self::Bank,
-        Self::Instruction,
-        Self::Episode,
-        Self::Demonstration,
-    ];
-
-    const fn words(self) -> &'static str {
-        match self {
-            Self::Feedback => "a feedback code of 77",
-            Self::Heading => "a pose with heading code 77",
-            Self::Bank => "an episode that remembers a bank that was never published",
-            Self::Instruction => "an instruction of 4,000,000,000 bytes",
-            Self::Episode => "a query of an episode that never began",
-            Self::Demonstration => "a bank whose demonstration lies outside of it",
-        }
-    }
-}
+/// All of them in words.
+const INVALID: [(Invalid, &str); 6] = [
+    (Invalid::Feedback, "a feedback code of 77"),
+    (Invalid::Heading, "a pose with heading code 77"),
+    (Invalid::Bank, "an episode that remembers a bank that was never published"),
+    (Invalid::Instruction, "an instruction of 4,000,000,000 bytes"),
+    (Invalid::Episode, "a query of an episode that never began"),
+    (Invalid::Demonstration, "a bank whose demonstration lies outside of it"),
+];
 
 pub(super) fn invalid_messages(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let bank = subject.remember(&ordinary())?;
     let mut ignored = Vec::new();
-    for (lane, invalid) in (20..).zip(Invalid::ALL) {
+    for (lane, (invalid, what)) in (20..).zip(INVALID) {
         let mut begun = external_episode(lane, 0, bank, INSTRUCTION);
         match invalid {
             Invalid::Bank => begun.bank += 1_000_000,
@@ -79,12 +67,12 @@ pub(super) fn invalid_messages(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
         // Queries of another lane are still answered.
         let other = subject.begin(lane + 20, bank, INSTRUCTION)?;
         if let Err(Trouble::Wrong(why)) = subject.ask_and_wait(other, 11) {
-            return wrong(format_args!("after {}: {why}", invalid.words()));
+            return wrong(format_args!("after {what}: {why}"));
         }
         subject.listen_for(Duration::from_millis(40))?;
         let is_refused = refused_bank.is_some_and(|bank| subject.refused(bank));
         if subject.take_errors().is_empty() && !is_refused {
-            ignored.push(invalid.words());
+            ignored.push(what);
         }
         // The lane itself is answered again, too, in its next episode.
         let again = subject.begin(lane, bank, INSTRUCTION)?;
