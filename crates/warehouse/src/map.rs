@@ -13,22 +13,22 @@ use floor::Map;
 
 /// A map of `warehouse` with the routes of `case`.
 pub fn svg(warehouse: &Warehouse, case: &Case) -> String {
-    let mut map = Map::new(&warehouse.layout);
+    let mut map = Map::new(&warehouse.layout, canvas::LEGEND);
     map.floor(warehouse, Some(case));
     map.aisle_names();
     map.items(warehouse, Some(case));
     map.routes(warehouse, case);
     map.case_legend(warehouse, case);
-    map.finish()
+    map.canvas.finish()
 }
 
 /// The floor of `warehouse` with its items and without a legend, as the ground of other drawings.
 pub fn ground_svg(warehouse: &Warehouse) -> String {
-    let mut map = Map::without_legend(&warehouse.layout);
+    let mut map = Map::new(&warehouse.layout, 0.0);
     map.floor(warehouse, None);
     map.aisle_names();
     map.items(warehouse, None);
-    map.finish()
+    map.canvas.finish()
 }
 
 /// The side of a cell and the width of the border around the floor, in the units of every map.
@@ -36,12 +36,12 @@ pub const MEASURES: (f64, f64) = (canvas::CELL, canvas::MARGIN);
 
 /// A map of `warehouse`.
 pub fn floor_svg(warehouse: &Warehouse) -> String {
-    let mut map = Map::new(&warehouse.layout);
+    let mut map = Map::new(&warehouse.layout, canvas::LEGEND);
     map.floor(warehouse, None);
     map.aisle_names();
     map.items(warehouse, None);
     map.floor_legend(warehouse);
-    map.finish()
+    map.canvas.finish()
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use domain::{Cell, Heading};
 
-use super::canvas::{CELL, DrawingPoint, LEGEND, MARGIN, MUTED, PAPER, SvgCanvas};
+use super::canvas::{CELL, DrawingPoint, MARGIN, MUTED, PAPER, SvgCanvas};
 use super::glyph;
 use super::marks::{badge, direction};
 use crate::case::Case;
@@ -31,23 +31,11 @@ pub(super) struct Map<'l> {
 }
 
 impl<'l> Map<'l> {
-    pub(super) fn new(layout: &'l Layout) -> Self {
-        Self::beside(layout, LEGEND)
-    }
-
-    pub(super) fn without_legend(layout: &'l Layout) -> Self {
-        Self::beside(layout, 0.0)
-    }
-
-    /// A floor with `legend` units of room to its right.
-    fn beside(layout: &'l Layout, legend: f64) -> Self {
+    /// An empty map with `legend` units of room to its right.
+    pub(super) fn new(layout: &'l Layout, legend: f64) -> Self {
         let width = 2.0 * MARGIN + f64::from(layout.width()) * CELL + legend;
         let height = 2.0 * MARGIN + f64::from(layout.height()) * CELL;
         Self { layout, canvas: SvgCanvas::new(width, height, PAPER) }
-    }
-
-    pub(super) fn finish(self) -> String {
-        self.canvas.finish()
     }
 
     /// The north-west corner of `cell`.

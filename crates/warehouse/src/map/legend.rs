@@ -5,7 +5,6 @@ use super::floor::Map;
 use super::glyph;
 use super::marks::{Style, badge, barricade, start_disc, style};
 use crate::case::{Case, Start};
-use crate::catalogue::Catalogue;
 use crate::task::Task;
 use crate::world::{Item, Warehouse};
 
@@ -43,7 +42,8 @@ impl LegendColumn<'_> {
         self.y += 8.0;
     }
 
-    fn catalogue(&mut self, catalogue: &Catalogue, counts: &dyn Fn(usize) -> usize) {
+    fn catalogue(&mut self, warehouse: &Warehouse) {
+        let catalogue = &warehouse.catalogue;
         self.heading("ON THE RACKS");
         for (index, category) in catalogue.categories.iter().enumerate() {
             self.y += 25.0;
@@ -54,8 +54,7 @@ impl LegendColumn<'_> {
             }
             let indent = 14.0 + 23.0 * catalogue.types_in(index).count() as f64;
             self.text(indent, &category.name, 14.0, INK, 400);
-            let count = counts(index).to_string();
-            self.right(&count);
+            self.right(&warehouse.items_in(index).count().to_string());
         }
     }
 
@@ -97,7 +96,7 @@ impl Map<'_> {
         let mut column = self.column();
         let size = format!("{} m x {} m, one cell is 1 m wide", layout.width(), layout.height());
         column.title("The warehouse", &size);
-        column.catalogue(&warehouse.catalogue, &|index| warehouse.items_in(index).count());
+        column.catalogue(warehouse);
         column.heading("READING THE MAP");
         column.note(&format!(
             "{} items of {} types; each is drawn in its",
@@ -137,7 +136,7 @@ impl Map<'_> {
         let at = (column.x + 25.0, column.y - 5.0);
         column.canvas.circle(at, 4.2, &format!("fill='{PAPER}' stroke='{INK}' stroke-width='2.2'"));
         column.text(66.0, "a sub-goal is completed", 14.0, INK, 400);
-        column.catalogue(&warehouse.catalogue, &|index| warehouse.items_in(index).count());
+        column.catalogue(warehouse);
         self.compass();
     }
 }
