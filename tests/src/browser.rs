@@ -3,7 +3,6 @@
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
-use std::path::Path;
 use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -235,20 +234,6 @@ impl Browser {
             "(() => {{ const e = document.querySelector({selector:?}); e.value = {value:?}; \
              e.dispatchEvent(new Event('change', {{bubbles: true}})); }})()"
         ));
-    }
-
-    /// Writes what the page shows to a PNG file.
-    pub fn screenshot(&mut self, file: &Path) {
-        let image = self.send("Page.captureScreenshot", json!({ "format": "png" }));
-        let image = image["data"].as_str().expect("an image");
-        let mut base64 = Command::new("base64")
-            .arg("-d")
-            .stdin(Stdio::piped())
-            .stdout(File::create(file).expect("a file"))
-            .spawn()
-            .expect("base64 starts");
-        base64.stdin.take().expect("its input").write_all(image.as_bytes()).expect("written");
-        assert!(base64.wait().expect("it ends").success());
     }
 
     /// Every error that the page has reported: exceptions, and messages in the console.

@@ -33,11 +33,6 @@ impl ItemName<'_> {
         let wanted = code(name);
         move |plate| plate.0[bands.clone()] == wanted
     }
-
-    /// Whether the item labelled with `plate` is of this kind.
-    pub fn matches(self, plate: Plate) -> bool {
-        self.matcher()(plate)
-    }
 }
 
 /// The kinds of items that `instruction` names, in its order.
