@@ -20,7 +20,7 @@ pub(crate) fn are_allowed(workspace: &Workspace) -> anyhow::Result<bool> {
     let rules: DenyRules =
         toml::from_str(&text).with_context(|| format!("cannot use {}", path.display()))?;
 
-    let objections: Vec<String> = packages(workspace)?
+    let objections: Vec<String> = packages_built_for(workspace, "normal,build,dev")?
         .iter()
         .filter_map(|package| objection(package, &rules.licenses.allow))
         .collect();
@@ -40,36 +40,26 @@ struct LicenceRules {
     allow: Vec<String>,
 }
 
+/// A package as `cargo metadata` describes it.
 #[derive(Deserialize)]
-struct LicensedPackage {
-    name: String,
-    version: String,
-    license: Option<String>,
+pub(crate) struct Package {
+    pub(crate) name: String,
+    pub(crate) version: String,
+    pub(crate) license: Option<String>,
     /// `None` for the workspace's own crates.
-    source: Option<String>,
+    pub(crate) source: Option<String>,
 }
 
-fn packages(workspace: &Workspace) -> anyhow::Result<Vec<LicensedPackage>> {
-    let platform = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
-    let all: Vec<LicensedPackage> =
-        workspace.packages(&["--locked", "--filter-platform", &platform])?;
-    let built = built_for(workspace, &platform, "normal,build,dev")?;
-    let is_built = |package: &LicensedPackage| {
-        let name = format!("{} v{}", package.name, package.version);
-        built.lines().any(|line| line.trim_end() == name || line.starts_with(&format!("{name} ")))
-    };
-    Ok(all.into_iter().filter(is_built).collect())
-}
-
-/// The packages built for `platform` because of dependencies of these kinds, one line each: `name v1.2.3`. `cargo
-/// metadata` also lists packages of features that only other platforms enable.
-pub(crate) fn built_for(
+/// The packages built for this platform because of dependencies of these kinds. `cargo metadata` also lists packages of
+/// features that only other platforms enable.
+pub(crate) fn packages_built_for(
     workspace: &Workspace,
-    platform: &str,
     kinds: &str,
-) -> anyhow::Result<String> {
+) -> anyhow::Result<Vec<Package>> {
+    let platform = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
+    let all: Vec<Package> = workspace.packages(&["--locked", "--filter-platform", &platform])?;
     let output = workspace
-        .cargo(&["tree", "--workspace", "--locked", "--target", platform])
+        .cargo(&["tree", "--workspace", "--locked", "--target", &platform])
         .args(["--edges", kinds, "--prefix", "none", "--format", "{p}"])
         .args(["--features", "memtransfer-fuzz/libfuzzer,orchestrator/object-store"])
         .output()
@@ -77,12 +67,18 @@ pub(crate) fn built_for(
     if !output.status.success() {
         bail!("cargo tree failed: {}", String::from_utf8_lossy(&output.stderr));
     }
-    String::from_utf8(output.stdout).context("cannot read cargo tree's answer")
+    let built = String::from_utf8(output.stdout).context("cannot read cargo tree's answer")?;
+    // A line is `serde v1.0.229 (...)`.
+    let is_built = |package: &Package| {
+        let name = format!("{} v{}", package.name, package.version);
+        built.lines().any(|line| line.trim_end() == name || line.starts_with(&format!("{name} ")))
+    };
+    Ok(all.into_iter().filter(is_built).collect())
 }
 
 /// Why a package is not allowed; `None` when it is.
-fn objection(package: &LicensedPackage, allowed: &[String]) -> Option<String> {
-    let LicensedPackage { name, version, license, source } = package;
+fn objection(package: &Package, allowed: &[String]) -> Option<String> {
+    let Package { name, version, license, source } = package;
     if source.as_ref().is_some_and(|source| !source.starts_with(SOURCE_PREFIX)) {
         return Some(format!("{name} {version} does not come from the registry"));
     }
@@ -120,7 +116,7 @@ mod tests {
             (Some("MIT"), &Some("git+elsewhere".to_owned()), false),
         ];
         for (license, source, expected) in cases {
-            let package = LicensedPackage {
+            let package = Package {
                 name: "some".to_owned(),
                 version: "1.0.0".to_owned(),
                 license: license.map(str::to_owned),

@@ -9,25 +9,18 @@ use anyhow::Context;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::licences::built_for;
+use crate::licences::{Package, packages_built_for};
 use crate::pins::Pins;
 use crate::workspace::Workspace;
 
 /// Writes `target/sbom/memtransfer.cdx.json`.
 pub(crate) fn write(pins: &Pins, workspace: &Workspace) -> anyhow::Result<()> {
     let sums = sums(&workspace.root().join("Cargo.lock"))?;
-    let platform = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
-    let built = built_for(workspace, &platform, "normal,build")?;
-    let linked: BTreeSet<(&str, &str)> = built.lines().filter_map(name_and_version).collect();
-    let packages: Vec<Package> =
-        workspace.packages(&["--locked", "--filter-platform", &platform])?;
+    let packages = packages_built_for(workspace, "normal,build")?;
     let version = packages.iter().find(|package| package.name == "memtransfer");
     let version = version.map_or("0", |package| package.version.as_str());
-    let components = packages
-        .iter()
-        .filter(|package| package.source.is_some())
-        .filter(|package| linked.contains(&(package.name.as_str(), package.version.as_str())))
-        .map(|package| package.component(&sums));
+    let linked = packages.iter().filter(|package| package.source.is_some());
+    let components = linked.map(|package| component(package, &sums));
     let mut components: Vec<Value> = components.collect();
     components.extend(wheels(pins));
     components.extend(requirements(pins, workspace.root())?);
@@ -58,37 +51,20 @@ pub(crate) fn write(pins: &Pins, workspace: &Workspace) -> anyhow::Result<()> {
     Ok(())
 }
 
-#[derive(Deserialize)]
-struct Package {
-    name: String,
-    version: String,
-    license: Option<String>,
-    /// `None` for the workspace's own crates.
-    source: Option<String>,
-}
-
-impl Package {
-    fn component(&self, sums: &BTreeMap<(String, String), String>) -> Value {
-        let Self { name, version, license, .. } = self;
-        let address = format!("pkg:cargo/{name}@{version}");
-        let mut component = json!({
-            "type": "library", "bom-ref": address, "name": name, "version": version, "purl": address,
-        });
-        if let Some(license) = license {
-            // Older packages write `MIT/Apache-2.0`.
-            component["licenses"] = json!([{ "expression": license.replace('/', " OR ") }]);
-        }
-        if let Some(sum) = sums.get(&(name.clone(), version.clone())) {
-            component["hashes"] = json!([{ "alg": "SHA-256", "content": sum }]);
-        }
-        component
+fn component(package: &Package, sums: &BTreeMap<(String, String), String>) -> Value {
+    let Package { name, version, license, .. } = package;
+    let address = format!("pkg:cargo/{name}@{version}");
+    let mut component = json!({
+        "type": "library", "bom-ref": address, "name": name, "version": version, "purl": address,
+    });
+    if let Some(license) = license {
+        // Older packages write `MIT/Apache-2.0`.
+        component["licenses"] = json!([{ "expression": license.replace('/', " OR ") }]);
     }
-}
-
-/// The name and the version in a line of `cargo tree`: `serde v1.0.229 (...)`.
-fn name_and_version(line: &str) -> Option<(&str, &str)> {
-    let mut words = line.split(' ');
-    Some((words.next()?, words.next()?.strip_prefix('v')?))
+    if let Some(sum) = sums.get(&(name.clone(), version.clone())) {
+        component["hashes"] = json!([{ "alg": "SHA-256", "content": sum }]);
+    }
+    component
 }
 
 /// The checksums in `Cargo.lock`, by name and version.
@@ -170,14 +146,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn packages_are_read_from_requirements_and_from_cargo_tree() {
+    fn packages_are_read_from_requirements() {
         let found = |name: &str, version: &str| Some((name.to_owned(), version.to_owned()));
         assert_eq!(requirement("httpx==0.28.1 \\"), found("httpx", "0.28.1"));
         assert_eq!(requirement("a[b]==2 ; python_version < '3.11' \\"), found("a", "2"));
         assert_eq!(requirement("    # via httpx==0.1"), None);
         assert_eq!(requirement("    --hash=sha256:00"), None);
-        assert_eq!(name_and_version("serde v1.0.2 (proc-macro)"), Some(("serde", "1.0.2")));
-        assert_eq!(name_and_version(""), None);
         assert_eq!(python_address("Typing_Extensions", "4"), "pkg:pypi/typing-extensions@4");
     }
 }
