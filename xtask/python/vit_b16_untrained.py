@@ -9,12 +9,12 @@ so it says "untrained" in its name, in its metadata and in the manifest. Shapes 
 
 Needs nothing but the standard library. Weights come from SHAKE-256 of their own names, stored as int8
 and scaled to float by the graph (ONNX Runtime folds that when it loads), so the file is a quarter of
-the usual size, is the same on every machine, and its SHA-256 is pinned in assets/models.toml.
+the usual size, is the same on every machine, and its SHA-256 is pinned in assets/models.toml. The
+caller verifies it and renames the file into place.
 """
 
 import hashlib
 import math
-import os
 import struct
 import sys
 
@@ -113,12 +113,8 @@ def vit():
 
 def main(target):
     metadata = {"memtransfer.model": NAME, "memtransfer.trained": "false"}
-    unfinished = target + ".part"
-    with open(unfinished, "wb") as file:
+    with open(target, "wb") as file:
         file.write(model(vit(), OPSET, "memtransfer", metadata))
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(unfinished, target)
 
 
 if __name__ == "__main__":
