@@ -6,20 +6,15 @@
 The world is its four rooms. Each view is from another place, as ours are; neither physics nor rewards are computed.
 """
 
-import os
-import sys
 import time
 
-# This file has the name of the package.
-sys.path = [entry for entry in sys.path if os.path.abspath(entry or ".") != os.path.dirname(os.path.abspath(__file__))]
-import pyglet  # noqa: E402
+import pyglet
 
 pyglet.options["headless"] = True
 import gymnasium  # noqa: E402
 import miniworld  # noqa: E402
 import numpy  # noqa: E402
 
-sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from _serve import serve  # noqa: E402
 
 WORLD = {}

@@ -8,16 +8,12 @@ its image is read as an RGB array.
 """
 
 import os
-import sys
 import tempfile
 import time
 
-# This file has the name of the package.
-sys.path = [entry for entry in sys.path if os.path.abspath(entry or ".") != os.path.dirname(os.path.abspath(__file__))]
-import vizdoom  # noqa: E402
+import vizdoom
 
-sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
-from _serve import serve  # noqa: E402
+from _serve import serve
 
 GAME = vizdoom.DoomGame()
 

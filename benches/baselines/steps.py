@@ -9,13 +9,10 @@ anti-aliased. Needs our package and those of `requirements.txt`. Prints the medi
 import argparse
 import os
 import statistics
-import sys
 import tempfile
 import time
 
-# The baselines in this folder have the names of the packages.
-sys.path = [entry for entry in sys.path if os.path.abspath(entry or ".") != os.path.dirname(os.path.abspath(__file__))]
-import pyglet  # noqa: E402
+import pyglet
 
 pyglet.options["headless"] = True
 import gymnasium  # noqa: E402

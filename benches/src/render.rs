@@ -68,7 +68,7 @@ const COLD: [Cold; 2] = [
         samples: Samples::One,
         target: (1.0, "faster than ViZDoom"),
         baseline: "ViZDoom",
-        script: "vizdoom.py",
+        script: "render_vizdoom.py",
         // Its size that is nearest to ours: 2 % fewer pixels.
         size_px: (512, 384),
         views: 2000,
@@ -79,7 +79,7 @@ const COLD: [Cold; 2] = [
         samples: Samples::Four,
         target: (10.0, "ten times MiniWorld"),
         baseline: "MiniWorld",
-        script: "miniworld.py",
+        script: "render_miniworld.py",
         size_px: (FrameSize::DEFAULT.width, FrameSize::DEFAULT.height),
         views: 300,
     },
