@@ -1,21 +1,9 @@
 //! Readers of servers' answers without a server, for the fuzz targets in `tests/fuzz`. Not part of the client.
 
 use crate::cache::{CacheKey, ReplyCache};
-use crate::reply::{self, ChatReply};
+use crate::reply::ChatReply;
+pub use crate::reply::{error_message, read as reply};
 use crate::request::ChatRequest;
-
-/// The answer in the body of a response with status 2xx.
-///
-/// # Errors
-/// What is wrong with the body.
-pub fn reply(body: &[u8]) -> Result<ChatReply, String> {
-    reply::read(body)
-}
-
-/// The message in the body of any other response, on one line.
-pub fn error_message(body: &[u8]) -> String {
-    reply::error_message(body)
-}
 
 /// The file of a cached reply, whether it exists or not.
 pub fn stored_file(

@@ -53,8 +53,11 @@ impl ChatReply {
     }
 }
 
-/// Reads the body of a response with status 2xx; the error says what is wrong with it.
-pub(crate) fn read(body: &[u8]) -> Result<ChatReply, String> {
+/// Reads the body of a response with status 2xx.
+///
+/// # Errors
+/// What is wrong with the body.
+pub fn read(body: &[u8]) -> Result<ChatReply, String> {
     let body: Value =
         serde_json::from_slice(body).map_err(|error| format!("it is not JSON: {error}"))?;
     // Some proxies report a failure behind them with status 200.
@@ -130,7 +133,7 @@ fn split_reasoning(text: &str) -> (bool, String) {
 const MESSAGE_CHARS: usize = 400;
 
 /// The message in the body of an error response, on one line.
-pub(crate) fn error_message(body: &[u8]) -> String {
+pub fn error_message(body: &[u8]) -> String {
     let text = String::from_utf8_lossy(body);
     let value: Option<Value> = serde_json::from_str(&text).ok();
     let message = value.as_ref().map_or_else(|| text.into_owned(), message_of);
