@@ -28,8 +28,7 @@ use shm_types::{
     Attach, AttachError, Bus, BusError, DocumentPublisher, ErrorReporter, Frame, FrameError,
     MemoryDescription, Spans,
 };
-use warehouse::case_file::CASES_FILE;
-use warehouse::{CaseSet, Elsewhere, StreamSet, Warehouse};
+use warehouse::{CaseSet, Elsewhere, StreamSet};
 
 use crate::bank::Viewpoint;
 use crate::document_loader::DocumentLoader;
@@ -214,15 +213,7 @@ impl<'a> MemoryServer<'a> {
     ) -> anyhow::Result<Self> {
         let documents =
             DocumentLoader::new(settings.documents.clone(), DocumentPublisher::new(bus)?);
-        let assets = settings.assets.as_deref();
-        let (warehouse, mut cases) = match assets {
-            None => (Warehouse::shipped(), CaseSet::shipped()),
-            Some(folder) => {
-                let warehouse = Warehouse::load(folder)?;
-                let cases = CaseSet::load(&folder.join(CASES_FILE), &warehouse)?;
-                (warehouse, cases)
-            }
-        };
+        let (warehouse, mut cases) = CaseSet::with_warehouse(settings.assets.as_deref())?;
         if let Some(file) = &settings.elsewhere {
             cases.elsewhere = Some(Elsewhere::read(file, &warehouse, &cases)?);
         }

@@ -6,7 +6,6 @@ use std::hash::Hash;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use warehouse::case_file::CASES_FILE;
 use warehouse::{
     CaseSet, ELSEWHERE_VARIANT, Elsewhere, Layout, StreamSet, Variant, Warehouse, WorldState,
 };
@@ -33,14 +32,7 @@ impl WorldsArgs {
     /// # Errors
     /// A file that cannot be read or is invalid.
     pub fn load(&self) -> Result<Worlds> {
-        let (warehouse, mut cases) = match &self.assets {
-            None => (Warehouse::shipped(), CaseSet::shipped()),
-            Some(folder) => {
-                let warehouse = Warehouse::load(folder)?;
-                let cases = CaseSet::load(&folder.join(CASES_FILE), &warehouse)?;
-                (warehouse, cases)
-            }
-        };
+        let (warehouse, mut cases) = CaseSet::with_warehouse(self.assets.as_deref())?;
         let states = match &self.streams {
             None => Vec::new(),
             Some(file) => {

@@ -6,7 +6,6 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use domain::Appearance;
 use sha2::{Digest, Sha256};
-use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Demonstrated, Demonstrations, Elsewhere, Viewpoint, Warehouse};
 
 use crate::{hex, sha256_of_parts};
@@ -36,23 +35,16 @@ impl Sources {
     /// # Errors
     /// When a file cannot be read or is invalid.
     pub fn load(assets: Option<&Path>) -> Result<Self> {
-        let (warehouse, cases, world_sha256) = match assets {
-            None => {
-                let files = WORLD_FILES.map(|(_, built_in)| built_in);
-                (Warehouse::shipped(), CaseSet::shipped(), sha256_of_files(files))
-            }
+        let read = |(name, built_in): (&str, &[u8])| match assets {
+            None => Ok(built_in.to_owned()),
             Some(folder) => {
-                let read = |(name, _)| {
-                    let path = folder.join(name);
-                    fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
-                };
-                let files: Vec<Vec<u8>> =
-                    WORLD_FILES.into_iter().map(read).collect::<Result<_>>()?;
-                let warehouse = Warehouse::load(folder)?;
-                let cases = CaseSet::load(&folder.join(CASES_FILE), &warehouse)?;
-                (warehouse, cases, sha256_of_files(files))
+                let path = folder.join(name);
+                fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
             }
         };
+        let files: Vec<Vec<u8>> = WORLD_FILES.into_iter().map(read).collect::<Result<_>>()?;
+        let (warehouse, cases) = CaseSet::with_warehouse(assets)?;
+        let world_sha256 = sha256_of_files(files);
         Ok(Self { warehouse, cases, world_sha256, appearance: Appearance::STANDARD })
     }
 

@@ -33,14 +33,7 @@ impl World {
     /// # Errors
     /// When a file cannot be read or is invalid.
     pub fn load(assets: Option<&Path>) -> Result<Self, AssetError> {
-        let (warehouse, cases) = match assets {
-            None => (Warehouse::shipped(), CaseSet::shipped()),
-            Some(dir) => {
-                let warehouse = Warehouse::load(dir)?;
-                let cases = CaseSet::load(&dir.join(CASES_FILE), &warehouse)?;
-                (warehouse, cases)
-            }
-        };
+        let (warehouse, cases) = CaseSet::with_warehouse(assets)?;
         let mut hashes = BTreeMap::new();
         for (name, file, built_in) in HASHED {
             let own = assets.map(|dir| dir.join(file)).filter(|path| path.exists());

@@ -76,6 +76,17 @@ impl CaseSet {
         }
     }
 
+    /// The warehouse and the cases in the folder `assets`, or those that are compiled in.
+    ///
+    /// # Errors
+    /// As [`Warehouse::load`] and [`Self::load`].
+    pub fn with_warehouse(assets: Option<&Path>) -> Result<(Warehouse, Self), AssetError> {
+        let Some(folder) = assets else { return Ok((Warehouse::shipped(), Self::shipped())) };
+        let warehouse = Warehouse::load(folder)?;
+        let cases = Self::load(&folder.join(CASES_FILE), &warehouse)?;
+        Ok((warehouse, cases))
+    }
+
     /// Reads the file at `path`, whose cases belong to `warehouse`.
     ///
     /// # Errors
