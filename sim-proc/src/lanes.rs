@@ -55,10 +55,9 @@ impl SimulatedLanes {
     /// # Errors
     /// When there is no such variant, or no agent can stand there.
     pub fn standing(&self, number: u32, pose: Pose) -> Result<WorldParts, String> {
-        let world = self
-            .worlds
-            .variant(number)
-            .ok_or_else(|| format!("variant {number} is not one of {}", self.worlds.len()))?;
+        let world = self.worlds.variant(number).ok_or_else(|| {
+            format!("variant {number} is not one of {}", self.worlds.variant_count())
+        })?;
         if !self.worlds.layout_of(world).is_free(pose.cell)
             || self.worlds.closed(world).is_closed(pose.cell)
         {

@@ -126,13 +126,8 @@ impl Worlds {
     }
 
     /// The number of variants of the world that is tested.
-    pub fn len(&self) -> usize {
+    pub fn variant_count(&self) -> usize {
         self.variants.len()
-    }
-
-    /// Whether there is no world; never.
-    pub fn is_empty(&self) -> bool {
-        self.variants.is_empty()
     }
 
     /// World variant `number`, if there is one.
@@ -183,7 +178,7 @@ mod tests {
             assert_eq!(worlds.closed(world).closed(), case.barricade);
             assert_eq!(world.stock, 0);
         }
-        assert_eq!((worlds.len(), worlds.stocks.len()), (cases.cases.len() + 1, 1));
+        assert_eq!((worlds.variant_count(), worlds.stocks.len()), (cases.cases.len() + 1, 1));
         assert_eq!(worlds.variant(ELSEWHERE_VARIANT), None);
         let closings = &worlds.closings;
         assert!((1..closings.len()).all(|n| !closings[..n].contains(&closings[n])));
@@ -195,7 +190,7 @@ mod tests {
         cases.elsewhere = Elsewhere::generate(&warehouse, &cases, 1).ok();
         let worlds = Worlds::new(&warehouse, &cases, Vec::new());
         let world = worlds.variant(ELSEWHERE_VARIANT).unwrap();
-        assert_eq!(worlds.len(), cases.cases.len() + 1);
+        assert_eq!(worlds.variant_count(), cases.cases.len() + 1);
         assert_ne!(worlds.layout_of(world), worlds.layout());
         let (stocks, other) = worlds.halls();
         assert_eq!((stocks.len(), world.stock), (1, 1));

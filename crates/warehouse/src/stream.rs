@@ -226,17 +226,6 @@ impl Stream {
 }
 
 impl Event {
-    /// Its kind.
-    pub const fn kind(&self) -> EventKind {
-        match self {
-            Self::Close { .. } => EventKind::Close,
-            Self::Open { .. } => EventKind::Open,
-            Self::Move { .. } => EventKind::Move,
-            Self::Swap { .. } => EventKind::Swap,
-            Self::Add { .. } => EventKind::Add,
-        }
-    }
-
     /// What happens, in words: `close Corridor 2 at (14, 13)`, `swap red cone and blue tyre`.
     pub fn describe(&self, warehouse: &Warehouse) -> String {
         let name = |index: usize| {

@@ -519,7 +519,8 @@ mod tests {
                     blocks.map(|(pair, kind)| ([&pair[0], &pair[1]], kind))
                 {
                     assert!(!block.events.is_empty() && block.events.len() <= 3);
-                    assert!(block.events.iter().all(|event| event.kind() == *kind));
+                    let mut told = block.events.iter().map(|event| event.describe(&warehouse));
+                    assert!(told.all(|event| event.starts_with(kind.word())));
                     let [before, now] = [before, block].map(|block| &states[block.world as usize]);
                     for &case in &block.cases {
                         let case = &cases.cases[case as usize];
