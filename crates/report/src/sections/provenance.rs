@@ -72,14 +72,10 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
 }
 
 fn group_fact(group: &Value) -> (String, TableCell) {
-    let (mut name, mut said) = (String::new(), Vec::new());
-    for (key, value) in group.as_object().into_iter().flatten() {
-        match key.as_str() {
-            "name" => name = format!(" {}", words(value)),
-            key => said.push(format!("{key}: {}", words(value))),
-        }
-    }
-    (format!("setting group{name}"), TableCell::Value(said.join("; ")))
+    let mut others = group.clone();
+    let name = others.as_object_mut().and_then(|fields| fields.remove("name"));
+    let name = name.map_or(String::new(), |name| format!(" {}", words(&name)));
+    (format!("setting group{name}"), TableCell::Value(words(&others)))
 }
 
 /// A value of a setting in readable form.
@@ -89,6 +85,10 @@ fn words(value: &Value) -> String {
         Value::String(text) => text.clone(),
         Value::Array(all) if all.is_empty() => "none".to_owned(),
         Value::Array(all) => all.iter().map(words).collect::<Vec<_>>().join(" "),
+        Value::Object(fields) => {
+            let said = fields.iter().map(|(key, value)| format!("{key}: {}", words(value)));
+            said.collect::<Vec<_>>().join("; ")
+        }
         other => other.to_string(),
     }
 }
