@@ -446,3 +446,59 @@ pub(crate) fn image(path: &Path) -> Result<File> {
     let bytes = jpeg(size, VIEW_FORMAT.quality, image.as_bytes())?;
     Ok(File { kind: "image/jpeg", bytes })
 }
+
+#[cfg(test)]
+mod tests {
+    use std::fs::{self, OpenOptions};
+    use std::io::Write;
+
+    use results::log::RunFolder;
+    use results::log::testing::{keyed, manifest, record};
+
+    use super::*;
+
+    fn line(record: &EpisodeRecord) -> String {
+        serde_json::to_string(record).unwrap() + "\n"
+    }
+
+    /// The rows that a page gets which has `from` of them, and whether it has to begin again.
+    fn news(site: &mut Site, from: usize) -> (usize, bool) {
+        let file = site.file(&format!("run1/new.json?from={from}")).unwrap().unwrap();
+        let news: Value = serde_json::from_slice(&file.bytes).unwrap();
+        (news["rows"].as_array().unwrap().len(), news["restarted"] == true)
+    }
+
+    #[test]
+    fn a_page_of_a_run_in_progress_gains_whole_records_and_conditions() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("run");
+        drop(RunFolder::open(&folder, manifest(), false).unwrap());
+        let path = folder.join(EPISODES_FILE);
+        let add = |text: &str| {
+            let mut file = OpenOptions::new().append(true).open(&path).unwrap();
+            file.write_all(text.as_bytes()).unwrap();
+        };
+        add(&line(&record("t01-01", true)));
+        let program = ViewProgram { path: "/nonexistent".into(), variable: ("UNUSED", "") };
+        let run = RecordedRun::read(&folder).unwrap();
+        let mut site = Site::new(vec![run], &program, true).unwrap();
+        assert_eq!(news(&mut site, 1), (0, false));
+
+        let second = line(&record("t01-02", true));
+        let damaged = line(&record("t01-03", true)).replace("\"steps\":10", "\"steps\":11");
+        let (half, rest) = second.split_at(40);
+        add(&damaged);
+        add(half);
+        assert_eq!(news(&mut site, 1), (0, false), "a damaged record and half of one");
+        add(rest);
+        assert_eq!(news(&mut site, 1), (1, false));
+
+        add(&line(&keyed(EpisodeRecord { window: 3, ..record("t01-04", true) })));
+        assert_eq!(news(&mut site, 2), (3, true), "a condition that the settings do not have");
+        assert_eq!(news(&mut site, 3), (0, false));
+
+        fs::remove_file(&path).unwrap();
+        fs::write(&path, line(&record("t01-05", true)).repeat(2)).unwrap();
+        assert_eq!(news(&mut site, 3), (1, true), "started afresh");
+    }
+}
