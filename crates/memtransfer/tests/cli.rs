@@ -296,6 +296,7 @@ fn a_run_without_prompts_is_shown_and_a_missing_case_explained() {
     let mut folder = RunFolder::open(&dir.path().join("run"), manifest, false).unwrap().folder;
     let record = testing::record("t01-01", true);
     let timings = testing::timings(&record);
+    let by_key = format!("show run {} 0", record.key);
     folder.finish(&[(record, timings)]).unwrap();
     drop(folder);
 
@@ -303,6 +304,7 @@ fn a_run_without_prompts_is_shown_and_a_missing_case_explained() {
     assert_eq!(shown.status.code(), Some(0), "{}", text(&shown.stderr));
     let advice = "command again with --log-prompts and another --out";
     assert!(text(&shown.stdout).contains(advice), "{}", text(&shown.stdout));
+    assert_eq!(memtransfer(dir.path(), &by_key), shown);
     for (arguments, said) in [
         ("show run t01-01 0 --images views", "--log-prompts, --cases t01-01 and another --out"),
         ("show run t01-02 0", "no episode of t01-02 is finished yet in run"),
