@@ -1,6 +1,8 @@
 //! Runs that are written, killed, resumed, damaged and read.
 
 use std::collections::BTreeSet;
+use std::io::ErrorKind;
+use std::sync::Once;
 
 use super::*;
 use crate::log::manifest::MANIFEST_FILE;
@@ -44,25 +46,43 @@ fn a_run_continues_where_it_was_killed() {
     assert!(opened.notes[0].contains("(2 finished episodes)"), "{:?}", opened.notes);
 }
 
-/// A disk that cannot flush the logs in folders called `unflushable`.
-struct Unflushable;
+/// A disk that cannot flush the episode logs in folders called `unflushable`, and takes half of a line in those called `full`.
+struct FaultyDisk;
 
-impl durable::Faults for Unflushable {
+impl durable::Faults for FaultyDisk {
     fn fault(&self, operation: durable::Operation, path: &Path) -> Option<durable::Fault> {
-        let is_flush = operation == durable::Operation::Sync && path.ends_with(EPISODES_FILE);
-        (is_flush && path.parent().is_some_and(|dir| dir.ends_with("unflushable"))).then(|| {
-            let error = Box::new(|| std::io::Error::other("input/output error"));
-            durable::Fault::Fails { written: 0, error }
-        })
+        let folder = path.parent()?.file_name()?.to_str()?;
+        let (written, kind) = match (operation, folder) {
+            (durable::Operation::Sync, "unflushable") => (0, ErrorKind::Other),
+            (durable::Operation::Write(bytes), "full") => (bytes / 2, ErrorKind::StorageFull),
+            _ => return None,
+        };
+        let error = Box::new(move || kind.into());
+        path.ends_with(EPISODES_FILE).then_some(durable::Fault::Fails { written, error })
     }
+}
+
+/// A run folder that is called `name`, on a faulty disk.
+fn on_faulty_disk(dir: &Path, name: &str) -> RunFolder {
+    static INJECT: Once = Once::new();
+    INJECT.call_once(|| assert!(durable::inject(Box::new(FaultyDisk))));
+    RunFolder::open(&dir.join(name), manifest(), false).unwrap().folder
+}
+
+#[test]
+fn a_line_that_a_full_disk_cuts_off_is_removed_before_the_next_is_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut folder = on_faulty_disk(dir.path(), "full");
+    let record = record("t01-01", true);
+    let error = folder.finish(&[(record.clone(), timings(&record))]).unwrap_err().to_string();
+    assert!(error.starts_with("cannot write to "), "{error}");
+    assert_eq!(fs::read(dir.path().join("full").join(EPISODES_FILE)).unwrap(), b"");
 }
 
 #[test]
 fn an_episode_that_a_memory_learned_from_is_on_the_disk_before_the_next_one_begins() {
-    assert!(durable::inject(Box::new(Unflushable)));
     let dir = tempfile::tempdir().unwrap();
-    let dir = dir.path().join("unflushable");
-    let mut folder = RunFolder::open(&dir, manifest(), false).unwrap().folder;
+    let mut folder = on_faulty_disk(dir.path(), "unflushable");
     let mut finish = |case, snapshot| {
         let mut record = stream_record(case, true);
         record.stream.as_mut().unwrap().snapshot = snapshot;
