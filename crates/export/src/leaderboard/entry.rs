@@ -196,11 +196,8 @@ impl Entry {
     }
 
     fn check(&self) -> Result<()> {
-        let Self { planned, finished, given_up, scores, .. } = self;
-        ensure!(
-            finished.saturating_add(*given_up) <= *planned,
-            "{finished} episodes finished and {given_up} given up of {planned}"
-        );
+        let Self { planned, finished, scores, .. } = self;
+        ensure!(finished <= planned, "{finished} episodes finished of {planned}");
         for Score { condition, count, planned, figures } in scores {
             ensure!(count <= planned, "{condition}: {count} of {planned}");
             for (name, &EntryFigure { mean, low, high, .. }) in figures {
@@ -307,7 +304,7 @@ mod tests {
         assert!(Entry::parse("[]").is_err() && Entry::parse("no").is_err());
         for (from, to, said) in [
             ("\"mean\":50.0", "\"mean\":250.0", "sr is 250, which no run can have"),
-            ("\"finished\":2", "\"finished\":20", "20 episodes finished and 0 given up of"),
+            ("\"finished\":2", "\"finished\":20", "20 episodes finished of 2"),
             ("\"count\":2", "\"count\":2000", "2000 of"),
         ] {
             let changed = text.replacen(from, to, 1);
