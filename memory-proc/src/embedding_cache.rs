@@ -5,7 +5,8 @@
 //! file at the same time. A file that is damaged is set aside under another name and started anew: its images are
 //! embedded again.
 //!
-//! New embeddings are written in batches. A process that is killed loses those of the last second.
+//! New embeddings are written in batches. A process that is killed loses those of the last second. What another process has
+//! written meanwhile is found by [`EmbeddingCache::find_stored`].
 
 use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
@@ -51,12 +52,15 @@ pub struct CacheError {
 pub struct EmbeddingCache {
     known: HashMap<ContentHash, Embedding>,
     file: Option<CacheFile>,
+    /// Why the file could not be read, until it is reported.
+    failure: Option<CacheError>,
 }
 
 #[derive(Debug)]
 struct CacheFile {
     database: Database,
     path: PathBuf,
+    dimension: usize,
     pending: Vec<(ContentHash, Embedding)>,
     last_written: Instant,
 }
@@ -64,7 +68,7 @@ struct CacheFile {
 impl EmbeddingCache {
     /// A cache without a file.
     pub fn in_memory() -> Self {
-        Self { known: HashMap::new(), file: None }
+        Self { known: HashMap::new(), file: None, failure: None }
     }
 
     /// Opens the file for `fingerprint` in `folder` and reads it; creates it if it is missing.
@@ -98,13 +102,27 @@ impl EmbeddingCache {
         };
         let database = database.map_err(|error| failed("open")(error.into()))?;
         let known = read(&database, dimension).map_err(failed("read"))?.into_iter().collect();
-        let file = CacheFile { database, path, pending: Vec::new(), last_written: Instant::now() };
-        Ok(Self { known, file: Some(file) })
+        let (pending, last_written) = (Vec::new(), Instant::now());
+        let file = CacheFile { database, path, dimension, pending, last_written };
+        Ok(Self { known, file: Some(file), failure: None })
     }
 
     /// The embedding of an image, if it is known.
     pub fn get(&self, content: &ContentHash) -> Option<&Embedding> {
         self.known.get(content)
+    }
+
+    /// Looks for an embedding that is not known in the file, where another process may have written it. Returns whether it
+    /// is known now. If the file cannot be read, it is not used again, and [`Self::write_if_due`] returns the error.
+    pub fn find_stored(&mut self, content: &ContentHash) -> bool {
+        match self.file.as_ref().map(|file| file.find(content)) {
+            Some(Ok(Some(embedding))) => self.known.insert(*content, embedding).is_none(),
+            Some(Ok(None)) | None => false,
+            Some(Err(cause)) => {
+                self.failure = Some(self.abandon("read", cause));
+                false
+            }
+        }
     }
 
     /// Writes all known embeddings of the encoder `model` to `out`, in the order of their content, for other machines.
@@ -181,9 +199,10 @@ impl EmbeddingCache {
     /// Writes the current batch if it is due.
     ///
     /// # Errors
-    /// As [`Self::insert`].
+    /// As [`Self::insert`]; and when the file could not be read.
     pub fn write_if_due(&mut self) -> Result<(), CacheError> {
         match &self.file {
+            None => self.failure.take().map_or(Ok(()), Err),
             Some(file) if file.is_due() => self.flush(),
             _ => Ok(()),
         }
@@ -196,16 +215,29 @@ impl EmbeddingCache {
     pub fn flush(&mut self) -> Result<(), CacheError> {
         let Some(file) = &mut self.file else { return Ok(()) };
         let written = file.write();
-        written.map_err(|cause| {
-            let path = self.file.take().map(|file| file.path.clone()).unwrap_or_default();
-            CacheError { action: "write", path, cause: cause.into() }
-        })
+        written.map_err(|cause| self.abandon("write", cause))
+    }
+
+    /// Closes the file for good. Returns the error that says why.
+    fn abandon(&mut self, action: &'static str, cause: redb::Error) -> CacheError {
+        let path = self.file.take().map(|file| file.path.clone()).unwrap_or_default();
+        CacheError { action, path, cause: cause.into() }
     }
 }
 
 impl CacheFile {
     fn is_due(&self) -> bool {
         !self.pending.is_empty() && self.last_written.elapsed() >= BATCH_INTERVAL
+    }
+
+    fn find(&self, content: &ContentHash) -> Result<Option<Embedding>, redb::Error> {
+        let transaction = self.database.begin_read()?;
+        let table = match transaction.open_table(EMBEDDINGS) {
+            Err(TableError::TableDoesNotExist(_)) => return Ok(None),
+            table => table?,
+        };
+        let found = table.get(content)?;
+        Ok(found.and_then(|bytes| restored(bytes.value(), self.dimension)))
     }
 
     fn write(&mut self) -> Result<(), redb::Error> {
@@ -296,16 +328,17 @@ fn read(
     let mut found = Vec::new();
     for entry in table.iter()? {
         let (content, bytes) = entry?;
-        let numbers =
-            bytes.value().as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes));
-        let numbers: Vec<f32> = numbers.collect();
-        if numbers.len() == dimension
-            && let Some(embedding) = Embedding::restored(numbers)
-        {
-            found.push((*content.value(), embedding));
-        }
+        let embedding = restored(bytes.value(), dimension);
+        found.extend(embedding.map(|embedding| (*content.value(), embedding)));
     }
     Ok(found)
+}
+
+/// The embedding with these numbers; `None` if it has not `dimension` of them, or no length of 1.
+fn restored(bytes: &[u8], dimension: usize) -> Option<Embedding> {
+    let numbers = bytes.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes));
+    let numbers: Vec<f32> = numbers.collect();
+    (numbers.len() == dimension).then(|| Embedding::restored(numbers)).flatten()
 }
 
 #[cfg(test)]
@@ -437,7 +470,26 @@ mod tests {
         assert!(stored(&folder.path().join("none"), DIMENSION).is_empty());
     }
 
-    /// A writer for the test below, in a process of its own: file locks do not tell threads apart.
+    #[test]
+    fn what_another_process_has_written_is_found() {
+        let (folder, path) = filled(3);
+        let mut cache = open(folder.path());
+        let writer = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "embedding_cache::tests::writer_process"])
+            .env("EMBEDDING_CACHE_WRITER", format!("1 {}", folder.path().display()))
+            .output();
+        assert!(writer.unwrap().status.success());
+        assert!(cache.find_stored(&[5; 16]) && !cache.find_stored(&[6; 16]));
+        assert_holds(&cache, [0, 1, 2, 5]);
+
+        std::fs::write(&path, "no database").unwrap();
+        assert!(!cache.find_stored(&[9; 16]), "a file that cannot be read any more");
+        let error = cache.write_if_due().unwrap_err().to_string();
+        assert!(error.starts_with("cannot read the embedding cache"), "{error}");
+        assert!(cache.write_if_due().is_ok() && !cache.find_stored(&[9; 16]));
+    }
+
+    /// A writer for tests, in a process of its own: file locks do not tell threads apart.
     #[test]
     fn writer_process() {
         let Ok(word) = std::env::var("EMBEDDING_CACHE_WRITER") else { return };

@@ -381,7 +381,7 @@ impl<I: Clone> Engine<I> {
         self.externals.take_messages()
     }
 
-    /// The next image to embed: current views first.
+    /// The next image to embed: current views first. One that another process has embedded is left out.
     pub fn next_image(&mut self) -> Option<(ContentHash, I)> {
         while let Some((content, image)) = self.urgent.pop_front() {
             if self.start_embedding(content) {
@@ -411,7 +411,16 @@ impl<I: Clone> Engine<I> {
     }
 
     fn start_embedding(&mut self, content: ContentHash) -> bool {
-        self.views.embeddings.get(&content).is_none() && self.in_flight.insert(content)
+        let embeddings = &mut self.views.embeddings;
+        embeddings.get(&content).is_none()
+            && !self.in_flight.contains(&content)
+            && !embeddings.find_stored(&content)
+            && self.in_flight.insert(content)
+    }
+
+    /// Number of known embeddings.
+    pub fn known_embeddings(&self) -> usize {
+        self.views.embeddings.len()
     }
 
     /// Takes the embedding of an image from [`Self::next_image`].

@@ -280,14 +280,14 @@ impl<'a> MemoryServer<'a> {
         if !requests.is_empty() {
             self.ports.sim.notify()?;
         }
-        self.submit_images()?;
+        let found = self.submit_images()?;
         let reported = self.send_heartbeat();
         if reported || self.reporter.count() != error_reports {
             self.ports.orchestrator.notify()?;
         }
         self.write_embeddings();
         self.release_frames()?;
-        Ok(more)
+        Ok(more || found)
     }
 
     /// Reads all queues, observations up to a batch; returns whether more may have arrived. A message is sent
@@ -484,14 +484,17 @@ impl<'a> MemoryServer<'a> {
         Ok(())
     }
 
-    fn submit_images(&mut self) -> anyhow::Result<()> {
-        let Some(encoder) = &mut self.encoder else { return Ok(()) };
+    /// Gives the encoder what it has room for. Returns whether another process had embedded an image meanwhile, so that
+    /// there may be more to answer.
+    fn submit_images(&mut self) -> anyhow::Result<bool> {
+        let Some(encoder) = &mut self.encoder else { return Ok(false) };
+        let known = self.engine.known_embeddings();
         while encoder.has_room()
             && let Some((content, frame)) = self.engine.next_image()
         {
             encoder.submit(content, frame)?;
         }
-        Ok(())
+        Ok(self.engine.known_embeddings() > known)
     }
 
     fn release_frames(&mut self) -> Result<(), BusError> {
