@@ -18,7 +18,7 @@ use crate::episode::{
 };
 use crate::external::{BankState, ExternalMemories, ToExternal, query_message};
 use crate::items::{Assembler, DocumentSupplier};
-use crate::sequences::{SequenceEpisode, SequenceMemories};
+use crate::sequences::{Bound, SequenceEpisode, SequenceMemories};
 use crate::snapshots::SnapshotFolder;
 use crate::views::{Arrival, PinnedView};
 use crate::worlds::WorldStates;
@@ -494,7 +494,7 @@ impl<I: Clone> Engine<I> {
         let is_new = |part: &SequenceEpisode| !part.begun;
         if episode.pending.is_some() && episode.stream.as_ref().is_some_and(is_new) {
             let mut bound = sequences.bind(episode, worlds, documents, (externals, clock()))?;
-            if let Ok(false) = bound {
+            if let Bound::Waiting = bound {
                 for collecting in sequences.unfinished_banks() {
                     views.collect(collecting, true);
                 }
@@ -502,9 +502,9 @@ impl<I: Clone> Engine<I> {
                 bound = sequences.bind(episode, worlds, documents, (externals, clock()))?;
             }
             match bound {
-                Ok(true) => {}
-                Ok(false) => return Ok(LaneProgress::Waiting),
-                Err(why) => return Ok(LaneProgress::Failed(why)),
+                Bound::Yes => {}
+                Bound::Waiting => return Ok(LaneProgress::Waiting),
+                Bound::Failed(why) => return Ok(LaneProgress::Failed(why)),
             }
         }
         let Some(pending) = &episode.pending else { return Ok(LaneProgress::Gone) };

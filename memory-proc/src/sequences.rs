@@ -193,6 +193,16 @@ impl KeptMemory {
     }
 }
 
+/// Whether an episode has its memory.
+pub(crate) enum Bound {
+    /// It has.
+    Yes,
+    /// Views of the bank are not known yet.
+    Waiting,
+    /// It cannot have it.
+    Failed(Reason),
+}
+
 /// The memories of the sequences that run, and the banks of their streams.
 pub(crate) struct SequenceMemories {
     snapshots: Option<SnapshotFolder>,
@@ -244,8 +254,7 @@ impl SequenceMemories {
         collecting.filter(|collecting| !collecting.is_complete())
     }
 
-    /// Gives an episode the memory of its sequence, in the state that the episode's config names. `Ok(Ok(false))` while that
-    /// is not ready; `Ok(Err(_))` if the episode cannot have it.
+    /// Gives an episode the memory of its sequence, in the state that the episode's config names.
     ///
     /// # Errors
     /// When a document is missing or a built-in memory cannot be built.
@@ -255,9 +264,9 @@ impl SequenceMemories {
         worlds: &WorldStates,
         documents: &mut dyn DocumentSupplier,
         (externals, now_ns): (&mut ExternalMemories, u64),
-    ) -> anyhow::Result<Result<bool, Reason>> {
+    ) -> anyhow::Result<Bound> {
         let Some(part) = &mut episode.stream else {
-            return Ok(Err("it is no part of a stream".into()));
+            return Ok(Bound::Failed("it is no part of a stream".into()));
         };
         let sequence = part.sequence;
         let is_usable = |memory: &SequenceMemory| {
@@ -274,11 +283,11 @@ impl SequenceMemories {
                     // Its episode may be given up before it begins: it can be dropped from now on.
                     self.note_use(sequence);
                 }
-                Ok(None) => return Ok(Ok(false)),
-                Err(why) => return Ok(Err(why.into())),
+                Ok(None) => return Ok(Bound::Waiting),
+                Err(why) => return Ok(Bound::Failed(why.into())),
             }
         }
-        let Some(known) = self.memories.get_mut(&sequence) else { return Ok(Ok(false)) };
+        let Some(known) = self.memories.get_mut(&sequence) else { return Ok(Bound::Waiting) };
         let learns = part.recording.is_some();
         match (&mut known.memory, &mut episode.memory) {
             (KeptMemory::BuiltIn(memory), _) => memory.begin_episode(&Episode {
@@ -294,14 +303,14 @@ impl SequenceMemories {
             (KeptMemory::External { bank: id, to_load }, EpisodeMemory::External { bank, .. }) => {
                 match is_loaded(*id, to_load, externals, now_ns) {
                     Ok(true) => *bank = *id,
-                    Ok(false) => return Ok(Ok(false)),
+                    Ok(false) => return Ok(Bound::Waiting),
                     Err(why) => {
                         self.drop_memory(sequence);
-                        return Ok(Err(why));
+                        return Ok(Bound::Failed(why));
                     }
                 }
             }
-            _ => return Ok(Err("its sequence has another memory".into())),
+            _ => return Ok(Bound::Failed("its sequence has another memory".into())),
         }
         known.users.insert(episode.id);
         known.learning = learns.then_some(episode.id);
@@ -309,7 +318,7 @@ impl SequenceMemories {
         episode.bank = known.bank.clone();
         self.note_use(sequence);
         self.drop_unused();
-        Ok(Ok(true))
+        Ok(Bound::Yes)
     }
 
     /// Makes the memory of `sequence` the one that was used last.

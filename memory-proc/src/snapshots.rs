@@ -7,7 +7,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use documents::hex;
+use domain::hex;
 use shm_types::message::SnapshotId;
 
 /// The folder that a snapshot is written into before it has its name.
@@ -34,7 +34,7 @@ impl SnapshotFolder {
             done(&of_sequence, "create", fs::create_dir_all(&of_sequence))?;
             // The log names what is in it, so its own name must be on disk before.
             sync(&self.0)?;
-            sync(self.0.parent().filter(|run| *run != Path::new("")).unwrap_or(Path::new(".")))?;
+            done(&self.0, "sync", durable::sync_name(&self.0))?;
         }
         let folder = of_sequence.join(UNFINISHED);
         remove(&folder)?;

@@ -15,7 +15,8 @@ mod usage;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use domain::prompt_log::{RecordedExchange, RecordedMessage, RecordedPart, hex};
+use domain::hex;
+use domain::prompt_log::{RecordedExchange, RecordedMessage, RecordedPart};
 use llm::{
     AskError, ChatAnswer, ChatClient, ChatMessage, ChatReply, ChatRequest, ChatRole, ContentPart,
     ImageUrl, MessageContent, ReplyContent,
@@ -243,7 +244,7 @@ impl PendingRequest {
 fn exchange(prompt: &Prompt<'_>) -> RecordedExchange {
     let user = prompt.parts.iter().map(|part| match &part.content {
         PartContent::Text(text) => RecordedPart::Text(text.clone()),
-        PartContent::View(view) => RecordedPart::Image(hex(view.content_hash)),
+        PartContent::View(view) => RecordedPart::Image(hex(&view.content_hash)),
     });
     let message = |role: &str, parts| RecordedMessage { role: role.to_owned(), parts };
     RecordedExchange {

@@ -353,7 +353,7 @@ def _several(values: str | Sequence[str]) -> Sequence[str]:
 
 
 def _integer(name: str, value: Any, end: int) -> int:
-    """`value` as an integer from 0 up to `end`, without it."""
+    """`value` as an integer, which must be at least 0 and less than `end`."""
     try:
         integer = operator.index(value)
     except TypeError as error:

@@ -2,7 +2,8 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use domain::prompt_log::{RecordedExchange, RecordedMessage, RecordedPart, hex};
+use domain::hex;
+use domain::prompt_log::{RecordedExchange, RecordedMessage, RecordedPart};
 use peer::PinnedStep;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping, PyString};
@@ -82,7 +83,7 @@ fn read_part(part: &Bound<'_, PyAny>, step: &PinnedStep) -> PyResult<RecordedPar
 fn read_image(py: Python<'_>, url: &str, step: &PinnedStep) -> RecordedPart {
     let views = || step.frames().iter().map(|frame| frame.content_hash());
     if let Some(name) = url.strip_prefix("image:")
-        && views().any(|hash| hex(hash) == name)
+        && views().any(|hash| hex(&hash) == name)
     {
         return RecordedPart::Image(name.to_owned());
     }
@@ -94,7 +95,7 @@ fn read_image(py: Python<'_>, url: &str, step: &PinnedStep) -> RecordedPart {
         return RecordedPart::Text(format!("[an image ({kind}) that is not valid base64]"));
     };
     match view_of_png(py, &content) {
-        Some(view) if views().any(|hash| hash == view) => RecordedPart::Image(hex(view)),
+        Some(view) if views().any(|hash| hash == view) => RecordedPart::Image(hex(&view)),
         _ if content.starts_with(PNG_SIGNATURE) => RecordedPart::Png(content),
         _ => RecordedPart::Text(format!(
             "[an image ({kind}, {} bytes) that is not kept]",

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use domain::prompt_log::hex;
+use domain::hex;
 use domain::{Action, Cell, DocumentKind, Feedback, Heading, Pose};
 use peer::{CaptionedView, FrameView, Item, PastView, Request, StepView, StepsView, TextView};
 use prompt::image::{ImageFormat, encode};
@@ -209,7 +209,7 @@ pub(crate) fn read_answer<'py>(
 /// The name of a frame's image in logs.
 #[pyfunction]
 pub(crate) fn image_name(frame: &Frame) -> String {
-    format!("image:{}", hex(frame.content_hash))
+    format!("image:{}", hex(&frame.content_hash))
 }
 
 /// A frame as a PNG file, without its alpha channel.

@@ -20,16 +20,12 @@ pub use name::{DocumentName, UnknownDocument, kind};
 pub use recipe::{EXTRACTIVE_VERSION, ModelRecipe, PROMPT_VERSION, Recipe};
 pub use sources::Sources;
 
+use domain::hex;
 use sha2::{Digest, Sha256};
 
 /// The SHA-256 of a text, in hexadecimal digits.
 fn sha256_of(text: &str) -> String {
     hex(&Sha256::digest(text))
-}
-
-/// The hexadecimal digits of `bytes`.
-pub fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// The SHA-256 of several parts, each preceded by its length, in hexadecimal digits.

@@ -4,11 +4,11 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use domain::Appearance;
+use domain::{Appearance, hex};
 use sha2::{Digest, Sha256};
 use warehouse::{CaseSet, Demonstrated, Demonstrations, Elsewhere, Viewpoint, Warehouse};
 
-use crate::{hex, sha256_of_parts};
+use crate::sha256_of_parts;
 
 /// The files that determine what a view shows, and their built-in content.
 const WORLD_FILES: [(&str, &[u8]); 2] = [

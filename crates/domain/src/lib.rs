@@ -7,6 +7,7 @@ mod appearance;
 mod cache;
 pub mod camera;
 pub mod codes;
+mod hex;
 pub mod memory_kind;
 pub mod outcome;
 pub mod pose;
@@ -16,6 +17,7 @@ pub mod search_profile;
 
 pub use appearance::Appearance;
 pub use cache::{NoCacheFolder, cache_folder, create_private_folder};
+pub use hex::hex;
 pub use memory_kind::{ExternalName, MemoryKind};
 pub use outcome::{Arm, DocumentKind, FeedbackLevel, Outcome, SegmentContent};
 pub use pose::{Action, Cell, Feedback, Heading, Pose, UnknownCode};

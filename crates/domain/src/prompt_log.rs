@@ -23,11 +23,6 @@ use crate::pose::Pose;
 /// The first 16 bytes of a BLAKE3 hash, as hexadecimal digits.
 pub type Hash = String;
 
-/// A hash in hexadecimal digits.
-pub fn hex(hash: [u8; 16]) -> Hash {
-    hash.iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
 /// Whether a text is a hash. In a folder from elsewhere it may be any text, for example a path that leads out of the folder.
 pub fn is_hash(text: &str) -> bool {
     text.len() == 32 && text.bytes().all(|byte| byte.is_ascii_hexdigit())
@@ -279,10 +274,11 @@ pub struct RecordedTiming {
 mod tests {
     use super::*;
     use crate::Heading;
+    use crate::hex;
 
     #[test]
     fn a_hash_is_32_hexadecimal_digits() {
-        assert!(is_hash(&hex([0xa7; 16])));
+        assert!(is_hash(&hex(&[0xa7; 16])));
         for text in
             ["", "../../../../etc/passwd", &"0".repeat(31), &"g".repeat(32), &"/".repeat(32)]
         {
@@ -302,11 +298,11 @@ mod tests {
                 instruction: "Visit a blue barrel.".to_owned(),
                 pose: Pose::new(3, 12, Heading::N),
                 feedback: "You moved.".to_owned(),
-                frame: hex([0xab; 16]),
+                frame: hex(&[0xab; 16]),
                 starts_as_demonstrated: false,
                 demonstrated_elsewhere: false,
                 window: Vec::new(),
-                items: vec![RecordedItem::Trajectory(hex([1; 16]))],
+                items: vec![RecordedItem::Trajectory(hex(&[1; 16]))],
             },
             exchange: None,
             answer: None,

@@ -119,6 +119,15 @@ pub fn sync_path(path: &Path) -> io::Result<()> {
     File::open(path)?.sync_all()
 }
 
+/// Returns when the name of `path` is on the disk: flushes the folder that it is in.
+///
+/// # Errors
+/// When the system refuses.
+pub fn sync_name(path: &Path) -> io::Result<()> {
+    let folder = path.parent().filter(|folder| *folder != Path::new(""));
+    sync_path(folder.unwrap_or(Path::new(".")))
+}
+
 /// Called where another thread is asked to flush `path`, which may fail in a drill.
 ///
 /// # Errors

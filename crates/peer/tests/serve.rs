@@ -10,9 +10,10 @@ use conformance::messages::{
     config, item, observation, recall, supplied, supply, text as whole_text,
 };
 use conformance::testing::{LONG, PolicyRig};
+use domain::hex;
 use domain::prompt_log::{
     PromptLogEntry, RecordedExchange, RecordedItem, RecordedMessage, RecordedPart, entries_file,
-    hex, session_folder,
+    session_folder,
 };
 use domain::{Action, Feedback, Outcome};
 use peer::{
@@ -279,7 +280,7 @@ fn prompts_are_logged_and_a_log_that_cannot_be_written_stops_the_run() {
                 role: "user".to_owned(),
                 parts: vec![
                     RecordedPart::Text("x".repeat(5000)),
-                    RecordedPart::Image(hex([10; 16])),
+                    RecordedPart::Image(hex(&[10; 16])),
                     RecordedPart::Png(b"not really".to_vec()),
                 ],
             }],
@@ -304,7 +305,7 @@ fn prompts_are_logged_and_a_log_that_cannot_be_written_stops_the_run() {
     assert_eq!((first.episode, first.step, second.step), (9, 0, 1));
     assert_eq!(
         (first.request.instruction.as_str(), &second.request.window[0].frame),
-        ("Find a cone.", &hex([10; 16]))
+        ("Find a cone.", &hex(&[10; 16]))
     );
     assert_eq!(first.usage.unwrap().prompt_tokens, Some(7));
     assert_eq!(second.usage, None);

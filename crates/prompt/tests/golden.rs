@@ -10,7 +10,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use domain::prompt_log::hex;
+use domain::hex;
 use domain::{Action, DocumentKind, Feedback, Heading, Pose};
 use peer::{CaptionedView, FrameView, Item, PastView, Request, StepView, StepsView, TextView};
 use prompt::{PartContent, Prompt, PromptPart, PromptSection};
@@ -192,7 +192,7 @@ fn messages(prompt: &Prompt<'_>) -> Value {
 }
 
 fn image_name(view: &FrameView<'_>) -> String {
-    format!("image:{}", hex(view.content_hash))
+    format!("image:{}", hex(&view.content_hash))
 }
 
 /// The prompt as docs/prompt.md shows it.

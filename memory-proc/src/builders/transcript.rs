@@ -6,7 +6,8 @@
 
 use std::sync::Arc;
 
-use documents::{Sources, hex};
+use documents::Sources;
+use domain::hex;
 use domain::{Action, Feedback, Pose};
 use plates::Landmark;
 use search::ContentHash;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use bytemuck::Zeroable;
-use documents::hex;
+use domain::hex;
 use domain::{Action, Cell, Feedback, MemoryKind, Outcome, Pose};
 use results::conditions::Route;
 use results::log::{

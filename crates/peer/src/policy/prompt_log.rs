@@ -6,9 +6,10 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use domain::create_private_folder;
+use domain::hex;
 use domain::prompt_log::{
     Hash, PromptLogEntry, RecordedItem, RecordedPart, RecordedPast, RecordedRequest, RecordedView,
-    entries_file, hex, image_file, text_file, trajectory_file,
+    entries_file, image_file, text_file, trajectory_file,
 };
 use png_file::{Channels, encode};
 use serde::Serialize;
@@ -134,7 +135,7 @@ impl PromptLogWriter {
     }
 
     fn view(&mut self, view: &FrameView<'_>) -> Result<Hash, PromptLogError> {
-        let hash = hex(view.content_hash);
+        let hash = hex(&view.content_hash);
         let path = image_file(&self.prompts, &hash);
         self.store(path, || {
             encode(view.width, view.height, Channels::Rgba, view.pixels).map_err(io::Error::other)
@@ -183,7 +184,7 @@ impl PromptLogWriter {
 /// The hash that names a file with these bytes.
 fn hash_of(bytes: &[u8]) -> Hash {
     let hash = blake3::hash(bytes);
-    hex(hash.as_bytes().first_chunk().copied().unwrap_or_default())
+    hex(&hash.as_bytes()[..16])
 }
 
 fn json(value: &impl Serialize, path: &Path) -> Result<Vec<u8>, PromptLogError> {

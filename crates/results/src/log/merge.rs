@@ -120,8 +120,7 @@ pub fn finish_unit(part: &Path, whole: &Path) -> Result<(), LogError> {
             fs::remove_dir_all(part).map_err(system("remove", part))?;
         }
     }
-    let parent = whole.parent().unwrap_or(whole);
-    File::open(parent).and_then(|dir| dir.sync_all()).map_err(system("flush", parent))
+    durable::sync_name(whole).map_err(system("flush", whole))
 }
 
 fn sync_all(dir: &Path) -> io::Result<()> {
@@ -252,8 +251,7 @@ pub fn merge(
     }
     let count = written?;
     fs::rename(&draft, out).map_err(system("rename", &draft))?;
-    let parent = out.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new("."));
-    File::open(parent).and_then(|dir| dir.sync_all()).map_err(system("flush", parent))?;
+    durable::sync_name(out).map_err(system("flush", out))?;
     Ok(count)
 }
 

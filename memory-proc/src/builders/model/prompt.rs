@@ -104,7 +104,8 @@ mod tests {
     use sha2::{Digest, Sha256};
 
     use super::*;
-    use documents::{PROMPT_VERSION, hex};
+    use documents::PROMPT_VERSION;
+    use domain::hex;
 
     const STAGES: [PromptStage; 4] =
         [PromptStage::Summary, PromptStage::Extract, PromptStage::Consolidate, PromptStage::Refine];

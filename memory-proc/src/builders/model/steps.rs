@@ -14,8 +14,8 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::prompt::{DocumentPrompt, PromptStage};
-use documents::hex;
 use domain::create_private_folder;
+use domain::hex;
 use llm::ChatReply;
 
 /// A stored step.

@@ -101,7 +101,7 @@ impl StreamRig {
     }
 
     fn snapshot(&self, id: SnapshotId) -> PathBuf {
-        self.folder.path().join(format!("{:016x}", 77)).join(documents::hex(&id))
+        self.folder.path().join(format!("{:016x}", 77)).join(domain::hex(&id))
     }
 
     /// The reason why an episode gets no answer.
