@@ -82,10 +82,11 @@ fn system<'a>(doing: &'static str, path: &'a Path) -> impl FnOnce(io::Error) -> 
 /// Bytes of a slash and a run's name.
 const RUN_NAME_BYTES: usize = 9;
 
-/// The folder of all runs of this user: `/tmp/memtransfer-<uid>`, unless `MEMTRANSFER_RUN_DIR` names one.
+/// The folder of all runs of this user: `/dev/shm/memtransfer-<uid>`, unless `MEMTRANSFER_RUN_DIR` names one. It is in memory,
+/// as what the runs share is: iceoryx2 flushes each of the many small files that it makes there.
 pub fn default_base() -> PathBuf {
     std::env::var_os("MEMTRANSFER_RUN_DIR").map_or_else(
-        || PathBuf::from(format!("/tmp/memtransfer-{}", rustix::process::getuid().as_raw())),
+        || PathBuf::from(format!("/dev/shm/memtransfer-{}", rustix::process::getuid().as_raw())),
         PathBuf::from,
     )
 }

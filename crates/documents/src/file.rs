@@ -197,9 +197,10 @@ impl DocumentFile {
         let draft = path.with_extension("json.new");
         let write = || {
             fs::create_dir_all(folder)?;
+            let mut text = serde_json::to_vec_pretty(self)?;
+            text.push(b'\n');
             let mut file = File::create(&draft)?;
-            serde_json::to_writer_pretty(&mut file, self)?;
-            file.write_all(b"\n")?;
+            file.write_all(&text)?;
             file.sync_all()?;
             fs::rename(&draft, path)?;
             File::open(folder)?.sync_all()

@@ -7,7 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use domain::{Representation, cache_folder};
-use orchestrator::commit::commit_of;
+use orchestrator::commit::program_commit;
 use orchestrator::external_memory;
 use orchestrator::lanes::Lanes;
 use orchestrator::launch;
@@ -174,11 +174,10 @@ pub(super) fn run(args: &ProfileArgs) -> Result<Exit> {
     let scratch = Scratch::make(&args.out)?;
     let profiler = Profiler { args, extent: &extent, world: World::load(None)?, scratch, signals };
     args.progress("the machine's floors");
-    let program = std::env::current_exe().ok();
     let mut profile = Profile {
         schema: SCHEMA,
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        commit: program.as_deref().and_then(Path::parent).and_then(commit_of),
+        commit: program_commit(),
         unix_s,
         machine: Machine::here(),
         floors: floors::measure(extent.floors),

@@ -10,7 +10,7 @@ use domain::cache_folder;
 use domain::prompt_log::session_folder;
 use domain::representation::Trajectories;
 use orchestrator::budget::Budget;
-use orchestrator::commit::commit_of;
+use orchestrator::commit::program_commit;
 use orchestrator::documents::ReadyDocuments;
 use orchestrator::external_memory::{self, ExternalMemory, StartedMemories};
 use orchestrator::frame_budget;
@@ -163,14 +163,13 @@ impl RunPlan {
 
     /// The run's manifest.
     pub(super) fn manifest(&self) -> Manifest {
-        let program = std::env::current_exe().ok();
         let mut hashes = self.world.hashes.clone();
         hashes.extend(self.streams.iter().map(|streams| (STREAMS_HASH.to_owned(), streams.hash())));
         Manifest {
             format: FORMAT,
             version: env!("CARGO_PKG_VERSION").to_owned(),
             wire_version: WIRE_VERSION,
-            commit: program.as_deref().and_then(Path::parent).and_then(commit_of),
+            commit: program_commit(),
             settings: self.settings.clone(),
             hashes,
             documents: BTreeMap::new(),
