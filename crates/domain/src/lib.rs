@@ -14,6 +14,7 @@ pub mod pose;
 pub mod prompt_log;
 pub mod representation;
 pub mod search_profile;
+mod shell;
 
 pub use appearance::Appearance;
 pub use cache::{NoCacheFolder, cache_folder, create_private_folder};
@@ -22,3 +23,4 @@ pub use memory_kind::{ExternalName, MemoryKind};
 pub use outcome::{Arm, DocumentKind, FeedbackLevel, Outcome, SegmentContent};
 pub use pose::{Action, Cell, Feedback, Heading, Pose, UnknownCode};
 pub use representation::Representation;
+pub use shell::shell_word;

@@ -4,11 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use domain::{Action, Feedback, Pose};
+use domain::{Feedback, Pose};
 use replay::frames::{ViewFormat, ViewKey, ViewProgram, ViewRenderer, world_arguments};
 use replay::{RecordedRun, RunWorld};
 use results::log::{EpisodeRecord, RunLog};
-use results::score::Failure;
 
 use crate::files::{is_file, write_whole};
 use crate::{mcap, video};
@@ -135,71 +134,5 @@ impl Episodes {
             .with_context(|| format!("cannot render the views of {}", record.key))?;
         let instruction = case.task.instruction(&state.warehouse.catalogue);
         Ok(Moments { record, instruction, poses, views, images })
-    }
-}
-
-/// How much attention an event deserves.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Level {
-    Info,
-    Warning,
-    Error,
-}
-
-/// What happened in an episode beside its moves: step, level, words. In the order of steps.
-pub(crate) fn events(record: &EpisodeRecord) -> Vec<(u32, Level, String)> {
-    let mut events = Vec::new();
-    for (step, letter) in (1..).zip(record.actions.chars()) {
-        if Action::from_letter(letter).is_none() {
-            events.push((step, Level::Warning, "no action could be read in the answer".to_owned()));
-        }
-    }
-    for &step in &record.blocked_moves {
-        events.push((step, Level::Warning, "the move was blocked".to_owned()));
-    }
-    if let Some(step) = record.tried_closed_at {
-        events.push((step, Level::Warning, "tried to enter the closed passage".to_owned()));
-    }
-    for (met, &step) in (1..).zip(&record.sub_goals) {
-        let words = format!("sub-goal {met} of {} is met", record.required);
-        events.push((step, Level::Info, words));
-    }
-    match Failure::of(record) {
-        None => events.push((record.steps, Level::Info, "the task is complete".to_owned())),
-        Some(failure) => {
-            let decided = failure.decided_at(record);
-            let words = format!("failed: {failure} ({})", failure.meaning());
-            events.push((decided, Level::Error, words));
-        }
-    }
-    events.sort_by_key(|(step, ..)| *step);
-    events
-}
-
-#[cfg(test)]
-mod tests {
-    use results::log::testing::record;
-
-    use super::*;
-
-    #[test]
-    fn events_are_in_the_order_of_steps() {
-        let mut one = record("a", false);
-        (one.actions, one.steps, one.required) = ("f?ff".to_owned(), 4, 2);
-        (one.blocked_moves, one.tried_closed_at) = (vec![3], Some(3));
-        one.sub_goals = vec![1];
-        let shown: Vec<String> = events(&one)
-            .into_iter()
-            .map(|(step, level, words)| format!("{step} {level:?} {words}"))
-            .collect();
-        insta::assert_snapshot!(shown.join("\n"), @"
-        1 Info sub-goal 1 of 2 is met
-        2 Warning no action could be read in the answer
-        3 Warning the move was blocked
-        3 Warning tried to enter the closed passage
-        3 Error failed: blocked (tried to enter a closed cell, then met no requirement and hardly went anywhere new)
-        ");
-        let shown = events(&record("a", true));
-        assert_eq!(shown.last(), Some(&(10, Level::Info, "the task is complete".to_owned())));
     }
 }

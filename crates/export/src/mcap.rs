@@ -26,10 +26,11 @@ use domain::Action;
 use results::log::RunLog;
 use results::score::Failure;
 use results::source::{SourceStep, sources};
+use results::timeline::timeline;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::episodes::{EpisodeSink, Moments, Timing, events};
+use crate::episodes::{EpisodeSink, Moments, Timing};
 use file::{ChannelId, McapFile};
 
 /// Nanoseconds in a second.
@@ -190,7 +191,7 @@ impl EpisodeSink for McapRecording {
         let begins = self.instant(0);
         self.file.message(self.channels.episode, begins, &serde_json::to_vec(&about)?);
         self.file.message(self.channels.transforms, begins, &foxglove::camera_mount(begins));
-        let events = events(record);
+        let events = timeline(record);
         let mut events = events.iter().peekable();
         let retrieved = record.retrieved.as_deref().unwrap_or_default();
         let mut words = retrieved.split_whitespace();
@@ -217,9 +218,9 @@ impl EpisodeSink for McapRecording {
                 distances: distances.next(),
             };
             self.file.message(self.channels.step, at, &serde_json::to_vec(&data)?);
-            while let Some((_, level, words)) = events.next_if(|(happened, ..)| *happened <= step) {
-                let name = &record.key;
-                let message = foxglove::log(at, *level, &format!("step {step}: {words}"), name);
+            while let Some(event) = events.next_if(|event| event.step <= step) {
+                let words = format!("step {step}: {}", event.words);
+                let message = foxglove::log(at, event.level, &words, &record.key);
                 self.file.message(self.channels.events, at, &message);
             }
         }

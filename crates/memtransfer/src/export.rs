@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use clap::builder::TypedValueParser;
 use clap::{Args, ValueEnum};
+use domain::shell_word;
 use export::{
     EpisodeFormat, Episodes, HubDataset, TableFormat, Timing, leaderboard, write_results,
     write_tables,
@@ -186,7 +187,7 @@ impl ExportArgs {
             bail!(
                 "{} has {before} finished episodes, and none of them was chosen: `memtransfer view {}` lists them",
                 self.run.display(),
-                self.run.display()
+                shell_word(&self.run)
             );
         }
         if log.episodes.len() < before {

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use domain::shell_word;
 use orchestrator::selection::SelectedCases;
 use orchestrator::units::{ReadPlan, UnitPlan};
 use results::log::{EPISODES_FILE, Manifest, UnitFolders, merge};
@@ -97,9 +98,10 @@ pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
         merge(&manifest, &folders, plan.assign(episodes), &args.out)
     })?;
     say!(
-        "{}: {merged} episodes of {} units; `memtransfer score {0}` prints its tables",
+        "{}: {merged} episodes of {} units; `memtransfer score {}` prints its tables",
         args.out.display(),
-        plan.units
+        plan.units,
+        shell_word(&args.out)
     );
     Ok(Exit::Complete)
 }

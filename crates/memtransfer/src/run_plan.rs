@@ -6,9 +6,9 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
-use domain::cache_folder;
 use domain::prompt_log::session_folder;
 use domain::representation::Trajectories;
+use domain::{cache_folder, shell_word};
 use orchestrator::budget::Budget;
 use orchestrator::commit::program_commit;
 use orchestrator::documents::ReadyDocuments;
@@ -446,16 +446,8 @@ pub(super) fn stopped_before_episodes(signals: &Signals, meanwhile: &str) -> Exi
 
 /// The command line that resumes the run: without `--fresh`, which would start over.
 pub(super) fn same_command() -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,=+:".contains(c);
-    let quoted = |argument: String| {
-        if !argument.is_empty() && argument.chars().all(plain) {
-            argument
-        } else {
-            format!("'{}'", argument.replace('\'', r"'\''"))
-        }
-    };
-    let arguments = std::env::args().filter(|argument| argument != "--fresh");
-    arguments.map(quoted).collect::<Vec<_>>().join(" ")
+    let arguments = std::env::args_os().filter(|argument| argument != "--fresh");
+    arguments.map(shell_word).collect::<Vec<_>>().join(" ")
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! `memtransfer show`: one step of an episode, as the policy received it.
+//! `memtransfer show`: an episode step by step, or one step as the policy received it.
 
 mod text;
 
@@ -11,7 +11,9 @@ use domain::prompt_log::RecordedItem;
 use replay::World;
 use results::log::{EpisodeRecord, RunLog};
 use results::names::UnknownName;
-use results::step_view::{RecordedPrompt, look_up};
+use results::step_view::{LoggedStep, RecordedPrompt, logged_steps, look_up};
+use results::timeline::{EpisodeEvent, timeline};
+use serde::Serialize;
 use settings::select_cases;
 
 use super::{Exit, print, print_json};
@@ -21,10 +23,12 @@ const MOST_NAMED: usize = 8;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Of a run with --log-prompts, this prints the prompt, its images and the answer; of any other run,
-the pose, the action and what was retrieved. `memtransfer view` shows the same as pages.
+Without a step, this prints what happened in the episode, and for each step the pose, the feedback,
+the action and what was retrieved. Of a step in a run with --log-prompts, it prints the prompt, its
+images and the answer. `memtransfer view` shows the same as pages.
 
 Examples:
+  memtransfer show runs/quick-grounded t01-01 --condition episodic,new
   memtransfer show runs/quick-grounded t01-01 0 --condition episodic,new
   memtransfer show runs/quick-grounded t01-01 12 --condition episodic,new --json
   memtransfer show runs/quick-grounded t01-01 12 --condition working,new --images views/")]
@@ -37,15 +41,15 @@ pub(super) struct ShowArgs {
     case: String,
     /// The step: how many were taken before, so 0 is the first
     #[arg(value_name = "STEP")]
-    step: u32,
+    step: Option<u32>,
     /// The condition, or words of it, separated by commas, that identify it
     #[arg(long, value_name = "CONDITION")]
     condition: Option<String>,
     /// Which repetition, from 1 [default: the first that is finished]
     #[arg(long = "run", value_name = "N")]
     repetition: Option<u32>,
-    /// Write the images of the prompt into DIR
-    #[arg(long, value_name = "DIR")]
+    /// Write the images of the step's prompt into DIR
+    #[arg(long, value_name = "DIR", requires = "step")]
     images: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
@@ -54,11 +58,24 @@ pub(super) struct ShowArgs {
 
 pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
     let log = RunLog::read(&args.run)?;
-    let shown = look_up(&log, args.episode(&log)?, args.step)?;
-    if args.json {
-        print_json(&shown)?;
-    } else {
-        print(&text::render(&shown))?;
+    let record = args.episode(&log)?;
+    let Some(step) = args.step else {
+        let shown = ShownEpisode {
+            key: &record.key,
+            reference: record.reference,
+            events: timeline(record),
+            steps: logged_steps(record),
+        };
+        match args.json {
+            true => print_json(&shown)?,
+            false => print(&text::episode(&shown))?,
+        }
+        return Ok(Exit::Complete);
+    };
+    let shown = look_up(&log, record, step)?;
+    match args.json {
+        true => print_json(&shown)?,
+        false => print(&text::step(&shown))?,
     }
     let Some(folder) = &args.images else { return Ok(Exit::Complete) };
     let Some(prompt) = &shown.prompt else {
@@ -71,6 +88,15 @@ pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
     };
     write_images(folder, prompt)?;
     Ok(Exit::Complete)
+}
+
+/// A whole episode.
+#[derive(Serialize)]
+struct ShownEpisode<'a> {
+    key: &'a str,
+    reference: u32,
+    events: Vec<EpisodeEvent>,
+    steps: Vec<LoggedStep>,
 }
 
 impl ShowArgs {

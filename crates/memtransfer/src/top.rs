@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use domain::{MemoryKind, Representation};
+use domain::{MemoryKind, Representation, shell_word};
 use orchestrator::pipeline::Participant;
 use orchestrator::status::{LiveStatus, MemoryStatus, StageLatency};
 use report::table::table;
@@ -98,7 +98,7 @@ fn running(dir: &Path) -> Result<(PathBuf, LiveStatus)> {
         }
     }
     if found.len() > 1 {
-        let names = found.iter().map(|(run, _)| format!("  memtransfer top {}", run.display()));
+        let names = found.iter().map(|(run, _)| format!("  memtransfer top {}", shell_word(run)));
         bail!(
             "several runs are in progress; choose one:\n{}",
             names.collect::<Vec<_>>().join("\n")

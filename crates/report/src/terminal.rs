@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use domain::shell_word;
 use results::compare::differing_settings;
 use results::log::RunLog;
 use results::score::{Comparison, FigureDifference, score};
@@ -93,7 +94,7 @@ fn closing(view: &ScoredRun<'_>) -> Vec<String> {
         lines.push(format!("Speed: {} steps/s with {lanes}.", steps_per_second(rate)));
     }
     lines.push(format!("Run: {}", view.log.dir.display()));
-    lines.push(format!("More: memtransfer report {}", view.log.dir.display()));
+    lines.push(format!("More: memtransfer report {}", shell_word(&view.log.dir)));
     lines
 }
 

@@ -4,6 +4,8 @@
 
 use std::path::PathBuf;
 
+use domain::shell_word;
+
 use crate::log::{Difference, RunLog, last_parts};
 use crate::names::UnknownName;
 use crate::score::{Comparison, Trials, compare};
@@ -24,8 +26,9 @@ pub enum CompareError {
     },
     /// Episodes of streams are not independent of each other, so their cases are no pairs.
     #[error(
-        "{run} consists of streams, whose episodes cannot be paired case by case; `memtransfer score {run}` compares its \
-         conditions by stream"
+        "{run} consists of streams, whose episodes cannot be paired case by case; `memtransfer score {}` compares its \
+         conditions by stream",
+        shell_word(run)
     )]
     OfStreams {
         /// The run's folder.

@@ -1,4 +1,4 @@
-//! One step of a finished episode.
+//! The steps of a finished episode.
 //!
 //! Pose, feedback, retrieval and action come from the run's log; the request, the exchange with the model and the
 //! answer from its prompt log, where it has one.
@@ -31,6 +31,16 @@ pub struct ShownStep {
     pub step: u32,
     /// Steps of the whole episode.
     pub steps: u32,
+    /// What the log has of it.
+    #[serde(flatten)]
+    pub logged: LoggedStep,
+    /// The entry of the prompt log; absent where there is none.
+    pub prompt: Option<RecordedPrompt>,
+}
+
+/// What the log has of a step.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LoggedStep {
     /// The agent's pose.
     pub pose: Pose,
     /// The feedback on the last action.
@@ -41,8 +51,6 @@ pub struct ShownStep {
     pub retrieved: Option<String>,
     /// The distances, as the log writes them. Absent where none is known.
     pub distances: Option<String>,
-    /// The entry of the prompt log; absent where there is none.
-    pub prompt: Option<RecordedPrompt>,
 }
 
 /// The prompt log's entry about a step, with everything that it refers to.
@@ -78,29 +86,20 @@ impl RecordedPrompt {
 /// # Errors
 /// When the episode has no such step, or a file of the prompt log cannot be used.
 pub fn look_up(log: &RunLog, record: &EpisodeRecord, step: u32) -> Result<ShownStep> {
-    if step >= record.steps {
+    let Some(logged) = logged_steps(record).into_iter().nth(step as usize) else {
         bail!(
             "{} has {} steps, so its steps are 0 to {}: there is no step {step}",
             record.key,
             record.steps,
             record.steps.saturating_sub(1)
         );
-    }
-    let (pose, feedback) = record.replay()[step as usize];
-    let timings = log.timings.iter().find(|timings| timings.key == record.key);
-    let word = |column: &Option<String>| {
-        let words = column.as_deref()?;
-        words.split_whitespace().nth(step as usize).map(str::to_owned)
     };
+    let timings = log.timings.iter().find(|timings| timings.key == record.key);
     Ok(ShownStep {
         key: record.key.clone(),
         step,
         steps: record.steps,
-        pose,
-        feedback: feedback.words(),
-        action: action_at(record, step).map(Action::words),
-        retrieved: word(&record.retrieved),
-        distances: word(&record.distances),
+        logged,
         prompt: timings
             .map(|timings| PromptLog::of(log).entry(timings, step))
             .transpose()?
@@ -108,8 +107,28 @@ pub fn look_up(log: &RunLog, record: &EpisodeRecord, step: u32) -> Result<ShownS
     })
 }
 
-fn action_at(record: &EpisodeRecord, step: u32) -> Option<Action> {
-    Action::from_letter(record.actions.chars().nth(step as usize)?)
+/// The steps of an episode, from its record.
+pub fn logged_steps(record: &EpisodeRecord) -> Vec<LoggedStep> {
+    let words = |column: &Option<String>| {
+        let words = column.iter().flat_map(|column| column.split_whitespace().map(str::to_owned));
+        words.map(Some).chain(std::iter::repeat(None)).take(record.steps as usize).collect()
+    };
+    let (retrieved, distances): (Vec<_>, Vec<_>) =
+        (words(&record.retrieved), words(&record.distances));
+    let actions =
+        record.actions.chars().map(|letter| Action::from_letter(letter).map(Action::words));
+    let places = record.replay().into_iter().zip(actions);
+    let memory = retrieved.into_iter().zip(distances);
+    places
+        .zip(memory)
+        .map(|(((pose, feedback), action), (retrieved, distances))| LoggedStep {
+            pose,
+            feedback: feedback.words(),
+            action,
+            retrieved,
+            distances,
+        })
+        .collect()
 }
 
 /// Where the entries of a prompt log's file are, by episode id and step: offset and length of the line.

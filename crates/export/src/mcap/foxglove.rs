@@ -3,9 +3,9 @@
 //! are left out of the descriptors. Times are in nanoseconds from the beginning of the file.
 
 use domain::{Heading, Pose};
+use results::timeline::EventLevel;
 
 use super::protobuf::ProtobufMessage;
-use crate::episodes::Level;
 
 /// Height of the camera above the floor, in metres (specification, section 2).
 const CAMERA_HEIGHT: f64 = 1.2;
@@ -200,11 +200,11 @@ pub(super) fn pose(at: u64, pose: Pose) -> Vec<u8> {
 }
 
 /// `foxglove.Log`: an event of the episode `name`.
-pub(super) fn log(at: u64, level: Level, text: &str, name: &str) -> Vec<u8> {
+pub(super) fn log(at: u64, level: EventLevel, text: &str, name: &str) -> Vec<u8> {
     let level = match level {
-        Level::Info => 2,
-        Level::Warning => 3,
-        Level::Error => 4,
+        EventLevel::Info => 2,
+        EventLevel::Warning => 3,
+        EventLevel::Error => 4,
     };
     ProtobufMessage::of(|message| {
         timestamp(message, at);

@@ -1,10 +1,13 @@
-//! One step as text for a terminal.
+//! An episode, or one step of it, as text for a terminal.
 
 use std::fmt::Write;
 
 use domain::prompt_log::{RecordedItem, RecordedPart, RecordedView};
+use report::table::table;
 use results::source::{SourceStep, distances, sources};
-use results::step_view::{RecordedPrompt, ShownStep, facts, title};
+use results::step_view::{LoggedStep, RecordedPrompt, ShownStep, facts, title};
+
+use super::ShownEpisode;
 
 /// Characters of a text that are printed; JSON has all.
 const MOST: usize = 2000;
@@ -12,8 +15,33 @@ const MOST: usize = 2000;
 /// Hexadecimal digits that identify an image.
 const DIGITS: usize = 8;
 
+/// Renders the episode.
+pub(super) fn episode(shown: &ShownEpisode) -> String {
+    let ShownEpisode { key, reference, events, steps } = shown;
+    let mut text = format!("{key}: {} steps; the reference has {reference}\n", steps.len());
+    for event in events {
+        let _ = writeln!(text, "  after {:>3}  {}", event.step, event.words);
+    }
+    let mut rows = table(&["Step", "Pose", "Feedback", "Action", "Retrieved", "Distances"], 0);
+    (1..6).for_each(|column| rows.set_text(column));
+    for (number, step) in steps.iter().enumerate() {
+        let LoggedStep { pose, feedback, action, retrieved, distances } = step;
+        let column = |word: &Option<String>| word.clone().unwrap_or_default();
+        rows.add_row([
+            number.to_string(),
+            pose.to_string(),
+            (*feedback).to_owned(),
+            action.unwrap_or("?").to_owned(),
+            column(retrieved),
+            column(distances),
+        ]);
+    }
+    let _ = write!(text, "{rows}");
+    text
+}
+
 /// Renders the step.
-pub(super) fn render(shown: &ShownStep) -> String {
+pub(super) fn step(shown: &ShownStep) -> String {
     let mut text = format!("{}, step {} of {}\n\n", shown.key, shown.step, shown.steps);
     let mut fact = |name: &str, value: &str| {
         let _ = writeln!(text, "{name:<10} {value}");
@@ -21,11 +49,12 @@ pub(super) fn render(shown: &ShownStep) -> String {
     if let Some(prompt) = &shown.prompt {
         fact("Task", &prompt.entry.request.instruction);
     }
-    fact("Pose", &format!("{} (column, row, heading)", shown.pose));
-    fact("Feedback", shown.feedback);
-    fact("Action", shown.action.unwrap_or("none that could be read: the agent stayed"));
-    if let Some(retrieved) = &shown.retrieved {
-        let told = distances(shown.distances.as_deref().unwrap_or_default());
+    let LoggedStep { pose, feedback, action, retrieved, distances: told } = &shown.logged;
+    fact("Pose", &format!("{pose} (column, row, heading)"));
+    fact("Feedback", feedback);
+    fact("Action", action.unwrap_or("none that could be read: the agent stayed"));
+    if let Some(retrieved) = retrieved {
+        let told = distances(told.as_deref().unwrap_or_default());
         let told = told.into_iter().chain(std::iter::repeat(None));
         let in_words = |(source, distance): (SourceStep, Option<f64>)| match distance {
             Some(distance) => format!("{} (distance {distance})", source.in_words()),
