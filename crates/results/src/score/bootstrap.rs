@@ -3,7 +3,8 @@
 //! The outcome of an evaluation depends on which cases were chosen and on chance in each repetition. A resample
 //! therefore draws as many cases as there are, with replacement, and for each case drawn as many of its repetitions as
 //! it has, again with replacement; the interval runs from the 2.5th to the 97.5th percentile of the figure over all
-//! resamples (the percentile method). Conditions that enter one figure together, such as the two of a comparison, are
+//! resamples (the percentile method). An episode keeps the weight that it has in the figure: where runs have different
+//! numbers of episodes, the figure is still the mean over runs, or in a comparison the mean over cases. Conditions that enter one figure together, such as the two of a comparison, are
 //! resampled with the same cases.
 //!
 //! Deterministic: the draws come from ChaCha8 with a fixed seed, restarted for each interval, over cases in the

@@ -4,7 +4,7 @@
 use serde::Serialize;
 
 use super::bootstrap::intervals;
-use super::condition::{EpisodeSample, paired, rate, weight};
+use super::condition::{EpisodeSample, paired, path_weighted, rate};
 use super::interval::{Interval, difference_interval, rate_interval};
 use super::spread::mean;
 use super::trial::Trials;
@@ -49,9 +49,14 @@ pub struct FigureDifference {
 
 /// Compares `a` with `b`, each with its name; `None` when they have no case in common.
 pub fn compare(a: (&str, &Trials<'_>), b: (&str, &Trials<'_>)) -> Option<Comparison> {
-    let cases: Vec<Vec<Vec<EpisodeSample>>> = paired(&[a.1, b.1]).into_values().collect();
+    let mut cases: Vec<Vec<Vec<EpisodeSample>>> = paired(&[a.1, b.1]).into_values().collect();
+    // A case weighs the same however often it was repeated.
+    for repetitions in cases.iter_mut().flatten() {
+        let weight = 1.0 / repetitions.len() as f64;
+        repetitions.iter_mut().for_each(|sample| sample.weight = weight);
+    }
     let [sr, spl] = intervals(&cases, |arms| {
-        [rate, weight].map(|figure| Some(figure(&arms[0])? - figure(&arms[1])?))
+        [rate, path_weighted].map(|figure| Some(figure(&arms[0])? - figure(&arms[1])?))
     });
     let difference = |figure: fn(&[EpisodeSample]) -> Option<f64>, interval: Option<Interval>| {
         let side = |arm: usize| mean(cases.iter().filter_map(|arms| figure(&arms[arm])));
@@ -60,7 +65,7 @@ pub fn compare(a: (&str, &Trials<'_>), b: (&str, &Trials<'_>)) -> Option<Compari
         let mean = mean(cases.iter().filter_map(of_case))?;
         Some(FigureDifference { a: side(0)?, b: side(1)?, mean, interval })
     };
-    let (mut sr, spl) = (difference(rate, sr)?, difference(weight, spl)?);
+    let (mut sr, spl) = (difference(rate, sr)?, difference(path_weighted, spl)?);
     sr.interval = sr.interval.or_else(|| rate_difference(&cases, &sr));
     let more = |first: usize, second: usize| {
         cases.iter().filter(|arms| rate(&arms[first]) > rate(&arms[second])).count()
@@ -81,8 +86,9 @@ pub fn compare(a: (&str, &Trials<'_>), b: (&str, &Trials<'_>)) -> Option<Compari
 /// Newcombe's interval of the difference of two success rates.
 fn rate_difference(cases: &[Vec<Vec<EpisodeSample>>], sr: &FigureDifference) -> Option<Interval> {
     let interval = |arm: usize| {
-        let successes =
-            |arms: &Vec<Vec<EpisodeSample>>| arms[arm].iter().map(|s| s.success).collect();
+        let successes = |arms: &Vec<Vec<EpisodeSample>>| {
+            arms[arm].iter().map(|s| (s.success, s.weight)).collect()
+        };
         rate_interval(&cases.iter().map(successes).collect::<Vec<_>>())
     };
     Some(difference_interval((sr.a, interval(0)?), (sr.b, interval(1)?)))

@@ -10,7 +10,7 @@ use super::bootstrap::intervals;
 use super::cost;
 use super::failure::Failures;
 use super::interval::{Interval, rate_interval, wilson};
-use super::spread::{Spread, mean, percentage};
+use super::spread::{Spread, mean, weighted_mean};
 use super::success::{self, GroupScore};
 use super::time::{StageTimes, exists};
 use super::trial::{Trials, path_weight};
@@ -88,37 +88,64 @@ pub(super) struct EpisodeSample {
     pub(super) success: bool,
     pub(super) path_weight: f64,
     tried_closed: Option<bool>,
+    /// Its weight in a figure of all episodes.
+    pub(super) weight: f64,
+    /// Its weight in a figure of those that tried the closed cell.
+    weight_of_tried: f64,
 }
 
-impl From<&EpisodeRecord> for EpisodeSample {
-    fn from(record: &EpisodeRecord) -> Self {
-        Self {
-            success: record.is_success(),
-            path_weight: path_weight(record),
-            tried_closed: record.tried_closed,
-        }
+/// The weights of the episodes of each run with which the mean over all episodes that `counts` is the mean over runs: 1
+/// where every run has as many, less in a run that has more.
+fn run_weights(
+    trials: &Trials<'_>,
+    counts: impl Fn(&EpisodeRecord) -> bool,
+) -> impl Fn(&EpisodeRecord) -> f64 {
+    let mut counted: BTreeMap<u32, usize> = BTreeMap::new();
+    for record in trials.iter().filter(|record| counts(record)) {
+        *counted.entry(record.run).or_default() += 1;
     }
+    let (all, runs) = (counted.values().sum::<usize>(), counted.len());
+    move |record| counted.get(&record.run).map_or(0.0, |count| all as f64 / (runs * count) as f64)
 }
 
 /// The repetitions of each case under each of the `arms`, for the cases that all arms have.
 pub(super) fn paired<'a>(arms: &[&Trials<'a>]) -> BTreeMap<&'a str, Vec<Vec<EpisodeSample>>> {
-    let by_case: Vec<_> = arms.iter().map(|trials| trials.cases()).collect();
+    let samples = |trials: &&Trials<'a>| {
+        let weight = run_weights(trials, |_| true);
+        let weight_of_tried = run_weights(trials, |record| record.tried_closed == Some(true));
+        let sample = |record: &EpisodeRecord| EpisodeSample {
+            success: record.is_success(),
+            path_weight: path_weight(record),
+            tried_closed: record.tried_closed,
+            weight: weight(record),
+            weight_of_tried: weight_of_tried(record),
+        };
+        let cases = trials.cases().into_iter();
+        cases
+            .map(|(case, records)| (case, records.into_iter().map(sample).collect()))
+            .collect::<BTreeMap<&str, Vec<EpisodeSample>>>()
+    };
+    let by_case: Vec<_> = arms.iter().map(samples).collect();
     let Some(first) = by_case.first() else { return BTreeMap::new() };
     let repetitions = |case: &str| {
-        let arm = |cases: &BTreeMap<&str, Vec<&EpisodeRecord>>| {
-            Some(cases.get(case)?.iter().map(|record| EpisodeSample::from(*record)).collect())
-        };
+        let arm = |cases: &BTreeMap<&str, Vec<EpisodeSample>>| cases.get(case).cloned();
         by_case.iter().map(arm).collect::<Option<Vec<Vec<EpisodeSample>>>>()
     };
     first.keys().filter_map(|case| Some((*case, repetitions(case)?))).collect()
 }
 
+/// The success rate, in percent.
 pub(super) fn rate(samples: &[EpisodeSample]) -> Option<f64> {
-    percentage(samples.iter().map(|sample| sample.success))
+    weighted_mean(samples.iter().map(|sample| (percent(sample.success), sample.weight)))
 }
 
-pub(super) fn weight(samples: &[EpisodeSample]) -> Option<f64> {
-    mean(samples.iter().map(|sample| sample.path_weight))
+/// SPL.
+pub(super) fn path_weighted(samples: &[EpisodeSample]) -> Option<f64> {
+    weighted_mean(samples.iter().map(|sample| (sample.path_weight, sample.weight)))
+}
+
+fn percent(holds: bool) -> f64 {
+    if holds { 100.0 } else { 0.0 }
 }
 
 /// The scores of `condition` from its `trials`, of which the run has `planned`; `None` when there are none. What
@@ -173,14 +200,15 @@ impl Intervals {
     fn of(trials: &Trials<'_>) -> Self {
         let cases: Vec<_> = paired(&[trials]).into_values().collect();
         let of_rate = |value: fn(&EpisodeSample) -> Option<bool>| {
-            let by_case = cases.iter().map(|arms| arms[0].iter().filter_map(value).collect());
+            let weighted = |sample: &EpisodeSample| Some((value(sample)?, sample.weight));
+            let by_case = cases.iter().map(|arms| arms[0].iter().filter_map(weighted).collect());
             rate_interval(&by_case.collect::<Vec<_>>())
         };
         let tried = |samples: &[EpisodeSample]| {
             let tried = samples.iter().filter(|sample| sample.tried_closed == Some(true));
-            percentage(tried.map(|sample| sample.success))
+            weighted_mean(tried.map(|sample| (percent(sample.success), sample.weight_of_tried)))
         };
-        let [spl, recovery] = intervals(&cases, |arms| [weight(&arms[0]), tried(&arms[0])]);
+        let [spl, recovery] = intervals(&cases, |arms| [path_weighted(&arms[0]), tried(&arms[0])]);
         let counted = cases.iter().filter(|arms| tried(&arms[0]).is_some()).count();
         Self {
             sr: of_rate(|sample| Some(sample.success)),

@@ -10,8 +10,15 @@
 //! Methodol. 3, 2015). It is limited to the range from the number of cases (repetitions add no information) to the
 //! number of episodes (they are independent). With one run, and where every episode has the same outcome, it is the
 //! number of cases.
+//!
+//! `p` is the weighted mean that the figure is. Where weights differ, `s^2 / N` is the linearized
+//! variance of that mean, `N / (N - 1) * sum (W_c (m_c - p))^2` over cases of weight `W_c` (of 1 in all) and mean
+//! `m_c`, and the numbers of cases and of episodes are Kish's effective ones, `1 / sum W^2` (L. Kish, "Survey
+//! Sampling", 1965). With equal weights all of these are what they are above.
 
 use serde::Serialize;
+
+use super::spread::weighted_mean;
 
 /// The 97.5th percentile of the standard normal distribution.
 const Z: f64 = 1.959_963_984_540_054;
@@ -37,26 +44,45 @@ pub(super) fn wilson(p: f64, n: f64) -> Interval {
     }
 }
 
-/// The interval in percent of a rate whose repetitions by case are `cases`. `None` for fewer than two cases: one
-/// case says nothing about others.
-pub(super) fn rate_interval(cases: &[Vec<bool>]) -> Option<Interval> {
-    let means: Vec<f64> =
-        cases.iter().filter(|case| !case.is_empty()).map(|case| share(case)).collect();
-    let count = means.len();
-    if count < 2 {
+/// The interval in percent of a rate whose repetitions by case, each with its weight, are `cases`. `None` for fewer than
+/// two cases: one case says nothing about others.
+pub(super) fn rate_interval(cases: &[Vec<(bool, f64)>]) -> Option<Interval> {
+    let cases: Vec<_> = cases.iter().filter(|case| !case.is_empty()).collect();
+    let count = cases.len() as f64;
+    if cases.len() < 2 {
         return None;
     }
-    let episodes: usize = cases.iter().map(Vec::len).sum();
-    let successes: usize = cases.iter().flatten().filter(|success| **success).count();
-    let p = successes as f64 / episodes as f64;
-    let centre = means.iter().sum::<f64>() / count as f64;
-    let variance =
-        means.iter().map(|mean| (mean - centre).powi(2)).sum::<f64>() / (count - 1) as f64;
-    let effective = p * (1.0 - p) * count as f64 / variance;
+    let all = || cases.iter().copied().flatten().copied();
+    let sum: f64 = all().map(|(_, weight)| weight).sum();
+    let p = weighted_mean(all().map(indicator))?;
+    // A case's weight is 1 on average.
+    let of_cases: Vec<f64> = cases
+        .iter()
+        .map(|case| case.iter().map(|(_, weight)| weight).sum::<f64>() * count / sum)
+        .collect();
+    let deviation = |(case, weight): (&&Vec<(bool, f64)>, &f64)| {
+        let mean = weighted_mean(case.iter().copied().map(indicator))?;
+        Some((weight * (mean - p)).powi(2))
+    };
+    let deviations: f64 = cases.iter().zip(&of_cases).filter_map(deviation).sum();
+    let variance = deviations / (count - 1.0);
+    let effective = p * (1.0 - p) * count / variance;
     // 0 / 0 where every episode has the same outcome.
     let n = if effective.is_nan() { 0.0 } else { effective };
-    let n = n.clamp(count as f64, episodes as f64);
+    let least = kish(of_cases.iter().copied());
+    let n = n.clamp(least, kish(all().map(|(_, weight)| weight)).max(least));
     Some(wilson(p, n).scaled(100.0))
+}
+
+/// The number of equally weighted samples whose mean varies as much as that of samples with these weights.
+fn kish(weights: impl Iterator<Item = f64>) -> f64 {
+    let (sum, squares) = weights
+        .fold((0.0, 0.0), |(sum, squares), weight| (sum + weight, squares + weight * weight));
+    sum * sum / squares
+}
+
+fn indicator((success, weight): (bool, f64)) -> (f64, f64) {
+    (if success { 1.0 } else { 0.0 }, weight)
 }
 
 /// The interval of the difference `a - b` of two rates in percent from the intervals of both (R. G. Newcombe,
@@ -83,10 +109,6 @@ impl Interval {
     }
 }
 
-fn share(case: &[bool]) -> f64 {
-    case.iter().filter(|success| **success).count() as f64 / case.len() as f64
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -94,6 +116,34 @@ mod tests {
     #[track_caller]
     fn near(found: Interval, low: f64, high: f64) {
         assert!((found.low - low).abs() < 0.005 && (found.high - high).abs() < 0.005, "{found:?}");
+    }
+
+    /// The interval of cases whose episodes weigh the same.
+    fn rate_interval(cases: &[Vec<bool>]) -> Option<Interval> {
+        let weighted = |case: &Vec<bool>| case.iter().map(|&success| (success, 1.0)).collect();
+        super::rate_interval(&cases.iter().map(weighted).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn weights_count_as_that_many_episodes() {
+        // Two runs of 50 cases; the second weighs nothing.
+        let halves = |weight| {
+            let case = |case| vec![(case % 2 == 0, 1.0), (case < 25, weight)];
+            super::rate_interval(&(0..50).map(case).collect::<Vec<_>>()).unwrap()
+        };
+        let alone: Vec<_> = (0..50).map(|case| vec![case % 2 == 0]).collect();
+        assert_eq!(halves(0.0), rate_interval(&alone).unwrap());
+        assert_ne!(halves(1.0), halves(0.0));
+        // Only the ratio of weights counts, and half of the weight on one case leaves about four of 41.
+        let one = |scale: f64| {
+            let mut cases = vec![vec![(true, scale)]; 40];
+            cases.push(vec![(false, 40.0 * scale)]);
+            super::rate_interval(&cases).unwrap()
+        };
+        assert_eq!(one(1.0), one(0.25));
+        // Kish's number of cases is 80^2 / (40 + 40^2) = 3.9.
+        let expected = wilson(0.5, 6400.0 / 1640.0).scaled(100.0);
+        near(one(1.0), expected.low, expected.high);
     }
 
     #[test]

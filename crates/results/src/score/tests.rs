@@ -44,6 +44,41 @@ fn success_and_path_length_per_run_then_over_runs() {
 }
 
 #[test]
+fn intervals_are_of_the_mean_over_runs_also_where_a_run_has_fewer_episodes() {
+    // Run 1 has 40 cases, all successes with SPL 0.8; run 2 was stopped after one case, a failure.
+    let ids: Vec<String> = (0..40).map(|case| format!("c{case:02}")).collect();
+    let blocked =
+        |id: &str, run, success| episode(Representation::Episodic, id, run, success, Some(success));
+    let mut records: Vec<_> = ids.iter().map(|id| blocked(id, 1, true)).collect();
+    records.push(blocked("c00", 2, false));
+    let found = only(&log(records));
+    let follow = found.blocked.unwrap().follow.unwrap();
+    near(found.sr.mean, 50.0);
+    near(found.spl.mean, 0.4);
+    near(follow.mean, 50.0);
+    // Half of the weight rests on one case: its successes say no more than those of about two episodes.
+    for (figure, scale) in [(found.sr, 1.0), (found.spl, 125.0), (follow, 1.0)] {
+        let Interval { low, high } = figure.interval.unwrap();
+        assert!(low * scale < 30.0 && high * scale > 70.0, "{figure:?}");
+    }
+}
+
+#[test]
+fn recovery_is_of_the_mean_over_runs_where_runs_try_the_closed_cell_unequally_often() {
+    // Run 1 tries it in 40 cases and always recovers; run 2 tries it in the first case alone, and fails.
+    let ids: Vec<String> = (0..40).map(|case| format!("c{case:02}")).collect();
+    let mut records = Vec::new();
+    for (index, id) in ids.iter().enumerate() {
+        records.push(episode(Representation::Episodic, id, 1, true, Some(true)));
+        records.push(episode(Representation::Episodic, id, 2, false, Some(index == 0)));
+    }
+    let recovery = blocked_score(&log(records), Representation::Episodic).recovery.unwrap();
+    near(recovery.mean, 50.0);
+    let Interval { low, high } = recovery.interval.unwrap();
+    assert!(low < 50.0 && high > 50.0, "{recovery:?}");
+}
+
+#[test]
 fn an_episode_shorter_than_its_reference_is_worth_no_more_than_one() {
     // l / max(p, l): 8/8, 8/max(4, 8), 8/16, failure, 0/0 taken as 1.
     for (success, steps, reference, expected) in [
@@ -294,4 +329,27 @@ fn two_configurations_are_compared_case_by_case() {
     assert_eq!((found.more_under_a, found.more_under_b, found.p), (2, 1, 1.0));
     let interval = found.sr.interval.unwrap();
     assert!(interval.low < 25.0 && interval.high > 25.0);
+}
+
+#[test]
+fn a_case_that_was_repeated_more_often_weighs_no_more_in_a_comparison() {
+    let mut records: Vec<_> =
+        (1..=40).map(|run| episode(Representation::Episodic, "c00", run, false, None)).collect();
+    for case in 0..40 {
+        let id = format!("c{case:02}");
+        records.push(episode(Representation::Working, &id, 1, false, None));
+        if case > 0 {
+            records.push(episode(Representation::Episodic, &id, 1, true, None));
+        }
+    }
+    let log = log(records);
+    let trials: Vec<_> = Trials::by_condition(&log).into_values().collect();
+    let [working, episodic] = &trials[..] else { panic!("two conditions") };
+    let found = compare(("A", episodic), ("B", working)).unwrap();
+    // 39 of 40 cases.
+    near(found.sr.mean, 97.5);
+    for (figure, scale) in [(found.sr, 1.0), (found.spl, 125.0)] {
+        let Interval { low, high } = figure.interval.unwrap();
+        assert!(low * scale > 85.0 && high * scale <= 100.0 + 1e-9, "{figure:?}");
+    }
 }
