@@ -9,7 +9,9 @@ use results::conditions::Condition;
 use results::key::{EpisodeKey, Order, StreamPlace};
 use results::settings::StreamSettings;
 use shm_types::message::SnapshotId;
-use warehouse::StreamSet;
+use warehouse::{CaseSet, StreamSet, Warehouse};
+
+use crate::streams::Streams;
 
 /// One episode of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -50,6 +52,21 @@ impl PlannedEpisode {
     /// The sequence that it belongs to.
     pub fn sequence(&self) -> Option<u64> {
         self.part.map(|part| part.sequence)
+    }
+
+    /// The steps in which its reference completes the task; 0 if it does not.
+    pub fn reference_length(
+        &self,
+        warehouse: &Warehouse,
+        cases: &CaseSet,
+        streams: Option<&Streams>,
+    ) -> u32 {
+        if let Some((part, streams)) = self.part.zip(streams) {
+            return streams.case(part.world, self.case_index).length;
+        }
+        let Condition { start, route, .. } = self.key.condition;
+        let replay = cases.cases[self.case_index].replay(warehouse, start.reference(route));
+        replay.length.unwrap_or(0)
     }
 
     /// Whether its memory learns from it.

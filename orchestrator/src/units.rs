@@ -9,11 +9,13 @@ use std::ops::Range;
 use std::path::Path;
 
 use anyhow::{Context, Error, Result, bail, ensure};
+use replay::World;
 use results::log::{Manifest, UnitEpisode, UnitId};
 use results::settings::RunSettings;
 use serde::{Deserialize, Serialize};
 
 use crate::plan::PlannedEpisode;
+use crate::selection::SelectedCases;
 use crate::store::Shipment;
 
 /// Changes when a plan means something else, such as other episodes of a unit.
@@ -117,16 +119,21 @@ impl UnitPlan {
         without(self) == without(other) && store(self) == store(other)
     }
 
-    /// The units of `episodes`, which are all of the run in their order.
+    /// The units of `episodes`, which are all of the run in their order, of what `selection` has.
     pub fn assign(
         &self,
+        selection: &SelectedCases,
         episodes: impl Iterator<Item = PlannedEpisode>,
     ) -> impl Iterator<Item = UnitEpisode> {
         let size = self.unit_episodes;
+        let World { warehouse, cases, .. } = &selection.world;
         let numbered = (0_u32..).zip(episodes);
         numbered.map(move |(number, episode)| UnitEpisode {
             key: episode.key.to_string(),
             unit: number / size,
+            task: cases.cases[episode.case_index].task.number(),
+            seed: episode.seed,
+            reference: episode.reference_length(warehouse, cases, selection.streams.as_ref()),
         })
     }
 }
@@ -163,7 +170,6 @@ mod tests {
     use results::log::testing::manifest;
 
     use super::*;
-    use crate::selection::SelectedCases;
     use settings::{Layer, resolve};
 
     fn settings(flags: &[(&str, &str)]) -> RunSettings {
@@ -177,7 +183,8 @@ mod tests {
         let plan = UnitPlan::new(Manifest { settings, episodes, ..manifest() }, unit_episodes);
         let mut units = vec![Vec::new(); plan.units as usize];
         selection.with_episodes(&plan.manifest.settings, |episodes| {
-            plan.assign(episodes).for_each(|episode| units[episode.unit as usize].push(episode.key))
+            plan.assign(&selection, episodes)
+                .for_each(|episode| units[episode.unit as usize].push(episode.key))
         });
         (ReadPlan { plan, digest: String::new() }, units)
     }

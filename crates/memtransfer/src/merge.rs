@@ -95,7 +95,7 @@ pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
         return Ok(Exit::Complete);
     }
     let merged = selection.with_episodes(&settings, |episodes| {
-        merge(&manifest, &folders, plan.assign(episodes), &args.out)
+        merge(&manifest, &folders, plan.assign(&selection, episodes), &args.out)
     })?;
     say!(
         "{}: {merged} episodes of {} units; `memtransfer score {}` prints its tables",

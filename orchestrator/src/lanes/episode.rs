@@ -101,10 +101,7 @@ impl ActiveEpisode {
             seed: episode.seed,
             ending: Ending::OutOfSteps,
             steps: 0,
-            reference: match in_world {
-                Some(found) => found.length,
-                None => case.replay(warehouse, from).length.unwrap_or(0),
-            },
+            reference: episode.reference_length(context.warehouse, cases, context.streams),
             actions: String::new(),
             sub_goals: vec![0; progress.stage() as usize],
             required: progress.total(),

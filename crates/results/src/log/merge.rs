@@ -215,6 +215,29 @@ pub struct UnitEpisode {
     pub key: String,
     /// The unit that it is part of.
     pub unit: u32,
+    /// Its task's number.
+    pub task: u8,
+    /// Its seed.
+    pub seed: u64,
+    /// Length of its reference.
+    pub reference: u32,
+}
+
+impl UnitEpisode {
+    /// Checks that a record of the episode has the facts that follow from the plan.
+    fn check(&self, record: &EpisodeRecord) -> Result<(), String> {
+        let facts = [
+            ("task", u64::from(record.task), u64::from(self.task)),
+            ("seed", record.seed, self.seed),
+            ("reference", record.reference.into(), self.reference.into()),
+        ];
+        match facts.into_iter().find(|(_, recorded, planned)| recorded != planned) {
+            None => Ok(()),
+            Some((field, recorded, planned)) => {
+                Err(format!("\"{field}\" of {} is {recorded}, and {planned} in the plan", self.key))
+            }
+        }
+    }
 }
 
 /// Writes the run that consists of `episodes`, which are all episodes of `units`, unit by unit, into the folder `out`. Returns their number.
@@ -265,15 +288,15 @@ fn write(
     let mut run = MergedRun::new(draft, manifest.settings.max_steps)?;
     let mut loaded: Option<LoadedUnit> = None;
     let mut count = 0;
-    for UnitEpisode { key, unit } in episodes {
+    for episode in episodes {
         let mut current = match loaded.take() {
-            Some(current) if current.number == unit => current,
+            Some(current) if current.number == episode.unit => current,
             before => {
                 before.map_or(Ok(()), LoadedUnit::check_written)?;
-                run.load(unit, &units.of(unit))?
+                run.load(episode.unit, &units.of(episode.unit))?
             }
         };
-        run.write(&mut current, &key)?;
+        run.write(&mut current, &episode)?;
         loaded = Some(current);
         count += 1;
     }
@@ -425,6 +448,12 @@ impl<'a> MergedRun<'a> {
         let mut twice = None;
         read_lines(dir, EPISODES_FILE, |line| {
             let record: EpisodeRecord = serde_json::from_slice(line)?;
+            if line.trim_ascii().len() + 1 != line.len() {
+                // The merged log has to have the bytes of one machine's.
+                return Err(io::Error::other(
+                    "white space around the record, such as the line ends of Windows",
+                ));
+            }
             record.check(self.max_steps).map_err(io::Error::other)?;
             if let (Some(_), Some(requests)) = (record.prompt_tokens, record.requests) {
                 asked.insert(record.key.clone(), requests);
@@ -443,12 +472,14 @@ impl<'a> MergedRun<'a> {
         }
     }
 
-    /// Writes the episode `key` of `unit`.
-    fn write(&mut self, unit: &mut LoadedUnit, key: &str) -> Result<(), MergeError> {
-        let Some(line) = unit.episodes.remove(key) else {
-            let problem = format!("its log lacks {key}");
-            return Err(MergeError::Broken { dir: unit.dir.clone(), problem });
-        };
+    /// Writes the episode `episode` of `unit`.
+    fn write(&mut self, unit: &mut LoadedUnit, episode: &UnitEpisode) -> Result<(), MergeError> {
+        let UnitEpisode { key, .. } = episode;
+        let broken = |problem| MergeError::Broken { dir: unit.dir.clone(), problem };
+        let line =
+            unit.episodes.remove(key).ok_or_else(|| broken(format!("its log lacks {key}")))?;
+        let record = serde_json::from_slice(&line).map_err(|error| broken(error.to_string()))?;
+        episode.check(&record).map_err(broken)?;
         let failed = system("write to", self.dir);
         let timings = unit.timings.remove(key).map(|mut timings| {
             timings.session = timings.session.saturating_add(unit.sessions);

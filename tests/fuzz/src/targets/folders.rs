@@ -13,7 +13,8 @@ use report::Published;
 use results::compare::compare_runs;
 use results::latency::LatencyRecord;
 use results::log::{
-    Manifest, RunFolder, RunLog, UnitEpisode, UnitFolders, merge, read_journal, unit_folder,
+    EpisodeRecord, Manifest, RunFolder, RunLog, UnitEpisode, UnitFolders, merge, read_journal,
+    unit_folder,
 };
 use results::score::score;
 use results::step_view::PromptLog;
@@ -126,7 +127,10 @@ pub(super) fn merged(input: &[u8]) {
                 Some((unit, RunLog::read(&folder.join(&units[unit as usize])).ok()?))
             })
             .flat_map(|(unit, log)| {
-                log.episodes.into_iter().map(move |record| UnitEpisode { key: record.key, unit })
+                log.episodes.into_iter().map(move |record| {
+                    let EpisodeRecord { key, task, seed, reference, .. } = record;
+                    UnitEpisode { key, unit, task, seed, reference }
+                })
             })
             .collect();
         let count = episodes.len() as u64;

@@ -39,8 +39,13 @@ fn cases(units: u32, size: u32) -> Vec<Vec<String>> {
 
 fn planned(cases: &[Vec<String>]) -> impl Iterator<Item = UnitEpisode> {
     (0..).zip(cases).flat_map(|(unit, cases)| {
-        cases.iter().map(move |case| UnitEpisode { key: record(case, true).key, unit })
+        cases.iter().map(move |case| planned_episode(record(case, true), unit))
     })
+}
+
+fn planned_episode(record: EpisodeRecord, unit: u32) -> UnitEpisode {
+    let EpisodeRecord { key, task, seed, reference, .. } = record;
+    UnitEpisode { key, unit, task, seed, reference }
 }
 
 #[test]
@@ -138,6 +143,29 @@ fn what_disagrees_is_named() {
 }
 
 #[test]
+fn a_record_that_is_not_of_the_plan_and_changed_line_ends_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let (units, out) = (UnitFolders(vec![dir.path().join("units")]), dir.path().join("run"));
+    let cases = cases(1, 1);
+    write_unit(&units.0[0], 0, &cases[0], "a");
+    let log = units.0[0].join("unit-000000").join(EPISODES_FILE);
+    let text = fs::read_to_string(&log).unwrap();
+    let refused = |from: &str, to: &str| {
+        assert!(text.contains(from), "{from}");
+        fs::write(&log, text.replacen(from, to, 1)).unwrap();
+        let error = merge(&manifest(), &units, planned(&cases), &out).unwrap_err().to_string();
+        error.replace(&*dir.path().to_string_lossy(), "")
+    };
+    insta::assert_snapshot!(refused("\"task\":1", "\"task\":2"), @r#"/units/unit-000000: "task" of episodic/original/unchanged/original/run1/t01-00000000 is 2, and 1 in the plan; remove this folder and execute the unit again"#);
+    insta::assert_snapshot!(refused("\"seed\":5", "\"seed\":6"), @r#"/units/unit-000000: "seed" of episodic/original/unchanged/original/run1/t01-00000000 is 6, and 5 in the plan; remove this folder and execute the unit again"#);
+    insta::assert_snapshot!(refused("\"reference\":8", "\"reference\":80"), @r#"/units/unit-000000: "reference" of episodic/original/unchanged/original/run1/t01-00000000 is 80, and 8 in the plan; remove this folder and execute the unit again"#);
+    insta::assert_snapshot!(refused("\n", "\r\n"), @"/units/unit-000000: episodes.jsonl, line 1: white space around the record, such as the line ends of Windows; remove this folder and execute the unit again");
+    insta::assert_snapshot!(refused("{", " {"), @"/units/unit-000000: episodes.jsonl, line 1: white space around the record, such as the line ends of Windows; remove this folder and execute the unit again");
+    fs::write(&log, text).unwrap();
+    assert_eq!(merge(&manifest(), &units, planned(&cases), &out).unwrap(), 1);
+}
+
+#[test]
 fn prompts_are_merged_with_what_they_name_whatever_the_sessions_are_numbered() {
     let dir = tempfile::tempdir().unwrap();
     let (units, cases) = (UnitFolders(vec![dir.path().join("units")]), cases(2, 1));
@@ -213,8 +241,8 @@ fn merge_in_constant_memory() {
     assert!(units.missing(count).is_empty());
     let mut whole = manifest();
     units.check(count, PLAN, &mut whole).unwrap();
-    let planned = (0..records)
-        .map(|number| UnitEpisode { key: record(&case(number), true).key, unit: number / 100 });
+    let planned =
+        (0..records).map(|number| planned_episode(record(&case(number), true), number / 100));
     let merged = merge(&whole, &units, planned, &dir.path().join("run")).unwrap();
     let seconds = start.elapsed().as_secs_f64();
     println!("{merged} records in {seconds:.1} s; before {before}, after {}", peak());
