@@ -337,7 +337,7 @@ impl PipelineRun<'_, '_> {
             return Ok(GenerationOutcome::default());
         };
         match generation.run_queue(self) {
-            Ok(halted) => Ok((halted, generation.finish(self.options))),
+            Ok(halted) => Ok((halted, generation.finish(self)?)),
             Err(failure) => Err(generation.root_cause(self.options, failure)),
         }
     }

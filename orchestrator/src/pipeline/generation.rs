@@ -128,11 +128,29 @@ impl Generation {
     }
 
     /// Takes the waiting messages, decisions up to one batch, sends what follows, and notifies the simulator once.
+    fn turn(&mut self, run: &mut PipelineRun<'_, '_>) -> Result<TurnReport, Failure> {
+        let batch = self.bus.attach().batch_len();
+        let (mut commands, report) = self.receive(run, batch)?;
+        let sent_ns = monotonic_ns();
+        for command in &mut commands {
+            command.sent_ns = sent_ns;
+            retry(self.commands.send(command))?;
+        }
+        if !commands.is_empty() {
+            self.notify(Role::Sim)?;
+        }
+        Ok(report)
+    }
+
+    /// Takes the waiting messages, decisions up to `batch`, and records what they say. Returns the commands that follow.
     ///
     /// A message refers only to messages that were sent before it. So the queues are emptied from the last answer of
     /// a step to the first, and handled in the opposite order.
-    fn turn(&mut self, run: &mut PipelineRun<'_, '_>) -> Result<TurnReport, Failure> {
-        let batch = self.bus.attach().batch_len();
+    fn receive(
+        &mut self,
+        run: &mut PipelineRun<'_, '_>,
+        batch: usize,
+    ) -> Result<(Vec<StepCommand>, TurnReport), Failure> {
         let decisions = self.inbox.decisions.drain_some(batch)?;
         let snapshots = self.inbox.snapshots.drain()?;
         let traces = self.inbox.traces.drain()?;
@@ -164,16 +182,18 @@ impl Generation {
         for request in lanes.take_answered() {
             halted = run.observer.answered(&request)?.or(halted);
         }
-        let mut commands = follow_up(run, turns)?;
-        let sent_ns = monotonic_ns();
-        for command in &mut commands {
-            command.sent_ns = sent_ns;
-            retry(self.commands.send(command))?;
+        let commands = follow_up(run, turns)?;
+        let report = TurnReport { steps: commands.len() as u64, halted, has_more };
+        Ok((commands, report))
+    }
+
+    /// Records the answers that have arrived since the last turn: what they cost was spent.
+    fn receive_last(&mut self, run: &mut PipelineRun<'_, '_>) -> Result<(), Failure> {
+        match self.receive(run, usize::MAX) {
+            Err(failure @ Failure::Fatal(_)) => Err(failure),
+            // The generation ends anyway.
+            _ => Ok(()),
         }
-        if !commands.is_empty() {
-            self.notify(Role::Sim)?;
-        }
-        Ok(TurnReport { steps: commands.len() as u64, halted, has_more })
     }
 
     fn notify(&self, role: Role) -> Result<(), Failure> {
@@ -183,28 +203,32 @@ impl Generation {
         }
     }
 
-    /// Asks the processes to end and collects their reports.
-    pub(super) fn finish(self, options: &PipelineOptions) -> BTreeMap<Participant, ShutdownReport> {
+    /// Asks the processes to end, records their last answers and collects their reports.
+    pub(super) fn finish(
+        mut self,
+        run: &mut PipelineRun<'_, '_>,
+    ) -> Result<BTreeMap<Participant, ShutdownReport>, Failure> {
         let mut reports = BTreeMap::new();
         let asked = self.stops.send(&Stop::zeroed());
         let asked = asked.and_then(|()| self.notifiers.values().try_for_each(Notifier::notify));
         if let Err(error) = asked {
             tracing::warn!(%error, "the processes could not be asked to end");
-            return reports;
+            return Ok(reports);
         }
         let deadline = Instant::now() + SHUTDOWN_TIMEOUT;
         while reports.len() < self.notifiers.len() && Instant::now() < deadline {
             let received = self.bus.listener().wait(TICK);
             let received = received.and_then(|_| self.inbox.shutdown_reports.drain());
             let Ok(received) = received else { break };
+            self.receive_last(run)?;
             for report in received {
                 let role = role(report.role).ok();
-                let sender = role.and_then(|role| options.participant(role, report.external));
+                let sender = role.and_then(|role| run.options.participant(role, report.external));
                 reports.extend(sender.map(|sender| (sender, report)));
             }
         }
         self.children.wait_or_kill(SHUTDOWN_TIMEOUT);
-        reports
+        Ok(reports)
     }
 
     /// The exit of a process, if one has exited: it is the cause of whatever else failed.

@@ -8,7 +8,7 @@ use anyhow::Result;
 use conformance::scripted;
 use conformance::testing::ScratchRun;
 use domain::ExternalName;
-use orchestrator::lanes::{FinishedEpisode, Rules};
+use orchestrator::lanes::{AnsweredRequest, FinishedEpisode, Rules};
 use orchestrator::pipeline::{Facts, MemoryState, Observer, Participant, PipelineOptions};
 use shm_types::message::MAX_EXTERNAL_MEMORIES;
 use supervise::{Launch, System};
@@ -52,6 +52,8 @@ pub(crate) struct Seen {
     pub(crate) problems: Vec<String>,
     pub(crate) generations: u32,
     pub(crate) steps: u64,
+    /// Requests to a model that were answered.
+    pub(crate) answered: u32,
     /// What became of external memories.
     pub(crate) states: Vec<(ExternalName, MemoryState)>,
 }
@@ -69,6 +71,10 @@ impl Observer for Seen {
         assert_eq!(facts.len(), 3 + memories);
         assert!(facts.values().all(|facts| facts["kind"] == scripted::KIND));
         Ok(())
+    }
+    fn answered(&mut self, _request: &AnsweredRequest) -> Result<Option<String>> {
+        self.answered += 1;
+        Ok(None)
     }
     fn finished(&mut self, finished: &FinishedEpisode, _attempt: u32) -> Result<()> {
         assert_eq!(finished.record.steps, MAX_STEPS);

@@ -33,6 +33,14 @@ fn simulator(script: &str) -> Launch {
 
 /// Runs the first eight cases among scripted peers, of which the policy spoils the victim's decisions.
 fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
+    run_with_policy(|of_victim, decision, _| if of_victim { spoil(decision) } else { decision })
+}
+
+/// Runs the first eight cases among scripted peers. The policy's decisions are changed by `change`, which is told whether they
+/// are the victim's, and can stop the run.
+fn run_with_policy(
+    mut change: impl FnMut(bool, Decision, &AtomicBool) -> Decision + Send,
+) -> (Seen, Ending) {
     let scratch = ScratchRun::new(&Role::CHILDREN, |attach| attach.lanes = LANES);
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
     let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
@@ -42,7 +50,7 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
     // The peers are threads; the process that the pipeline watches only has to live.
     let options = options(&scratch, vec![simulator("exec sleep 300")], Duration::from_secs(2));
     let mut seen = Seen::default();
-    let over = AtomicBool::new(false);
+    let (over, stop) = (AtomicBool::new(false), AtomicBool::new(false));
     let peers = ScriptedRun { attach: scratch.attach(), over: &over };
     let victim = cases.cases[VICTIM].task.instruction(&warehouse.catalogue);
     let sim = ScriptedSim::new(|_, pose, action| {
@@ -52,12 +60,9 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
         scope.spawn(|| peers.sim(sim));
         scope.spawn(|| peers.memory());
         scope.spawn(|| {
-            peers.policy(|instruction, decision| match instruction {
-                _ if instruction == victim => spoil(decision),
-                _ => decision,
-            });
+            peers.policy(|instruction, decision| change(instruction == victim, decision, &stop));
         });
-        let (attach, stop, none) = (scratch.attach(), AtomicBool::new(false), Children::default());
+        let (attach, none) = (scratch.attach(), Children::default());
         let outcome = run_episodes(&mut lanes, episodes, attach, &options, none, &stop, &mut seen);
         over.store(true, Ordering::Relaxed);
         outcome
@@ -95,6 +100,18 @@ fn a_policy_that_sends_garbage_spoils_that_episode_and_no_other() {
 fn a_policy_that_answers_something_else_spoils_that_episode_and_no_other() {
     let (seen, ending) = run(|decision| Decision { step: decision.step + 5, ..decision });
     check_only_the_victim_suffers(&seen, &ending, "answers that could not be used");
+}
+
+#[test]
+fn answers_that_wait_when_the_run_is_stopped_are_recorded() {
+    let mut sent = 0;
+    let (seen, ending) = run_with_policy(|_, decision, stop| {
+        sent += 1;
+        stop.store(true, Ordering::Relaxed);
+        Decision { prompt_tokens: 900, completion_tokens: 3, ..decision }
+    });
+    assert!(ending.interrupted && sent > 0);
+    assert_eq!(seen.answered, sent);
 }
 
 /// Runs one episode with a simulator that executes `script` whenever it is started. Returns how often that was, and the
