@@ -74,7 +74,8 @@ impl SnapshotFolder {
             },
         };
         Err(format!(
-            "snapshot {} {what}. Run again with --fresh, or delete the lines of this sequence from the log",
+            "snapshot {} {what}. Delete the lines of this sequence from episodes.jsonl, or remove the folder to start over \
+             (as `run --fresh` does)",
             folder.display()
         ))
     }

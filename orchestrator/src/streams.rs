@@ -134,7 +134,7 @@ impl Remaining {
             if let Some(gap) = gap {
                 bail!(
                     "the log lacks {} and has {}, which comes later in the same sequence: delete the lines of the sequence \
-                     {} in episodes.jsonl, or start over with --fresh",
+                     {} in episodes.jsonl, or remove the folder to start over (as `run --fresh` does)",
                     gap.key,
                     record.key,
                     gap.key.sequence().unwrap_or_default()

@@ -364,7 +364,7 @@ impl RunPlan {
 /// The note about episodes whose prompts are not logged because they are finished. `logged` is the folder of the logs of
 /// earlier sessions, if there is one.
 fn prompt_log_note(finished: usize, missing: usize, logged: Option<&Path>) -> Option<String> {
-    const ADVICE: &str = "To log them, run them again with another --out, or all with --fresh";
+    const ADVICE: &str = "To log them, run them again with another --out, or remove the folder to run all again (as `run --fresh` does)";
     match (finished, missing, logged) {
         (0, ..) | (_, 1.., Some(_)) => None,
         (_, 0, None) => Some(format!(
@@ -460,9 +460,9 @@ mod tests {
         assert_eq!(prompt_log_note(0, 12, None), None);
         assert_eq!(prompt_log_note(4, 8, logged), None);
         let note = |finished, missing, logged| prompt_log_note(finished, missing, logged).unwrap();
-        insta::assert_snapshot!(note(12, 0, None), @"--log-prompts: nothing is logged, because all 12 episodes are finished. To log them, run them again with another --out, or all with --fresh");
+        insta::assert_snapshot!(note(12, 0, None), @"--log-prompts: nothing is logged, because all 12 episodes are finished. To log them, run them again with another --out, or remove the folder to run all again (as `run --fresh` does)");
         insta::assert_snapshot!(note(12, 0, logged), @"--log-prompts: nothing more is logged, because all 12 episodes are finished. Earlier logs are in runs/x/prompts");
-        insta::assert_snapshot!(note(4, 8, None), @"--log-prompts: the prompts of 4 episodes that are finished are not logged, only those of the other 8. To log them, run them again with another --out, or all with --fresh");
+        insta::assert_snapshot!(note(4, 8, None), @"--log-prompts: the prompts of 4 episodes that are finished are not logged, only those of the other 8. To log them, run them again with another --out, or remove the folder to run all again (as `run --fresh` does)");
     }
 
     #[test]

@@ -3,19 +3,19 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Error, Result, anyhow, bail};
 use clap::Args;
 use domain::cache_folder;
 use orchestrator::units::{ReadPlan, UnitPlan};
 use results::log::{Manifest, RunFolder, RunLog, UnitId, finish_unit, unit_folder};
-use settings::{Layer, on_this_machine};
+use settings::{KEYS, Key, Layer, MACHINE_KEYS, on_this_machine};
 use shm_types::process::die_with_parent;
 
 use super::run::flags::{MachineFlags, RunOptions};
 use super::run_plan::{
     Executed, RunPlan, STARTING_MEMORIES, same_command, stopped_before_episodes,
 };
-use super::{Exit, print};
+use super::{Exit, in_one_line, print};
 use crate::documents::RunDocuments;
 use crate::signals::{self, Signals};
 
@@ -82,11 +82,12 @@ pub(super) fn run(args: WorkArgs) -> Result<Exit> {
     if let Some(shipment) = shipment {
         shipment.fetch(args.store.as_deref(), &cache)?;
     }
-    let Some(mut unit) = unit_run(&plan, &args, part.clone(), &options, &signals)? else {
+    let unit = unit_run(&plan, &args, part.clone(), &options, &signals);
+    let Some(mut unit) = unit.map_err(of_plan)? else {
         return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
     unit.shipped_embeddings = shipment.and_then(|shipment| shipment.embeddings_in(&cache));
-    let halted = match unit.execute(&options, &signals)? {
+    let halted = match unit.execute(&options, &signals).map_err(of_plan)? {
         Executed::Stopped(exit) => return Ok(exit),
         Executed::ToTheEnd { halted } => halted,
     };
@@ -130,6 +131,25 @@ fn unit_run(
     check_documents(&run, plan)?;
     run.unit = Some(plan.unit_id(args.unit));
     Ok(Some(run))
+}
+
+/// The error; where it advises to change a setting that only the plan has, with what to do about that.
+fn of_plan(error: Error) -> Error {
+    let text = in_one_line(&error);
+    // Commands to give, in backticks or on a line of their own, have flags of other verbs.
+    let lines = text.lines().filter(|line| !line.trim_start().starts_with("memtransfer "));
+    let prose = lines.flat_map(|line| line.split('`').step_by(2)).collect::<Vec<_>>().join(" ");
+    let words = || prose.split(|c: char| !c.is_ascii_alphanumeric() && c != '-');
+    let is_named = |key: &&Key| words().any(|word| word.strip_prefix("--") == Some(key.name));
+    let mut of_plan =
+        KEYS.iter().filter(|key| !MACHINE_KEYS.contains(&key.name) && key.name != "out");
+    match of_plan.find(is_named) {
+        None => error,
+        Some(key) => anyhow!(
+            "{text}\n--{} is a setting of the plan, and `work` does not have it: give it to `memtransfer plan`",
+            key.name
+        ),
+    }
 }
 
 /// Checks that the documents that are here already are those of the plan. Others are built, or the run says what is missing.
@@ -178,4 +198,28 @@ fn check_unit(folder: &Path, id: &UnitId) -> Result<()> {
         None => "no unit of a plan".to_owned(),
     };
     bail!("{} is {what}: choose another --out, or remove it", folder.display())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn advice_that_only_the_plan_can_follow_says_so() {
+        let shown = |text: &str| {
+            let error = anyhow!("{text}").context("the memory process failed");
+            in_one_line(&of_plan(error))
+        };
+        insta::assert_snapshot!(shown("no CUDA here: pass --provider cpu"), @"
+        the memory process failed: no CUDA here: pass --provider cpu
+        --provider is a setting of the plan, and `work` does not have it: give it to `memtransfer plan`
+        ");
+        for text in [
+            "--frame-budget is 2: fewer --lanes need fewer",
+            "document summary/4 is missing. To build it:\n  memtransfer memory build --demos 4",
+            "check it with `memtransfer doctor --policy openai`, or choose another --out",
+        ] {
+            assert_eq!(shown(text), "the memory process failed: ".to_owned() + text);
+        }
+    }
 }

@@ -77,8 +77,8 @@ pub enum LogError {
     },
     /// The folder holds a run with other settings.
     #[error(
-        "{} holds a run with other settings:\n{}\nUse the same settings to continue it, --fresh to start \
-         over, or another --out",
+        "{} holds a run with other settings:\n{}\nUse the same settings to continue it, remove it to start over (as `run \
+         --fresh` does), or choose another --out",
         dir.display(), differences.iter().map(|d| format!("  {d}")).collect::<Vec<_>>().join("\n")
     )]
     OtherSettings {
@@ -90,8 +90,8 @@ pub enum LogError {
     /// The folder holds finished episodes that the run does not have.
     #[error(
         "{} holds {count} finished episodes that this command leaves out, for example {example}. A run can grow, but not \
-         shrink: ask for at least the same memories, conditions, cases and runs, use --fresh to start over, or choose \
-         another --out",
+         shrink: ask for at least the same memories, conditions, cases and runs, remove it to start over (as `run --fresh` \
+         does), or choose another --out",
         dir.display()
     )]
     NotPlanned {

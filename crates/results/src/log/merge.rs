@@ -20,6 +20,7 @@ use super::files::{
     DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, PROMPTS_FOLDER,
     REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE, TIMINGS_FILE,
 };
+use super::manifest::MANIFEST_FILE;
 use super::{
     Difference, EpisodeError, EpisodeRecord, EpisodeTimings, LogError, Manifest, RequestRecord,
     SessionRecord, UnitId, system,
@@ -155,7 +156,7 @@ impl UnitFolders {
     /// processes reported about themselves and returns in what machines differ. No unit is missing.
     ///
     /// # Errors
-    /// When a unit is of another plan, or has no manifest.
+    /// When a unit is of another plan, or has no manifest that can be read.
     pub fn check(
         &self,
         units: u32,
@@ -165,7 +166,13 @@ impl UnitFolders {
         let mut values: BTreeMap<(&str, &str), Vec<(String, PathBuf)>> = BTreeMap::new();
         for number in 0..units {
             for dir in self.of(number) {
-                let unit = Manifest::read(&dir)?;
+                let unit = Manifest::read(&dir).map_err(|error| match error {
+                    LogError::BrokenManifest { problem, .. } => MergeError::Broken {
+                        dir: dir.clone(),
+                        problem: format!("{MANIFEST_FILE}: {problem}"),
+                    },
+                    error => error.into(),
+                })?;
                 let id = UnitId { plan: plan.to_owned(), number };
                 let differs = unit_difference(&unit, &id, of_plan);
                 if let Some(problem) = differs {

@@ -179,7 +179,7 @@ fn another_run_is_not_touched() {
       adapter: not set there, "processor" now
       contents of layout: "00" there, "ff" now
       seed: 1 there, 8 now
-    Use the same settings to continue it, --fresh to start over, or another --out
+    Use the same settings to continue it, remove it to start over (as `run --fresh` does), or choose another --out
     "#);
 }
 

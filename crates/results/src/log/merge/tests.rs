@@ -136,6 +136,11 @@ fn what_disagrees_is_named() {
     fs::remove_dir_all(&draft).unwrap();
 
     insta::assert_snapshot!(shown(units.check(1, "cd", &mut manifest()).unwrap_err()), @"/one/unit-000000 is not unit 0 of this plan: it is unit 0 of the plan ab");
+    let unit = units.0[0].join("unit-000000").join("manifest.json");
+    let kept = fs::read(&unit).unwrap();
+    fs::write(&unit, "{}").unwrap();
+    insta::assert_snapshot!(shown(units.check(1, PLAN, &mut manifest()).unwrap_err()), @"/one/unit-000000: manifest.json: it has no format; remove this folder and execute the unit again");
+    fs::write(&unit, kept).unwrap();
     let mut other = manifest();
     other.hashes.insert("layout".to_owned(), "11".to_owned());
     insta::assert_snapshot!(shown(units.check(1, PLAN, &mut other).unwrap_err()), @r#"/one/unit-000000 is not unit 0 of this plan: contents of layout: "11" there, "00" now"#);
