@@ -64,6 +64,11 @@ enum MemoryProcVerb {
         #[command(flatten)]
         encoder: EncoderArguments,
     },
+    /// Check that what the encoder needs is there. Started by `memtransfer run --dry-run`
+    CheckEncoder {
+        #[command(flatten)]
+        encoder: EncoderArguments,
+    },
     /// Embed PNG files and print their distances as JSON
     Embed {
         /// The images
@@ -328,6 +333,10 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
                 limits,
             };
             serve(&settings)
+        }
+        MemoryProcVerb::CheckEncoder { encoder } => {
+            let manifest = encoder.manifest()?;
+            encoder.settings()?.prepare(&manifest).map(drop)
         }
         MemoryProcVerb::Embed { files, repeat, encoder } => {
             embed_command::run(&files, repeat, &encoder.manifest()?, &encoder.settings()?)

@@ -2,10 +2,11 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use domain::MemoryKind;
 use results::conditions::{Condition, Frames, PolicyKind};
 use results::log::{DOCUMENTS_FOLDER, ELSEWHERE_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE};
@@ -142,7 +143,6 @@ fn at_once(episodes: &[PlannedEpisode]) -> u32 {
 
 /// The processes that a run starts.
 fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<Launch>> {
-    let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
     let assets = ("--assets", path(&settings.assets));
     // Not in the folder to which processes attach: a policy and external memories must not see it.
     let streams = settings.stream.is_some().then(|| settings.out.join(STREAMS_FILE));
@@ -150,7 +150,7 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     let elsewhere = settings.demonstrates_elsewhere().then(|| settings.out.join(ELSEWHERE_FILE));
     let elsewhere = ("--elsewhere", path(&elsewhere));
     let mut renderer = vec![
-        assets.clone(),
+        assets,
         streams.clone(),
         elsewhere.clone(),
         ("--backend", settings.backend.clone()),
@@ -166,24 +166,52 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
         return Ok(vec![sim]);
     }
     let snapshots = settings.stream.is_some().then(|| settings.out.join(SNAPSHOTS_FOLDER));
-    let mut encoder = vec![
-        assets,
+    let timeout = (!memories.is_empty()).then(|| settings.memory_timeout.to_string());
+    let flags = [
         streams,
         elsewhere,
         ("--snapshots", path(&snapshots)),
-        ("--encoder", Some(settings.encoder.clone())),
-        ("--encoder-file", path(&settings.encoder_file)),
-        ("--encoder-threads", settings.encoder_threads.map(|n| n.to_string())),
-        ("--provider", settings.provider.clone()),
         ("--documents", Some(settings.out.join(DOCUMENTS_FOLDER).display().to_string())),
+        ("--memory-timeout", timeout),
     ];
-    let timeout = (!memories.is_empty()).then(|| settings.memory_timeout.to_string());
-    encoder.push(("--memory-timeout", timeout));
-    let mut memory = Launch::sibling(Role::Memory, "memory-proc", serve())?.with_flags(encoder);
+    let memory = Launch::sibling(Role::Memory, "memory-proc", serve())?;
+    let mut memory = memory.with_flags(encoder_flags(settings)).with_flags(flags);
     if !matches_views(settings, memories) {
         memory.args.push("--no-encoder".into());
     }
     Ok([Some(sim), Some(memory), policy_launch(settings)?].into_iter().flatten().collect())
+}
+
+fn path(path: &Option<PathBuf>) -> Option<String> {
+    path.as_ref().map(|path| path.display().to_string())
+}
+
+/// The flags of `memory-proc` about the encoder.
+pub(crate) fn encoder_flags(settings: &RunSettings) -> [(&'static str, Option<String>); 5] {
+    [
+        ("--assets", path(&settings.assets)),
+        ("--encoder", Some(settings.encoder.clone())),
+        ("--encoder-file", path(&settings.encoder_file)),
+        ("--encoder-threads", settings.encoder_threads.map(|n| n.to_string())),
+        ("--provider", settings.provider.clone()),
+    ]
+}
+
+/// Checks that what the encoder of a run needs is there, if a memory matches views. The encoder is `memory-proc`'s, which does
+/// the check.
+///
+/// # Errors
+/// What the run's memory process would end with.
+pub fn check_encoder(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<()> {
+    if !settings.policy.has_process() || !matches_views(settings, memories) {
+        return Ok(());
+    }
+    let launch = Launch::sibling(Role::Memory, "memory-proc", vec!["check-encoder".into()])?;
+    let Launch { program, args, .. } = launch.with_flags(encoder_flags(settings));
+    let output = Command::new(&program).args(args).output();
+    let output = output.with_context(|| format!("cannot start {}", program.display()))?;
+    ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr).trim());
+    Ok(())
 }
 
 /// Whether a memory of the run matches views. Decided by all conditions, not by those that are left: the process reports the

@@ -24,6 +24,7 @@ use shm_types::message::Role;
 use supervise::Launch;
 
 use self::bucket::Bucket;
+use crate::launch::encoder_flags;
 
 /// The folder in the cache folder of embeddings that came with plans.
 const EMBEDDINGS: &str = "shipped-embeddings";
@@ -237,15 +238,10 @@ impl Shipment {
 
 /// Writes the embeddings that are known here to the file `written`; returns the files of the encoder.
 fn encoder_files(settings: &RunSettings, written: &Path) -> Result<Vec<PathBuf>> {
-    let given = [
-        ("--assets", settings.assets.as_ref().map(|path| path.display().to_string())),
-        ("--encoder", Some(settings.encoder.clone())),
-        ("--encoder-file", settings.encoder_file.as_ref().map(|path| path.display().to_string())),
-        ("--provider", settings.provider.clone()),
-        ("--out", Some(written.display().to_string())),
-    ];
     let launch = Launch::sibling(Role::Memory, "memory-proc", vec!["embeddings".into()])?;
-    let Launch { program, args, .. } = launch.with_flags(given);
+    let out = [("--out", Some(written.display().to_string()))];
+    let launch = launch.with_flags(encoder_flags(settings)).with_flags(out);
+    let Launch { program, args, .. } = launch;
     let output = Command::new(&program).args(args).stderr(std::process::Stdio::inherit()).output();
     let output = output.with_context(|| format!("cannot start {}", program.display()))?;
     ensure!(output.status.success(), "memory-proc could not write the embeddings that are known");

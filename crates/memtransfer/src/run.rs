@@ -64,7 +64,11 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
         return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
     if options.dry_run {
-        print(&dry_run::describe(&plan, options.fresh)?)?;
+        let (text, missing) = dry_run::describe(&plan, options.fresh)?;
+        print(&text)?;
+        if missing > 0 {
+            plan.check_encoder()?;
+        }
         return Ok(Exit::Complete);
     }
     match plan.execute(&options, &signals)? {

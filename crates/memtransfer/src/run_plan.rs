@@ -196,6 +196,11 @@ impl RunPlan {
         launch::matches_views(&self.settings, self.memories())
     }
 
+    /// Checks that the run's encoder can be used.
+    pub(super) fn check_encoder(&self) -> Result<()> {
+        launch::check_encoder(&self.settings, self.memories())
+    }
+
     /// Runs what is missing.
     pub(super) fn execute(&mut self, options: &RunOptions, signals: &Signals) -> Result<Executed> {
         self.execute_missing(options, signals).map_err(|error| match is_disk_full(&error) {

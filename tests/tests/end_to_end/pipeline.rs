@@ -28,6 +28,34 @@ fn reference(bench: &Bench) -> Vec<String> {
     log
 }
 
+/// A dry run says what a run would end with, and touches nothing.
+#[test]
+fn a_dry_run_and_a_run_say_the_same_about_an_encoder_that_cannot_be_used() {
+    let bench = Bench::new();
+    let cache = bench.out("cache");
+    for (flags, said) in [
+        (["--encoder", "dinov3"], "unknown encoder `dinov3`; the model manifest has `dinov2-s14`"),
+        (["--encoder-file", "nowhere.onnx"], "cannot read the model file nowhere.onnx"),
+        (["--encoder", "dinov2-s14"], "which is not there; run `cargo xtask setup"),
+    ] {
+        let is_whole = flags[1] != "dinov2-s14";
+        let ended = |more: &[&str]| {
+            let args = ["run", "--memory", "episodic", "--limit", "1", "--out", "run"];
+            let mut command = bench.command(&[&args, &flags[..], more].concat());
+            if !is_whole {
+                command.env("MEMTRANSFER_CACHE", &cache);
+            }
+            Ended::run(&mut command).expect(2)
+        };
+        for more in [&["--dry-run"][..], &[]] {
+            let stderr = ended(more).stderr;
+            assert!(stderr.contains(said), "{flags:?} {more:?}: {stderr}");
+        }
+    }
+    let working = ["run", "--memory", "working", "--encoder", "dinov3", "--dry-run"];
+    bench.run(&working).expect(0);
+}
+
 #[test]
 fn the_log_depends_neither_on_lanes_nor_on_crashes() {
     let bench = Bench::new();
