@@ -81,6 +81,8 @@ const memtransfer = (() => {
       return fail(error);
     }
     window.addEventListener("hashchange", show);
+    // The browser would scroll the page that is being left.
+    history.scrollRestoration = "manual";
     show();
   }
 
@@ -136,6 +138,8 @@ const memtransfer = (() => {
 
   // By number of a run: the address of its grid as it was seen last.
   const grids = {};
+  // By the address of a grid: to where it and the window were scrolled when it was left.
+  const scrolls = {};
 
-  return { receive, load, h, state, address, note, runs, grids, page, outcome, episodes, episodeAddress, isServed: () => served };
+  return { receive, load, h, state, address, note, runs, grids, scrolls, page, outcome, episodes, episodeAddress, isServed: () => served };
 })();

@@ -204,10 +204,19 @@ memtransfer.runPage = (current) => {
     h("p", { class: "hint" }, "Choose an episode to see it step by step. Arrow keys move in the grid."), grid, tables);
   if (tables.open) openTables(tables);
   draw();
-  return memtransfer.isServed() ? memtransfer.follow(run, live, () => {
+  const scroll = memtransfer.scrolls[memtransfer.grids[number]];
+  if (scroll) {
+    grid.scrollTo(...scroll.grid);
+    window.scrollTo(...scroll.window);
+  }
+  const stop = memtransfer.isServed() ? memtransfer.follow(run, live, () => {
     all = memtransfer.episodes(run);
     draw();
   }) : () => {};
+  return () => {
+    stop();
+    memtransfer.scrolls[memtransfer.grids[number]] = { grid: [grid.scrollLeft, grid.scrollTop], window: [window.scrollX, window.scrollY] };
+  };
 };
 
 /**

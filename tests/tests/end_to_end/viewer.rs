@@ -144,6 +144,18 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
     browser.value("history.back()");
     browser.wait_for("document.querySelectorAll('td a.mark').length === 120");
 
+    // The grid is where it was left.
+    let scrolled = "[document.querySelector('.grid').scrollTop, window.scrollY]";
+    browser.value("document.querySelector('.grid').scrollTo(0, 40)");
+    browser.value("window.scrollTo(0, 30)");
+    assert_eq!(browser.value(scrolled), serde_json::json!([40, 30]));
+    browser.value("document.querySelector('tr:nth-child(9) a.mark').click()");
+    browser.wait_for(EPISODE);
+    assert_eq!(browser.value("window.scrollY"), 0);
+    browser.value("history.back()");
+    browser.wait_for("document.querySelectorAll('td a.mark').length === 120");
+    assert_eq!(browser.value(scrolled), serde_json::json!([40, 30]));
+
     browser.choose("select[name=memory]", "episodic");
     browser.wait_for("document.querySelectorAll('td a.mark').length === 40");
     // What was retrieved for the first step, and how far it was.
