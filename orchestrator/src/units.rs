@@ -8,8 +8,9 @@ use std::io::Write;
 use std::ops::Range;
 use std::path::Path;
 
-use anyhow::{Context, Error, Result, bail, ensure};
+use anyhow::{Context, Error, Result, anyhow, bail, ensure};
 use replay::World;
+use results::conditions::PolicyKind;
 use results::log::{Manifest, UnitEpisode, UnitId};
 use results::settings::RunSettings;
 use serde::{Deserialize, Serialize};
@@ -20,6 +21,9 @@ use crate::store::Shipment;
 
 /// Changes when a plan means something else, such as other episodes of a unit.
 const FORMAT: u32 = 2;
+
+/// The advice about a file that is no plan, or no longer one.
+const WRITE_IT: &str = "Write it again with `memtransfer plan --out FILE`";
 
 /// Episodes of a unit, where nothing is said.
 pub const UNIT_EPISODES: u32 = 500;
@@ -74,8 +78,10 @@ impl UnitPlan {
     /// # Errors
     /// When it is not a plan that this program can use.
     pub fn parse(bytes: &[u8], path: &Path) -> Result<ReadPlan> {
-        let plan: Self = serde_json::from_slice(bytes).with_context(|| {
-            format!("{} is no plan: `memtransfer plan --out FILE` writes one", path.display())
+        let text = String::from_utf8_lossy(bytes);
+        let plan: Self = serde_json::from_slice(bytes).map_err(|error| {
+            let line = text.lines().nth(error.line().saturating_sub(1)).unwrap_or_default().trim();
+            anyhow!("{} is no plan: {error}: `{line}`. {WRITE_IT}", path.display())
         })?;
         ensure!(
             plan.format == FORMAT,
@@ -85,14 +91,57 @@ impl UnitPlan {
             plan.format,
             plan.manifest.version
         );
-        ensure!(
-            plan.unit_episodes > 0 && plan.units > 0,
-            "{} has no units: write the plan again",
-            path.display()
-        );
-        let size = plan.manifest.settings.check_size();
-        size.map_err(Error::msg).with_context(|| format!("cannot use {}", path.display()))?;
+        let checked = plan.check().and_then(|()| plan.check_text(&text));
+        checked.map_err(|error| anyhow!("cannot use {}: {error:#}. {WRITE_IT}", path.display()))?;
         Ok(ReadPlan { plan, digest: blake3::hash(bytes).to_hex().to_string() })
+    }
+
+    /// Checks that it is a plan that [`UnitPlan::new`] makes, as far as that can be told without the world.
+    fn check(&self) -> Result<()> {
+        let Self { units, unit_episodes, manifest, .. } = self;
+        let Manifest { episodes, settings, memories, .. } = manifest;
+        ensure!(*unit_episodes > 0, "`unit_episodes` is 0");
+        ensure!(*episodes > 0, "`episodes` is 0");
+        let divided = episodes.div_ceil(*unit_episodes);
+        ensure!(
+            *units == divided,
+            "`units` is {units}, and {episodes} episodes in units of {unit_episodes} are {divided}"
+        );
+        ensure!(
+            manifest.format == results::log::FORMAT,
+            "`format` of its manifest is {}, and this program has {}",
+            manifest.format,
+            results::log::FORMAT
+        );
+        ensure!(manifest.unit.is_none(), "`unit` is set, and a plan is no unit");
+        ensure!(manifest.processes.is_empty(), "`processes` is set, and no process has begun");
+        settings.check_size().map_err(Error::msg)?;
+        settings::check_values(settings)?;
+        for name in settings.external_names() {
+            ensure!(memories.contains_key(&name), "the memory {name} is not among its `memories`");
+        }
+        ensure!(
+            settings.policy != PolicyKind::Openai || settings.model.is_some(),
+            "`policy` is openai, and there is no `model`"
+        );
+        settings::check(settings)
+    }
+
+    /// Checks that `text` is what [`UnitPlan::write`] writes: it has no fields, line ends or values that mean nothing.
+    fn check_text(&self, text: &str) -> Result<()> {
+        ensure!(!text.contains('\r'), "its line ends are those of Windows");
+        let written = serde_json::to_string_pretty(self)?;
+        let mut lines = (1..).zip(text.lines().zip(written.lines()));
+        // A line before one that was added has another comma.
+        let differ = |found: &str, written: &str| {
+            found.trim_end_matches(',') != written.trim_end_matches(',')
+        };
+        match lines.find(|(_, (found, written))| differ(found, written)) {
+            None => Ok(()),
+            Some((number, (found, _))) => {
+                bail!("line {number} is not as it was written: `{}`", found.trim())
+            }
+        }
     }
 
     /// Writes it into the file `path`, all of it or nothing.
@@ -139,6 +188,25 @@ impl UnitPlan {
 }
 
 impl ReadPlan {
+    /// Checks that the plan, in the file `path`, has as many episodes as its settings select; not in another world than the
+    /// plan's.
+    ///
+    /// # Errors
+    /// When it has more or fewer.
+    pub fn check_episodes(&self, selection: &SelectedCases, path: &Path) -> Result<()> {
+        let Manifest { episodes, settings, hashes, .. } = &self.plan.manifest;
+        if selection.world.hashes.iter().any(|(name, hash)| hashes.get(name) != Some(hash)) {
+            return Ok(());
+        }
+        let selected = selection.with_episodes(settings, |episodes| episodes.count());
+        ensure!(
+            selected == *episodes as usize,
+            "cannot use {}: `episodes` is {episodes}, and its settings select {selected}. {WRITE_IT}",
+            path.display()
+        );
+        Ok(())
+    }
+
     /// The id of a unit.
     pub fn unit_id(&self, number: u32) -> UnitId {
         UnitId { plan: self.digest.clone(), number }
@@ -235,10 +303,69 @@ mod tests {
         assert_eq!(read.plan, plan);
         let hash = blake3::hash(&fs::read(&path).unwrap());
         assert_eq!(read.unit_id(3), UnitId { plan: hash.to_hex().to_string(), number: 3 });
-        fs::write(&path, "{}").unwrap();
-        assert!(UnitPlan::read(&path).unwrap_err().to_string().contains("is no plan"));
         UnitPlan { format: 1, ..plan }.write(&path).unwrap();
         let error = UnitPlan::read(&path).unwrap_err().to_string();
         assert!(error.contains("reads 2: write it again with `memtransfer plan`"), "{error}");
+    }
+
+    #[test]
+    fn an_edit_is_named_with_the_file_the_field_and_what_to_do() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plan.json");
+        let settings = settings(&[("limit", "2"), ("memory", "working"), ("starts", "new")]);
+        let selection = SelectedCases::of(&settings).unwrap();
+        let hashes = selection.world.hashes.clone();
+        let manifest = Manifest { settings, hashes, episodes: 2, ..manifest() };
+        UnitPlan::new(manifest, 1).write(&path).unwrap();
+        let written = fs::read_to_string(&path).unwrap();
+        let read = || UnitPlan::parse(&fs::read(&path).unwrap(), Path::new("plan.json"));
+        read().unwrap().check_episodes(&selection, &path).unwrap();
+        let mut said = Vec::new();
+        for (from, to) in [
+            ("\"units\": 2", "\"units\": 4000000000"),
+            ("\"units\": 2", "\"units\": -2"),
+            ("\"units\": 2,", ""),
+            ("\"units\": 2", "\"units\": 2,\n  \"unit_size\": 3"),
+            ("\"unit_episodes\": 1", "\"unit_episodes\": 0"),
+            ("\"lanes\": 16", "\"lanes\": 0"),
+            ("\"lanes\": 16", "\"lames\": 16,\n      \"lanes\": 16"),
+            ("\"working\"", "\"wrking\""),
+            ("\"working\"", ""),
+            ("\"policy\": \"grounded\"", "\"policy\": \"openai\""),
+            ("\"processes\": {}", "\"processes\": {\"sim\": {}}"),
+            ("\"processes\": {}", "\"processes\": {},\n    \"colour\": 3"),
+            ("\n", "\r\n"),
+        ] {
+            assert!(written.contains(from), "{from}");
+            fs::write(&path, written.replacen(from, to, 1)).unwrap();
+            said.push(read().unwrap_err().to_string());
+        }
+        insta::assert_snapshot!(said.join("\n"), @r#"
+        cannot use plan.json: `units` is 4000000000, and 2 episodes in units of 1 are 2. Write it again with `memtransfer plan --out FILE`
+        plan.json is no plan: invalid value: integer `-2`, expected u32 at line 3 column 13: `"units": -2,`. Write it again with `memtransfer plan --out FILE`
+        plan.json is no plan: missing field `units` at line 72 column 1: `}`. Write it again with `memtransfer plan --out FILE`
+        cannot use plan.json: line 4 is not as it was written: `"unit_size": 3,`. Write it again with `memtransfer plan --out FILE`
+        cannot use plan.json: `unit_episodes` is 0. Write it again with `memtransfer plan --out FILE`
+        cannot use plan.json: lanes: 0 is not a whole number from 1 to 1024. Write it again with `memtransfer plan --out FILE`
+        cannot use plan.json: line 57 is not as it was written: `"lames": 16,`. Write it again with `memtransfer plan --out FILE`
+        cannot use plan.json: the memory wrking is not among its `memories`. Write it again with `memtransfer plan --out FILE`
+        cannot use plan.json: no memory is left: `--memory none` is for a memory of your own (--memory-cmd or --external-memory). Write it again with `memtransfer plan --out FILE`
+        cannot use plan.json: `policy` is openai, and there is no `model`. Write it again with `memtransfer plan --out FILE`
+        cannot use plan.json: `processes` is set, and no process has begun. Write it again with `memtransfer plan --out FILE`
+        cannot use plan.json: line 71 is not as it was written: `"colour": 3`. Write it again with `memtransfer plan --out FILE`
+        cannot use plan.json: its line ends are those of Windows. Write it again with `memtransfer plan --out FILE`
+        "#);
+        for (from, to) in [("\"limit\": 2", "\"limit\": 1"), ("\"limit\": 2", "\"limit\": 3")] {
+            fs::write(&path, written.replacen(from, to, 1)).unwrap();
+            let edited = read().unwrap();
+            let selection = SelectedCases::of(&edited.plan.manifest.settings).unwrap();
+            let error = edited.check_episodes(&selection, Path::new("plan.json")).unwrap_err();
+            assert!(
+                error.to_string().contains("plan.json: `episodes` is 2, and its settings select"),
+                "{error}"
+            );
+        }
+        fs::write(&path, "{}").unwrap();
+        assert!(read().unwrap_err().to_string().contains("is no plan"));
     }
 }

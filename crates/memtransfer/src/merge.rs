@@ -52,7 +52,18 @@ pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
     if args.out.is_file() {
         bail!("{} is a file: --out is the run folder to make", args.out.display());
     }
-    let ReadPlan { plan, digest } = UnitPlan::read(&args.plan)?;
+    let read = UnitPlan::read(&args.plan)?;
+    let settings = here(&read.plan.manifest.settings, args)?;
+    let selection = SelectedCases::of(&settings);
+    let selection = selection.with_context(|| format!("cannot use {}", args.plan.display()))?;
+    let hashes = &selection.world.hashes;
+    if let Some((name, _)) =
+        hashes.iter().find(|(name, hash)| read.plan.manifest.hashes.get(*name) != Some(hash))
+    {
+        bail!("the {name} here is not that of the plan: give its folder with --assets");
+    }
+    read.check_episodes(&selection, &args.plan)?;
+    let ReadPlan { plan, digest } = read;
     for folder in args.folders.iter().filter(|folder| !folder.is_dir()) {
         say!("warning: {} is not a folder: no units are taken from there", folder.display());
     }
@@ -81,14 +92,6 @@ pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
         say!(
             "warning: pixels and embeddings may differ in the last bits, because machines do:\n{lines}"
         );
-    }
-    let settings = here(&plan.manifest.settings, args)?;
-    let selection = SelectedCases::of(&settings)?;
-    let here = &selection.world.hashes;
-    if let Some((name, _)) =
-        here.iter().find(|(name, hash)| manifest.hashes.get(*name) != Some(hash))
-    {
-        bail!("the {name} here is not that of the plan: give its folder with --assets");
     }
     if is_merged(&args.out, &manifest)? {
         say!("{}: merged before, {} units", args.out.display(), plan.units);

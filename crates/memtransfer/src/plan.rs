@@ -128,7 +128,7 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
 }
 
 /// Refuses what needs one process that sees the whole run.
-fn check(settings: &RunSettings) -> Result<()> {
+pub(super) fn check(settings: &RunSettings) -> Result<()> {
     if settings.policy == PolicyKind::External && settings.policy_cmd.is_none() {
         bail!("workers start the policy: give its command with --policy-cmd");
     }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Error, Result, anyhow, bail};
 use clap::Args;
 use domain::cache_folder;
+use orchestrator::selection::SelectedCases;
 use orchestrator::units::{ReadPlan, UnitPlan};
 use results::log::{Manifest, RunFolder, RunLog, UnitId, finish_unit, unit_folder};
 use settings::{KEYS, Key, Layer, MACHINE_KEYS, on_this_machine};
@@ -119,10 +120,16 @@ fn unit_run(
     options: &RunOptions,
     signals: &Signals,
 ) -> Result<Option<RunPlan>> {
+    let environment = Layer::environment(std::env::vars_os())?;
+    let layers = [environment, args.machine.layer()?];
+    let whole = on_this_machine(&plan.plan.manifest.settings, layers.clone())?;
+    let selection = SelectedCases::of(&whole);
+    let selection = selection.with_context(|| format!("cannot use {}", args.plan.display()))?;
+    plan.check_episodes(&selection, &args.plan)?;
+    super::plan::check(&whole).with_context(|| format!("cannot use {}", args.plan.display()))?;
     let (mut settings, episodes) = plan.unit(args.unit)?;
     settings.out = part;
-    let environment = Layer::environment(std::env::vars_os())?;
-    let settings = on_this_machine(&settings, [environment, args.machine.layer()?])?;
+    let settings = on_this_machine(&settings, layers)?;
     RunFolder::check(&settings.out)?;
     let Some(mut run) = RunPlan::new(settings, episodes, options, signals)? else {
         return Ok(None);
@@ -171,6 +178,13 @@ fn check_documents(run: &RunPlan, ReadPlan { plan, .. }: &ReadPlan) -> Result<()
 
 /// Checks that the version, the settings and the assets here are those of the plan.
 fn check_machine(here: &Manifest, ReadPlan { plan, .. }: &ReadPlan, args: &WorkArgs) -> Result<()> {
+    let (wire, own) = (plan.manifest.wire_version, here.wire_version);
+    if wire != own {
+        bail!(
+            "cannot use {}: its `wire_version` is {wire}, and this program has {own}. Write it again with `memtransfer plan`",
+            args.plan.display()
+        );
+    }
     let differences = here.differences(&plan.manifest);
     if differences.is_empty() {
         return Ok(());

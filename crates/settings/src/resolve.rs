@@ -12,7 +12,7 @@ use results::settings::{Drawn, RunSettings, SuiteName};
 use serde_json::{Map, Value, json};
 use shm_types::message::MAX_EXTERNAL_MEMORIES;
 
-use super::keys::{KEYS, MAX_IMAGES, STREAM_KEYS, model_keys};
+use super::keys::{KEYS, Key, MAX_IMAGES, STREAM_KEYS, model_keys};
 use super::layer::{GROUP_KEYS, Layer, Origin};
 use super::load_suite;
 
@@ -80,6 +80,22 @@ pub fn on_this_machine(
         }
     }
     serde_json::from_value(values).context("the settings cannot be put together")
+}
+
+/// Checks that every value of `settings`, which were in a file, is one that a suite file could give. Memories are names that the run
+/// may have been told.
+///
+/// # Errors
+/// Names the first key whose value is not.
+pub fn check_values(settings: &RunSettings) -> Result<()> {
+    let values = serde_json::to_value(settings)?;
+    let groups = values["group"].as_array().into_iter().flatten();
+    let tables = std::iter::once(&values).chain(groups).filter_map(Value::as_object);
+    for (name, value) in tables.flatten().filter(|(name, _)| *name != "memory") {
+        let checked = Key::find(name).map_or(Ok(()), |key| key.check(value));
+        checked.map_err(|problem| anyhow!("{name}: {problem}"))?;
+    }
+    Ok(())
 }
 
 /// Settings of `layers`, weakest first, and of nothing else.

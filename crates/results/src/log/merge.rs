@@ -47,7 +47,11 @@ pub enum MergeError {
     #[error(transparent)]
     Log(#[from] LogError),
     /// A unit is part of another plan.
-    #[error("{} is not unit {number} of this plan: {problem}", dir.display())]
+    #[error(
+        "{} is not unit {number} of this plan: {problem}. Give the plan with which it was executed, unchanged, or remove this \
+         folder and execute the unit again",
+        dir.display()
+    )]
     OtherPlan {
         /// The unit's folder.
         dir: PathBuf,

@@ -135,7 +135,7 @@ fn what_disagrees_is_named() {
     insta::assert_snapshot!(refused(), @"/run.merging is not empty: choose another --out, or remove it");
     fs::remove_dir_all(&draft).unwrap();
 
-    insta::assert_snapshot!(shown(units.check(1, "cd", &mut manifest()).unwrap_err()), @"/one/unit-000000 is not unit 0 of this plan: it is unit 0 of the plan ab");
+    insta::assert_snapshot!(shown(units.check(1, "cd", &mut manifest()).unwrap_err()), @"/one/unit-000000 is not unit 0 of this plan: it is unit 0 of the plan ab. Give the plan with which it was executed, unchanged, or remove this folder and execute the unit again");
     let unit = units.0[0].join("unit-000000").join("manifest.json");
     let kept = fs::read(&unit).unwrap();
     fs::write(&unit, "{}").unwrap();
@@ -143,7 +143,7 @@ fn what_disagrees_is_named() {
     fs::write(&unit, kept).unwrap();
     let mut other = manifest();
     other.hashes.insert("layout".to_owned(), "11".to_owned());
-    insta::assert_snapshot!(shown(units.check(1, PLAN, &mut other).unwrap_err()), @r#"/one/unit-000000 is not unit 0 of this plan: contents of layout: "11" there, "00" now"#);
+    insta::assert_snapshot!(shown(units.check(1, PLAN, &mut other).unwrap_err()), @r#"/one/unit-000000 is not unit 0 of this plan: contents of layout: "11" there, "00" now. Give the plan with which it was executed, unchanged, or remove this folder and execute the unit again"#);
     assert_eq!(merge(&manifest(), &units, planned(&cases), &out).unwrap(), 2, "after all that");
 }
 
