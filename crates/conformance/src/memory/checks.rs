@@ -56,15 +56,16 @@ pub(crate) const CHECKS: &[Check<MemoryRole>] = &[
     Check {
         name: "builds itself",
         expected: "one ExternalBuilt for a bank of three demonstrations, without a failure",
-        advice: "read the bank, build, send ExternalBuilt with the bank's id, and notify the memory process; building may \
-                 take as long as --start-timeout",
+        advice: "with an SDK, `build` returns no error within --start-timeout; without an SDK, read the bank, build, \
+                 send ExternalBuilt with the bank's id, and notify the memory process",
         run: builds,
     },
     Check {
         name: "answers a query",
         expected: "one answer with at most eight items, whose references lie in the bank and whose texts are UTF-8",
-        advice: "answer each query once, with its lane, step and episode, and notify the memory process; count \
-                 demonstrations and steps from 0",
+        advice: "with an SDK, `recall` returns at most eight items and no error; without an SDK, answer each query \
+                 once, with its lane, step and episode, and notify the memory process. Demonstrations and steps count \
+                 from 0",
         run: a_query,
     },
     Check {
@@ -168,8 +169,9 @@ pub(crate) const CHECKS: &[Check<MemoryRole>] = &[
         name: "learns and saves",
         expected: "if it says that it learns: after each of two episodes that it learns from, it saves into an empty folder, \
                    and answers that refer to demonstrations and these episodes",
-        advice: "an ExternalStore with `loads` = 0 is answered with one ExternalStored once everything is written; the \
-                 episode's steps are those of the demonstration that its last query names",
+        advice: "with an SDK, `save` returns once everything is written; without an SDK, an ExternalStore with `loads` = 0 is \
+                 answered with one ExternalStored then. The episode's steps are those of the demonstration that its last \
+                 query names",
         run: learns_and_saves,
     },
     Check {
@@ -195,7 +197,8 @@ pub(crate) const CHECKS: &[Check<MemoryRole>] = &[
     Check {
         name: "stops",
         expected: "after a Stop message: a shutdown report, and exit status 0 soon",
-        advice: "leave the loop after a Stop message, and end all threads and servers",
+        advice: "end all threads and servers once `memtransfer.run` (Python) or `serve_from_environment` (Rust) returns; \
+                 without an SDK, leave the loop after a Stop message",
         run: stops,
     },
     Check {

@@ -35,7 +35,8 @@ pub(crate) const CHECKS: &[Check<PolicyRole>] = &[
     Check {
         name: "answers a step",
         expected: "one decision for one request",
-        advice: "answer each request once, with its lane, step and episode, and notify the orchestrator",
+        advice: "with an SDK, `act` returns one decision for each request and no error; without an SDK, answer each \
+                 request once, with its lane, step and episode, and notify the orchestrator",
         run: a_step,
     },
     Check {
@@ -142,7 +143,8 @@ pub(crate) const CHECKS: &[Check<PolicyRole>] = &[
     Check {
         name: "stops",
         expected: "after a Stop message: a shutdown report, and exit status 0 soon",
-        advice: "leave the loop after a Stop message, and end all threads and servers",
+        advice: "end all threads and servers once `memtransfer.run` (Python) or `serve_from_environment` (Rust) returns; \
+                 without an SDK, leave the loop after a Stop message",
         run: stops,
     },
     Check {
