@@ -11,7 +11,7 @@ use benches::results::{BenchOutcome, FILE, Results};
 use benches::{BENCHES, Baselines, Bench, BenchSession, Hardware, Size, compare, processes};
 use clap::{Parser, Subcommand};
 use memory_proc::encoder::Provider;
-use orchestrator::commit::commit_of;
+use orchestrator::commit::program_commit;
 use sim_proc::renderer::Backend;
 
 /// Measures this project beside other programs, alternating on the same machine.
@@ -154,7 +154,7 @@ fn measure(bench: &Bench, mut session: BenchSession<'_>) -> BenchOutcome {
         name: bench.name.to_owned(),
         about: bench.about.to_owned(),
         began,
-        commit: commit_of(Path::new(env!("CARGO_MANIFEST_DIR"))),
+        commit: program_commit(),
         seconds: clock.elapsed().as_secs_f64(),
         error,
         figures: figures.unwrap_or_default(),

@@ -37,6 +37,17 @@ impl SelectedCases {
         Ok(Self { world, cases, streams })
     }
 
+    /// The number of episodes of a run with `settings`.
+    pub fn count(&self, settings: &RunSettings) -> usize {
+        match self.streams {
+            Some(_) => self.with_episodes(settings, |episodes| episodes.count()),
+            None => {
+                self.cases.len()
+                    * settings.runs().iter().map(|(_, runs)| *runs as usize).sum::<usize>()
+            }
+        }
+    }
+
     /// Calls `each` with the episodes of a run with `settings`, in their order.
     pub fn with_episodes<T>(
         &self,

@@ -3,6 +3,7 @@
 //! A unit has consecutive episodes of the run; in streams, whole sequences. Episodes of a case follow each other, so a unit
 //! renders the views of its cases once. It is a run with a run folder of its own.
 
+use std::collections::HashMap;
 use std::fs;
 use std::io::Write;
 use std::ops::Range;
@@ -10,8 +11,8 @@ use std::path::Path;
 
 use anyhow::{Context, Error, Result, anyhow, bail, ensure};
 use replay::World;
-use results::conditions::PolicyKind;
-use results::log::{Manifest, UnitEpisode, UnitId};
+use results::conditions::{Condition, PolicyKind};
+use results::log::{Manifest, PlannedFacts, UnitEpisode, UnitId};
 use results::settings::RunSettings;
 use serde::{Deserialize, Serialize};
 
@@ -176,13 +177,26 @@ impl UnitPlan {
     ) -> impl Iterator<Item = UnitEpisode> {
         let size = self.unit_episodes;
         let World { warehouse, cases, .. } = &selection.world;
+        let streams = selection.streams.as_ref();
+        // Of a case outside of streams: its references are the same in all conditions with this start and route.
+        let mut lengths = HashMap::new();
+        let mut length = move |episode: &PlannedEpisode| {
+            let of = || episode.reference_length(warehouse, cases, streams);
+            let Condition { start, route, .. } = episode.key.condition;
+            match episode.part {
+                Some(_) => of(),
+                None => *lengths.entry((episode.case_index, start, route)).or_insert_with(of),
+            }
+        };
         let numbered = (0_u32..).zip(episodes);
         numbered.map(move |(number, episode)| UnitEpisode {
             key: episode.key.to_string(),
             unit: number / size,
-            task: cases.cases[episode.case_index].task.number(),
-            seed: episode.seed,
-            reference: episode.reference_length(warehouse, cases, selection.streams.as_ref()),
+            facts: PlannedFacts {
+                task: cases.cases[episode.case_index].task.number(),
+                seed: episode.seed,
+                reference: length(&episode),
+            },
         })
     }
 }
@@ -198,7 +212,7 @@ impl ReadPlan {
         if selection.world.hashes.iter().any(|(name, hash)| hashes.get(name) != Some(hash)) {
             return Ok(());
         }
-        let selected = selection.with_episodes(settings, |episodes| episodes.count());
+        let selected = selection.count(settings);
         ensure!(
             selected == *episodes as usize,
             "cannot use {}: `episodes` is {episodes}, and its settings select {selected}. {WRITE_IT}",
@@ -247,7 +261,7 @@ mod tests {
     /// The plan of a run, and the keys of each of its units, as `merge` divides them.
     fn divided(settings: RunSettings, unit_episodes: u32) -> (ReadPlan, Vec<Vec<String>>) {
         let selection = SelectedCases::of(&settings).unwrap();
-        let episodes = selection.with_episodes(&settings, |episodes| episodes.count()) as u32;
+        let episodes = selection.count(&settings) as u32;
         let plan = UnitPlan::new(Manifest { settings, episodes, ..manifest() }, unit_episodes);
         let mut units = vec![Vec::new(); plan.units as usize];
         selection.with_episodes(&plan.manifest.settings, |episodes| {

@@ -74,8 +74,8 @@ pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
             "{} of {} units are missing; execute them with\n  memtransfer work --plan {} --unit N --out {}",
             missing.len(),
             plan.units,
-            args.plan.display(),
-            args.folders[0].display()
+            shell_word(&args.plan),
+            shell_word(&args.folders[0])
         );
         print(&missing.iter().map(u32::to_string).collect::<Vec<_>>().join("\n"))?;
         return Ok(Exit::UnitsMissing);

@@ -37,7 +37,8 @@ pub use manifest::{
     Difference, DocumentFacts, ELSEWHERE_HASH, ExternalMemoryFacts, FORMAT, Manifest, UnitId,
 };
 pub use merge::{
-    FactDifference, MergeError, UnitEpisode, UnitFolders, finish_unit, merge, unit_folder,
+    FactDifference, MergeError, PlannedFacts, UnitEpisode, UnitFolders, finish_unit, merge,
+    unit_folder,
 };
 pub use record::{
     BlockedRecord, Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RecallTotals,

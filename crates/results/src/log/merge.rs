@@ -226,6 +226,13 @@ pub struct UnitEpisode {
     pub key: String,
     /// The unit that it is part of.
     pub unit: u32,
+    /// What its record has to say.
+    pub facts: PlannedFacts,
+}
+
+/// What of an episode's record follows from the plan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PlannedFacts {
     /// Its task's number.
     pub task: u8,
     /// Its seed.
@@ -234,18 +241,23 @@ pub struct UnitEpisode {
     pub reference: u32,
 }
 
-impl UnitEpisode {
-    /// Checks that a record of the episode has the facts that follow from the plan.
-    fn check(&self, record: &EpisodeRecord) -> Result<(), String> {
-        let facts = [
-            ("task", u64::from(record.task), u64::from(self.task)),
-            ("seed", record.seed, self.seed),
-            ("reference", record.reference.into(), self.reference.into()),
+impl PlannedFacts {
+    /// Those of a record.
+    pub fn of(&EpisodeRecord { task, seed, reference, .. }: &EpisodeRecord) -> Self {
+        Self { task, seed, reference }
+    }
+
+    /// Checks that the record of the episode `key` says these and not `recorded`.
+    fn check(self, recorded: Self, key: &str) -> Result<(), String> {
+        let fields = [
+            ("task", recorded.task.into(), self.task.into()),
+            ("seed", recorded.seed, self.seed),
+            ("reference", recorded.reference.into(), self.reference.into()),
         ];
-        match facts.into_iter().find(|(_, recorded, planned)| recorded != planned) {
+        match fields.into_iter().find(|(_, recorded, planned)| recorded != planned) {
             None => Ok(()),
             Some((field, recorded, planned)) => {
-                Err(format!("\"{field}\" of {} is {recorded}, and {planned} in the plan", self.key))
+                Err(format!("\"{field}\" of {key} is {recorded}, and {planned} in the plan"))
             }
         }
     }
@@ -319,7 +331,14 @@ fn write(
 }
 
 /// Lines of an episode log by key.
-type LinesByKey = BTreeMap<String, Vec<u8>>;
+type LinesByKey = BTreeMap<String, LoggedLine>;
+
+/// A line of the log.
+#[derive(PartialEq)]
+struct LoggedLine {
+    bytes: Vec<u8>,
+    facts: PlannedFacts,
+}
 
 /// The episodes of a unit that are not written yet.
 struct LoadedUnit {
@@ -469,7 +488,8 @@ impl<'a> MergedRun<'a> {
             if let (Some(_), Some(requests)) = (record.prompt_tokens, record.requests) {
                 asked.insert(record.key.clone(), requests);
             }
-            if lines.insert(record.key.clone(), line.to_vec()).is_some() {
+            let logged = LoggedLine { bytes: line.to_vec(), facts: PlannedFacts::of(&record) };
+            if lines.insert(record.key.clone(), logged).is_some() {
                 twice = Some(record.key);
             }
             Ok(())
@@ -485,19 +505,18 @@ impl<'a> MergedRun<'a> {
 
     /// Writes the episode `episode` of `unit`.
     fn write(&mut self, unit: &mut LoadedUnit, episode: &UnitEpisode) -> Result<(), MergeError> {
-        let UnitEpisode { key, .. } = episode;
+        let UnitEpisode { key, facts, .. } = episode;
         let broken = |problem| MergeError::Broken { dir: unit.dir.clone(), problem };
         let line =
             unit.episodes.remove(key).ok_or_else(|| broken(format!("its log lacks {key}")))?;
-        let record = serde_json::from_slice(&line).map_err(|error| broken(error.to_string()))?;
-        episode.check(&record).map_err(broken)?;
+        facts.check(line.facts, key).map_err(broken)?;
         let failed = system("write to", self.dir);
         let timings = unit.timings.remove(key).map(|mut timings| {
             timings.session = timings.session.saturating_add(unit.sessions);
             timings
         });
         let write = || {
-            self.episodes.write_all(&line)?;
+            self.episodes.write_all(&line.bytes)?;
             timings.map_or(Ok(()), |timings| write_line(&mut self.timings, &timings))
         };
         write().map_err(failed).map_err(Into::into)

@@ -13,7 +13,7 @@ use report::Published;
 use results::compare::compare_runs;
 use results::latency::LatencyRecord;
 use results::log::{
-    EpisodeRecord, Manifest, RunFolder, RunLog, UnitEpisode, UnitFolders, merge, read_journal,
+    Manifest, PlannedFacts, RunFolder, RunLog, UnitEpisode, UnitFolders, merge, read_journal,
     unit_folder,
 };
 use results::score::score;
@@ -128,8 +128,8 @@ pub(super) fn merged(input: &[u8]) {
             })
             .flat_map(|(unit, log)| {
                 log.episodes.into_iter().map(move |record| {
-                    let EpisodeRecord { key, task, seed, reference, .. } = record;
-                    UnitEpisode { key, unit, task, seed, reference }
+                    let facts = PlannedFacts::of(&record);
+                    UnitEpisode { key: record.key, unit, facts }
                 })
             })
             .collect();

@@ -44,8 +44,7 @@ fn planned(cases: &[Vec<String>]) -> impl Iterator<Item = UnitEpisode> {
 }
 
 fn planned_episode(record: EpisodeRecord, unit: u32) -> UnitEpisode {
-    let EpisodeRecord { key, task, seed, reference, .. } = record;
-    UnitEpisode { key, unit, task, seed, reference }
+    UnitEpisode { facts: PlannedFacts::of(&record), key: record.key, unit }
 }
 
 #[test]
