@@ -17,7 +17,7 @@ use crate::attach::Attach;
 use crate::bus::Bus;
 use crate::layout::wire_struct;
 use crate::message::{FrameId, Role, WirePose};
-use crate::transport::{BusError, Ipc, delivered};
+use crate::transport::{BusError, Ipc, delivered, receiver};
 use domain::UnknownCode;
 
 /// First part of the name of the service that carries banks; the index of the external memory follows.
@@ -325,10 +325,7 @@ impl BankReceiver {
     /// When this process is not an external memory, or the service cannot be opened.
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
         bus.allowed(&[Role::ExternalMemory], BANK_SERVICE, "receive")?;
-        let subscriber = service(bus, bus.index())?
-            .subscriber_builder()
-            .create()
-            .map_err(|e| BusError::open("cannot receive banks", e))?;
+        let subscriber = receiver(&service(bus, bus.index())?, "cannot receive banks")?;
         Ok(Self { subscriber })
     }
 

@@ -17,7 +17,7 @@ use crate::attach::Attach;
 use crate::bus::Bus;
 use crate::layout::wire_struct;
 use crate::message::{DocumentId, NO_ACTION, NO_DOCUMENT, Role, TrajectoryStep};
-use crate::transport::{BusError, Ipc, delivered};
+use crate::transport::{BusError, Ipc, delivered, receiver};
 use domain::{Action, DocumentKind, UnknownCode};
 
 /// Last part of the name of the service that carries documents.
@@ -245,10 +245,7 @@ impl DocumentStore {
     /// When this process is not the policy, or the service cannot be opened.
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
         bus.allowed(&[Role::Policy], DOCUMENT_SERVICE, "receive")?;
-        let subscriber = service(bus)?
-            .subscriber_builder()
-            .create()
-            .map_err(|e| BusError::open("cannot receive documents", e))?;
+        let subscriber = receiver(&service(bus)?, "cannot receive documents")?;
         Ok(Self { subscriber, documents: HashMap::new() })
     }
 

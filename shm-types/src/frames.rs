@@ -33,7 +33,7 @@ use crate::attach::{FrameSize, MAX_LOANED_FRAMES, PAGE_BYTES};
 use crate::bus::{Bus, Receiver};
 use crate::layout::{Field, Struct, WireLayout, WireType, wire_struct};
 use crate::message::{Eviction, FrameId, NO_FRAME, Role};
-use crate::transport::{BusError, Ipc, delivered};
+use crate::transport::{BusError, Ipc, delivered, receiver};
 
 /// Last part of the name of the service that carries frames.
 pub const FRAME_SERVICE: &str = "frame";
@@ -319,10 +319,7 @@ impl FrameStore {
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
         bus.allowed(&FRAME_CONSUMERS, FRAME_SERVICE, "receive")?;
         let evictions = bus.receiver()?;
-        let subscriber = service(bus)?
-            .subscriber_builder()
-            .create()
-            .map_err(|e| BusError::open("cannot receive frames", e))?;
+        let subscriber = receiver(&service(bus)?, "cannot receive frames")?;
         let size = bus.attach().frame;
         Ok(Self {
             subscriber,

@@ -13,7 +13,7 @@ use crate::bus::Bus;
 use crate::documents::MAX_DOCUMENT_BYTES;
 use crate::layout::wire_struct;
 use crate::message::{DocumentId, Role, Traffic};
-use crate::transport::{BusError, Ipc, delivered};
+use crate::transport::{BusError, Ipc, delivered, receiver};
 
 /// First part of the name of the service that carries notes; the index of the external memory follows.
 pub const NOTE_SERVICE: &str = "note";
@@ -123,10 +123,7 @@ impl NoteReceiver {
     /// When this process is not the memory, or the service cannot be opened.
     pub fn new(bus: &Bus, index: u8) -> Result<Self, BusError> {
         bus.allowed(&[Role::Memory], NOTE_SERVICE, "receive")?;
-        let subscriber = service(bus, index)?
-            .subscriber_builder()
-            .create()
-            .map_err(|e| BusError::open("cannot receive notes", e))?;
+        let subscriber = receiver(&service(bus, index)?, "cannot receive notes")?;
         Ok(Self { subscriber, most: bus.attach().queue_len(Traffic::Lanes) })
     }
 

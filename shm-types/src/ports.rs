@@ -15,7 +15,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use crate::bus::Bus;
 use crate::message::{Message, Role};
-use crate::transport::{BusError, Ipc};
+use crate::transport::{BusError, Ipc, receiver};
 
 /// Sends messages to every receiver.
 pub trait SenderPort<M>: Debug + Send + Sync {
@@ -98,11 +98,8 @@ pub(crate) fn open_receiver<M: Message>(
     bus: &Bus,
     index: u8,
 ) -> Result<Arc<dyn ReceiverPort<M>>, BusError> {
-    let subscriber = service::<M>(bus, index)?
-        .subscriber_builder()
-        .create()
-        .map_err(|e| BusError::open(format_args!("cannot receive on {}", M::SERVICE), e))?;
-    Ok(Arc::new(subscriber))
+    let what = format!("cannot receive on {}", M::SERVICE);
+    Ok(Arc::new(receiver(&service::<M>(bus, index)?, &what)?))
 }
 
 /// Whether each external memory has its own service for `M`.

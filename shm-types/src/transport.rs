@@ -1,11 +1,17 @@
 //! What every use of iceoryx2 shares: the service type, a run's configuration, service names, errors.
 
-use std::fmt::Display;
+use std::fmt::{Debug, Display};
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use iceoryx2::config::Config;
-use iceoryx2::port::SendError;
-use iceoryx2::prelude::{FileName, SemanticString, ServiceName, ipc_threadsafe};
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::port::{DegradationAction, SendError};
+use iceoryx2::prelude::{
+    FileName, IceoryxSend, SemanticString, ServiceName, ZeroCopySend, ipc_threadsafe,
+};
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use crate::attach::{Attach, AttachError, MAX_ROOT_BYTES};
 use crate::message::Role;
@@ -104,6 +110,33 @@ impl BusError {
     pub(crate) fn transport(what: &'static str, cause: impl Display) -> Self {
         Self::Transport { what, cause: cause.to_string() }
     }
+}
+
+/// Creates a receiver that fails where it cannot connect to a sender. Left to itself, iceoryx2 warns and does not try again,
+/// and what that sender sends is lost in silence: the sender counts the receiver as reached.
+///
+/// # Errors
+/// When it cannot be created, or cannot connect to a sender that is there.
+pub(crate) fn receiver<P, H>(
+    service: &PortFactory<Ipc, P, H>,
+    what: &str,
+) -> Result<Subscriber<Ipc, P, H>, BusError>
+where
+    P: IceoryxSend + Debug + ?Sized,
+    H: ZeroCopySend + Debug,
+{
+    let has_failed = Arc::new(AtomicBool::new(false));
+    let failed = has_failed.clone();
+    let builder = service.subscriber_builder().set_degradation_handler(move |_, _| {
+        failed.store(true, Ordering::Relaxed);
+        DegradationAction::DegradeAndFail
+    });
+    let receiver = builder.create().map_err(|e| BusError::open(what, e))?;
+    // Creating it warns only, whatever the handler says.
+    if has_failed.load(Ordering::Relaxed) {
+        return Err(BusError::open(what, "no connection to a sender"));
+    }
+    Ok(receiver)
 }
 
 /// The name of service `name` in the generation of `attach`.

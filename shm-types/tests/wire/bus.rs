@@ -1,5 +1,6 @@
 //! Messages and notifications between the nodes of a run.
 
+use std::fs;
 use std::thread;
 use std::time::Duration;
 
@@ -51,6 +52,32 @@ fn every_receiver_gets_it_and_a_missing_one_is_an_error() {
     receivers.pop();
     let error = sender.send(&Zeroable::zeroed()).unwrap_err();
     assert!(matches!(error, BusError::Deserted { expected: 3, found: 2, .. }), "{error}");
+}
+
+/// Left to itself, iceoryx2 warns only, and what is sent is lost.
+#[test]
+fn a_receiver_that_cannot_connect_to_a_sender_fails() {
+    let without_segments = |attach: &Attach| {
+        for entry in fs::read_dir("/dev/shm").unwrap().flatten() {
+            let name = entry.file_name().into_string().unwrap();
+            if name.starts_with(&attach.prefix) && name.ends_with(".data") {
+                fs::remove_file(entry.path()).unwrap();
+            }
+        }
+    };
+    let Run { attach, .. } = &run();
+    let (orchestrator, sim) = (bus(attach, Role::Orchestrator), bus(attach, Role::Sim));
+    let _sender = orchestrator.sender::<StepCommand>().unwrap();
+    without_segments(attach);
+    let error = sim.receiver::<StepCommand>().unwrap_err().to_string();
+    assert!(error.contains("no connection to a sender"), "{error}");
+
+    let Run { attach, .. } = &run();
+    let (orchestrator, sim) = (bus(attach, Role::Orchestrator), bus(attach, Role::Sim));
+    let commands = sim.receiver::<StepCommand>().unwrap();
+    let _sender = orchestrator.sender::<StepCommand>().unwrap();
+    without_segments(attach);
+    commands.next().unwrap_err();
 }
 
 #[test]
