@@ -100,7 +100,6 @@ fn a_key_is_in_no_file_no_output_and_no_list_of_processes() {
         &["report", "finished"],
         &["view", "finished", "--out", "pages"],
         &["show", "finished", "t01-01", "0", "--condition", "working"],
-        &["show", "finished", "t01-01", "--condition", "working"],
         &["export", "finished", "--format", "csv", "--out", "tables"],
     ] {
         command(&bench, args).expect(0);

@@ -38,11 +38,11 @@ fn a_dry_run_and_a_run_say_the_same_about_an_encoder_that_cannot_be_used() {
         (["--encoder-file", "nowhere.onnx"], "cannot read the model file nowhere.onnx"),
         (["--encoder", "dinov2-s14"], "which is not there; run `cargo xtask setup"),
     ] {
-        let is_whole = flags[1] != "dinov2-s14";
+        let has_encoder = flags[1] != "dinov2-s14";
         let ended = |more: &[&str]| {
             let args = ["run", "--memory", "episodic", "--limit", "1", "--out", "run"];
             let mut command = bench.command(&[&args, &flags[..], more].concat());
-            if !is_whole {
+            if !has_encoder {
                 command.env("MEMTRANSFER_CACHE", &cache);
             }
             Ended::run(&mut command).expect(2)

@@ -162,3 +162,39 @@ fn indented(text: &mut String, content: &str) {
         let _ = writeln!(text, "  ... {rest} more characters (--json has them)");
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use results::log::testing::record;
+    use results::step_view::logged_steps;
+    use results::timeline::timeline;
+
+    use super::*;
+
+    #[test]
+    fn an_episode_is_told_step_by_step() {
+        let mut one = record("a", false);
+        (one.actions, one.steps, one.required) = ("f?L".to_owned(), 3, 2);
+        (one.sub_goals, one.retrieved) = (vec![1], Some("o12 - o3+n4".to_owned()));
+        let shown = ShownEpisode {
+            key: &one.key,
+            reference: one.reference,
+            events: timeline(&one),
+            steps: logged_steps(&one),
+        };
+        insta::assert_snapshot!(episode(&shown), @"
+        episodic/original/unchanged/original/run1/a: 3 steps; the reference has 8
+          after   1  sub-goal 1 of 2 is met
+          after   2  no action could be read in the answer
+          after   3  failed: never-saw (the target that was next was never in view)
+        ────────────────────────────────────────────────────────────────────────────────────────────────────
+        Step  Pose   Feedback                                             Action        Retrieved  Distances
+        ────────────────────────────────────────────────────────────────────────────────────────────────────
+           0  1,2,N  The episode has just begun.                          move forward  o12
+           1  1,3,N  You moved.                                           ?             -
+           2  1,3,N  Your last answer was not understood: you did not     turn left     o3+n4
+                     move.
+        ────────────────────────────────────────────────────────────────────────────────────────────────────
+        ");
+    }
+}
