@@ -24,7 +24,7 @@ use crate::store::Shipment;
 const FORMAT: u32 = 2;
 
 /// The advice about a file that is no plan, or no longer one.
-const WRITE_IT: &str = "Write it again with `memtransfer plan --out FILE`";
+const WRITE_IT: &str = "Write another with `memtransfer plan --out FILE`";
 
 /// Episodes of a unit, where nothing is said.
 pub const UNIT_EPISODES: u32 = 500;
@@ -86,7 +86,7 @@ impl UnitPlan {
         })?;
         ensure!(
             plan.format == FORMAT,
-            "{} has the format {}, and this program reads {FORMAT}: write it again with `memtransfer plan`, or use the build of \
+            "{} has the format {}, and this program reads {FORMAT}: write another with `memtransfer plan`, or use the build of \
              version {} that wrote it",
             path.display(),
             plan.format,
@@ -319,7 +319,7 @@ mod tests {
         assert_eq!(read.unit_id(3), UnitId { plan: hash.to_hex().to_string(), number: 3 });
         UnitPlan { format: 1, ..plan }.write(&path).unwrap();
         let error = UnitPlan::read(&path).unwrap_err().to_string();
-        assert!(error.contains("reads 2: write it again with `memtransfer plan`"), "{error}");
+        assert!(error.contains("reads 2: write another with `memtransfer plan`"), "{error}");
     }
 
     #[test]
@@ -355,19 +355,19 @@ mod tests {
             said.push(read().unwrap_err().to_string());
         }
         insta::assert_snapshot!(said.join("\n"), @r#"
-        cannot use plan.json: `units` is 4000000000, and 2 episodes in units of 1 are 2. Write it again with `memtransfer plan --out FILE`
-        plan.json is no plan: invalid value: integer `-2`, expected u32 at line 3 column 13: `"units": -2,`. Write it again with `memtransfer plan --out FILE`
-        plan.json is no plan: missing field `units` at line 72 column 1: `}`. Write it again with `memtransfer plan --out FILE`
-        cannot use plan.json: line 4 is not as it was written: `"unit_size": 3,`. Write it again with `memtransfer plan --out FILE`
-        cannot use plan.json: `unit_episodes` is 0. Write it again with `memtransfer plan --out FILE`
-        cannot use plan.json: lanes: 0 is not a whole number from 1 to 1024. Write it again with `memtransfer plan --out FILE`
-        cannot use plan.json: line 57 is not as it was written: `"lames": 16,`. Write it again with `memtransfer plan --out FILE`
-        cannot use plan.json: the memory wrking is not among its `memories`. Write it again with `memtransfer plan --out FILE`
-        cannot use plan.json: no memory is left: `--memory none` is for a memory of your own (--memory-cmd or --external-memory). Write it again with `memtransfer plan --out FILE`
-        cannot use plan.json: `policy` is openai, and there is no `model`. Write it again with `memtransfer plan --out FILE`
-        cannot use plan.json: `processes` is set, and no process has begun. Write it again with `memtransfer plan --out FILE`
-        cannot use plan.json: line 71 is not as it was written: `"colour": 3`. Write it again with `memtransfer plan --out FILE`
-        cannot use plan.json: its line ends are those of Windows. Write it again with `memtransfer plan --out FILE`
+        cannot use plan.json: `units` is 4000000000, and 2 episodes in units of 1 are 2. Write another with `memtransfer plan --out FILE`
+        plan.json is no plan: invalid value: integer `-2`, expected u32 at line 3 column 13: `"units": -2,`. Write another with `memtransfer plan --out FILE`
+        plan.json is no plan: missing field `units` at line 72 column 1: `}`. Write another with `memtransfer plan --out FILE`
+        cannot use plan.json: line 4 is not as it was written: `"unit_size": 3,`. Write another with `memtransfer plan --out FILE`
+        cannot use plan.json: `unit_episodes` is 0. Write another with `memtransfer plan --out FILE`
+        cannot use plan.json: lanes: 0 is not a whole number from 1 to 1024. Write another with `memtransfer plan --out FILE`
+        cannot use plan.json: line 57 is not as it was written: `"lames": 16,`. Write another with `memtransfer plan --out FILE`
+        cannot use plan.json: the memory wrking is not among its `memories`. Write another with `memtransfer plan --out FILE`
+        cannot use plan.json: no memory is left: `--memory none` is for a memory of your own (--memory-cmd or --external-memory). Write another with `memtransfer plan --out FILE`
+        cannot use plan.json: `policy` is openai, and there is no `model`. Write another with `memtransfer plan --out FILE`
+        cannot use plan.json: `processes` is set, and no process has begun. Write another with `memtransfer plan --out FILE`
+        cannot use plan.json: line 71 is not as it was written: `"colour": 3`. Write another with `memtransfer plan --out FILE`
+        cannot use plan.json: its line ends are those of Windows. Write another with `memtransfer plan --out FILE`
         "#);
         for (from, to) in [("\"limit\": 2", "\"limit\": 1"), ("\"limit\": 2", "\"limit\": 3")] {
             fs::write(&path, written.replacen(from, to, 1)).unwrap();

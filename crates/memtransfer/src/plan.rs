@@ -4,7 +4,7 @@ mod scripts;
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use domain::cache_folder;
 use orchestrator::store::{Shipment, Store};
@@ -82,6 +82,8 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
     if path.is_dir() {
         bail!("{0} is a folder: give the plan's file, such as --out {0}/plan.json", path.display());
     }
+    let before = path.exists().then(|| UnitPlan::read(&path)).transpose();
+    let before = before.map_err(|error| anyhow!("{error:#}. This one is left as it is"))?;
     let settings = resolve([environment, flags])?.settings;
     check(&settings)?;
     let signals = Signals::listen().context("cannot listen to signals")?;
@@ -103,11 +105,11 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
         plan.shipment = Some(Shipment::pack(&store, &cache, &run.settings, &paths, encoder)?);
     }
     make_folder_of(&path)?;
-    match UnitPlan::read(&path) {
-        Err(_) => plan.write(&path)?,
+    match before {
+        None => plan.write(&path)?,
         // Its units name it by its hash. What they get from the store stays what it was.
-        Ok(before) if before.plan.is_of_same_units(&plan) => plan = before.plan,
-        Ok(_) => bail!(
+        Some(before) if before.plan.is_of_same_units(&plan) => plan = before.plan,
+        Some(_) => bail!(
             "{} is the plan of another run, of other units or with another store, and may be in progress: give another \
              --out, or remove it",
             path.display()

@@ -181,7 +181,7 @@ fn check_machine(here: &Manifest, ReadPlan { plan, .. }: &ReadPlan, args: &WorkA
     let (wire, own) = (plan.manifest.wire_version, here.wire_version);
     if wire != own {
         bail!(
-            "cannot use {}: its `wire_version` is {wire}, and this program has {own}. Write it again with `memtransfer plan`",
+            "cannot use {}: its `wire_version` is {wire}, and this program has {own}. Write another with `memtransfer plan`",
             args.plan.display()
         );
     }

@@ -337,6 +337,11 @@ fn a_plan_makes_its_folder_and_is_not_replaced_by_another() {
     }
     let said = refused(dir.path(), &plan.replace("--limit 1", "--limit 2"));
     assert!(said.contains("one.json is the plan of another run"), "{said}");
+    let notes = dir.path().join("plans/of/one.json");
+    fs::write(&notes, "buy milk").unwrap();
+    let said = refused(dir.path(), plan);
+    assert!(said.contains("one.json is no plan") && said.contains("left as it is"), "{said}");
+    assert_eq!(fs::read_to_string(&notes).unwrap(), "buy milk");
 }
 
 #[test]

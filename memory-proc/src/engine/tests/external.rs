@@ -8,8 +8,8 @@ use domain::Representation::Working;
 use shm_types::MemoryDescription;
 use shm_types::description::Scope;
 use shm_types::message::{
-    AnswerItem, AnswerSource, EXTERNAL, ExternalEpisode, ExternalQuery, ExternalStore,
-    ExternalStored, ItemKind, Learning, NO_FRAME, NOT_MEASURED,
+    AnswerItem, AnswerSource, EXTERNAL, ExternalAnswer, ExternalBuilt, ExternalEpisode,
+    ExternalQuery, ExternalStore, ExternalStored, ItemKind, Learning, NO_FRAME, NOT_MEASURED,
 };
 use shm_types::notes::NoteHeader;
 use shm_types::{BankContent, Note};

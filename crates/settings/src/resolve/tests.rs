@@ -1,0 +1,259 @@
+use super::*;
+
+fn flags(given: &[(&str, &str)]) -> Layer {
+    Layer::flags(given.iter().copied()).unwrap()
+}
+
+fn environment(variable: &str, value: &str) -> Layer {
+    Layer::environment([(variable.into(), value.into())]).unwrap()
+}
+
+fn suite(text: &str) -> Layer {
+    Layer::suite("mine.toml", text).unwrap()
+}
+
+/// Of the defaults and `layers`.
+fn merged(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved> {
+    merge([Layer::defaults().unwrap()].into_iter().chain(layers))
+}
+
+fn with(given: &[(&str, &str)]) -> Result<Resolved> {
+    merged([flags(given)])
+}
+
+#[test]
+fn the_strongest_source_wins_whatever_the_others_say() {
+    use Origin::{CommandLine, Default, Environment, Suite};
+    let (file, variable) = (suite("lanes = 2"), environment("MEMTRANSFER_LANES", "3"));
+    let flag = flags(&[("lanes", "4")]);
+    for (layers, expected, origin) in [
+        (vec![], 16, Default),
+        (vec![file.clone()], 2, Suite),
+        (vec![file.clone(), variable.clone()], 3, Environment),
+        (vec![file.clone(), variable, flag], 4, CommandLine),
+        (vec![file, flags(&[])], 2, Suite),
+    ] {
+        let resolved = merged(layers).unwrap();
+        assert_eq!((resolved.settings.lanes, resolved.origins["lanes"]), (expected, origin));
+    }
+}
+
+#[test]
+fn the_folder_follows_from_suite_and_policy() {
+    let out = |given: &[_]| with(given).unwrap().settings.out.display().to_string();
+    assert_eq!(out(&[]), "runs/quick-grounded");
+    assert_eq!(out(&[("suite", "mine/small.toml")]), "runs/small-grounded");
+    assert_eq!(out(&[("policy", "openai"), ("model", "a/b")]), "runs/quick-openai-a-b");
+    assert_eq!(out(&[("out", "elsewhere")]), "elsewhere");
+}
+
+#[test]
+fn settings_that_contradict_each_other_are_refused() {
+    let error = |given: &[_]| with(given).unwrap_err().to_string();
+    let nothing = error(&[("starts", "original"), ("routes", "blocked")]);
+    assert!(nothing.contains("a blocked route needs the new start"));
+    insta::assert_snapshot!(error(&[("model", "m")]), @"--model is for --policy openai, and the policy is grounded");
+    insta::assert_snapshot!(error(&[("policy", "openai")]), @"--policy openai needs --model NAME: the model, by the name that the server knows");
+    insta::assert_snapshot!(error(&[("backend", "cpu"), ("adapter", "x")]), @"--adapter chooses a graphics adapter, and --backend cpu uses none: give one of them");
+    insta::assert_snapshot!(error(&[("plates", "off")]), @"--policy grounded sees nothing but plates, so it cannot run with --plates off: leave that out, or choose another --policy");
+    let external = ("policy", "external");
+    insta::assert_snapshot!(error(&[("plates", "off"), external, ("memory", "hybrid")]), @"the documents of hybrid memory are built from the plates in frames, and with --plates off there are none: leave that out, or choose memories without documents (--memory working,full-context,episodic)");
+    assert!(with(&[("plates", "off"), external, ("memory", "working,episodic")]).is_ok());
+    assert!(with(&[("labels", "off"), ("appearance-seed", "7")]).is_ok());
+    insta::assert_snapshot!(error(&[("window", "6,20")]), @"a request under full-context/original/unchanged/original/h20 may need 61 images (the current view, 20 of the window, 40 of memory), and a prompt holds at most 50: lower --window or --keyframes");
+    let long = error(&[("window", "20"), ("horizon", "30"), ("keyframes", "20")]);
+    assert!(long.ends_with("lower --window or --horizon"), "{long}");
+    assert!(with(&[("keyframes", "43")]).is_ok(), "50 images");
+}
+
+#[test]
+fn settings_are_shown_as_a_suite_file() {
+    let quick = load_suite(&SuiteName::quick(), None).unwrap();
+    let resolved = merged([quick, flags(&[("lanes", "4")])]).unwrap();
+    insta::assert_snapshot!(resolved);
+    let read_again = |resolved: &Resolved| merged([suite(&resolved.to_string())]).unwrap().settings;
+    assert_eq!(read_again(&resolved).lanes, 4);
+    let resolved = merged([suite(GROUPS)]).unwrap();
+    insta::assert_snapshot!("groups-as-a-suite-file", resolved);
+    assert_eq!(read_again(&resolved), resolved.settings);
+}
+
+#[test]
+fn external_memories_join_the_groups_once_they_have_told_their_names() {
+    let given =
+        [("memory", "working,external"), ("memory-cmd", "python a.py, b"), ("starts", "new")];
+    let layer = flags(&[&given[..], &[("memory-cmd", "./c")]].concat());
+    let resolved = merged([layer]).unwrap();
+    let shown = resolved.to_string();
+    assert!(shown.contains("memory = [\"working\",\"external\"]"), "{shown}");
+    assert!(shown.contains("memory-cmd = [\"python a.py, b\",\"./c\"]"), "{shown}");
+    let again = merged([suite(&shown)]).unwrap().settings;
+    let mut settings = resolved.settings;
+    assert_eq!(again, settings);
+    assert_eq!((settings.memory_cmd.len(), settings.external_memory), (2, true));
+    settings.add_external_memories(&["a", "top-3"].map(|name| (name.parse().unwrap(), false)));
+    let conditions: Vec<String> = settings.conditions().iter().map(ToString::to_string).collect();
+    assert_eq!(
+        conditions,
+        ["working/new/unchanged/none", "a/new/unchanged/original", "top-3/new/unchanged/original"]
+    );
+    // Alone they are enough, and a suite's group of working memory alone stays as it is.
+    assert!(with(&[("memory", "external")]).is_ok());
+    let only = with(&[("memory", "none"), ("memory-cmd", "a")]).unwrap();
+    assert!(only.to_string().contains("memory = [\"none\"]"), "{only}");
+    assert!(only.settings.groups[0].memory.is_empty());
+    let error = with(&[("memory", "none")]).unwrap_err().to_string();
+    assert!(error.starts_with("no memory is left"), "{error}");
+    let groups = "[[group]]\nname = \"w\"\nmemory = [\"working\"]\n[[group]]\nname = \"e\"\n\
+                  memory = [\"episodic\"]";
+    let layer = suite(&format!("memory-cmd = [\"a\"]\n{groups}"));
+    let mut settings = merged([layer]).unwrap().settings;
+    settings.add_external_memories(&[("a".parse().unwrap(), true)]);
+    let counts: Vec<usize> = settings.groups.iter().map(|group| group.memory.len()).collect();
+    assert_eq!(counts, [1, 2]);
+}
+
+#[test]
+fn external_memories_are_of_no_use_to_a_policy_without_memory() {
+    let of = |policy, given: &[_]| {
+        let layers = [suite("memory-cmd = [\"a\"]"), flags(&[("policy", policy)]), flags(given)];
+        merged(layers).unwrap().settings
+    };
+    assert_eq!(of("grounded", &[]).memory_cmd, ["a"]);
+    assert!(!of("random", &[]).has_external_memories());
+    assert_eq!(of("random", &[("memory-cmd", "b")]).memory_cmd, ["b"]);
+    let given = [("memory-cmd", "b"), ("memory", "external")];
+    assert!(!of("expert", &given).has_external_memories());
+    let nine: Vec<(&str, &str)> = vec![("memory-cmd", "x"); 9];
+    let error = with(&nine).unwrap_err().to_string();
+    assert!(error.starts_with("the run has 9 external memories"), "{error}");
+    let settings = with(&[("memory-images", "50")]);
+    assert!(settings.is_ok(), "no built-in memory supplies as many");
+}
+
+const GROUPS: &str = r#"
+runs = 3
+memory = ["working"]
+out = "elsewhere"
+
+[[group]]
+name = "one"
+starts = ["original"]
+
+[[group]]
+name = "two"
+memory = ["episodic", "summary"]
+demos = ["4"]
+window = [0, 6]
+runs = 5
+"#;
+
+fn in_groups(policy: &str, given: &[(&str, &str)]) -> String {
+    let policy = suite(&format!("policy = \"{policy}\"\n{GROUPS}"));
+    let resolved = merged([policy, flags(given)]).unwrap();
+    let conditions = resolved.settings.runs();
+    let shown = conditions.iter().map(|(condition, runs)| format!("{condition} x{runs}"));
+    shown.collect::<Vec<_>>().join("\n")
+}
+
+#[test]
+fn the_top_level_holds_in_groups_and_flags_replace_both() {
+    insta::assert_snapshot!(in_groups("grounded", &[]), @"
+    working/original/unchanged/none x3
+    episodic/original/unchanged/4/h0 x5
+    episodic/original/unchanged/4 x5
+    episodic/new/unchanged/4/h0 x5
+    episodic/new/unchanged/4 x5
+    summary/original/unchanged/4/h0 x5
+    summary/original/unchanged/4 x5
+    summary/new/unchanged/4/h0 x5
+    summary/new/unchanged/4 x5
+    ");
+    let given = [("memory", "episodic"), ("starts", "new"), ("runs", "2")];
+    insta::assert_snapshot!(in_groups("grounded", &given), @"
+    episodic/new/unchanged/original x2
+    episodic/new/unchanged/4/h0 x2
+    episodic/new/unchanged/4 x2
+    ");
+}
+
+#[test]
+fn a_policy_that_ignores_memory_runs_once_for_all_memories() {
+    insta::assert_snapshot!(in_groups("expert", &[]), @"
+    working/original/unchanged/none x1
+    working/new/unchanged/none x1
+    ");
+    insta::assert_snapshot!(in_groups("random", &[]), @"
+    working/original/unchanged/none x5
+    working/new/unchanged/none x5
+    ");
+    // Asked for, to measure what memory costs.
+    let episodic = [("memory", "episodic")];
+    insta::assert_snapshot!(in_groups("random", &episodic), @"
+    episodic/original/unchanged/original x3
+    episodic/original/unchanged/4 x5
+    episodic/new/unchanged/4 x5
+    ");
+    insta::assert_snapshot!(in_groups("expert", &episodic), @"
+    working/original/unchanged/none x1
+    working/new/unchanged/none x1
+    ");
+}
+
+const STREAM: &str = r#"
+memory = ["working", "episodic"]
+starts = ["new"]
+arms = ["frozen", "learning", "oracle"]
+
+[stream]
+streams = 3
+blocks = 2
+cases-per-block = 2
+rounds = 1
+events = ["swap"]
+orders = ["drawn"]
+feedback = "none"
+"#;
+
+#[test]
+fn flags_replace_parts_of_the_stream_table() {
+    let with = |text: &str, given: &[_]| merged([suite(text), flags(given)]);
+    let given = [("streams", "7"), ("feedback", "sub-goals"), ("orders", "reversed,drawn")];
+    let resolved = with(STREAM, &given).unwrap();
+    let stream = resolved.settings.stream.as_ref().unwrap();
+    assert_eq!((stream.streams, stream.blocks, stream.rounds), (7, 2, 1));
+    assert_eq!((stream.feedback.word(), stream.orders.len()), ("sub-goals", 2));
+    assert!(stream.evaluate);
+    assert_eq!(stream.all_episodes(), 7 * 2 * (2 * 2 + 3 * 2 * 2));
+    let conditions: Vec<String> =
+        resolved.settings.conditions().iter().map(ToString::to_string).collect();
+    let frozen = "episodic/new/unchanged/original";
+    assert_eq!(conditions, ["working/new/unchanged/none", frozen, &format!("{frozen}/oracle")]);
+    // An external memory has the arms that there are of it.
+    let mut settings = with(STREAM, &[("memory-cmd", "a,b")]).unwrap().settings;
+    settings.add_external_memories(&["a", "b"].map(|name| (name.parse().unwrap(), name == "a")));
+    let conditions: Vec<String> =
+        settings.conditions().iter().map(ToString::to_string).skip(3).collect();
+    let [a, b] = ["a", "b"].map(|name| format!("{name}/new/unchanged/original"));
+    let expected = [a.clone(), format!("{a}/learning"), format!("{a}/oracle")];
+    assert_eq!(conditions, [&expected[..], &[b.clone(), format!("{b}/oracle")]].concat());
+    // What is shown is a suite file with the same meaning.
+    let shown = resolved.to_string();
+    assert!(shown.contains("\n[stream]\n") && shown.contains("rounds = 1"), "{shown}");
+    let again = merged([suite(&shown)]).unwrap();
+    assert_eq!(again.settings.stream, resolved.settings.stream);
+
+    let error = |text: &str, given: &[_]| with(text, given).unwrap_err().to_string();
+    for (text, given, expected) in [
+        ("", &[("rounds", "2")][..], "--rounds is for a suite of streams"),
+        ("", &[("arms", "wrong")], "--arms is for a suite of streams"),
+        (STREAM, &[("starts", "original")], "in a suite of streams every episode begins"),
+    ] {
+        let error = error(text, given);
+        assert!(error.contains(expected), "{error}");
+    }
+    let variable = environment("MEMTRANSFER_ROUNDS", "2");
+    assert!(merged([variable]).is_ok(), "it is for other runs");
+    let unknown = Layer::suite("my.toml", &STREAM.replace("rounds", "turns")).unwrap_err();
+    assert!(unknown.to_string().starts_with("suite my.toml, stream: unknown field `turns`"));
+}
