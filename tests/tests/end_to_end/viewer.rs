@@ -215,7 +215,7 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
     browser.open(report.as_str().unwrap());
     let words = "[...document.querySelectorAll('.facts td')].filter((cell) => /^\\S{1,9}$/.test(cell.textContent) && !cell.childElementCount)";
     let lines = "((cell) => { const range = document.createRange(); range.selectNodeContents(cell); return range.getClientRects().length; })";
-    assert_eq!(browser.value(&format!("{words}.length > 3")), true);
+    browser.wait_for(&format!("{words}.length > 3"));
     assert_eq!(browser.value(&format!("{words}.filter((cell) => {lines}(cell) > 1).length")), 0);
     browser.resize(390, 800);
     // What the old page still does has no effect on a new address.
