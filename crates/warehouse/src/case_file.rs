@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
+use std::sync::LazyLock;
 
 use domain::{Action, Cell, Pose};
 use serde::Deserialize;
@@ -70,10 +71,12 @@ struct CaseEntry {
 impl CaseSet {
     /// The cases that are compiled in, for [`Warehouse::shipped`].
     pub fn shipped() -> Self {
-        match Self::parse(SHIPPED_CASES, &Warehouse::shipped()) {
-            Ok(cases) => cases,
-            Err(problem) => unreachable!("the shipped cases are tested: {problem}"),
-        }
+        static SHIPPED: LazyLock<CaseSet> =
+            LazyLock::new(|| match CaseSet::parse(SHIPPED_CASES, &Warehouse::shipped()) {
+                Ok(cases) => cases,
+                Err(problem) => unreachable!("the shipped cases are tested: {problem}"),
+            });
+        SHIPPED.clone()
     }
 
     /// The warehouse and the cases in the folder `assets`, or those that are compiled in.

@@ -1,6 +1,7 @@
 //! The warehouse: floor plan and catalogue together, with every item in its bay.
 
 use std::path::Path;
+use std::sync::LazyLock;
 
 use domain::{Cell, Heading};
 
@@ -56,15 +57,14 @@ pub struct Warehouse {
 impl Warehouse {
     /// The warehouse that is compiled in.
     pub fn shipped() -> Self {
-        match Self::parse(
-            LAYOUT_FILE.into(),
-            SHIPPED_LAYOUT,
-            CATALOGUE_FILE.into(),
-            SHIPPED_CATALOGUE,
-        ) {
-            Ok(warehouse) => warehouse,
-            Err(error) => unreachable!("the shipped warehouse is tested: {error}"),
-        }
+        static SHIPPED: LazyLock<Warehouse> = LazyLock::new(|| {
+            let (layout, catalogue) = (LAYOUT_FILE.into(), CATALOGUE_FILE.into());
+            match Warehouse::parse(layout, SHIPPED_LAYOUT, catalogue, SHIPPED_CATALOGUE) {
+                Ok(warehouse) => warehouse,
+                Err(error) => unreachable!("the shipped warehouse is tested: {error}"),
+            }
+        });
+        SHIPPED.clone()
     }
 
     /// Reads `layout.toml` and `catalogue.toml` in the folder `assets`.
