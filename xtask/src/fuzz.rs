@@ -104,17 +104,23 @@ pub(crate) fn run(
     Ok(all.values().all(|fuzzed| fuzzed.failure.is_none()))
 }
 
-/// The inputs of earlier runs, by target.
+/// What earlier runs did, by target.
 fn earlier(out: &Path) -> anyhow::Result<BTreeMap<String, Fuzzed>> {
     let text = fs::read_to_string(out).with_context(|| {
         format!("cannot read {}, where earlier runs would be: leave out --go-on", out.display())
     })?;
     let page: serde_json::Value =
         serde_json::from_str(&text).with_context(|| format!("{} is not JSON", out.display()))?;
-    let inputs: BTreeMap<String, u64> = serde_json::from_value(page["faults"].clone())
-        .with_context(|| format!("{} has no inputs by target", out.display()))?;
-    let fuzzed = |inputs| Fuzzed { inputs, ..Fuzzed::default() };
-    Ok(inputs.into_iter().map(|(name, inputs)| (name, fuzzed(inputs))).collect())
+    let numbers = |field: &str| {
+        serde_json::from_value::<BTreeMap<String, u64>>(page[field].clone())
+            .with_context(|| format!("{} has no `{field}` by target", out.display()))
+    };
+    let edges = numbers("edges")?;
+    let fuzzed = |(name, inputs)| {
+        let edges = edges.get(&name).copied().unwrap_or_default();
+        (name, Fuzzed { inputs, edges, failure: None })
+    };
+    Ok(numbers("faults")?.into_iter().map(fuzzed).collect())
 }
 
 /// Builds `drill-fuzz` in `folder`. `None` when it does not compile.
@@ -233,6 +239,8 @@ fn command(arguments: &FuzzArguments) -> String {
 fn write(out: &Path, all: &BTreeMap<String, Fuzzed>, command: &str) -> anyhow::Result<()> {
     let inputs: BTreeMap<&String, u64> =
         all.iter().map(|(name, fuzzed)| (name, fuzzed.inputs)).collect();
+    let edges: BTreeMap<&String, u64> =
+        all.iter().map(|(name, fuzzed)| (name, fuzzed.edges)).collect();
     let violations: Vec<String> = all
         .iter()
         .filter_map(|(name, fuzzed)| Some(format!("{name}: {}", fuzzed.failure.as_ref()?)))
@@ -247,8 +255,9 @@ fn write(out: &Path, all: &BTreeMap<String, Fuzzed>, command: &str) -> anyhow::R
         "figures": {
             "targets": all.len(),
             "inputs": inputs.values().sum::<u64>(),
-            "edges": all.values().map(|fuzzed| fuzzed.edges).sum::<u64>(),
+            "edges": edges.values().sum::<u64>(),
         },
+        "edges": edges,
         "violations": violations,
     });
     let text = serde_json::to_string_pretty(&page)? + "\n";
@@ -267,7 +276,7 @@ mod tests {
         let png = Fuzzed { inputs: 7, edges: 3, failure: None };
         write(&out, &BTreeMap::from([("png".to_owned(), png)]), "").unwrap();
         let before = earlier(&out).unwrap();
-        assert_eq!((before.len(), before["png"].inputs), (1, 7));
+        assert_eq!((before.len(), before["png"].inputs, before["png"].edges), (1, 7, 3));
     }
 
     #[test]
