@@ -242,8 +242,13 @@ impl<'a> MemoryServer<'a> {
 
     fn run(mut self) -> anyhow::Result<()> {
         while self.ports.stops.next()?.is_none() {
-            if !self.turn()? {
-                self.bus.listener().wait(LONGEST_SLEEP)?;
+            match self.turn() {
+                Ok(true) => {}
+                Ok(false) => drop(self.bus.listener().wait(LONGEST_SLEEP)?),
+                Err(error) => match error.downcast_ref() {
+                    Some(missing) if self.ports.stops.explains(missing)? => break,
+                    _ => return Err(error),
+                },
             }
         }
         self.bus.sender()?.send(&ShutdownReport {

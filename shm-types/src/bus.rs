@@ -31,7 +31,7 @@ use iceoryx2::prelude::{LogLevel, SignalHandlingMode, set_log_level_from_env_or}
 use crate::attach::{Attach, AttachError};
 use crate::clock::{self, Instant};
 use crate::events::{Listener, Notifier};
-use crate::message::{ErrorReport, Handshake, Message, Role, ShutdownReport};
+use crate::message::{ErrorReport, Handshake, Message, Role, ShutdownReport, Stop};
 use crate::ports::{Connect, ReceiverPort, SenderPort, is_private};
 use crate::registry;
 pub use crate::transport::BusError;
@@ -276,6 +276,16 @@ pub struct Receiver<M: Message> {
     /// Maximum number of messages that can wait at the same time: a queue for each sender.
     most: usize,
     all: Arc<AllReceivers>,
+}
+
+impl Receiver<Stop> {
+    /// Whether the run has been stopped, where that may be the cause of `error`: the receivers of a message have obeyed first.
+    ///
+    /// # Errors
+    /// As [`Receiver::next`].
+    pub fn explains(&self, error: &BusError) -> Result<bool, BusError> {
+        Ok(matches!(error, BusError::Deserted { .. }) && self.next()?.is_some())
+    }
 }
 
 impl<M: Message> Receiver<M> {

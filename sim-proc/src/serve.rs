@@ -157,8 +157,13 @@ impl<'a> Simulator<'a> {
         self.bus.sender()?.send(&Handshake::new(Role::Sim, facts)?)?;
         self.wakeups.send_to_all()?;
         while self.stops.next()?.is_none() {
-            if !self.turn(&mut rendering)? {
-                self.bus.listener().wait(LONGEST_SLEEP)?;
+            match self.turn(&mut rendering) {
+                Ok(true) => {}
+                Ok(false) => drop(self.bus.listener().wait(LONGEST_SLEEP)?),
+                Err(error) => match error.downcast_ref() {
+                    Some(missing) if self.stops.explains(missing)? => break,
+                    _ => return Err(error),
+                },
             }
         }
         self.bus.sender()?.send(&ShutdownReport {

@@ -14,13 +14,13 @@ use serde_json::json;
 
 use crate::workspace::{Workspace, succeeds};
 
-/// The flags of the compiler that libFuzzer needs.
+/// The flags of the compiler that libFuzzer needs. Comparisons are not traced: that halves the inputs per second, and in the
+/// same time no more edges are found.
 const COVERAGE: &[&str] = &[
     "-Cpasses=sancov-module",
     "-Cllvm-args=-sanitizer-coverage-level=4",
     "-Cllvm-args=-sanitizer-coverage-inline-8bit-counters",
     "-Cllvm-args=-sanitizer-coverage-pc-table",
-    "-Cllvm-args=-sanitizer-coverage-trace-compares",
     "-Ccodegen-units=1",
 ];
 

@@ -12,7 +12,7 @@ use shm_types::message::{
     Decision, Handshake, MemoryEpisodeConfig, NO_FRAME, Observation, PolicyEpisodeConfig, Recall,
     RequestId, Role, ShutdownReport, StepCommand, StepKind, Stop, read_text,
 };
-use shm_types::{Attach, Bus, Notifier};
+use shm_types::{Attach, Bus, BusError, Notifier};
 
 use crate::messages::{decision, observation, recall, recall_trace};
 
@@ -173,9 +173,10 @@ pub struct ScriptedProcess {
 }
 
 impl ScriptedProcess {
-    /// Sends a message and notifies.
+    /// Sends a message and notifies. Processes that have obeyed the stop message already do not get it.
     pub fn send<M: shm_types::message::Message>(&self, message: &M, notified: &[Role]) {
-        self.bus.sender().unwrap().send(message).unwrap();
+        let sent = self.bus.sender().unwrap().send(message);
+        assert!(matches!(sent, Ok(()) | Err(BusError::Deserted { .. })), "{sent:?}");
         for role in notified {
             self.notifiers[role].notify().unwrap();
         }

@@ -222,7 +222,10 @@ impl Connection {
     /// One iteration of the serve loop; returns whether a stop message came.
     fn turn(&mut self, session: &mut impl Session) -> Result<bool, ServeError> {
         let reports = self.errors.count();
-        let sent = session.turn(self)?;
+        let sent = match session.turn(self) {
+            Err(ServeError::Bus(missing)) if self.stops.explains(&missing)? => return Ok(true),
+            sent => sent?,
+        };
         self.drop_evicted_frames(session)?;
         let frames = self.frames.lock().len() as u64;
         let is_beat = self.heartbeats.beat(|| {

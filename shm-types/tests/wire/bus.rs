@@ -7,7 +7,8 @@ use std::time::Duration;
 use bytemuck::Zeroable;
 use shm_types::attach::Wait;
 use shm_types::message::{
-    Decision, ErrorReport, Handshake, Observation, Role, ShutdownReport, StepCommand, read_text,
+    Decision, ErrorReport, Handshake, Observation, Role, ShutdownReport, StepCommand, Stop,
+    read_text,
 };
 use shm_types::{Attach, BusError, ErrorReporter};
 
@@ -52,6 +53,26 @@ fn every_receiver_gets_it_and_a_missing_one_is_an_error() {
     receivers.pop();
     let error = sender.send(&Zeroable::zeroed()).unwrap_err();
     assert!(matches!(error, BusError::Deserted { expected: 3, found: 2, .. }), "{error}");
+}
+
+#[test]
+fn a_stop_message_explains_a_missing_receiver_and_no_other_error() {
+    let Run { attach, .. } = &run();
+    let (orchestrator, sim) = (bus(attach, Role::Orchestrator), bus(attach, Role::Sim));
+    let others = [Role::Memory, Role::Policy].map(|role| bus(attach, role));
+    let stops = sim.receiver::<Stop>().unwrap();
+    let _other_stops = others.each_ref().map(|b| b.receiver::<Stop>().unwrap());
+    let sender = sim.sender::<Observation>().unwrap();
+    let receivers = others.each_ref().map(|b| b.receiver::<Observation>().unwrap());
+    let _observations = orchestrator.receiver::<Observation>().unwrap();
+    sender.send(&Zeroable::zeroed()).unwrap();
+    drop(receivers);
+    let missing = sender.send(&Zeroable::zeroed()).unwrap_err();
+    assert!(!stops.explains(&missing).unwrap(), "nobody has stopped the run");
+    orchestrator.sender::<Stop>().unwrap().send(&Zeroable::zeroed()).unwrap();
+    let full = BusError::Full { service: "observation" };
+    assert!(!stops.explains(&full).unwrap());
+    assert!(stops.explains(&missing).unwrap());
 }
 
 /// Left to itself, iceoryx2 warns only, and what is sent is lost.
