@@ -14,8 +14,8 @@ use serde_json::json;
 
 use crate::workspace::{Workspace, succeeds};
 
-/// The flags of the compiler that libFuzzer needs. Comparisons are not traced: that halves the inputs per second, and in the
-/// same time no more edges are found.
+/// The flags of the compiler that libFuzzer needs. Comparisons are not traced: that halves the inputs per second, and no more
+/// edges are found in the same time.
 const COVERAGE: &[&str] = &[
     "-Cpasses=sancov-module",
     "-Cllvm-args=-sanitizer-coverage-level=4",
@@ -133,8 +133,26 @@ fn build(workspace: &Workspace, folder: &Path) -> anyhow::Result<Option<PathBuf>
     command.args(["--target", &platform]).arg("--target-dir").arg(folder);
     command.env("RUSTFLAGS", COVERAGE.join(" "));
     command.env("CARGO_PROFILE_RELEASE_DEBUG_ASSERTIONS", "true");
+    // The targets spend their time in packages whose speed hardly matters elsewhere.
+    for package in packages_optimised_less(workspace)? {
+        command.arg("--config").arg(format!("profile.release.package.{package}.opt-level=3"));
+    }
     let built = succeeds(&mut command)?;
     Ok(built.then(|| folder.join(platform).join("release/drill-fuzz")))
+}
+
+/// The packages with an optimisation level of their own in the workspace's release profile.
+fn packages_optimised_less(workspace: &Workspace) -> anyhow::Result<Vec<String>> {
+    let path = workspace.root().join("Cargo.toml");
+    let text =
+        fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let manifest: toml::Table =
+        toml::from_str(&text).with_context(|| format!("{} is not TOML", path.display()))?;
+    let release = manifest.get("profile").and_then(|profiles| profiles.get("release"));
+    let packages = release.and_then(|profile| profile.get("package")?.as_table());
+    let less =
+        packages.into_iter().flatten().filter(|(_, profile)| profile.get("opt-level").is_some());
+    Ok(less.map(|(name, _)| name.clone()).collect())
 }
 
 /// The names of the targets: those of the corpora.
