@@ -16,7 +16,6 @@ use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::sync::{Condvar, Mutex};
 use std::time::{Duration, Instant};
 
 use shm_types::ATTACH_VARIABLE;
@@ -24,32 +23,6 @@ use tempfile::TempDir;
 
 /// How long one run of the program may take before it is killed.
 pub const WATCHDOG: Duration = Duration::from_secs(300);
-
-/// How many tests start processes at a time. One uses two thirds of two cores: it also waits.
-const AT_A_TIME: usize = 2;
-
-/// The right to start processes, held until it is dropped.
-struct Turn;
-
-static TURNS: (Mutex<usize>, Condvar) = (Mutex::new(AT_A_TIME), Condvar::new());
-
-impl Turn {
-    fn wait() -> Self {
-        let (left, freed) = &TURNS;
-        let left = left.lock().expect("no test panics meanwhile");
-        let mut left = freed.wait_while(left, |left| *left == 0).expect("no test panics meanwhile");
-        *left -= 1;
-        Self
-    }
-}
-
-impl Drop for Turn {
-    fn drop(&mut self) {
-        let (left, freed) = &TURNS;
-        *left.lock().expect("no test panics meanwhile") += 1;
-        freed.notify_one();
-    }
-}
 
 /// The path of the program `name`, which was built beside the running test or program.
 pub fn program(name: &str) -> PathBuf {
@@ -72,22 +45,20 @@ pub fn repository(path: &str) -> PathBuf {
     PathBuf::from(root).join(path).canonicalize().expect("a file or folder of the repository")
 }
 
-/// Folders to run the program in, and the right to use the machine.
+/// Folders to run the program in.
 pub struct Bench {
     /// Holds the run folders.
     pub folder: TempDir,
     /// Where live runs are registered. The path is short because it is part of socket names.
     pub registry: TempDir,
-    _turn: Turn,
 }
 
 impl Bench {
-    /// New empty folders; waits for a turn.
+    /// New empty folders.
     pub fn new() -> Self {
-        let turn = Turn::wait();
         let folder = tempfile::tempdir().expect("a folder");
         let registry = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").expect("a folder");
-        Self { folder, registry, _turn: turn }
+        Self { folder, registry }
     }
 
     /// The command `memtransfer` with `args`.

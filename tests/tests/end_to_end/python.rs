@@ -99,7 +99,6 @@ fn prompt_log(run: &Path) -> Vec<Value> {
 
 #[test]
 fn the_package_passes_its_own_tests() {
-    let _bench = Bench::new();
     python(&["-m", "pytest"], &[]).expect(0);
 }
 
@@ -132,7 +131,6 @@ static SITE_PACKAGES: LazyLock<PathBuf> = LazyLock::new(|| {
 
 #[test]
 fn the_package_can_be_installed_from_the_checkout() {
-    let _bench = Bench::new();
     let place = SITE_PACKAGES.as_path();
     assert!(place.join("memtransfer/py.typed").is_file());
     assert!(place.join("memtransfer/_native.pyi").is_file());
