@@ -1,7 +1,6 @@
 //! `test`: sets up and builds at the same time, runs every test, and prints a line of totals.
 //!
-//! Cargo runs test binaries one after another. In each, one more test runs at a time than there are cores: many wait for
-//! processes or a clock.
+//! Cargo runs test binaries one after another, and in each as many tests at a time as there are cores.
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::Stdio;
@@ -16,9 +15,6 @@ use crate::workspace::{Workspace, succeeds};
 
 /// What cargo tests: everything.
 const TESTS: [&str; 4] = ["test", "--release", "--workspace", "--no-fail-fast"];
-
-/// The variable with the number of tests that run at a time.
-const THREADS: &str = "RUST_TEST_THREADS";
 
 /// Sets up, builds and runs the tests. Returns whether all passed.
 pub(crate) fn run(
@@ -38,11 +34,8 @@ pub(crate) fn run(
         return Ok(false);
     }
     eprintln!("testing");
-    let cores = thread::available_parallelism().context("cannot count the cores")?;
-    let threads = std::env::var(THREADS).unwrap_or_else(|_| (cores.get() + 1).to_string());
     let mut child = workspace
         .cargo(&TESTS)
-        .env(THREADS, threads)
         .arg("--")
         .args(test_arguments)
         .stdout(Stdio::piped())
