@@ -14,8 +14,8 @@ use serde_json::json;
 
 use crate::workspace::{Workspace, succeeds};
 
-/// The flags of the compiler that libFuzzer needs. Comparisons are not traced: that halves the inputs per second, and no more
-/// edges are found in the same time.
+/// The flags of the compiler that libFuzzer needs. Comparisons are not traced: that halves the inputs per second, and finds
+/// no more in the same time.
 const COVERAGE: &[&str] = &[
     "-Cpasses=sancov-module",
     "-Cllvm-args=-sanitizer-coverage-level=4",
