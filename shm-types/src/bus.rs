@@ -279,7 +279,7 @@ pub struct Receiver<M: Message> {
 }
 
 impl Receiver<Stop> {
-    /// Whether the run has been stopped, where that may be the cause of `error`: the receivers of a message have obeyed first.
+    /// Whether the run has been stopped and `error` comes from that: other processes left before they got a message.
     ///
     /// # Errors
     /// As [`Receiver::next`].

@@ -173,7 +173,7 @@ pub struct ScriptedProcess {
 }
 
 impl ScriptedProcess {
-    /// Sends a message and notifies. Processes that have obeyed the stop message already do not get it.
+    /// Sends a message and notifies. A receiver that has left already does not get it.
     pub fn send<M: shm_types::message::Message>(&self, message: &M, notified: &[Role]) {
         let sent = self.bus.sender().unwrap().send(message);
         assert!(matches!(sent, Ok(()) | Err(BusError::Deserted { .. })), "{sent:?}");
