@@ -17,16 +17,16 @@ pub struct BlockedScore {
     /// Percentage of the retrieved sources that are stale, over runs; absent where nothing was retrieved.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stale: Option<Spread>,
-    /// Delta_r in percentage points. `None` when the unchanged route or working memory was not run.
+    /// Delta_r in percentage points. `None` when the unchanged route or working memory was not run on these cases.
     pub change: Option<Derived>,
-    /// R_r, a fraction. `None` when the unchanged route was not run, or nothing succeeds there.
+    /// R_r, a fraction. `None` when the unchanged route was not run on these cases, or nothing succeeds there.
     pub retention: Option<Derived>,
 }
 
-/// A figure made of the success rates of several conditions.
+/// A figure made of the success rates of several conditions on the cases that all of them have.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Derived {
-    /// The figure, from the mean success rates as they are reported.
+    /// The figure, from the mean success rates over runs.
     pub value: f64,
     /// Its 95 % bootstrap interval; all conditions are resampled with the same cases.
     pub interval: Option<Interval>,

@@ -1,6 +1,6 @@
 //! The scores of one condition: every figure of section 7 of the specification, put together.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use domain::Representation;
 use serde::Serialize;
@@ -243,52 +243,55 @@ fn stage_us(
 
 /// Adds change and retention of each blocked condition, from its own unchanged route and working memory's two.
 pub(super) fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition, Trials<'_>>) {
-    let rates: BTreeMap<Condition, f64> =
-        scores.iter().map(|score| (score.condition, score.sr.mean)).collect();
     for score in scores {
         let Some(found) = &mut score.blocked else { continue };
         let own = [score.condition, Condition { route: Route::Unchanged, ..score.condition }];
+        let [Some(after), Some(before)] = own.map(|condition| trials.get(&condition)) else {
+            continue;
+        };
+        found.retention =
+            derived([after, before], |[after, before]| blocked::retention(after, before));
         let baseline = own.map(|Condition { start, route, variation, arm, .. }| {
             let none = Demonstrations::NONE;
             let working = Condition::new(Representation::Working, start, route, none, variation);
             working.map(|condition| condition.with_arm(arm))
         });
-        let rate = |condition: Option<Condition>| rates.get(&condition?).copied();
-        let [Some(after), Some(before)] = own.map(|condition| rate(Some(condition))) else {
+        let [Some(baseline_after), Some(baseline_before)] =
+            baseline.map(|condition| trials.get(&condition?))
+        else {
             continue;
         };
-        let mut arms = own.map(|condition| &trials[&condition]).to_vec();
-        if let [Some(blocked), Some(unchanged)] = baseline.map(|one| trials.get(&one?)) {
-            arms.extend([blocked, unchanged]);
-        }
-        let [change, retention] = related_intervals(&arms);
-        found.change = match baseline.map(rate) {
-            [Some(baseline_after), Some(baseline_before)] => Some(Derived {
-                value: blocked::change(after, before, [baseline_after, baseline_before]),
-                // The baseline against itself is 0 by definition, not by measurement.
-                interval: change.filter(|_| Some(own[0]) != baseline[0]),
-            }),
-            _ => None,
+        let change = |[after, before, baseline @ ..]: [f64; 4]| {
+            Some(blocked::change(after, before, baseline))
         };
-        found.retention =
-            blocked::retention(after, before).map(|value| Derived { value, interval: retention });
+        found.change = derived([after, before, baseline_after, baseline_before], change);
+        if let Some(change) = found.change.as_mut().filter(|_| Some(own[0]) == baseline[0]) {
+            // The baseline against itself is 0 by definition, not by measurement.
+            change.interval = None;
+        }
     }
 }
 
-/// The bootstrap intervals of change and retention, from the trials of a condition, blocked and unchanged, and of working
-/// memory, if there are any; none where all cases are alike.
-fn related_intervals(arms: &[&Trials<'_>]) -> [Option<Interval>; 2] {
-    let cases: Vec<_> = paired(arms).into_values().collect();
-    let found = intervals(&cases, |arms| {
-        let rates: Option<Vec<f64>> = arms.iter().map(|arm| rate(arm)).collect();
-        match rates.as_deref() {
-            Some(&[after, before]) => [None, blocked::retention(after, before)],
-            Some(&[after, before, baseline_after, baseline_before]) => [
-                Some(blocked::change(after, before, [baseline_after, baseline_before])),
-                blocked::retention(after, before),
-            ],
-            _ => [None, None],
-        }
+/// What `figure` makes of the success rates of the `arms` on the cases that all of them have, with its bootstrap interval, if
+/// not all cases are alike. `None` when they have no case in common.
+fn derived<const N: usize>(
+    arms: [&Trials<'_>; N],
+    figure: impl Fn([f64; N]) -> Option<f64>,
+) -> Option<Derived> {
+    let cases = arms.map(|arm| arm.cases().into_keys().collect::<BTreeSet<_>>());
+    let common = cases.into_iter().reduce(|some, more| &some & &more)?;
+    let arms = arms.map(|arm| arm.of_cases(&common));
+    let rates = arms.each_ref().map(|arm| arm.over_runs(success::success_rate));
+    let value = figure(all(rates)?.map(|rate| rate.mean))?;
+    let cases: Vec<_> = paired(&arms.each_ref()).into_values().collect();
+    let [interval] = intervals(&cases, |arms| {
+        let rates = arms.iter().map(|arm| rate(arm)).collect::<Option<Vec<f64>>>();
+        [rates.and_then(|rates| figure(rates.try_into().ok()?))]
     });
-    found.map(|interval| interval.filter(|interval| !interval.is_point()))
+    Some(Derived { value, interval: interval.filter(|interval| !interval.is_point()) })
+}
+
+/// All of these values; `None` when one is missing.
+fn all<T, const N: usize>(values: [Option<T>; N]) -> Option<[T; N]> {
+    values.into_iter().collect::<Option<Vec<T>>>()?.try_into().ok()
 }

@@ -207,6 +207,15 @@ fn change_and_retention_from_the_mean_success_rates() {
     let images = blocked_score(&log(images), Representation::Episodic);
     near(images.change.unwrap().value, -25.0);
 
+    // Case d has not been run on blocked routes yet: 1 of 3 blocked, 3 of 3 unchanged, and 1 and 2 of 3 with working memory.
+    let mut partial = four(Representation::Episodic, None, 3);
+    partial.extend(four(Representation::Episodic, Some(false), 1).into_iter().take(3));
+    partial.extend(four(Representation::Working, None, 2));
+    partial.extend(four(Representation::Working, Some(false), 1));
+    let partial = blocked_score(&log(partial), Representation::Episodic);
+    near(partial.change.unwrap().value, (100.0 / 3.0 - 100.0) - (100.0 / 3.0 - 200.0 / 3.0));
+    near(partial.retention.unwrap().value, 1.0 / 3.0);
+
     // Nothing succeeds on the unchanged route: R is 0 / 0, which is undefined; Delta is still a difference.
     let mut records = four(Representation::Working, None, 0);
     records.extend(four(Representation::Working, Some(false), 0));
