@@ -41,6 +41,11 @@ pub fn memory_python(name: &str) -> PathBuf {
     installed(&format!("python-memories/{name}/bin/python"))
 }
 
+/// The model of the default encoder.
+pub fn encoder_model() -> PathBuf {
+    installed("models/dinov2-s14.onnx")
+}
+
 /// A small text-only language model in llama.cpp's format.
 pub fn language_model() -> PathBuf {
     installed("language-models/smollm2-135m-instruct-q4_1.gguf")
