@@ -1,4 +1,4 @@
-//! Renderers as render workers: one per core with the CPU backend, one in all with a Vulkan device.
+//! Renderers as render workers: one per core with the CPU backend, two with a Vulkan device.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -16,6 +16,9 @@ use crate::worlds::Worlds;
 
 /// Maximum number of renderers on the CPU.
 const MAX_RENDERERS: usize = 8;
+
+/// Renderers on a Vulkan device: while one waits for the device, the other prepares its next views.
+const GPU_RENDERERS: usize = 2;
 
 /// Maximum number of views that a Vulkan device renders together.
 const GPU_BATCH_VIEWS: usize = 8;
@@ -56,17 +59,18 @@ fn rendered(renderer: &mut Renderer, jobs: &mut [RenderJob<'_>]) -> Result<u64> 
     Ok(renderer.report().bytes_copied - before)
 }
 
-/// Opens renderers that work at the same time: one per core, up to eight, with the CPU backend; otherwise one.
+/// Opens renderers that work at the same time: one per core, up to eight, with the CPU backend; otherwise two.
 ///
 /// # Errors
 /// As [`Renderer::with_stocks`].
 pub fn open_renderers(stocks: &[Warehouse], settings: RenderSettings) -> Result<Vec<Renderer>> {
     let mut renderers = vec![Renderer::with_stocks(stocks, settings)?];
-    if renderers[0].report().backend == Backend::Cpu {
-        let cores = thread::available_parallelism().map_or(1, usize::from);
-        for _ in 1..cores.min(MAX_RENDERERS) {
-            renderers.push(renderers[0].try_clone()?);
-        }
+    let count = match renderers[0].report().backend {
+        Backend::Cpu => thread::available_parallelism().map_or(1, usize::from).min(MAX_RENDERERS),
+        Backend::Wgpu => GPU_RENDERERS,
+    };
+    for _ in 1..count {
+        renderers.push(renderers[0].try_clone()?);
     }
     Ok(renderers)
 }
