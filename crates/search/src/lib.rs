@@ -23,15 +23,20 @@ pub use approximate::{ApproximateIndex, GraphError, GraphOptions};
 pub use embedding::{ContentHash, Embedding, distance};
 pub use index::{Index, IndexBuilder, Neighbour, SearchQuery, ViewEntry};
 
-/// Runs `work` on this thread and `threads - 1` others; the results, this thread's first.
+/// Runs `work` `threads` times at once: on this thread, and on the shared ones of `rayon`, which a search of a fraction of a
+/// millisecond does not have to start.
 fn on_threads<T: Send>(threads: usize, work: impl Fn() -> T + Sync) -> Vec<T> {
-    std::thread::scope(|scope| {
-        let others: Vec<_> = (1..threads).map(|_| scope.spawn(&work)).collect();
-        let mut results = vec![work()];
-        results.extend(others.into_iter().map(|thread| match thread.join() {
-            Ok(result) => result,
-            Err(panic) => std::panic::resume_unwind(panic),
-        }));
-        results
-    })
+    if threads < 2 {
+        return vec![work()];
+    }
+    let mut results: Vec<Option<T>> = (0..threads).map(|_| None).collect();
+    rayon::in_place_scope(|scope| {
+        if let Some((own, others)) = results.split_first_mut() {
+            for other in others {
+                scope.spawn(|_| *other = Some(work()));
+            }
+            *own = Some(work());
+        }
+    });
+    results.into_iter().flatten().collect()
 }
