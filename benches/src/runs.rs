@@ -13,7 +13,7 @@ use serde::de::DeserializeOwned;
 use crate::session::BenchSession;
 
 /// Folders that a run adds to the cache folder; everything else comes from set-up.
-const MADE_BY_RUNS: [&str; 3] = ["embeddings", "documents", "responses"];
+const MADE_BY_RUNS: [&str; 4] = ["embeddings", "documents", "responses", "views"];
 
 /// A run to execute.
 #[derive(Debug, Clone)]

@@ -14,7 +14,6 @@ routes = ["unchanged"]
 demos = ["original"]
 limit = 10
 max-steps = 40
-frame-size = 128
 "#;
 
 /// Python with Ray, to its end.

@@ -15,7 +15,6 @@ routes = ["unchanged"]
 demos = ["original"]
 limit = 8
 max-steps = 40
-frame-size = 128
 "#;
 
 const STREAMS: &str = r#"
@@ -23,7 +22,6 @@ memory = ["working", "adaptive"]
 arms = ["frozen", "learning"]
 starts = ["new"]
 max-steps = 40
-frame-size = 128
 
 [stream]
 streams = 1
