@@ -83,8 +83,11 @@ pub struct ExternalMemories {
     storing: HashMap<u64, u64>,
     /// By bank: the outcome.
     stored: HashMap<u64, Result<u64, Reason>>,
-    /// By external memory and lane: the note that came last.
+    /// By external memory and lane: the note of the last answer.
     notes: HashMap<(u8, u32), Note>,
+    /// By external memory and note: why a bank cannot be built, saved or loaded. Several may come before the messages that
+    /// name them.
+    reasons: BTreeMap<(u8, DocumentId), Vec<u8>>,
     /// When each external memory was last seen to build, save or load: it answers nothing meanwhile.
     last_busy_ns: BTreeMap<u8, u64>,
     /// The number of messages that each external memory has sent.
@@ -149,6 +152,7 @@ impl ExternalMemories {
             storing: HashMap::new(),
             stored: HashMap::new(),
             notes: HashMap::new(),
+            reasons: BTreeMap::new(),
             last_busy_ns: BTreeMap::new(),
             heard: BTreeMap::new(),
             outbox: Vec::new(),
@@ -524,7 +528,19 @@ impl ExternalMemories {
     /// Takes a note.
     pub(crate) fn take_note(&mut self, index: u8, lanes: u32, note: Note) -> Result<(), String> {
         let lane = note.header.lane;
-        if lane >= lanes && lane != NO_LANE {
+        if lane == NO_LANE {
+            self.reasons.insert((index, note.header.id), note.bytes);
+            let own = || (index, DocumentId::MIN)..=(index, DocumentId::MAX);
+            let banks = self.banks.values().filter(|bank| bank.index == index).count();
+            // It has no more than one for each bank.
+            if self.reasons.range(own()).count() > banks
+                && let Some(first) = self.reasons.range(own()).next().map(|(&first, _)| first)
+            {
+                self.reasons.remove(&first);
+            }
+            return Ok(());
+        }
+        if lane >= lanes {
             let name = self.name(index);
             return Err(format!("note of external memory {name}: lane {lane} of {lanes}"));
         }
@@ -562,9 +578,7 @@ impl ExternalMemories {
         if failure == NO_DOCUMENT {
             return Ok(store_bytes);
         }
-        let note = self.notes.remove(&(index, NO_LANE));
-        let note = note.filter(|note| note.header.id == failure);
-        let why = note.map_or_else(|| readable(&[]), |note| readable(&note.bytes));
+        let why = readable(&self.reasons.remove(&(index, failure)).unwrap_or_default());
         Err(format!("external memory {} cannot {cannot}: {why}", self.name(index)).into())
     }
 

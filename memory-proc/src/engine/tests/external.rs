@@ -291,6 +291,26 @@ fn a_memory_that_cannot_be_built_fails_its_episodes() {
 }
 
 #[test]
+fn reasons_that_come_before_the_failures_that_name_them_are_kept() {
+    let mut rig = ExternalRig::new(2, 1000, description(Scope::Case, false, false));
+    rig.begin(0, 7, 3);
+    rig.begin(1, 8, 13);
+    rig.settle();
+    let banks: Vec<u64> = rig.banks.iter().map(|bank| bank.0).collect();
+    // It has two banks, so of three reasons the first is dropped.
+    for (id, reason) in [(3, "none"), (4, "no model"), (5, "no memory")] {
+        rig.note(id, u32::MAX, 0, reason.as_bytes());
+    }
+    for (&bank, failure) in banks.iter().zip([4, 5]) {
+        let message = ExternalBuilt { bank, failure, ..Zeroable::zeroed() };
+        rig.rig.engine.external_built(2, &message).unwrap();
+    }
+    rig.settle();
+    let why = |reason| format!("external memory test cannot be built: {reason}");
+    assert_eq!(rig.failures(), [(7, why("no model")), (8, why("no memory"))]);
+}
+
+#[test]
 fn time_limits_cost_the_episodes_that_wait() {
     let mut rig = ExternalRig::new(3, 1000, description(Scope::Case, false, false));
     rig.begin(0, 7, 3);
