@@ -530,13 +530,12 @@ impl ExternalMemories {
         let lane = note.header.lane;
         if lane == NO_LANE {
             self.reasons.insert((index, note.header.id), note.bytes);
-            let own = || (index, DocumentId::MIN)..=(index, DocumentId::MAX);
+            let own = self.reasons.keys().copied().filter(|reason| reason.0 == index);
+            let own: Vec<_> = own.collect();
             let banks = self.banks.values().filter(|bank| bank.index == index).count();
-            // It has no more than one for each bank.
-            if self.reasons.range(own()).count() > banks
-                && let Some(first) = self.reasons.range(own()).next().map(|(&first, _)| first)
-            {
-                self.reasons.remove(&first);
+            // One for each bank is enough.
+            if own.len() > banks {
+                self.reasons.remove(&own[0]);
             }
             return Ok(());
         }

@@ -23,8 +23,8 @@ pub use approximate::{ApproximateIndex, GraphError, GraphOptions};
 pub use embedding::{ContentHash, Embedding, distance};
 pub use index::{Index, IndexBuilder, Neighbour, SearchQuery, ViewEntry};
 
-/// Runs `work` `threads` times at once: on this thread, and on the shared ones of `rayon`, which a search of a fraction of a
-/// millisecond does not have to start.
+/// Runs `work` on this thread and up to `threads - 1` others; the results, this thread's first. The others are rayon's: to
+/// start new ones takes longer than a small search.
 fn on_threads<T: Send>(threads: usize, work: impl Fn() -> T + Sync) -> Vec<T> {
     if threads < 2 {
         return vec![work()];
