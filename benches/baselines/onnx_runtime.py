@@ -17,11 +17,12 @@ from _serve import serve
 
 TRIAL_IMAGES = 12
 
+# Each with its options, which are those of ours (memory-proc/src/encoder/provider.rs).
 PROVIDERS = {
-    "cpu": "CPUExecutionProvider",
-    "openvino": "OpenVINOExecutionProvider",
-    "cuda": "CUDAExecutionProvider",
-    "tensorrt": "TensorrtExecutionProvider",
+    "cpu": ("CPUExecutionProvider", {}),
+    "openvino": ("OpenVINOExecutionProvider", {}),
+    "cuda": ("CUDAExecutionProvider", {"use_tf32": "0", "cudnn_conv_algo_search": "DEFAULT"}),
+    "tensorrt": ("TensorrtExecutionProvider", {}),
 }
 
 sessions = []
@@ -33,8 +34,8 @@ def make(model, count, threads, provider):
     options.inter_op_num_threads = 1
     made = [onnxruntime.InferenceSession(model, options, providers=[PROVIDERS[provider]]) for _ in range(count)]
     used = made[0].get_providers()[0]
-    if used != PROVIDERS[provider]:
-        raise RuntimeError(f"ONNX Runtime computes on {used} instead of {PROVIDERS[provider]}")
+    if used != PROVIDERS[provider][0]:
+        raise RuntimeError(f"ONNX Runtime computes on {used} instead of {PROVIDERS[provider][0]}")
     return made
 
 

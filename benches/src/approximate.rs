@@ -31,7 +31,7 @@ const RECALL: f64 = 0.9;
 const SEARCHING: [usize; 6] = [16, 32, 64, 128, 256, 512];
 
 /// Neighbours per node (M) and construction effort (ef_construction) of every side.
-const CONNECTIVITY: usize = 16;
+const CONNECTIVITY: usize = 32;
 const BUILDING: usize = 128;
 
 /// Baselines: script and name.

@@ -27,7 +27,7 @@ pub struct GraphOptions {
 
 impl Default for GraphOptions {
     fn default() -> Self {
-        Self { connectivity: 16, building: 128, searching: 64 }
+        Self { connectivity: 32, building: 128, searching: 64 }
     }
 }
 
