@@ -75,7 +75,7 @@ impl<'a> BenchSession<'a> {
         baselines: Option<&'a Baselines>,
     ) -> Result<Self> {
         let scratch = tempfile::Builder::new().prefix("memtransfer-bench-").tempdir();
-        let registry = tempfile::Builder::new().prefix("mtb").tempdir_in("/tmp");
+        let registry = tempfile::Builder::new().prefix("mtb").tempdir_in("/dev/shm");
         let scratch = scratch.context("cannot create a scratch folder")?;
         let registry = registry.context("cannot create a registry folder for runs")?;
         let rounds = rounds.max(1);

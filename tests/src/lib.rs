@@ -49,7 +49,8 @@ pub fn repository(path: &str) -> PathBuf {
 pub struct Bench {
     /// Holds the run folders.
     pub folder: TempDir,
-    /// Where live runs are registered. The path is short because it is part of socket names.
+    /// Where live runs are registered: in memory, as without `MEMTRANSFER_RUN_DIR`. The path is short because it is part of
+    /// socket names.
     pub registry: TempDir,
 }
 
@@ -57,7 +58,8 @@ impl Bench {
     /// New empty folders.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().expect("a folder");
-        let registry = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").expect("a folder");
+        let registry =
+            tempfile::Builder::new().prefix("mt").tempdir_in("/dev/shm").expect("a folder");
         Self { folder, registry }
     }
 
@@ -68,6 +70,8 @@ impl Bench {
             .args(args)
             .current_dir(self.folder.path())
             .env("MEMTRANSFER_RUN_DIR", self.registry.path())
+            // Failures are expected, and to print where they come from takes longer than most of them.
+            .env_remove("RUST_BACKTRACE")
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());

@@ -23,6 +23,9 @@ const QUIET_TIME: Duration = Duration::from_millis(60);
 /// How long a process may take to drop evicted frames.
 const RELEASE_TIMEOUT: Duration = Duration::from_secs(5);
 
+/// Pixels of a stripe.
+const STRIPE: usize = 16;
+
 /// Why a check ended early.
 #[derive(Debug)]
 pub(crate) enum Trouble {
@@ -293,9 +296,10 @@ impl<'a, R: TestedRole> Subject<'a, R> {
         let deadline = Instant::now() + RELEASE_TIMEOUT;
         let size = self.neighbours.attach().frame;
         let mut pixels = vec![0; size.bytes()];
-        for (at, pixel) in pixels.chunks_exact_mut(4).enumerate() {
-            let stripe = (at as u64 / 16).wrapping_add(seed).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-            pixel.copy_from_slice(&[(stripe >> 56) as u8, (stripe >> 48) as u8, seed as u8, 255]);
+        for (number, stripe) in pixels.chunks_mut(4 * STRIPE).enumerate() {
+            let mixed = (number as u64).wrapping_add(seed).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            let colour = [(mixed >> 56) as u8, (mixed >> 48) as u8, seed as u8, 255];
+            stripe.copy_from_slice(&[colour; STRIPE].as_flattened()[..stripe.len()]);
         }
         let mut hash = [0; 16];
         hash.copy_from_slice(&blake3::hash(&pixels).as_bytes()[..16]);

@@ -41,7 +41,7 @@ impl ScratchRun {
     /// A run of `participants` with four lanes and 64 frames of 64 x 64 pixels, unless `change` sets something else.
     pub fn new(participants: &[Role], change: impl FnOnce(&mut Attach)) -> Self {
         // The names of sockets leave little room for the path.
-        let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
+        let base = tempfile::Builder::new().prefix("mt").tempdir_in("/dev/shm").unwrap();
         let run = RunDir::create(base.path()).unwrap();
         let mut attach = Attach {
             participants: participants.to_vec(),

@@ -25,7 +25,7 @@ fn memtransfer_with(dir: &Path, arguments: &str, variables: &[(&str, &str)]) -> 
 }
 
 fn dir() -> TempDir {
-    tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap()
+    tempfile::Builder::new().prefix("mt").tempdir_in("/dev/shm").unwrap()
 }
 
 /// Copies the shipped assets to `dir/assets`.

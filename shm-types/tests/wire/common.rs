@@ -22,7 +22,7 @@ pub(crate) struct Run {
 
 /// A run with small frames.
 pub(crate) fn run() -> Run {
-    let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
+    let base = tempfile::Builder::new().prefix("mt").tempdir_in("/dev/shm").unwrap();
     let dir = RunDir::create(base.path()).unwrap();
     let attach = attach(&dir);
     Run { attach, dir, base, _watchdog: watchdog() }

@@ -150,7 +150,7 @@ fn a_run_outlives_its_owner_while_a_process_of_it_lives() {
 
 #[test]
 fn a_base_that_others_write_to_or_that_is_too_long_is_refused() {
-    let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
+    let base = tempfile::Builder::new().prefix("mt").tempdir_in("/dev/shm").unwrap();
     fs::set_permissions(base.path(), fs::Permissions::from_mode(0o777)).unwrap();
     assert!(matches!(RunDir::create(base.path()), Err(RegistryError::NotOurs { .. })));
     let long = Path::new("/tmp").join("x".repeat(40));

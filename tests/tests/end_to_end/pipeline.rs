@@ -166,8 +166,9 @@ fn hang_up(pid: u32) {
 #[test]
 fn the_expert_always_succeeds_and_the_random_policy_rarely() {
     let bench = Bench::new();
+    // Neither policy looks at its frames, so small ones do.
     let all = ["--limit", "100", "--starts", "original,new", "--routes", "unchanged,blocked"];
-    let expert = ["run", "--policy", "expert", "--out", "expert"];
+    let expert = ["run", "--policy", "expert", "--frame-size", "64", "--out", "expert"];
     // A run of more cases and conditions goes on in the same folder, and finished episodes stay.
     bench.run(&[&expert[..], &["--limit", "20", "--starts", "new"]].concat()).expect(0);
     let before = episodes(&bench.out("expert"));
@@ -179,8 +180,8 @@ fn the_expert_always_succeeds_and_the_random_policy_rarely() {
     assert_eq!(success_rate(&finished, |_| true), 100.0);
     assert!(finished.iter().all(|r| r["steps"] == r["reference"]), "an episode has an SPL below 1");
 
-    let random = [&["run", "--policy", "random", "--out", "random"][..], &all[..]].concat();
-    bench.run(&random).expect(0);
+    let random = ["run", "--policy", "random", "--frame-size", "64", "--out", "random"];
+    bench.run(&[&random[..], &all[..]].concat()).expect(0);
     let finished = records(&bench.out("random"));
     assert_eq!(finished.len(), 300);
     assert!(success_rate(&finished, |_| true) < 15.0);

@@ -124,8 +124,7 @@ static SITE_PACKAGES: LazyLock<PathBuf> = LazyLock::new(|| {
     let packages = python(&["-c", "import maturin; print(maturin.__path__[0])"], &[]).expect(0);
     let maturin = Path::new(packages.stdout.trim()).with_file_name("bin");
     let path = format!("{}:{}", maturin.display(), std::env::var("PATH").unwrap());
-    // pip selects other features of shared dependencies than the tests do, so they are built again.
-    python(&args, &[("PATH", &path), ("CARGO_PROFILE_RELEASE_OPT_LEVEL", "0")]).expect(0);
+    python(&args, &[("PATH", &path)]).expect(0);
     place
 });
 

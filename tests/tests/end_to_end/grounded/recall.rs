@@ -79,7 +79,8 @@ pub(crate) fn retrieve<'a>(
     let views = memory.iter().flat_map(|demonstration| demonstration.iter().enumerate());
     let nearest = |(at, view): &(usize, &DemonstrationStep)| {
         let elapsed = (*at as u32).abs_diff(taken);
-        (image.distance(&view.image), stage.abs_diff(view.stage), elapsed)
+        // The bits of a number that is not negative have its order.
+        (image.distance(&view.image).to_bits(), stage.abs_diff(view.stage), elapsed)
     };
     let least = views.map(|view| nearest(&view)).min()?;
     let (from, at) = memory.iter().find_map(|demonstration| {

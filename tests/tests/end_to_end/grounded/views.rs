@@ -1,7 +1,6 @@
 //! Rendered views of the world.
 
 use std::collections::HashMap;
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
 use domain::{Cell, Pose};
@@ -20,22 +19,23 @@ pub(crate) struct Image {
     content_hash: [u8; 16],
     pixels: Vec<u8>,
     /// The sum of each channel over the fields of the coarse grid.
-    fields: Vec<u32>,
+    fields: Vec<f32>,
 }
 
 impl Image {
     pub(crate) fn new(id: u64, width: u32, height: u32, pixels: Vec<u8>) -> Self {
-        let mut fields = vec![0; SIDE * SIDE * 3];
-        for (i, pixel) in pixels.chunks_exact(4).enumerate() {
-            let (x, y) = (i % width as usize, i / width as usize);
-            let field = y * SIDE / height as usize * SIDE + x * SIDE / width as usize;
-            for channel in 0..3 {
-                fields[3 * field + channel] += u32::from(pixel[channel]);
+        let [across, down] = [width, height].map(|side| side as usize / SIDE);
+        let mut fields = vec![0.0; SIDE * SIDE * 3];
+        for (y, row) in pixels.chunks_exact(4 * width as usize).enumerate() {
+            for (x, part) in row.chunks_exact(4 * across).enumerate() {
+                let field = 3 * (y / down * SIDE + x);
+                for (sum, more) in fields[field..].iter_mut().zip(sums(part)) {
+                    *sum += more as f32;
+                }
             }
         }
-        let mut hasher = DefaultHasher::new();
-        pixels.hash(&mut hasher);
-        let content_hash = u128::from(hasher.finish()).to_le_bytes();
+        let mut content_hash = [0; 16];
+        content_hash.copy_from_slice(&blake3::hash(&pixels).as_bytes()[..16]);
         Self { id, width, height, content_hash, pixels, fields }
     }
 
@@ -50,10 +50,24 @@ impl Image {
     }
 
     /// How much two images differ: 0 if they are equal.
-    pub(crate) fn distance(&self, other: &Self) -> u64 {
-        let fields = self.fields.iter().zip(&other.fields);
-        fields.map(|(&a, &b)| u64::from(a.abs_diff(b))).sum()
+    pub(crate) fn distance(&self, other: &Self) -> f32 {
+        search::distance(&self.fields, &other.fields)
     }
+}
+
+/// The sums of red, green and blue of a row of at most 256 pixels. Two channels at a time, and without iterators, because
+/// tests are hardly optimised.
+fn sums(row: &[u8]) -> [u32; 3] {
+    const EVERY_OTHER: u32 = 0x00ff_00ff;
+    let (pixels, _) = row.as_chunks::<4>();
+    let (mut even, mut odd, mut at) = (0, 0, 0);
+    while at < pixels.len() {
+        let pixel = u32::from_le_bytes(pixels[at]);
+        even += pixel & EVERY_OTHER;
+        odd += (pixel >> 8) & EVERY_OTHER;
+        at += 1;
+    }
+    [even & 0xffff, odd & 0xffff, even >> 16]
 }
 
 /// A cache of rendered views.
