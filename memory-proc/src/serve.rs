@@ -4,12 +4,12 @@
 //! The loop never waits for an embedding. A worker notifies this process's own listener when it has one, so that a
 //! finished embedding wakes the loop as a message does.
 
+mod encoder;
 mod ports;
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::io::ErrorKind;
-use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -33,17 +33,15 @@ use warehouse::{CaseSet, Elsewhere, StreamSet};
 use crate::bank::Viewpoint;
 use crate::document_loader::DocumentLoader;
 use crate::embedding_cache::EmbeddingCache;
-use crate::encoder::{
-    Embedded, Encoder, EncoderFacts, Image, ImageSource, ModelFile, PreparedEncoder, Provider,
-    SessionOpening,
-};
+use crate::encoder::{Embedded, Encoder};
 use crate::engine::{Engine, EpisodeFailure};
 use crate::external::{ExternalLimits, ExternalMemories};
-use crate::manifest::EncoderManifest;
-use crate::paths::CacheFolder;
 use crate::snapshots::SnapshotFolder;
 use crate::worlds::WorldStates;
+use encoder::{facts, open_encoder};
 use ports::Ports;
+
+pub use encoder::EncoderSettings;
 
 /// The longest wait for an event. Nothing depends on it; it bounds the time until a lost event is noticed.
 pub(crate) const LONGEST_SLEEP: Duration = Duration::from_secs(1);
@@ -78,33 +76,6 @@ pub struct ServeSettings {
     pub snapshots: Option<PathBuf>,
     /// How long external memories may take.
     pub limits: ExternalLimits,
-}
-
-/// How the encoder runs.
-#[derive(Debug, Clone)]
-pub struct EncoderSettings {
-    /// Its name in the manifest; `None`: the manifest's default.
-    pub name: Option<String>,
-    /// The model's file; `None`: the one that setup fetched.
-    pub file: Option<PathBuf>,
-    /// Worker threads.
-    pub threads: NonZeroUsize,
-    /// The hardware that it runs on.
-    pub provider: Provider,
-    /// The cache folder, with the models, the runtime and known embeddings.
-    pub cache: CacheFolder,
-}
-
-impl EncoderSettings {
-    /// Loads the model file and the runtime.
-    ///
-    /// # Errors
-    /// When there is no such encoder, or something that it needs is missing or broken.
-    pub fn prepare(&self, manifest: &EncoderManifest) -> anyhow::Result<PreparedEncoder> {
-        let model = manifest.model(self.name.as_ref().unwrap_or(&manifest.default))?;
-        let file = ModelFile::read(model, self.file.as_deref(), &self.cache)?;
-        PreparedEncoder::new(file, &self.cache.runtime(), self.threads, self.provider)
-    }
 }
 
 /// Serves the run whose folder is `settings.attach` until the orchestrator stops it.
@@ -159,35 +130,6 @@ pub fn serve_with(
 
 /// Wakes the serve loop.
 pub type Wake = Arc<dyn Fn() + Send + Sync>;
-
-/// Opens the encoder of `settings`, if there is one, and its known embeddings.
-fn open_encoder(
-    settings: &ServeSettings,
-    wake: Wake,
-    reporter: &mut ErrorReporter,
-) -> anyhow::Result<(Option<Encoder>, EmbeddingCache)> {
-    let Some(chosen) = &settings.encoder else { return Ok((None, EmbeddingCache::in_memory())) };
-    let assets = settings.assets.as_deref();
-    let manifest = assets.map_or_else(EncoderManifest::shipped, EncoderManifest::load)?;
-    let encoder = chosen.prepare(&manifest)?;
-    let mut embeddings = open_cache(&chosen.cache, encoder.facts(), reporter);
-    if let Some(file) = &settings.shipped_embeddings {
-        let EncoderFacts { model_fingerprint, dimension, .. } = encoder.facts();
-        let shipped = embeddings.add_shipped(file, model_fingerprint, *dimension)?;
-        tracing::debug!(shipped, "embeddings of the plan read");
-    }
-    // Known embeddings may be all that the run needs.
-    let open =
-        if embeddings.is_empty() { SessionOpening::Eagerly } else { SessionOpening::OnDemand };
-    Ok((Some(encoder.start(open, move || wake())), embeddings))
-}
-
-impl ImageSource for Arc<Frame> {
-    fn image(&self) -> Image<'_> {
-        let size = self.size();
-        Image { width: size.width, height: size.height, rgba: self.pixels() }
-    }
-}
 
 struct MemoryServer<'a> {
     bus: &'a Bus,
@@ -569,34 +511,4 @@ fn external_memories(
 pub(crate) fn room_for_views(attach: &Attach) -> usize {
     let pinned = u64::from(attach.lanes) * (u64::from(attach.window) + 2);
     u64::from(attach.frame_capacity).saturating_sub(pinned) as usize
-}
-
-fn open_cache(
-    cache: &CacheFolder,
-    facts: &EncoderFacts,
-    reporter: &mut ErrorReporter,
-) -> EmbeddingCache {
-    let folder = cache.embeddings();
-    match EmbeddingCache::open(&folder, &facts.fingerprint, facts.dimension) {
-        Ok(cache) => {
-            tracing::debug!(embeddings = cache.len(), "embedding cache read");
-            cache
-        }
-        Err(error) => {
-            reporter.report(format_args!("{error}; the run continues without it"));
-            EmbeddingCache::in_memory()
-        }
-    }
-}
-
-/// The facts about the encoder for the run's manifest.
-fn facts(facts: &EncoderFacts) -> Vec<(&'static str, String)> {
-    vec![
-        ("encoder", facts.model.clone()),
-        ("encoder_sha256", facts.sha256.clone()),
-        ("encoder_trained", facts.trained.to_string()),
-        ("encoder_threads", facts.threads.to_string()),
-        ("encoder_provider", facts.provider.word().to_owned()),
-        ("onnxruntime", facts.runtime.clone()),
-    ]
 }

@@ -2,7 +2,7 @@ use std::path::Path;
 
 use super::*;
 use crate::log::testing::{manifest, record, timings};
-use crate::log::{Opened, RunFolder, RunLog, SessionEvent};
+use crate::log::{Opened, RunFolder, RunLog, SessionEvent, UnitId};
 
 const PLAN: &str = "ab";
 

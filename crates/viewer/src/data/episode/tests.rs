@@ -1,0 +1,101 @@
+use results::conditions::Route;
+use results::log::testing::{log, record};
+use serde_json::Value;
+use warehouse::{CaseSet, Variant, Warehouse};
+
+use super::*;
+
+/// The data of an episode of the first case that takes these actions and retrieves `retrieved`, with other `changes`.
+fn episode(
+    actions: &str,
+    retrieved: Option<&str>,
+    changes: impl FnOnce(&mut EpisodeRecord),
+) -> EpisodeData {
+    let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+    let mut record = record(&cases.cases[0].id, false);
+    (record.start_pose, record.actions) = (cases.cases[0].test.start, actions.to_owned());
+    record.steps = actions.len() as u32;
+    record.retrieved = retrieved.map(str::to_owned);
+    changes(&mut record);
+    let world = RunWorld::new(&log(Vec::new()), warehouse, cases).unwrap();
+    let episode = LoggedEpisode {
+        record: &record,
+        timings: None,
+        requests: Vec::new(),
+        horizon: 6,
+        prompts: false,
+    };
+    EpisodeData::new(&world, &episode, |_| None).unwrap()
+}
+
+/// An episode on the blocked route that tries to enter the closed passage at step 2.
+fn data(retrieved: Option<&str>) -> Value {
+    let data = episode("LR", retrieved, |record| {
+        (record.route, record.tried_closed_at) = (Route::Blocked, Some(2));
+        record.distances = retrieved.map(|_| "- 0.0132".to_owned());
+    });
+    serde_json::to_value(data).unwrap()
+}
+
+/// The first step at which the original demonstration of the first case is in its barricade.
+fn entered() -> u64 {
+    let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+    let case = &cases.cases[0];
+    let closed = Variant::closing(case.barricade.iter().copied());
+    let poses = case.replay(&warehouse, Start::Original).poses;
+    poses.iter().position(|pose| closed.is_closed(pose.cell)).unwrap() as u64
+}
+
+#[test]
+fn what_leads_into_a_closed_passage_is_named_with_its_step() {
+    let entered = entered();
+    let from = entered.saturating_sub(3);
+    let shown = data(Some(&format!("- o{from}")));
+    let demonstrations = shown["demonstrations"].as_array().unwrap();
+    let original =
+        demonstrations.iter().position(|one| one["title"] == "original demonstration").unwrap();
+    assert_eq!(shown["demonstrations"][original]["stale"], true);
+    assert_eq!(shown["supplied"], serde_json::json!([[], [[original, from, 0.0132]]]));
+    assert_eq!(shown["led"]["from"], from);
+    assert_eq!(shown["led"]["enters"], entered);
+    // Beyond the supplied steps, or without sources.
+    assert_eq!(data(Some(&format!("o{from} -")))["led"], Value::Null);
+    assert_eq!(data(None)["led"]["from"], Value::Null);
+    assert_eq!(data(None)["led"]["enters"], entered);
+}
+
+#[test]
+fn views_of_what_was_supplied_are_the_last_to_be_left_out() {
+    let mut data = episode("L", Some("o4"), |_| ());
+    let kept = |data: &EpisodeData| -> Vec<(usize, usize)> {
+        let demonstrations = data.demonstrations.iter().enumerate();
+        let views = demonstrations.flat_map(|(index, one)| {
+            one.views.iter().enumerate().map(move |(step, view)| (index, step, view))
+        });
+        let kept = views.filter(|(_, _, view)| !view.is_empty());
+        kept.map(|(index, step, _)| (index, step)).collect()
+    };
+    let all = kept(&data).len();
+    data.limit_demonstration_views(all);
+    assert_eq!(kept(&data).len(), all);
+    let supplied = data.supplied[0][0].0;
+    data.limit_demonstration_views(7);
+    let mut expected: Vec<_> = (4..10).map(|step| (supplied, step)).chain([(0, 0)]).collect();
+    expected.sort_unstable();
+    assert_eq!(kept(&data), expected);
+    assert!(data.demonstrations[supplied].views[4].ends_with("-small.jpg"));
+}
+
+#[test]
+fn every_step_has_a_pose_a_view_of_its_world_and_what_came_into_view() {
+    let shown = data(None);
+    for list in ["poses", "views", "seen", "feedback"] {
+        assert_eq!(shown[list].as_array().unwrap().len(), 3, "{list}");
+    }
+    assert!(shown["views"][0].as_str().unwrap().starts_with("1-"));
+    assert!(!shown["closed"].as_array().unwrap().is_empty());
+    let seen: Vec<u64> = serde_json::from_value(shown["seen"][0].clone()).unwrap();
+    let again: Vec<u64> = serde_json::from_value(shown["seen"][2].clone()).unwrap();
+    assert!(!seen.is_empty() && again.is_empty());
+    assert_eq!(shown["failure"]["step"], 2);
+}

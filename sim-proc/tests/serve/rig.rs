@@ -1,0 +1,155 @@
+//! A simulator whose render workers write what they were asked to render into the pixels.
+
+use std::collections::BTreeMap;
+
+use anyhow::Result;
+use conformance::messages;
+use conformance::testing::SimRig;
+use domain::{Action, Cell, Pose};
+use shm_types::message::{FrameId, RequestId, Role, StepCommand, WirePose};
+use shm_types::{Attach, Bus, FrameSize};
+use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
+use sim_proc::renderer::{Backend, RenderSettings, ViewSpec, VisibleChanges};
+use sim_proc::serve::serve;
+use sim_proc::view_control::every_pose;
+use sim_proc::worlds::Worlds;
+use warehouse::{CaseSet, Elsewhere, StockChange, Variant, Warehouse, WorldChange, WorldState};
+
+/// Fills a slot with pixels that encode the pose, the stock and the number of nearby closed cells.
+pub(crate) struct CodeWorker;
+
+pub(crate) fn code(variant: &Variant, pose: Pose) -> [u8; 4] {
+    code_with(0, variant, pose)
+}
+
+pub(crate) fn code_with(stock: u32, variant: &Variant, pose: Pose) -> [u8; 4] {
+    let WirePose([x, y, heading, _]) = pose.into();
+    let size = if is_near(variant, pose) { variant.closed().len() } else { 0 };
+    let stock = if shows_stock(pose) { stock as u8 } else { 0 };
+    [x, y, heading | stock << 4, size as u8]
+}
+
+/// Barricades are visible for four cells in all directions.
+pub(crate) fn is_near(variant: &Variant, pose: Pose) -> bool {
+    variant.closed().iter().any(|cell| cell.distance(pose.cell) <= 4)
+}
+
+/// Changed stock is visible in every other row.
+pub(crate) fn shows_stock(pose: Pose) -> bool {
+    pose.cell.y.is_multiple_of(2)
+}
+
+impl RenderWorker for CodeWorker {
+    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64> {
+        for RenderTask { stock, variant, pose, slot, .. } in &mut *tasks {
+            let code = code_with(*stock, variant, *pose);
+            slot.pixels_mut().chunks_exact_mut(4).for_each(|pixel| pixel.copy_from_slice(&code));
+        }
+        // As if one byte had been copied for each.
+        Ok(tasks.len() as u64)
+    }
+}
+
+/// Two workers.
+pub(crate) fn setup() -> RenderSetup {
+    RenderSetup {
+        workers: vec![Box::new(CodeWorker), Box::new(CodeWorker)],
+        on_serve_thread: false,
+        batch_views: 3,
+        find_changes: Box::new(|ViewSpec { pose, variant, stock }| VisibleChanges {
+            stock: stock != 0 && shows_stock(pose),
+            barricades: is_near(variant, pose),
+        }),
+        facts: vec![("backend", "test".to_owned())],
+    }
+}
+
+/// A simulator with [`setup`] among its neighbours.
+pub(crate) fn simulator(change: impl FnOnce(&mut Attach)) -> SimRig {
+    let mut rig = simulator_with(change, false, |_| Ok(setup()));
+    let facts = rig.handshake().facts().unwrap();
+    assert_eq!(facts, BTreeMap::from([("backend".into(), "test".into())]));
+    rig
+}
+
+/// The states that follow the worlds of the shipped cases: an item is gone; also the passage of the fourth case is closed;
+/// another item is gone.
+pub(crate) fn states() -> Vec<WorldState> {
+    let warehouse = Warehouse::shipped();
+    let state = |closed: &[Cell], item: usize| {
+        let standpoint = warehouse.items[item].standpoint;
+        let stock = vec![StockChange { standpoint, item_type: None }];
+        WorldState::new(&warehouse, &WorldChange { closed: closed.to_vec(), stock }).unwrap()
+    };
+    vec![state(&[], 3), state(&CaseSet::shipped().cases[3].barricade, 3), state(&[], 4)]
+}
+
+pub(crate) fn worlds() -> Worlds {
+    let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
+    cases.elsewhere = Some(elsewhere());
+    Worlds::new(&warehouse, &cases, states())
+}
+
+/// The other warehouse.
+pub(crate) fn elsewhere() -> Elsewhere {
+    Elsewhere::generate(&Warehouse::shipped(), &CaseSet::shipped(), 1).unwrap()
+}
+
+pub(crate) fn simulator_with(
+    change: impl FnOnce(&mut Attach),
+    warm_views: bool,
+    open: impl FnOnce(FrameSize) -> Result<RenderSetup> + Send + 'static,
+) -> SimRig {
+    let change = |attach: &mut Attach| {
+        attach.frame = FrameSize { width: 64, height: 32 };
+        change(attach);
+    };
+    SimRig::in_thread(change, move |folder| {
+        let bus = Bus::join(Attach::read(folder)?, Role::Sim)?;
+        let open = || open(bus.attach().frame);
+        serve(&bus, worlds(), warm_views, open)
+    })
+}
+
+/// The next error report's text; the simulator is notified first.
+pub(crate) fn error_report(rig: &mut SimRig) -> String {
+    rig.notify();
+    rig.error_report().1
+}
+
+/// The error that ends the simulator, which it has reported.
+pub(crate) fn fatal_error(rig: &mut SimRig) -> String {
+    let report = error_report(rig);
+    assert_eq!(rig.end().unwrap_err().to_string(), report);
+    report
+}
+
+/// The code in the frame's pixels, as both consumers read it.
+pub(crate) fn shown_code(rig: &mut SimRig, frame: FrameId) -> [u8; 4] {
+    let [memory, policy] = rig.neighbours.stores.each_mut().map(|store| {
+        let frame = store.get(frame).unwrap().expect("the frame is resident").clone();
+        let (first, rest) = frame.pixels().split_at(4);
+        assert!(rest.chunks_exact(4).all(|pixel| pixel == first));
+        assert_eq!(frame.content_hash(), blake3::hash(frame.pixels()).as_bytes()[..16]);
+        <[u8; 4]>::try_from(first).unwrap()
+    });
+    assert_eq!(memory, policy);
+    memory
+}
+
+/// The poses of the shipped floor.
+pub(crate) fn poses() -> Vec<Pose> {
+    every_pose(&Warehouse::shipped().layout).collect()
+}
+
+/// Renderers of small frames.
+pub(crate) fn small(backend: Option<Backend>) -> RenderSettings {
+    let FrameSize { width: width_px, height: height_px } = SMALL;
+    RenderSettings { width_px, height_px, backend, ..RenderSettings::default() }
+}
+
+pub(crate) const SMALL: FrameSize = FrameSize { width: 128, height: 96 };
+
+pub(crate) fn act(lane: u32, episode: u64, step: u32, action: Action) -> StepCommand {
+    messages::act(RequestId { lane, episode, step }, action)
+}

@@ -1,0 +1,180 @@
+//! The package in Inspect, the data sets that it writes, and its Gymnasium environment.
+
+use std::fs;
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use memtransfer_tests::browser::Browser;
+use memtransfer_tests::{Bench, Ended, KilledOnDrop, eventually, needs, program, records};
+use serde_json::{Value, json};
+
+use super::{SITE_PACKAGES, finish, package, script, scripted};
+use crate::exports::is_shown_in_rerun;
+
+/// Two samples of a suite with a model of Inspect that always turns left.
+#[test]
+fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
+    let bench = Bench::new();
+    let start = |args: &[&str]| {
+        let programs = program("memtransfer").with_file_name("");
+        let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
+        let mut command = Command::new(needs::inspect_python());
+        command
+            .args(args)
+            .current_dir(bench.folder.path())
+            .env("PYTHONPATH", SITE_PACKAGES.as_path())
+            .env("PATH", path)
+            .env("MEMTRANSFER_RUN_DIR", bench.registry.path())
+            .env("MEMTRANSFER_MAX_STEPS", "5")
+            .env("MEMTRANSFER_FRAME_SIZE", "64")
+            .env("INSPECT_LOG_DIR", bench.out("logs"))
+            .env("XDG_DATA_HOME", bench.out("data"))
+            // Without a network, and without what an earlier run may have downloaded.
+            .env("HTTPS_PROXY", "http://127.0.0.1:9")
+            .env("TIKTOKEN_CACHE_DIR", bench.out("tiktoken"))
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        command.spawn().expect("Python starts")
+    };
+    let inspect = |args: &[&str]| Ended::of(start(args)).expect(0).stdout;
+    let script = package().join("tests/inspect_suite.py");
+    let log = inspect(&[script.to_str().unwrap()]);
+    let dump = inspect(&["-m", "inspect_ai", "log", "dump", log.trim()]);
+    let dump: Value = serde_json::from_str(&dump).unwrap();
+    assert_eq!(dump["eval"]["task_registry_name"], "memtransfer/rq1");
+    let samples = dump["samples"].as_array().unwrap();
+    let mut ids: Vec<_> = samples.iter().map(|sample| sample["id"].as_str().unwrap()).collect();
+    ids.sort_unstable();
+    assert_eq!(
+        ids,
+        ["t01-01.working.new.unchanged.none", "t01-01.working.original.unchanged.none"]
+    );
+    for sample in samples {
+        assert_eq!(sample["input"], "Find a yellow fire extinguisher.");
+        let score = &sample["scores"]["episode_scorer"];
+        assert_eq!(score["value"], json!({"success": 0.0, "spl": 0.0, "steps": 5.0}));
+        assert_eq!(sample["metadata"]["episode"]["actions"], "LLLLL");
+        let calls = sample["events"].as_array().unwrap().iter();
+        assert_eq!(calls.filter(|event| event["event"] == "model").count(), 5);
+        let [system, user, reply] = &sample["messages"].as_array().unwrap()[..] else { panic!() };
+        assert!(
+            system["content"].as_str().unwrap().contains("You control a robot in a warehouse.")
+        );
+        let images = user["content"].as_array().unwrap().iter();
+        assert_eq!(images.filter(|part| part["type"] == "image").count(), 5);
+        assert_eq!(reply["role"], "assistant");
+        // The run is kept, and is one of the harness.
+        let run = bench.out("runs").join(format!("{}.1", sample["id"].as_str().unwrap()));
+        assert_eq!(records(&run).len(), 1);
+    }
+
+    // From the command line, and its log in Inspect View.
+    fs::remove_dir_all(bench.out("logs")).unwrap();
+    let mut eval = vec!["-m", "inspect_ai", "eval", "memtransfer/rq1", "--model", "mockllm/model"];
+    eval.extend(["--limit", "1", "--epochs", "1", "--display", "none"]);
+    inspect(&eval);
+    let [log] = &fs::read_dir(bench.out("logs")).unwrap().collect::<Vec<_>>()[..] else { panic!() };
+    let log = log.as_ref().unwrap().path();
+    let dump = inspect(&["-m", "inspect_ai", "log", "dump", log.to_str().unwrap()]);
+    let dump: Value = serde_json::from_str(&dump).unwrap();
+    assert_eq!(dump["status"], "success", "{}", dump["error"]);
+    let [sample] = &dump["samples"].as_array().unwrap()[..] else { panic!() };
+    assert_eq!(sample["metadata"]["episode"]["steps"], 5);
+    assert!(sample["model_usage"]["mockllm/model"]["input_tokens"].as_u64().unwrap() > 100);
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
+    let view = ["-m", "inspect_ai", "view", "start", "--host", "127.0.0.1", "--port", &port];
+    let view = KilledOnDrop(start(&view));
+    let address = format!("127.0.0.1:{port}");
+    eventually("Inspect View", || TcpStream::connect(&address).ok());
+    let mut browser = Browser::start(1200, 800);
+    let name = log.file_name().unwrap().to_str().unwrap().to_owned();
+    browser.open(&format!("http://{address}/#/logs/{name}"));
+    let shows = |text: &str| format!("!!document.body?.innerText.includes({text:?})");
+    browser.wait_for(&shows("Find a yellow fire extinguisher."));
+    assert_eq!(browser.value(&shows("mockllm/model")), true);
+    drop((browser, view));
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+/// Runs `export` with `flags` and then the script that opens what it wrote, for four episodes of a
+/// case and its demonstration.
+fn export_and_open(python: &Path, flags: &[(&str, &str)], opener: &str) -> Bench {
+    let bench = Bench::new();
+    let policy = scripted("every_answer");
+    let mut args = vec!["run", "--policy-cmd", &policy, "--cases", "t01-01"];
+    args.extend(["--starts", "original,new", "--memory", "working,full-context"]);
+    args.extend(["--frame-size", "64", "--max-steps", "20", "--lanes", "4", "--out", "run"]);
+    let mut command = bench.command(&args);
+    command.env("PYTHONPATH", package());
+    finish(command).expect(0);
+    let run = bench.out("run").display().to_string();
+    let call = |args: &[&str]| {
+        let mut command = Command::new(python);
+        command
+            .args(args)
+            .current_dir(bench.folder.path())
+            .env("PYTHONPATH", package())
+            .env("MINARI_DATASETS_PATH", bench.out("minari"))
+            .env("HF_HOME", bench.out("hugging-face"))
+            .env("HF_HUB_OFFLINE", "1")
+            .env("HOME", bench.folder.path())
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        Ended::of(command.spawn().expect("Python starts"))
+    };
+    let mut export = vec!["-m", "memtransfer.export", &run, "--demonstrations"];
+    export.extend(flags.iter().flat_map(|(flag, place)| [flag, place]));
+    call(&export).expect(0);
+    let refused = call(&export).expect(2);
+    assert!(refused.stderr.contains("name another"), "{}", refused.stderr);
+    let opener = package().join("tests").join(opener);
+    let mut open = vec![opener.to_str().unwrap(), &run];
+    open.extend(flags.iter().map(|(_, place)| place));
+    call(&open).expect(0);
+    bench
+}
+
+#[test]
+fn data_sets_are_opened_by_the_readers_of_their_formats() {
+    let flags = [
+        ("--minari", "memtransfer/test-v0"),
+        ("--rrd", "out/test.rrd"),
+        ("--croissant", "out/tables"),
+    ];
+    let python = needs::datasets_python();
+    let bench = export_and_open(&python, &flags, "open_datasets.py");
+    let views = ["/camera", "/map", "/events", "/pose"];
+    is_shown_in_rerun(&python, &bench.out("out/test.rrd"), &views);
+}
+
+#[test]
+#[ignore = "LeRobot takes 8 GB: `cargo xtask setup --lerobot`, then `cargo xtask test -- --ignored lerobot`"]
+fn a_lerobot_data_set_is_opened_by_lerobot() {
+    export_and_open(&needs::lerobot_python(), &[("--lerobot", "out/lerobot")], "open_lerobot.py");
+}
+
+/// A policy steps the environment beside the run, and compares pixels, pose, instruction and feedback.
+#[test]
+fn the_gymnasium_environment_shows_what_a_run_shows() {
+    let bench = Bench::new();
+    let cases = [
+        ("t01-01", "original", "unchanged"),
+        ("t03-07", "new", "unchanged"),
+        ("t07-02", "new", "blocked"),
+    ];
+    for (case, start, route) in cases {
+        let compared = bench.out(&format!("{case}.txt"));
+        let arguments = format!("{} {case} {start} {route}", compared.display());
+        let policy = script("tests/policies/environment.py", &arguments);
+        let mut args = vec!["run", "--policy-cmd", &policy, "--cases", case, "--starts", start];
+        args.extend(["--routes", route, "--memory", "working", "--frame-size", "128"]);
+        args.extend(["--max-steps", "60", "--backend", "cpu", "--out", case]);
+        let mut command = bench.command(&args);
+        command.env("PYTHONPATH", package());
+        finish(command).expect(0);
+        assert_eq!(fs::read_to_string(compared).unwrap(), "60", "{case}");
+    }
+}
