@@ -205,6 +205,8 @@ impl<N: SubjectNeighbours> Rig<N> {
 
     /// Stops the subject, which has to end without an error, and returns its shutdown report.
     pub fn stop(mut self) -> ShutdownReport {
+        // Connects to the subject, as the orchestrator does at its handshake: it may end right after it has sent the report.
+        assert!(self.neighbours.shutdown_reports.next().unwrap().is_none());
         self.neighbours.stop().unwrap();
         let report = self.until(|neighbours| neighbours.shutdown_reports.next().unwrap());
         self.end().unwrap();
