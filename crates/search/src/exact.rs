@@ -6,9 +6,9 @@
 
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
-use crate::kernels::{self, BLOCK_ROWS, SimdLevel};
+use crate::kernels::{self, BLOCK_ROWS, QUERIES_TOGETHER, SimdLevel};
 use crate::matrix::{FloatLine, Matrix, padded};
-use crate::quantized::{QuantizedMatrix, QuantizedQuery};
+use crate::quantized::{BlockProducts, QuantizedMatrix, QuantizedQuery, RowBlock};
 
 /// Rows that are measured before their distances are compared.
 const ROWS_TOGETHER: usize = 128;
@@ -172,22 +172,44 @@ impl QuantizedScan<'_> {
                     if limit != thresholds[at].0 {
                         thresholds[at] = (limit, self.quantized.threshold(&query.quantized, limit));
                     }
-                    self.scan_block(block, query, thresholds[at].1, &mut nearest[at]);
                 }
+                let rows = self.quantized.block(block);
+                self.multiply(rows, |at, products| {
+                    let (query, threshold) = (&self.queries[at], thresholds[at].1);
+                    let candidates =
+                        rows.candidates(self.level, &query.quantized, products, threshold);
+                    self.measure(block, candidates, query, &mut nearest[at]);
+                });
             }
         }
     }
 
+    /// Multiplies a block by every query, several at a time.
+    fn multiply(&self, block: RowBlock<'_>, mut each: impl FnMut(usize, &BlockProducts)) {
+        let (groups, rest) = self.queries.as_chunks::<QUERIES_TOGETHER>();
+        let mut queries = 0..;
+        let mut products = [[0; BLOCK_ROWS]; QUERIES_TOGETHER];
+        for group in groups {
+            let group = group.each_ref().map(|query| &query.quantized);
+            block.multiply(self.level, group, &mut products);
+            products.iter().zip(&mut queries).for_each(|(products, at)| each(at, products));
+        }
+        let [products, ..] = &mut products;
+        for (query, at) in rest.iter().zip(queries) {
+            block.multiply(self.level, [&query.quantized], std::array::from_mut(products));
+            each(at, products);
+        }
+    }
+
     /// Measures the candidates of a block.
-    fn scan_block(
+    fn measure(
         &self,
         block: usize,
+        candidates: u64,
         query: &PendingQuery,
-        threshold: f32,
         nearest: &mut NearestRows,
     ) {
-        let rows = self.quantized.block(block);
-        for place in bits(rows.candidates(self.level, &query.quantized, threshold)) {
+        for place in bits(candidates) {
             let row = block * BLOCK_ROWS + place;
             let distance = self.distance(query, row);
             if distance <= query.limit() {
@@ -213,34 +235,30 @@ impl QuantizedScan<'_> {
         let sampled = (blocks / SAMPLED_SHARE).min(SAMPLED_BLOCKS).max(self.wanted);
         let step = blocks.div_ceil(sampled);
         let sample: Vec<usize> = (0..blocks).step_by(step).collect();
-        for query in &self.queries {
-            let mut nearest = NearestRows::new(self.wanted);
-            for part in 0..self.wanted {
-                let blocks = sample.iter().skip(part).step_by(self.wanted);
-                if let Some(row) = self.seemingly_nearest(blocks.copied(), query) {
-                    nearest.offer(self.distance(query, row), row as u32);
-                }
+        let mut limits = vec![NearestRows::new(self.wanted); self.queries.len()];
+        for part in 0..self.wanted {
+            let mut seemingly_nearest = vec![(f32::NEG_INFINITY, None); self.queries.len()];
+            for &block in sample.iter().skip(part).step_by(self.wanted) {
+                let rows = self.quantized.block(block);
+                self.multiply(rows, |at, products| {
+                    let estimates = rows.estimates(&self.queries[at].quantized, products);
+                    for (row, estimate) in (block * BLOCK_ROWS..).zip(estimates) {
+                        if estimate > seemingly_nearest[at].0 {
+                            seemingly_nearest[at] = (estimate, Some(row));
+                        }
+                    }
+                });
             }
-            query.limit.store(nearest.limit().to_bits(), Ordering::Relaxed);
-        }
-    }
-
-    /// The row of some blocks whose quantized vector is nearest.
-    fn seemingly_nearest(
-        &self,
-        blocks: impl Iterator<Item = usize>,
-        query: &PendingQuery,
-    ) -> Option<usize> {
-        let mut nearest = (f32::NEG_INFINITY, None);
-        for block in blocks {
-            let estimates = self.quantized.block(block).estimates(self.level, &query.quantized);
-            for (row, estimate) in (block * BLOCK_ROWS..).zip(estimates) {
-                if estimate > nearest.0 {
-                    nearest = (estimate, Some(row));
+            let found = self.queries.iter().zip(seemingly_nearest).zip(&mut limits);
+            for ((query, (_, row)), limits) in found {
+                if let Some(row) = row {
+                    limits.offer(self.distance(query, row), row as u32);
                 }
             }
         }
-        nearest.1
+        for (query, limits) in self.queries.iter().zip(limits) {
+            query.limit.store(limits.limit().to_bits(), Ordering::Relaxed);
+        }
     }
 }
 
@@ -342,7 +360,11 @@ mod tests {
                 let quantized = QuantizedMatrix::new(level, &store, 1);
                 let query = quantized.query(query.as_slice());
                 let blocks = (0..quantized.blocks()).map(|block| quantized.block(block));
-                let all = blocks.flat_map(|block| block.estimates(level, &query));
+                let all = blocks.flat_map(|block| {
+                    let mut products = [[0; BLOCK_ROWS]];
+                    block.multiply(level, [&query], &mut products);
+                    block.estimates(&query, &products[0]).collect::<Vec<_>>()
+                });
                 all.take(store.len()).map(f32::to_bits).collect::<Vec<_>>()
             };
             let all: Vec<_> = SimdLevel::all().into_iter().map(estimates).collect();
@@ -370,8 +392,12 @@ mod tests {
         let nearest = scan(level, &store, query.as_slice(), 1).limit();
         let query = quantized.query(query.as_slice());
         let threshold = quantized.threshold(&query, nearest);
-        let candidates =
-            |block| quantized.block(block).candidates(level, &query, threshold).count_ones();
+        let candidates = |block| {
+            let block = quantized.block(block);
+            let mut products = [[0; BLOCK_ROWS]];
+            block.multiply(level, [&query], &mut products);
+            block.candidates(level, &query, &products[0], threshold).count_ones()
+        };
         let candidates: u32 = (0..quantized.blocks()).map(candidates).sum();
         assert!((1..200).contains(&candidates), "{candidates} of 4096");
     }

@@ -18,6 +18,13 @@ use crate::matrix::{CodeLine, FloatLine};
 /// row side by side. One multiplication then serves 16 rows.
 pub(crate) const BLOCK_ROWS: usize = 64;
 
+/// Cache lines of a block for each step of four codes.
+const LINES_IN_STEP: usize = BLOCK_ROWS / 16;
+
+/// Queries that are multiplied together: their sums for a block fill half of AVX-512's registers, and each cache line is
+/// loaded once for all of them.
+pub(crate) const QUERIES_TOGETHER: usize = 4;
+
 /// The figures of a vector that was quantized to `centre + scale * code`.
 pub(crate) struct QuantizedVector {
     pub(crate) scale: f32,
@@ -27,6 +34,15 @@ pub(crate) struct QuantizedVector {
     pub(crate) error: f64,
     /// Sum of the codes.
     pub(crate) code_sum: i32,
+}
+
+/// The codes of a quantized query.
+#[derive(Clone, Copy)]
+pub(crate) struct QueryCodes<'a> {
+    /// The codes, by steps of four; at least as many steps as a block has.
+    pub(crate) steps: &'a [[i8; 4]],
+    /// What [`CODE_ZERO`] adds to a product with a stored row.
+    pub(crate) excess: i32,
 }
 
 /// A set of vector instructions that this processor has.
@@ -112,20 +128,18 @@ pub(crate) fn quantize(
     )
 }
 
-/// Writes the products of a query's codes with the stored codes of each row of a block, less `excess`: what
-/// [`CODE_ZERO`] adds to each of them. The number of steps is even.
-pub(crate) fn dot_products(
+/// Writes, for each query, the products of its codes with those of each row of a block.
+pub(crate) fn dot_products<const QUERIES: usize>(
     level: SimdLevel,
     block: &[CodeLine],
-    query: &[[i8; 4]],
-    excess: i32,
-    products: &mut [i32; BLOCK_ROWS],
+    queries: [QueryCodes<'_>; QUERIES],
+    products: &mut [[i32; BLOCK_ROWS]; QUERIES],
 ) {
     dispatch!(
         level,
-        portable::dot_products(block, query, excess, products),
-        x86::dot_products_avx2(block, query, excess, products),
-        x86::dot_products_avx512(block, query, excess, products),
+        portable::dot_products(block, queries, products),
+        x86::dot_products_avx2(block, queries, products),
+        x86::dot_products_avx512(block, queries, products),
     );
 }
 

@@ -12,7 +12,7 @@
 //! of a vector that has been measured, `x` is farther away and its original numbers are not read. The bound holds for
 //! any data; the data decides only how many vectors it rules out.
 
-use crate::kernels::{self, BLOCK_ROWS, CODE_ZERO, QuantizedVector, SimdLevel};
+use crate::kernels::{self, BLOCK_ROWS, CODE_ZERO, QuantizedVector, QueryCodes, SimdLevel};
 use crate::matrix::{CodeLine, Matrix};
 use crate::pages;
 
@@ -44,6 +44,9 @@ pub(crate) struct RowBlock<'a> {
     scales: &'a [f32; BLOCK_ROWS],
     half_norms: &'a [f32; BLOCK_ROWS],
 }
+
+/// The product of each row of a block with a query.
+pub(crate) type BlockProducts = [i32; BLOCK_ROWS];
 
 /// A quantized query.
 pub(crate) struct QuantizedQuery {
@@ -202,39 +205,37 @@ pub(crate) fn record_distance(level: SimdLevel, a: &[u8], b: &[u8]) -> f32 {
 }
 
 impl RowBlock<'_> {
+    /// Writes the products of all rows with each of several queries.
+    pub(crate) fn multiply<const QUERIES: usize>(
+        self,
+        level: SimdLevel,
+        queries: [&QuantizedQuery; QUERIES],
+        products: &mut [BlockProducts; QUERIES],
+    ) {
+        let codes = queries.map(|query| QueryCodes { steps: &query.codes, excess: query.excess });
+        kernels::dot_products(level, self.lines, codes, products);
+    }
+
     /// Which rows reach a [threshold](QuantizedMatrix::threshold), one bit each.
     pub(crate) fn candidates(
         self,
         level: SimdLevel,
         query: &QuantizedQuery,
+        products: &BlockProducts,
         threshold: f32,
     ) -> u64 {
-        let products = self.products(level, query);
-        kernels::candidates(
-            level,
-            &products,
-            (self.scales, self.half_norms),
-            query.scale,
-            threshold,
-        )
+        kernels::candidates(level, products, (self.scales, self.half_norms), query.scale, threshold)
     }
 
     /// How near each row seems: the greater, the smaller the distance of the quantized vectors. NaN past the last row.
     pub(crate) fn estimates(
         self,
-        level: SimdLevel,
         query: &QuantizedQuery,
+        products: &BlockProducts,
     ) -> impl Iterator<Item = f32> {
-        let products = self.products(level, query);
         (0..BLOCK_ROWS).map(move |row| {
             products[row] as f32 * self.scales[row] * query.scale - self.half_norms[row]
         })
-    }
-
-    fn products(self, level: SimdLevel, query: &QuantizedQuery) -> [i32; BLOCK_ROWS] {
-        let mut products = [0; BLOCK_ROWS];
-        kernels::dot_products(level, self.lines, &query.codes, query.excess, &mut products);
-        products
     }
 }
 

@@ -1,6 +1,6 @@
 //! The kernels in portable Rust. The compiler also builds them for wider vector instructions.
 
-use super::{BLOCK_ROWS, QuantizedVector};
+use super::{BLOCK_ROWS, LINES_IN_STEP, QuantizedVector, QueryCodes};
 use crate::embedding::{add_squares, half_total};
 use crate::matrix::{CodeLine, FloatLine};
 
@@ -23,22 +23,25 @@ pub(super) fn distances(query: &[FloatLine], rows: &[FloatLine], distances: &mut
     }
 }
 
-/// Writes the products of a query's codes with those of each row of a block.
-pub(super) fn dot_products(
+/// Writes, for each query, the products of its codes with those of each row of a block.
+pub(super) fn dot_products<const QUERIES: usize>(
     block: &[CodeLine],
-    query: &[[i8; 4]],
-    excess: i32,
-    products: &mut [i32; BLOCK_ROWS],
+    queries: [QueryCodes<'_>; QUERIES],
+    products: &mut [[i32; BLOCK_ROWS]; QUERIES],
 ) {
-    *products = [-excess; BLOCK_ROWS];
-    for (lines, query) in block.chunks_exact(4).zip(query) {
-        let query = query.map(i32::from);
-        for (products, line) in products.as_chunks_mut::<16>().0.iter_mut().zip(lines) {
-            for (product, row) in products.iter_mut().zip(line.0.as_chunks::<4>().0) {
-                let row = row.map(i32::from);
-                let sum =
-                    row[0] * query[0] + row[1] * query[1] + row[2] * query[2] + row[3] * query[3];
-                *product = product.wrapping_add(sum);
+    for (query, products) in queries.into_iter().zip(products) {
+        *products = [-query.excess; BLOCK_ROWS];
+        for (lines, codes) in block.as_chunks::<LINES_IN_STEP>().0.iter().zip(query.steps) {
+            let codes = codes.map(i32::from);
+            for (products, line) in products.as_chunks_mut::<16>().0.iter_mut().zip(lines) {
+                for (product, row) in products.iter_mut().zip(line.0.as_chunks::<4>().0) {
+                    let row = row.map(i32::from);
+                    let sum = row[0] * codes[0]
+                        + row[1] * codes[1]
+                        + row[2] * codes[2]
+                        + row[3] * codes[3];
+                    *product = product.wrapping_add(sum);
+                }
             }
         }
     }

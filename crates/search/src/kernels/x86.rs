@@ -4,7 +4,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{BLOCK_ROWS, QuantizedVector, portable};
+use super::{BLOCK_ROWS, LINES_IN_STEP, QuantizedVector, QueryCodes, portable};
 use crate::matrix::{CodeLine, FloatLine};
 
 pub(super) fn has_avx2() -> bool {
@@ -95,63 +95,108 @@ fn half_total(sums: __m512) -> f32 {
     0.5 * _mm_cvtss_f32(one)
 }
 
-/// How far ahead of its use a block is fetched, in cache lines.
-const LINES_AHEAD: usize = 64;
+/// Queries whose sums fit into AVX2's sixteen registers together.
+const QUERIES_AVX2: usize = 2;
 
 #[target_feature(enable = "avx2")]
-pub(super) fn dot_products_avx2(
+pub(super) fn dot_products_avx2<const QUERIES: usize>(
     block: &[CodeLine],
-    query: &[[i8; 4]],
-    excess: i32,
-    products: &mut [i32; BLOCK_ROWS],
+    queries: [QueryCodes<'_>; QUERIES],
+    products: &mut [[i32; BLOCK_ROWS]; QUERIES],
 ) {
-    // Each sum holds two numbers for each of four rows.
-    let mut sums = [_mm256_setzero_si256(); BLOCK_ROWS / 4];
-    for (lines, query) in block.chunks_exact(4).zip(query) {
-        let [a, b, c, d] = query.map(i16::from);
-        let query = _mm256_setr_epi16(a, b, c, d, a, b, c, d, a, b, c, d, a, b, c, d);
-        for (sums, line) in sums.as_chunks_mut::<4>().0.iter_mut().zip(lines) {
-            for (sum, codes) in sums.iter_mut().zip(line.0.as_chunks::<16>().0) {
-                // SAFETY: 16 codes are 16 bytes; this load asks for no alignment.
-                let codes = unsafe { _mm_loadu_si128(codes.as_ptr().cast()) };
-                let widened = _mm256_cvtepu8_epi16(codes);
-                *sum = _mm256_add_epi32(*sum, _mm256_madd_epi16(widened, query));
-            }
-        }
+    let (pairs, rest) = queries.as_chunks::<QUERIES_AVX2>();
+    let (products, products_rest) = products.as_chunks_mut::<QUERIES_AVX2>();
+    for (queries, products) in pairs.iter().zip(products) {
+        dot_products_of_some_avx2(block, queries, products);
     }
-    let pairs = products.as_chunks_mut::<8>().0.iter_mut().zip(sums.as_chunks::<2>().0);
-    for (products, [low, high]) in pairs {
-        // Adds neighbours within halves; the permutation restores the order of rows.
-        let added = _mm256_hadd_epi32(*low, *high);
-        let ordered = _mm256_permute4x64_epi64::<0b11_01_10_00>(added);
-        let ordered = _mm256_sub_epi32(ordered, _mm256_set1_epi32(excess));
-        // SAFETY: 8 products are 32 bytes; this store asks for no alignment.
-        unsafe { _mm256_storeu_si256(products.as_mut_ptr().cast(), ordered) };
+    for (query, products) in rest.iter().zip(products_rest) {
+        dot_products_of_some_avx2(
+            block,
+            std::array::from_ref(query),
+            std::array::from_mut(products),
+        );
     }
 }
 
-#[target_feature(enable = "avx512f,avx512vnni")]
-pub(super) fn dot_products_avx512(
+/// Multiplies as many queries as [`QUERIES_AVX2`] at most, by 16 rows at a time.
+#[target_feature(enable = "avx2")]
+fn dot_products_of_some_avx2<const QUERIES: usize>(
     block: &[CodeLine],
-    query: &[[i8; 4]],
-    excess: i32,
-    products: &mut [i32; BLOCK_ROWS],
+    queries: &[QueryCodes<'_>; QUERIES],
+    products: &mut [[i32; BLOCK_ROWS]; QUERIES],
 ) {
-    // Two sums for each 16 rows, so that a multiplication does not wait for the one before.
-    let mut sums = [_mm512_setzero_si512(); 8];
-    for (lines, steps) in block.chunks_exact(8).zip(query.as_chunks::<2>().0) {
-        for (at, (sum, line)) in sums.iter_mut().zip(lines).enumerate() {
-            let query = _mm512_set1_epi32(i32::from_ne_bytes(steps[at / 4].map(|code| code as u8)));
-            let ahead = std::ptr::from_ref(line).wrapping_add(LINES_AHEAD);
-            _mm_prefetch::<_MM_HINT_T0>(ahead.cast());
-            *sum = _mm512_dpbusd_epi32(*sum, load_codes(line), query);
+    let steps = block.as_chunks::<LINES_IN_STEP>().0;
+    let queries = queries.map(|query| QueryCodes { steps: &query.steps[..steps.len()], ..query });
+    for column in 0..LINES_IN_STEP {
+        // Each sum holds two numbers for each of four rows.
+        let mut sums = [[_mm256_setzero_si256(); 4]; QUERIES];
+        for (at, lines) in steps.iter().enumerate() {
+            let query_codes = queries.map(|query| broadcast_widened(query.steps[at]));
+            for (part, codes) in lines[column].0.as_chunks::<16>().0.iter().enumerate() {
+                // SAFETY: 16 codes are 16 bytes; this load asks for no alignment.
+                let codes = unsafe { _mm_loadu_si128(codes.as_ptr().cast()) };
+                let widened = _mm256_cvtepu8_epi16(codes);
+                for (sums, query) in sums.iter_mut().zip(query_codes) {
+                    sums[part] = _mm256_add_epi32(sums[part], _mm256_madd_epi16(widened, query));
+                }
+            }
+        }
+        for ((products, sums), query) in products.iter_mut().zip(&sums).zip(queries) {
+            let products = &mut products[column * 16..][..16];
+            let excess = _mm256_set1_epi32(query.excess);
+            for (products, [low, high]) in products.chunks_exact_mut(8).zip(sums.as_chunks::<2>().0)
+            {
+                // Adds neighbours within halves; the permutation restores the order of rows.
+                let added = _mm256_hadd_epi32(*low, *high);
+                let ordered = _mm256_permute4x64_epi64::<0b11_01_10_00>(added);
+                let ordered = _mm256_sub_epi32(ordered, excess);
+                // SAFETY: 8 products are 32 bytes; this store asks for no alignment.
+                unsafe { _mm256_storeu_si256(products.as_mut_ptr().cast(), ordered) };
+            }
         }
     }
-    for (at, products) in products.as_chunks_mut::<16>().0.iter_mut().enumerate() {
-        let sum = _mm512_add_epi32(sums[at], sums[4 + at]);
-        let sum = _mm512_sub_epi32(sum, _mm512_set1_epi32(excess));
-        // SAFETY: 16 products are 64 bytes; this store asks for no alignment.
-        unsafe { _mm512_storeu_si512(products.as_mut_ptr().cast(), sum) };
+}
+
+/// Four codes as 16-bit numbers, four times.
+#[target_feature(enable = "avx2")]
+fn broadcast_widened(codes: [i8; 4]) -> __m256i {
+    let codes = i32::from_ne_bytes(codes.map(|code| code as u8));
+    _mm256_broadcastq_epi64(_mm_cvtepi8_epi16(_mm_cvtsi32_si128(codes)))
+}
+
+/// How far ahead of its use a block is fetched, in cache lines.
+const LINES_AHEAD: usize = 64;
+
+#[target_feature(enable = "avx512f,avx512vnni")]
+pub(super) fn dot_products_avx512<const QUERIES: usize>(
+    block: &[CodeLine],
+    queries: [QueryCodes<'_>; QUERIES],
+    products: &mut [[i32; BLOCK_ROWS]; QUERIES],
+) {
+    let steps = block.as_chunks::<LINES_IN_STEP>().0;
+    let queries = queries.map(|query| QueryCodes { steps: &query.steps[..steps.len()], ..query });
+    let mut sums = [[_mm512_setzero_si512(); LINES_IN_STEP]; QUERIES];
+    for (at, lines) in steps.iter().enumerate() {
+        for line in lines {
+            let ahead = std::ptr::from_ref(line).wrapping_add(LINES_AHEAD);
+            _mm_prefetch::<_MM_HINT_T0>(ahead.cast());
+        }
+        let rows = [0, 1, 2, 3].map(|line: usize| load_codes(&lines[line]));
+        for (sums, query) in sums.iter_mut().zip(queries) {
+            let codes = i32::from_ne_bytes(query.steps[at].map(|code| code as u8));
+            let codes = _mm512_set1_epi32(codes);
+            for (sum, rows) in sums.iter_mut().zip(rows) {
+                *sum = _mm512_dpbusd_epi32(*sum, rows, codes);
+            }
+        }
+    }
+    for ((products, sums), query) in products.iter_mut().zip(sums).zip(queries) {
+        let excess = _mm512_set1_epi32(query.excess);
+        for (products, sum) in products.as_chunks_mut::<16>().0.iter_mut().zip(sums) {
+            let sum = _mm512_sub_epi32(sum, excess);
+            // SAFETY: 16 products are 64 bytes; this store asks for no alignment.
+            unsafe { _mm512_storeu_si512(products.as_mut_ptr().cast(), sum) };
+        }
     }
 }
 
