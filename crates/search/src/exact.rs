@@ -4,6 +4,7 @@
 //! which reads a quarter of the memory; only rows that the lower bound does not rule out are measured. The
 //! answer is the same, on one thread or several.
 
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
 use crate::kernels::{self, BLOCK_ROWS, QUERIES_TOGETHER, SimdLevel};
@@ -23,7 +24,7 @@ const TURNS: usize = 4;
 const SAMPLED_BLOCKS: usize = 16;
 
 /// One of so many blocks is sampled at most: what is sampled is read twice.
-const SAMPLED_SHARE: usize = 4;
+const SAMPLED_SHARE: usize = 16;
 
 /// The nearest rows found so far, in order of distance. Rows as far as the last wanted one are all kept.
 #[derive(Debug, Clone)]
@@ -63,7 +64,7 @@ impl NearestRows {
 
 /// Measures all rows.
 pub(crate) fn scan(level: SimdLevel, rows: &Matrix, query: &[f32], wanted: usize) -> NearestRows {
-    let query: Vec<FloatLine> = padded(query).collect();
+    let query = padded(query);
     let mut nearest = NearestRows::new(wanted);
     let mut distances = [0.0; ROWS_TOGETHER];
     for first in (0..rows.len()).step_by(ROWS_TOGETHER) {
@@ -85,7 +86,7 @@ pub(crate) fn scan_some(
     query: &[f32],
     wanted: usize,
 ) -> NearestRows {
-    let query: Vec<FloatLine> = padded(query).collect();
+    let query = padded(query);
     let mut nearest = NearestRows::new(wanted);
     for row in some {
         let mut distance = [0.0];
@@ -107,15 +108,9 @@ pub(crate) fn scan_quantized(
     if wanted == 0 {
         return vec![NearestRows::new(0); queries.len()];
     }
-    let pending = |query: &&[f32]| PendingQuery {
-        lines: padded(query).collect(),
-        quantized: quantized.query(query),
-        limit: AtomicU32::new(f32::INFINITY.to_bits()),
-    };
-    let queries = queries.iter().map(pending).collect();
-    let scan = QuantizedScan { level, rows, quantized, wanted, queries };
-    scan.sample();
-    scan.run(threads)
+    let group = |queries| QueryGroup { queries, pending: OnceLock::new() };
+    let groups = queries.chunks(QUERIES_TOGETHER).map(group).collect();
+    QuantizedScan { level, rows, quantized, wanted, groups }.run(threads)
 }
 
 /// A pass over the quantized rows.
@@ -124,7 +119,14 @@ struct QuantizedScan<'a> {
     rows: &'a Matrix,
     quantized: &'a QuantizedMatrix,
     wanted: usize,
-    queries: Vec<PendingQuery>,
+    groups: Vec<QueryGroup<'a>>,
+}
+
+/// Queries that a block is multiplied by together, at most [`QUERIES_TOGETHER`].
+struct QueryGroup<'a> {
+    queries: &'a [&'a [f32]],
+    /// Filled by the thread that needs them first.
+    pending: OnceLock<Vec<PendingQuery>>,
 }
 
 struct PendingQuery {
@@ -143,9 +145,14 @@ impl PendingQuery {
 
 impl QuantizedScan<'_> {
     fn run(&self, threads: usize) -> Vec<NearestRows> {
-        let next_block = AtomicUsize::new(0);
+        let (next_thread, next_block) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let together = (self.quantized.blocks() / (threads * TURNS)).clamp(1, BLOCKS_TOGETHER);
-        let scan = || self.scan_blocks(&next_block, together);
+        let scan = || {
+            // Every thread begins with other queries, so that no two prepare the same ones.
+            let thread = next_thread.fetch_add(1, Ordering::Relaxed);
+            let first_group = thread * self.groups.len() / threads;
+            self.scan_blocks(&next_block, together, first_group)
+        };
         let mut parts = crate::on_threads(threads, scan).into_iter();
         let mut all = parts.next().unwrap_or_default();
         for part in parts {
@@ -157,47 +164,59 @@ impl QuantizedScan<'_> {
     }
 
     /// Takes so many blocks at a time until none is left.
-    fn scan_blocks(&self, next_block: &AtomicUsize, together: usize) -> Vec<NearestRows> {
-        let mut nearest = vec![NearestRows::new(self.wanted); self.queries.len()];
+    fn scan_blocks(
+        &self,
+        next_block: &AtomicUsize,
+        together: usize,
+        first_group: usize,
+    ) -> Vec<NearestRows> {
+        let queries = self.groups.iter().map(|group| group.queries.len()).sum();
+        let mut nearest = vec![NearestRows::new(self.wanted); queries];
         // Limit and threshold of each query.
-        let mut thresholds = vec![(f32::NAN, f32::NAN); self.queries.len()];
+        let mut thresholds = vec![(f32::NAN, f32::NAN); queries];
+        let mut products = [[0; BLOCK_ROWS]; QUERIES_TOGETHER];
         loop {
             let first = next_block.fetch_add(together, Ordering::Relaxed);
             if first >= self.quantized.blocks() {
                 return nearest;
             }
             for block in first..self.quantized.blocks().min(first + together) {
-                for (at, query) in self.queries.iter().enumerate() {
-                    let limit = query.limit();
-                    if limit != thresholds[at].0 {
-                        thresholds[at] = (limit, self.quantized.threshold(&query.quantized, limit));
+                let rows = self.quantized.block(block);
+                for group in (first_group..self.groups.len()).chain(0..first_group) {
+                    let queries = self.pending(group);
+                    self.multiply(rows, queries, &mut products);
+                    let answers = nearest.iter_mut().zip(&mut thresholds);
+                    let answers = answers.skip(group * QUERIES_TOGETHER);
+                    for ((query, products), (nearest, known)) in
+                        queries.iter().zip(&products).zip(answers)
+                    {
+                        let limit = query.limit();
+                        if limit != known.0 {
+                            *known = (limit, self.quantized.threshold(&query.quantized, limit));
+                        }
+                        let candidates =
+                            rows.candidates(self.level, &query.quantized, products, known.1);
+                        self.measure(block, candidates, query, nearest);
                     }
                 }
-                let rows = self.quantized.block(block);
-                self.multiply(rows, |at, products| {
-                    let (query, threshold) = (&self.queries[at], thresholds[at].1);
-                    let candidates =
-                        rows.candidates(self.level, &query.quantized, products, threshold);
-                    self.measure(block, candidates, query, &mut nearest[at]);
-                });
             }
         }
     }
 
-    /// Multiplies a block by every query, several at a time.
-    fn multiply(&self, block: RowBlock<'_>, mut each: impl FnMut(usize, &BlockProducts)) {
-        let (groups, rest) = self.queries.as_chunks::<QUERIES_TOGETHER>();
-        let mut queries = 0..;
-        let mut products = [[0; BLOCK_ROWS]; QUERIES_TOGETHER];
-        for group in groups {
-            let group = group.each_ref().map(|query| &query.quantized);
-            block.multiply(self.level, group, &mut products);
-            products.iter().zip(&mut queries).for_each(|(products, at)| each(at, products));
+    /// Multiplies a block by a group of queries.
+    fn multiply(
+        &self,
+        block: RowBlock<'_>,
+        queries: &[PendingQuery],
+        products: &mut [BlockProducts; QUERIES_TOGETHER],
+    ) {
+        if let Ok(queries) = <&[PendingQuery; QUERIES_TOGETHER]>::try_from(queries) {
+            let queries = queries.each_ref().map(|query| &query.quantized);
+            block.multiply(self.level, queries, products);
+            return;
         }
-        let [products, ..] = &mut products;
-        for (query, at) in rest.iter().zip(queries) {
+        for (query, products) in queries.iter().zip(products) {
             block.multiply(self.level, [&query.quantized], std::array::from_mut(products));
-            each(at, products);
         }
     }
 
@@ -225,38 +244,57 @@ impl QuantizedScan<'_> {
         distance[0]
     }
 
+    /// The queries of a group.
+    fn pending(&self, group: usize) -> &[PendingQuery] {
+        let group = &self.groups[group];
+        group.pending.get_or_init(|| {
+            let pending = |query: &&[f32]| PendingQuery {
+                lines: padded(query),
+                quantized: self.quantized.query(query),
+                limit: AtomicU32::new(f32::INFINITY.to_bits()),
+            };
+            let queries: Vec<PendingQuery> = group.queries.iter().map(pending).collect();
+            self.sample(&queries);
+            queries
+        })
+    }
+
     /// Sets a first limit for each query: measures as many rows as are wanted, those that seem nearest in a sample of
     /// blocks, and takes the farthest of them.
-    fn sample(&self) {
+    fn sample(&self, queries: &[PendingQuery]) {
         let blocks = self.quantized.blocks();
         if blocks < self.wanted {
             return;
         }
         let sampled = (blocks / SAMPLED_SHARE).min(SAMPLED_BLOCKS).max(self.wanted);
-        let step = blocks.div_ceil(sampled);
-        let sample: Vec<usize> = (0..blocks).step_by(step).collect();
-        let mut limits = vec![NearestRows::new(self.wanted); self.queries.len()];
+        let sample = (0..blocks).step_by(blocks.div_ceil(sampled));
+        let mut products = [[0; BLOCK_ROWS]; QUERIES_TOGETHER];
+        let mut limits = vec![NearestRows::new(self.wanted); queries.len()];
         for part in 0..self.wanted {
-            let mut seemingly_nearest = vec![(f32::NEG_INFINITY, None); self.queries.len()];
-            for &block in sample.iter().skip(part).step_by(self.wanted) {
+            let mut seemingly_nearest = [(f32::NEG_INFINITY, None); QUERIES_TOGETHER];
+            for block in sample.clone().skip(part).step_by(self.wanted) {
                 let rows = self.quantized.block(block);
-                self.multiply(rows, |at, products| {
-                    let estimates = rows.estimates(&self.queries[at].quantized, products);
+                self.multiply(rows, queries, &mut products);
+                for ((query, products), nearest) in
+                    queries.iter().zip(&products).zip(&mut seemingly_nearest)
+                {
+                    let estimates = rows.estimates(&query.quantized, products);
                     for (row, estimate) in (block * BLOCK_ROWS..).zip(estimates) {
-                        if estimate > seemingly_nearest[at].0 {
-                            seemingly_nearest[at] = (estimate, Some(row));
+                        if estimate > nearest.0 {
+                            *nearest = (estimate, Some(row));
                         }
                     }
-                });
+                }
             }
-            let found = self.queries.iter().zip(seemingly_nearest).zip(&mut limits);
-            for ((query, (_, row)), limits) in found {
+            for ((query, (_, row)), limits) in
+                queries.iter().zip(seemingly_nearest).zip(&mut limits)
+            {
                 if let Some(row) = row {
                     limits.offer(self.distance(query, row), row as u32);
                 }
             }
         }
-        for (query, limits) in self.queries.iter().zip(limits) {
+        for (query, limits) in queries.iter().zip(limits) {
             query.limit.store(limits.limit().to_bits(), Ordering::Relaxed);
         }
     }

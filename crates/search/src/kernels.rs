@@ -39,8 +39,8 @@ pub(crate) struct QuantizedVector {
 /// The codes of a quantized query.
 #[derive(Clone, Copy)]
 pub(crate) struct QueryCodes<'a> {
-    /// The codes, by steps of four; at least as many steps as a block has.
-    pub(crate) steps: &'a [[i8; 4]],
+    /// The signed codes as bytes, by steps of four; at least as many steps as a block has.
+    pub(crate) steps: &'a [[u8; 4]],
     /// What [`CODE_ZERO`] adds to a product with a stored row.
     pub(crate) excess: i32,
 }

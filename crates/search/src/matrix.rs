@@ -14,6 +14,10 @@ const LINE_FLOATS: usize = 16;
 #[repr(C, align(64))]
 pub(crate) struct FloatLine(pub(crate) [f32; LINE_FLOATS]);
 
+impl FloatLine {
+    const ZERO: Self = Self([0.0; LINE_FLOATS]);
+}
+
 /// A cache line of codes.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C, align(64))]
@@ -50,7 +54,9 @@ impl Matrix {
             self.dimension = vector.len();
         }
         assert_eq!(vector.len(), self.dimension, "embeddings of two encoders in one index");
-        self.lines.extend(padded(vector));
+        let end = self.lines.len();
+        self.lines.resize(end + self.stride(), FloatLine::ZERO);
+        write_padded(vector, &mut self.lines[end..]);
     }
 
     /// Numbers in a vector.
@@ -90,10 +96,12 @@ impl Matrix {
 }
 
 /// A vector as cache lines, padded with zeros.
-pub(crate) fn padded(vector: &[f32]) -> impl Iterator<Item = FloatLine> {
-    vector.chunks(LINE_FLOATS).map(|chunk| {
-        let mut line = FloatLine([0.0; LINE_FLOATS]);
-        line.0[..chunk.len()].copy_from_slice(chunk);
-        line
-    })
+pub(crate) fn padded(vector: &[f32]) -> Vec<FloatLine> {
+    let mut lines = vec![FloatLine::ZERO; vector.len().div_ceil(LINE_FLOATS)];
+    write_padded(vector, &mut lines);
+    lines
+}
+
+fn write_padded(vector: &[f32], lines: &mut [FloatLine]) {
+    bytemuck::cast_slice_mut(lines)[..vector.len()].copy_from_slice(vector);
 }

@@ -50,7 +50,8 @@ pub(crate) type BlockProducts = [i32; BLOCK_ROWS];
 
 /// A quantized query.
 pub(crate) struct QuantizedQuery {
-    codes: Vec<[i8; 4]>,
+    /// Signed codes, as bytes.
+    codes: Vec<u8>,
     scale: f32,
     /// What [`CODE_ZERO`] adds to a product with a stored row.
     excess: i32,
@@ -127,11 +128,10 @@ impl QuantizedMatrix {
 
     /// Quantizes a query.
     pub(crate) fn query(&self, vector: &[f32]) -> QuantizedQuery {
-        let mut stored = vec![CODE_ZERO; self.steps * 4];
+        let mut codes = vec![CODE_ZERO; self.steps * 4];
         let QuantizedVector { scale, half_norm, error, code_sum } =
-            kernels::quantize(self.level, vector, &self.centre, &mut stored);
-        let signed = |code: u8| code.wrapping_sub(CODE_ZERO) as i8;
-        let codes = stored.as_chunks::<4>().0.iter().map(|codes| codes.map(signed)).collect();
+            kernels::quantize(self.level, vector, &self.centre, &mut codes);
+        codes.iter_mut().for_each(|code| *code = code.wrapping_sub(CODE_ZERO));
         QuantizedQuery { codes, scale, excess: i32::from(CODE_ZERO) * code_sum, half_norm, error }
     }
 
@@ -212,7 +212,8 @@ impl RowBlock<'_> {
         queries: [&QuantizedQuery; QUERIES],
         products: &mut [BlockProducts; QUERIES],
     ) {
-        let codes = queries.map(|query| QueryCodes { steps: &query.codes, excess: query.excess });
+        let codes = queries
+            .map(|query| QueryCodes { steps: query.codes.as_chunks().0, excess: query.excess });
         kernels::dot_products(level, self.lines, codes, products);
     }
 

@@ -32,7 +32,7 @@ pub(super) fn dot_products<const QUERIES: usize>(
     for (query, products) in queries.into_iter().zip(products) {
         *products = [-query.excess; BLOCK_ROWS];
         for (lines, codes) in block.as_chunks::<LINES_IN_STEP>().0.iter().zip(query.steps) {
-            let codes = codes.map(i32::from);
+            let codes = codes.map(|code| i32::from(code as i8));
             for (products, line) in products.as_chunks_mut::<16>().0.iter_mut().zip(lines) {
                 for (product, row) in products.iter_mut().zip(line.0.as_chunks::<4>().0) {
                     let row = row.map(i32::from);
