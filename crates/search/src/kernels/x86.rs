@@ -1,4 +1,4 @@
-//! The kernels for AVX2 and AVX-512. Those for AVX2 are the portable source, compiled for it.
+//! The kernels for AVX2 and AVX-512. Some are the portable source, compiled for them.
 
 #![expect(unsafe_code, reason = "vector loads and stores take raw pointers")]
 
