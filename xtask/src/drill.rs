@@ -142,9 +142,6 @@ fn run_drills(
         arguments.flags.is_empty() || chosen.len() == 1,
         "flags after `--` are those of one drill: name it"
     );
-    if !workspace.build_programs(&[PROGRAMS])? {
-        return Ok(false);
-    }
     let mut failed = Vec::new();
     for drill in chosen {
         eprintln!("drill {}", drill.name);
@@ -154,6 +151,9 @@ fn run_drills(
                 fuzz::run(&FuzzArguments::parse(&arguments.flags), &json, workspace)?
             }
             DrillKind::Program { program, arguments: first, quick } => {
+                if !workspace.build_programs(&[PROGRAMS])? {
+                    return Ok(false);
+                }
                 let mut command = workspace.at_root(&workspace.program(program)?, first);
                 command.args(if arguments.quick { quick } else { &[] });
                 command.args(&arguments.flags).arg("--json").arg(json);
