@@ -45,14 +45,13 @@ fn the_log_of_streams_depends_neither_on_lanes_nor_on_crashes() {
     bench.run(&arguments("wide", "16")).expect(0);
     assert_eq!(sorted_log(&bench.out("wide")), reference, "1 lane or 16");
 
+    let child = bench.start(&arguments("parts-killed", "4"));
     for (role, after) in [("sim", 40), ("memory", 90), ("policy", 150)] {
-        let out = format!("{role}-killed");
-        let child = bench.start(&arguments(&out, "4"));
-        wait_for_episodes(&bench.out(&out), after);
+        wait_for_episodes(&bench.out("parts-killed"), after);
         kill(process_of(bench.registry.path(), role));
-        Ended::of(child).expect(0);
-        assert_eq!(sorted_log(&bench.out(&out)), reference, "{role} killed");
     }
+    Ended::of(child).expect(0);
+    assert_eq!(sorted_log(&bench.out("parts-killed")), reference, "its processes killed in turn");
     for after in [30, 120, 200] {
         let child = bench.start(&arguments("killed", "4"));
         wait_for_episodes(&bench.out("killed"), after);
@@ -123,17 +122,13 @@ fn a_memory_in_python_learns_and_no_crash_changes_the_log() {
     assert_eq!(conditions, arms.into_iter().flatten().chain(others).collect());
     assert!(snapshots.len() > 1, "the memory changes");
 
-    let kinds: [(&str, usize, &dyn Fn() -> u32); 2] = [
-        ("external", 60, &|| process_of_example(&bench, "learning")),
-        ("memory", 30, &|| process_of(bench.registry.path(), "memory")),
-    ];
-    for (killed, after, process) in kinds {
-        let child = start(&bench, &arguments(killed, "4"), &memories);
-        wait_for_episodes(&bench.out(killed), after);
-        kill(process());
-        Ended::of(child).expect(0);
-        assert_eq!(sorted_log(&bench.out(killed)), reference, "{killed} killed");
-    }
+    let child = start(&bench, &arguments("parts-killed", "4"), &memories);
+    wait_for_episodes(&bench.out("parts-killed"), 30);
+    kill(process_of(bench.registry.path(), "memory"));
+    wait_for_episodes(&bench.out("parts-killed"), 60);
+    kill(process_of_example(&bench, "learning"));
+    Ended::of(child).expect(0);
+    assert_eq!(sorted_log(&bench.out("parts-killed")), reference, "its memories killed in turn");
     for after in [20, 90] {
         let child = start(&bench, &arguments("killed", "4"), &memories);
         wait_for_episodes(&bench.out("killed"), after);

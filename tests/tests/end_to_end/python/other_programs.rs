@@ -40,9 +40,7 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
     };
     let inspect = |args: &[&str]| Ended::of(start(args)).expect(0).stdout;
     let script = package().join("tests/inspect_suite.py");
-    let log = inspect(&[script.to_str().unwrap()]);
-    let dump = inspect(&["-m", "inspect_ai", "log", "dump", log.trim()]);
-    let dump: Value = serde_json::from_str(&dump).unwrap();
+    let dump: Value = serde_json::from_str(&inspect(&[script.to_str().unwrap()])).unwrap();
     assert_eq!(dump["eval"]["task_registry_name"], "memtransfer/rq1");
     let samples = dump["samples"].as_array().unwrap();
     let mut ids: Vec<_> = samples.iter().map(|sample| sample["id"].as_str().unwrap()).collect();
