@@ -133,7 +133,7 @@ fn build(workspace: &Workspace, folder: &Path) -> anyhow::Result<Option<PathBuf>
     command.args(["--target", &platform]).arg("--target-dir").arg(folder);
     command.env("RUSTFLAGS", COVERAGE.join(" "));
     command.env("CARGO_PROFILE_RELEASE_DEBUG_ASSERTIONS", "true");
-    // It asserts that a file is sound before it finds out that it is not.
+    // redb asserts that a file is sound before it finds out that it is not.
     command.args(["--config", "profile.release.package.redb.debug-assertions=false"]);
     // The targets spend their time in packages whose speed hardly matters elsewhere.
     for package in packages_optimised_less(workspace)? {

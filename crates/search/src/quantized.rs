@@ -26,7 +26,7 @@ const RECORD_TAIL: usize = 8;
 pub(crate) struct QuantizedMatrix {
     level: SimdLevel,
     centre: Vec<f32>,
-    /// Steps of four codes in a row; even.
+    /// Steps of four codes in a row.
     steps: usize,
     lines: Vec<CodeLine>,
     scales: Vec<f32>,
@@ -62,7 +62,7 @@ pub(crate) struct QuantizedQuery {
 impl QuantizedMatrix {
     /// Quantizes all rows of a matrix, on `threads` threads.
     pub(crate) fn new(level: SimdLevel, rows: &Matrix, threads: usize) -> Self {
-        let steps = rows.dimension().div_ceil(8).max(1) * 2;
+        let steps = rows.dimension().div_ceil(4).max(1);
         let blocks = rows.len().div_ceil(BLOCK_ROWS);
         let centre = mean(rows);
         let mut lines = Vec::new();
