@@ -66,7 +66,7 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
 
 fn inside(extent: &Extent) -> Result<Report, String> {
     let mut report = Report::new(TITLE, TEXT);
-    let mut sandbox = Sandbox::new(0)?;
+    let mut sandbox = Sandbox::one()?;
     let small = sandbox.folder().join("small");
     fs::create_dir(&small).map_err(|error| error.to_string())?;
     let left: &[u64] = if extent.is_quick { &LEFT[2..3] } else { &LEFT };

@@ -9,6 +9,7 @@ use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use memory_proc::paths::CacheFolder;
 use memtransfer_tests::{Ended, kill, processes_of, program, shared_memory_of, sorted_log};
 
 /// The shared library that counts calls and disturbs processes.
@@ -48,35 +49,57 @@ impl Run {
 }
 
 impl Sandbox {
-    /// As many as told, made at the same time: how long an undisturbed run takes depends on the others.
+    /// As many as told, with an undisturbed run in each. These run at the same time: how long one takes depends on the others.
     pub(crate) fn several(count: u32) -> Result<Vec<Self>, String> {
+        let mut sandboxes = (0..count).map(Self::new).collect::<Result<Vec<_>, _>>()?;
+        if let Some(first) = sandboxes.first_mut() {
+            let embeddings = first.embed()?;
+            for sandbox in &sandboxes {
+                copy_folder(&embeddings, &sandbox.cache().join("embeddings"))
+                    .map_err(|error| format!("cannot copy {}: {error}", embeddings.display()))?;
+            }
+        }
         thread::scope(|scope| {
-            let made: Vec<_> =
-                (0..count).map(|number| scope.spawn(move || Self::new(number))).collect();
-            made.into_iter().map(|made| made.join().expect("no thread panics")).collect()
-        })
+            let runs: Vec<_> = sandboxes
+                .iter_mut()
+                .map(|sandbox| scope.spawn(move || sandbox.run_undisturbed()))
+                .collect();
+            runs.into_iter().try_for_each(|run| run.join().expect("no thread panics"))
+        })?;
+        Ok(sandboxes)
     }
 
-    /// New folders, and an undisturbed run in them.
-    pub(crate) fn new(number: u32) -> Result<Self, String> {
+    /// One, with an undisturbed run in it.
+    pub(crate) fn one() -> Result<Self, String> {
+        Self::several(1)?.pop().ok_or_else(|| "no sandbox".to_owned())
+    }
+
+    fn new(number: u32) -> Result<Self, String> {
         let folder = PathBuf::from(format!("/tmp/mtd{}{number:02}", std::process::id()));
-        let mut sandbox = Self { folder, runs: 0, reference: Vec::new(), usual: 0.0 };
+        let sandbox = Self { folder, runs: 0, reference: Vec::new(), usual: 0.0 };
         sandbox
             .prepare()
             .map_err(|error| format!("cannot prepare {}: {error}", sandbox.folder.display()))?;
-        // The first run also fills the cache of embeddings.
-        for _ in 0..2 {
-            let run = sandbox.run();
-            let began = Instant::now();
-            let ended = Ended::of(sandbox.start(&run, &[])?);
-            sandbox.usual = began.elapsed().as_secs_f64();
-            if ended.status != Some(0) {
-                return Err(format!("an undisturbed run fails: {}", ended.stderr));
-            }
-            sandbox.reference = sorted_log(&run.out);
-            sandbox.check_clean()?;
-        }
         Ok(sandbox)
+    }
+
+    /// Lets a run embed its images with the user's cache, so that the next drill finds them there. Returns the folder of that
+    /// cache's embeddings.
+    fn embed(&mut self) -> Result<PathBuf, String> {
+        let users = CacheFolder::from_environment().map_err(|error| error.to_string())?;
+        let mut command = self.command(&self.run_in(self.folder.join("runs/0")).args);
+        check_complete(&Ended::run(command.env("MEMTRANSFER_CACHE", users.root())))?;
+        Ok(users.root().join("embeddings"))
+    }
+
+    fn run_undisturbed(&mut self) -> Result<(), String> {
+        let run = self.run();
+        let began = Instant::now();
+        let ended = Ended::of(self.start(&run, &[])?);
+        self.usual = began.elapsed().as_secs_f64();
+        check_complete(&ended)?;
+        self.reference = sorted_log(&run.out);
+        self.check_clean()
     }
 
     /// The folders, the library, and a cache that shares the models with the user's, and nothing that is written.
@@ -85,8 +108,7 @@ impl Sandbox {
         fs::create_dir(self.folder.join("runs"))?;
         let cache = self.cache();
         fs::create_dir(&cache)?;
-        let users = memory_proc::paths::CacheFolder::from_environment();
-        let users = users.map_err(|error| io::Error::other(error.to_string()))?;
+        let users = CacheFolder::from_environment().map_err(io::Error::other)?;
         for name in ["models", "onnxruntime"] {
             symlink(users.root().join(name), cache.join(name))?;
         }
@@ -279,6 +301,24 @@ impl Drop for Sandbox {
             eprintln!("cannot remove {}: {error}", self.folder.display());
         }
     }
+}
+
+/// An undisturbed run is complete.
+fn check_complete(ended: &Ended) -> Result<(), String> {
+    match ended.status {
+        Some(0) => Ok(()),
+        _ => Err(format!("an undisturbed run fails: {}", ended.stderr)),
+    }
+}
+
+/// Copies the files of a folder, which is made anew.
+fn copy_folder(from: &Path, to: &Path) -> io::Result<()> {
+    fs::create_dir(to)?;
+    for file in fs::read_dir(from)? {
+        let file = file?;
+        fs::copy(file.path(), to.join(file.file_name()))?;
+    }
+    Ok(())
 }
 
 /// A process that fails says why, and no process panics.

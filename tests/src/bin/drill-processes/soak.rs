@@ -54,7 +54,7 @@ struct Size {
 
 pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
     let mut report = Report::new(TITLE, TEXT);
-    let sandbox = &mut Sandbox::new(0)?;
+    let sandbox = &mut Sandbox::one()?;
     let size = match extent.is_quick {
         true => Size { cases: 10, repetitions: 2, pause: Duration::from_secs(1), progress: 15 },
         false => Size {
