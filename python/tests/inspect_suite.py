@@ -1,8 +1,8 @@
-"""Two samples of a suite in Inspect, with a mock model that always turns left. Prints the log
-as Inspect reads it."""
+"""Two samples of a suite in Inspect, with a mock model that always turns left. Prints the logs
+as Inspect reads them: first this one, then those that were there before."""
 
 from inspect_ai import eval
-from inspect_ai.log import read_eval_log
+from inspect_ai.log import list_eval_logs, read_eval_log
 from inspect_ai.model import ModelOutput, ModelUsage, get_model
 
 
@@ -11,7 +11,9 @@ def reply(*_request):
     return ModelOutput(model="mockllm", usage=usage, choices=ModelOutput.from_content("", "Turn left.").choices)
 
 
+earlier = list_eval_logs()
 model = get_model("mockllm/model", custom_outputs=reply)
 (log,) = eval("memtransfer/rq1", model, limit=2, epochs=1, display="none", task_args={"out": "runs"})
 assert log.status == "success", log.error
-print(read_eval_log(log.location).model_dump_json())
+for log in [log.location, *earlier]:
+    print(read_eval_log(log).model_dump_json())

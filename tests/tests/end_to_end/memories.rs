@@ -38,7 +38,7 @@ fn the_examples_run_slices_of_rq1_and_rq2_beside_built_in_memories() {
     let memories = EXAMPLES.map(example);
     for (suite, cases, episodes) in [("rq1", "t01-01", 5), ("rq2", "t01-01,t03-02", 4)] {
         let line = format!(
-            "run --suite {suite} --cases {cases} --runs 1 --memory working,episodic --out {suite}"
+            "run --suite {suite} --cases {cases} --runs 1 --max-steps 60 --memory working,episodic --out {suite}"
         );
         run(&bench, &words(&line), &memories).expect(0);
         let records = records(&bench.out(suite));
@@ -99,7 +99,8 @@ fn killing_any_process_of_a_run_with_external_memories_changes_no_log() {
     let bench = Bench::new();
     let memories = ["top-k", "bm25"].map(example);
     let args = |out| {
-        let args = words("run --cases t01-01,t03-02,t09-05 --memory working --lanes 3");
+        let args =
+            words("run --cases t01-01,t03-02,t09-05 --max-steps 60 --memory working --lanes 3");
         [&args[..], &["--out", out]].concat()
     };
     run(&bench, &args("reference"), &memories).expect(0);

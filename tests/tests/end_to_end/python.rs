@@ -298,7 +298,7 @@ fn a_broken_contract_ends_the_policy_with_a_message() {
         ("raises_on_reset", "RuntimeError: cannot reset"),
     ] {
         let mut command = slice(&bench, policy_trait, &scripted(policy_trait), &SHORT[..6]);
-        command.args(["--lanes", "1"]);
+        command.args(["--lanes", "1", "--cases", "t01-01"]);
         let ended = finish(command);
         assert_ne!(ended.status, Some(0), "{policy_trait}");
         let log = fs::read_to_string(bench.out(policy_trait).join("logs/policy.log"))

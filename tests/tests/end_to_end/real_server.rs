@@ -130,14 +130,14 @@ fn doctor_finds_out_what_a_real_server_can_do() {
     assert_eq!(report["fingerprint"]["model"]["meta"]["n_params"], 134_515_008);
 }
 
-/// Arguments of a run of two cases into the folder `out`, with and without a summary, three steps each. No images: the
+/// Arguments of a run of two cases into the folder `out`, with and without a summary, two steps each. No images: the
 /// model takes none.
 fn slice<'a>(base_url: &'a str, out: &'a str) -> Vec<&'a str> {
     let mut args = vec!["run", "--policy", "openai", "--model", MODEL, "--base-url", base_url];
     args.extend(["--image-budget", "0", "--response-cache", "./responses"]);
     args.extend(["--memory", "working,summary", "--starts", "new", "--demos", "original"]);
     args.extend(["--documents", "./documents", "--assets", "assets", "--frame-size", FRAME_SIZE]);
-    args.extend(["--max-steps", "3", "--lanes", "2", "--out", out]);
+    args.extend(["--max-steps", "2", "--lanes", "2", "--out", out]);
     args
 }
 
@@ -154,9 +154,9 @@ fn a_real_model_decides_in_a_run() {
     let episodes = records(&bench.out("first"));
     assert_eq!(episodes.len(), 4);
     for episode in &episodes {
-        assert_eq!((&episode["requests"], &episode["images"]), (&3.into(), &0.into()));
+        assert_eq!((&episode["requests"], &episode["images"]), (&2.into(), &0.into()));
         for tokens in ["prompt_tokens", "completion_tokens"] {
-            assert!(episode[tokens].as_u64() >= Some(3), "{tokens} of {episode}");
+            assert!(episode[tokens].as_u64() >= Some(2), "{tokens} of {episode}");
         }
     }
     // The model reads the summary, so its tokens are counted.
@@ -165,7 +165,7 @@ fn a_real_model_decides_in_a_run() {
         of_memory.map(|episode| episode[which].as_u64().unwrap()).sum()
     };
     let read = |memory| tokens(memory, "prompt_tokens");
-    assert!(read("summary") > read("working") + 6 * 300);
+    assert!(read("summary") > read("working") + 4 * 300);
 
     // Both cases of a condition, a hundred cases, in millions.
     bench.run(&["report", "first"]).expect(0);

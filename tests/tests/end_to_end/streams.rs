@@ -11,7 +11,7 @@ const SUITE: &str = r#"
 memory = ["working", "episodic", "adaptive"]
 arms = ["frozen", "learning", "oracle", "wrong"]
 starts = ["new"]
-max-steps = 60
+max-steps = 24
 
 [stream]
 streams = 1

@@ -14,13 +14,16 @@ use serde_json::{Value, json};
 
 /// A run on blocked routes, in which some agents run into the barricade.
 fn blocked(bench: &Bench, out: &str, memory: &str, more: &[&str]) -> PathBuf {
-    let mut args = vec!["run", "--suite", "rq2", "--policy", "grounded", "--limit", "20"];
-    args.extend(["--runs", "1", "--memory", memory, "--out", out]);
+    let mut args = vec!["run", "--suite", "rq2", "--policy", "grounded", "--runs", "1"];
+    args.extend(["--memory", memory, "--out", out]);
     bench.run(&[&args[..], more].concat()).expect(0);
     bench.out(out)
 }
 
 const MEMORIES: &str = "working,full-context,episodic";
+
+/// With these memories, 120 episodes.
+const TWENTY_CASES: [&str; 2] = ["--limit", "20"];
 
 /// The pages of `runs` as files; returns the address of the first.
 fn bundle(bench: &Bench, runs: &[&Path], more: &[&str]) -> String {
@@ -42,16 +45,16 @@ const STEP: &str = ".transport output";
 #[test]
 fn five_clicks_lead_from_a_run_to_the_step_that_decided_a_failure() {
     let bench = Bench::new();
-    let run = blocked(&bench, "rq2", MEMORIES, &[]);
+    let run = blocked(&bench, "rq2", MEMORIES, &["--cases", "t01-04,t02-02"]);
     let url = bundle(&bench, &[&run], &["--episodes", "all"]);
     let mut browser = Browser::start(1300, 1000);
     browser.open(&url);
-    browser.wait_for("document.querySelectorAll('td a.mark').length === 120");
+    browser.wait_for("document.querySelectorAll('td a.mark').length === 12");
 
     // 1: the failures of one kind. 2: an episode.
     browser.click(".outcomes button:has(.failure-blocked)");
     let left = browser.value("document.querySelectorAll('td a.mark:not(.faded)').length");
-    assert!(left.as_u64().unwrap() > 0 && left.as_u64().unwrap() < 120, "{left}");
+    assert!(left.as_u64().unwrap() > 0 && left.as_u64().unwrap() < 12, "{left}");
     browser.click("td a.mark.failure-blocked");
     browser.wait_for(EPISODE);
     let story = browser.text(".story");
@@ -122,8 +125,9 @@ fn five_clicks_lead_from_a_run_to_the_step_that_decided_a_failure() {
 #[test]
 fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address() {
     let bench = Bench::new();
-    let run = blocked(&bench, "a", MEMORIES, &[]);
-    let other = blocked(&bench, "b", MEMORIES, &["--seed", "2"]);
+    let run = blocked(&bench, "a", MEMORIES, &TWENTY_CASES);
+    let short = ["--seed", "2", "--limit", "5", "--max-steps", "20"];
+    let other = blocked(&bench, "b", MEMORIES, &short);
     let url = bundle(&bench, &[&run, &other], &["--episodes", "2"]);
     let mut browser = Browser::start(1300, 1000);
     browser.open(&url);
@@ -240,7 +244,7 @@ fn data(pages: &Path, name: &str) -> Value {
 #[test]
 fn an_episode_of_40_steps_takes_less_than_a_megabyte() {
     let bench = Bench::new();
-    let run = blocked(&bench, "r", MEMORIES, &["--max-steps", "40"]);
+    let run = blocked(&bench, "r", MEMORIES, &["--limit", "8", "--max-steps", "40"]);
     bundle(&bench, &[&run], &["--episodes", "all"]);
     let pages = bench.out("pages");
     let bytes = |file: &str| fs::metadata(pages.join("run1").join(file)).unwrap().len();

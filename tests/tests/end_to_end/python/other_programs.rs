@@ -39,8 +39,17 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
         command.spawn().expect("Python starts")
     };
     let inspect = |args: &[&str]| Ended::of(start(args)).expect(0).stdout;
+    // From the command line.
+    let mut eval = vec!["-m", "inspect_ai", "eval", "memtransfer/rq1", "--model", "mockllm/model"];
+    eval.extend(["--limit", "1", "--epochs", "1", "--display", "none"]);
+    inspect(&eval);
+    let [log] = &fs::read_dir(bench.out("logs")).unwrap().collect::<Vec<_>>()[..] else { panic!() };
+    let log = log.as_ref().unwrap().path();
+
     let script = package().join("tests/inspect_suite.py");
-    let dump: Value = serde_json::from_str(&inspect(&[script.to_str().unwrap()])).unwrap();
+    let dumps = inspect(&[script.to_str().unwrap()]);
+    let dumps: Vec<Value> = dumps.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let [dump, from_command_line] = &dumps[..] else { panic!("{} logs", dumps.len()) };
     assert_eq!(dump["eval"]["task_registry_name"], "memtransfer/rq1");
     let samples = dump["samples"].as_array().unwrap();
     let mut ids: Vec<_> = samples.iter().map(|sample| sample["id"].as_str().unwrap()).collect();
@@ -68,19 +77,13 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
         assert_eq!(records(&run).len(), 1);
     }
 
-    // From the command line, and its log in Inspect View.
-    fs::remove_dir_all(bench.out("logs")).unwrap();
-    let mut eval = vec!["-m", "inspect_ai", "eval", "memtransfer/rq1", "--model", "mockllm/model"];
-    eval.extend(["--limit", "1", "--epochs", "1", "--display", "none"]);
-    inspect(&eval);
-    let [log] = &fs::read_dir(bench.out("logs")).unwrap().collect::<Vec<_>>()[..] else { panic!() };
-    let log = log.as_ref().unwrap().path();
-    let dump = inspect(&["-m", "inspect_ai", "log", "dump", log.to_str().unwrap()]);
-    let dump: Value = serde_json::from_str(&dump).unwrap();
+    let dump = from_command_line;
     assert_eq!(dump["status"], "success", "{}", dump["error"]);
     let [sample] = &dump["samples"].as_array().unwrap()[..] else { panic!() };
     assert_eq!(sample["metadata"]["episode"]["steps"], 5);
     assert!(sample["model_usage"]["mockllm/model"]["input_tokens"].as_u64().unwrap() > 100);
+
+    // The same log in Inspect View.
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
     let view = ["-m", "inspect_ai", "view", "start", "--host", "127.0.0.1", "--port", &port];
     let view = KilledOnDrop(start(&view));
