@@ -120,8 +120,10 @@ fn execute(session: &BenchSession<'_>, cache: &Path, flags: &[&str]) -> Result<R
     let mut command = session.run_command()?;
     command.env("MEMTRANSFER_CACHE", cache).args(["--fresh", "--quiet", "--out", "run"]);
     command.args(["--policy", "grounded", "--memory", "episodic", "--starts", "new"]);
-    command.args(["--routes", "unchanged", "--demos", "4", "--lanes", "32"]);
-    command.args(["--limit", session.size.pick("1", "50")]).args(flags);
+    command.args(["--routes", "unchanged", "--lanes", "32"]);
+    command.args(["--demos", session.size.pick("original", "4")]);
+    command.args(["--limit", session.size.pick("1", "50")]);
+    command.args(["--max-steps", session.size.pick("6", "200")]).args(flags);
     let (before, began) = (work_of_children()?, Instant::now());
     ended_well(command.stdout(Stdio::null()), &session.scratch().join("run.log"))?;
     let wall = began.elapsed().as_secs_f64();

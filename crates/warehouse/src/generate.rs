@@ -441,14 +441,14 @@ mod tests {
     }
 
     #[test]
-    fn a_thousand_cases_satisfy_every_constraint_and_vary() {
+    fn hundreds_of_cases_satisfy_every_constraint_and_vary() {
         let warehouse = Warehouse::shipped();
-        let cases = CaseSet::generate(&warehouse, 77, 1000).unwrap();
+        let cases = CaseSet::generate(&warehouse, 77, 300).unwrap();
         let report = crate::validate::check(&warehouse, &cases);
         assert!(report.is_clean(), "{report}");
         let alike = |task| cases.cases.iter().filter(|case| case.task == task).count();
         let most = cases.cases.iter().map(|case| alike(case.task)).max();
-        assert!(most <= Some(10), "{most:?} cases have the same task");
+        assert!(most <= Some(4), "{most:?} cases have the same task");
     }
 
     #[test]
