@@ -3,7 +3,7 @@
 use std::process::{Command, Stdio};
 
 use crate::workspace::{Workspace, succeeds};
-use crate::{boundaries, citations, licences};
+use crate::{boundaries, citations, features, licences};
 
 /// Runs all checks, also after one has failed. Returns whether all passed.
 pub(crate) fn run(workspace: &Workspace) -> anyhow::Result<bool> {
@@ -16,6 +16,7 @@ pub(crate) fn run(workspace: &Workspace) -> anyhow::Result<bool> {
     };
 
     check("links between crates", boundaries::check(workspace)?);
+    check("features of dependencies", features::check(workspace)?);
     check("citations", citations::resolve(workspace)?);
     check("format", succeeds(&mut workspace.cargo(&["fmt", "--all", "--check"]))?);
     check("lints", succeeds(&mut lints(workspace))?);

@@ -14,6 +14,7 @@ mod citations;
 mod demo;
 mod drill;
 mod environments;
+mod features;
 mod files;
 mod fuzz;
 mod licences;

@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use crate::cache::{self, Cache};
 
 /// The crates whose programs a run needs.
-const PROGRAMS: [&str; 4] = ["memtransfer", "sim-proc", "memory-proc", "policy-proc"];
+pub(crate) const PROGRAMS: [&str; 4] = ["memtransfer", "sim-proc", "memory-proc", "policy-proc"];
 
 /// The repository's root, and the cache folder that its programs use.
 pub(crate) struct Workspace {
