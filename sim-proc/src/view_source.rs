@@ -4,8 +4,8 @@ use anyhow::{Context, Result, ensure};
 use domain::Pose;
 use png_file::RgbaImage;
 
-use crate::renderer::{RenderSettings, Renderer, ViewSpec};
-use crate::worlds::Worlds;
+use crate::renderer::{RenderSettings, Renderer, ViewSpec, VisibleChanges};
+use crate::worlds::{WorldParts, Worlds};
 
 /// The worlds of a run, and their renderers: one for the tested hall, and one for the hall in which tasks are only
 /// demonstrated.
@@ -13,6 +13,8 @@ pub struct ViewSource {
     worlds: Worlds,
     renderer: Renderer,
     elsewhere: Option<Renderer>,
+    /// The last image, and what it shows.
+    last: Option<(WorldParts, Pose, RgbaImage)>,
 }
 
 impl ViewSource {
@@ -24,25 +26,72 @@ impl ViewSource {
         let (stocks, other) = worlds.halls();
         let renderer = Renderer::with_stocks(stocks, settings.clone())?;
         let elsewhere = other.map(|other| Renderer::new(other, settings)).transpose()?;
-        Ok(Self { worlds, renderer, elsewhere })
+        Ok(Self { worlds, renderer, elsewhere, last: None })
     }
 
-    /// Renders the view from `pose` in world variant `variant`.
+    /// Renders the view from `pose` in world variant `variant`. Variants that look the same from a pose are rendered once
+    /// if they come one after another.
     ///
     /// # Errors
     /// When there is no such variant, the pose is not on free floor, or the device failed.
-    pub fn render(&mut self, variant: u32, pose: Pose) -> Result<RgbaImage> {
-        let Self { worlds, renderer, elsewhere } = self;
+    pub fn render(&mut self, variant: u32, pose: Pose) -> Result<&RgbaImage> {
+        let Self { worlds, renderer, elsewhere, last } = self;
         let world = worlds.variant(variant);
-        let world = world.with_context(|| format!("there is no world variant {variant}"))?;
+        let mut world = world.with_context(|| format!("there is no world variant {variant}"))?;
         let is_free = worlds.layout_of(world).is_free(pose.cell);
         ensure!(is_free, "the cell of pose {pose} is not free floor");
-        let view = |stock| ViewSpec { pose, variant: worlds.closed(world), stock };
-        match elsewhere {
-            Some(other) if world.stock as usize == worlds.halls().0.len() => {
-                other.render_image(view(0))
-            }
-            _ => renderer.render_image(view(world.stock)),
+        let view = |world, stock| ViewSpec { pose, variant: worlds.closed(world), stock };
+        let elsewhere =
+            elsewhere.as_mut().filter(|_| world.stock as usize == worlds.halls().0.len());
+        if elsewhere.is_none() {
+            let VisibleChanges { stock, barricades } = renderer.changes(view(world, world.stock));
+            world.stock *= u32::from(stock);
+            world.closing *= u32::from(barricades);
         }
+        let shown = last.take_if(|(of, from, _)| (*of, *from) == (world, pose));
+        let shown = match (shown, elsewhere) {
+            (Some(shown), _) => shown,
+            (None, Some(other)) => (world, pose, other.render_image(view(world, 0))?),
+            (None, None) => (world, pose, renderer.render_image(view(world, world.stock))?),
+        };
+        Ok(&last.insert(shown).2)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use domain::Heading;
+    use warehouse::{CaseSet, Warehouse};
+
+    use super::*;
+    use crate::renderer::Backend;
+
+    #[test]
+    fn a_view_does_not_depend_on_the_one_before() {
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let settings = RenderSettings {
+            width_px: 64,
+            height_px: 64,
+            backend: Some(Backend::Cpu),
+            ..RenderSettings::default()
+        };
+        let worlds = Worlds::new(&warehouse, &cases, Vec::new());
+        let mut views = ViewSource::new(worlds, settings).unwrap();
+        let case = &cases.cases[0];
+        let closed = case.barricade[0];
+        // A pose that looks at the barricade of the first case, and one that does not.
+        let before = Heading::ALL.into_iter().find_map(|heading| {
+            let cell = closed.step(heading.opposite())?;
+            warehouse.layout.is_free(cell).then(|| Pose::new(cell.x, cell.y, heading))
+        });
+        let before = before.unwrap();
+        let mut image = |variant, pose| views.render(variant, pose).unwrap().clone();
+        let away = Pose { heading: before.heading.opposite(), ..before };
+        let seen = [(0, before), (1, before), (0, away), (1, away)].map(|(v, p)| image(v, p));
+        assert_ne!(seen[0], seen[1]);
+        assert_eq!(seen[2], seen[3]);
+        assert_ne!(seen[0], seen[2]);
+        let again = [(1, away), (0, away), (1, before), (0, before)].map(|(v, p)| image(v, p));
+        assert!(again.iter().eq(seen.iter().rev()));
     }
 }

@@ -142,18 +142,22 @@ impl BundleFolder<'_> {
             data.limit_demonstration_views(DEMONSTRATION_VIEWS);
             wanted.extend(data.view_names().into_iter().filter_map(ViewFile::of_name));
         }
-        let keys: BTreeSet<ViewKey> = wanted.iter().map(|file| file.view).collect();
-        let here = keys.iter().filter(|(variant, _)| *variant != ELSEWHERE_VARIANT);
-        let poses: BTreeSet<Pose> = here.map(|(_, pose)| *pose).collect();
-        // The unchanged world first: another world's view is left out where it looks the same.
-        let mut views: Vec<_> = poses.into_iter().map(|pose| (0, pose)).collect();
-        views.extend(keys.iter().filter(|(variant, _)| *variant != 0));
-        let (mut unchanged, mut same) = (BTreeMap::new(), BTreeMap::new());
+        // World after world from each pose, the unchanged one first: another's view is left out where it looks the same.
+        let mut views: BTreeSet<(Pose, u32)> = BTreeSet::new();
+        for &ViewFile { view: (variant, pose), .. } in &wanted {
+            views.insert((pose, variant));
+            if variant != ELSEWHERE_VARIANT {
+                views.insert((pose, 0));
+            }
+        }
+        let views: Vec<ViewKey> =
+            views.into_iter().map(|(pose, variant)| (variant, pose)).collect();
+        let (mut unchanged, mut same) = (None, BTreeMap::new());
         let mut written = BTreeSet::new();
         run.render(&views, |view, rgba| {
             let (variant, pose) = view;
             let pixels = blake3::hash(rgba);
-            let is_same = variant != 0 && unchanged.get(&pose) == Some(&pixels);
+            let is_same = variant != 0 && unchanged == Some((pose, pixels));
             let shown = if is_same { (0, pose) } else { view };
             for is_small in [false, true] {
                 let (file, target) =
@@ -171,7 +175,7 @@ impl BundleFolder<'_> {
                 }
             }
             if variant == 0 {
-                unchanged.insert(pose, pixels);
+                unchanged = Some((pose, pixels));
             }
             Ok(())
         })?;

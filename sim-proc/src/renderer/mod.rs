@@ -169,6 +169,11 @@ impl Renderer {
         self.draw(&views, &mut destinations)
     }
 
+    /// As [`SceneVisibility::changes`].
+    pub(crate) fn changes(&mut self, view: ViewSpec<'_>) -> VisibleChanges {
+        self.visibility.changes(view)
+    }
+
     /// Renders one view into a new image.
     ///
     /// # Errors
