@@ -93,13 +93,17 @@ impl Sandbox {
     }
 
     fn run_undisturbed(&mut self) -> Result<(), String> {
-        let run = self.run();
-        let began = Instant::now();
-        let ended = Ended::of(self.start(&run, &[])?);
-        self.usual = began.elapsed().as_secs_f64();
-        check_complete(&ended)?;
-        self.reference = sorted_log(&run.out);
-        self.check_clean()
+        // The first run takes longer: it also hashes the models.
+        for _ in 0..2 {
+            let run = self.run();
+            let began = Instant::now();
+            let ended = Ended::of(self.start(&run, &[])?);
+            self.usual = began.elapsed().as_secs_f64();
+            check_complete(&ended)?;
+            self.reference = sorted_log(&run.out);
+            self.check_clean()?;
+        }
+        Ok(())
     }
 
     /// The folders, the library, and a cache that shares the models with the user's, and nothing that is written.
