@@ -326,19 +326,13 @@ impl<'a> Simulator<'a> {
         Ok(())
     }
 
-    /// The view that stands for `view`: where no changed bay is visible the stock looks unchanged, and where no barricade
-    /// is visible no passage looks closed.
+    /// The view that stands for `view`.
     fn with_same_pixels(&self, view: FrameKey, rendering: &mut Rendering) -> FrameKey {
         let FrameKey::WorldParts { world, pose } = view else { return view };
         let Rendering { find_changes, same_as, .. } = rendering;
         *same_as.entry(view).or_insert_with(|| {
-            let WorldParts { stock, closing } = world;
-            let variant = self.lanes.worlds().closed(world);
-            let shown = find_changes(ViewSpec { pose, variant, stock });
-            let world = WorldParts {
-                stock: if shown.stock { stock } else { 0 },
-                closing: if shown.barricades { closing } else { 0 },
-            };
+            let (variant, stock) = (self.lanes.worlds().closed(world), world.stock);
+            let world = world.as_seen(find_changes(ViewSpec { pose, variant, stock }));
             FrameKey::WorldParts { world, pose }
         })
     }

@@ -4,7 +4,7 @@ use anyhow::{Context, Result, ensure};
 use domain::Pose;
 use png_file::RgbaImage;
 
-use crate::renderer::{RenderSettings, Renderer, ViewSpec, VisibleChanges};
+use crate::renderer::{RenderSettings, Renderer, ViewSpec};
 use crate::worlds::{WorldParts, Worlds};
 
 /// The worlds of a run, and their renderers: one for the tested hall, and one for the hall in which tasks are only
@@ -44,9 +44,7 @@ impl ViewSource {
         let elsewhere =
             elsewhere.as_mut().filter(|_| world.stock as usize == worlds.halls().0.len());
         if elsewhere.is_none() {
-            let VisibleChanges { stock, barricades } = renderer.changes(view(world, world.stock));
-            world.stock *= u32::from(stock);
-            world.closing *= u32::from(barricades);
+            world = world.as_seen(renderer.changes(view(world, world.stock)));
         }
         let shown = last.take_if(|(of, from, _)| (*of, *from) == (world, pose));
         let shown = match (shown, elsewhere) {

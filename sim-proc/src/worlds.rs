@@ -10,6 +10,8 @@ use warehouse::{
     CaseSet, ELSEWHERE_VARIANT, Elsewhere, Layout, StreamSet, Variant, Warehouse, WorldState,
 };
 
+use crate::renderer::VisibleChanges;
+
 /// The flags that name the files of the worlds.
 #[derive(Debug, clap::Args)]
 pub struct WorldsArgs {
@@ -62,6 +64,16 @@ pub struct WorldParts {
 impl WorldParts {
     /// The unchanged world.
     pub const UNCHANGED: Self = Self { stock: 0, closing: 0 };
+
+    /// The world that looks the same: where no changed bay is visible the stock looks unchanged, and where no barricade is
+    /// visible no passage looks closed.
+    #[must_use]
+    pub fn as_seen(self, visible: VisibleChanges) -> Self {
+        Self {
+            stock: if visible.stock { self.stock } else { 0 },
+            closing: if visible.barricades { self.closing } else { 0 },
+        }
+    }
 }
 
 /// All worlds of a run, and their parts, each once.
