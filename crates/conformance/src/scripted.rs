@@ -2,7 +2,9 @@
 
 #![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
 
-use std::collections::BTreeMap;
+use std::any::{Any, TypeId};
+use std::cell::RefCell;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -12,7 +14,7 @@ use shm_types::message::{
     Decision, Handshake, MemoryEpisodeConfig, NO_FRAME, Observation, PolicyEpisodeConfig, Recall,
     RequestId, Role, ShutdownReport, StepCommand, StepKind, Stop, read_text,
 };
-use shm_types::{Attach, Bus, BusError, Notifier};
+use shm_types::{Attach, Bus, BusError, Notifier, Sender};
 
 use crate::messages::{decision, observation, recall, recall_trace};
 
@@ -109,6 +111,7 @@ impl ScriptedRun<'_> {
         let mut instructions = BTreeMap::new();
         self.serve(Role::Policy, |process| {
             let (configs, observations, recalls) = ports.get_or_insert_with(|| {
+                process.open::<Decision>();
                 let observations = process.bus.receiver::<Observation>().unwrap();
                 let recalls = process.bus.receiver::<Recall>().unwrap();
                 (process.bus.receiver::<PolicyEpisodeConfig>().unwrap(), observations, recalls)
@@ -145,7 +148,7 @@ impl ScriptedRun<'_> {
         let all = Role::CHILDREN.into_iter().chain([Role::Orchestrator]);
         let others = all.filter(|other| *other != role);
         let notifiers = others.map(|other| (other, bus.notifier(other).unwrap())).collect();
-        let process = ScriptedProcess { bus, notifiers };
+        let process = ScriptedProcess { bus, notifiers, senders: RefCell::default() };
         // Its receivers must exist before the handshake.
         turn(&process);
         let handshake = Handshake::new(role, [("kind", KIND.to_owned())]).unwrap();
@@ -170,12 +173,24 @@ pub struct ScriptedProcess {
     /// Its bus.
     pub bus: Bus,
     notifiers: BTreeMap<Role, Notifier>,
+    /// By type of message.
+    senders: RefCell<HashMap<TypeId, Box<dyn Any>>>,
 }
 
 impl ScriptedProcess {
+    /// Makes the sender of a type of message. What it sends is lost if it ends before the receiver has looked for it.
+    pub fn open<M: shm_types::message::Message>(&self) {
+        let sender = self.bus.sender::<M>().unwrap();
+        self.senders.borrow_mut().insert(TypeId::of::<M>(), Box::new(sender));
+    }
+
     /// Sends a message and notifies. A receiver that has left already does not get it.
     pub fn send<M: shm_types::message::Message>(&self, message: &M, notified: &[Role]) {
-        let sent = self.bus.sender().unwrap().send(message);
+        if !self.senders.borrow().contains_key(&TypeId::of::<M>()) {
+            self.open::<M>();
+        }
+        let senders = self.senders.borrow();
+        let sent = senders[&TypeId::of::<M>()].downcast_ref::<Sender<M>>().unwrap().send(message);
         assert!(matches!(sent, Ok(()) | Err(BusError::Deserted { .. })), "{sent:?}");
         for role in notified {
             self.notifiers[role].notify().unwrap();

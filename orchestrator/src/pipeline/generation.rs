@@ -209,6 +209,8 @@ impl Generation {
         run: &mut PipelineRun<'_, '_>,
     ) -> Result<BTreeMap<Participant, ShutdownReport>, Failure> {
         let mut reports = BTreeMap::new();
+        // What a process sends is lost if it ends before its messages have been asked for once.
+        self.receive_last(run)?;
         let asked = self.stops.send(&Stop::zeroed());
         let asked = asked.and_then(|()| self.notifiers.values().try_for_each(Notifier::notify));
         if let Err(error) = asked {
