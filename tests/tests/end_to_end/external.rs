@@ -109,9 +109,10 @@ fn a_run_waits_for_a_policy_to_attach_and_to_attach_again() {
     assert!(second.stderr.contains("the run already has a policy process"), "{}", second.stderr);
 
     // The first policy is a zombie while the third attaches.
+    let before = sorted_log(&bench.out("attached")).len();
     kill(first.id());
     let third = attach(&run);
-    wait_for_episodes(&bench.out("attached"), 1);
+    wait_for_episodes(&bench.out("attached"), before + 1);
     // The other processes are restarted, and the policy joins the new generation.
     kill(process_of(bench.registry.path(), "sim"));
     Ended::of(child).expect(0);
