@@ -22,9 +22,6 @@ fn blocked(bench: &Bench, out: &str, memory: &str, more: &[&str]) -> PathBuf {
 
 const MEMORIES: &str = "working,full-context,episodic";
 
-/// With these memories, 120 episodes.
-const TWENTY_CASES: [&str; 2] = ["--limit", "20"];
-
 /// The pages of `runs` as files; returns the address of the first.
 fn bundle(bench: &Bench, runs: &[&Path], more: &[&str]) -> String {
     let mut args = vec!["view"];
@@ -125,7 +122,7 @@ fn five_clicks_lead_from_a_run_to_the_step_that_decided_a_failure() {
 #[test]
 fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address() {
     let bench = Bench::new();
-    let run = blocked(&bench, "a", MEMORIES, &TWENTY_CASES);
+    let run = blocked(&bench, "a", MEMORIES, &["--limit", "20"]);
     let short = ["--seed", "2", "--limit", "5", "--max-steps", "20"];
     let other = blocked(&bench, "b", MEMORIES, &short);
     let url = bundle(&bench, &[&run, &other], &["--episodes", "2"]);
