@@ -11,14 +11,18 @@ use std::time::Duration;
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::Role;
 use shm_types::process::{ProcessWatch, die_with_parent, is_parent};
-use shm_types::{ATTACH_VARIABLE, Attach, AttachError, BusError, FactsTooLong};
+use shm_types::{ATTACH_VARIABLE, Attach, AttachError, Bus, BusError, FactsTooLong};
 
 use crate::connection::{Connection, End, Service};
 
 /// How long to wait for the next generation, or the end of the run, after the transport has failed.
 const NEXT_GENERATION_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// How often to look for it.
+/// How long to try to join a generation. A process that was killed may hold its place for a moment after that, and the
+/// services of a generation that ends may be gone before `attach.json` names the next one.
+const JOIN_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// How often to look for the next generation, or to try to join one.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Why serving ended without a stop message.
@@ -115,7 +119,7 @@ pub fn serve_role<S: Service>(service: &mut S, folder: &Path) -> Result<(), Serv
     })?;
     let run = WatchedRun::watch(&attach)?;
     loop {
-        let bus = service.join(attach.clone())?;
+        let bus = join(service, &mut attach, &run)?;
         let ended = Connection::new(bus).and_then(|mut connection| connection.serve(service, &run));
         attach = match ended {
             Ok(End::Stopped) => return Ok(()),
@@ -123,6 +127,21 @@ pub fn serve_role<S: Service>(service: &mut S, folder: &Path) -> Result<(), Serv
             // The services of the generation are gone; wait for the next one or for the end of the run.
             Err(ServeError::Bus(error)) => run.after(&attach, error)?,
             Err(error) => return Err(error),
+        }
+    }
+}
+
+/// Joins the generation of `attach`, or the one that has replaced it meanwhile.
+fn join<S: Service>(service: &S, attach: &mut Attach, run: &WatchedRun) -> Result<Bus, ServeError> {
+    let deadline = Instant::now() + JOIN_TIMEOUT;
+    loop {
+        match service.join(attach.clone()) {
+            Err(BusError::Taken { .. } | BusError::Open { .. }) if Instant::now() < deadline => {}
+            joined => return Ok(joined?),
+        }
+        sleep(POLL_INTERVAL);
+        if let Some(next) = run.next(attach)? {
+            *attach = next;
         }
     }
 }

@@ -5,6 +5,7 @@
 use std::fs;
 use std::path::PathBuf;
 use std::sync::mpsc;
+use std::time::Duration;
 
 use conformance::messages::{
     config, item, observation, recall, supplied, supply, text as whole_text,
@@ -20,12 +21,12 @@ use peer::{
     Answer, Answers, Batch, Decider, Decision, FrameView, Item, Policy, Request, RequestId,
     ServeError, StepsView, Usage, serve,
 };
-use shm_types::Attach;
 use shm_types::documents::Content;
 use shm_types::message::{
     self, ErrorReportKind, Handshake, ItemKind, NO_ACTION, NO_FRAME, Observation, Recall,
     RecalledItem, Role, TrajectoryStep,
 };
+use shm_types::{Attach, Bus};
 
 /// A run of four lanes in which `policy` serves, and the policy's handshake.
 fn serving(policy: impl Decider + Send + 'static) -> (PolicyRig, Handshake) {
@@ -44,6 +45,24 @@ fn serving_with_prompt_log(
 
 fn id(lane: u32, episode: u64, step: u32) -> RequestId {
     RequestId { lane, episode, step }
+}
+
+#[test]
+fn a_policy_takes_the_place_of_one_that_is_just_ending() {
+    let (finished, _) = mpsc::channel();
+    let mut rig = PolicyRig::in_thread(
+        |_| {},
+        |folder| {
+            let ending = Bus::join(Attach::read(folder)?, Role::Policy)?;
+            std::thread::spawn(move || {
+                std::thread::sleep(Duration::from_millis(100));
+                drop(ending);
+            });
+            Ok(serve(&mut Recorder(finished), folder)?)
+        },
+    );
+    rig.handshake();
+    rig.stop();
 }
 
 /// Describes its requests, and refuses.
