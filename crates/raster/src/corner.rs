@@ -5,13 +5,13 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat, f32x16, i32x16};
 use super::canvas::{PIXELS, PixelLanes};
 use super::geometry::{FOG_PER_M, FOG_RGB, NEAR_M, Placement};
 
-/// Triangles are clipped this far outside of the image, so that numbers stay small.
+/// Quads are clipped this far outside of the image, so that numbers stay small.
 const GUARD: f32 = 2.0;
 
 /// Sub-pixel bits of images with sides of up to 1024 pixels. Larger images have fewer.
 const SUBPIXEL_BITS: u32 = 8;
 
-/// The bit in [`Corner::beyond`] of corners whose triangles must be clipped.
+/// The bit in [`Corner::beyond`] of corners whose quads must be clipped.
 pub(super) const TO_CUT: i32 = 1 << 5;
 
 /// A vertex in the image.
@@ -30,7 +30,7 @@ pub(super) struct Corner {
     pub(super) fine: [f32; 2],
     pub(super) at: [i32; 2],
     /// One bit for each side of the image that it lies beyond (right, left, above, below), one if it is behind the camera, and
-    /// one if its triangles must be clipped.
+    /// one if its quads must be clipped.
     pub(super) beyond: i32,
 }
 
@@ -45,6 +45,18 @@ impl Corner {
         at: [0; 2],
         beyond: 0,
     };
+
+    /// The exact position.
+    #[inline(always)]
+    pub(super) fn fine(&self) -> [f64; 2] {
+        [f64::from(self.fine[0]), f64::from(self.fine[1])]
+    }
+
+    /// The rounded position.
+    #[inline(always)]
+    pub(super) fn whole(&self) -> [f64; 2] {
+        [f64::from(self.at[0]), f64::from(self.at[1])]
+    }
 }
 
 /// The sub-pixel grid that vertices are snapped to.
@@ -192,15 +204,15 @@ impl Corners {
         }
     }
 
-    /// The corners of a triangle.
+    /// The corners of a quad.
     #[inline(always)]
-    pub(super) fn triangle<V: Simd>(
+    pub(super) fn quad<V: Simd>(
         &mut self,
         simd: V,
         transform: &Transform<'_>,
-        indices: &[u32],
-    ) -> [&Corner; 3] {
-        for &index in indices {
+        indices: [u32; 4],
+    ) -> [&Corner; 4] {
+        for index in indices {
             let sixteen = index as usize / PIXELS;
             if self.stamps[sixteen] != self.now {
                 self.stamps[sixteen] = self.now;
@@ -209,7 +221,7 @@ impl Corners {
         }
         let at =
             |i: usize| &self.placed[indices[i] as usize / PIXELS][indices[i] as usize % PIXELS];
-        [at(0), at(1), at(2)]
+        [at(0), at(1), at(2), at(3)]
     }
 }
 
@@ -222,17 +234,17 @@ fn planes(corner: &Corner) -> [f32; PLANES] {
     [ahead - NEAR_M, guard - x, guard + x, guard - y, guard + y]
 }
 
-/// A clipped triangle. Every plane adds at most one corner.
+/// A clipped quad. Every plane adds at most one corner.
 pub(super) struct Polygon {
-    corners: [Corner; 3 + PLANES],
+    corners: [Corner; 4 + PLANES],
     len: usize,
 }
 
 impl Polygon {
-    /// Clips a triangle at every plane.
+    /// Clips a quad at every plane.
     #[inline(never)]
-    pub(super) fn inside(corners: [&Corner; 3], grid: &Grid) -> Self {
-        let mut polygon = Self { corners: [Corner::NOWHERE; 3 + PLANES], len: 3 };
+    pub(super) fn inside(corners: [&Corner; 4], grid: &Grid) -> Self {
+        let mut polygon = Self { corners: [Corner::NOWHERE; 4 + PLANES], len: 4 };
         for (place, corner) in polygon.corners.iter_mut().zip(corners) {
             *place = *corner;
         }
@@ -265,7 +277,7 @@ impl Polygon {
             if here >= 0.0 {
                 self.push(this);
             }
-            // Always from the inside out, so that neighbouring triangles are clipped at the same point.
+            // Always from the inside out, so that neighbours are clipped at the same point.
             if here >= 0.0 && there < 0.0 {
                 self.push(between(&this, &next, here / (here - there)));
             } else if here < 0.0 && there >= 0.0 {

@@ -3,17 +3,18 @@
 //!
 //! The scene needs three fixed ways of colouring (lit, label plate, text), so they are compiled into the loops that fill
 //! blocks of 4 x 4 pixels, one vector register per value. `geometry` holds the data that the GPU backend draws too,
-//! `corner` transforms vertices, `triangle` finds the samples that a triangle covers, `shade` colours them, `canvas`
-//! holds colour and depth.
+//! `quads` pairs triangles, `corner` transforms vertices, `fill` finds the samples that are covered, `shade` colours
+//! them, `canvas` holds colour and depth.
 //!
 //! An image depends on its view alone: every vector width does the same arithmetic, and nothing is contracted or
 //! approximated.
 
 mod canvas;
 mod corner;
+mod fill;
 mod geometry;
+mod quads;
 mod shade;
-mod triangle;
 
 pub use fearless_simd::Level;
 use fearless_simd::Simd;
@@ -24,6 +25,7 @@ pub use geometry::{
     Atlas, DrawList, FOG_PER_M, FOG_RGB, Geometry, NEAR_M, Placement, PlateVertex, PreparedView,
     SolidVertex, TextVertex, TriangleLayer,
 };
+use quads::Quads;
 use shade::{Lettering, LitShader, PlateShader, TextShader};
 
 /// Samples per pixel.
@@ -60,34 +62,29 @@ enum AnyCanvas {
 /// The scene's vertices in the order that vector instructions read them.
 struct Layers {
     grid: Grid,
-    solid: Corners,
-    plate: Corners,
-    text: Corners,
+    solid: (Corners, Quads),
+    plate: (Corners, Quads),
+    text: (Corners, Quads),
     lettering: Lettering,
 }
 
 impl Rasterizer {
     /// Copies what it needs of `geometry`, for images of `width_px` x `height_px`.
     pub fn new(geometry: &Geometry, width_px: u32, height_px: u32, samples: Samples) -> Self {
-        let solid = geometry.solid.vertices.iter().map(|vertex| {
+        let solid = layer(&geometry.solid, COLOUR_TOLERANCE, |vertex| {
             let [r, g, b, fog] = vertex.colour.map(f32::from);
-            (vertex.position, fog / 255.0, [r, g, b])
+            (vertex.position, [r, g, b, fog / 255.0])
         });
-        let plate = geometry.plate.vertices.iter().map(|vertex| {
+        let plate = layer(&geometry.plate, PLACE_TOLERANCE, |vertex| {
             let [x, y] = vertex.across;
-            (vertex.position, 0.0, [x, y, 0.0])
+            (vertex.position, [x, y, 0.0, 0.0])
         });
-        let text = geometry.text.vertices.iter().map(|vertex| {
+        let text = layer(&geometry.text, PLACE_TOLERANCE, |vertex| {
             let [x, y] = vertex.atlas;
-            (vertex.position, 0.0, [x, y, 0.0])
+            (vertex.position, [x, y, 0.0, 0.0])
         });
-        let layers = Layers {
-            grid: Grid::new(width_px, height_px),
-            solid: Corners::new(solid),
-            plate: Corners::new(plate),
-            text: Corners::new(text),
-            lettering: Lettering::new(&geometry.atlas),
-        };
+        let lettering = Lettering::new(&geometry.atlas);
+        let layers = Layers { grid: Grid::new(width_px, height_px), solid, plate, text, lettering };
         let canvas = match samples {
             Samples::One => AnyCanvas::One(SampledImage::new(width_px, height_px)),
             Samples::Four => AnyCanvas::Four(SampledImage::new(width_px, height_px)),
@@ -122,6 +119,25 @@ impl Rasterizer {
             }
         }
     }
+}
+
+/// The largest error of colours, 0 to 255, across a quad.
+const COLOUR_TOLERANCE: f32 = 2.0;
+
+/// The largest error of positions on a plate or in the atlas, 0 to 1.
+const PLACE_TOLERANCE: f32 = 1e-5;
+
+/// The corners of a layer and its quads; `corner` is the position of a vertex, three values and its share of fog.
+fn layer<V>(
+    layer: &TriangleLayer<V>,
+    tolerance: f32,
+    corner: impl Fn(&V) -> ([f32; 3], [f32; 4]),
+) -> (Corners, Quads) {
+    let corners = layer.vertices.iter().map(|vertex| {
+        let (position, [a, b, c, fog]) = corner(vertex);
+        (position, fog, [a, b, c])
+    });
+    (Corners::new(corners), Quads::new(layer, &corner, tolerance))
 }
 
 impl Layers {
@@ -177,34 +193,101 @@ impl Layers {
     ) {
         let Self { grid, solid, plate, text, lettering } = self;
         let transform = Transform::new(grid, view.clip_from_world);
-        plate.forget();
-        text.forget();
         // In the order of the GPU backend: what hangs in front comes first, so that little is drawn over.
-        for indices in view.list.plate.chunks_exact(3) {
-            let shader = PlateShader { code: geometry.plate.vertices[indices[0] as usize].code };
-            let corners = plate.triangle(simd, &transform, indices);
-            triangle::draw(simd, canvas, grid, corners, &shader);
+        let (corners, quads) = plate;
+        corners.forget();
+        for quad in quads.of(&view.list.plate) {
+            let shader = PlateShader { code: geometry.plate.vertices[quad[0] as usize].code };
+            let corners = corners.quad(simd, &transform, quad);
+            fill::draw(simd, canvas, grid, corners, &shader);
         }
-        for indices in view.list.text.chunks_exact(3) {
-            let vertex = &geometry.text.vertices[indices[0] as usize];
+        let (corners, quads) = text;
+        corners.forget();
+        for quad in quads.of(&view.list.text) {
+            let vertex = &geometry.text.vertices[quad[0] as usize];
             let shader = TextShader { lettering, ink: vertex.ink, paper: vertex.paper };
-            let corners = text.triangle(simd, &transform, indices);
-            triangle::draw(simd, canvas, grid, corners, &shader);
+            let corners = corners.quad(simd, &transform, quad);
+            fill::draw(simd, canvas, grid, corners, &shader);
         }
+        let (corners, quads) = solid;
         let sides = view.barricades.iter().map(|&side| {
             let barricade = &geometry.solid.indices[geometry.barricade.clone()];
             (barricade, side)
         });
-        for (indices, placement) in
+        for (triangles, placement) in
             std::iter::once((&view.list.solid[..], Placement::IDENTITY)).chain(sides)
         {
             let transform = transform.at(placement);
-            solid.forget();
-            for indices in indices.chunks_exact(3) {
-                let corners = solid.triangle(simd, &transform, indices);
-                triangle::draw(simd, canvas, grid, corners, &LitShader);
+            corners.forget();
+            for quad in quads.of(triangles) {
+                let corners = corners.quad(simd, &transform, quad);
+                fill::draw(simd, canvas, grid, corners, &LitShader);
             }
         }
         canvas.resolve(simd, pixels);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIDE: usize = 64;
+
+    /// Random numbers from -1 to 1.
+    struct Random(u32);
+
+    impl Random {
+        fn next(&mut self) -> f32 {
+            self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (self.0 >> 8) as f32 / (1 << 23) as f32 - 1.0
+        }
+    }
+
+    /// A view of these two triangles from the origin, a right angle wide, with y ahead.
+    fn image(corners: [[f32; 3]; 4], colours: [[u8; 4]; 4], indices: [u32; 6]) -> Vec<[u8; 4]> {
+        let vertices = corners.into_iter().zip(colours);
+        let vertices = vertices.map(|(position, colour)| SolidVertex { position, colour });
+        let geometry = Geometry {
+            solid: TriangleLayer { vertices: vertices.collect(), indices: indices.to_vec() },
+            atlas: Atlas { width: 1, height: 1, levels: vec![vec![0]] },
+            ..Geometry::default()
+        };
+        let list = DrawList { solid: indices.to_vec(), ..DrawList::default() };
+        let clip_from_world =
+            [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0], [0.0; 4]];
+        let view = PreparedView { clip_from_world, list, barricades: Vec::new() };
+        let mut pixels = vec![0; SIDE * SIDE * 4];
+        let mut rasterizer = Rasterizer::new(&geometry, SIDE as u32, SIDE as u32, Samples::One);
+        rasterizer.draw(&geometry, &view, 0, &mut pixels);
+        pixels.as_chunks().0.to_vec()
+    }
+
+    #[test]
+    fn a_quad_covers_what_its_triangles_cover_in_the_same_colours() {
+        let mut random = Random(1);
+        let (mut cut, mut covered) = (0, 0);
+        for _ in 0..2000 {
+            // A parallelogram, some of them thin, some of them behind the camera in part.
+            let centre = [random.next(), 1.5 + 2.0 * random.next(), random.next()];
+            let thin = if random.next() > 0.5 { 0.02 } else { 0.8 };
+            let [u, v] = [0.8, thin].map(|size| [0; 3].map(|_| size * random.next()));
+            let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
+                .map(|[s, t]| [0, 1, 2].map(|axis| centre[axis] + s * u[axis] + t * v[axis]));
+            cut += usize::from(corners.iter().any(|corner| corner[1] < NEAR_M));
+            let colours =
+                [[40, 90, 200, 0], [80, 90, 200, 0], [80, 130, 180, 0], [40, 130, 180, 0]];
+            let quad = image(corners, colours, [0, 1, 2, 0, 2, 3]);
+            // The same triangles, which are not recognised as a quad.
+            let triangles = image(corners, colours, [1, 2, 0, 2, 3, 0]);
+            covered += quad.iter().filter(|pixel| **pixel != [0; 4]).count();
+            for (a, b) in quad.iter().zip(&triangles) {
+                assert!(
+                    a.iter().zip(b).all(|(a, b)| a.abs_diff(*b) <= 1),
+                    "{corners:?}: {a:?} {b:?}"
+                );
+            }
+        }
+        assert!(cut > 100 && covered > 100_000, "{cut} cut, {covered} pixels covered");
     }
 }

@@ -3,13 +3,13 @@
 use fearless_simd::{Bytes, Select, Simd, SimdBase, SimdFloat, SimdInt, f32x16, i32x16, u32x16};
 
 use super::canvas::PIXELS;
+use super::fill::{Quad, QuadPart};
 use super::geometry::Atlas;
-use super::triangle::{Triangle, TrianglePart};
 
 /// Computes the colours of a block.
 pub(super) trait Shader {
     /// RGBA with red in the lowest byte, for each pixel of the block.
-    fn colours<V: Simd, const M: usize>(&self, part: &TrianglePart<'_, V, M>) -> u32x16<V>;
+    fn colours<V: Simd, const M: usize>(&self, part: &QuadPart<'_, V, M>) -> u32x16<V>;
 }
 
 const OPAQUE: u32 = 0xff00_0000;
@@ -27,29 +27,27 @@ fn whole<V: Simd>(channel: f32x16<V>) -> u32x16<V> {
     (channel + TO_WHOLE).bitcast::<u32x16<V>>()
 }
 
-/// The first `N` values of a triangle, interpolated at each pixel of a block.
+/// The first `N` values of a quad, interpolated at each pixel of a block.
 #[inline(always)]
-fn values<V: Simd, const M: usize, const N: usize>(
-    part: &TrianglePart<'_, V, M>,
-) -> [f32x16<V>; N] {
-    let &TrianglePart { simd, triangle, at, nearness, .. } = part;
-    let start = triangle.plane.values(at).to_array();
-    let distance = f32x16::splat(simd, 1.0) / (triangle.slopes[0] + nearness);
+fn values<V: Simd, const M: usize, const N: usize>(part: &QuadPart<'_, V, M>) -> [f32x16<V>; N] {
+    let &QuadPart { simd, quad, at, nearness, .. } = part;
+    let start = quad.plane.values(at).to_array();
+    let distance = f32x16::splat(simd, 1.0) / (quad.slopes[0] + nearness);
     let mut values = [distance; N];
     for i in 0..N {
-        let value = (triangle.slopes[1 + i] + start[1 + i]) * distance;
-        // Outside the triangle, where a pixel's centre may lie, values are clamped to those of the corners.
-        values[i] = value.max(triangle.least[1 + i]).min(triangle.most[1 + i]);
+        let value = (quad.slopes[1 + i] + start[1 + i]) * distance;
+        // Outside the quad, where a pixel's centre may lie, values are clamped to those of the corners.
+        values[i] = value.max(quad.least[1 + i]).min(quad.most[1 + i]);
     }
     values
 }
 
-/// Lit triangles. The values are colours, 0 to 255.
+/// Lit surfaces. The values are colours, 0 to 255.
 pub(super) struct LitShader;
 
 impl Shader for LitShader {
     #[inline(always)]
-    fn colours<V: Simd, const M: usize>(&self, part: &TrianglePart<'_, V, M>) -> u32x16<V> {
+    fn colours<V: Simd, const M: usize>(&self, part: &QuadPart<'_, V, M>) -> u32x16<V> {
         packed(part.simd, values(part))
     }
 }
@@ -61,7 +59,7 @@ pub(super) struct PlateShader {
 
 impl Shader for PlateShader {
     #[inline(always)]
-    fn colours<V: Simd, const M: usize>(&self, part: &TrianglePart<'_, V, M>) -> u32x16<V> {
+    fn colours<V: Simd, const M: usize>(&self, part: &QuadPart<'_, V, M>) -> u32x16<V> {
         let share = plates::FRAME_M / plates::SIZE_M;
         let simd = part.simd;
         let [x, y] = values(part);
@@ -157,10 +155,10 @@ fn level(texels: f32, levels: usize) -> usize {
     finer.count()
 }
 
-/// The change of a triangle's first two values per pixel, to the right and downwards.
+/// The change of a quad's first two values per pixel, to the right and downwards.
 #[inline(always)]
-fn changes<V: Simd, const M: usize>(triangle: &Triangle<V, M>, at: [f64; 2]) -> [[f32; 2]; 2] {
-    let plane = &triangle.plane;
+fn changes<V: Simd, const M: usize>(quad: &Quad<V, M>, at: [f64; 2]) -> [[f32; 2]; 2] {
+    let plane = &quad.plane;
     let distance = 1.0 / plane.nearness(at);
     let values = plane.values(at) * distance;
     let right = ((plane.right - values * plane.right.to_array()[0]) * distance).to_array();
@@ -170,11 +168,11 @@ fn changes<V: Simd, const M: usize>(triangle: &Triangle<V, M>, at: [f64; 2]) -> 
 
 impl Shader for TextShader<'_> {
     #[inline(always)]
-    fn colours<V: Simd, const M: usize>(&self, part: &TrianglePart<'_, V, M>) -> u32x16<V> {
-        let &TrianglePart { simd, triangle, at, .. } = part;
+    fn colours<V: Simd, const M: usize>(&self, part: &QuadPart<'_, V, M>) -> u32x16<V> {
+        let &QuadPart { simd, quad, at, .. } = part;
         let [u, v] = values(part);
         // One level of detail for the whole block, computed at its centre.
-        let changes = changes(triangle, [at[0] + 1.5, at[1] + 1.5]);
+        let changes = changes(quad, [at[0] + 1.5, at[1] + 1.5]);
         let size = self.lettering.size;
         let mut lengths = [0.0; 2];
         for i in 0..2 {

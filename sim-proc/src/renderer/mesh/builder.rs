@@ -283,10 +283,10 @@ impl MeshBuilder {
         for i in 0..segments {
             let (low, high) = (first + 2 * i, first + 2 * i + 1);
             if ends[0][0] > 0.0 {
-                self.mesh.indices.extend([low, low + 2, high]);
+                self.mesh.indices.extend([low, low + 2, high + 2]);
             }
             if ends[1][0] > 0.0 {
-                self.mesh.indices.extend([low + 2, high + 2, high]);
+                self.mesh.indices.extend([low, high + 2, high]);
             }
         }
     }

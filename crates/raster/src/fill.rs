@@ -1,6 +1,6 @@
-//! Finds the samples that a triangle covers.
+//! Finds the samples that a quad covers. A triangle is a quad with a corner that comes twice.
 //!
-//! Corners are snapped to a sub-pixel grid and coverage is decided in integers. A sample on an edge that two triangles share
+//! Corners are snapped to a sub-pixel grid and coverage is decided in integers. A sample on an edge that two quads share
 //! belongs to exactly one of them, so no gap opens between them and no sample is drawn twice.
 
 use fearless_simd::{
@@ -25,35 +25,49 @@ const fn samples<const M: usize>() -> [[i32; 2]; M] {
     places
 }
 
-/// Draws a triangle if it shows its front, that is if its corners are counter-clockwise in the image.
+/// Draws a quad if it shows its front, that is if its corners are counter-clockwise in the image.
 #[inline(always)]
 pub(super) fn draw<V: Simd, const M: usize, H: Shader>(
     simd: V,
     canvas: &mut SampledImage<M>,
     grid: &Grid,
-    corners: [&Corner; 3],
+    corners: [&Corner; 4],
     shader: &H,
 ) {
-    let [a, b, c] = corners;
+    let [a, b, c, d] = corners;
     // Entirely beyond one side of the image, or behind the camera.
-    if a.beyond & b.beyond & c.beyond & !TO_CUT != 0 {
+    if a.beyond & b.beyond & c.beyond & d.beyond & !TO_CUT != 0 {
         return;
     }
-    let is_cut = (a.beyond | b.beyond | c.beyond) & TO_CUT != 0;
-    let polygon = is_cut.then(|| Polygon::inside(corners, grid));
+    let is_cut = (a.beyond | b.beyond | c.beyond | d.beyond) & TO_CUT != 0;
+    let [wa, wb, wc, wd] = [a.whole(), b.whole(), c.whole(), d.whole()];
+    let turns = [
+        doubled_area([wa, wd, wc]),
+        doubled_area([wd, wc, wb]),
+        doubled_area([wc, wb, wa]),
+        doubled_area([wb, wa, wd]),
+    ];
+    let least = less(less(turns[0], turns[1]), less(turns[2], turns[3]));
+    let most = more(more(turns[0], turns[1]), more(turns[2], turns[3]));
+    if most <= 0.0 && !is_cut {
+        return;
+    }
+    // Rounding may have dented it.
+    let is_dented = least < 0.0;
+    let polygon = (is_cut || is_dented).then(|| Polygon::inside(corners, grid));
     let polygon = polygon.as_ref().map(Polygon::corners);
     for i in 2..polygon.map_or(3, <[Corner]>::len) {
         // Rows count downwards, so this way round the doubled area is positive.
-        let triangle = match polygon {
-            None => [a, c, b],
-            Some(corners) => [&corners[0], &corners[i], &corners[i - 1]],
+        let quad = match polygon {
+            None => [a, d, c, b],
+            Some(corners) => [&corners[0], &corners[i], &corners[i - 1], &corners[i - 1]],
         };
-        fill(simd, canvas, grid, triangle, shader);
+        fill(simd, canvas, grid, quad, shader);
     }
 }
 
-/// The edge functions of the three edges, and a fourth that is nowhere negative: the distance of a grid point inside the
-/// edge, times the length of the edge. Integers that a float represents exactly.
+/// The edge functions of the edges: the distance of a grid point inside the edge, times the length of the edge; nowhere
+/// negative for an edge without length. Integers that a float represents exactly.
 struct Edges<V: Simd> {
     /// The change per grid step, to the right and downwards.
     x: f64x4<V>,
@@ -70,7 +84,7 @@ struct Edges<V: Simd> {
 /// More than rounding can move the point where an edge crosses a row, in blocks.
 const SLACK: f64 = 1e-3;
 
-/// Triangles at most this many blocks wide are drawn without narrowing each row.
+/// Quads at most this many blocks wide are drawn without narrowing each row.
 const SLIM: i32 = 3;
 
 /// Adding this to an integer leaves its lowest bits as those of the sum.
@@ -79,14 +93,14 @@ const TO_BITS: f64 = 6_755_399_441_055_744.0;
 impl<V: Simd> Edges<V> {
     /// The edges from each corner to the next.
     #[inline(always)]
-    fn new(simd: V, [a, b, c]: [[f64; 2]; 3], step: f64) -> Self {
-        let x0 = f64x4::load_array(simd, [a[0], b[0], c[0], 0.0]);
-        let y0 = f64x4::load_array(simd, [a[1], b[1], c[1], 0.0]);
-        let x1 = f64x4::load_array(simd, [b[0], c[0], a[0], 0.0]);
-        let y1 = f64x4::load_array(simd, [b[1], c[1], a[1], 0.0]);
+    fn new(simd: V, [a, b, c, d]: [[f64; 2]; 4], step: f64) -> Self {
+        let x0 = f64x4::load_array(simd, [a[0], b[0], c[0], d[0]]);
+        let y0 = f64x4::load_array(simd, [a[1], b[1], c[1], d[1]]);
+        let x1 = f64x4::load_array(simd, [b[0], c[0], d[0], a[0]]);
+        let y1 = f64x4::load_array(simd, [b[1], c[1], d[1], a[1]]);
         let (x, y) = (y0 - y1, x1 - x0);
         let zero = f64x4::splat(simd, 0.0);
-        // A point on an edge belongs to the triangle whose left or top edge it is.
+        // A point on an edge belongs to the quad whose left or top edge it is.
         let is_owned = x.simd_gt(zero) | (x.simd_eq(zero) & y.simd_ge(zero));
         let start = -(x * x0 + y * y0) - is_owned.select(zero, zero + 1.0);
         let reach = step - 1.0;
@@ -110,8 +124,8 @@ impl<V: Simd> Edges<V> {
         let least = self.x.simd_ge(zero).select(cross - SLACK, zero + low).to_array();
         let most = self.x.simd_lt(zero).select(cross + SLACK, zero + high).to_array();
         [
-            more(more(least[0], least[1]), more(least[2], low)),
-            less(less(most[0], most[1]), less(most[2], high)),
+            more(more(more(least[0], least[1]), more(least[2], least[3])), low),
+            less(less(less(most[0], most[1]), less(most[2], most[3])), high),
         ]
     }
 }
@@ -152,7 +166,23 @@ fn less_f32(a: f32, b: f32) -> f32 {
 /// Twice the area of a triangle; negative if it shows its back.
 #[inline(always)]
 fn doubled_area([a, b, c]: [[f64; 2]; 3]) -> f64 {
-    (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    cross(between(a, b), between(a, c))
+}
+
+/// Twice the area of a quad; negative if it shows its back.
+#[inline(always)]
+fn doubled_quad_area([a, b, c, d]: [[f64; 2]; 4]) -> f64 {
+    cross(between(a, c), between(b, d))
+}
+
+#[inline(always)]
+fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[1] - a[1] * b[0]
+}
+
+#[inline(always)]
+fn between(from: [f64; 2], to: [f64; 2]) -> [f64; 2] {
+    [to[0] - from[0], to[1] - from[1]]
 }
 
 /// Values that are linear in the image: nearness, and three values divided by distance.
@@ -169,32 +199,36 @@ pub(super) struct Plane<V: Simd> {
 
 impl<V: Simd> Plane<V> {
     #[inline(always)]
-    fn new(simd: V, corners: [&Corner; 3], whole: [[f64; 2]; 3], area: f64, one: f64) -> Self {
-        let [a, b, c] = corners;
-        let fine = [
-            [f64::from(a.fine[0]), f64::from(a.fine[1])],
-            [f64::from(b.fine[0]), f64::from(b.fine[1])],
-            [f64::from(c.fine[0]), f64::from(c.fine[1])],
-        ];
-        let fine_area = doubled_area(fine);
+    fn new(simd: V, corners: [&Corner; 4], whole: [[f64; 2]; 4], area: f64, one: f64) -> Self {
+        let [a, b, c, d] = corners;
+        let fine = [a.fine(), b.fine(), c.fine(), d.fine()];
+        let fine_area = doubled_quad_area(fine);
         // Interpolating between rounded corners would tilt a surface seen at an angle. For a sliver they must do.
         let is_sliver = (fine_area - area).abs() > 0.5 * area;
-        let ([pa, pb, pc], area) = if is_sliver { (whole, area) } else { (fine, fine_area) };
+        let ([pa, pb, pc, pd], area) = if is_sliver { (whole, area) } else { (fine, fine_area) };
+        // What changes along the diagonals determines the plane, and it passes through the mean of the corners.
         let over_area = one / area;
-        let ab = [(pb[0] - pa[0]) * over_area, (pb[1] - pa[1]) * over_area];
-        let ac = [(pc[0] - pa[0]) * over_area, (pc[1] - pa[1]) * over_area];
-        let start = f64::from(a.nearness);
-        let (to_b, to_c) = (f64::from(b.nearness) - start, f64::from(c.nearness) - start);
-        let nearness = [start, to_b * ac[1] - to_c * ab[1], to_c * ab[0] - to_b * ac[0]];
-
-        let start = f32x4::load_array_ref(simd, &a.values) * a.nearness;
-        let to_b = f32x4::load_array_ref(simd, &b.values) * b.nearness - start;
-        let to_c = f32x4::load_array_ref(simd, &c.values) * c.nearness - start;
+        let (ac, bd) = (between(pa, pc), between(pb, pd));
+        let ac = [ac[0] * over_area, ac[1] * over_area];
+        let bd = [bd[0] * over_area, bd[1] * over_area];
+        let quarter = 0.25 / one;
+        let from =
+            [(pa[0] + pb[0] + pc[0] + pd[0]) * quarter, (pa[1] + pb[1] + pc[1] + pd[1]) * quarter];
+        let (na, nb) = (f64::from(a.nearness), f64::from(b.nearness));
+        let (nc, nd) = (f64::from(c.nearness), f64::from(d.nearness));
+        let (to_c, to_d) = (nc - na, nd - nb);
+        let nearness =
+            [(na + nb + nc + nd) * 0.25, to_c * bd[1] - to_d * ac[1], to_d * ac[0] - to_c * bd[0]];
+        let va = f32x4::load_array_ref(simd, &a.values) * a.nearness;
+        let vb = f32x4::load_array_ref(simd, &b.values) * b.nearness;
+        let vc = f32x4::load_array_ref(simd, &c.values) * c.nearness;
+        let vd = f32x4::load_array_ref(simd, &d.values) * d.nearness;
+        let (to_c, to_d) = (vc - va, vd - vb);
         Self {
-            from: [pa[0] / one, pa[1] / one],
-            start,
-            right: to_b * ac[1] as f32 - to_c * ab[1] as f32,
-            down: to_c * ab[0] as f32 - to_b * ac[0] as f32,
+            from,
+            start: ((va + vc) + (vb + vd)) * 0.25,
+            right: to_c * bd[1] as f32 - to_d * ac[1] as f32,
+            down: to_d * ac[0] as f32 - to_c * bd[0] as f32,
             nearness,
         }
     }
@@ -214,8 +248,8 @@ impl<V: Simd> Plane<V> {
     }
 }
 
-/// What is the same for all blocks of a triangle.
-pub(super) struct Triangle<V: Simd, const M: usize> {
+/// What is the same for all blocks of a quad.
+pub(super) struct Quad<V: Simd, const M: usize> {
     pub(super) plane: Plane<V>,
     /// The change of the plane's values to each pixel of a block.
     pub(super) slopes: [f32x16<V>; 4],
@@ -224,8 +258,8 @@ pub(super) struct Triangle<V: Simd, const M: usize> {
     /// To the farthest sample of a block.
     deepest: DepthOffset,
     /// The change of each edge function to each pixel of a block, and to the samples of a pixel.
-    lanes: [i32x16<V>; 3],
-    samples: [[i32; M]; 3],
+    lanes: [i32x16<V>; 4],
+    samples: [[i32; M]; 4],
     /// Minimum and maximum of the corners' values.
     pub(super) least: [f32; 4],
     pub(super) most: [f32; 4],
@@ -255,13 +289,19 @@ fn fill<V: Simd, const M: usize, H: Shader>(
     simd: V,
     canvas: &mut SampledImage<M>,
     grid: &Grid,
-    [a, b, c]: [&Corner; 3],
+    [a, b, c, d]: [&Corner; 4],
     shader: &H,
 ) {
     let bits = grid.bits;
-    // Nothing to draw if the triangle lies between samples.
-    let low = [a.at[0].min(b.at[0]).min(c.at[0]), a.at[1].min(b.at[1]).min(c.at[1])];
-    let high = [a.at[0].max(b.at[0]).max(c.at[0]), a.at[1].max(b.at[1]).max(c.at[1])];
+    // Nothing to draw if the quad lies between samples.
+    let low = [
+        a.at[0].min(b.at[0]).min(c.at[0].min(d.at[0])),
+        a.at[1].min(b.at[1]).min(c.at[1].min(d.at[1])),
+    ];
+    let high = [
+        a.at[0].max(b.at[0]).max(c.at[0].max(d.at[0])),
+        a.at[1].max(b.at[1]).max(c.at[1].max(d.at[1])),
+    ];
     if misses_samples::<M>(low[0], high[0], bits) || misses_samples::<M>(low[1], high[1], bits) {
         return;
     }
@@ -275,12 +315,8 @@ fn fill<V: Simd, const M: usize, H: Shader>(
     if first[0] > last[0] || first[1] > last[1] {
         return;
     }
-    let whole = [
-        [f64::from(a.at[0]), f64::from(a.at[1])],
-        [f64::from(b.at[0]), f64::from(b.at[1])],
-        [f64::from(c.at[0]), f64::from(c.at[1])],
-    ];
-    let area = doubled_area(whole);
+    let whole = [a.whole(), b.whole(), c.whole(), d.whole()];
+    let area = doubled_quad_area(whole);
     if area <= 0.0 {
         return;
     }
@@ -289,11 +325,12 @@ fn fill<V: Simd, const M: usize, H: Shader>(
     let step = SIDE as f64 * one;
     let edges = Edges::new(simd, whole, step);
 
-    let plane = Plane::new(simd, [a, b, c], whole, area, one);
-    let [va, vb, vc] = [
+    let plane = Plane::new(simd, [a, b, c, d], whole, area, one);
+    let [va, vb, vc, vd] = [
         f32x4::load_array_ref(simd, &a.values),
         f32x4::load_array_ref(simd, &b.values),
         f32x4::load_array_ref(simd, &c.values),
+        f32x4::load_array_ref(simd, &d.values),
     ];
 
     let (rights, downs) = (plane.right.to_array(), plane.down.to_array());
@@ -317,9 +354,9 @@ fn fill<V: Simd, const M: usize, H: Shader>(
         pixel: across.max(0.0) + along.max(0.0),
         sample: depths.into_iter().fold(f32::NEG_INFINITY, f32::max),
     };
-    let mut offsets = [[0; M]; 3];
-    let mut lanes = [i32x16::splat(simd, 0); 3];
-    for i in 0..3 {
+    let mut offsets = [[0; M]; 4];
+    let mut lanes = [i32x16::splat(simd, 0); 4];
+    for i in 0..4 {
         let (right, down) = (x[i] as i32, y[i] as i32);
         lanes[i] = edge_lanes(simd, right, down, bits);
         for (offset, [dx, dy]) in offsets[i].iter_mut().zip(samples::<M>()) {
@@ -327,18 +364,18 @@ fn fill<V: Simd, const M: usize, H: Shader>(
             *offset = right.wrapping_mul(dx).wrapping_add(down.wrapping_mul(dy));
         }
     }
-    let triangle = Triangle {
+    let quad = Quad {
         plane,
         slopes,
         depths,
         deepest,
         lanes,
         samples: offsets,
-        least: va.min(vb).min(vc).to_array(),
-        most: va.max(vb).max(vc).to_array(),
+        least: va.min(vb).min(vc.min(vd)).to_array(),
+        most: va.max(vb).max(vc.max(vd)).to_array(),
     };
 
-    let nearest = a.nearness.max(b.nearness).max(c.nearness);
+    let nearest = a.nearness.max(b.nearness).max(c.nearness.max(d.nearness));
     let is_slim = last[0] - first[0] < SLIM;
     for row in first[1]..=last[1] {
         let starts = edges.start + edges.y * (f64::from(row) * step);
@@ -356,7 +393,7 @@ fn fill<V: Simd, const M: usize, H: Shader>(
         let y = (row as usize * SIDE) as f64 + 0.5;
         for number in begin..end {
             let at = [(number * SIDE) as f64 + 0.5, y];
-            let nearness = triangle.plane.nearness(at);
+            let nearness = quad.plane.nearness(at);
             if !canvas.may_show(place + number, less_f32(shallowest.from(nearness), nearest)) {
                 continue;
             }
@@ -364,12 +401,12 @@ fn fill<V: Simd, const M: usize, H: Shader>(
             if here.simd_lt(-edges.rise).any_true() {
                 continue;
             }
-            let is_inside = M > 1 && here.simd_ge(-edges.fall).all_true();
+            let is_inside = here.simd_ge(-edges.fall).all_true();
             // Far inside an edge the value is clamped to one that fits into 32 bits.
             let here = here.min(-edges.fall) + TO_BITS;
             let inside = here.bitcast::<u64x4<V>>().to_array();
-            let inside = [inside[0] as i32, inside[1] as i32, inside[2] as i32];
-            let part = TrianglePart { simd, triangle: &triangle, at, nearness, inside, is_inside };
+            let inside = [inside[0] as i32, inside[1] as i32, inside[2] as i32, inside[3] as i32];
+            let part = QuadPart { simd, quad: &quad, at, nearness, inside, is_inside };
             let background = canvas.background();
             let (block, state) = canvas.block(place + number);
             part.draw(shader, block, state, background);
@@ -377,20 +414,20 @@ fn fill<V: Simd, const M: usize, H: Shader>(
     }
 }
 
-/// The part of a triangle that lies in one block.
-pub(super) struct TrianglePart<'a, V: Simd, const M: usize> {
+/// The part of a quad that lies in one block.
+pub(super) struct QuadPart<'a, V: Simd, const M: usize> {
     pub(super) simd: V,
-    pub(super) triangle: &'a Triangle<V, M>,
+    pub(super) quad: &'a Quad<V, M>,
     /// The centre of the block's first pixel, in pixels, and the nearness there.
     pub(super) at: [f64; 2],
     pub(super) nearness: f32,
     /// The edge functions at the block's corner.
-    inside: [i32; 3],
-    /// Whether the triangle is known to cover the whole block, which is asked with several samples only.
+    inside: [i32; 4],
+    /// Whether the quad is known to cover the whole block.
     is_inside: bool,
 }
 
-impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
+impl<V: Simd, const M: usize> QuadPart<'_, V, M> {
     /// Draws the samples that are nearer than those already there.
     #[inline(always)]
     fn draw(
@@ -402,12 +439,11 @@ impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
     ) {
         let simd = self.simd;
         let mut depths = [f32x16::splat(simd, 0.0); M];
-        for (depth, offset) in depths.iter_mut().zip(self.triangle.depths) {
-            *depth = self.triangle.slopes[0] + (self.nearness + offset);
+        for (depth, offset) in depths.iter_mut().zip(self.quad.depths) {
+            *depth = self.quad.slopes[0] + (self.nearness + offset);
         }
         let mut shows = [mask32x16::splat(simd, true); M];
-        // With one sample there is less to save than it costs to find out.
-        let mut shows_all = M > 1 && self.is_inside && state.is_untouched();
+        let mut shows_all = self.is_inside && state.is_untouched();
         if !shows_all {
             if state.is_untouched() {
                 block.depth = [[0.0; PIXELS]; M];
@@ -419,7 +455,7 @@ impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
             for s in 0..M {
                 let before = f32x16::load_array_ref(simd, &block.depth[s]);
                 shows[s] = depths[s].simd_gt(before);
-                if M == 1 || !self.is_inside {
+                if !self.is_inside {
                     shows[s] &= self.covered(s);
                 }
                 any |= shows[s];
@@ -428,7 +464,7 @@ impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
             if !any.any_true() {
                 return;
             }
-            shows_all = M > 1 && all.all_true();
+            shows_all = all.all_true();
         }
         let colours = shader.colours(self);
         if shows_all {
@@ -436,7 +472,7 @@ impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
                 depth.store_array(place);
             }
             colours.store_array(&mut block.colour[0]);
-            *state.farthest = self.triangle.deepest.from(self.nearness);
+            *state.farthest = self.quad.deepest.from(self.nearness);
             *state.is_flat = true;
             return;
         }
@@ -458,9 +494,9 @@ impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
     /// The pixels whose sample number `sample` is covered.
     #[inline(always)]
     fn covered(&self, sample: usize) -> mask32x16<V> {
-        let Triangle { lanes, samples, .. } = self.triangle;
+        let Quad { lanes, samples, .. } = self.quad;
         let mut sign = lanes[0] + self.inside[0].wrapping_add(samples[0][sample]);
-        for i in 1..3 {
+        for i in 1..4 {
             sign |= lanes[i] + self.inside[i].wrapping_add(samples[i][sample]);
         }
         sign.simd_ge(0)
