@@ -401,12 +401,13 @@ fn fill<V: Simd, const M: usize, H: Shader>(
             if here.simd_lt(-edges.rise).any_true() {
                 continue;
             }
-            let is_inside = here.simd_ge(-edges.fall).all_true();
+            let crossing = here.simd_lt(-edges.fall);
             // Far inside an edge the value is clamped to one that fits into 32 bits.
             let here = here.min(-edges.fall) + TO_BITS;
             let inside = here.bitcast::<u64x4<V>>().to_array();
             let inside = [inside[0] as i32, inside[1] as i32, inside[2] as i32, inside[3] as i32];
-            let part = QuadPart { simd, quad: &quad, at, nearness, inside, is_inside };
+            let crossing = crossing.to_bitmask();
+            let part = QuadPart { simd, quad: &quad, at, nearness, inside, crossing };
             let background = canvas.background();
             let (block, state) = canvas.block(place + number);
             part.draw(shader, block, state, background);
@@ -423,8 +424,8 @@ pub(super) struct QuadPart<'a, V: Simd, const M: usize> {
     pub(super) nearness: f32,
     /// The edge functions at the block's corner.
     inside: [i32; 4],
-    /// Whether the quad is known to cover the whole block.
-    is_inside: bool,
+    /// One bit for each edge that crosses the block.
+    crossing: u64,
 }
 
 impl<V: Simd, const M: usize> QuadPart<'_, V, M> {
@@ -443,7 +444,8 @@ impl<V: Simd, const M: usize> QuadPart<'_, V, M> {
             *depth = self.quad.slopes[0] + (self.nearness + offset);
         }
         let mut shows = [mask32x16::splat(simd, true); M];
-        let mut shows_all = self.is_inside && state.is_untouched();
+        let is_inside = self.crossing == 0;
+        let mut shows_all = is_inside && state.is_untouched();
         if !shows_all {
             if state.is_untouched() {
                 block.depth = [[0.0; PIXELS]; M];
@@ -452,11 +454,12 @@ impl<V: Simd, const M: usize> QuadPart<'_, V, M> {
             }
             let mut any = mask32x16::splat(simd, false);
             let mut all = mask32x16::splat(simd, true);
+            let outside = self.outside();
             for s in 0..M {
                 let before = f32x16::load_array_ref(simd, &block.depth[s]);
                 shows[s] = depths[s].simd_gt(before);
-                if !self.is_inside {
-                    shows[s] &= self.covered(s);
+                if !is_inside {
+                    shows[s] &= outside[s].simd_ge(0);
                 }
                 any |= shows[s];
                 all &= shows[s];
@@ -491,15 +494,20 @@ impl<V: Simd, const M: usize> QuadPart<'_, V, M> {
         *state.is_flat = M == 1;
     }
 
-    /// The pixels whose sample number `sample` is covered.
+    /// For each sample of each pixel, a negative number if it is not covered.
     #[inline(always)]
-    fn covered(&self, sample: usize) -> mask32x16<V> {
+    fn outside(&self) -> [i32x16<V>; M] {
         let Quad { lanes, samples, .. } = self.quad;
-        let mut sign = lanes[0] + self.inside[0].wrapping_add(samples[0][sample]);
-        for i in 1..4 {
-            sign |= lanes[i] + self.inside[i].wrapping_add(samples[i][sample]);
+        let mut signs = [i32x16::splat(self.simd, 0); M];
+        for i in 0..4 {
+            // With one sample there is less to save than it costs to ask.
+            if M == 1 || self.crossing & 1 << i != 0 {
+                for s in 0..M {
+                    signs[s] |= lanes[i] + self.inside[i].wrapping_add(samples[i][s]);
+                }
+            }
         }
-        sign.simd_ge(0)
+        signs
     }
 }
 
