@@ -221,7 +221,8 @@ impl Layers {
             corners.forget();
             for quad in quads.of(triangles) {
                 let corners = corners.quad(simd, &transform, quad);
-                fill::draw(simd, canvas, grid, corners, &LitShader);
+                let shader = LitShader::new(simd, corners);
+                fill::draw(simd, canvas, grid, corners, &shader);
             }
         }
         canvas.resolve(simd, pixels);

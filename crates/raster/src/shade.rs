@@ -1,8 +1,12 @@
 //! The three ways of colouring pixels (lit, label plate, text), as in the shaders of the GPU backend.
 
-use fearless_simd::{Bytes, Select, Simd, SimdBase, SimdFloat, SimdInt, f32x16, i32x16, u32x16};
+use fearless_simd::{
+    Bytes, Select, Simd, SimdBase, SimdFloat, SimdInt, SimdMask, f32x4, f32x16, i32x16, u32x4,
+    u32x16,
+};
 
 use super::canvas::PIXELS;
+use super::corner::Corner;
 use super::fill::{Quad, QuadPart};
 use super::geometry::Atlas;
 
@@ -42,13 +46,39 @@ fn values<V: Simd, const M: usize, const N: usize>(part: &QuadPart<'_, V, M>) ->
     values
 }
 
+/// A surface whose colours differ by no more has one, halfway between.
+const UNIFORM: f32 = 2.0;
+
 /// Lit surfaces. The values are colours, 0 to 255.
-pub(super) struct LitShader;
+pub(super) struct LitShader {
+    /// The colour of the whole surface, if it has only one.
+    uniform: Option<u32>,
+}
+
+impl LitShader {
+    /// For a surface with these corners.
+    #[inline(always)]
+    pub(super) fn new<V: Simd>(simd: V, [a, b, c, d]: [&Corner; 4]) -> Self {
+        let a = f32x4::load_array_ref(simd, &a.values);
+        let b = f32x4::load_array_ref(simd, &b.values);
+        let c = f32x4::load_array_ref(simd, &c.values);
+        let d = f32x4::load_array_ref(simd, &d.values);
+        let (least, most) = (a.min(b).min(c.min(d)), a.max(b).max(c.max(d)));
+        if (most - least).simd_gt(UNIFORM).any_true() {
+            return Self { uniform: None };
+        }
+        let [_, r, g, b] = ((least + most) * 0.5 + TO_WHOLE).bitcast::<u32x4<V>>().to_array();
+        Self { uniform: Some(OPAQUE | r & 0xff | (g & 0xff) << 8 | (b & 0xff) << 16) }
+    }
+}
 
 impl Shader for LitShader {
     #[inline(always)]
     fn colours<V: Simd, const M: usize>(&self, part: &QuadPart<'_, V, M>) -> u32x16<V> {
-        packed(part.simd, values(part))
+        match self.uniform {
+            Some(colour) => u32x16::splat(part.simd, colour),
+            None => packed(part.simd, values(part)),
+        }
     }
 }
 
