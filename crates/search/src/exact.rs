@@ -108,9 +108,12 @@ pub(crate) fn scan_quantized(
     if wanted == 0 {
         return vec![NearestRows::new(0); queries.len()];
     }
-    let group = |queries| QueryGroup { queries, pending: OnceLock::new() };
+    let group = |queries| QueryGroup { queries, prepared: OnceLock::new() };
     let groups = queries.chunks(QUERIES_TOGETHER).map(group).collect();
-    QuantizedScan { level, rows, quantized, wanted, groups }.run(threads)
+    let blocks = quantized.blocks();
+    let sampled = (blocks / SAMPLED_SHARE).min(SAMPLED_BLOCKS).max(wanted);
+    let sample_step = blocks.div_ceil(sampled);
+    QuantizedScan { level, rows, quantized, wanted, sample_step, groups }.run(threads)
 }
 
 /// A pass over the quantized rows.
@@ -119,15 +122,27 @@ struct QuantizedScan<'a> {
     rows: &'a Matrix,
     quantized: &'a QuantizedMatrix,
     wanted: usize,
+    /// One of so many blocks is sampled, the last: threads come to it when they have prepared the queries, so that none
+    /// overtakes another and waits for it.
+    sample_step: usize,
     groups: Vec<QueryGroup<'a>>,
 }
 
 /// Queries that a block is multiplied by together, at most [`QUERIES_TOGETHER`].
 struct QueryGroup<'a> {
     queries: &'a [&'a [f32]],
-    /// Filled by the thread that needs them first.
-    pending: OnceLock<Vec<PendingQuery>>,
+    /// Filled by the thread that needs it first.
+    prepared: OnceLock<PreparedGroup>,
 }
+
+struct PreparedGroup {
+    queries: Vec<PendingQuery>,
+    /// The products with the blocks of the sample, in order.
+    sampled: Vec<GroupProducts>,
+}
+
+/// The products of a block with each query of a group.
+type GroupProducts = [BlockProducts; QUERIES_TOGETHER];
 
 struct PendingQuery {
     lines: Vec<FloatLine>,
@@ -174,7 +189,7 @@ impl QuantizedScan<'_> {
         let mut nearest = vec![NearestRows::new(self.wanted); queries];
         // Limit and threshold of each query.
         let mut thresholds = vec![(f32::NAN, f32::NAN); queries];
-        let mut products = [[0; BLOCK_ROWS]; QUERIES_TOGETHER];
+        let mut own_products = [[0; BLOCK_ROWS]; QUERIES_TOGETHER];
         loop {
             let first = next_block.fetch_add(together, Ordering::Relaxed);
             if first >= self.quantized.blocks() {
@@ -183,12 +198,12 @@ impl QuantizedScan<'_> {
             for block in first..self.quantized.blocks().min(first + together) {
                 let rows = self.quantized.block(block);
                 for group in (first_group..self.groups.len()).chain(0..first_group) {
-                    let queries = self.pending(group);
-                    self.multiply(rows, queries, &mut products);
+                    let prepared = self.prepared(group);
+                    let products = self.products(prepared, block, &mut own_products);
                     let answers = nearest.iter_mut().zip(&mut thresholds);
                     let answers = answers.skip(group * QUERIES_TOGETHER);
                     for ((query, products), (nearest, known)) in
-                        queries.iter().zip(&products).zip(answers)
+                        prepared.queries.iter().zip(products).zip(answers)
                     {
                         let limit = query.limit();
                         if limit != known.0 {
@@ -203,12 +218,28 @@ impl QuantizedScan<'_> {
         }
     }
 
+    /// The products of a block with a group of queries: those of the sample are known.
+    fn products<'a>(
+        &self,
+        group: &'a PreparedGroup,
+        block: usize,
+        own: &'a mut GroupProducts,
+    ) -> &'a GroupProducts {
+        if (block + 1).is_multiple_of(self.sample_step)
+            && let Some(known) = group.sampled.get(block / self.sample_step)
+        {
+            return known;
+        }
+        self.multiply(self.quantized.block(block), &group.queries, own);
+        own
+    }
+
     /// Multiplies a block by a group of queries.
     fn multiply(
         &self,
         block: RowBlock<'_>,
         queries: &[PendingQuery],
-        products: &mut [BlockProducts; QUERIES_TOGETHER],
+        products: &mut GroupProducts,
     ) {
         if let Ok(queries) = <&[PendingQuery; QUERIES_TOGETHER]>::try_from(queries) {
             let queries = queries.each_ref().map(|query| &query.quantized);
@@ -244,59 +275,56 @@ impl QuantizedScan<'_> {
         distance[0]
     }
 
-    /// The queries of a group.
-    fn pending(&self, group: usize) -> &[PendingQuery] {
+    /// The queries of a group, with a first limit each.
+    fn prepared(&self, group: usize) -> &PreparedGroup {
         let group = &self.groups[group];
-        group.pending.get_or_init(|| {
+        group.prepared.get_or_init(|| {
             let pending = |query: &&[f32]| PendingQuery {
                 lines: padded(query),
                 quantized: self.quantized.query(query),
                 limit: AtomicU32::new(f32::INFINITY.to_bits()),
             };
             let queries: Vec<PendingQuery> = group.queries.iter().map(pending).collect();
-            self.sample(&queries);
-            queries
+            let sampled = self.sample(&queries);
+            PreparedGroup { queries, sampled }
         })
     }
 
     /// Sets a first limit for each query: measures as many rows as are wanted, those that seem nearest in a sample of
-    /// blocks, and takes the farthest of them.
-    fn sample(&self, queries: &[PendingQuery]) {
+    /// blocks, and takes the farthest of them. Returns the products with the sample, which is empty where there are
+    /// fewer blocks than wanted rows.
+    fn sample(&self, queries: &[PendingQuery]) -> Vec<GroupProducts> {
         let blocks = self.quantized.blocks();
         if blocks < self.wanted {
-            return;
+            return Vec::new();
         }
-        let sampled = (blocks / SAMPLED_SHARE).min(SAMPLED_BLOCKS).max(self.wanted);
-        let sample = (0..blocks).step_by(blocks.div_ceil(sampled));
-        let mut products = [[0; BLOCK_ROWS]; QUERIES_TOGETHER];
-        let mut limits = vec![NearestRows::new(self.wanted); queries.len()];
-        for part in 0..self.wanted {
-            let mut seemingly_nearest = [(f32::NEG_INFINITY, None); QUERIES_TOGETHER];
-            for block in sample.clone().skip(part).step_by(self.wanted) {
-                let rows = self.quantized.block(block);
-                self.multiply(rows, queries, &mut products);
-                for ((query, products), nearest) in
-                    queries.iter().zip(&products).zip(&mut seemingly_nearest)
+        let sample: Vec<usize> = (self.sample_step - 1..blocks).step_by(self.sample_step).collect();
+        let mut sampled = vec![[[0; BLOCK_ROWS]; QUERIES_TOGETHER]; sample.len()];
+        for (&block, products) in sample.iter().zip(&mut sampled) {
+            self.multiply(self.quantized.block(block), queries, products);
+        }
+        for (at, query) in queries.iter().enumerate() {
+            let mut limits = NearestRows::new(self.wanted);
+            for part in 0..self.wanted {
+                let mut seemingly_nearest = (f32::NEG_INFINITY, None);
+                for (&block, products) in
+                    sample.iter().zip(&sampled).skip(part).step_by(self.wanted)
                 {
-                    let estimates = rows.estimates(&query.quantized, products);
+                    let rows = self.quantized.block(block);
+                    let estimates = rows.estimates(&query.quantized, &products[at]);
                     for (row, estimate) in (block * BLOCK_ROWS..).zip(estimates) {
-                        if estimate > nearest.0 {
-                            *nearest = (estimate, Some(row));
+                        if estimate > seemingly_nearest.0 {
+                            seemingly_nearest = (estimate, Some(row));
                         }
                     }
                 }
-            }
-            for ((query, (_, row)), limits) in
-                queries.iter().zip(seemingly_nearest).zip(&mut limits)
-            {
-                if let Some(row) = row {
+                if let Some(row) = seemingly_nearest.1 {
                     limits.offer(self.distance(query, row), row as u32);
                 }
             }
-        }
-        for (query, limits) in queries.iter().zip(limits) {
             query.limit.store(limits.limit().to_bits(), Ordering::Relaxed);
         }
+        sampled
     }
 }
 
