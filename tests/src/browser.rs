@@ -46,6 +46,8 @@ impl Browser {
             .arg("--disable-sync")
             .arg(format!("--window-size={width},{height}"))
             .arg(format!("--user-data-dir={}", profile.path().display()))
+            // It is killed, and leaves its temporary files there.
+            .env("TMPDIR", profile.path())
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(Stdio::null())

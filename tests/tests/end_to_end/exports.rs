@@ -26,6 +26,9 @@ fn export(bench: &Bench, format: &str, out: &str, more: &[&str]) -> Ended {
 /// Checks that Rerun's viewer opens `file` and draws the views whose paths end so.
 pub(crate) fn is_shown_in_rerun(python: &Path, file: &Path, views: &[&str]) {
     let mut viewer = Command::new(python);
+    // The viewer is killed, and leaves its data there.
+    let scratch = tempfile::tempdir().unwrap();
+    viewer.env("TMPDIR", scratch.path());
     viewer.arg(repository("tests/python/open_in_rerun.py")).arg(file).args(views);
     Ended::run(&mut viewer).expect(0);
 }
