@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use memtransfer_tests::{
-    Bench, Ended, kill, process_of, processes_with, program, sorted_log, wait_for_episodes,
+    Bench, Ended, kill, process_of, processes_with, program, sorted_log, stop, wait_for_episodes,
 };
 
 /// The arguments of a run of twelve episodes.
@@ -105,6 +105,8 @@ fn a_run_waits_for_a_policy_to_attach_and_to_attach_again() {
     let mut first = attach(&run);
     wait_for_episodes(&bench.out("attached"), 1);
 
+    // The second tries for two seconds, in which the run would end.
+    stop(first.id());
     let second = Ended::of(attach(&run)).expect(2);
     assert!(second.stderr.contains("the run already has a policy process"), "{}", second.stderr);
 
