@@ -56,33 +56,28 @@ impl Quads {
 /// Whether the corners, counter-clockwise, make a flat and convex quad with linear values.
 fn is_quad<const N: usize>(corners: [([f32; 3], [f32; N]); 4], tolerance: f32) -> bool {
     let [a, b, c, d] = corners.map(|(position, _)| Vector3::from(position));
-    let (across, up, diagonal) = (b - a, d - a, c - a);
+    let (across, up) = (b - a, d - a);
+    let (ac, bd) = (c - a, d - b);
     let normal = across.cross(&up);
     let turns = [(across, c - b), (c - b, d - c), (d - c, a - d), (a - d, across)];
     let is_convex = turns.iter().all(|(from, to)| from.cross(to).dot(&normal) > 0.0);
-    let size = diagonal.norm().max((d - b).norm());
-    if !is_convex || diagonal.dot(&normal).abs() > FLATNESS * size * normal.norm() {
+    let size = ac.norm().max(bd.norm());
+    if !is_convex || ac.dot(&normal).abs() > FLATNESS * size * normal.norm() {
         return false;
     }
     // As in `Plane`: through the mean of the corners, and changing along the diagonals as they do.
-    let (from_a, from_b) = (c - a, d - b);
-    let system = Matrix2::new(
-        from_a.dot(&from_a),
-        from_a.dot(&from_b),
-        from_a.dot(&from_b),
-        from_b.dot(&from_b),
-    );
+    let system = Matrix2::new(ac.dot(&ac), ac.dot(&bd), ac.dot(&bd), bd.dot(&bd));
     let Some(inverse) = system.try_inverse() else { return false };
     let centre = (a + b + c + d) / 4.0;
     let values = corners.map(|(_, values)| values);
     (0..N).all(|i| {
         let [va, vb, vc, vd] = values.map(|values| values[i]);
-        let (along_a, along_b) = (vc - va, vd - vb);
+        let (along_ac, along_bd) = (vc - va, vd - vb);
         let mean = (va + vb + vc + vd) / 4.0;
         [(a, va), (b, vb), (c, vc), (d, vd)].into_iter().all(|(corner, value)| {
             let at = corner - centre;
-            let share = inverse * Vector2::new(from_a.dot(&at), from_b.dot(&at));
-            (mean + along_a * share.x + along_b * share.y - value).abs() <= tolerance
+            let share = inverse * Vector2::new(ac.dot(&at), bd.dot(&at));
+            (mean + along_ac * share.x + along_bd * share.y - value).abs() <= tolerance
         })
     })
 }

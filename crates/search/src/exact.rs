@@ -23,7 +23,7 @@ const TURNS: usize = 4;
 /// Most blocks that are sampled before the scan for a first limit.
 const SAMPLED_BLOCKS: usize = 16;
 
-/// One of so many blocks is sampled at most: what is sampled is read twice.
+/// One of so many blocks is sampled at most: to choose rows from the sample takes time, too.
 const SAMPLED_SHARE: usize = 16;
 
 /// The nearest rows found so far, in order of distance. Rows as far as the last wanted one are all kept.
