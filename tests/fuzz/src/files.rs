@@ -33,9 +33,11 @@ pub(crate) fn with_files(
     input: &[u8],
     read: impl FnOnce(&Path),
 ) {
+    let own: Vec<_> = files(input).into_iter().filter(|(name, _)| is_named(name, names)).collect();
+    let is_replaced = |name: &str| own.iter().any(|(replaced, _)| *replaced == name);
+    let kept = given.iter().filter(|(name, _)| !is_replaced(name));
     with_folder(|folder| {
-        let own = files(input).into_iter().filter(|(name, _)| is_named(name, names));
-        for (name, content) in given.iter().copied().chain(own) {
+        for (name, content) in kept.chain(&own) {
             let path = folder.join(name);
             fs::create_dir_all(path.parent().unwrap()).unwrap();
             fs::write(path, content).unwrap();

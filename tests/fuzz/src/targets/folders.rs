@@ -4,6 +4,7 @@ use std::cell::RefCell;
 use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::Path;
+use std::sync::OnceLock;
 
 use export::leaderboard;
 use orchestrator::status::LiveStatus;
@@ -29,8 +30,9 @@ use crate::input::files;
 const RUN: &[u8] = include_bytes!("../../corpus/run-folder/quick");
 
 /// The files of [`RUN`].
-fn given() -> Vec<(&'static str, &'static [u8])> {
-    files(RUN)
+fn given() -> &'static [(&'static str, &'static [u8])] {
+    static FILES: OnceLock<Vec<(&str, &[u8])>> = OnceLock::new();
+    FILES.get_or_init(|| files(RUN))
 }
 
 const JOURNALS: [&str; 8] = [
@@ -56,7 +58,7 @@ fn is_shown(input: &[u8]) -> bool {
 
 /// A run is refused, or scored; its report has no element that a text of the run has made.
 pub(super) fn run(input: &[u8]) {
-    with_files(&given(), &JOURNALS, input, |folder| {
+    with_files(given(), &JOURNALS, input, |folder| {
         let _ = LiveStatus::read(folder).map(|status| status.map(|status| status.line()));
         let _ = read_journal::<LatencyRecord>(&folder.join("latency.jsonl"), |_| Ok(()));
         let Ok(log) = RunLog::read(folder) else { return };
@@ -122,10 +124,8 @@ pub(super) fn merged(input: &[u8]) {
         .chain(["plan.json".to_owned()])
         .collect();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
-    let first: Vec<(String, &[u8])> = given()
-        .into_iter()
-        .map(|(name, content)| (format!("{}/{name}", units[0]), content))
-        .collect();
+    let first: Vec<(String, &[u8])> =
+        given().iter().map(|(name, content)| (format!("{}/{name}", units[0]), *content)).collect();
     let first: Vec<(&str, &[u8])> =
         first.iter().map(|(name, content)| (name.as_str(), *content)).collect();
     with_files(&first, &names, input, |folder| {
@@ -185,7 +185,7 @@ const SECRET: &str = "a secret beside the run";
 pub(super) fn viewer_run(input: &[u8]) {
     let names =
         [&JOURNALS[..], &["streams.json", "prompts/session-1/", "prompts/documents/"]].concat();
-    with_files(&given(), &names, input, |folder| {
+    with_files(given(), &names, input, |folder| {
         let outside = folder.with_file_name("secret");
         for extension in ["txt", "json", "png"] {
             let file = outside.with_extension(extension);
