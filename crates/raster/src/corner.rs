@@ -1,5 +1,6 @@
 //! Transforms vertices to positions in the image, sixteen at a time.
 
+use bytemuck::Zeroable;
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, f32x16, i32x16};
 
 use super::canvas::{PIXELS, PixelLanes};
@@ -15,7 +16,7 @@ const SUBPIXEL_BITS: u32 = 8;
 pub(super) const TO_CUT: i32 = 1 << 5;
 
 /// A vertex in the image.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Zeroable)]
 #[repr(C, align(16))]
 pub(super) struct Corner {
     /// 1 and the values to be interpolated.
@@ -35,17 +36,6 @@ pub(super) struct Corner {
 }
 
 impl Corner {
-    const NOWHERE: Self = Self {
-        values: [0.0; 4],
-        x: 0.0,
-        y: 0.0,
-        ahead: 0.0,
-        nearness: 0.0,
-        fine: [0.0; 2],
-        at: [0; 2],
-        beyond: 0,
-    };
-
     /// The exact position.
     #[inline(always)]
     pub(super) fn fine(&self) -> [f64; 2] {
@@ -167,9 +157,29 @@ const COMPONENTS: usize = 7;
 #[repr(C, align(64))]
 struct Sixteen([PixelLanes<f32>; COMPONENTS]);
 
-/// The vertices of a layer, and a cache of those that have been transformed for the current view.
+/// The vertices of a layer.
+pub(super) struct Vertices(Vec<Sixteen>);
+
+impl Vertices {
+    /// From positions, shares of fog, and values.
+    pub(super) fn new(vertices: impl ExactSizeIterator<Item = ([f32; 3], f32, [f32; 3])>) -> Self {
+        let mut packed = Vec::with_capacity(vertices.len().div_ceil(PIXELS));
+        for (number, ([x, y, z], fog, [a, b, c])) in vertices.enumerate() {
+            if number % PIXELS == 0 {
+                packed.push(Sixteen([[0.0; PIXELS]; COMPONENTS]));
+            }
+            if let Some(Sixteen(components)) = packed.last_mut() {
+                for (component, value) in components.iter_mut().zip([x, y, z, fog, a, b, c]) {
+                    component[number % PIXELS] = value;
+                }
+            }
+        }
+        Self(packed)
+    }
+}
+
+/// A cache of the vertices of a layer that have been transformed for the current view.
 pub(super) struct Corners {
-    mesh: Vec<Sixteen>,
     placed: Vec<[Corner; PIXELS]>,
     /// The value of `now` when each sixteen were transformed.
     stamps: Vec<u32>,
@@ -177,22 +187,10 @@ pub(super) struct Corners {
 }
 
 impl Corners {
-    /// From positions, shares of fog, and values.
-    pub(super) fn new(corners: impl Iterator<Item = ([f32; 3], f32, [f32; 3])>) -> Self {
-        let mut mesh = Vec::new();
-        for (number, ([x, y, z], fog, [a, b, c])) in corners.enumerate() {
-            if number % PIXELS == 0 {
-                mesh.push(Sixteen([[0.0; PIXELS]; COMPONENTS]));
-            }
-            if let Some(Sixteen(components)) = mesh.last_mut() {
-                for (component, value) in components.iter_mut().zip([x, y, z, fog, a, b, c]) {
-                    component[number % PIXELS] = value;
-                }
-            }
-        }
-        let placed = vec![[Corner::NOWHERE; PIXELS]; mesh.len()];
-        let stamps = vec![0; mesh.len()];
-        Self { mesh, placed, stamps, now: 0 }
+    /// An empty cache.
+    pub(super) fn new(vertices: &Vertices) -> Self {
+        let sixteens = vertices.0.len();
+        Self { placed: bytemuck::zeroed_vec(sixteens), stamps: vec![0; sixteens], now: 0 }
     }
 
     /// Empties the cache.
@@ -210,13 +208,14 @@ impl Corners {
         &mut self,
         simd: V,
         transform: &Transform<'_>,
+        vertices: &Vertices,
         indices: [u32; 4],
     ) -> [&Corner; 4] {
         for index in indices {
             let sixteen = index as usize / PIXELS;
             if self.stamps[sixteen] != self.now {
                 self.stamps[sixteen] = self.now;
-                transform.place(simd, &self.mesh[sixteen], &mut self.placed[sixteen]);
+                transform.place(simd, &vertices.0[sixteen], &mut self.placed[sixteen]);
             }
         }
         let at =
@@ -244,7 +243,7 @@ impl Polygon {
     /// Clips a quad at every plane.
     #[inline(never)]
     pub(super) fn inside(corners: [&Corner; 4], grid: &Grid) -> Self {
-        let mut polygon = Self { corners: [Corner::NOWHERE; 4 + PLANES], len: 4 };
+        let mut polygon = Self { corners: [Corner::zeroed(); 4 + PLANES], len: 4 };
         for (place, corner) in polygon.corners.iter_mut().zip(corners) {
             *place = *corner;
         }

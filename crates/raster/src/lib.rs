@@ -20,7 +20,7 @@ pub use fearless_simd::Level;
 use fearless_simd::Simd;
 
 use canvas::SampledImage;
-use corner::{Corners, Grid, Transform};
+use corner::{Corners, Grid, Transform, Vertices};
 pub use geometry::{
     Atlas, DrawList, FOG_PER_M, FOG_RGB, Geometry, NEAR_M, Placement, PlateVertex, PreparedView,
     SolidVertex, TextVertex, TriangleLayer,
@@ -47,6 +47,19 @@ impl Samples {
     }
 }
 
+/// A scene's geometry in the order that vector instructions read it, once for all rasterizers of a process.
+pub struct PackedGeometry {
+    solid: PackedLayer,
+    plate: PackedLayer,
+    text: PackedLayer,
+    lettering: Lettering,
+}
+
+struct PackedLayer {
+    vertices: Vertices,
+    quads: Quads,
+}
+
 /// Draws views of one scene on the calling thread.
 pub struct Rasterizer {
     level: Level,
@@ -59,32 +72,57 @@ enum AnyCanvas {
     Four(SampledImage<4>),
 }
 
-/// The scene's vertices in the order that vector instructions read them.
+/// The places of the scene's vertices in the current view.
 struct Layers {
     grid: Grid,
-    solid: (Corners, Quads),
-    plate: (Corners, Quads),
-    text: (Corners, Quads),
-    lettering: Lettering,
+    solid: Corners,
+    plate: Corners,
+    text: Corners,
 }
 
-impl Rasterizer {
-    /// Copies what it needs of `geometry`, for images of `width_px` x `height_px`.
-    pub fn new(geometry: &Geometry, width_px: u32, height_px: u32, samples: Samples) -> Self {
-        let solid = layer(&geometry.solid, COLOUR_TOLERANCE, |vertex| {
+impl PackedGeometry {
+    /// Copies what rasterizers need of `geometry`.
+    pub fn new(geometry: &Geometry) -> Self {
+        let solid = PackedLayer::new(&geometry.solid, COLOUR_TOLERANCE, |vertex| {
             let [r, g, b, fog] = vertex.colour.map(f32::from);
             (vertex.position, [r, g, b, fog / 255.0])
         });
-        let plate = layer(&geometry.plate, PLACE_TOLERANCE, |vertex| {
+        let plate = PackedLayer::new(&geometry.plate, PLACE_TOLERANCE, |vertex| {
             let [x, y] = vertex.across;
             (vertex.position, [x, y, 0.0, 0.0])
         });
-        let text = layer(&geometry.text, PLACE_TOLERANCE, |vertex| {
+        let text = PackedLayer::new(&geometry.text, PLACE_TOLERANCE, |vertex| {
             let [x, y] = vertex.atlas;
             (vertex.position, [x, y, 0.0, 0.0])
         });
-        let lettering = Lettering::new(&geometry.atlas);
-        let layers = Layers { grid: Grid::new(width_px, height_px), solid, plate, text, lettering };
+        Self { solid, plate, text, lettering: Lettering::new(&geometry.atlas) }
+    }
+}
+
+impl PackedLayer {
+    /// `corner` is the position of a vertex, three values and its share of fog.
+    fn new<V>(
+        layer: &TriangleLayer<V>,
+        tolerance: f32,
+        corner: impl Fn(&V) -> ([f32; 3], [f32; 4]),
+    ) -> Self {
+        let vertices = layer.vertices.iter().map(|vertex| {
+            let (position, [a, b, c, fog]) = corner(vertex);
+            (position, fog, [a, b, c])
+        });
+        Self { vertices: Vertices::new(vertices), quads: Quads::new(layer, &corner, tolerance) }
+    }
+}
+
+impl Rasterizer {
+    /// For images of `width_px` x `height_px` of `packed`.
+    pub fn new(packed: &PackedGeometry, width_px: u32, height_px: u32, samples: Samples) -> Self {
+        let layers = Layers {
+            grid: Grid::new(width_px, height_px),
+            solid: Corners::new(&packed.solid.vertices),
+            plate: Corners::new(&packed.plate.vertices),
+            text: Corners::new(&packed.text.vertices),
+        };
         let canvas = match samples {
             Samples::One => AnyCanvas::One(SampledImage::new(width_px, height_px)),
             Samples::Four => AnyCanvas::Four(SampledImage::new(width_px, height_px)),
@@ -98,11 +136,12 @@ impl Rasterizer {
         Self { level, ..self }
     }
 
-    /// Draws a view of `geometry` into `pixels`, RGBA in rows from the top; `background` is RGBA with red in the lowest
-    /// byte.
+    /// Draws a view of `geometry` into `pixels`, RGBA in rows from the top; `packed` is made from it, and `background` is
+    /// RGBA with red in the lowest byte.
     pub fn draw(
         &mut self,
         geometry: &Geometry,
+        packed: &PackedGeometry,
         view: &PreparedView,
         background: u32,
         pixels: &mut [u8],
@@ -111,11 +150,11 @@ impl Rasterizer {
         match canvas {
             AnyCanvas::One(canvas) => {
                 canvas.clear(background);
-                layers.draw_at(*level, geometry, view, canvas, pixels);
+                layers.draw_at(*level, (geometry, packed), view, canvas, pixels);
             }
             AnyCanvas::Four(canvas) => {
                 canvas.clear(background);
-                layers.draw_at(*level, geometry, view, canvas, pixels);
+                layers.draw_at(*level, (geometry, packed), view, canvas, pixels);
             }
         }
     }
@@ -127,19 +166,6 @@ const COLOUR_TOLERANCE: f32 = 2.0;
 /// The largest error of positions on a plate or in the atlas, 0 to 1.
 const PLACE_TOLERANCE: f32 = 1e-5;
 
-/// The corners of a layer and its quads; `corner` is the position of a vertex, three values and its share of fog.
-fn layer<V>(
-    layer: &TriangleLayer<V>,
-    tolerance: f32,
-    corner: impl Fn(&V) -> ([f32; 3], [f32; 4]),
-) -> (Corners, Quads) {
-    let corners = layer.vertices.iter().map(|vertex| {
-        let (position, [a, b, c, fog]) = corner(vertex);
-        (position, fog, [a, b, c])
-    });
-    (Corners::new(corners), Quads::new(layer, &corner, tolerance))
-}
-
 impl Layers {
     /// Draws with AVX-512, AVX2 or SSE2. Each level is a compiled copy of everything below, so SSE4.2, which only
     /// processors from before 2013 stop at, has none.
@@ -147,7 +173,7 @@ impl Layers {
     fn draw_at<const M: usize>(
         &mut self,
         level: Level,
-        geometry: &Geometry,
+        scene: (&Geometry, &PackedGeometry),
         view: &PreparedView,
         canvas: &mut SampledImage<M>,
         pixels: &mut [u8],
@@ -155,17 +181,17 @@ impl Layers {
         if let Some(simd) = level.as_avx512() {
             simd.vectorize(
                 #[inline(always)]
-                || self.draw(simd, geometry, view, canvas, pixels),
+                || self.draw(simd, scene, view, canvas, pixels),
             );
         } else if let Some(simd) = level.as_avx2() {
             simd.vectorize(
                 #[inline(always)]
-                || self.draw(simd, geometry, view, canvas, pixels),
+                || self.draw(simd, scene, view, canvas, pixels),
             );
         } else if let Some(simd) = level.as_sse2() {
             simd.vectorize(
                 #[inline(always)]
-                || self.draw(simd, geometry, view, canvas, pixels),
+                || self.draw(simd, scene, view, canvas, pixels),
             );
         }
     }
@@ -174,42 +200,43 @@ impl Layers {
     fn draw_at<const M: usize>(
         &mut self,
         level: Level,
-        geometry: &Geometry,
+        scene: (&Geometry, &PackedGeometry),
         view: &PreparedView,
         canvas: &mut SampledImage<M>,
         pixels: &mut [u8],
     ) {
-        fearless_simd::dispatch!(level, simd => self.draw(simd, geometry, view, canvas, pixels));
+        fearless_simd::dispatch!(level, simd => self.draw(simd, scene, view, canvas, pixels));
     }
 
     #[inline(always)]
     fn draw<V: Simd, const M: usize>(
         &mut self,
         simd: V,
-        geometry: &Geometry,
+        scene: (&Geometry, &PackedGeometry),
         view: &PreparedView,
         canvas: &mut SampledImage<M>,
         pixels: &mut [u8],
     ) {
-        let Self { grid, solid, plate, text, lettering } = self;
+        let Self { grid, solid, plate, text } = self;
+        let (geometry, packed) = scene;
         let transform = Transform::new(grid, view.clip_from_world);
         // In the order of the GPU backend: what hangs in front comes first, so that little is drawn over.
-        let (corners, quads) = plate;
-        corners.forget();
+        let PackedLayer { vertices, quads } = &packed.plate;
+        plate.forget();
         for quad in quads.of(&view.list.plate) {
             let shader = PlateShader { code: geometry.plate.vertices[quad[0] as usize].code };
-            let corners = corners.quad(simd, &transform, quad);
+            let corners = plate.quad(simd, &transform, vertices, quad);
             fill::draw(simd, canvas, grid, corners, &shader);
         }
-        let (corners, quads) = text;
-        corners.forget();
+        let PackedLayer { vertices, quads } = &packed.text;
+        text.forget();
         for quad in quads.of(&view.list.text) {
-            let vertex = &geometry.text.vertices[quad[0] as usize];
-            let shader = TextShader { lettering, ink: vertex.ink, paper: vertex.paper };
-            let corners = corners.quad(simd, &transform, quad);
+            let &TextVertex { ink, paper, .. } = &geometry.text.vertices[quad[0] as usize];
+            let shader = TextShader { lettering: &packed.lettering, ink, paper };
+            let corners = text.quad(simd, &transform, vertices, quad);
             fill::draw(simd, canvas, grid, corners, &shader);
         }
-        let (corners, quads) = solid;
+        let PackedLayer { vertices, quads } = &packed.solid;
         let sides = view.barricades.iter().map(|&side| {
             let barricade = &geometry.solid.indices[geometry.barricade.clone()];
             (barricade, side)
@@ -218,9 +245,9 @@ impl Layers {
             std::iter::once((&view.list.solid[..], Placement::IDENTITY)).chain(sides)
         {
             let transform = transform.at(placement);
-            corners.forget();
+            solid.forget();
             for quad in quads.of(triangles) {
-                let corners = corners.quad(simd, &transform, quad);
+                let corners = solid.quad(simd, &transform, vertices, quad);
                 let shader = LitShader::new(simd, corners);
                 fill::draw(simd, canvas, grid, corners, &shader);
             }
@@ -259,8 +286,9 @@ mod tests {
             [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0], [0.0; 4]];
         let view = PreparedView { clip_from_world, list, barricades: Vec::new() };
         let mut pixels = vec![0; SIDE * SIDE * 4];
-        let mut rasterizer = Rasterizer::new(&geometry, SIDE as u32, SIDE as u32, Samples::One);
-        rasterizer.draw(&geometry, &view, 0, &mut pixels);
+        let packed = PackedGeometry::new(&geometry);
+        let mut rasterizer = Rasterizer::new(&packed, SIDE as u32, SIDE as u32, Samples::One);
+        rasterizer.draw(&geometry, &packed, &view, 0, &mut pixels);
         pixels.as_chunks().0.to_vec()
     }
 

@@ -116,17 +116,16 @@ impl Lettering {
     pub(super) fn new(atlas: &Atlas) -> Self {
         let level = |(level, texels): (usize, &Vec<u8>)| {
             let [width, height] = [atlas.width >> level, atlas.height >> level].map(|n| n as usize);
-            let texel = |x: usize, y: usize| {
-                u32::from(texels[y.min(height - 1) * width + x.min(width - 1)])
-            };
-            let quad = |at: usize| {
-                let (x, y) = (at % width, at / width);
-                texel(x, y)
-                    | texel(x + 1, y) << 8
-                    | texel(x, y + 1) << 16
-                    | texel(x + 1, y + 1) << 24
-            };
-            (0..width * height).map(quad).collect()
+            // The last texels of rows and columns are their own neighbours.
+            let row = |y: usize| &texels[y.min(height - 1) * width..][..width];
+            let mut quads = Vec::with_capacity(width * height);
+            for (row, below) in (0..height).map(|y| (row(y), row(y + 1))) {
+                let neighbours = row.array_windows().zip(below.array_windows());
+                quads.extend(neighbours.map(|(&[a, b], &[c, d])| u32::from_le_bytes([a, b, c, d])));
+                let [a, c] = [row[width - 1], below[width - 1]];
+                quads.push(u32::from_le_bytes([a, a, c, c]));
+            }
+            quads
         };
         Self {
             size: [atlas.width as f32, atlas.height as f32],

@@ -5,6 +5,8 @@
 //! item looks the same wherever it stands. In the hall, light comes from above, and each wall has its own brightness. A
 //! [`Look`] varies both.
 
+use std::sync::LazyLock;
+
 use nalgebra::Vector3;
 
 use super::look::Look;
@@ -53,11 +55,11 @@ pub(super) fn baked(vertex: &MeshVertex, part: MeshPart, look: &Look) -> [u8; 4]
     };
     let strength = strength * openness(vertex, part);
     let tint = look.tint(part);
-    let [r, g, b] = [0, 1, 2].map(|i| {
-        let surface = linear_from_srgb(material.rgb[i]) * tint[i];
+    let channel = |i: usize| {
+        let surface = LINEAR_FROM_SRGB[usize::from(material.rgb[i])] * tint[i];
         srgb_from_linear((surface * strength + 0.75 * highlight) * look.colour[i])
-    });
-    [r, g, b, 255]
+    };
+    [channel(0), channel(1), channel(2), 255]
 }
 
 /// Ambient light: more from above than from below.
@@ -83,13 +85,54 @@ fn openness(vertex: &MeshVertex, part: MeshPart) -> f32 {
     }
 }
 
-fn linear_from_srgb(value: u8) -> f32 {
-    let c = f32::from(value) / 255.0;
-    if c <= 0.040_45 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
-}
+/// The linear values of all sRGB values.
+static LINEAR_FROM_SRGB: LazyLock<[f32; 256]> = LazyLock::new(|| {
+    std::array::from_fn(|value| {
+        let c = value as f32 / 255.0;
+        if c <= 0.040_45 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
+    })
+});
+
+/// The smallest linear value of every sRGB value but 0.
+static SRGB_STARTS: LazyLock<[f32; 255]> = LazyLock::new(|| {
+    std::array::from_fn(|below| {
+        // Positive floats are in the order of their bits.
+        let (mut low, mut high) = (0, 1.0_f32.to_bits());
+        while high - low > 1 {
+            let middle = u32::midpoint(low, high);
+            if usize::from(encoded(f32::from_bits(middle))) > below {
+                high = middle;
+            } else {
+                low = middle;
+            }
+        }
+        f32::from_bits(high)
+    })
+});
 
 fn srgb_from_linear(value: f32) -> u8 {
-    let c = value.clamp(0.0, 1.0);
+    SRGB_STARTS.partition_point(|&start| start <= value) as u8
+}
+
+/// The sRGB value of a linear one, by its formula.
+fn encoded(linear: f32) -> u8 {
+    let c = linear.clamp(0.0, 1.0);
     let encoded = if c <= 0.003_130_8 { c * 12.92 } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 };
     (encoded * 255.0).round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_in_the_table_are_those_of_the_formula() {
+        let beside_starts = SRGB_STARTS.iter().flat_map(|start| {
+            (-300..=300).map(|step| f32::from_bits(start.to_bits().saturating_add_signed(step)))
+        });
+        let everywhere = (0..400_000).map(|i| i as f32 / 300_000.0);
+        for linear in beside_starts.chain(everywhere).chain([-1.0, -0.0, 1e9]) {
+            assert_eq!(srgb_from_linear(linear), encoded(linear), "{linear}");
+        }
+    }
 }

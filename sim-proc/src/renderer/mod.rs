@@ -30,7 +30,7 @@ mod tests;
 
 use anyhow::{Context, Result, bail, ensure};
 use png_file::RgbaImage;
-use raster::{FOG_RGB, Geometry, PreparedView, Rasterizer};
+use raster::{FOG_RGB, PackedGeometry, PreparedView, Rasterizer};
 use warehouse::{Layout, Warehouse};
 
 pub use contact_sheet::contact_sheet;
@@ -43,7 +43,7 @@ use visibility::{Triangles, draw_list};
 
 /// An open backend.
 enum OpenBackend {
-    /// Opened by the first view: a process that finds all its views in a folder never draws.
+    /// Opened by the first view.
     Cpu(Option<Box<Rasterizer>>),
     Wgpu(Box<GpuBackend>),
 }
@@ -136,7 +136,7 @@ impl Renderer {
         }
     }
 
-    /// Bytes of the triangles and texts of the scene, of which every backend holds a copy of its own.
+    /// Bytes of the triangles and texts of the scene.
     pub fn scene_bytes(&self) -> usize {
         self.visibility.scene().geometry.bytes()
     }
@@ -196,7 +196,7 @@ impl Renderer {
     #[cfg(test)]
     fn with_level(mut self, level: raster::Level) -> Self {
         if let OpenBackend::Cpu(cpu) = &mut self.backend {
-            let opened = rasterizer(&self.visibility.scene().geometry, &self.settings);
+            let opened = rasterizer(self.visibility.scene().packed(), &self.settings);
             *cpu = Some(Box::new(opened.with_level(level)));
         }
         self
@@ -225,17 +225,19 @@ impl Renderer {
         views: &[PreparedView],
         destinations: &mut [&mut Destination<'_>],
     ) -> Result<()> {
-        let geometry = &self.visibility.scene().geometry;
+        let scene = self.visibility.scene();
+        let geometry = &scene.geometry;
         let frame_bytes = self.settings.frame_bytes();
         match &mut self.backend {
             OpenBackend::Wgpu(gpu) => gpu.draw(geometry, views, self.background, destinations),
             OpenBackend::Cpu(cpu) => {
                 let [r, g, b] = self.background.map(|channel| (channel * 255.0).round() as u8);
                 let background = u32::from_le_bytes([r, g, b, 255]);
-                let cpu = cpu.get_or_insert_with(|| Box::new(rasterizer(geometry, &self.settings)));
+                let packed = scene.packed();
+                let cpu = cpu.get_or_insert_with(|| Box::new(rasterizer(packed, &self.settings)));
                 for (view, destination) in views.iter().zip(destinations) {
                     let pixels = &mut destination.bytes_mut()[..frame_bytes];
-                    cpu.draw(geometry, view, background, pixels);
+                    cpu.draw(geometry, packed, view, background, pixels);
                 }
                 Ok(())
             }
@@ -243,7 +245,7 @@ impl Renderer {
     }
 }
 
-fn rasterizer(geometry: &Geometry, settings: &RenderSettings) -> Rasterizer {
+fn rasterizer(packed: &PackedGeometry, settings: &RenderSettings) -> Rasterizer {
     let &RenderSettings { width_px, height_px, samples, .. } = settings;
-    Rasterizer::new(geometry, width_px, height_px, samples)
+    Rasterizer::new(packed, width_px, height_px, samples)
 }

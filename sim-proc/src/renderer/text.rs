@@ -140,11 +140,13 @@ fn thickened(image: &[f32], width: usize, radius: f32) -> Vec<f32> {
             if weight == 0.0 {
                 continue;
             }
+            // In a row of each image, where the columns that correspond begin.
+            let [from, to] = [-dx, dx].map(|columns| (columns.max(0) as usize).min(width));
             for y in dy.max(0)..(height as i64 + dy).min(height as i64) {
-                for x in dx.max(0)..(width as i64 + dx).min(width as i64) {
-                    let from = (y - dy) as usize * width + (x - dx) as usize;
-                    let to = y as usize * width + x as usize;
-                    out[to] = out[to].max(image[from] * weight);
+                let row = |y: i64| y as usize * width..(y as usize + 1) * width;
+                let (source, target) = (&image[row(y - dy)][from..], &mut out[row(y)][to..]);
+                for (target, source) in target.iter_mut().zip(source) {
+                    *target = target.max(source * weight);
                 }
             }
         }
@@ -158,10 +160,11 @@ fn halved(finer: &[u8], width: u32) -> Vec<u8> {
     let mut out = Vec::with_capacity(finer.len() / 4);
     for rows in finer.chunks_exact(2 * width) {
         let (upper, lower) = rows.split_at(width);
-        for (a, b) in upper.chunks_exact(2).zip(lower.chunks_exact(2)) {
-            let sum: u32 = a.iter().chain(b).map(|&v| u32::from(v)).sum();
-            out.push(((sum + 2) / 4) as u8);
-        }
+        let (upper, lower) = (upper.as_chunks().0, lower.as_chunks().0);
+        out.extend(upper.iter().zip(lower).map(|(&[a, b], &[c, d])| {
+            let sum = u16::from(a) + u16::from(b) + u16::from(c) + u16::from(d);
+            ((sum + 2) / 4) as u8
+        }));
     }
     out
 }

@@ -1,5 +1,7 @@
 //! A scene under construction: meshes, label plates and texts are added object by object.
 
+use std::sync::OnceLock;
+
 use domain::Appearance;
 use nalgebra::{Isometry3, Point3};
 use plates::Plate;
@@ -196,6 +198,7 @@ impl Assembly {
             planes,
             objects: self.objects,
             stocks,
+            packed: OnceLock::new(),
         }
     }
 }
@@ -214,11 +217,11 @@ fn plate_code(plate: Plate) -> u32 {
 
 /// The plane of every triangle, as in [`Scene::planes`].
 fn planes(layer: &TriangleLayer<SolidVertex>) -> Vec<[f32; 4]> {
-    let triangle = |corners: &[u32]| {
-        let [a, b, c] =
-            [0, 1, 2].map(|i| Point3::from(layer.vertices[corners[i] as usize].position));
+    let at = |corner: u32| Point3::from(layer.vertices[corner as usize].position);
+    let triangle = |&[a, b, c]: &[u32; 3]| {
+        let (a, b, c) = (at(a), at(b), at(c));
         let normal = (b - a).cross(&(c - a)).normalize();
         [normal.x, normal.y, normal.z, normal.dot(&a.coords)]
     };
-    layer.indices.chunks_exact(3).map(triangle).collect()
+    layer.indices.as_chunks().0.iter().map(triangle).collect()
 }

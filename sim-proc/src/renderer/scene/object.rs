@@ -1,8 +1,9 @@
 //! The finished scene: triangles grouped into objects with bounds.
 
 use std::ops::Range;
+use std::sync::OnceLock;
 
-use raster::{Geometry, Placement};
+use raster::{Geometry, PackedGeometry, Placement};
 
 /// A part of the scene that is drawn or left out as a whole: its bounds, and ranges of each layer's indices.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -32,6 +33,8 @@ pub(in crate::renderer) struct Scene {
     pub(in crate::renderer) objects: Vec<SceneObject>,
     /// What each stock consists of.
     pub(in crate::renderer) stocks: Vec<StockObjects>,
+    /// What [`Scene::packed`] has made.
+    pub(in crate::renderer) packed: OnceLock<PackedGeometry>,
 }
 
 /// The objects that there are with one of a scene's stocks, and what hides others. Every stock has the same number of
@@ -44,6 +47,12 @@ pub(in crate::renderer) struct StockObjects {
 }
 
 impl Scene {
+    /// The geometry as the CPU draws it, made at the first call: a process that finds all its views in a folder, or draws
+    /// on a graphics card, needs none.
+    pub(in crate::renderer) fn packed(&self) -> &PackedGeometry {
+        self.packed.get_or_init(|| PackedGeometry::new(&self.geometry))
+    }
+
     /// The bounds of a barricade's side that stands at `side`.
     pub(in crate::renderer) fn barricade_at(&self, side: Placement) -> SceneObject {
         let solid = &self.geometry.solid;
