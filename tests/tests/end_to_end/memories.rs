@@ -100,7 +100,7 @@ fn killing_any_process_of_a_run_with_external_memories_changes_no_log() {
     let memories = ["top-k", "bm25"].map(example);
     let args = |out| {
         let args =
-            words("run --cases t01-01,t03-02,t09-05 --max-steps 60 --memory working --lanes 3");
+            words("run --cases t01-01,t03-02,t09-05 --max-steps 30 --memory working --lanes 3");
         [&args[..], &["--out", out]].concat()
     };
     run(&bench, &args("reference"), &memories).expect(0);

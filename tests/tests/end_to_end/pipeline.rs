@@ -16,7 +16,7 @@ const FEW_CASES: &str = "t01-01,t03-02,t09-05";
 /// The arguments of a run of these cases with all memories and both starts.
 fn slice<'a>(out: &'a str, lanes: &'a str) -> Vec<&'a str> {
     let mut args = vec!["run", "--suite", "quick", "--policy", "grounded", "--cases", FEW_CASES];
-    args.extend(["--max-steps", "80", "--lanes", lanes, "--out", out]);
+    args.extend(["--max-steps", "40", "--lanes", lanes, "--out", out]);
     args
 }
 

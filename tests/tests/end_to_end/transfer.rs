@@ -8,7 +8,7 @@ use memtransfer_tests::{
 use serde_json::Value;
 
 /// Two cases with every built-in memory.
-const SLICE: &str = "run --suite transfer --policy grounded --runs 1 --cases t01-01,t09-05 --max-steps 60 \
+const SLICE: &str = "run --suite transfer --policy grounded --runs 1 --cases t01-01,t09-05 --max-steps 30 \
     --demos original,elsewhere --memory working,full-context,summary,semantic,hybrid,episodic,adaptive";
 
 /// Two cases under thirteen conditions.

@@ -122,7 +122,7 @@ fn five_clicks_lead_from_a_run_to_the_step_that_decided_a_failure() {
 #[test]
 fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address() {
     let bench = Bench::new();
-    let run = blocked(&bench, "a", MEMORIES, &["--limit", "20"]);
+    let run = blocked(&bench, "a", MEMORIES, &["--limit", "20", "--max-steps", "20"]);
     let short = ["--seed", "2", "--limit", "5", "--max-steps", "20"];
     let other = blocked(&bench, "b", MEMORIES, &short);
     let url = bundle(&bench, &[&run, &other], &["--episodes", "2"]);
@@ -241,7 +241,7 @@ fn data(pages: &Path, name: &str) -> Value {
 #[test]
 fn an_episode_of_40_steps_takes_less_than_a_megabyte() {
     let bench = Bench::new();
-    let run = blocked(&bench, "r", MEMORIES, &["--limit", "8", "--max-steps", "40"]);
+    let run = blocked(&bench, "r", MEMORIES, &["--limit", "3", "--max-steps", "40"]);
     bundle(&bench, &[&run], &["--episodes", "all"]);
     let pages = bench.out("pages");
     let bytes = |file: &str| fs::metadata(pages.join("run1").join(file)).unwrap().len();

@@ -93,19 +93,20 @@ fn the_log_has_what_the_server_got_and_said() {
     let server = LlamaServer::seeing(3072, 3);
     let proxy = LoggingProxy::start(server.address());
     let (base_url, out) = (proxy.base_url(), bench.out("run"));
-    let slice = ["--suite", "quick", "--cases", "t05-01", "--demos", "4", "--max-steps", "7"];
+    let slice = ["--suite", "quick", "--cases", "t05-01", "--demos", "4", "--max-steps", "4"];
     let how = ["--memory", "working,episodic,full-context", "--lanes", "3", "--log-prompts"];
-    bench.run(&run(&base_url, "run", &[&slice[..], &how].concat())).expect(0);
+    let small = ["--frame-size", "256"];
+    bench.run(&run(&base_url, "run", &[&slice[..], &how, &small].concat())).expect(0);
 
     let entries = compare(&out, proxy.take());
-    assert_eq!(entries.len(), 3 * 7);
+    assert_eq!(entries.len(), 3 * 4);
     let mut most = BTreeMap::<String, u64>::new();
     for request in lines(&out.join("requests.jsonl")) {
         let memory = request["key"].as_str().unwrap().split('/').next().unwrap().to_owned();
         let images = most.entry(memory).or_default();
         *images = request["images"].as_u64().unwrap().max(*images);
     }
-    let expected = [("episodic", 14), ("full-context", 47), ("working", 7)];
+    let expected = [("episodic", 11), ("full-context", 44), ("working", 4)];
     assert_eq!(most, expected.map(|(memory, images)| (memory.to_owned(), images)).into());
 
     // The images are the renderer's views of the poses in the log.
@@ -115,7 +116,7 @@ fn the_log_has_what_the_server_got_and_said() {
         .map(|request| (request["pose"].as_str().unwrap(), request["frame"].as_str().unwrap()))
         .collect();
     for (pose, hash) in views.into_iter().take(2) {
-        bench.run(&["render", "--pose", pose, "--out", "view.png"]).expect(0);
+        bench.run(&["render", "--pose", pose, "--size", "256x256", "--out", "view.png"]).expect(0);
         let rendered = RgbaImage::read(&bench.out("view.png")).unwrap();
         assert_eq!(hash_of(&rendered), hash, "{pose}");
     }
@@ -158,7 +159,7 @@ fn a_prompt_that_is_too_long_names_the_image_budget() {
 fn a_killed_and_a_stopped_server_cost_no_episode() {
     let bench = Bench::new();
     let mut server = LlamaServer::seeing(1536, 2);
-    let slice = ["--cases", "t01-01,t05-01", "--memory", "working", "--max-steps", "12"];
+    let slice = ["--cases", "t01-01,t05-01", "--memory", "working", "--max-steps", "8"];
     let how = ["--lanes", "2", "--frame-size", "64", "--request-timeout", "3"];
     let base_url = server.base_url().to_owned();
     let args = run(&base_url, "run", &[&slice[..], &how].concat());
@@ -186,7 +187,7 @@ fn a_killed_and_a_stopped_server_cost_no_episode() {
     let requests = lines(&log);
     let steps: BTreeSet<String> =
         requests.iter().map(|it| format!("{} {}", it["key"], it["step"])).collect();
-    assert_eq!((requests.len(), steps.len()), (24, 24), "a step was asked twice or lost");
+    assert_eq!((requests.len(), steps.len()), (16, 16), "a step was asked twice or lost");
     let retried = requests.iter().filter(|request| request["attempts"].as_u64() > Some(1));
     assert!(retried.count() >= 2, "the faults met no request");
     assert_eq!(bench.leftovers(), Vec::<String>::new());
@@ -199,7 +200,7 @@ fn a_lost_server_leaves_its_requests_to_the_other() {
     let mut servers = [(); 2].map(|()| LlamaServer::seeing(1536, 2));
     let base_urls = servers.each_ref().map(LlamaServer::base_url).join(",");
     let slice = ["--cases", "t01-01,t03-01,t05-01,t07-01", "--memory", "working"];
-    let how = ["--max-steps", "12", "--lanes", "4", "--frame-size", "64"];
+    let how = ["--max-steps", "7", "--lanes", "4", "--frame-size", "64"];
     let args = run(&base_urls, "run", &[&slice[..], &how].concat());
     let child = bench.start(&args);
     let log = bench.out("run").join("requests.jsonl");
@@ -212,10 +213,10 @@ fn a_lost_server_leaves_its_requests_to_the_other() {
     let before = servers.each_ref().map(served);
     assert!(before.iter().all(|count| *count > 0), "{before:?}");
     servers[0].kill();
-    until(16);
+    until(12);
     servers[0].restart();
     Ended::of(child).expect(0);
     assert!(served(&servers[0]) > before[0], "the server that came back was not asked");
-    assert_eq!((records(&bench.out("run")).len(), answered()), (4, 48));
+    assert_eq!((records(&bench.out("run")).len(), answered()), (4, 28));
     assert!(lines(&bench.out("run").join("errors.jsonl")).is_empty());
 }
