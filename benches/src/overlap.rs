@@ -122,8 +122,9 @@ fn execute(session: &BenchSession<'_>, cache: &Path, flags: &[&str]) -> Result<R
     command.args(["--policy", "grounded", "--memory", "episodic", "--starts", "new"]);
     command.args(["--routes", "unchanged", "--lanes", "32"]);
     command.args(["--demos", session.size.pick("original", "4")]);
-    command.args(["--limit", session.size.pick("1", "50")]);
-    command.args(["--max-steps", session.size.pick("6", "200")]).args(flags);
+    // The case with the shortest demonstration, or many.
+    command.args(session.size.pick(["--cases", "t02-03"], ["--limit", "50"]));
+    command.args(["--max-steps", session.size.pick("4", "200")]).args(flags);
     let (before, began) = (work_of_children()?, Instant::now());
     ended_well(command.stdout(Stdio::null()), &session.scratch().join("run.log"))?;
     let wall = began.elapsed().as_secs_f64();
