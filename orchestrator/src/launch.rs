@@ -25,6 +25,9 @@ use crate::plan::PlannedEpisode;
 use crate::streams::Streams;
 use replay::World;
 
+/// Time that processes have to end once they are asked to.
+pub const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(5);
+
 /// How the processes are started, with their logs in the folder `logs`, beside the external memories `memories`. A run that
 /// consists of streams has them in its folder already.
 ///
@@ -47,6 +50,7 @@ pub fn pipeline_options(
         decision_timeout: (settings.policy != PolicyKind::Openai).then_some(step_timeout),
         memories: memories.to_vec(),
         memory_timeout: Duration::from_secs(settings.memory_timeout.into()),
+        shutdown_timeout: SHUTDOWN_TIMEOUT,
     })
 }
 

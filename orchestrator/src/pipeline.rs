@@ -66,6 +66,8 @@ pub struct PipelineOptions {
     pub memories: Vec<ExternalMemory>,
     /// Time limit of an answer of an external memory. The memory process keeps it, and gives up the episode.
     pub memory_timeout: Duration,
+    /// Time that processes have to end once they are asked to.
+    pub shutdown_timeout: Duration,
 }
 
 impl PipelineOptions {

@@ -15,6 +15,7 @@ use shm_types::{Attach, Bus, FrameSize, Receiver, RunDir, registry};
 use documents::{DocumentFolder, DocumentName, Recipe};
 
 use super::{BuildStage, DocumentRequest};
+use crate::launch::SHUTDOWN_TIMEOUT;
 use supervise::{Children, Launch};
 
 /// Views that are rendered before they are read.
@@ -22,9 +23,6 @@ const VIEWS_AHEAD: u32 = 64;
 
 /// How often processes and signals are checked.
 const TICK: Duration = Duration::from_millis(50);
-
-/// How long processes may take to end after the stop message.
-const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Builds documents in `folder`. Returns false when stopped.
 ///

@@ -24,9 +24,6 @@ pub(super) const TICK: Duration = Duration::from_millis(50);
 /// Longest wait for a message that is on its way and comes without a notification.
 const SHORT_WAIT: Duration = Duration::from_millis(1);
 
-/// Time that processes have to end once they are asked to.
-const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(5);
-
 /// One set of processes and what connects them.
 ///
 /// The fields are dropped in order: the processes end before the services they use.
@@ -217,7 +214,8 @@ impl Generation {
             tracing::warn!(%error, "the processes could not be asked to end");
             return Ok(reports);
         }
-        let deadline = Instant::now() + SHUTDOWN_TIMEOUT;
+        let timeout = run.options.shutdown_timeout;
+        let deadline = Instant::now() + timeout;
         while reports.len() < self.notifiers.len() && Instant::now() < deadline {
             let received = self.bus.listener().wait(TICK);
             let received = received.and_then(|_| self.inbox.shutdown_reports.drain());
@@ -229,7 +227,7 @@ impl Generation {
                 reports.extend(sender.map(|sender| (sender, report)));
             }
         }
-        self.children.wait_or_kill(SHUTDOWN_TIMEOUT);
+        self.children.wait_or_kill(timeout);
         Ok(reports)
     }
 

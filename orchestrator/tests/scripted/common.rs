@@ -42,6 +42,8 @@ pub(crate) fn options(
         decision_timeout: Some(answer),
         memories: Vec::new(),
         memory_timeout: answer,
+        // Those that are started here take part in nothing, and are killed.
+        shutdown_timeout: Duration::from_millis(500),
     }
 }
 

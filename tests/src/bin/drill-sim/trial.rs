@@ -240,6 +240,7 @@ fn session(
         decision_timeout: Some(timeout),
         memories: scenario.memories.clone(),
         memory_timeout: Duration::from_secs(settings.memory_timeout.into()),
+        shutdown_timeout: launch::SHUTDOWN_TIMEOUT,
     };
     let counts = EpisodeCounts { planned: missing.len() as u64, ..EpisodeCounts::default() };
     let monitor = Monitor::new(folder.dir(), attach.lanes, counts, ProgressDisplay::silent());
