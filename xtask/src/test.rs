@@ -1,8 +1,9 @@
 //! `test`: sets up and builds at the same time, runs every test, and prints a line of totals.
 //!
-//! Cargo runs test binaries one after another, and in each as many tests at a time as there are cores.
+//! Cargo runs test binaries one after another.
 
 use std::io::{BufRead, BufReader, Write};
+use std::num::NonZero;
 use std::process::Stdio;
 use std::thread;
 
@@ -15,6 +16,9 @@ use crate::workspace::{Workspace, succeeds};
 
 /// What cargo tests: everything.
 const TESTS: [&str; 4] = ["test", "--release", "--workspace", "--no-fail-fast"];
+
+/// The variable with the number of tests that run at a time.
+const TEST_THREADS: &str = "RUST_TEST_THREADS";
 
 /// Sets up, builds and runs the tests. Returns whether all passed.
 pub(crate) fn run(
@@ -34,8 +38,13 @@ pub(crate) fn run(
         return Ok(false);
     }
     eprintln!("testing");
-    let mut child = workspace
-        .cargo(&TESTS)
+    let mut command = workspace.cargo(&TESTS);
+    if std::env::var_os(TEST_THREADS).is_none() {
+        // Many tests wait for processes most of the time.
+        let cores = thread::available_parallelism().map_or(1, NonZero::get);
+        command.env(TEST_THREADS, (cores + cores.div_ceil(2)).to_string());
+    }
+    let mut child = command
         .arg("--")
         .args(test_arguments)
         .stdout(Stdio::piped())

@@ -70,6 +70,7 @@ struct Lane {
     episode: u64,
     observed: Option<u32>,
     recalled: Option<u32>,
+    decided: Option<u32>,
 }
 
 /// Turns left, without the SDK.
@@ -116,6 +117,10 @@ fn raw(mode: &str) {
             } else if mode == "takes-the-late" || entry.episode == episode {
                 let _ = frames.get(frame);
                 entry.observed = Some(step);
+                if last == 1 {
+                    // No recall follows.
+                    entry.recalled = Some(step);
+                }
                 due.push((lane, episode, step));
             }
         }
@@ -134,12 +139,14 @@ fn raw(mode: &str) {
         due.dedup();
         for (lane, episode, step) in due {
             let Some(entry) = lanes.get_mut(&lane) else { continue };
-            let is_complete = entry.observed == Some(step) && entry.recalled == Some(step);
-            let is_due = is_complete || mode == "decides-early" || mode == "decides-the-end";
+            let is_due = match mode {
+                "decides-early" => entry.decided != Some(step),
+                _ => entry.observed == Some(step) && entry.recalled == Some(step),
+            };
             if !is_due {
                 continue;
             }
-            (entry.observed, entry.recalled) = (None, None);
+            (entry.observed, entry.recalled, entry.decided) = (None, None, Some(step));
             answered += 1;
             let action = if mode == "draws" { answered % 7 } else { Action::TurnLeft as u32 } as u8;
             let usual = Decision {
