@@ -110,6 +110,7 @@ static SRGB_STARTS: LazyLock<[f32; 255]> = LazyLock::new(|| {
     })
 });
 
+/// As [`encoded`], in half the time.
 fn srgb_from_linear(value: f32) -> u8 {
     SRGB_STARTS.partition_point(|&start| start <= value) as u8
 }
