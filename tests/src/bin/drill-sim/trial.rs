@@ -6,7 +6,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::time::Duration;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use orchestrator::budget::Budget;
@@ -41,6 +42,9 @@ const MOST_STEPS: u64 = 3_000_000;
 
 /// Sessions after which a run counts as one that never ends.
 const MOST_SESSIONS: usize = 24;
+
+/// Time in which threads that a session has joined disappear.
+const ENDING_TIME: Duration = Duration::from_secs(2);
 
 /// Bytes that a disk writes at once.
 const SECTOR: usize = 512;
@@ -117,14 +121,15 @@ pub(crate) fn execute(
     while !is_complete && sessions < MOST_SESSIONS && violations.is_empty() {
         sessions += 1;
         let lengths = lengths(&out);
-        let before = (Resources::now()?, scheduler.account());
+        let resources = Resources::now()?;
+        let before = scheduler.account();
         let (ended, left) = scheduler
             .execute(|| session(scenario, &settings, plan, (&scheduler, plant), (place, &names)));
-        let after = (Resources::now()?, scheduler.account());
-        let fired = after.1.trace.len() > before.1.trace.len();
-        violations.extend(after.1.trace.iter().filter(|line| line.starts_with("PANIC")).cloned());
+        let after = scheduler.account();
+        let fired = after.trace.len() > before.trace.len();
+        violations.extend(after.trace.iter().filter(|line| line.starts_with("PANIC")).cloned());
         match ended {
-            _ if after.1.is_hanging => violations.push(format!(
+            _ if after.is_hanging => violations.push(format!(
                 "the run hangs: {MOST_STEPS} points of the scheduler were passed in session {sessions}"
             )),
             Ended::Returned(Ok(SessionEnd::NothingMissing)) => is_complete = true,
@@ -152,7 +157,7 @@ pub(crate) fn execute(
         if left > 0 {
             violations.push(format!("{left} processes outlive session {sessions}"));
         }
-        violations.extend(before.0.changes(&after.0));
+        violations.extend(resources.left_open()?);
         violations.extend(place.leftovers(&names.borrow())?);
     }
     if !is_complete && violations.is_empty() {
@@ -362,7 +367,7 @@ fn damage_files(folder: &Path, draws: &mut ChaCha8Rng) -> Result<()> {
 }
 
 /// What a program holds that a session must give back.
-#[derive(Debug, PartialEq, Eq)]
+#[derive(Debug)]
 struct Resources {
     descriptors: usize,
     threads: usize,
@@ -374,8 +379,21 @@ impl Resources {
         Ok(Self { descriptors: count("/proc/self/fd")?, threads: count("/proc/self/task")? })
     }
 
-    fn changes(&self, now: &Self) -> Option<String> {
-        (self != now)
-            .then(|| format!("a session left something open: {self:?} before, {now:?} after"))
+    /// What has been left open since `self` was counted. The system lists a thread for a moment after it was joined, so
+    /// there may be fewer than before, and more count only if they stay.
+    fn left_open(&self) -> Result<Option<String>> {
+        let deadline = Instant::now() + ENDING_TIME;
+        loop {
+            let now = Self::now()?;
+            if now.descriptors <= self.descriptors && now.threads <= self.threads {
+                return Ok(None);
+            }
+            if Instant::now() >= deadline {
+                return Ok(Some(format!(
+                    "a session left something open: {self:?} before, {now:?} after"
+                )));
+            }
+            thread::sleep(Duration::from_millis(1));
+        }
     }
 }
