@@ -43,6 +43,7 @@ pub fn steps_per_second(session: &BenchSession<'_>, lanes: u32, length: Duration
     for name in ["bare-sim", "bare-memory", "bare-policy"] {
         processes.push(BenchProcess::start(session, name, std::slice::from_ref(&folder))?);
     }
+    commands.wait_for_receivers(PATIENCE)?;
     for lane in 0..lanes {
         commands.send(&StepCommand { lane, ..StepCommand::zeroed() })?;
     }
@@ -124,6 +125,7 @@ fn relay<M: Message>(
 pub(crate) fn sim(arguments: &[String]) -> Result<()> {
     let bus = join(arguments, Role::Sim)?;
     let observations = bus.sender()?;
+    observations.wait_for_receivers(PATIENCE)?;
     relay(&bus, Role::Memory, |commands| {
         for &StepCommand { episode, lane, step, .. } in commands {
             observations.send(&Observation { episode, lane, step, ..Observation::zeroed() })?;
@@ -136,6 +138,7 @@ pub(crate) fn sim(arguments: &[String]) -> Result<()> {
 pub(crate) fn memory(arguments: &[String]) -> Result<()> {
     let bus = join(arguments, Role::Memory)?;
     let (recalls, traces) = (bus.sender()?, bus.sender()?);
+    recalls.wait_for_receivers(PATIENCE)?;
     relay(&bus, Role::Policy, |observations| {
         for &Observation { episode, lane, step, .. } in observations {
             traces.send(&RecallTrace { episode, lane, step, ..RecallTrace::zeroed() })?;

@@ -164,6 +164,7 @@ fn wire(session: &BenchSession<'_>, batches: u32) -> Result<f64> {
     let answers: Receiver<Observation> = bus.receiver()?;
     let commands: Sender<StepCommand> = bus.sender()?;
     let other = BenchProcess::start(session, "wire-echo", &[run.path().display().to_string()])?;
+    commands.wait_for_receivers(PATIENCE)?;
     let mut command = StepCommand::zeroed();
     let found = one_way(batches, || {
         command.episode += 1;

@@ -6,8 +6,8 @@
 //!
 //! # Starting
 //! A message reaches the receivers that exist when it is sent, and no later ones. Therefore: join, create every
-//! receiver, then send. The first send on a service waits, for a bounded time, until all its receivers exist, so
-//! processes may start in any order.
+//! receiver, then send. In a run all receivers exist once the orchestrator has every [`Handshake`]; without one,
+//! [`Sender::wait_for_receivers`] waits for them.
 //!
 //! # Leaving
 //! Messages outlive the [`Bus`] that sent them only for receivers that are connected, that is, that have looked at
@@ -21,7 +21,6 @@ use std::any::{Any, TypeId};
 use std::collections::HashMap;
 use std::fmt::Debug;
 use std::fs::File;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
 
@@ -37,8 +36,8 @@ use crate::registry;
 pub use crate::transport::BusError;
 use crate::transport::{Ipc, config, delivered, service_name};
 
-/// How long the first send on a service waits for its receivers.
-const RECEIVERS_TIMEOUT: Duration = Duration::from_secs(60);
+/// Time between two looks at whether all receivers exist.
+const TIME_BETWEEN_LOOKS: Duration = Duration::from_millis(1);
 
 /// A service, and the index of the external memory at its other end, or 0.
 type PortKey = (&'static str, u8);
@@ -169,7 +168,7 @@ impl Bus {
         }
         let receivers = if is_private::<M>() { 1 } else { self.attach.count(M::TO) };
         let sender = M::open_sender(self, index)?;
-        let port = Arc::new(Port { sender, receivers, complete: false.into() });
+        let port = Arc::new(Port { sender, receivers });
         ports.insert(key, port.clone());
         Ok(Sender { port })
     }
@@ -227,45 +226,41 @@ struct Port<M: Message> {
     sender: Box<dyn SenderPort<M>>,
     /// Receivers that take part in the run.
     receivers: usize,
-    /// Whether the wait for all receivers is over.
-    complete: AtomicBool,
 }
 
 impl<M: Message> Sender<M> {
-    /// Puts `message` into every receiver's queue, without notifying.
-    ///
-    /// The first call waits until all receivers exist; later ones return at once.
+    /// Puts `message` into the queue of every receiver that exists, without notifying. Never blocks.
     ///
     /// # Errors
     /// [`BusError::Full`] when a receiver's queue is full (the others got the message),
     /// [`BusError::Deserted`] when a receiver is missing, otherwise a failed transport.
     pub fn send(&self, message: &M) -> Result<(), BusError> {
-        if !self.port.complete.load(Relaxed) {
-            self.wait_for_receivers();
-        }
-        self.send_now(message)
-    }
-
-    fn wait_for_receivers(&self) {
-        let deadline = Instant::now() + RECEIVERS_TIMEOUT;
-        while !self.is_complete() && Instant::now() < deadline {
-            clock::sleep(Duration::from_millis(1));
-        }
-        self.port.complete.store(true, Relaxed);
-    }
-
-    /// Whether all receivers exist.
-    pub fn is_complete(&self) -> bool {
-        self.port.sender.receivers() >= self.port.receivers
-    }
-
-    /// As [`Sender::send`], without waiting for receivers.
-    pub(crate) fn send_now(&self, message: &M) -> Result<(), BusError> {
         clock::pause();
         if clock::is_simulated_queue_full(M::SERVICE) {
             return Err(BusError::Full { service: M::SERVICE });
         }
         delivered(M::SERVICE, self.port.receivers, self.port.sender.send(message))
+    }
+
+    /// Waits until all receivers exist.
+    ///
+    /// # Errors
+    /// [`BusError::Deserted`] when one is still missing after `timeout`.
+    pub fn wait_for_receivers(&self, timeout: Duration) -> Result<(), BusError> {
+        let deadline = Instant::now() + timeout;
+        while !self.is_complete() {
+            if Instant::now() >= deadline {
+                let (expected, found) = (self.port.receivers, self.port.sender.receivers());
+                return Err(BusError::Deserted { service: M::SERVICE, expected, found });
+            }
+            clock::sleep(TIME_BETWEEN_LOOKS);
+        }
+        Ok(())
+    }
+
+    /// Whether all receivers exist.
+    pub fn is_complete(&self) -> bool {
+        self.port.sender.receivers() >= self.port.receivers
     }
 }
 

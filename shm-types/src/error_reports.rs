@@ -29,7 +29,7 @@ impl ErrorReporter {
     /// Never fails and never waits: a report that cannot be delivered is still counted and logged.
     pub fn report(&mut self, what: impl std::fmt::Display) {
         let error_report = self.new_report(ErrorReportKind::Message, &what.to_string());
-        if let Err(error) = self.sender.send_now(&error_report) {
+        if let Err(error) = self.sender.send(&error_report) {
             tracing::debug!(%error, "the error report was not delivered");
         }
     }

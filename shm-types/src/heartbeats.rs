@@ -43,7 +43,7 @@ impl Heartbeats {
         let (role, external) = (self.role as u32, self.external);
         let heartbeat = Heartbeat { role, external, ..heartbeat() };
         let has_changed = heartbeat != self.last;
-        if has_changed && let Err(error) = self.sender.send_now(&heartbeat) {
+        if has_changed && let Err(error) = self.sender.send(&heartbeat) {
             tracing::debug!(%error, "the heartbeat was not delivered");
         }
         self.last = heartbeat;

@@ -6,6 +6,7 @@ use std::any::{Any, TypeId};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::sleep;
 use std::time::Duration;
 
 use bytemuck::Zeroable;
@@ -151,12 +152,22 @@ impl ScriptedRun<'_> {
         let process = ScriptedProcess { bus, notifiers, senders: RefCell::default() };
         // Its receivers must exist before the handshake.
         turn(&process);
+        let is_past = || {
+            let is_next = |now: Attach| now.generation > self.attach.generation;
+            Attach::read(&self.attach.root).is_ok_and(is_next) || self.over.load(Ordering::Relaxed)
+        };
+        let handshakes = process.bus.sender::<Handshake>().unwrap();
+        // The orchestrator may not have joined yet.
+        while !handshakes.is_complete() {
+            if is_past() {
+                return;
+            }
+            sleep(TICK);
+        }
         let handshake = Handshake::new(role, [("kind", KIND.to_owned())]).unwrap();
         process.send(&Handshake { external, ..handshake }, &[Role::Orchestrator]);
         while stops.next().unwrap().is_none() {
-            let is_past = Attach::read(&self.attach.root)
-                .is_ok_and(|now| now.generation > self.attach.generation);
-            if is_past || self.over.load(Ordering::Relaxed) {
+            if is_past() {
                 return;
             }
             process.bus.listener().wait(TICK).unwrap();

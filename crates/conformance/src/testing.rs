@@ -108,6 +108,8 @@ pub struct Rig<N: SubjectNeighbours> {
     subject: Subject,
     /// The other roles.
     pub neighbours: N,
+    /// The subject's first words, until the test asks for them.
+    first_words: (Option<Handshake>, Option<ErrorReport>),
     _run: ScratchRun,
 }
 
@@ -147,11 +149,20 @@ impl<N: SubjectNeighbours> Rig<N> {
         Self::start(change, |folder| Subject::Process(command(folder).spawn().unwrap()))
     }
 
-    /// The subject starts last, so that its first messages find their receivers.
+    /// Returns once the subject can be sent messages, or has ended. It starts last, so that its own first messages find
+    /// their receivers.
     fn start(change: impl FnOnce(&mut Attach), subject: impl FnOnce(&Path) -> Subject) -> Self {
         let run = ScratchRun::new(&[N::SUBJECT], change);
         let neighbours = N::join(run.attach()).unwrap();
-        Self { subject: subject(run.path()), neighbours, _run: run }
+        let subject = subject(run.path());
+        let mut rig = Self { subject, neighbours, first_words: (None, None), _run: run };
+        while rig.first_words == (None, None) && !rig.subject.has_ended() {
+            rig.neighbours.respond();
+            rig.neighbours.wait().unwrap();
+            let Neighbours { handshakes, error_reports, .. } = &*rig.neighbours;
+            rig.first_words = (handshakes.next().unwrap(), error_reports.next().unwrap());
+        }
+        rig
     }
 
     /// Waits until `look` returns something.
@@ -179,17 +190,21 @@ impl<N: SubjectNeighbours> Rig<N> {
     /// # Panics
     /// With the text of an error report that comes instead.
     pub fn handshake(&mut self) -> Handshake {
+        let (mut handshake, mut report) = std::mem::take(&mut self.first_words);
         self.until(|neighbours| {
-            if let Some(report) = neighbours.error_reports.next().unwrap() {
+            report = report.or(neighbours.error_reports.next().unwrap());
+            if let Some(report) = &report {
                 panic!("{}", read_text(&report.text, report.text_len).unwrap());
             }
-            neighbours.handshakes.next().unwrap()
+            handshake.take().or_else(|| neighbours.handshakes.next().unwrap())
         })
     }
 
     /// The next error report, and its text.
     pub fn error_report(&mut self) -> (ErrorReport, String) {
-        let report = self.until(|neighbours| neighbours.error_reports.next().unwrap());
+        let mut first = self.first_words.1.take();
+        let report = self
+            .until(|neighbours| first.take().or_else(|| neighbours.error_reports.next().unwrap()));
         (report, read_text(&report.text, report.text_len).unwrap().to_owned())
     }
 

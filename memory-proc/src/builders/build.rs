@@ -27,6 +27,9 @@ use crate::serve::{LAST_WORDS, LONGEST_SLEEP, join, room_for_views};
 /// How often progress is reported.
 const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(250);
 
+/// How long the simulator may take to start.
+const SIM_TIMEOUT: Duration = Duration::from_secs(60);
+
 /// What to build, and where.
 #[derive(Debug, Clone)]
 pub struct BuildSettings {
@@ -71,6 +74,7 @@ pub fn build(settings: &BuildSettings, builder: &mut dyn DocumentBuilder) -> Res
             ],
         )?)?;
         process.orchestrator.notify()?;
+        process.requests.wait_for_receivers(SIM_TIMEOUT).context("the simulator does not start")?;
         let selections: BTreeSet<Demonstrations> =
             settings.wanted.iter().map(|name| name.demonstrations).collect();
         let viewpoints: BTreeSet<Viewpoint> =

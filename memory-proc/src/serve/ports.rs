@@ -2,8 +2,8 @@
 
 use shm_types::message::{
     ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore, ExternalStored,
-    MemoryEpisodeConfig, Message, Observation, Recall, RecallTrace, Role, SnapshotReport, Stop,
-    View, ViewRequest,
+    MemoryEpisodeConfig, Observation, Recall, RecallTrace, Role, SnapshotReport, Stop, View,
+    ViewRequest,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
@@ -63,12 +63,8 @@ impl ExternalPorts {
         })
     }
 
-    /// Sends a message. Does not wait for a process that is not there.
+    /// Sends a message.
     pub(super) fn send(&mut self, message: &mut ToExternal) -> Result<(), BusError> {
-        if !self.episodes.is_complete() || !self.queries.is_complete() {
-            let service = <ExternalQuery as Message>::SERVICE;
-            return Err(BusError::Deserted { service, expected: 1, found: 0 });
-        }
         match message {
             ToExternal::Bank(id, content) => self.banks.publish(*id, content),
             ToExternal::TakeBack(id) => self.banks.take_back(*id),

@@ -1,6 +1,7 @@
 //! Messages and notifications between the nodes of a run.
 
 use std::fs;
+use std::sync::mpsc;
 use std::thread;
 use std::time::Duration;
 
@@ -102,23 +103,35 @@ fn a_receiver_that_cannot_connect_to_a_sender_fails() {
 }
 
 #[test]
-fn the_first_send_waits_for_a_receiver_that_starts_later() {
+fn sending_never_waits_for_a_missing_receiver_unless_asked_to() {
     let Run { attach, .. } = &run();
+    let (sent, was_sent) = mpsc::channel();
     thread::scope(|scope| {
-        scope.spawn(|| {
+        scope.spawn(move || {
             let policy = bus(attach, Role::Policy);
             let decisions = policy.sender::<Decision>().unwrap();
-            decisions.send(&decision(1)).unwrap();
+            sent.send(decisions.send(&decision(1))).unwrap();
+            decisions.wait_for_receivers(LONG).unwrap();
+            decisions.send(&decision(2)).unwrap();
             assert!(policy.listener().wait(LONG).unwrap());
         });
-        thread::sleep(Duration::from_millis(20));
+        let error = was_sent.recv_timeout(LONG / 4).unwrap().unwrap_err();
+        assert!(matches!(error, BusError::Deserted { expected: 1, found: 0, .. }), "{error}");
         let orchestrator = bus(attach, Role::Orchestrator);
         let decisions = orchestrator.receiver::<Decision>().unwrap();
-        while decisions.next().unwrap().is_none() {
-            thread::yield_now();
-        }
+        let first = std::iter::repeat_with(|| decisions.next().unwrap()).find_map(|found| found);
+        assert_eq!(first, Some(decision(2)));
         orchestrator.notifier(Role::Policy).unwrap().notify().unwrap();
     });
+}
+
+#[test]
+fn waiting_for_receivers_ends() {
+    let Run { attach, .. } = &run();
+    let policy = bus(attach, Role::Policy);
+    let decisions = policy.sender::<Decision>().unwrap();
+    let error = decisions.wait_for_receivers(Duration::ZERO).unwrap_err();
+    assert!(matches!(error, BusError::Deserted { expected: 1, found: 0, .. }), "{error}");
 }
 
 #[test]
@@ -247,6 +260,7 @@ fn ping_pong(spin_us: u32) {
         let idle = idle.each_ref().map(|bus| bus.receiver::<Observation>().unwrap());
         let commands = orchestrator.sender::<StepCommand>().unwrap();
         let notifier = orchestrator.notifier(Role::Sim).unwrap();
+        commands.wait_for_receivers(LONG).unwrap();
         let (mut sent, mut seen) = (0, 0);
         while seen < ROUNDS {
             // One to four messages in flight, and a notification for each batch.
