@@ -65,6 +65,8 @@ pub(crate) fn another_wire_version<R: TestedRole>(kit: &mut Kit<'_, R>) -> Check
     fs::write(&file, text).context("cannot write attach.json")?;
     let folder = R::folder(run.path());
     fs::create_dir_all(&folder).context("cannot create its folder")?;
+    // Nothing but the version keeps the process from joining.
+    let _neighbours = R::join(&attach).map_err(anyhow::Error::from)?;
     let launch = kit.terms.launch.clone().attached_to(run.path());
     let mut children = Children::start(&[launch], &run.path().join("logs"))?;
     let exit = wait_for_exit(&mut children, kit.terms)?;
