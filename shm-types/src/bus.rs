@@ -32,7 +32,8 @@ use crate::clock::{self, Instant};
 use crate::events::{Listener, Notifier};
 use crate::message::{ErrorReport, Handshake, Message, Role, ShutdownReport, Stop};
 use crate::ports::{Connect, ReceiverPort, SenderPort, is_private};
-use crate::registry;
+use crate::process::ProcessWatch;
+use crate::registry::{self, Sweeper};
 pub use crate::transport::BusError;
 use crate::transport::{Ipc, config, delivered, service_name};
 
@@ -54,6 +55,9 @@ pub struct Bus {
     ports: Mutex<HashMap<PortKey, Arc<dyn Any + Send + Sync>>>,
     receivers: Arc<AllReceivers>,
     node: Node<Ipc>,
+    /// Without an owner of the run, a policy or external memory would wait for ever for a segment that a killed process left
+    /// without a size; `None` in other roles, which end with the owner.
+    _sweeper: Option<Sweeper>,
     /// Locked while the process takes part, so that no cleaner removes the run. The last field: it is dropped
     /// after everything else.
     _membership: File,
@@ -86,9 +90,17 @@ impl Bus {
                 expected: format!("a list with {index}: the run goes on without this memory"),
             }));
         }
-        let membership = registry::lock_shared(&attach.root).map_err(|cause| {
-            BusError::Membership { path: attach.root.display().to_string(), cause }
-        })?;
+        let not_a_member = |cause| {
+            let path = attach.root.display().to_string();
+            BusError::Membership { path, cause }
+        };
+        let membership = registry::lock_shared(&attach.root).map_err(not_a_member)?;
+        let outlives_owner = matches!(role, Role::Policy | Role::ExternalMemory);
+        let sweeper = (outlives_owner && !clock::is_simulated()).then(|| {
+            // Beside an owner that cannot be watched it does no harm.
+            Sweeper::start(attach.root.clone(), ProcessWatch::new(attach.orchestrator_pid).ok())
+        });
+        let sweeper = sweeper.transpose().map_err(not_a_member)?;
         let config = config(&attach)?;
         // iceoryx2 logs to stderr by itself; what it warns of is returned as an error here.
         set_log_level_from_env_or(LogLevel::Error);
@@ -99,8 +111,17 @@ impl Bus {
             .map_err(|e| BusError::open("cannot create a node in the run", e))?;
         let listener = Listener::new(&node, &attach, (role, index))?;
         let (ports, receivers) = (Mutex::default(), Arc::default());
-        let bus =
-            Self { attach, role, index, listener, ports, receivers, node, _membership: membership };
+        let bus = Self {
+            attach,
+            role,
+            index,
+            listener,
+            ports,
+            receivers,
+            node,
+            _sweeper: sweeper,
+            _membership: membership,
+        };
         if role != Role::Orchestrator {
             bus.sender::<Handshake>()?;
             bus.sender::<ErrorReport>()?;

@@ -25,7 +25,7 @@ use iceoryx2::prelude::{CallbackProgression, Config};
 
 use crate::attach::{Attach, MAX_ROOT_BYTES, prefix};
 use crate::clock::{self, Instant};
-use crate::process::SHARED_MEMORY;
+use crate::process::{ProcessWatch, SHARED_MEMORY};
 use crate::transport::{Ipc, run_config};
 
 /// The file that every process of a run keeps locked.
@@ -122,7 +122,7 @@ impl RunDir {
             let lock = File::create_new(&file)
                 .and_then(|lock| lock.lock_shared().map(|()| lock))
                 .map_err(system("cannot lock", &file))?;
-            let sweeper = (!clock::is_simulated()).then(|| Sweeper::start(path.clone()));
+            let sweeper = (!clock::is_simulated()).then(|| Sweeper::start(path.clone(), None));
             let sweeper = sweeper.transpose().map_err(system("cannot watch", &path))?;
             return Ok(Self { path, lock, sweeper });
         }
@@ -320,17 +320,20 @@ fn has_living_node(run: &Path) -> bool {
 
 /// A thread that removes the segments of a run that stay without a size. Dropping it ends the thread.
 #[derive(Debug)]
-struct Sweeper {
+pub(crate) struct Sweeper {
     stop: Option<mpsc::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Sweeper {
-    /// Starts the thread for the run in `root`.
-    fn start(root: PathBuf) -> io::Result<Self> {
+    /// Starts the thread for the run in `root`. It does nothing while `owner` is alive.
+    pub(crate) fn start(root: PathBuf, owner: Option<ProcessWatch>) -> io::Result<Self> {
         let (stop, stopped) = mpsc::channel();
         let thread = thread::Builder::new().name("sweeper".to_owned()).spawn(move || {
             while stopped.recv_timeout(SWEEP_INTERVAL) == Err(RecvTimeoutError::Timeout) {
+                if owner.as_ref().is_some_and(|owner| !owner.has_ended()) {
+                    continue;
+                }
                 if let Err(error) = remove_unfinished(&root) {
                     tracing::warn!(%error, "shared memory cannot be searched for segments without a size");
                 }

@@ -17,7 +17,7 @@ const DIR: &str = "MEMTRANSFER_TEST_DIR";
 
 /// A child process that has printed its word and sleeps. Dropping it kills it, as `kill -9` does.
 pub(crate) struct Sleeper {
-    child: Child,
+    pub(crate) child: Child,
     pub(crate) word: String,
 }
 

@@ -112,7 +112,22 @@ fn a_segment_without_a_size_is_removed() {
     assert!(sized.exists());
 }
 
-/// Waits for what the owner of a run does in its own time; the watchdog is the limit.
+#[test]
+fn a_policy_that_outlives_the_owner_of_its_run_removes_segments_without_a_size() {
+    let Run { base, .. } = &run();
+    let child = sleeper("run", base.path());
+    let root = PathBuf::from(&child.word);
+    let attach = Attach::new(&root);
+    let left = Path::new(SHARED_MEMORY).join(format!("{}left", attach.prefix));
+    // The policy of the first generation is the child's.
+    let attach = Attach { orchestrator_pid: child.child.id(), generation: 2, ..attach };
+    let _policy = bus(&attach, Role::Policy);
+    drop(child);
+    fs::write(&left, "").unwrap();
+    wait_until(|| !left.exists());
+}
+
+/// Waits for what others do in their own time; the watchdog is the limit.
 fn wait_until(is_true: impl Fn() -> bool) {
     while !is_true() {
         thread::sleep(Duration::from_millis(5));

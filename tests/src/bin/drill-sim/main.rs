@@ -41,9 +41,10 @@ const TEXT: &str = "Small runs in one program: the serve loops of the orchestrat
      different services arrive in any order; in a quarter of the runs the frame store holds just the frames that can be \
      named, so that every new view evicts another. The seed also draws up to six faults. The run is resumed until it is \
      complete. Then its log must equal that of an undisturbed run, no file, thread or shared memory may be left open, no \
-     session without a fault may fail, and none may hang. When the power fails, half of the files that hold embeddings and \
-     views are damaged. The first seed is executed twice and must take the same course. A seed that fails is repeated \
-     without each of its faults, until each that is left is needed, and with ever fewer interruptions of processes.";
+     session without a fault may fail, none may hang, and none may take 20 seconds of virtual time unless a process \
+     stalls, a queue is full or the clock jumps. When the power fails, half of the files that hold embeddings and views \
+     are damaged. The first seed is executed twice and must take the same course. A seed that fails is repeated without \
+     each of its faults, until each that is left is needed, and with ever fewer interruptions of processes.";
 
 /// Simulated runs with deaths, stalls, clock jumps and failing disks
 #[derive(Debug, Parser)]
@@ -77,6 +78,8 @@ enum Plant {
     DoubledLine,
     /// A process leaves a file open.
     LeftOpen,
+    /// A process waits for a minute before it takes part.
+    WaitsInVain,
     /// Decisions depend on the clock.
     OtherDecisions,
 }

@@ -8,6 +8,7 @@ use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
 use domain::Action;
@@ -17,7 +18,7 @@ use memory_proc::external::ExternalLimits;
 use memory_proc::serve::{ServeSettings, serve_with};
 use peer::{Decision, FrameView, Item, Policy, Request};
 use search::Embedding;
-use shm_types::clock::monotonic_ns;
+use shm_types::clock::{self, monotonic_ns};
 use shm_types::message::{Role, WirePose};
 use shm_types::{ATTACH_VARIABLE, Attach, Bus};
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
@@ -110,6 +111,9 @@ fn take_part(
 ) -> Result<()> {
     if plant == Some(Plant::LeftOpen) && role == Role::Memory {
         std::mem::forget(File::open("/dev/null")?);
+    }
+    if plant == Some(Plant::WaitsInVain) && role == Role::Memory {
+        clock::sleep(Duration::from_secs(60));
     }
     match role {
         Role::Sim => {

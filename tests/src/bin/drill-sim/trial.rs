@@ -32,7 +32,7 @@ use shm_types::message::Role;
 use supervise::{Children, Launch};
 
 use crate::Plant;
-use crate::faults::Plan;
+use crate::faults::{Plan, Process, Trouble};
 use crate::roles::{Files, InProcess};
 use crate::scenario::Scenario;
 use crate::scheduler::{Account, Ended, Scheduler};
@@ -42,6 +42,14 @@ const MOST_STEPS: u64 = 3_000_000;
 
 /// Sessions after which a run counts as one that never ends.
 const MOST_SESSIONS: usize = 24;
+
+/// Virtual time within which a session ends, unless one of [`THAT_TAKE_TIME`] came. Pauses before a new generation are
+/// shorter by far, time limits of answers are longer.
+const LONGEST_SESSION: Duration = Duration::from_secs(20);
+
+/// Faults after which processes wait for a time limit.
+const THAT_TAKE_TIME: [Trouble; 3] =
+    [Trouble::Stall(Process::Orchestrator, 0), Trouble::Jump(0), Trouble::FullQueue];
 
 /// Time in which threads that a session has joined disappear.
 const ENDING_TIME: Duration = Duration::from_secs(2);
@@ -153,6 +161,14 @@ pub(crate) fn execute(
                 }
             }
             Ended::Panicked(why) => violations.push(format!("the orchestrator panicked: {why}")),
+        }
+        let took = Duration::from_nanos(after.virtual_ns - before.virtual_ns);
+        let took_time = |trouble: &Trouble| {
+            let count = |account: &Account| account.fired.get(trouble.class()).copied();
+            count(&before) != count(&after)
+        };
+        if took > LONGEST_SESSION && !THAT_TAKE_TIME.iter().any(took_time) {
+            violations.push(format!("session {sessions} took {} s in vain", took.as_secs()));
         }
         if left > 0 {
             violations.push(format!("{left} processes outlive session {sessions}"));
@@ -304,7 +320,7 @@ fn damage(plant: Plant, out: &Path) -> Result<()> {
     match plant {
         Plant::LostLine => drop(lines.pop()),
         Plant::DoubledLine => lines.push(lines[0]),
-        Plant::LeftOpen | Plant::OtherDecisions => {}
+        Plant::LeftOpen | Plant::WaitsInVain | Plant::OtherDecisions => {}
     }
     Ok(fs::write(path, lines.join("\n") + "\n")?)
 }
