@@ -10,7 +10,7 @@ use bytemuck::Zeroable;
 use shm_types::message::{Role, StepCommand};
 use shm_types::process::SHARED_MEMORY;
 use shm_types::registry::{RegistryError, clean, list};
-use shm_types::{Attach, FramePublisher, FrameStore, RunDir};
+use shm_types::{Attach, Bus, FramePublisher, FrameStore, RunDir};
 
 use crate::child::sleeper;
 use crate::common::{Run, bus, run, shared_memory};
@@ -112,19 +112,27 @@ fn a_segment_without_a_size_is_removed() {
     assert!(sized.exists());
 }
 
+/// iceoryx2 waits for a size without end.
 #[test]
 fn a_policy_that_outlives_the_owner_of_its_run_removes_segments_without_a_size() {
     let Run { base, .. } = &run();
     let child = sleeper("run", base.path());
     let root = PathBuf::from(&child.word);
-    let attach = Attach::new(&root);
-    let left = Path::new(SHARED_MEMORY).join(format!("{}left", attach.prefix));
-    // The policy of the first generation is the child's.
-    let attach = Attach { orchestrator_pid: child.child.id(), generation: 2, ..attach };
-    let _policy = bus(&attach, Role::Policy);
+    let attach = Attach { orchestrator_pid: child.child.id(), ..Attach::new(&root) };
+    let prefix = attach.prefix.clone();
     drop(child);
-    fs::write(&left, "").unwrap();
-    wait_until(|| !left.exists());
+    let segments = || {
+        let entries = fs::read_dir(SHARED_MEMORY).unwrap().flatten();
+        let ours = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix));
+        ours.map(|entry| entry.path()).collect::<Vec<_>>()
+    };
+    for segment in segments() {
+        fs::File::create(segment).unwrap();
+    }
+    // It may fail, but returns.
+    let policy = Bus::join(attach, Role::Policy);
+    let has_size = |segment: &PathBuf| fs::metadata(segment).is_ok_and(|about| about.len() > 0);
+    wait_until(|| policy.is_err() || segments().iter().all(has_size));
 }
 
 /// Waits for what others do in their own time; the watchdog is the limit.
