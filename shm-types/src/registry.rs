@@ -8,7 +8,8 @@
 //! # Segments without a size
 //! A segment of shared memory is created by one system call and given its size by another. A process that is killed between
 //! the two, or whose second call fails, leaves a segment without a size, and iceoryx2 waits without end for the size of a
-//! segment that it opens. A thread of the run's owner removes such segments while the run goes on.
+//! segment that it opens. A thread of the run's owner removes such segments while the run goes on; when the owner is gone, a
+//! thread of each policy and external memory does.
 
 use std::ffi::OsStr;
 use std::fs::{self, DirBuilder, File, TryLockError};
