@@ -28,8 +28,9 @@ fn runs_among_faults_have_the_log_of_an_undisturbed_run_and_planted_defects_are_
     assert_eq!((status, &summary["violations"]), (Some(0), &Value::Array(Vec::new())));
     assert_eq!(summary["faults"]["death of an external memory"], Value::from(1), "{summary:#}");
 
+    // A seed without stalls, full queues and jumps, in which sessions may take long.
     for defect in ["lost-line", "doubled-line", "left-open", "waits-in-vain", "other-decisions"] {
-        let (status, summary) = drill(&bench, &["--seed", "1", "--plant", defect]);
+        let (status, summary) = drill(&bench, &["--seed", "2", "--plant", defect]);
         assert_eq!(status, Some(1), "{defect} was not found: {summary:#}");
         assert_eq!(summary["violations"].as_array().map(Vec::len), Some(1), "{summary:#}");
     }
