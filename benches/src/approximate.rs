@@ -58,7 +58,7 @@ fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
             let (found, exactly) = our_round(session, size)?;
             ours.push(found);
             exact.push(exactly);
-            let Some(python) = session.baselines else { continue };
+            let Some(python) = session.python else { continue };
             for ((baseline, version, rounds), (script, _)) in baselines.iter_mut().zip(BASELINES) {
                 let baseline = match baseline {
                     Some(baseline) => baseline,

@@ -14,22 +14,6 @@ use anyhow::{Context, Result, bail};
 use rustix::process::{Pid, Signal, kill_process_group};
 use serde_json::Value;
 
-/// The environment of the baselines.
-#[derive(Debug, Clone)]
-pub struct Baselines {
-    /// Python interpreter with the baselines' packages.
-    pub python: PathBuf,
-    /// Folder of their scripts.
-    pub scripts: PathBuf,
-}
-
-impl Baselines {
-    /// Uses the scripts of this source tree.
-    pub fn new(python: PathBuf) -> Self {
-        Self { python, scripts: Path::new(env!("CARGO_MANIFEST_DIR")).join("baselines") }
-    }
-}
-
 /// A running baseline, killed on drop.
 #[derive(Debug)]
 pub struct Baseline {
@@ -41,16 +25,16 @@ pub struct Baseline {
 }
 
 impl Baseline {
-    /// Starts `script` with its log in the folder `logs`.
+    /// Starts `script` with the interpreter `python`, and its log in the folder `logs`.
     ///
     /// # Errors
     /// When it cannot be started.
-    pub fn start(baselines: &Baselines, script: &str, logs: &Path) -> Result<Self> {
-        let path = baselines.scripts.join(script);
+    pub fn start(python: &Path, script: &str, logs: &Path) -> Result<Self> {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("baselines").join(script);
         let log = logs.join(format!("{script}.log"));
         let errors =
             File::create(&log).with_context(|| format!("cannot create {}", log.display()))?;
-        let mut child = Command::new(&baselines.python)
+        let mut child = Command::new(python)
             // No bytecode in the tree, no packages from the user's site folder.
             .args(["-B", "-s"])
             .arg(&path)
@@ -60,7 +44,7 @@ impl Baseline {
             // Its own group, so that its children are killed with it.
             .process_group(0)
             .spawn()
-            .with_context(|| format!("cannot start {}", baselines.python.display()))?;
+            .with_context(|| format!("cannot start {}", python.display()))?;
         let requests = child.stdin.take().context("the baseline has no input")?;
         let answers = BufReader::new(child.stdout.take().context("the baseline has no output")?);
         Ok(Self { name: script.to_owned(), child, requests, answers, log })
@@ -129,7 +113,7 @@ mod tests {
         let python = folder.join("python");
         fs::write(&python, format!("#!/bin/sh\n{script}\n")).unwrap();
         fs::set_permissions(&python, fs::Permissions::from_mode(0o755)).unwrap();
-        Baseline::start(&Baselines { python, scripts: folder.to_owned() }, "a.py", folder).unwrap()
+        Baseline::start(&python, "a.py", folder).unwrap()
     }
 
     #[test]

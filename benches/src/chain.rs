@@ -124,7 +124,7 @@ fn many_lanes(session: &BenchSession<'_>, id: &str, lanes: u32, runs: u32) -> Op
         }
     };
     let package = Path::new(env!("CARGO_MANIFEST_DIR")).join("../python");
-    let python = session.baselines?.python.display().to_string();
+    let python = session.python?.display().to_string();
     let command = format!("'{python}' -s '{}'", package.join(script).display());
     let flags = match id {
         "python" => [&WARM[..], &["--policy-cmd", &command]].concat(),
@@ -140,7 +140,7 @@ fn many_lanes(session: &BenchSession<'_>, id: &str, lanes: u32, runs: u32) -> Op
 }
 
 /// Shrinks the run in a tiny session.
-fn shrunk(session: &BenchSession<'_>, mut bench_run: BenchRun) -> BenchRun {
+pub(crate) fn shrunk(session: &BenchSession<'_>, mut bench_run: BenchRun) -> BenchRun {
     let few = ["--limit", "6", "--max-steps", "6", "--frame-size", "64"];
     bench_run.flags.extend(session.size.pick(&few[..], &[]).iter().map(|flag| (*flag).to_owned()));
     bench_run

@@ -8,7 +8,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 
 use crate::Bench;
-use crate::chain::WARM;
+use crate::chain::{WARM, shrunk};
 use crate::figure::{Better, FigureBound, Measurement};
 use crate::runs::{BenchRun, ended_well, steady_rate};
 use crate::session::BenchSession;
@@ -144,11 +144,8 @@ pub(crate) fn fitted_slope(points: &[(f64, f64)]) -> Option<f64> {
 fn lanes(session: &BenchSession<'_>, lanes: u32) -> Result<f64> {
     // Long enough for a second or more with any number of lanes.
     let runs = session.size.pick(1, 4 + lanes.min(50));
-    let mut flags = [&WARM[..], &["--policy", "random"]].concat();
-    flags.extend(
-        session.size.pick(&["--limit", "6", "--max-steps", "6", "--frame-size", "64"][..], &[]),
-    );
-    steady_rate(&BenchRun::new(lanes, runs, &flags).make(session, "lanes")?)
+    let flags = [&WARM[..], &["--policy", "random"]].concat();
+    steady_rate(&shrunk(session, BenchRun::new(lanes, runs, &flags)).make(session, "lanes")?)
 }
 
 fn generate(session: &BenchSession<'_>, cases: u32) -> Result<f64> {

@@ -53,8 +53,8 @@ fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     let frames = drawn(session, &warehouse, &poses)?;
     let mut encoder = open(session)?;
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
-    let mut baseline = match session.baselines {
-        Some(baselines) => Some(Baseline::start(baselines, "onnx_runtime.py", session.scratch())?),
+    let mut baseline = match session.python {
+        Some(python) => Some(Baseline::start(python, "onnx_runtime.py", session.scratch())?),
         None => None,
     };
     let opened = match &mut baseline {

@@ -30,7 +30,7 @@ pub mod render;
 pub mod search;
 pub mod suite;
 
-pub use baselines::{Baseline, Baselines};
+pub use baselines::Baseline;
 pub use figure::{Better, Measurement};
 pub use session::{BenchSession, Hardware, Size};
 

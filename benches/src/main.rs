@@ -8,7 +8,7 @@ use std::time::{Instant, SystemTime};
 use anyhow::{Context, Result, bail};
 use benches::markdown::{self, Column};
 use benches::results::{BenchOutcome, FILE, Results};
-use benches::{BENCHES, Baselines, Bench, BenchSession, Hardware, Size, compare, processes};
+use benches::{BENCHES, Bench, BenchSession, Hardware, Size, compare, processes};
 use clap::{Parser, Subcommand};
 use memory_proc::encoder::Provider;
 use orchestrator::commit::program_commit;
@@ -97,7 +97,6 @@ fn main() -> ExitCode {
 fn run(arguments: &BenchFlags) -> Result<bool> {
     let benches = chosen(&arguments.only)?;
     let earlier = arguments.compare.as_deref().map(Results::read).transpose()?;
-    let baselines = arguments.python.clone().map(Baselines::new);
     let program = std::env::current_exe().context("cannot find the path of this program")?;
     let programs = program.parent().context("this program has no parent folder")?;
     std::fs::create_dir_all(&arguments.out)
@@ -111,8 +110,14 @@ fn run(arguments: &BenchFlags) -> Result<bool> {
     for bench in benches {
         let hardware = Hardware { backend: arguments.backend, provider: arguments.provider };
         let rounds = arguments.rounds;
-        let session =
-            BenchSession::new(bench.name, size, hardware, rounds, programs, baselines.as_ref())?;
+        let session = BenchSession::new(
+            bench.name,
+            size,
+            hardware,
+            rounds,
+            programs,
+            arguments.python.as_deref(),
+        )?;
         results.add(measure(bench, session));
         write(&results, earlier.as_ref(), &arguments.out)?;
     }

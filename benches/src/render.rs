@@ -8,6 +8,7 @@
 
 use std::hint::black_box;
 use std::panic::resume_unwind;
+use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::Instant;
@@ -26,7 +27,7 @@ use sim_proc::worlds::WorldParts;
 use warehouse::{Variant, Warehouse};
 
 use crate::Bench;
-use crate::baselines::{Baseline, Baselines};
+use crate::baselines::Baseline;
 use crate::figure::{Better, FigureBound, Measurement, MeasurementSummary};
 use crate::processes;
 use crate::search::threads;
@@ -95,8 +96,8 @@ fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
 }
 
 fn measured(session: &BenchSession<'_>, cold: &Cold) -> Result<Measurement> {
-    let mut rival = match session.baselines {
-        Some(baselines) => Some(Rival::start(session, baselines, cold)?),
+    let mut rival = match session.python {
+        Some(python) => Some(Rival::start(session, python, cold)?),
         None => None,
     };
     let mut drawn = Vec::new();
@@ -133,14 +134,14 @@ struct Rival {
 }
 
 impl Rival {
-    fn start(session: &BenchSession<'_>, baselines: &Baselines, cold: &Cold) -> Result<Self> {
+    fn start(session: &BenchSession<'_>, python: &Path, cold: &Cold) -> Result<Self> {
         let (mut processes, mut said) = (Vec::new(), Value::Null);
         let (width, height) = cold.size_px;
         for number in 1..=threads() {
             let logs = session.scratch().join(format!("{}-{number}", cold.baseline));
             std::fs::create_dir(&logs)
                 .with_context(|| format!("cannot make {}", logs.display()))?;
-            let mut baseline = Baseline::start(baselines, cold.script, &logs)?;
+            let mut baseline = Baseline::start(python, cold.script, &logs)?;
             said = baseline.ask(&json!({"do": "start", "width": width, "height": height}))?;
             processes.push(baseline);
         }

@@ -3,6 +3,7 @@
 //! Both sides use the same vectors: `memory-proc vectors` writes those that `memory-proc profile` measures with. The
 //! largest memory fits the machine only once, so there the process of one side ends before that of the other starts.
 
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
@@ -12,7 +13,7 @@ use orchestrator::machine::memory_available;
 use serde_json::{Value, json};
 
 use crate::Bench;
-use crate::baselines::{Baseline, Baselines};
+use crate::baselines::Baseline;
 use crate::figure::{Better, FigureBound, Measurement};
 use crate::session::BenchSession;
 
@@ -138,10 +139,10 @@ fn measured(session: &BenchSession<'_>, size: (u32, u32), bytes: u64) -> Result<
         if bytes / 4 >= BEYOND_CACHES {
             rounds.bandwidth.push(measure(Effort::FULL).read_all_cores);
         }
-        let Some(baselines) = session.baselines else { continue };
+        let Some(python) = session.python else { continue };
         let mut baseline = match kept.take() {
             Some(baseline) => baseline,
-            None => loaded(session, baselines, size, &mut rounds)?,
+            None => loaded(session, python, size, &mut rounds)?,
         };
         let mut time = |batch: usize| {
             let seconds = session.size.pick(0.05, 2.0);
@@ -157,11 +158,11 @@ fn measured(session: &BenchSession<'_>, size: (u32, u32), bytes: u64) -> Result<
 
 fn loaded(
     session: &BenchSession<'_>,
-    baselines: &Baselines,
+    python: &Path,
     size: (u32, u32),
     rounds: &mut SearchRounds,
 ) -> Result<Baseline> {
-    let mut baseline = Baseline::start(baselines, "search_faiss.py", session.scratch())?;
+    let mut baseline = Baseline::start(python, "search_faiss.py", session.scratch())?;
     let answer = baseline.ask(&load(session, size)?)?;
     rounds.version = answer["version"].as_str().unwrap_or_default().to_owned();
     Ok(baseline)

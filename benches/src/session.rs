@@ -8,8 +8,6 @@ use memory_proc::encoder::Provider;
 use sim_proc::renderer::Backend;
 use tempfile::TempDir;
 
-use crate::baselines::Baselines;
-
 /// How much a bench measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Size {
@@ -50,8 +48,8 @@ pub struct BenchSession<'a> {
     pub size: Size,
     /// What renders and embeds.
     pub hardware: Hardware,
-    /// The Python environment of the baselines; without it a bench measures only this project.
-    pub baselines: Option<&'a Baselines>,
+    /// The Python interpreter of the baselines; without it a bench measures only this project.
+    pub python: Option<&'a Path>,
     /// The folder of the built programs.
     pub programs: &'a Path,
     rounds: u32,
@@ -72,14 +70,14 @@ impl<'a> BenchSession<'a> {
         hardware: Hardware,
         rounds: u32,
         programs: &'a Path,
-        baselines: Option<&'a Baselines>,
+        python: Option<&'a Path>,
     ) -> Result<Self> {
         let scratch = tempfile::Builder::new().prefix("memtransfer-bench-").tempdir();
         let registry = tempfile::Builder::new().prefix("mtb").tempdir_in("/dev/shm");
         let scratch = scratch.context("cannot create a scratch folder")?;
         let registry = registry.context("cannot create a registry folder for runs")?;
         let rounds = rounds.max(1);
-        Ok(Self { size, hardware, baselines, programs, rounds, bench, scratch, registry })
+        Ok(Self { size, hardware, python, programs, rounds, bench, scratch, registry })
     }
 
     /// Number of rounds, at least one.

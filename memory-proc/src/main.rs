@@ -58,9 +58,6 @@ enum MemoryProcVerb {
         /// The longest time that an external memory may take to answer
         #[arg(long, value_name = "SECONDS", default_value_t = 30)]
         memory_timeout: u32,
-        /// The longest time that an external memory may take to build itself
-        #[arg(long, value_name = "SECONDS", default_value_t = 600)]
-        memory_build_timeout: u32,
         #[command(flatten)]
         encoder: EncoderArguments,
     },
@@ -312,12 +309,11 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
             no_encoder,
             shipped_embeddings,
             memory_timeout,
-            memory_build_timeout,
             encoder,
         } => {
             let limits = ExternalLimits {
                 answer: Duration::from_secs(memory_timeout.into()),
-                build: Duration::from_secs(memory_build_timeout.into()),
+                ..ExternalLimits::default()
             };
             let assets = encoder.assets.clone();
             let encoder = if no_encoder { None } else { Some(encoder.settings()?) };

@@ -50,8 +50,7 @@ pub(crate) fn run(
         return Ok(false);
     }
     let program = workspace.program("memtransfer-bench")?;
-    let target = program.parent().and_then(|folder| folder.parent());
-    let out = target.context("the programs have no parent folder")?.join("bench");
+    let out = workspace.target_folder()?.join("bench");
     let mut flags: Vec<OsString> = vec!["--out".into(), out.into()];
     if !arguments.no_baselines {
         let place = cache.root().join(&pins.environment(BASELINES)?.place);

@@ -9,24 +9,17 @@ use anyhow::{Context, ensure};
 use clap::Args;
 use serde::Deserialize;
 
-use crate::fuzz::{self, FuzzArguments};
+use crate::fuzz;
 use crate::workspace::{Workspace, succeeds};
 
-/// A drill and how it is run.
-struct Drill {
-    name: &'static str,
-    kind: DrillKind,
-}
-
+/// How a drill is run.
+#[derive(Clone, Copy, PartialEq, Eq)]
 enum DrillKind {
-    /// A program of the tests, which also gets `--json FILE`.
-    Program {
-        program: &'static str,
-        arguments: &'static [&'static str],
-        /// Further arguments of a quick drill, of some 20 seconds.
-        quick: &'static [&'static str],
-    },
-    /// [`fuzz`], whose programs take minutes to build: never quick. `cargo test` runs its targets on their corpora.
+    /// By the program `drill-sim`.
+    Simulation,
+    /// By the program `drill-processes`.
+    Processes,
+    /// By [`fuzz`], whose programs take minutes to build: never quick. `cargo test` runs its targets on their corpora.
     Fuzz,
 }
 
@@ -34,27 +27,17 @@ enum DrillKind {
 const PROGRAMS: &str = "memtransfer-tests";
 
 /// All drills, in the order in which they run.
-const DRILLS: &[Drill] = &[
-    Drill {
-        name: "sim",
-        kind: DrillKind::Program {
-            program: "drill-sim",
-            arguments: &[],
-            // `cargo test` has executed the first.
-            quick: &["--first-seed", "8", "--seeds", "32"],
-        },
-    },
-    Drill { name: "fuzz", kind: DrillKind::Fuzz },
-    of_processes("grid", &["grid"]),
-    of_processes("kills", &["kills"]),
-    of_processes("disk", &["disk"]),
-    of_processes("soak", &["soak"]),
+const DRILLS: &[(&str, DrillKind)] = &[
+    ("sim", DrillKind::Simulation),
+    ("fuzz", DrillKind::Fuzz),
+    ("grid", DrillKind::Processes),
+    ("kills", DrillKind::Processes),
+    ("disk", DrillKind::Processes),
+    ("soak", DrillKind::Processes),
 ];
 
-const fn of_processes(name: &'static str, arguments: &'static [&'static str]) -> Drill {
-    let program = "drill-processes";
-    Drill { name, kind: DrillKind::Program { program, arguments, quick: &["--quick"] } }
-}
+/// Further flags of a quick simulation, of some 20 seconds: `cargo test` has executed the first seeds.
+const QUICK_SIMULATION: [&str; 4] = ["--first-seed", "8", "--seeds", "32"];
 
 /// The page, and the lines in it between which the results stand.
 const PAGE: &str = "docs/reliability.md";
@@ -88,7 +71,7 @@ impl DrillArguments {
 }
 
 fn names() -> Vec<&'static str> {
-    DRILLS.iter().map(|drill| drill.name).collect()
+    DRILLS.iter().map(|(name, _)| *name).collect()
 }
 
 /// What a drill found.
@@ -131,11 +114,11 @@ fn run_drills(
     workspace: &Workspace,
     folder: &Path,
 ) -> anyhow::Result<bool> {
-    let chosen: Vec<&Drill> = DRILLS
+    let chosen: Vec<_> = DRILLS
         .iter()
-        .filter(|drill| match &*arguments.drills {
-            [] => !(arguments.quick && matches!(drill.kind, DrillKind::Fuzz)),
-            names => names.iter().any(|name| name == drill.name),
+        .filter(|(name, kind)| match &*arguments.drills {
+            [] => !(arguments.quick && *kind == DrillKind::Fuzz),
+            names => names.iter().any(|chosen| chosen == name),
         })
         .collect();
     ensure!(
@@ -143,25 +126,26 @@ fn run_drills(
         "flags after `--` are those of one drill: name it"
     );
     let mut failed = Vec::new();
-    for drill in chosen {
-        eprintln!("drill {}", drill.name);
-        let json = folder.join(drill.name).with_extension("json");
-        let passed = match drill.kind {
-            DrillKind::Fuzz => {
-                fuzz::run(&FuzzArguments::parse(&arguments.flags), &json, workspace)?
+    for (name, kind) in chosen {
+        eprintln!("drill {name}");
+        let json = folder.join(name).with_extension("json");
+        let passed = if *kind == DrillKind::Fuzz {
+            fuzz::run(&arguments.flags, &json, workspace)?
+        } else {
+            if !workspace.build_programs(&[PROGRAMS])? {
+                return Ok(false);
             }
-            DrillKind::Program { program, arguments: first, quick } => {
-                if !workspace.build_programs(&[PROGRAMS])? {
-                    return Ok(false);
-                }
-                let mut command = workspace.at_root(&workspace.program(program)?, first);
-                command.args(if arguments.quick { quick } else { &[] });
-                command.args(&arguments.flags).arg("--json").arg(json);
-                succeeds(&mut command)?
-            }
+            let (program, first, quick): (_, &[&str], &[&str]) = match kind {
+                DrillKind::Simulation => ("drill-sim", &[], &QUICK_SIMULATION),
+                _ => ("drill-processes", &[*name], &["--quick"]),
+            };
+            let mut command = workspace.at_root(&workspace.program(program)?, first);
+            command.args(if arguments.quick { quick } else { &[] });
+            command.args(&arguments.flags).arg("--json").arg(json);
+            succeeds(&mut command)?
         };
         if !passed {
-            failed.push(drill.name);
+            failed.push(*name);
         }
     }
     match failed.is_empty() {
@@ -173,9 +157,7 @@ fn run_drills(
 
 /// The folder of the drills' results, which exists afterwards.
 fn results_folder(workspace: &Workspace) -> anyhow::Result<PathBuf> {
-    let program = workspace.program("xtask")?;
-    let target = program.parent().and_then(Path::parent);
-    let folder = target.context("the programs have no parent folder")?.join("drill");
+    let folder = workspace.target_folder()?.join("drill");
     fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
     Ok(folder)
 }
@@ -183,8 +165,8 @@ fn results_folder(workspace: &Workspace) -> anyhow::Result<PathBuf> {
 /// The results in `folder`, in the order of the drills.
 fn results(folder: &Path) -> anyhow::Result<Vec<DrillResults>> {
     let mut all = Vec::new();
-    for drill in DRILLS {
-        let path = folder.join(drill.name).with_extension("json");
+    for (name, _) in DRILLS {
+        let path = folder.join(name).with_extension("json");
         match fs::read_to_string(&path) {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
             text => {

@@ -36,7 +36,7 @@ const INPUT_SECONDS: u32 = 20;
 /// What to run, and how long.
 #[derive(Parser)]
 #[command(name = "cargo xtask drill fuzz --", no_binary_name = true)]
-pub(crate) struct FuzzArguments {
+struct FuzzArguments {
     /// Number of inputs to each target
     #[arg(long, value_name = "N", default_value_t = 20_000)]
     inputs: u64,
@@ -51,13 +51,6 @@ pub(crate) struct FuzzArguments {
     go_on: bool,
 }
 
-impl FuzzArguments {
-    /// Those of a command line's flags; a wrong one ends the program.
-    pub(crate) fn parse(flags: &[String]) -> Self {
-        Self::parse_from(flags)
-    }
-}
-
 /// What one target did.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Fuzzed {
@@ -68,12 +61,11 @@ struct Fuzzed {
     failure: Option<String>,
 }
 
-/// Builds the programs, runs every target and writes the results to `out`. Returns whether everything held.
-pub(crate) fn run(
-    arguments: &FuzzArguments,
-    out: &Path,
-    workspace: &Workspace,
-) -> anyhow::Result<bool> {
+/// Builds the programs, runs the targets as the command line's `flags` say, and writes the results to `out`. Returns whether
+/// everything held. A wrong flag ends the program.
+pub(crate) fn run(flags: &[String], out: &Path, workspace: &Workspace) -> anyhow::Result<bool> {
+    let arguments = FuzzArguments::parse_from(flags);
+    let command = format!("cargo xtask drill fuzz -- {}", flags.join(" "));
     let folder = workspace.root().join("target/fuzz");
     let Some(program) = build(workspace, &folder)? else { return Ok(false) };
     let corpus = workspace.root().join("tests/fuzz/corpus");
@@ -98,7 +90,7 @@ pub(crate) fn run(
         }
         all.insert(name.clone(), fuzzed);
         // Also what is known if the drill is ended early.
-        write(out, &all, &command(arguments))?;
+        write(out, &all, command.trim_end_matches(" -- "))?;
     }
     eprintln!("wrote {}", out.display());
     Ok(all.values().all(|fuzzed| fuzzed.failure.is_none()))
@@ -240,20 +232,6 @@ fn read(log: &str) -> Fuzzed {
         }
     }
     fuzzed
-}
-
-fn command(arguments: &FuzzArguments) -> String {
-    let mut command = format!("cargo xtask drill fuzz -- --inputs {}", arguments.inputs);
-    for name in &arguments.target {
-        command += &format!(" --target {name}");
-    }
-    if let Some(minutes) = arguments.minutes {
-        command += &format!(" --minutes {minutes}");
-    }
-    if arguments.go_on {
-        command += " --go-on";
-    }
-    command
 }
 
 fn write(out: &Path, all: &BTreeMap<String, Fuzzed>, command: &str) -> anyhow::Result<()> {

@@ -114,7 +114,8 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
             let purpose = if *tests { Purpose::Tests } else { Purpose::Use };
             setup::install_missing(purpose, &pins, &cache, &workspace)?;
             if *lerobot {
-                setup::install_environment("Python of LeRobot", &pins, &cache, &workspace)?;
+                let python = Purpose::Only("Python of LeRobot");
+                setup::install_missing(python, &pins, &cache, &workspace)?;
             }
             Ok(true)
         }
@@ -141,7 +142,8 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
             Ok(drill::run(&drill::DrillArguments::of_ci(), &workspace)? && tested && checked)
         }
         Verb::VitB16Untrained => {
-            setup::install_on_demand("vit-b16-untrained", &pins, &cache, &workspace).map(|()| true)
+            let encoder = Purpose::Only("vit-b16-untrained");
+            setup::install_missing(encoder, &pins, &cache, &workspace).map(|()| true)
         }
     }
 }

@@ -47,6 +47,8 @@ pub(crate) enum Purpose {
     Tests,
     /// Running it and its benches.
     Benches,
+    /// What needs the item of this name, and nothing else.
+    Only(&'static str),
 }
 
 /// A system requirement.
@@ -137,8 +139,11 @@ pub(crate) struct EnvironmentPin {
 }
 
 impl Wanted {
-    /// Whether a set-up for `purpose` installs it.
-    pub(crate) fn now(self, purpose: Purpose) -> bool {
+    /// Whether a set-up for `purpose` installs the item `name`, for which this is stated.
+    pub(crate) fn now(self, purpose: Purpose, name: &str) -> bool {
+        if let Purpose::Only(only) = purpose {
+            return name == only;
+        }
         match self {
             Self::Always => true,
             Self::ForTests => purpose == Purpose::Tests,
@@ -155,14 +160,6 @@ impl Pins {
             .iter()
             .find(|environment| environment.name == name)
             .with_context(|| format!("xtask/setup.toml has no environment {name:?}"))
-    }
-
-    /// The file of this name.
-    pub(crate) fn file(&self, name: &str) -> anyhow::Result<&FilePin> {
-        self.file
-            .iter()
-            .find(|file| file.name == name)
-            .with_context(|| format!("xtask/setup.toml has no file {name:?}"))
     }
 
     /// Reads the file; an unknown key is an error.
@@ -223,7 +220,7 @@ mod tests {
     fn only_tests_need_vulkan_and_a_browser() {
         let pins = shipped();
         let wanted = |purpose| -> Vec<&str> {
-            let needs = pins.system.iter().filter(|need| need.wanted.now(purpose));
+            let needs = pins.system.iter().filter(|need| need.wanted.now(purpose, &need.name));
             needs.map(|need| need.name.as_str()).collect()
         };
         for purpose in [Purpose::Use, Purpose::Benches] {
@@ -232,6 +229,7 @@ mod tests {
         let of_tests =
             ["Python 3 with pip", "Vulkan loader", "Vulkan driver", "Chromium", "ffmpeg"];
         assert_eq!(wanted(Purpose::Tests), of_tests);
+        assert_eq!(wanted(Purpose::Only("Chromium")), ["Chromium"]);
     }
 
     #[test]

@@ -21,16 +21,16 @@ pub(crate) fn install_missing(
 ) -> anyhow::Result<()> {
     let locked = cache.lock()?;
     eprintln!("set-up: cache folder {}", cache.root().display());
-    let needs = pins.system.iter().filter(|need| need.wanted.now(purpose));
+    let needs = pins.system.iter().filter(|need| need.wanted.now(purpose, &need.name));
     let needs: Vec<&SystemNeed> = needs.filter(|need| !report_system(need)).collect();
     let mut missing_files: Vec<&FilePin> = Vec::new();
-    for file in pins.file.iter().filter(|file| file.wanted.now(purpose)) {
+    for file in pins.file.iter().filter(|file| file.wanted.now(purpose, &file.name)) {
         if !report_file(file, cache)? {
             missing_files.push(file);
         }
     }
     let mut missing_environments: Vec<&EnvironmentPin> = Vec::new();
-    for environment in pins.environment.iter().filter(|it| it.wanted.now(purpose)) {
+    for environment in pins.environment.iter().filter(|it| it.wanted.now(purpose, &it.name)) {
         if !report_environment(environment, cache, workspace)? {
             missing_environments.push(environment);
         }
@@ -52,36 +52,6 @@ pub(crate) fn install_missing(
     locked.tidy()?;
     eprintln!("set-up: done");
     Ok(())
-}
-
-/// Makes a file that is only wanted on demand.
-pub(crate) fn install_on_demand(
-    name: &str,
-    pins: &Pins,
-    cache: &Cache,
-    workspace: &Workspace,
-) -> anyhow::Result<()> {
-    let file = pins.file(name)?;
-    let locked = cache.lock()?;
-    if !report_file(file, cache)? {
-        files::install(file, &locked, workspace)?;
-    }
-    locked.tidy()
-}
-
-/// Creates an environment that is only wanted on demand.
-pub(crate) fn install_environment(
-    name: &str,
-    pins: &Pins,
-    cache: &Cache,
-    workspace: &Workspace,
-) -> anyhow::Result<()> {
-    let environment = pins.environment(name)?;
-    let locked = cache.lock()?;
-    if !report_environment(environment, cache, workspace)? {
-        environments::install(environment, &locked, workspace)?;
-    }
-    locked.tidy()
 }
 
 /// Prints whether a need is met.

@@ -107,6 +107,13 @@ impl Workspace {
     pub(crate) fn program(&self, name: &str) -> anyhow::Result<PathBuf> {
         Ok(std::env::current_exe().context("cannot find the path of xtask")?.with_file_name(name))
     }
+
+    /// The folder of everything that is built, which may be elsewhere than here.
+    pub(crate) fn target_folder(&self) -> anyhow::Result<PathBuf> {
+        let program = self.program("xtask")?;
+        let folder = program.parent().and_then(Path::parent);
+        Ok(folder.context("the programs have no parent folder")?.to_owned())
+    }
 }
 
 /// Runs a command with this process's streams. Returns whether it succeeded.

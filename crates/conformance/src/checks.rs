@@ -24,6 +24,33 @@ pub(crate) struct Check<R: TestedRole> {
     pub(crate) run: fn(&mut Kit<'_, R>) -> CheckResult<String>,
 }
 
+impl<R: TestedRole> Check<R> {
+    /// The process stops when it is asked to.
+    pub(crate) const STOPS: Self = Self {
+        name: "stops",
+        expected: "after a Stop message: a shutdown report, and exit status 0 soon",
+        advice: "end all threads and servers once `memtransfer.run` (Python) or `serve_from_environment` (Rust) returns; \
+                 without an SDK, leave the loop after a Stop message",
+        run: stops,
+    };
+
+    /// The process ends with the orchestrator.
+    pub(crate) const ENDS_WITH_THE_ORCHESTRATOR: Self = Self {
+        name: "ends with the orchestrator",
+        expected: "it ends soon after the process `orchestrator_pid` of attach.json",
+        advice: "check a few times a second whether that process exists, and exit when it does not",
+        run: orchestrator_ends,
+    };
+
+    /// The process refuses a run of another wire version, with a message.
+    pub(crate) const REFUSES_ANOTHER_WIRE_VERSION: Self = Self {
+        name: "refuses another wire version",
+        expected: "it prints a message and exits with a status other than 0",
+        advice: "compare `wire_version` in attach.json first",
+        run: another_wire_version,
+    };
+}
+
 /// Ends a check: expects no further message, and evicts its views.
 pub(crate) fn clear_away<R: TestedRole>(subject: &mut Subject<'_, R>) -> CheckResult<String> {
     subject.settle()?;
@@ -31,13 +58,11 @@ pub(crate) fn clear_away<R: TestedRole>(subject: &mut Subject<'_, R>) -> CheckRe
     Ok(String::new())
 }
 
-/// The process stops when it is asked to.
-pub(crate) fn stops<R: TestedRole>(kit: &mut Kit<'_, R>) -> CheckResult<String> {
+fn stops<R: TestedRole>(kit: &mut Kit<'_, R>) -> CheckResult<String> {
     kit.take_subject()?.stop().map(|()| String::new())
 }
 
-/// The process ends with the orchestrator.
-pub(crate) fn orchestrator_ends<R: TestedRole>(kit: &mut Kit<'_, R>) -> CheckResult<String> {
+fn orchestrator_ends<R: TestedRole>(kit: &mut Kit<'_, R>) -> CheckResult<String> {
     kit.kill_subject();
     let stand_in = Command::new("sleep").arg("3600").stdin(Stdio::null()).spawn();
     let mut stand_in = stand_in.context("cannot start `sleep`")?;
@@ -53,8 +78,7 @@ pub(crate) fn orchestrator_ends<R: TestedRole>(kit: &mut Kit<'_, R>) -> CheckRes
     Ok(String::new())
 }
 
-/// The process refuses a run of another wire version, with a message.
-pub(crate) fn another_wire_version<R: TestedRole>(kit: &mut Kit<'_, R>) -> CheckResult<String> {
+fn another_wire_version<R: TestedRole>(kit: &mut Kit<'_, R>) -> CheckResult<String> {
     kit.kill_subject();
     let (run, attach) = kit.another_run()?;
     attach.write(run.path()).map_err(anyhow::Error::from)?;

@@ -164,8 +164,7 @@ pub(super) fn conditions(views: &[ScoredRun<'_>]) -> DataFrame {
         frame.real(format!("{name}_std"), |(_, score)| spread(score)?.std);
         frame.whole(format!("{name}_runs"), |(_, score)| Some(spread(score)?.runs));
         if matches!(name, "sr" | "spl" | "follow" | "recovery") {
-            frame.real(format!("{name}_low"), |(_, score)| Some(spread(score)?.interval?.low));
-            frame.real(format!("{name}_high"), |(_, score)| Some(spread(score)?.interval?.high));
+            frame.interval(name, |(_, score)| spread(score)?.interval);
         }
     }
     type OfDerived = fn(&ConditionScore) -> Option<Derived>;
@@ -175,8 +174,7 @@ pub(super) fn conditions(views: &[ScoredRun<'_>]) -> DataFrame {
     ];
     for (name, derived) in derived {
         frame.real(name, |(_, score)| Some(derived(score)?.value));
-        frame.real(format!("{name}_low"), |(_, score)| Some(derived(score)?.interval?.low));
-        frame.real(format!("{name}_high"), |(_, score)| Some(derived(score)?.interval?.high));
+        frame.interval(name, |(_, score)| derived(score)?.interval);
     }
     for group in warehouse::TaskGroup::ALL {
         let of = move |score: &ConditionScore| {
@@ -272,8 +270,7 @@ pub(super) fn streams(views: &[ScoredRun<'_>]) -> DataFrame {
     ];
     for (name, figure) in figures {
         frame.real(name, |(_, score)| Some(figure(score)?.mean));
-        frame.real(format!("{name}_low"), |(_, score)| Some(figure(score)?.interval?.low));
-        frame.real(format!("{name}_high"), |(_, score)| Some(figure(score)?.interval?.high));
+        frame.interval(name, |(_, score)| figure(score)?.interval);
         frame.whole(format!("{name}_streams"), |(_, score)| Some(figure(score)?.streams));
     }
     let most = rows.iter().map(|(_, score)| score.matrix.len()).max().unwrap_or(0);

@@ -2,6 +2,8 @@
 
 use std::io::{self, Write};
 
+use results::score::Interval;
+
 use super::{csv, parquet};
 
 /// A table of values.
@@ -95,6 +97,12 @@ impl<'a, T> FrameBuilder<'a, T> {
 
     pub(super) fn real(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<f64>) {
         self.add(name, Values::Real(self.rows.iter().map(value).collect()));
+    }
+
+    /// The bounds of the intervals, in two columns.
+    pub(super) fn interval(&mut self, name: &str, value: impl Fn(&T) -> Option<Interval>) {
+        self.real(format!("{name}_low"), |row| Some(value(row)?.low));
+        self.real(format!("{name}_high"), |row| Some(value(row)?.high));
     }
 
     pub(super) fn flag(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<bool>) {

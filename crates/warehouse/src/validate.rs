@@ -8,7 +8,7 @@ mod report;
 use std::collections::BTreeSet;
 use std::fmt;
 
-use domain::Cell;
+use domain::{Cell, Pose};
 use plates::Plate;
 
 use crate::case::{Case, CaseSet, Replay, Start};
@@ -250,10 +250,11 @@ fn trajectories(report: &mut ValidationReport, warehouse: &Warehouse, cases: &[R
 
 /// Constraints on the demonstrations.
 fn demonstrations(report: &mut ValidationReport, layout: &Layout, cases: &[Replayed<'_>]) {
-    let starts = |c: &Replayed<'_>, start| (c.start(Start::Original), c.start(start));
-    let starts_at = |c: &Replayed<'_>, start| {
-        let (original, other) = starts(c, start);
-        c.at(start, format!("starts at {other}, the original at {original}"))
+    let starts = |c: &Replayed<'_>, start, is_right: &dyn Fn(Pose, Pose) -> bool| {
+        let (original, other) = (c.start(Start::Original), c.start(start));
+        ensure(is_right(original, other), || {
+            c.at(start, format!("starts at {other}, the original at {original}"))
+        })
     };
     report.push(
         "original: no target in the first view",
@@ -261,17 +262,11 @@ fn demonstrations(report: &mut ValidationReport, layout: &Layout, cases: &[Repla
     );
     report.push(
         "opposite: the original's cell, facing the other way",
-        cases.iter().map(|c| {
-            let (original, opposite) = starts(c, Start::Opposite);
-            ensure(is_opposite(original, opposite), || starts_at(c, Start::Opposite))
-        }),
+        cases.iter().map(|c| starts(c, Start::Opposite, &is_opposite)),
     );
     report.push(
         "nearby: 2 to 4 cells along the same aisle, same heading",
-        cases.iter().map(|c| {
-            let (original, nearby) = starts(c, Start::Nearby);
-            ensure(is_nearby(layout, original, nearby), || starts_at(c, Start::Nearby))
-        }),
+        cases.iter().map(|c| starts(c, Start::Nearby, &|a, b| is_nearby(layout, a, b))),
     );
     report.push(
         "nearby: at least half of the original's edges are shared",
@@ -284,10 +279,7 @@ fn demonstrations(report: &mut ValidationReport, layout: &Layout, cases: &[Repla
     );
     report.push(
         "distant: at least 6 cells away in another aisle, heading turned by 90 degrees",
-        cases.iter().map(|c| {
-            let (original, distant) = starts(c, Start::Distant);
-            ensure(is_distant(layout, original, distant), || starts_at(c, Start::Distant))
-        }),
+        cases.iter().map(|c| starts(c, Start::Distant, &|a, b| is_distant(layout, a, b))),
     );
     report.push(
         "distant: at most half of the original's edges are shared",

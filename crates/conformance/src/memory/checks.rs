@@ -8,7 +8,7 @@ use shm_types::description::Scope;
 use supervise::Children;
 
 use crate::LANES;
-use crate::checks::{Check, another_wire_version, clear_away, orchestrator_ends, stops};
+use crate::checks::{Check, clear_away};
 use crate::memory::answers::difference;
 use crate::memory::{MemoryRole, ScriptedDemonstration, demonstrated, wait_for_description};
 use crate::messages::external_episode;
@@ -194,31 +194,15 @@ pub(crate) const CHECKS: &[Check<MemoryRole>] = &[
         advice: "leave nothing behind that prevents a second start: no lock file, no fixed port, no half-written store",
         run: restart,
     },
-    Check {
-        name: "stops",
-        expected: "after a Stop message: a shutdown report, and exit status 0 soon",
-        advice: "end all threads and servers once `memtransfer.run` (Python) or `serve_from_environment` (Rust) returns; \
-                 without an SDK, leave the loop after a Stop message",
-        run: stops,
-    },
-    Check {
-        name: "ends with the orchestrator",
-        expected: "it ends soon after the process `orchestrator_pid` of attach.json",
-        advice: "check a few times a second whether that process exists, and exit when it does not",
-        run: orchestrator_ends,
-    },
+    Check::STOPS,
+    Check::ENDS_WITH_THE_ORCHESTRATOR,
     Check {
         name: "ends if the run does not begin",
         expected: "it ends soon if its folder is removed while it waits for attach.json",
         advice: "check a few times a second whether the folder exists, and exit when it does not",
         run: run_does_not_begin,
     },
-    Check {
-        name: "refuses another wire version",
-        expected: "it prints a message and exits with a status other than 0",
-        advice: "compare `wire_version` in attach.json first",
-        run: another_wire_version,
-    },
+    Check::REFUSES_ANOTHER_WIRE_VERSION,
 ];
 
 /// Three demonstrations of ten steps.

@@ -11,7 +11,7 @@ use shm_types::message::{
 
 use super::{PolicyRole, RequestScene, TestedPolicy};
 use crate::LANES;
-use crate::checks::{Check, another_wire_version, clear_away, orchestrator_ends, stops};
+use crate::checks::{Check, clear_away};
 use crate::messages::{item, last, observation, supplied, supply};
 use crate::subject::{CheckResult, Trouble, next, wrong};
 
@@ -140,25 +140,9 @@ pub(crate) const CHECKS: &[Check<PolicyRole>] = &[
         advice: "leave nothing behind that prevents a second start: no lock file, no fixed port",
         run: restart,
     },
-    Check {
-        name: "stops",
-        expected: "after a Stop message: a shutdown report, and exit status 0 soon",
-        advice: "end all threads and servers once `memtransfer.run` (Python) or `serve_from_environment` (Rust) returns; \
-                 without an SDK, leave the loop after a Stop message",
-        run: stops,
-    },
-    Check {
-        name: "ends with the orchestrator",
-        expected: "it ends soon after the process `orchestrator_pid` of attach.json",
-        advice: "check a few times a second whether that process exists, and exit when it does not",
-        run: orchestrator_ends,
-    },
-    Check {
-        name: "refuses another wire version",
-        expected: "it prints a message and exits with a status other than 0",
-        advice: "compare `wire_version` in attach.json first",
-        run: another_wire_version,
-    },
+    Check::STOPS,
+    Check::ENDS_WITH_THE_ORCHESTRATOR,
+    Check::REFUSES_ANOTHER_WIRE_VERSION,
 ];
 
 /// A scene of one view, without memory.
