@@ -174,7 +174,7 @@ impl<'a> MemoryServer<'a> {
         };
         let snapshots = settings.snapshots.clone().map(SnapshotFolder::new);
         let engine = Engine::new(worlds, attach.lanes, room, embeddings, externals, snapshots);
-        let spans = Spans::open(attach, Role::Memory).context("cannot record spans")?;
+        let spans = Spans::open(attach, Role::Memory, 0).context("cannot record spans")?;
         let facts = encoder.as_ref().map_or_else(Vec::new, |encoder| facts(encoder.facts()));
         bus.sender()?.send(&Handshake::new(Role::Memory, facts)?)?;
         ports.orchestrator.notify()?;
@@ -381,8 +381,8 @@ impl<'a> MemoryServer<'a> {
     }
 
     fn take_embeddings(&mut self) -> anyhow::Result<()> {
-        let mut poll = || self.encoder.as_mut().and_then(Encoder::poll);
-        while let Some(Embedded { content, embedding, worker, span_ns }) = poll() {
+        let Some(encoder) = &mut self.encoder else { return Ok(()) };
+        while let Some(Embedded { content, embedding, worker, span_ns }) = encoder.poll()? {
             let track = format!("encoder {worker}");
             self.spans.add(span_ns.start, span_ns.end, &track, "embed", 1);
             if let Err(error) = self.engine.add_embedding(content, embedding?) {

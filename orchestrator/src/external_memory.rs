@@ -103,9 +103,7 @@ pub fn start(
         return Ok(None);
     }
     let base = registry::default_base();
-    for gone in registry::clean(&base)?.removed {
-        note(&format!("removed what a killed run left in {}", gone.display()));
-    }
+    registry::clean(&base)?.notes().iter().for_each(|one| note(one));
     let run = RunDir::create(&base)?;
     let commands = settings.memory_cmd.iter().cloned().map(Some);
     let user_s = settings.external_memory.then_some(None);

@@ -6,6 +6,7 @@ use anyhow::{Result, ensure};
 use domain::Cell;
 use domain::representation::Trajectories;
 use results::conditions::{Condition, Route};
+use shm_types::attach::MAX_FRAMES;
 use shm_types::{Attach, FrameSize};
 use warehouse::{CaseSet, Viewpoint, Warehouse};
 
@@ -143,7 +144,7 @@ pub fn choose(
     let Some(given) = given else {
         let room = room.min((SHARE_OF_MEMORY * available as f64) as u64);
         let useful = lanes * per_lane + demand.all_views.max(remembered);
-        return Ok(most_within(attach, least, useful, room));
+        return Ok(most_within(attach, least, useful.min(MAX_FRAMES), room));
     };
     ensure!(
         given >= least,

@@ -224,7 +224,7 @@ mod tests {
             count: 2,
         };
         let kept = serde_json::to_string(&span).unwrap() + "\n{\"track\":";
-        std::fs::write(spans_file(trace.spans(), Role::Sim, 1), kept).unwrap();
+        std::fs::write(spans_file(trace.spans(), Role::Sim, 0, 1), kept).unwrap();
         trace.step(&stamps).unwrap();
         let spans = trace.spans().to_owned();
         assert_eq!(trace.finish().unwrap(), path);

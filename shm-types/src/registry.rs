@@ -182,12 +182,25 @@ impl Drop for RunDir {
 }
 
 /// The result of [`clean`].
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Default)]
 pub struct Cleaned {
     /// Folders of dead runs, which were removed.
     pub removed: Vec<PathBuf>,
     /// Folders of living runs, which were not touched.
     pub alive: Vec<PathBuf>,
+    /// Why folders of dead runs could not be removed.
+    pub failed: Vec<RegistryError>,
+}
+
+impl Cleaned {
+    /// What a user has to know before another run starts.
+    pub fn notes(&self) -> Vec<String> {
+        let removed = self.removed.iter();
+        let removed =
+            removed.map(|run| format!("removed what a killed run left in {}", run.display()));
+        let failed = self.failed.iter().map(|error| format!("an earlier run stays: {error}"));
+        removed.chain(failed).collect()
+    }
 }
 
 /// A run found by [`list`].
@@ -215,10 +228,11 @@ pub fn list(base: &Path) -> Result<Vec<ListedRun>, RegistryError> {
         .collect()
 }
 
-/// Removes what dead runs below `base` left: shared memory, sockets, folders. Does not touch living runs.
+/// Removes what dead runs below `base` left: shared memory, sockets, folders. Does not touch living runs, and goes on after
+/// one that cannot be removed.
 ///
 /// # Errors
-/// When `base` belongs to another user or the system refuses; what was removed before stays removed.
+/// When `base` belongs to another user or cannot be listed.
 pub fn clean(base: &Path) -> Result<Cleaned, RegistryError> {
     let mut cleaned = Cleaned::default();
     if !base.exists() {
@@ -226,11 +240,15 @@ pub fn clean(base: &Path) -> Result<Cleaned, RegistryError> {
     }
     let _base_lock = lock_base(base)?;
     for path in run_folders(base)? {
-        let dead = match lock_dead(&path)? {
-            Some(_lock) => remove_if_dead(&path)?,
-            None => false,
-        };
-        if dead { cleaned.removed.push(path) } else { cleaned.alive.push(path) }
+        let dead = lock_dead(&path).and_then(|lock| match lock {
+            Some(_lock) => remove_if_dead(&path),
+            None => Ok(false),
+        });
+        match dead {
+            Ok(true) => cleaned.removed.push(path),
+            Ok(false) => cleaned.alive.push(path),
+            Err(error) => cleaned.failed.push(error),
+        }
     }
     Ok(cleaned)
 }

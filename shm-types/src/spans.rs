@@ -37,13 +37,13 @@ pub struct Spans {
 }
 
 impl Spans {
-    /// Opens the file of the process `role`, if the run asks for spans.
+    /// Opens the file of the process `role`, of several external memories that with this index, if the run asks for spans.
     ///
     /// # Errors
     /// When the file cannot be created.
-    pub fn open(attach: &Attach, role: Role) -> io::Result<Self> {
+    pub fn open(attach: &Attach, role: Role, index: u8) -> io::Result<Self> {
         let Some(folder) = &attach.spans else { return Ok(Self::default()) };
-        let file = File::create(spans_file(folder, role, attach.generation))?;
+        let file = File::create(spans_file(folder, role, index, attach.generation))?;
         Ok(Self { file: Some(BufWriter::new(file)) })
     }
 
@@ -72,7 +72,8 @@ impl Spans {
     }
 }
 
-/// The file in `folder` of the spans of the process `role` in one generation.
-pub fn spans_file(folder: &Path, role: Role, generation: u32) -> PathBuf {
-    folder.join(format!("{}-{generation}.jsonl", role.word()))
+/// The file in `folder` of the spans of the process `role`, of several external memories that with this index, in one
+/// generation.
+pub fn spans_file(folder: &Path, role: Role, index: u8, generation: u32) -> PathBuf {
+    folder.join(format!("{}-{generation}.{index}.jsonl", role.word()))
 }

@@ -127,7 +127,7 @@ impl<'a> Simulator<'a> {
             frames: FramePublisher::new(bus)?,
             reporter: ErrorReporter::new(bus)?,
             heartbeats: Heartbeats::new(bus)?,
-            spans: Spans::open(attach, Role::Sim).context("cannot write spans for the trace")?,
+            spans: Spans::open(attach, Role::Sim, 0).context("cannot write spans for the trace")?,
             control: ViewControl::new(attach.frame_control, worlds.layout()),
             lanes: SimulatedLanes::new(worlds, lanes),
             views: ViewCache::new(attach.frame_capacity as usize, lanes, window),

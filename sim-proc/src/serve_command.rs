@@ -1,6 +1,8 @@
 //! `sim-proc serve`: the simulator of a run.
 
 use std::path::PathBuf;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use shm_types::message::Role;
@@ -12,6 +14,9 @@ use crate::render_pool::RenderSetup;
 use crate::renderer::RenderSettings;
 use crate::serve::serve;
 use crate::worlds::WorldsArgs;
+
+/// How long the processes of the generation before may take to leave.
+const LEAVING_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Arguments of `sim-proc serve`.
 #[derive(Debug, clap::Args)]
@@ -44,7 +49,15 @@ pub fn run(args: ServeArgs) -> Result<()> {
     let attach = Attach::read(&args.attach).context("cannot join the run")?;
     die_with_parent(attach.orchestrator_pid)
         .context("cannot tie this process to its orchestrator")?;
-    check_shared_memory(attach.shared_memory_bytes())?;
+    // Processes of the generation before may use its frames for a moment longer.
+    let patience = if attach.generation > 1 { LEAVING_TIMEOUT } else { Duration::ZERO };
+    let deadline = Instant::now() + patience;
+    while let Err(error) = check_shared_memory(attach.shared_memory_bytes()) {
+        if Instant::now() >= deadline {
+            return Err(error.into());
+        }
+        sleep(Duration::from_millis(50));
+    }
     let worlds = args.worlds.load()?;
     let settings = args.renderer.apply(RenderSettings {
         width_px: attach.frame.width,

@@ -197,7 +197,8 @@ impl ViewCache {
         }
     }
 
-    /// Evicts unpinned views until everything fits, views to be rendered included. Returns the evicted frames.
+    /// Evicts unpinned views until everything fits, views to be rendered included, or until only views are left that are
+    /// pinned or being rendered. Returns the evicted frames.
     ///
     /// # Errors
     /// When the pinned views alone do not fit.
@@ -205,7 +206,14 @@ impl ViewCache {
         let mut evicted = Vec::new();
         while self.views.len() > self.capacity {
             let Some((_, view)) = self.idle.pop_first() else {
-                return Err(CacheFull { needed: self.views.len(), capacity: self.capacity });
+                // Views that are being rendered for nobody any more can be evicted once they are there.
+                let needed = self.views.values().filter(|view| view.is_pinned()).count();
+                let Self { capacity, .. } = *self;
+                return if needed > capacity {
+                    Err(CacheFull { needed, capacity })
+                } else {
+                    Ok(evicted)
+                };
             };
             if let Some(CachedView { state: ViewState::Resident(frame), .. }) =
                 self.views.remove(&view)
@@ -325,8 +333,9 @@ mod tests {
         views.show(0, view(2));
         assert_eq!(views.take_missing(9), [view(2)]);
         views.clear_lane(0);
-        views.insert(view(2), 5);
         views.pin_for_memory(view(3));
+        assert_eq!(views.make_room(), Ok(vec![]));
+        views.insert(view(2), 5);
         assert_eq!(views.make_room(), Ok(vec![5]));
     }
 

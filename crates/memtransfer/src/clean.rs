@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use orchestrator::progress::say;
 use serde_json::json;
 use shm_types::registry;
 
@@ -27,14 +28,14 @@ pub(super) struct CleanArgs {
 
 pub(super) fn run(args: &CleanArgs) -> anyhow::Result<Exit> {
     let base = registry::default_base();
-    let (dead, alive): (Vec<PathBuf>, Vec<PathBuf>) = if args.dry_run {
+    let (dead, alive, failed): (Vec<PathBuf>, Vec<PathBuf>, Vec<_>) = if args.dry_run {
         let (alive, dead): (Vec<_>, Vec<_>) =
             registry::list(&base)?.into_iter().partition(|run| run.alive);
         let paths = |runs: Vec<registry::ListedRun>| runs.into_iter().map(|run| run.path).collect();
-        (paths(dead), paths(alive))
+        (paths(dead), paths(alive), Vec::new())
     } else {
         let cleaned = registry::clean(&base)?;
-        (cleaned.removed, cleaned.alive)
+        (cleaned.removed, cleaned.alive, cleaned.failed)
     };
     if args.json {
         let key = if args.dry_run { "dead" } else { "removed" };
@@ -47,9 +48,12 @@ pub(super) fn run(args: &CleanArgs) -> anyhow::Result<Exit> {
         for path in &alive {
             print(&format!("alive, not touched: {}", path.display()))?;
         }
-        if dead.is_empty() && alive.is_empty() {
+        if dead.is_empty() && alive.is_empty() && failed.is_empty() {
             print("nothing to clean")?;
         }
     }
-    Ok(Exit::Complete)
+    for error in &failed {
+        say(&error.to_string());
+    }
+    Ok(if failed.is_empty() { Exit::Complete } else { Exit::Failed })
 }

@@ -303,9 +303,7 @@ impl RunPlan {
             }
             None => {
                 let base = registry::default_base();
-                for gone in registry::clean(&base)?.removed {
-                    progress.note(&format!("removed what a killed run left in {}", gone.display()));
-                }
+                registry::clean(&base)?.notes().iter().for_each(|one| progress.note(one));
                 own = RunDir::create(&base)?;
                 children = Children::default();
                 (&own, &[])

@@ -149,7 +149,7 @@ impl Connection {
         let attach = bus.attach();
         Ok(Self {
             errors: ErrorReporter::new(&bus)?,
-            spans: Spans::open(attach, bus.role()).map_err(ServeError::Spans)?,
+            spans: Spans::open(attach, bus.role(), bus.index()).map_err(ServeError::Spans)?,
             frames: SharedFrames::new(&bus)?,
             heartbeats: Heartbeats::new(&bus)?,
             stops: bus.receiver()?,

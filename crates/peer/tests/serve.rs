@@ -276,6 +276,31 @@ fn answers_may_come_later_in_any_order_from_any_thread_or_not_at_all() {
 }
 
 #[test]
+fn more_failures_than_fit_into_the_queue_are_all_reported_and_a_run_is_stopped_once() {
+    const LANES: u32 = 400;
+    let (hand_over, taken) = mpsc::channel();
+    let mut policy = Deferred(hand_over);
+    let change = |attach: &mut Attach| (attach.frame_capacity, attach.lanes) = (1000, LANES);
+    let mut rig = PolicyRig::in_thread(change, move |folder| Ok(serve(&mut policy, folder)?));
+    rig.handshake();
+    let frame = rig.publish(10);
+    for lane in 0..LANES {
+        let first = id(lane, u64::from(lane), 0);
+        rig.begin(&config(lane, first.episode, "Find a cone."));
+        rig.step(&observation(first, frame), &recall(first, &[]));
+    }
+    let taken: Vec<(RequestId, Answers)> =
+        (0..LANES).map(|_| taken.recv_timeout(LONG).unwrap()).collect();
+    taken.iter().for_each(|(id, answers)| answers.fail(*id, "no server"));
+    let mut failed: Vec<u32> = (0..LANES).map(|_| rig.error_report().0.lane).collect();
+    failed.sort_unstable();
+    assert_eq!(failed, Vec::from_iter(0..LANES));
+    taken.iter().for_each(|(_, answers)| answers.stop_run("the server is down"));
+    assert_eq!(rig.error_report().0.kind, ErrorReportKind::Run as u32);
+    rig.stop();
+}
+
+#[test]
 fn prompts_are_logged_and_a_log_that_cannot_be_written_stops_the_run() {
     let folder = tempfile::tempdir().unwrap();
     let session = session_folder(folder.path(), 2);

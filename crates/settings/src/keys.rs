@@ -14,6 +14,7 @@ use results::key::Order;
 use results::names::UnknownName;
 use results::settings::{CaseSelector, DocumentSource, Drawn, ResponseCache};
 use serde_json::Value;
+use shm_types::attach::MAX_FRAMES;
 use shm_types::message::{MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW};
 
 /// Maximum number of images in a prompt (paper, Experimental Setup).
@@ -280,7 +281,7 @@ pub const KEYS: &[Key] = keys! {
     "provider" "NAME" Text(is_provider),
         "ONNX Runtime's execution provider for the encoder: cpu, openvino, cuda, tensorrt \
          [default: cpu]";
-    "frame-budget" "FRAMES" Number(1, u32::MAX as u64, 1),
+    "frame-budget" "FRAMES" Number(1, MAX_FRAMES as u64, 1),
         "Frames kept in shared memory [default: as many as are useful and fit into half of the \
          free memory]";
     "backend" "NAME" Text(is_backend),

@@ -16,7 +16,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result, anyhow, ensure};
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
 use shm_types::process::monotonic_ns;
 
@@ -198,7 +198,7 @@ enum Jobs {
     Caller(Box<dyn FnMut(Job)>),
 }
 
-const WORKERS_GONE: &str = "the encoder's worker threads have ended";
+const WORKERS_GONE: &str = "a worker thread of the encoder has ended";
 
 /// Images queued for each worker beside the one in progress, so that a worker never waits for the next.
 const WAITING_PER_WORKER: usize = 1;
@@ -257,10 +257,16 @@ impl Encoder {
     }
 
     /// The next result, if one is ready.
-    pub fn poll(&mut self) -> Option<Embedded> {
-        let embedded = self.results.try_recv().ok()?;
+    ///
+    /// # Errors
+    /// When a worker has ended: its image would never come back.
+    pub fn poll(&mut self) -> Result<Option<Embedded>> {
+        let Ok(embedded) = self.results.try_recv() else {
+            ensure!(!self.workers.iter().any(JoinHandle::is_finished), WORKERS_GONE);
+            return Ok(None);
+        };
         self.in_flight -= 1;
-        Some(embedded)
+        Ok(Some(embedded))
     }
 
     /// Embeds images and returns their embeddings in the same order.

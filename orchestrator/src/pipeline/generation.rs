@@ -1,6 +1,7 @@
 //! One generation: a set of processes, the services that connect them, and the loop that feeds them.
 
 use std::collections::BTreeMap;
+use std::os::unix::process::ExitStatusExt;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
@@ -23,6 +24,9 @@ pub(super) const TICK: Duration = Duration::from_millis(50);
 
 /// Longest wait for a message that is on its way and comes without a notification.
 const SHORT_WAIT: Duration = Duration::from_millis(1);
+
+/// How long a policy or an external memory may take to end once it has closed its queues.
+const LEAVING_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// One set of processes and what connects them.
 ///
@@ -115,8 +119,11 @@ impl Generation {
                 retry(configs.send(&opening.memory))?;
             }
             if let Some(configs) = &self.policy_configs {
-                // Only the policy receives these: a delivery that fails is its failure.
-                configs.send(&opening.policy).map_err(|e| Failure::Policy(e.to_string()))?;
+                // Only the policy receives these: a delivery that fails is its failure, and not because of this episode.
+                if let Err(error) = configs.send(&opening.policy) {
+                    run.queue.interrupted(run.lanes.give_up(lane as u32).into_iter().collect());
+                    return Err(Failure::Policy(error.to_string()));
+                }
             }
             retry(self.commands.send(&opening.command))?;
             began = true;
@@ -232,12 +239,30 @@ impl Generation {
     }
 
     /// The exit of a process, if one has exited: it is the cause of whatever else failed.
-    pub(super) fn root_cause(&mut self, options: &PipelineOptions, failure: Failure) -> Failure {
-        if let Failure::Fatal(_) = failure {
-            return failure;
+    ///
+    /// A policy or an external memory that ends closes its queues first. Until it has ended, it looks as if those had
+    /// failed that could not send to it.
+    pub(super) fn root_cause(
+        &mut self,
+        options: &PipelineOptions,
+        mut failure: Failure,
+    ) -> Failure {
+        let deadline = Instant::now() + LEAVING_TIMEOUT;
+        loop {
+            if let Failure::Fatal(_) = failure {
+                return failure;
+            }
+            sleep(TICK);
+            failure = self.exited(options).unwrap_or(failure);
+            let has_policy_left = self.policy_configs.as_ref().is_some_and(|it| !it.is_complete());
+            let may_leave = has_policy_left || !options.memories.is_empty();
+            let exit = self.children.exited();
+            let was_killed = exit.is_some_and(|exit| exit.status.signal().is_some());
+            let is_settled = !matches!(failure, Failure::Retry(_)) || !may_leave || was_killed;
+            if is_settled || Instant::now() >= deadline {
+                return failure;
+            }
         }
-        sleep(TICK);
-        self.exited(options).unwrap_or(failure)
     }
 }
 

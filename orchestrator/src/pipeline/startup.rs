@@ -84,7 +84,7 @@ impl Generation {
         &mut self,
         run: &mut PipelineRun<'_, '_>,
     ) -> Result<Option<BTreeMap<Participant, Facts>>, Failure> {
-        let deadline = Instant::now() + run.options.start_timeout;
+        let mut deadline = Instant::now() + run.options.start_timeout;
         let is_first = self.bus.attach().generation == 1;
         let failed = |why: String| {
             if is_first { Failure::Fatal(anyhow::Error::msg(why)) } else { Failure::Retry(why) }
@@ -130,9 +130,16 @@ impl Generation {
                 return Err(if was_killed { Failure::Retry(why) } else { failed(why) });
             }
             let missing = self.notifiers.keys().copied().filter(|one| !facts.contains_key(one));
-            let (awaited, late): (Vec<Participant>, Vec<Participant>) =
+            let (awaited, mut late): (Vec<Participant>, Vec<Participant>) =
                 missing.partition(|&one| is_started_by_user(one, run.options));
-            if late.is_empty() && !awaited.is_empty() && !is_announced {
+            if !awaited.is_empty() {
+                // It may be waiting for those, too, to show them every view.
+                late.retain(|one| one.role != Role::Sim);
+                if late.is_empty() {
+                    deadline = Instant::now() + run.options.start_timeout;
+                }
+            }
+            if late.is_empty() && !is_announced {
                 is_announced = true;
                 for one in awaited {
                     match one.memory {

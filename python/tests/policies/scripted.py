@@ -1,8 +1,10 @@
 """A policy with one trait, named on the command line: `scripted.py TRAIT`."""
 
+import atexit
 import base64
 import random
 import sys
+import time
 
 import numpy as np
 
@@ -112,6 +114,13 @@ class ReturnsNone(Scripted):
         return None
 
 
+class LeavesSlowly(ReturnsNone):
+    """Its interpreter takes a second to end, as one with large libraries does."""
+
+    def reset(self, lane):
+        atexit.register(time.sleep, 1)
+
+
 class RaisesOnReset(Scripted):
     def reset(self, lane):
         raise RuntimeError("cannot reset")
@@ -138,6 +147,7 @@ class Numbers(Scripted):
 CLASSES = {
     "no_answers": NoAnswers,
     "returns_none": ReturnsNone,
+    "leaves_slowly": LeavesSlowly,
     "raises_on_reset": RaisesOnReset,
     "interrupted": Interrupted,
     "hoards": Hoards,

@@ -296,6 +296,7 @@ fn a_broken_contract_ends_the_policy_with_a_message() {
         ("negative", "does not fit into a message"),
         ("numbers", "policy numbers: its facts must be text"),
         ("raises_on_reset", "RuntimeError: cannot reset"),
+        ("leaves_slowly", "policy leaves_slowly returned None from act"),
     ] {
         let mut command = slice(&bench, policy_trait, &scripted(policy_trait), &SHORT[..6]);
         command.args(["--lanes", "1", "--cases", "t01-01"]);
@@ -305,6 +306,8 @@ fn a_broken_contract_ends_the_policy_with_a_message() {
             .unwrap_or_else(|error| panic!("{policy_trait}: {error}\n{}", ended.stderr));
         assert!(log.contains(said), "{policy_trait}: {log}");
         assert_eq!(log.contains("Traceback"), policy_trait == "raises_on_reset", "{log}");
+        // Not the processes that could not send to it any more.
+        assert!(!ended.stderr.contains("the sim process"), "{}", ended.stderr);
     }
 }
 
@@ -362,7 +365,7 @@ impl Waiting {
     fn new(bench: &Bench, out: &str) -> Self {
         let mut args = vec!["run", "--policy", "external", "--limit", "3", "--starts", "original"];
         args.extend(["--out", out, "--frame-size", "64", "--memory", "working"]);
-        args.extend(["--runs", "200"]);
+        args.extend(["--runs", "200", "--warm-views"]);
         let mut run = bench.start(&args);
         let mut lines = BufReader::new(run.stderr.take().unwrap()).lines();
         let folder = lines.by_ref().find_map(|line| {

@@ -35,6 +35,8 @@ const MAX_BATCHES: usize = 16;
 pub(super) struct MemorySession<'s> {
     method: &'s dyn MemoryMethod,
     uses_frames: bool,
+    /// Where its spans stand in a trace.
+    track: String,
     banks: BankReceiver,
     episodes: Receiver<ExternalEpisode>,
     queries: Receiver<ExternalQuery>,
@@ -83,6 +85,7 @@ impl<'s> MemorySession<'s> {
     ) -> Result<Self, ServeError> {
         let attach = bus.attach();
         Ok(Self {
+            track: format!("external memory {}", method.describe().name),
             method,
             uses_frames,
             banks: BankReceiver::new(bus)?,
@@ -456,7 +459,7 @@ impl Session for MemorySession<'_> {
             for query in &queries {
                 answered += usize::from(self.query(query, connection)?);
             }
-            connection.spans.end(began, "external memory", "recall", answered);
+            connection.spans.end(began, &self.track, "recall", answered);
             if answered > 0 {
                 self.host.notify()?;
             }

@@ -11,7 +11,9 @@ use shm_types::message::{
     Role,
 };
 use shm_types::process::monotonic_ns;
-use shm_types::{Bus, Document, DocumentError, DocumentStore, ErrorReporter, Receiver, Sender};
+use shm_types::{
+    Bus, BusError, Document, DocumentError, DocumentStore, ErrorReporter, Receiver, Sender,
+};
 
 use super::answers::{AnswerEvent, Answers};
 use super::join::{Join, Ready, Recalled};
@@ -42,6 +44,10 @@ pub(super) struct PolicySession<'p, P: ?Sized> {
     open: Vec<Option<OpenRequest>>,
     /// Requests answered so far.
     answered: u64,
+    /// Requests that cannot be answered, and why, until that is reported.
+    failed: Vec<(RequestId, String)>,
+    /// Whether the run was asked to stop.
+    has_stopped: bool,
     log: Log,
 }
 
@@ -83,6 +89,8 @@ impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
             events,
             open: (0..lanes).map(|_| None).collect(),
             answered: 0,
+            failed: Vec::new(),
+            has_stopped: false,
             log,
         })
     }
@@ -195,13 +203,25 @@ impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
                 AnswerEvent::Failed(id, why) => {
                     let Some(open) = self.close(id) else { continue };
                     if self.log_entry(open.entry(Err(&why)), errors)? {
-                        errors.fail_episode(id.lane, id.episode, &why)?;
+                        self.failed.push((id, why));
                     }
                 }
-                AnswerEvent::Stopped(why) => errors.stop_run(&why)?,
+                AnswerEvent::Stopped(_) if self.has_stopped => continue,
+                AnswerEvent::Stopped(why) => {
+                    errors.stop_run(&why)?;
+                    self.has_stopped = true;
+                }
                 AnswerEvent::Waiting(reason) => errors.waiting(&reason)?,
             }
             sent = true;
+        }
+        // Those for which the queue has no room are reported in the next turn.
+        while let Some((id, why)) = self.failed.last() {
+            match errors.fail_episode(id.lane, id.episode, why) {
+                Ok(()) => drop(self.failed.pop()),
+                Err(BusError::Full { .. }) => break,
+                Err(error) => return Err(error.into()),
+            }
         }
         Ok(sent)
     }
