@@ -114,10 +114,10 @@ class ReturnsNone(Scripted):
         return None
 
 
-class LeavesSlowly(ReturnsNone):
+class LeavesSlowly(Scripted):
     """Its interpreter takes a second to end, as one with large libraries does."""
 
-    def reset(self, lane):
+    def act(self, batch):
         atexit.register(time.sleep, 1)
 
 

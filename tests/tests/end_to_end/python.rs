@@ -296,7 +296,6 @@ fn a_broken_contract_ends_the_policy_with_a_message() {
         ("negative", "does not fit into a message"),
         ("numbers", "policy numbers: its facts must be text"),
         ("raises_on_reset", "RuntimeError: cannot reset"),
-        ("leaves_slowly", "policy leaves_slowly returned None from act"),
     ] {
         let mut command = slice(&bench, policy_trait, &scripted(policy_trait), &SHORT[..6]);
         command.args(["--lanes", "1", "--cases", "t01-01"]);
@@ -306,9 +305,22 @@ fn a_broken_contract_ends_the_policy_with_a_message() {
             .unwrap_or_else(|error| panic!("{policy_trait}: {error}\n{}", ended.stderr));
         assert!(log.contains(said), "{policy_trait}: {log}");
         assert_eq!(log.contains("Traceback"), policy_trait == "raises_on_reset", "{log}");
-        // Not the processes that could not send to it any more.
-        assert!(!ended.stderr.contains("the sim process"), "{}", ended.stderr);
     }
+}
+
+/// The other processes cannot send to it from then on, and end at once.
+#[test]
+fn a_policy_that_takes_long_to_end_is_the_one_to_blame() {
+    let bench = Bench::new();
+    let mut command = slice(&bench, "slow", &scripted("leaves_slowly"), &SHORT);
+    command.args(["--lanes", "8"]);
+    let ended = finish(command).expect(2);
+    let said = "the policy process";
+    assert!(
+        ended.stderr.contains(said) && !ended.stderr.contains("the sim process"),
+        "{}",
+        ended.stderr
+    );
 }
 
 #[test]
