@@ -87,9 +87,8 @@ def suite(name: str, image_budget: int = IMAGE_BUDGET, out: str | None = None) -
         out: The folder that keeps the runs; without it they are removed.
     """
     conditions = _listed("conditions", "--suite", name)
-    samples = [
-        _sample(case, condition) for case in _listed("cases") for condition in conditions
-    ]
+    cases = _listed("cases", "--suite", name)
+    samples = [_sample(case, condition) for case in cases for condition in conditions]
     return Task(
         dataset=samples,
         solver=episode(name, image_budget, out),

@@ -5,11 +5,16 @@ from inspect_ai import eval
 from inspect_ai.log import list_eval_logs, read_eval_log
 from inspect_ai.model import ModelOutput, ModelUsage, get_model
 
+from memtransfer.inspect_tasks import suite
+
 
 def reply(*_request):
     usage = ModelUsage(input_tokens=900, output_tokens=3, total_tokens=903)
     return ModelOutput(model="mockllm", usage=usage, choices=ModelOutput.from_content("", "Turn left.").choices)
 
+
+# Of the hundred cases the suite selects half.
+assert len(suite("quick").dataset) == 50 * 12
 
 earlier = list_eval_logs()
 model = get_model("mockllm/model", custom_outputs=reply)

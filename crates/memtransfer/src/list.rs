@@ -11,7 +11,7 @@ use results::conditions::Condition;
 use results::date::date;
 use results::log::RunLog;
 use results::score::score;
-use results::settings::StreamSettings;
+use results::settings::{RunSettings, StreamSettings};
 use serde_json::{Value, json};
 use settings::{Layer, SHIPPED_SUITES, resolve, select_cases};
 use warehouse::{Mixture, Overlap, Start, Task};
@@ -22,6 +22,7 @@ use super::{Exit, WorldArgs, print, print_json};
 #[command(after_help = "\
 Examples:
   memtransfer ls cases
+  memtransfer ls cases --suite quick
   memtransfer ls items --json | jq '.[] | select(.category == \"barrels\")'
   memtransfer ls runs")]
 pub(super) struct ListArgs {
@@ -35,7 +36,13 @@ pub(super) struct ListArgs {
 #[derive(Debug, Subcommand)]
 enum ListWhat {
     /// Cases: instruction, starting poses, lengths of the reference routes
-    Cases(WorldArgs),
+    Cases {
+        #[command(flatten)]
+        world: WorldArgs,
+        /// Only the cases that a run of this suite, by name or file, selects
+        #[arg(long, value_name = "NAME|FILE")]
+        suite: Option<String>,
+    },
     /// The demonstrations of other tasks in each case's mixed sets
     Histories(WorldArgs),
     /// The ten types of tasks
@@ -77,7 +84,17 @@ struct Listing {
 
 pub(super) fn run(args: &ListArgs) -> anyhow::Result<Exit> {
     let listing = match &args.what {
-        ListWhat::Cases(world) => cases(&world.load()?),
+        ListWhat::Cases { world, suite: None } => {
+            let world = world.load()?;
+            cases(&world, 0..world.cases.cases.len())
+        }
+        ListWhat::Cases { world, suite: Some(suite) } => {
+            let assets = world.assets.as_ref().map(|dir| dir.display().to_string());
+            let assets = assets.as_deref().map(|dir| ("assets", dir));
+            let flags = [("suite", suite.as_str())].into_iter().chain(assets);
+            let (world, selected) = selected_cases(&resolve([Layer::flags(flags)?])?.settings)?;
+            cases(&world, selected)
+        }
         ListWhat::Histories(world) => histories(&world.load()?),
         ListWhat::Tasks(world) => tasks(&world.load()?),
         ListWhat::Items(world) => items(&world.load()?),
@@ -116,8 +133,16 @@ impl Listing {
     }
 }
 
-fn cases(world: &World) -> Listing {
-    let rows = world.cases.cases.iter().map(|case| {
+/// The world of a run, and the indices of the cases that it selects.
+fn selected_cases(settings: &RunSettings) -> anyhow::Result<(World, Vec<usize>)> {
+    let world = World::load(settings.assets.as_deref())?;
+    let selected = select_cases(&world.case_ids(), &settings.cases, settings.limit)?;
+    Ok((world, selected))
+}
+
+fn cases(world: &World, selected: impl IntoIterator<Item = usize>) -> Listing {
+    let rows = selected.into_iter().map(|index| {
+        let case = &world.cases.cases[index];
         let length = |start| json!(case.replay(&world.warehouse, start).length);
         vec![
             json!(case.id),
@@ -289,8 +314,7 @@ fn streams(suite: &str, seed: Option<u64>) -> anyhow::Result<Listing> {
     let settings = resolve([Layer::flags(flags)?])?.settings;
     let stream = settings.stream.as_ref();
     let stream = stream.with_context(|| format!("the suite {suite} has no [stream] table"))?;
-    let world = World::load(settings.assets.as_deref())?;
-    let among = select_cases(&world.case_ids(), &settings.cases, settings.limit)?;
+    let (world, among) = selected_cases(&settings)?;
     let set = Streams::draw(&world, stream, &among, settings.seed)?.set;
     let ids = world.case_ids();
     let mut rows = Vec::new();
@@ -376,7 +400,7 @@ mod tests {
     fn lists_fit_a_terminal() {
         let world = World::load(None).unwrap();
         for listing in [
-            cases(&world),
+            cases(&world, 0..world.cases.cases.len()),
             histories(&world),
             tasks(&world),
             items(&world),

@@ -372,6 +372,7 @@ fn lists_are_tables_and_json() {
         ("items", 150),
         ("suites", 6),
         ("conditions --suite paper", 50),
+        ("cases --suite paper", 100),
         ("runs", 0),
     ] {
         let output = memtransfer(dir.path(), &format!("ls {list} --json"));
@@ -380,6 +381,13 @@ fn lists_are_tables_and_json() {
         assert!(values.len() >= least, "{list}");
         assert_eq!(memtransfer(dir.path(), &format!("ls {list}")).status.code(), Some(0));
     }
+    // A run of `quick` has half of the cases, as many of each task.
+    let output = memtransfer(dir.path(), "ls cases --suite quick --json");
+    let selected: Vec<serde_json::Value> = serde_json::from_slice(&output.stdout).unwrap();
+    let of_task = |task: &str| {
+        selected.iter().filter(|row| row["case"].as_str().unwrap().starts_with(task)).count()
+    };
+    assert_eq!((selected.len(), of_task("t03-"), of_task("t10-")), (50, 5, 5));
     let output = memtransfer(dir.path(), "clean --json");
     assert_eq!(
         text(&output.stdout).replace(char::is_whitespace, ""),
