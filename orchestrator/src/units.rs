@@ -363,7 +363,7 @@ mod tests {
         cannot use plan.json: lanes: 0 is not a whole number from 1 to 1024. Write another with `memtransfer plan --out FILE`
         cannot use plan.json: line 57 is not as it was written: `"lames": 16,`. Write another with `memtransfer plan --out FILE`
         cannot use plan.json: the memory wrking is not among its `memories`. Write another with `memtransfer plan --out FILE`
-        cannot use plan.json: no memory is left: `--memory none` is for a memory of your own (--memory-cmd or --external-memory). Write another with `memtransfer plan --out FILE`
+        cannot use plan.json: no memory is left: `--memory none` is for a memory of your own (--memory-cmd, or `external` in --memory). Write another with `memtransfer plan --out FILE`
         cannot use plan.json: `policy` is openai, and there is no `model`. Write another with `memtransfer plan --out FILE`
         cannot use plan.json: `processes` is set, and no process has begun. Write another with `memtransfer plan --out FILE`
         cannot use plan.json: line 71 is not as it was written: `"colour": 3`. Write another with `memtransfer plan --out FILE`

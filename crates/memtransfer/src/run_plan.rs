@@ -412,9 +412,12 @@ fn start_memories(
     let mut progress = ProgressDisplay::new(options.quiet);
     let logs = if options.dry_run {
         if std::mem::take(&mut settings.external_memory) {
-            progress.note(
-                "a dry run does not wait for a memory that you start yourself: its conditions are not listed",
+            let reason = "a dry run does not wait for a memory that you start yourself";
+            ensure!(
+                settings.has_external_memories() || !settings.conditions().is_empty(),
+                "{reason}, and without it no condition is left to list"
             );
+            progress.note(&format!("{reason}: its conditions are not listed"));
         }
         None
     } else {

@@ -85,6 +85,7 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
         ("run --suite rq1 --window 20", "lower --window or --keyframes"),
         ("run --memory episodic --demos none", "no condition is left"),
         ("run --memory none", "no memory is left"),
+        ("run --memory external --dry-run", "start yourself, and without it no condition"),
         ("run --suite stream --arms learning --memory episodic", "no memory is left that learns"),
         ("run --arms learning", "--arms is for a suite of streams"),
         ("run --provider gpu", "unknown execution provider `gpu`"),

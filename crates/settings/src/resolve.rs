@@ -146,26 +146,21 @@ fn choose_policy(merged: &mut Map<String, Value>, origins: &mut Origins) -> Resu
         origins.insert("policy".to_owned(), origins["policy-cmd"]);
     }
     let policy = serde_json::from_value(merged.get("policy").cloned().unwrap_or_default())?;
-    let other = |key: &str, only_for: PolicyKind| {
-        anyhow!("--{key} is for --policy {only_for}, and the policy is {policy}")
-    };
-    if policy != PolicyKind::External && merged.contains_key("policy-cmd") {
-        return Err(other("policy-cmd", PolicyKind::External));
-    }
-    if policy == PolicyKind::Openai {
-        ensure!(
-            merged.contains_key("model"),
-            "--policy openai needs --model NAME: the model, by the name that the server knows"
-        );
-        return Ok(policy);
-    }
-    for key in model_keys() {
-        // A variable may be set for other runs.
-        if origins.get(key) == Some(&Origin::CommandLine) {
-            return Err(other(key, PolicyKind::Openai));
+    ensure!(
+        policy != PolicyKind::Openai || merged.contains_key("model"),
+        "--policy openai needs --model NAME: the model, by the name that the server knows"
+    );
+    let of_openai = model_keys().map(|key| (key, PolicyKind::Openai));
+    for (key, only_for) in of_openai.chain([("policy-cmd", PolicyKind::External)]) {
+        if policy == only_for {
+            continue;
         }
+        // A variable may be set for other runs.
+        ensure!(
+            origins.remove(key) != Some(Origin::CommandLine),
+            "--{key} is for --policy {only_for}, and the policy is {policy}"
+        );
         merged.remove(key);
-        origins.remove(key);
     }
     Ok(policy)
 }
@@ -308,7 +303,7 @@ pub fn check(settings: &RunSettings) -> Result<()> {
         let learns = |arms: &[Arm]| arms == [Arm::Learning];
         ensure!(
             groups.iter().any(|group| !group.memory.is_empty()),
-            "no memory is left: `--memory none` is for a memory of your own (--memory-cmd or --external-memory)"
+            "no memory is left: `--memory none` is for a memory of your own (--memory-cmd, or `external` in --memory)"
         );
         ensure!(
             !groups.iter().all(|group| learns(&group.arms)),
@@ -327,16 +322,16 @@ pub fn check(settings: &RunSettings) -> Result<()> {
     for condition in conditions {
         let (images, window) = (settings.images(&condition), condition.variation.window);
         if images > MAX_IMAGES {
-            let flag = match condition.memory.describe().map(|info| info.trajectories) {
-                Some(Trajectories::Segment) => "--horizon",
-                Some(Trajectories::Whole | Trajectories::Nothing) => "--keyframes",
-                None => "--memory-images",
+            let flags = match condition.memory.describe().map(|info| info.trajectories) {
+                Some(Trajectories::Segment) => "--window, --hits or --horizon",
+                Some(Trajectories::Whole | Trajectories::Nothing) => "--window or --keyframes",
+                None => "--window or --memory-images",
             };
             let remembered = images - 1 - window;
             // Paper, Experimental Setup.
             bail!(
                 "a request under {condition} may need {images} images (the current view, {window} of the window, \
-                 {remembered} of memory), and a prompt holds at most {MAX_IMAGES}: lower --window or {flag}"
+                 {remembered} of memory), and a prompt holds at most {MAX_IMAGES}: lower {flags}"
             );
         }
     }

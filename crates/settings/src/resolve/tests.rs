@@ -56,14 +56,28 @@ fn settings_that_contradict_each_other_are_refused() {
     insta::assert_snapshot!(error(&[("policy", "openai")]), @"--policy openai needs --model NAME: the model, by the name that the server knows");
     insta::assert_snapshot!(error(&[("backend", "cpu"), ("adapter", "x")]), @"--adapter chooses a graphics adapter, and --backend cpu uses none: give one of them");
     insta::assert_snapshot!(error(&[("plates", "off")]), @"--policy grounded sees nothing but plates, so it cannot run with --plates off: leave that out, or choose another --policy");
+    insta::assert_snapshot!(error(&[("memory", "none")]), @"no memory is left: `--memory none` is for a memory of your own (--memory-cmd, or `external` in --memory)");
     let external = ("policy", "external");
     insta::assert_snapshot!(error(&[("plates", "off"), external, ("memory", "hybrid")]), @"the documents of hybrid memory are built from the plates in frames, and with --plates off there are none: leave that out, or choose memories without documents (--memory working,full-context,episodic)");
     assert!(with(&[("plates", "off"), external, ("memory", "working,episodic")]).is_ok());
     assert!(with(&[("labels", "off"), ("appearance-seed", "7")]).is_ok());
     insta::assert_snapshot!(error(&[("window", "6,20")]), @"a request under full-context/original/unchanged/original/h20 may need 61 images (the current view, 20 of the window, 40 of memory), and a prompt holds at most 50: lower --window or --keyframes");
     let long = error(&[("window", "20"), ("horizon", "30"), ("keyframes", "20")]);
-    assert!(long.ends_with("lower --window or --horizon"), "{long}");
+    assert!(long.ends_with("lower --window, --hits or --horizon"), "{long}");
     assert!(with(&[("keyframes", "43")]).is_ok(), "50 images");
+}
+
+#[test]
+fn variables_for_another_policy_are_ignored_and_flags_refused() {
+    for (key, value) in [("policy-cmd", "mine"), ("model", "m")] {
+        let variable =
+            environment(&format!("MEMTRANSFER_{}", key.replace('-', "_").to_uppercase()), value);
+        let settings = merged([variable, flags(&[("policy", "random")])]).unwrap().settings;
+        assert!(settings.policy_cmd.is_none() && settings.model.is_none(), "{key}");
+        assert!(with(&[(key, value), ("policy", "random")]).is_err(), "{key}");
+    }
+    let alone = merged([environment("MEMTRANSFER_POLICY_CMD", "mine")]).unwrap().settings;
+    assert_eq!((alone.policy, alone.policy_cmd.as_deref()), (PolicyKind::External, Some("mine")));
 }
 
 #[test]
