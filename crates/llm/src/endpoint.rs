@@ -144,7 +144,8 @@ impl Endpoint {
         format!("{}{path}", base.strip_suffix("/v1").unwrap_or(&base))
     }
 
-    fn base(&self) -> String {
+    /// The base URL.
+    pub fn base(&self) -> String {
         let completions = self.completions.to_string();
         completions.strip_suffix(COMPLETIONS).unwrap_or(&completions).to_owned()
     }

@@ -8,6 +8,7 @@ use std::process::Command;
 use anyhow::{Context, bail, ensure};
 use clap::{Args, ValueEnum};
 use documents::DocumentName;
+use llm::Endpoint;
 use orchestrator::documents::needed;
 use results::settings::RunSettings;
 use serde::{Deserialize, Serialize};
@@ -42,9 +43,9 @@ pub(super) struct DoctorArgs {
     /// With --policy openai: the model, by the name that the server knows
     #[arg(long, value_name = "NAME", env = "MEMTRANSFER_MODEL")]
     model: Option<String>,
-    /// With --policy openai: the server, up to /v1 [default: $OPENAI_BASE_URL; the key is
-    /// $OPENAI_API_KEY]
-    #[arg(long, value_name = "URL", env = "MEMTRANSFER_BASE_URL")]
+    /// With --policy openai: the server, up to /v1, or several, each of which is checked [default:
+    /// $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
+    #[arg(long, value_name = "URL,...", env = "MEMTRANSFER_BASE_URL")]
     base_url: Option<String>,
     /// Print JSON
     #[arg(long)]
@@ -119,12 +120,12 @@ pub(super) fn run(args: &DoctorArgs) -> anyhow::Result<Exit> {
         DoctorFinding::of("leftovers of killed runs", leftovers()),
     ];
     if let (Some(ModelPolicy::Openai), Some(model)) = (args.policy, &args.model) {
-        let servers = match &args.base_url {
-            None => vec![None],
-            Some(base_urls) => base_urls.split(',').map(Some).collect(),
+        let servers = match Endpoint::from_environment(args.base_url.as_deref(), Path::new(".")) {
+            Ok((first, others)) => std::iter::once(first).chain(others).map(Ok).collect(),
+            Err(error) => vec![Err(error.into())],
         };
         for server in servers {
-            match endpoint(model, server) {
+            match server.and_then(|server| endpoint(model, &server.base())) {
                 Ok(found) => findings.extend(found),
                 Err(error) => findings.push(DoctorFinding::of(ENDPOINT, Err(error))),
             }
@@ -189,12 +190,9 @@ fn leftovers() -> anyhow::Result<String> {
 }
 
 /// What the server of a model can do. The whole report is the data of the first finding.
-fn endpoint(model: &str, base_url: Option<&str>) -> anyhow::Result<Vec<DoctorFinding>> {
+fn endpoint(model: &str, base_url: &str) -> anyhow::Result<Vec<DoctorFinding>> {
     let mut command = Command::new(sibling("policy-proc")?);
-    command.args(["probe", "--json", "--model", model]);
-    if let Some(base_url) = base_url {
-        command.args(["--base-url", base_url]);
-    }
+    command.args(["probe", "--json", "--model", model, "--base-url", base_url]);
     let flags = Layer::flags([("policy", "openai"), ("model", model)])?;
     let settings = resolve([Layer::environment(std::env::vars_os())?, flags])?.settings;
     let documents = RunDocuments::of(&settings, None, false);
