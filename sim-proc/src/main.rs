@@ -27,7 +27,7 @@ enum Command {
 
 fn main() -> ExitCode {
     program::run("sim-proc", || {
-        match SimulatorCli::parse().command {
+        match program::parse::<SimulatorCli>().command {
             Command::Serve(args) => serve_command::run(args)?,
             Command::Render(args) => render_command::run(&args)?,
             Command::Views(args) => views_command::run(&args)?,

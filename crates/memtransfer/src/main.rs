@@ -164,7 +164,7 @@ impl From<Exit> for ExitCode {
 /// The whole program: reads the command line, runs the verb, returns how it ended.
 fn main() -> ExitCode {
     program::log_to_stderr();
-    let outcome = match Cli::parse().verb {
+    let outcome = match program::parse::<Cli>().verb {
         MemtransferVerb::Run(args) => run::run(*args),
         MemtransferVerb::Plan(args) => plan::run(*args),
         MemtransferVerb::Work(args) => work::run(*args),

@@ -258,6 +258,19 @@ fn a_wrong_variable_is_named() {
 }
 
 #[test]
+fn an_empty_variable_is_not_set() {
+    let dir = dir();
+    let empty =
+        ["MEMTRANSFER_ASSETS", "MEMTRANSFER_MODEL", "MEMTRANSFER_BASE_URL"].map(|name| (name, ""));
+    for arguments in ["ls tasks", "run --policy expert --limit 1 --dry-run", "memory ls"] {
+        let output = memtransfer_with(dir.path(), arguments, &empty);
+        assert_eq!(output.status.code(), Some(0), "{arguments}: {}", text(&output.stderr));
+    }
+    let found = memtransfer_with(dir.path(), "doctor --policy openai", &empty);
+    assert!(message(&found, "doctor").contains("--model <NAME>"));
+}
+
+#[test]
 fn a_larger_limit_includes_the_cases_of_a_smaller_one() {
     let dir = dir();
     let planned = |limit: u32| {

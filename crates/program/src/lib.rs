@@ -3,9 +3,12 @@
 
 mod appearance;
 
+use std::ffi::OsStr;
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
 
+use clap::builder::Resettable;
+use clap::{Arg, Command, Parser};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
@@ -32,6 +35,22 @@ pub fn log_to_stderr() {
         .with_ansi(io::stderr().is_terminal())
         .with_writer(io::stderr);
     tracing_subscriber::registry().with(format).with(levels).init();
+}
+
+/// Reads the command line. A variable that stands for a flag counts as not set when it is empty.
+pub fn parse<T: Parser>() -> T {
+    let matches = without_empty_variables(T::command()).get_matches();
+    T::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
+}
+
+/// The command without the variables that are empty, which clap would take as values.
+fn without_empty_variables(command: Command) -> Command {
+    let is_empty = |variable: &OsStr| std::env::var_os(variable).is_some_and(|it| it.is_empty());
+    let without = |arg: Arg| match arg.get_env().is_some_and(is_empty) {
+        true => arg.env(Resettable::Reset),
+        false => arg,
+    };
+    command.mut_args(without).mut_subcommands(without_empty_variables)
 }
 
 /// Runs the main function of the program `name` with logging to stderr. An error is printed and becomes exit status 2.
