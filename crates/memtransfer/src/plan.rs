@@ -47,11 +47,11 @@ pub(super) struct PlanArgs {
     store: Option<String>,
 
     /// Print a Slurm array script that executes the units and merges them
-    #[arg(long, conflicts_with = "kubernetes")]
+    #[arg(long, group = "script")]
     slurm: bool,
 
     /// Print a Kubernetes manifest that executes the units
-    #[arg(long)]
+    #[arg(long, group = "script")]
     kubernetes: bool,
 
     /// The container image of --kubernetes
@@ -64,7 +64,7 @@ pub(super) struct PlanArgs {
     image: String,
 
     /// Workers that --slurm and --kubernetes start, each for several units
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 100, requires = "script", value_parser = clap::value_parser!(u32).range(1..))]
     workers: u32,
 
     /// Show no progress, only problems

@@ -48,8 +48,8 @@ pub(super) struct TopArgs {
     /// Print the status once, and stop
     #[arg(long)]
     once: bool,
-    /// Print the status once, as JSON
-    #[arg(long)]
+    /// Print the status once, as JSON, with the stages of every memory
+    #[arg(long, conflicts_with = "memory")]
     json: bool,
 }
 

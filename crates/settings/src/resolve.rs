@@ -135,6 +135,10 @@ pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved>
         .context("the settings cannot be put together")?;
     settings.check_size().map_err(Error::msg)?;
     check(&settings)?;
+    ensure!(
+        origins.get("elsewhere") != Some(&Origin::CommandLine) || settings.demonstrates_elsewhere(),
+        "--elsewhere is the warehouse of --demos elsewhere, and no condition has these demonstrations"
+    );
     Ok(Resolved { settings, origins, group_origins })
 }
 

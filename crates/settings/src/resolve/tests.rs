@@ -57,6 +57,7 @@ fn settings_that_contradict_each_other_are_refused() {
     insta::assert_snapshot!(error(&[("backend", "cpu"), ("adapter", "x")]), @"--adapter chooses a graphics adapter, and --backend cpu uses none: give one of them");
     insta::assert_snapshot!(error(&[("plates", "off")]), @"--policy grounded sees nothing but plates, so it cannot run with --plates off: leave that out, or choose another --policy");
     insta::assert_snapshot!(error(&[("memory", "none")]), @"no memory is left: `--memory none` is for a memory of your own (--memory-cmd, or `external` in --memory)");
+    insta::assert_snapshot!(error(&[("elsewhere", "w")]), @"--elsewhere is the warehouse of --demos elsewhere, and no condition has these demonstrations");
     let external = ("policy", "external");
     insta::assert_snapshot!(error(&[("plates", "off"), external, ("memory", "hybrid")]), @"the documents of hybrid memory are built from the plates in frames, and with --plates off there are none: leave that out, or choose memories without documents (--memory working,full-context,episodic)");
     assert!(with(&[("plates", "off"), external, ("memory", "working,episodic")]).is_ok());
