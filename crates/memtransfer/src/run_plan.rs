@@ -121,6 +121,12 @@ impl RunPlan {
         signals: &Signals,
     ) -> Result<Option<Self>> {
         // What can be wrong without the names of external memories is said before these start.
+        if let Some(model) = &settings.model {
+            ensure!(
+                model.max_cost.is_none() || model.prices.is_some(),
+                "--max-cost needs prices: give --prices FILE (docs/costs.md describes it)"
+            );
+        }
         let selection = SelectedCases::of(&settings)?;
         check_banks(&settings, &selection.world)?;
         let started = start_memories(&mut settings, options, signals)?;
@@ -252,15 +258,11 @@ impl RunPlan {
             }
         }
         let prices = folder.manifest().prices.as_ref();
-        let model = settings.model.as_ref();
-        if model.is_some_and(|model| model.max_cost.is_some()) && prices.is_none() {
-            bail!("--max-cost needs prices: give --prices FILE (docs/costs.md describes it)");
-        }
         if missing.is_empty() {
             // A killed run may have finished all episodes: remove what it left.
             registry::clean(&registry::default_base())?;
         }
-        let budget = Budget::new(model, prices, &requests);
+        let budget = Budget::new(settings.model.as_ref(), prices, &requests);
         let mut halted = budget.exceeded().filter(|_| !missing.is_empty());
         if !missing.is_empty() && halted.is_none() {
             let successes = finished.iter().filter(|record| record.is_success()).count();

@@ -87,6 +87,7 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
         ("run --memory none", "no memory is left"),
         ("run --memory external --dry-run", "start yourself, and without it no condition"),
         ("run --elsewhere w --dry-run", "--elsewhere is the warehouse of --demos elsewhere"),
+        ("run --policy openai --model m --max-cost 3 --dry-run", "--max-cost needs prices"),
         ("plan --out p.json --workers 5", "<--slurm|--kubernetes>"),
         ("top --json --memory nope", "cannot be used with"),
         ("run --suite stream --arms learning --memory episodic", "no memory is left that learns"),
