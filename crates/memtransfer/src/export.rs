@@ -87,6 +87,20 @@ enum Format {
     HuggingFace,
 }
 
+impl Format {
+    /// The extension of its files.
+    const fn extension(self) -> &'static str {
+        match self {
+            Self::Mcap => "mcap",
+            Self::Mp4 => "mp4",
+            Self::Csv => "csv",
+            Self::Parquet => "parquet",
+            Self::Leaderboard => "json",
+            Self::HuggingFace => "yaml",
+        }
+    }
+}
+
 /// The simulator renders rows of whole blocks of 64 pixels.
 fn renderable(size: u16) -> Result<u16, &'static str> {
     if size.is_multiple_of(64) { Ok(size) } else { Err("expected a multiple of 64") }
@@ -114,7 +128,7 @@ pub(super) fn run(args: &ExportArgs) -> Result<Exit> {
 }
 
 impl ExportArgs {
-    /// Refuses flags that the format does not have.
+    /// Refuses flags that the format does not have, and a file that is named as one of another format.
     fn check(&self) -> Result<()> {
         let (shows, chooses) = match self.format {
             Format::Mcap | Format::Mp4 => (true, true),
@@ -131,10 +145,21 @@ impl ExportArgs {
             ("--dataset", self.dataset.is_some(), is_hub, "hugging-face"),
             ("--source", self.source.is_some(), is_hub, "hugging-face"),
         ];
-        match given.iter().find(|(_, is_given, is_known, _)| *is_given && !is_known) {
-            Some((flag, _, _, formats)) => bail!("{flag} is for the formats {formats}"),
-            None => Ok(()),
+        if let Some((flag, .., formats)) =
+            given.iter().find(|(_, is_given, is_known, _)| *is_given && !is_known)
+        {
+            bail!("{flag} is for the formats {formats}");
         }
+        let extension = self.out.extension().unwrap_or_default().to_ascii_lowercase();
+        let named = Format::value_variants().iter().find(|one| *one.extension() == *extension);
+        if named.is_some_and(|named| *named != self.format) {
+            bail!(
+                "--out {} has the extension of another format: this one writes .{} files",
+                self.out.display(),
+                self.format.extension()
+            );
+        }
+        Ok(())
     }
 
     fn write_episodes(&self, format: EpisodeFormat) -> Result<Vec<PathBuf>> {

@@ -90,6 +90,11 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
         ("run --policy openai --model m --max-cost 3 --dry-run", "--max-cost needs prices"),
         ("plan --out p.json --workers 5", "<--slurm|--kubernetes>"),
         ("top --json --memory nope", "cannot be used with"),
+        (
+            "export r --format mcap --out y.mp4",
+            "y.mp4 has the extension of another format: this one writes .mcap",
+        ),
+        ("export r --format csv --out y.JSON", "another format: this one writes .csv files"),
         ("run --suite stream --arms learning --memory episodic", "no memory is left that learns"),
         ("run --arms learning", "--arms is for a suite of streams"),
         ("run --provider gpu", "unknown execution provider `gpu`"),
