@@ -28,9 +28,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from memtransfer._native import Frame, MemoryStep
+from memtransfer._native import Frame
 from memtransfer.codes import Action, Feedback, Heading
-from memtransfer.request import Pose
+from memtransfer.request import Pose, ReadWhenUsed
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,19 +206,10 @@ class Query:
     """Maximum number of bytes of text in the answer."""
 
 
-class ServedQuery(Query):
+class ServedQuery(ReadWhenUsed, Query):
     """A query of a run. Each field is read from the step when it is first used."""
 
     __slots__ = ("_step",)
-
-    def __init__(self, step: MemoryStep) -> None:
-        self._step = step
-
-    def __getattr__(self, name: str) -> Any:
-        # Called only for slots that are not set yet.
-        value = self._step.field(name)
-        setattr(self, name, value)
-        return value
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-from memtransfer._native import Frame, Step
+from memtransfer._native import Frame, MemoryStep, Step
 from memtransfer.codes import Action, DocumentKind, Feedback, Heading, Outcome
 
 
@@ -155,19 +155,29 @@ class Request:
         return 1 + len(self.window) + sum(step.frame is not None for step in steps) + views
 
 
-class ServedRequest(Request):
-    """A request of a run. Each field is read from the step when it is first used."""
+class ReadWhenUsed:
+    """Reads each field from the step when it is first used. Its subclasses have the slot `_step`."""
 
-    __slots__ = ("_step",)
+    __slots__ = ()
+    _step: Any
 
-    def __init__(self, step: Step) -> None:
+    def __init__(self, step: Step | MemoryStep) -> None:
         self._step = step
 
     def __getattr__(self, name: str) -> Any:
-        # Called only for slots that are not set yet.
+        # Called only for slots that are not set yet. `copy` and `pickle` look up special methods before `_step` is set.
+        if name.startswith("_"):
+            raise AttributeError(name)
         value = self._step.field(name)
         setattr(self, name, value)
         return value
+
+
+class ServedRequest(ReadWhenUsed, Request):
+    """A request of a run. Each field is read from the step when it is first used."""
+
+    __slots__ = ("_step",)
+    _step: Step
 
     def images(self) -> int:
         return self._step.images

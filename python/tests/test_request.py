@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -22,6 +24,8 @@ from memtransfer import (
     Request,
     Segment,
 )
+from memtransfer.memory import ServedQuery
+from memtransfer.request import ServedRequest
 
 
 def test_codes_have_the_words_of_the_benchmark() -> None:
@@ -48,6 +52,19 @@ def test_a_request_counts_its_images() -> None:
     frame = Frame.of(np.zeros((1, 1, 4), dtype=np.uint8))
     request = Request(0, 0, 1, 5, 1, "Find a barrel.", Pose(3, 12, Heading.N), Feedback.START, frame)
     assert request.images() == 1 and str(request.pose) == "3,12,N"
+
+
+def test_what_a_run_supplies_can_be_copied() -> None:
+    class AnyStep:
+        def field(self, name: str) -> str:
+            return name
+
+    for served, field in [(ServedRequest, "window"), (ServedQuery, "embedding")]:
+        original = served(AnyStep())  # type: ignore[arg-type]
+        for copied in [copy.copy(original), copy.deepcopy(original)]:
+            assert (type(copied), getattr(copied, field)) == (served, field)
+        with pytest.raises(AttributeError, match="_step"):
+            served.__new__(served)._step
 
 
 def test_items_are_sorted_by_what_they_are() -> None:
