@@ -50,7 +50,12 @@ class Frame:
     def of(
         cls, pixels: NDArray[np.uint8], id: int = 1, content_hash: bytes | None = None
     ) -> Frame:
-        """Returns a frame with a copy of `pixels` (height x width x 4), for tests of a policy."""
+        """Returns a frame with a copy of `pixels` (height x width x 4), for tests of a policy.
+
+        Raises:
+            TypeError: The pixels are not uint8.
+            ValueError: They have another shape, or no pixel.
+        """
 
 class Lanes:
     """Episodes in one world, one in each lane. As an array: their views, of shape (lanes, height, width, 3)."""

@@ -8,7 +8,7 @@
 use std::ops::Deref;
 use std::sync::{Arc, Weak};
 
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyBytes, PyDict, PyType};
@@ -91,14 +91,22 @@ impl Frame {
         let py = pixels.py();
         let numpy = py.import("numpy")?;
         let options = PyDict::new(py);
-        options.set_item("dtype", numpy.getattr("uint8")?)?;
         options.set_item("order", "C")?;
         let array = numpy.call_method("array", (pixels,), Some(&options))?;
-        let (height, width, channels): (u32, u32, u32) = array.getattr("shape")?.extract()?;
-        if channels != 4 {
-            let problem = format!("pixels have {channels} channels, but a frame has 4 (RGBA)");
-            return Err(PyValueError::new_err(problem));
+        let (dtype, shape) = (array.getattr("dtype")?, array.getattr("shape")?);
+        if !dtype.eq(numpy.getattr("uint8")?)? {
+            let problem = format!("pixels are {dtype}, but those of a frame are uint8 (0 to 255)");
+            return Err(PyTypeError::new_err(problem));
         }
+        let (height, width) = match shape.extract::<Vec<u32>>()?[..] {
+            [height, width, 4] if height > 0 && width > 0 => (height, width),
+            _ => {
+                let problem = format!(
+                    "pixels have the shape {shape}, but a frame has (height, width, 4), RGBA, and no side is 0"
+                );
+                return Err(PyValueError::new_err(problem));
+            }
+        };
         array.call_method1("setflags", (false,))?;
         let content_hash = match content_hash {
             Some(hash) => hash,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 
 import numpy as np
 import pytest
@@ -44,8 +45,12 @@ def test_a_frame_of_own_pixels_is_a_read_only_copy() -> None:
     # BLAKE3 of 24 zero bytes.
     assert frame.content_hash == Frame.of(np.zeros((3, 2, 4), dtype=np.uint8)).content_hash
     assert frame != Frame.of(image, id=5) and len({frame, Frame.of(frame.pixels, id=5)}) == 1
-    with pytest.raises(ValueError, match="3 channels"):
-        Frame.of(np.zeros((2, 2, 3), dtype=np.uint8))
+    for shape in [(2, 2, 3), (2, 4), (0, 0, 4)]:
+        with pytest.raises(ValueError, match=f"shape {re.escape(str(shape))}, but a frame has"):
+            Frame.of(np.zeros(shape, dtype=np.uint8))
+    for other in [np.float32, np.int64, np.bool_]:
+        with pytest.raises(TypeError, match="but those of a frame are uint8"):
+            Frame.of(np.zeros((2, 2, 4), dtype=other))  # type: ignore[arg-type]
 
 
 def test_a_request_counts_its_images() -> None:
