@@ -15,6 +15,7 @@ import hashlib
 import io
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -151,7 +152,10 @@ def main(given: Sequence[str] | None = None) -> int:
     run.add_argument("--work", default="", help="flags for `memtransfer work`, for example '--lanes 32'")
     run.add_argument("--strict", action="store_true", help="as of `memtransfer merge`")
     arguments, settings = parser.parse_known_args(given)
-    arguments.flags = arguments.work.split()
+    try:
+        arguments.flags = shlex.split(arguments.work)
+    except ValueError as error:
+        parser.error(f"--work: {error}")
     units = Path(f"{arguments.out}.units")
     settings = [*settings, "--unit-episodes", arguments.unit_episodes]
     try:
@@ -159,6 +163,10 @@ def main(given: Sequence[str] | None = None) -> int:
     except subprocess.CalledProcessError as error:
         # It has said why.
         return int(error.returncode)
+    except OSError as error:
+        print(f"cannot start {arguments.program}: {error.strerror}", file=sys.stderr)
+        print("Give the path of the program `memtransfer` with --program.", file=sys.stderr)
+        return 2
     try:
         ray.init(address=arguments.address, log_to_driver=False, configure_logging=False)
     except ConnectionError as error:

@@ -31,7 +31,7 @@ fn python(bench: &Bench, args: &[&str]) -> Ended {
 }
 
 /// `--address auto` finds the cluster of any test on this machine, so this comes before the one that starts a cluster.
-fn check_message_without_a_cluster() {
+fn check_messages_without_a_cluster() {
     let bench = Bench::new();
     let program = program("memtransfer");
     let run = ["-m", "memtransfer.ray", "run", "--out", "merged", "--policy", "random"];
@@ -40,11 +40,18 @@ fn check_message_without_a_cluster() {
     assert!(said.contains("cannot join a Ray cluster at auto"), "{said}");
     assert!(said.contains("`ray start --head`") && !said.contains("Traceback"), "{said}");
     assert!(bench.out("merged.units/plan.json").exists(), "the plan waits for the next try");
+    for (flags, reason) in [
+        (["--program", "./nope"], "cannot start ./nope: No such file or directory"),
+        (["--work", "--lanes '2"], "--work: No closing quotation"),
+    ] {
+        let said = python(&bench, &[&run[..], &flags].concat()).expect(2).stderr;
+        assert!(said.contains(reason) && !said.contains("Traceback"), "{said}");
+    }
 }
 
 #[test]
 fn nodes_that_are_lost_and_added_do_not_change_the_log() {
-    check_message_without_a_cluster();
+    check_messages_without_a_cluster();
     let bench = Bench::new();
     fs::write(bench.out("suite.toml"), SUITE).unwrap();
     let settings = ["--suite", "./suite.toml", "--policy", "grounded"];
