@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from memtransfer._native import Lanes
 from memtransfer.codes import Action, Feedback, Heading
+from memtransfer.trajectories import sides
 
 Observation: TypeAlias = dict[str, Any]
 Pixels: TypeAlias = NDArray[np.uint8]
@@ -77,8 +78,7 @@ class _Episodes:
     def __init__(self, lanes: int, copy: bool, settings: Settings) -> None:
         if lanes < 1 or settings.max_steps < 1:
             raise ValueError(f"num_envs ({lanes}) and max_steps ({settings.max_steps}) must be at least 1")
-        size = settings.frame_size
-        width, height = (size, size) if isinstance(size, int) else size
+        width, height = sides(settings.frame_size)
         seed = _integer("appearance_seed", settings.appearance_seed, 2**64)
         look = (settings.plates, settings.labels, seed)
         self.lanes = Lanes(lanes, (width, height), look, settings.anti_aliasing, settings.assets)

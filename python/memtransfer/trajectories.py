@@ -12,7 +12,9 @@ A run folder holds poses and actions, and no images: views are rendered when the
 from __future__ import annotations
 
 import json
+import operator
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,7 +98,7 @@ class Recording:
             FileNotFoundError: The folder holds no run.
             ValueError: The run cannot be read, for example because another version wrote it.
         """
-        size = (frame_size, frame_size) if isinstance(frame_size, int) else frame_size
+        size = None if frame_size is None else sides(frame_size)
         self._run = _native.RecordedRun(folder, size)
         self.manifest: dict[str, Any] = json.loads(self._run.manifest())
         """The run's settings, versions and hashes."""
@@ -129,6 +131,16 @@ class Recording:
         width, height = self.frame_size
         pixels = self._run.views(trajectory.variant, trajectory.poses.tolist())
         return np.frombuffer(pixels, np.uint8).reshape(-1, height, width, 3)
+
+
+def sides(frame_size: int | Iterable[int]) -> tuple[int, int]:
+    """Returns width and height, which may be given as one number for both."""
+    both = frame_size if isinstance(frame_size, Iterable) else (frame_size, frame_size)
+    try:
+        width, height = map(operator.index, both)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"frame_size must be an integer, or width and height, not {frame_size!r}") from error
+    return width, height
 
 
 def _trajectories(text: str) -> list[Trajectory]:

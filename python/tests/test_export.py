@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from memtransfer.export.__main__ import main
@@ -63,7 +64,7 @@ def test_nothing_is_overwritten_and_nothing_half_written_stays(tmp_path: Path) -
 
 
 def test_a_run_is_read_and_its_views_are_rendered() -> None:
-    recording = Recording(RUN, frame_size=64)
+    recording = Recording(RUN, frame_size=np.int64(64))
     episode = recording.episodes()[0]
     assert len(episode.poses) == len(episode.feedback) == len(episode.actions) + 1
     views = recording.views(episode)

@@ -66,7 +66,7 @@ def test_both_environments_are_registered() -> None:
 )
 @pytest.mark.parametrize("case", CASES)
 def test_the_actions_of_the_expert_succeed(case: str, start: str, route: str, reference: str) -> None:
-    env = MemTransferEnv(case=case, start=start, route=route, frame_size=64)
+    env = MemTransferEnv(case=case, start=start, route=route, frame_size=np.int64(64))
     pose, actions = expert(case, reference)
     observation, info = env.reset()
     assert tuple(observation["pose"]) == pose
@@ -188,6 +188,8 @@ def test_appearance_changes_pixels_only() -> None:
         ({"case": "t99-01"}, "there is no case 't99-01'; `memtransfer ls cases` lists the cases"),
         ({"start": "original", "route": "blocked"}, "from new starts only, blocked"),
         ({"start": "old"}, "starts are original and new"),
+        ({"frame_size": 64.0}, "frame_size must be an integer, or width and height, not 64.0"),
+        ({"frame_size": (64,)}, "frame_size must be an integer, or width and height, not (64,)"),
         ({"frame_size": 100}, "the width must be a multiple of 64"),
         ({"max_steps": 0}, "must be at least 1"),
         ({"case": []}, "case is empty: leave it out for all cases"),
@@ -197,7 +199,7 @@ def test_appearance_changes_pixels_only() -> None:
     ],
 )
 def test_settings_that_make_no_environment(settings: dict[str, Any], said: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(said)):
+    with pytest.raises((TypeError, ValueError), match=re.escape(said)):
         MemTransferEnv(**settings)
 
 
