@@ -6,8 +6,10 @@
 //! 1. Reasoning up to `</think>` is skipped, and so is everything before the first `action:` or `answer:`, also as a key
 //!    of JSON.
 //! 2. An action is a verb and a direction ("move forward", "rotate to the left", "strafe right"), or a direction that
-//!    leaves no choice ("forward", "u-turn"). "Left" alone and "go left" could be a move or a turn, and count as nothing.
-//! 3. An action right after a negation ("do not turn left") does not count.
+//!    leaves no choice ("forward", "u-turn"). "Left" alone and "go left" could be a move or a turn, and count as nothing,
+//!    and so does what is seen ("the path ahead", "looking forward").
+//! 3. An action right after a negation ("do not turn left", "no way forward") or before one ("moving forward is not
+//!    possible") does not count.
 
 use domain::Action;
 use peer::Answer;
@@ -38,12 +40,15 @@ impl UnreadAnswer {
 }
 
 /// Words that deny the action after them.
-const NEGATIONS: [&str; 8] =
-    ["not", "dont", "cannot", "cant", "never", "avoid", "without", "instead"];
+const NEGATIONS: [&str; 10] =
+    ["not", "no", "dont", "cannot", "cant", "unable", "never", "avoid", "without", "instead"];
 
-/// Words between a verb and its direction.
-const FILLERS: [&str; 10] =
-    ["to", "the", "my", "your", "one", "1", "cell", "step", "90", "degrees"];
+/// Words that deny the action before them, after a form of "be".
+const DENIALS: [&str; 5] = ["not", "no", "blocked", "closed", "impossible"];
+
+/// Words between a verb and its direction, and between a negation and its verb.
+const FILLERS: [&str; 11] =
+    ["able", "to", "the", "my", "your", "one", "1", "cell", "step", "90", "degrees"];
 
 /// Phrases of refusals.
 const REFUSALS: [&str; 7] =
@@ -112,9 +117,20 @@ fn is_boundary(token: &str) -> bool {
 
 fn first_action(words: &[&str]) -> Option<Action> {
     (0..words.len()).find_map(|at| {
-        let before = words[..at].iter().rev().take_while(|word| !is_boundary(word)).take(2);
-        let denied = before.into_iter().any(|word| NEGATIONS.contains(word));
-        action_at(&words[at..]).filter(|_| !denied)
+        let before = words[..at].iter().rev().take_while(|word| !is_boundary(word));
+        let mut before = before.filter(|word| !FILLERS.contains(word)).take(2).peekable();
+        let is_seen = before.peek().is_some_and(|word| is_form_of(word, &["look", "fac", "see"]));
+        let denied = before.any(|word| NEGATIONS.contains(word));
+        action_at(&words[at..]).filter(|_| !is_seen && !denied && !is_denied_after(&words[at..]))
+    })
+}
+
+/// Whether the clause that begins with an action goes on to say that it is impossible.
+fn is_denied_after(words: &[&str]) -> bool {
+    let clause: Vec<&str> =
+        words.iter().copied().take_while(|word| !is_boundary(word)).take(8).collect();
+    clause.windows(2).any(|two| {
+        two[1] == "isnt" || matches!(two[0], "is" | "seems" | "looks") && DENIALS.contains(&two[1])
     })
 }
 
@@ -123,7 +139,7 @@ fn action_at(words: &[&str]) -> Option<Action> {
     let (&first, rest) = words.split_first()?;
     let next = *rest.iter().find(|word| !FILLERS.contains(word)).unwrap_or(&".");
     match (first, next) {
-        ("forward" | "forwards" | "ahead", _) => Some(Action::Forward),
+        ("forward" | "forwards", _) => Some(Action::Forward),
         ("backward" | "backwards", _) => Some(Action::Backward),
         ("uturn", _) | ("u", "turn") => Some(Action::TurnAround),
         (verb, "left") if is_turn(verb) => Some(Action::TurnLeft),
@@ -135,6 +151,10 @@ fn action_at(words: &[&str]) -> Option<Action> {
         (verb, "right") if is_move(verb) => Some(Action::Right),
         (verb, "back") if is_move(verb) || is_walk(verb) => Some(Action::Backward),
         (verb, "straight") if is_move(verb) || is_walk(verb) => Some(Action::Forward),
+        // "Go ahead" begins many sentences.
+        (verb, "ahead") if verb != "go" && (is_move(verb) || is_walk(verb)) => {
+            Some(Action::Forward)
+        }
         _ => None,
     }
 }
@@ -205,6 +225,18 @@ mod tests {
             ("turn left instead of moving forward", Ok(Action::TurnLeft)),
             ("Don't move forward. Turn around", Ok(Action::TurnAround)),
             ("turn left\n\nThe barrel is on the le", Ok(Action::TurnLeft)),
+            ("The path ahead is blocked, so turn left.", Ok(Action::TurnLeft)),
+            ("The barrel is straight ahead; move right", Ok(Action::Right)),
+            ("There is no way forward. Turn around.", Ok(Action::TurnAround)),
+            ("Looking forward, I see a rack. turn right", Ok(Action::TurnRight)),
+            ("I cannot move one step forward, turn right", Ok(Action::TurnRight)),
+            ("I am not able to move forward, so I turn left", Ok(Action::TurnLeft)),
+            ("Moving forward is not possible; turn left", Ok(Action::TurnLeft)),
+            ("unable to move forward, turn left", Ok(Action::TurnLeft)),
+            ("The way forward is blocked. Turn left.", Ok(Action::TurnLeft)),
+            ("move ahead", Ok(Action::Forward)),
+            ("Go ahead and turn left", Ok(Action::TurnLeft)),
+            ("Moving forward is the best choice.", Ok(Action::Forward)),
             ("left", Err(NoAction)),
             ("go left", Err(NoAction)),
             ("The barrel is on the left.", Err(NoAction)),
