@@ -117,16 +117,16 @@ pub fn score(log: &RunLog) -> Scores {
     let trials = Trials::by_condition(log);
     let streams = streams::score(log, &timings);
     // The manifest counts the episodes of streams, too, so beside them it says nothing about a condition.
-    let planned = if streams.is_some() { BTreeMap::new() } else { planned(&log.manifest) };
+    let planned = if streams.is_some() { Planned::default() } else { Planned::of(&log.manifest) };
     let scored = trials.iter().filter_map(|(condition, trials)| {
-        let planned = planned.get(condition).copied().unwrap_or(0);
+        let planned = planned.episodes(condition, planned.cases);
         condition::score_condition(*condition, trials, planned, &timings)
     });
     let mut conditions: Vec<ConditionScore> = scored.collect();
     condition::relate(&mut conditions, &trials);
     Scores {
-        growth: growth::growth(&trials, &timings),
-        conflicts: conflict::conflicts(log, &trials, &timings),
+        growth: growth::growth(&trials, &planned, &timings),
+        conflicts: conflict::conflicts(log, &trials, &planned, &timings),
         conditions,
         planned: log.manifest.episodes as usize,
         finished: log.episodes.len(),
@@ -137,12 +137,27 @@ pub fn score(log: &RunLog) -> Scores {
     }
 }
 
-/// The episodes of each condition in the whole run: every condition has the same cases.
-fn planned(manifest: &Manifest) -> BTreeMap<Condition, usize> {
-    let runs = manifest.settings.runs();
-    let repetitions: usize = runs.iter().map(|&(_, runs)| runs as usize).sum();
-    let cases = (manifest.episodes as usize).checked_div(repetitions).unwrap_or(0);
-    runs.into_iter().map(|(condition, runs)| (condition, runs as usize * cases)).collect()
+/// What the whole run has: every condition has the same cases. Empty where that is not known.
+#[derive(Debug, Default)]
+struct Planned {
+    repetitions: BTreeMap<Condition, usize>,
+    cases: usize,
+}
+
+impl Planned {
+    fn of(manifest: &Manifest) -> Self {
+        let runs = manifest.settings.runs().into_iter();
+        let repetitions: BTreeMap<Condition, usize> =
+            runs.map(|(condition, runs)| (condition, runs as usize)).collect();
+        let all = repetitions.values().sum();
+        let cases = (manifest.episodes as usize).checked_div(all).unwrap_or(0);
+        Self { repetitions, cases }
+    }
+
+    /// The episodes of `condition` on so many cases.
+    fn episodes(&self, condition: &Condition, cases: usize) -> usize {
+        self.repetitions.get(condition).map_or(0, |repetitions| repetitions * cases)
+    }
 }
 
 #[cfg(test)]

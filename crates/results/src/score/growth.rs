@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+use super::Planned;
 use super::condition::{ConditionScore, score_condition};
 use super::spread::percentage;
 use super::trial::Trials;
@@ -41,6 +42,7 @@ pub struct GrowthScore {
 /// without a bank.
 pub(super) fn growth(
     trials: &BTreeMap<Condition, Trials<'_>>,
+    planned: &Planned,
     timings: &BTreeMap<&str, &EpisodeTimings>,
 ) -> Vec<GrowthScore> {
     let has_bank = |condition: &Condition| condition.demonstrations.bank_size().is_some();
@@ -52,7 +54,10 @@ pub(super) fn growth(
     let mut found: Vec<GrowthScore> = trials
         .iter()
         .filter(|(condition, _)| is_shown(condition))
-        .filter_map(|(condition, trials)| of_condition(*condition, trials, timings))
+        .filter_map(|(condition, trials)| {
+            let planned = planned.episodes(condition, planned.cases);
+            of_condition(*condition, trials, planned, timings)
+        })
         .collect();
     found.sort_by_key(|one| {
         let Condition { memory, start, route, variation, .. } = one.score.condition;
@@ -64,6 +69,7 @@ pub(super) fn growth(
 fn of_condition(
     condition: Condition,
     trials: &Trials<'_>,
+    planned: usize,
     timings: &BTreeMap<&str, &EpisodeTimings>,
 ) -> Option<GrowthScore> {
     let sources: Vec<(&EpisodeRecord, Option<String>)> = trials
@@ -97,7 +103,7 @@ fn of_condition(
     let tokens = sum(|record| record.memory_tokens).zip(asked);
     Some(GrowthScore {
         size: condition.demonstrations.bank_size().unwrap_or(0),
-        score: score_condition(condition, trials, 0, timings)?,
+        score: score_condition(condition, trials, planned, timings)?,
         from_own_case: percentage(sources.iter().map(|(_, other)| other.is_none())),
         from_same_type: same_type.and_then(|same| percentage(same.into_iter())),
         search_us: us(per_recall(&|of| of.stages.search)),
@@ -115,7 +121,10 @@ fn task_type(case: &str) -> Option<u8> {
 
 #[cfg(test)]
 mod tests {
+    use domain::Representation;
+
     use super::*;
+    use crate::conditions::Start;
     use crate::log::testing::{log, record};
     use crate::score::score;
 
@@ -161,6 +170,16 @@ mod tests {
         let sixteen = score(&log).growth.remove(1);
         assert_eq!((sixteen.from_own_case, sixteen.from_same_type), (Some(0.0), None));
         assert_eq!(sixteen.tokens, None);
+        // The run has both banks on two cases.
+        let bank = |size: &str| size.parse().unwrap();
+        let group = &mut log.manifest.settings.groups[0];
+        group.memory = vec![Representation::Episodic.into()];
+        (group.starts, group.demos) =
+            (vec![Start::Original], vec![bank("bank-4"), bank("bank-16")]);
+        log.manifest.episodes = 4;
+        let sixteen = score(&log).growth.remove(1).score;
+        assert_eq!((sixteen.episodes, sixteen.planned), (1, 2));
+        assert_eq!(sixteen.bounds.map(|bounds| bounds.sr.low), Some(50.0));
         log.episodes.truncate(0);
         assert_eq!(score(&log).growth, []);
     }
