@@ -47,6 +47,10 @@ impl EpisodeRecord {
     }
 
     fn check_key(&self) -> Result<(), String> {
+        ensure((1..=10).contains(&self.task), || {
+            format!("\"task\" is {}, and there are the types 1 to 10", self.task)
+        })?;
+        ensure(self.run > 0, || "\"run\" is counted from 1".to_owned())?;
         let Condition { memory, start, route, demonstrations, variation, arm } = self.condition();
         let condition = Condition::new(memory, start, route, demonstrations, variation);
         let condition = condition.map(|condition| condition.with_arm(arm));
@@ -185,17 +189,20 @@ mod tests {
     use super::*;
     use crate::events::{Requirement, Visit};
     use crate::key::Order;
-    use crate::log::testing::{record, stream_record};
+    use crate::log::testing::{keyed, record, stream_record};
 
     #[test]
     fn a_valid_record_passes_and_every_edit_is_noticed() {
         for success in [true, false] {
             assert_eq!(record("t01-01", success).check(200), Ok(()));
         }
-        let edits: [fn(&mut EpisodeRecord); 13] = [
+        let edits: [fn(&mut EpisodeRecord); 16] = [
             |record| record.steps = 931,
             |record| record.case = "t01-02".to_owned(),
             |record| record.run = 2,
+            |record| *record = keyed(EpisodeRecord { run: 0, ..record.clone() }),
+            |record| record.task = 0,
+            |record| record.task = 11,
             |record| record.ending = Ending::OutOfSteps,
             |record| record.actions = "fffffffff!".to_owned(),
             |record| record.actions = "fffffffff?".to_owned(),
