@@ -260,7 +260,7 @@ fn parse<T: DeserializeOwned>(
     let whole = whole_lines(text);
     let (mut entries, mut damaged) = (Vec::new(), Vec::new());
     for (number, line) in (1..).zip(whole.split_inclusive(|&byte| byte == b'\n')) {
-        let entry = serde_json::from_slice(line).map_err(|error| error.to_string());
+        let entry = serde_json::from_slice(line).map_err(|error| without_names(&error.to_string()));
         match entry.and_then(|entry| check(&entry).map(|()| entry)) {
             Ok(entry) => entries.push(entry),
             Err(problem) => {
@@ -270,6 +270,14 @@ fn parse<T: DeserializeOwned>(
         }
     }
     JournalContents { entries, damaged, torn: (text.len() - whole.len()) as u64 }
+}
+
+/// Leaves out of serde's message `problem` the list of all names that it expected.
+fn without_names(problem: &str) -> String {
+    match (problem.find(", expected one of `"), problem.rfind(" at line ")) {
+        (Some(from), Some(to)) if from < to => problem[..from].to_owned() + &problem[to..],
+        _ => problem.to_owned(),
+    }
 }
 
 /// Moves the `damaged` lines of the journal in `path`, which holds `text`, to another file. They are on the disk there
@@ -352,6 +360,19 @@ mod tests {
         std::fs::write(&path, b"[8,\"\"]\n[9,\"longer than before\"]\n").unwrap();
         assert_eq!(tail.read_new().unwrap(), None);
         assert_eq!(tail.read_new().unwrap().unwrap().len(), 2);
+    }
+
+    #[test]
+    fn a_wrong_name_is_named_without_the_right_ones() {
+        let record = serde_json::to_string(&crate::log::testing::record("t01-01", true)).unwrap();
+        let problem = |from: &str, to: &str| {
+            let text = record.replace(from, to) + "\n";
+            let contents =
+                parse::<crate::log::EpisodeRecord>(Path::new("j"), text.as_bytes(), unchecked);
+            contents.damaged.first().map(ToString::to_string).unwrap_or_default()
+        };
+        insta::assert_snapshot!(problem("\"task\"", "\"tusk\""), @"j, line 1: unknown field `tusk` at line 1 column 175");
+        insta::assert_snapshot!(problem("\"complete\"", "\"whole\""), @"j, line 1: unknown ending `whole` (known: complete, out-of-steps) at line 1 column 203");
     }
 
     #[test]
