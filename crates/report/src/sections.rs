@@ -24,10 +24,12 @@ mod transfer;
 pub(super) use method::method;
 pub(super) use runs::runs;
 
+use blocked::{blocked_table, other_blocked_table};
+
 use super::document::{ReportBlock, ReportSection};
 use super::view::ScoredRun;
 
-pub(super) use blocked::blocked_table;
+pub(super) use blocked::all_blocked_table;
 pub(super) use conditions::conditions_table;
 pub(super) use conflict::conflict_table;
 pub(super) use cost::requests_table;
@@ -49,7 +51,9 @@ const PARTS: [SectionEntry; 15] = [
     ("conditions", "All conditions", conditions::blocks),
     ("main", "Success across the three questions", main_table::blocks),
     ("transfer", "RQ1: a start that was not demonstrated", transfer::blocks),
-    ("blocked", "RQ2: a blocked route", |view| ReportBlock::tables([blocked_table(view)])),
+    ("blocked", "RQ2: a blocked route", |view| {
+        ReportBlock::tables([blocked_table(view), other_blocked_table(view)])
+    }),
     ("mixed", "RQ3: histories of other tasks", mixed::blocks),
     ("conflict", "Demonstrations from before and after an event", |view| {
         ReportBlock::tables([conflict_table(view)])

@@ -10,7 +10,7 @@ use results::score::{Comparison, FigureDifference, score};
 use super::document::{Table, TableCell};
 use super::published::Published;
 use super::sections::{
-    adaptation_table, blocked_table, conditions_table, conflict_table, differences_table,
+    adaptation_table, all_blocked_table, conditions_table, conflict_table, differences_table,
     failures_table, growth_table, incomplete, necessity_table, notices, orders_table,
     requests_table, steps_per_second, success_table, supplied_table, time_table, transfer_table,
     worst_table,
@@ -48,7 +48,7 @@ pub fn summary(log: &RunLog) -> String {
         ("Streams: cases that need memory", necessity_table(&view)),
         (
             "Blocked routes: change against working memory, retention, follow, recovery",
-            blocked_table(&view),
+            all_blocked_table(&view),
         ),
         (
             "Blocked routes: demonstrations from before and after the passage closed",
@@ -178,8 +178,9 @@ pub fn comparison(compared: &[Comparison]) -> String {
             interval(spl, 3),
         ]);
     }
-    let notes = "Means over the cases that both have, SR in percent. CI: bootstrap, cases paired. A:B: cases that \
-                 succeed more often under A and under B; p: exact two-sided sign test on these counts (McNemar's \
+    let notes = "Means over the cases that both have, SR in percent. CI: 95 % bootstrap, cases paired; \
+                 where all cases differ by the same, Newcombe's for SR and none for SPL. A:B: cases that succeed more often under \
+                 A and under B; p: exact two-sided sign test on these counts (McNemar's \
                  exact test where there is one run each), not corrected for the number of rows.";
     format!("{rates}\n\n{lengths}\n\n{}{}", wrapped(&sides), wrapped(notes))
 }

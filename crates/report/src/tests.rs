@@ -1,7 +1,7 @@
 //! The report of a made-up run, and that it is complete.
 
 use results::conditions::{Condition, PolicyKind};
-use results::log::EpisodeRecord;
+use results::log::{BlockedRecord, EpisodeRecord};
 
 use super::testing::{made_up, made_up_streams, paper_conditions};
 use super::*;
@@ -127,6 +127,63 @@ fn demonstrations_elsewhere_are_compared_with_those_of_here_and_with_none() {
     let log = made_up(&only(&["working/new/unchanged/none", "episodic/new/unchanged/4"]), &[1]);
     let without = document(&[log], &published());
     assert!(without.tables().all(|table| table.id != "elsewhere"));
+}
+
+#[test]
+fn blocked_routes_have_rows_for_all_demonstrations_and_conflicts_are_of_one_start() {
+    let conditions = [
+        "working/original/unchanged/none",
+        "working/new/unchanged/none",
+        "working/new/blocked/none",
+        "episodic/original/unchanged/original",
+        "episodic/new/unchanged/original",
+        "episodic/new/blocked/original",
+        "episodic/new/blocked/after",
+        "episodic/new/unchanged/original/h20",
+        "episodic/new/blocked/original/h20",
+    ];
+    let mut log = made_up(&only(&conditions), &[1, 9]);
+    for record in log.episodes.iter_mut().filter(|record| record.tried_closed.is_some()) {
+        let blocked = BlockedRecord { invalidated: true, ..BlockedRecord::default() };
+        record.blocked = Some(blocked);
+    }
+    let document = document(std::slice::from_ref(&log), &published());
+    let rows = |id: &str| -> Vec<String> {
+        let groups = table(&document, id).groups.iter();
+        let rows = groups.flat_map(|group| group.rows.iter().map(move |row| (group, row)));
+        let own = rows.filter(|(_, row)| !row.published);
+        let label = |group: &Group| group.label.clone().unwrap();
+        own.map(|(group, row)| {
+            format!("{}: {}: {}", label(group), row.label, texts(row).join(" | "))
+        })
+        .collect()
+    };
+    insta::assert_snapshot!(rows("blocked").join("\n"), @"Working memory: this run: 0.0 | 0.25 [0.00, 1.50] | 80.0 ± 14.1 [64.3, 89.9] | 2.8 ± 3.9 [0.0, 11.2]");
+    insta::assert_snapshot!(rows("blocked-others").join("\n"), @"
+    Episodic: original: −30.0 [−52.5, −7.5] | 0.40 [0.17, 0.65] | 75.0 ± 7.1 [55.9, 87.7] | 30.8 ± 17.0 [11.8, 52.6]
+    Episodic: original, h20: n/m | 0.40 [0.14, 0.71] | 77.5 ± 3.5 [62.1, 87.9] | 22.5 ± 3.5 [6.4, 40.3]
+    Episodic: after: n/m | n/m | 82.5 ± 3.5 [66.5, 91.8] | 27.2 ± 3.1 [9.9, 46.1]
+    ");
+    let conflict = rows("conflict");
+    insta::assert_snapshot!(conflict.join("\n"), @"
+    Working memory: none: 10.0 ± 0.0 [4.0, 23.1] | 2.5 ± 3.5 [0.4, 13.1] | 80.0 ± 14.1 [64.3, 89.9] | n/a
+    Episodic: before: 62.5 ± 3.5 [46.3, 76.3] | 25.0 ± 7.1 [14.2, 40.2] | 75.0 ± 7.1 [55.9, 87.7] | undef.
+    Episodic: after: not run | 22.5 ± 3.5 [12.1, 37.9] | 82.5 ± 3.5 [66.5, 91.8] | undef.
+    Episodic, h20: before: 62.5 ± 3.5 [47.0, 75.8] | 25.0 ± 0.0 [14.2, 40.2] | 77.5 ± 3.5 [62.1, 87.9] | undef.
+    ");
+    let scores = score(&log).conflicts;
+    let of = |name: &str| {
+        let found = scores.iter().find(|score| score.condition.to_string() == name).unwrap();
+        format!("{:.1} ", found.sr.mean)
+    };
+    let before = conflict.iter().find(|row| row.starts_with("Episodic: before: ")).unwrap();
+    let [unchanged, blocked] =
+        [1, 2].map(|at| before.split(['|', ':']).nth(at + 1).unwrap().trim());
+    assert!(unchanged.starts_with(&of("episodic/new/unchanged/original")), "{unchanged}");
+    assert!(blocked.starts_with(&of("episodic/new/blocked/original")), "{blocked}");
+    let summary = summary(&log);
+    assert!(summary.contains("original, h20") && summary.contains("Episodic, h20"), "{summary}");
+    assert!(summary.lines().all(|line| line.chars().count() <= 100), "{summary}");
 }
 
 #[test]

@@ -1,9 +1,13 @@
-//! Table `tab:rq2`: what a blocked route does to each representation.
+//! Table `tab:rq2`: what a blocked route does to each representation; and the same with other demonstrations.
 
+use domain::MemoryKind;
+use results::conditions::{Condition, Route};
 use results::score::{BlockedScore, Derived};
 
-use crate::document::{Missing, Table, TableCell, TableColumn};
-use crate::view::{ScoredRun, name, pair_stubs, published_text, signed, sure_or, with_interval};
+use crate::document::{Group, Missing, Table, TableCell, TableColumn, TableRow};
+use crate::view::{
+    ScoredRun, name, pair_stubs, published_text, signed, sure_or, title, with_interval,
+};
 
 const NEEDS_BOTH: Missing = Missing::NotMeasured(
     "needs the unchanged and the blocked route, for change also those of working memory",
@@ -13,31 +17,20 @@ const NOTHING_TO_RETAIN: Missing =
 pub(super) const NONE_TRIED: Missing =
     Missing::Undefined("no episode tried to enter a closed cell, so none could recover");
 
-/// The paper's table with the run's figures; `None` where no blocked route was run.
-pub(crate) fn blocked_table(view: &ScoredRun<'_>) -> Option<Table> {
-    let blocked = |representation| name(representation, "new/blocked", "4");
-    let unchanged = |representation| name(representation, "new/unchanged", "4");
-    let ours = |representation| {
-        let cell = |figure: &dyn Fn(&BlockedScore) -> TableCell| {
-            view.ours(&blocked(representation), |score| {
-                score.blocked.as_ref().map_or(TableCell::Missing(NEEDS_BOTH), figure)
-            })
-        };
-        let no_retention = match view.score(&unchanged(representation)) {
-            Some(_) => NOTHING_TO_RETAIN,
-            None => NEEDS_BOTH,
-        };
-        vec![
-            cell(&|found| derived(found.change, |value| signed(value, 1), 1, &NEEDS_BOTH)),
-            cell(&|found| {
-                derived(found.retention, |value| format!("{value:.2}"), 2, &no_retention)
-            }),
-            cell(&|found| sure_or(found.follow, 1, Missing::NotMeasured("no episode finished"))),
-            cell(&|found| sure_or(found.recovery, 1, NONE_TRIED)),
-        ]
-    };
-    let theirs = |representation| {
-        let name = blocked(representation);
+const FIGURES: &str = "Δ: change of the success rate by blocking minus working memory's change, in percentage points. \
+                       Retention: success rate blocked over unchanged. Follow: percentage of episodes that tried to enter \
+                       a closed cell. Recovery: success rate of those, over the runs in which there is one. Intervals of \
+                       95 % in brackets.";
+
+/// The condition of `memory` in the paper's table.
+fn name_in_paper(memory: MemoryKind) -> String {
+    name(memory, "new/blocked", "4")
+}
+
+/// The paper's table with the run's figures; `None` where none of its conditions was run.
+pub(super) fn blocked_table(view: &ScoredRun<'_>) -> Option<Table> {
+    let theirs = |memory| {
+        let name = name_in_paper(memory);
         vec![
             view.theirs(&name, |p| p.change.map(|change| signed(change, 1))),
             view.theirs(&name, |p| p.retention.map(|retention| format!("{retention:.2}"))),
@@ -45,19 +38,81 @@ pub(crate) fn blocked_table(view: &ScoredRun<'_>) -> Option<Table> {
             view.theirs(&name, |p| p.recovery.map(published_text)),
         ]
     };
+    let ours = |memory| cells(view, &name_in_paper(memory));
     let table = Table {
         id: view.id("blocked"),
-        caption: "RQ2: responses to a blocked route (the paper's table “RQ2: Responses to a blocked route”). New start, four demonstrations. \
-                  Δ: change of the success rate by blocking minus working memory's change, in percentage points. \
-                  Retention: success rate blocked over unchanged. Follow: percentage of episodes that tried to enter \
-                  a closed cell. Recovery: success rate of those, over the runs in which there is one. Intervals of \
-                  95 % in brackets."
-            .to_owned(),
+        caption: format!(
+            "RQ2: responses to a blocked route (the paper's table “RQ2: Responses to a blocked route”). New start, four \
+             demonstrations. {FIGURES}"
+        ),
         stubs: pair_stubs(),
-        columns: ["Δ", "Retention", "Follow %", "Recovery %"].map(TableColumn::new).to_vec(),
+        columns: columns(),
         groups: view.pairs(&view.memories(), ours, theirs),
     };
     table.pruned()
+}
+
+/// The conditions on a blocked route that the paper's table does not have; `None` where none was run.
+pub(super) fn other_blocked_table(view: &ScoredRun<'_>) -> Option<Table> {
+    let is_other = |condition: &Condition| condition.to_string() != name_in_paper(condition.memory);
+    let table = rows(view, is_other)?;
+    let caption = format!(
+        "Blocked routes with demonstrations or a prompt that the paper's table does not have. {FIGURES}"
+    );
+    Some(Table { id: view.id("blocked-others"), caption, ..table })
+}
+
+/// All conditions on a blocked route, for a terminal.
+pub(crate) fn all_blocked_table(view: &ScoredRun<'_>) -> Option<Table> {
+    rows(view, |_| true)
+}
+
+/// A row for each condition on a blocked route that `is_shown`.
+fn rows(view: &ScoredRun<'_>, is_shown: impl Fn(&Condition) -> bool) -> Option<Table> {
+    let conditions = view.scores.conditions.iter().map(|score| score.condition);
+    let shown: Vec<Condition> = conditions
+        .filter(|condition| condition.route == Route::Blocked && is_shown(condition))
+        .collect();
+    let row = |condition: &Condition| {
+        let Condition { demonstrations, variation, .. } = condition;
+        let label = format!("{demonstrations}{variation}").replace('/', ", ");
+        TableRow::new(label, cells(view, &condition.to_string()))
+    };
+    let groups = shown.chunk_by(|a, b| a.memory == b.memory).map(|conditions| Group {
+        label: conditions.first().map(|condition| title(condition.memory)),
+        rows: conditions.iter().map(row).collect(),
+    });
+    let table = Table {
+        id: String::new(),
+        caption: String::new(),
+        stubs: vec!["Memory".to_owned(), "Demonstrations".to_owned()],
+        columns: columns(),
+        groups: groups.collect(),
+    };
+    table.pruned()
+}
+
+fn columns() -> Vec<TableColumn> {
+    ["Δ", "Retention", "Follow %", "Recovery %"].map(TableColumn::new).to_vec()
+}
+
+/// The run's figures of the blocked condition called `name`.
+fn cells(view: &ScoredRun<'_>, name: &str) -> Vec<TableCell> {
+    let cell = |figure: &dyn Fn(&BlockedScore) -> TableCell| {
+        view.ours(name, |score| {
+            score.blocked.as_ref().map_or(TableCell::Missing(NEEDS_BOTH), figure)
+        })
+    };
+    let no_retention = match view.score(&name.replacen("/blocked/", "/unchanged/", 1)) {
+        Some(_) => NOTHING_TO_RETAIN,
+        None => NEEDS_BOTH,
+    };
+    vec![
+        cell(&|found| derived(found.change, |value| signed(value, 1), 1, &NEEDS_BOTH)),
+        cell(&|found| derived(found.retention, |value| format!("{value:.2}"), 2, &no_retention)),
+        cell(&|found| sure_or(found.follow, 1, Missing::NotMeasured("no episode finished"))),
+        cell(&|found| sure_or(found.recovery, 1, NONE_TRIED)),
+    ]
 }
 
 fn derived(

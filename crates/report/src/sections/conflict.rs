@@ -1,6 +1,9 @@
 //! Demonstrations from before and from after a passage has closed.
 
-use results::conditions::{Condition, Demonstrations, Route};
+use std::collections::BTreeSet;
+
+use domain::{Arm, MemoryKind};
+use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use results::score::{ConditionScore, HISTORIES};
 
 use super::blocked::NONE_TRIED;
@@ -9,18 +12,17 @@ use super::streams::NOTHING_RETRIEVED;
 use crate::document::{Group, Missing, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, sure, sure_or, title};
 
-/// Success on both routes and use of outdated demonstrations, by memory and demonstrations; `None` where there is no
-/// demonstration from after the event.
+/// Success on both routes and use of outdated demonstrations from the new start, the only one with blocked routes, by memory,
+/// variation and demonstrations; `None` where there is no demonstration from after the event.
 pub(crate) fn conflict_table(view: &ScoredRun<'_>) -> Option<Table> {
-    let scores = &view.scores.conflicts;
+    let scores = view.scores.conflicts.iter();
+    let scores: Vec<_> = scores.filter(|score| score.condition.start == Start::New).collect();
     let cases = scores.iter().map(|score| score.cases).max().filter(|cases| *cases > 0)?;
-    let row = |memory, set: Demonstrations| {
+    let row = |memory: MemoryKind, variation, set: Demonstrations| {
         let on = |route| {
-            let is_it = |condition: Condition| {
-                (condition.memory, condition.demonstrations, condition.route)
-                    == (memory, set, route)
-            };
-            scores.iter().find(|score| is_it(score.condition))
+            let (start, arm) = (Start::New, Arm::Frozen);
+            let condition = Condition { memory, start, route, demonstrations: set, variation, arm };
+            scores.iter().copied().find(|score| score.condition == condition)
         };
         let (unchanged, blocked) = (on(Route::Unchanged), on(Route::Blocked));
         let rate = |score: Option<&ConditionScore>| {
@@ -45,18 +47,20 @@ pub(crate) fn conflict_table(view: &ScoredRun<'_>) -> Option<Table> {
         let cells = vec![rate(unchanged), rate(blocked), follow, stale];
         (unchanged.is_some() || blocked.is_some()).then(|| TableRow::new(label, cells))
     };
-    let groups = view.memories().into_iter().map(|memory| {
+    let both: BTreeSet<(MemoryKind, Variation)> =
+        scores.iter().map(|score| (score.condition.memory, score.condition.variation)).collect();
+    let groups = both.into_iter().map(|(memory, variation)| {
         let sets = [Demonstrations::NONE].into_iter().chain(HISTORIES);
         Group {
-            label: Some(title(memory)),
-            rows: sets.filter_map(|set| row(memory, set)).collect(),
+            label: Some(title(memory) + &variation.to_string().replace('/', ", ")),
+            rows: sets.filter_map(|set| row(memory, variation, set)).collect(),
         }
     });
     Some(Table {
         id: view.id("conflict"),
         caption: format!(
             "The {cases} cases whose original demonstration the closed passage invalidates: a demonstration from before it \
-             closed, from after, and both in either order. Success rate on the unchanged and on the blocked route. Follow: \
+             closed, from after, and both in either order. New start. Success rate on the unchanged and on the blocked route. Follow: \
              percentage of episodes that tried to enter a closed cell. Stale: percentage of the retrieved sources that, \
              replayed on the blocked route, do not complete their task. Intervals of 95 % in brackets."
         ),

@@ -13,7 +13,7 @@ const SETTINGS: [Setting; 3] = [
 ];
 
 pub(super) const NO_RETRIEVAL: Missing = Missing::NotApplicable(
-    "of the built-in memories only Episodic retrieves; the others supply the same at each step",
+    "of the built-in memories only Episodic and Adaptive retrieve; the others supply the same at each step",
 );
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {

@@ -45,7 +45,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let table = Table {
         id: view.id("pairs"),
         caption: "Pairs of conditions on the same cases, and first minus second, SR in percent, with 95 % bootstrap \
-                  intervals over cases and runs. Better, worse: cases that succeed more often, or less often, under the \
+                  intervals over cases and runs; where all cases differ by the same, Newcombe's for SR and none for SPL. Better, worse: cases that succeed more often, or less often, under the \
                   first. p: exact two-sided sign test on these two counts (McNemar's exact test where each condition \
                   has one run), not corrected for the number of rows."
             .to_owned(),
