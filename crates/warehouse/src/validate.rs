@@ -95,7 +95,7 @@ fn items(report: &mut ValidationReport, warehouse: &Warehouse) {
     let Warehouse { layout, catalogue, items } = warehouse;
     let most = (0..catalogue.types.len()).map(|index| warehouse.instances(index).count()).max();
     report.push(
-        "there are at least two categories, and a type with at least two items",
+        "at least two categories, and a type with at least two items",
         [
             at_least("categories", catalogue.categories.len(), 2),
             at_least("items of a type", most.unwrap_or(0), 2),
@@ -103,7 +103,7 @@ fn items(report: &mut ValidationReport, warehouse: &Warehouse) {
     );
 
     report.push(
-        "every item stands on a rack face before a free standpoint of its own",
+        "every item stands on a rack face, at a free standpoint of its own",
         items.iter().enumerate().map(|(index, item)| {
             let alone = items.iter().filter(|i| i.standpoint == item.standpoint).count() == 1;
             let faces = item.rack.step(item.face) == Some(item.standpoint);
@@ -145,7 +145,7 @@ fn items(report: &mut ValidationReport, warehouse: &Warehouse) {
 /// Constraints on the set as a whole.
 fn set(report: &mut ValidationReport, CaseSet { cases, .. }: &CaseSet) {
     report.push(
-        "all ten types have the same number of cases, or the first of them one more",
+        "all ten types have equally many cases, or the first ones one more",
         (1..=10_u8).map(|number| {
             let found = cases.iter().filter(|case| case.task.number() == number).count();
             let due = (cases.len() + 10 - usize::from(number)) / 10;
@@ -210,7 +210,7 @@ fn trajectories(report: &mut ValidationReport, warehouse: &Warehouse, cases: &[R
         || cases.iter().flat_map(|c| c.replays.iter().map(move |(s, replay)| (c, *s, replay)));
 
     report.push(
-        "every trajectory replays without a blocked step and completes its task within 200 steps",
+        "every trajectory completes its task within 200 steps, none blocked",
         all().map(|(c, start, replay)| {
             completes_task(replay).map(drop).map_err(|problem| c.at(start, problem))
         }),
@@ -223,7 +223,7 @@ fn trajectories(report: &mut ValidationReport, warehouse: &Warehouse, cases: &[R
     );
     let unchanged = Planner::new(warehouse, Variant::UNCHANGED, Prices::STEPS);
     report.push(
-        "every trajectory takes at most 150 % of the fewest steps that complete its task",
+        "every trajectory takes at most 150 % of its task's fewest steps",
         all().map(|(c, start, replay)| {
             let (from, task) = (c.start(start), &c.case.task);
             let fewest = match start {
@@ -278,7 +278,7 @@ fn demonstrations(report: &mut ValidationReport, layout: &Layout, cases: &[Repla
         }),
     );
     report.push(
-        "distant: at least 6 cells away in another aisle, heading turned by 90 degrees",
+        "distant: 6 or more cells away, another aisle, turned by 90 degrees",
         cases.iter().map(|c| starts(c, Start::Distant, &|a, b| is_distant(layout, a, b))),
     );
     report.push(
@@ -342,7 +342,7 @@ fn tests(report: &mut ValidationReport, layout: &Layout, cases: &[Replayed<'_>])
         }),
     );
     report.push(
-        "blocked: the test reference and at least one demonstration use that passage",
+        "blocked: the test reference and a demonstration use that passage",
         cases.iter().map(|c| {
             let used = |start| enters(&c.replay(start).poses, &c.case.barricade);
             ensure(used(Start::Test) && Start::DEMONSTRATIONS.into_iter().any(used), || {

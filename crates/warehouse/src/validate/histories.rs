@@ -49,7 +49,7 @@ pub(super) fn check(report: &mut ValidationReport, warehouse: &Warehouse, set: &
         .collect();
 
     report.push(
-        "mixed: two different histories of each kind, demonstrations of other cases",
+        "mixed: two different histories of each kind, of other cases",
         listed.iter().map(|l| {
             let is_demonstration = Start::DEMONSTRATIONS.contains(&l.history.start);
             let is_foreign = l.source.is_some() && l.history.case != l.index;
@@ -74,10 +74,7 @@ pub(super) fn check(report: &mut ValidationReport, warehouse: &Warehouse, set: &
         listed.iter().filter_map(|l| Some((l, l.overlap(warehouse, set)?))).collect();
     for (mixture, constraint) in [
         (Mixture::Irrelevant, "irrelevant: the history shares no pose with the test reference"),
-        (
-            Mixture::Confusable,
-            "confusable: at a pose shared with the test reference the history continues differently",
-        ),
+        (Mixture::Confusable, "confusable: at a shared pose the history continues differently"),
     ] {
         let of_kind = measured.iter().filter(|(l, _)| l.mixture == mixture);
         report.push(
@@ -134,13 +131,15 @@ mod tests {
         let report = checked(&CaseSet::shipped());
         assert!(report.is_clean(), "{report}");
         insta::assert_snapshot!(report, @"
-        ok     400 checked    0 violated  mixed: two different histories of each kind, demonstrations of other cases
+        ok     400 checked    0 violated  mixed: two different histories of each kind, of other cases
         ok     400 checked    0 violated  mixed: no item counts for the history's task and for the case's
         ok     200 checked    0 violated  irrelevant: the history shares no pose with the test reference
-        ok     200 checked    0 violated  confusable: at a pose shared with the test reference the history continues differently
+        ok     200 checked    0 violated  confusable: at a shared pose the history continues differently
         ok     365 checked    0 violated  mixed: no history serves more than four cases as one kind
-        irrelevant: 200 histories, 200 different ones of 90 cases; shared poses 0, conflicts 0
-        confusable: 200 histories, 165 different ones of 74 cases; shared poses 1 to 32 (median 11), conflicts 1 to 5 (median 3)
+        irrelevant: 200 histories, 200 different ones of 90 cases
+                   shared poses 0, conflicts 0
+        confusable: 200 histories, 165 different ones of 74 cases
+                   shared poses 1 to 32 (median 11), conflicts 1 to 5 (median 3)
         ");
     }
 
@@ -158,13 +157,13 @@ mod tests {
                 "mixed: no item counts",
             ),
             (|cases| cases[8].irrelevant = cases[8].confusable, "irrelevant: the history"),
-            (|cases| cases[8].confusable = cases[8].irrelevant, "confusable: at a pose"),
+            (|cases| cases[8].confusable = cases[8].irrelevant, "confusable: at a shared pose"),
             (
                 |cases| {
                     cases[cases[8].confusable[0].case].distant = cases[8].test.clone();
                     cases[8].confusable[0].start = Start::Distant;
                 },
-                "confusable: at a pose",
+                "confusable: at a shared pose",
             ),
             (
                 |cases| {

@@ -126,7 +126,7 @@ impl fmt::Display for HistoryStatistics {
         let Self { mixture, listed, different, cases, shared_poses, conflicts } = self;
         write!(
             f,
-            "{mixture}: {listed} histories, {different} different ones of {cases} cases; shared poses \
+            "{mixture}: {listed} histories, {different} different ones of {cases} cases\n           shared poses \
              {shared_poses}, conflicts {conflicts}"
         )
     }

@@ -25,19 +25,22 @@ fn a_corrupted_case_breaks_the_line_about_it() {
     let shipped = CaseSet::shipped();
     type Corruption = fn(&mut Case, &Case);
     let table: [(Corruption, &str); 22] = [
-        (|case, _| _ = case.original.actions.remove(1), "every trajectory replays"),
+        (|case, _| _ = case.original.actions.remove(1), "every trajectory completes its task"),
         (
             |case, _| case.test.actions.splice(0..0, into_solid(case)).for_each(drop),
-            "every trajectory replays",
+            "every trajectory completes its task",
         ),
-        (|case, _| case.blocked.actions.truncate(3), "every trajectory replays"),
-        (|case, _| case.nearby.actions.extend([Action::TurnLeft; 3]), "every trajectory replays"),
+        (|case, _| case.blocked.actions.truncate(3), "every trajectory completes its task"),
+        (
+            |case, _| case.nearby.actions.extend([Action::TurnLeft; 3]),
+            "every trajectory completes its task",
+        ),
         (
             |case, _| case.distant.actions.splice(0..0, [Action::TurnLeft; 40]).for_each(drop),
             "every trajectory takes at most 150 %",
         ),
         (|case, _| remove_last_turn(case), "every trajectory faces each target"),
-        (|case, other| case.task = other.task, "every trajectory replays"),
+        (|case, other| case.task = other.task, "every trajectory completes its task"),
         (|case, _| case.distant.start = at_target(case), "no trajectory starts in front"),
         (|case, _| case.original.start = at_target(case), "original: no target in the first view"),
         (|case, _| case.opposite.start = case.original.start, "opposite: the original's cell"),
@@ -50,7 +53,7 @@ fn a_corrupted_case_breaks_the_line_about_it() {
             |case, other| case.nearby.actions = other.distant.actions.clone(),
             "nearby: at least half",
         ),
-        (|case, _| case.distant = case.nearby.clone(), "distant: at least 6 cells"),
+        (|case, _| case.distant = case.nearby.clone(), "distant: 6 or more cells"),
         (|case, _| case.distant = case.original.clone(), "distant: at most half"),
         (|case, _| case.test = case.distant.clone(), "test: starts at another pose"),
         (|case, _| case.test.start = at_target(case), "test: no target in the first view"),
@@ -165,8 +168,8 @@ fn a_corrupted_item_breaks_the_line_about_it() {
     let none = CaseSet { seed: 0, cases: Vec::new(), elsewhere: None };
     type Corruption = fn(&mut Warehouse);
     let table: [(Corruption, &str); 8] = [
-        (|w| w.items.clear(), "there are at least two categories"),
-        (|w| w.catalogue.categories.truncate(1), "there are at least two categories"),
+        (|w| w.items.clear(), "at least two categories"),
+        (|w| w.catalogue.categories.truncate(1), "at least two categories"),
         (|w| w.items[5].standpoint = w.items[6].standpoint, "every item stands on a rack face"),
         (|w| w.items[5].face = Heading::W, "every item stands on a rack face"),
         (|w| w.items[5].id = 6, "every item stands on a rack face"),
