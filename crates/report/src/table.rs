@@ -149,7 +149,7 @@ fn total_width(widths: &[usize]) -> usize {
 
 /// Breaks `text` into lines of at most `width` characters: after a space, a comma, a slash or a hyphen where there
 /// is one, else anywhere.
-fn wrap(text: &str, width: usize) -> Vec<String> {
+pub fn wrap(text: &str, width: usize) -> Vec<String> {
     let mut lines = Vec::new();
     for line in text.lines() {
         let mut rest: Vec<char> = line.chars().collect();

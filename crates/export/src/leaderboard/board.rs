@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 
-use report::table::table;
+use report::table::{WIDTH, table, wrap};
 use serde_json::Value;
 
 use super::{Entry, EntryFigure, Score};
@@ -173,7 +173,9 @@ impl Board {
         for section in &self.sections {
             text.push_str(&format!("Suite {}, protocol {}\n", section.suite, section.id));
             for differs in &section.differs {
-                text.push_str(&format!("  not comparable: {differs}\n"));
+                for line in wrap(&format!("not comparable: {differs}"), WIDTH - 2) {
+                    text.push_str(&format!("  {line}\n"));
+                }
             }
             for one in &section.tables {
                 text.push_str(&format!("\n{}\n{}\n", one.title, one.text().trim_end()));
@@ -190,7 +192,8 @@ fn differences(
     there: &BTreeMap<String, Value>,
     id: &str,
 ) -> Vec<String> {
-    let shown = |value: Option<&Value>| value.map_or("not set".to_owned(), word);
+    let shown = |value: Option<&String>| value.map_or("not set".to_owned(), Clone::clone);
+    let (here, there) = (words(here), words(there));
     let keys: BTreeSet<&String> = here.keys().chain(there.keys()).collect();
     keys.into_iter()
         .filter(|key| here.get(*key) != there.get(*key))
@@ -199,6 +202,17 @@ fn differences(
             format!("{key} is {here} here and {there} in protocol {id}")
         })
         .collect()
+}
+
+/// The values as they are shown, those of a table each by itself: `stream.blocks`.
+fn words(of: &BTreeMap<String, Value>) -> BTreeMap<String, String> {
+    let parts = |(key, value): (&String, &Value)| match value.as_object() {
+        Some(table) => {
+            table.iter().map(|(part, value)| (format!("{key}.{part}"), word(value))).collect()
+        }
+        None => vec![(key.clone(), word(value))],
+    };
+    of.iter().flat_map(parts).collect()
 }
 
 /// A value as it is shown: texts without quotes, hashes shortened.
@@ -291,7 +305,8 @@ fn row(entry: &Entry, score: &Score, columns: &[&'static BoardColumn]) -> BoardR
 
 #[cfg(test)]
 mod tests {
-    use results::log::testing::{log, record};
+    use results::key::Order;
+    use results::log::testing::{log, record, stream_log, stream_record};
 
     use super::*;
 
@@ -338,6 +353,25 @@ mod tests {
         other  grounded  episodic  original  2  100.0 [34.2, 100.0]  0.800 [0.223, 0.982]
         ─────────────────────────────────────────────────────────────────────────────────
         ");
+        assert!(text.lines().all(|line| line.chars().count() <= 100));
+    }
+
+    #[test]
+    fn of_stream_settings_those_that_differ_are_named() {
+        let entry = |blocks, orders: &[Order]| {
+            let mut log = stream_log(vec![stream_record("t01-01", true)], [blocks, 1, 2]);
+            log.manifest.settings.stream.as_mut().unwrap().orders = orders.to_vec();
+            Entry::of(&log).unwrap()
+        };
+        let board = Board::new(&[entry(2, &Order::ALL), entry(3, &[Order::Drawn])]);
+        let text = board.text();
+        let text = text.replace(&board.sections[0].id, "FIRST");
+        let lines: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("  ")).collect();
+        insta::assert_snapshot!(lines.join("\n"), @r#"
+        not comparable: stream.blocks is 3 here and 2 in protocol FIRST
+        not comparable: stream.orders is ["drawn"] here and ["drawn","reversed","shuffled"] in protocol
+        FIRST
+        "#);
         assert!(text.lines().all(|line| line.chars().count() <= 100));
     }
 }
