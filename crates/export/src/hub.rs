@@ -80,10 +80,11 @@ fn yaml(
     let version = entry.protocol.get("version").and_then(|version| version.as_str());
     let mut text = String::new();
     for score in &entry.scores {
-        let figure = score.figures.get("sr").or_else(|| score.figures.get("success"));
-        let Some(figure) = figure else { continue };
+        let figure = |name: &str, of| Some((score.figures.get(name)?, of));
+        let figure = figure("sr", "episodes").or_else(|| figure("success", "sequences"));
+        let Some((figure, counted)) = figure else { continue };
         let mut notes = format!(
-            "success rate in percent, n = {}; MemTransfer {}, protocol {protocol}; policy {}",
+            "success rate in percent, n = {} {counted}; MemTransfer {}, protocol {protocol}; policy {}",
             score.count,
             version.unwrap_or("of unknown version"),
             entry.policy.name
@@ -118,7 +119,8 @@ fn yaml(
 
 #[cfg(test)]
 mod tests {
-    use results::log::testing::{log, record};
+    use results::key::Order;
+    use results::log::testing::{log, record, sequence, stream_log};
 
     use super::*;
 
@@ -142,8 +144,16 @@ mod tests {
           value: 50.00
           source:
             url: "team/\"x\""
-          notes: "success rate in percent, n = 2; MemTransfer 1.2.3, protocol ID; policy grounded; 95 % interval 9.5 to 90.5"
+          notes: "success rate in percent, n = 2 episodes; MemTransfer 1.2.3, protocol ID; policy grounded; 95 % interval 9.5 to 90.5"
         "#);
+        let condition = ("episodic/new/unchanged/original/learning".parse().unwrap(), 1);
+        let streams = stream_log(
+            sequence(condition, (0, Order::Drawn), &[(0, &["t01-01"])], 1, |_, _| true),
+            [1, 1, 1],
+        );
+        let path = write_results(&streams, &dataset, None, dir.path()).unwrap();
+        let text = std::fs::read_to_string(path).unwrap();
+        assert!(text.contains("n = 1 sequences; "), "{text}");
         for wrong in ["", "team", "a/b/c", "a/ b", "/x"] {
             assert!(wrong.parse::<HubDataset>().is_err(), "{wrong}");
         }
