@@ -25,6 +25,8 @@ pub struct Found {
     pub entries: Vec<Entry>,
     /// Files that are left out, and why.
     pub left_out: Vec<String>,
+    /// Damaged lines of run folders, whose content is missing in the entries.
+    pub damaged: Vec<String>,
 }
 
 /// Writes the entry of `log` to the file `out`, or into the folder `out` under the name of the run. Returns the file.
@@ -72,7 +74,8 @@ pub fn read(paths: &[PathBuf]) -> Result<Found> {
         if path.is_dir() && !is_run(path) {
             found.folder(path)?;
         } else {
-            found.add(entry_at(path)?, path);
+            let entry = found.entry_at(path)?;
+            found.add(entry, path);
         }
     }
     Ok(found)
@@ -82,16 +85,18 @@ fn is_run(path: &Path) -> bool {
     path.join("manifest.json").is_file()
 }
 
-fn entry_at(path: &Path) -> Result<Entry> {
-    if path.is_dir() {
-        return Entry::of(&RunLog::read(path)?);
-    }
-    let text =
-        fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    Entry::parse(&text).with_context(|| path.display().to_string())
-}
-
 impl Found {
+    fn entry_at(&mut self, path: &Path) -> Result<Entry> {
+        if path.is_dir() {
+            let log = RunLog::read(path)?;
+            self.damaged.extend(log.damaged.iter().map(|line| format!("{}: {line}", log.name)));
+            return Entry::of(&log);
+        }
+        let text =
+            fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+        Entry::parse(&text).with_context(|| path.display().to_string())
+    }
+
     /// Adds the entry at `path`. Where another run has the same name, the folder that holds it stands before it.
     fn add(&mut self, mut entry: Entry, path: &Path) {
         if self.entries.iter().any(|known| known.is_of_same_run(&entry)) {
@@ -119,7 +124,7 @@ impl Found {
             if !is_entry && !is_run(&path) {
                 continue;
             }
-            match entry_at(&path) {
+            match self.entry_at(&path) {
                 Ok(entry) => self.add(entry, &path),
                 Err(error) => self.left_out.push(format!("{}: {error:#}", path.display())),
             }

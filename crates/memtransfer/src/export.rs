@@ -18,7 +18,7 @@ use results::settings::CaseSelector;
 use settings::select_cases;
 
 use super::view::view_program;
-use super::{Exit, print};
+use super::{Exit, print, warn_of_damage};
 
 /// Episodes of MCAP and MP4, unless some are chosen.
 const FEW: Selection = Selection::First(10);
@@ -114,11 +114,11 @@ pub(super) fn run(args: &ExportArgs) -> Result<Exit> {
         Format::Csv => args.write_tables(TableFormat::Csv)?,
         Format::Parquet => args.write_tables(TableFormat::Parquet)?,
         Format::Leaderboard => {
-            vec![leaderboard::write_entry(&RunLog::read(&args.run)?, &args.out)?]
+            vec![leaderboard::write_entry(&args.read_log()?, &args.out)?]
         }
         Format::HuggingFace => {
             let dataset = args.dataset.as_ref().context("--format hugging-face needs --dataset")?;
-            let log = RunLog::read(&args.run)?;
+            let log = args.read_log()?;
             vec![write_results(&log, dataset, args.source.as_deref(), &args.out)?]
         }
     };
@@ -162,11 +162,18 @@ impl ExportArgs {
         Ok(())
     }
 
+    fn read_log(&self) -> Result<RunLog> {
+        let log = RunLog::read(&self.run)?;
+        warn_of_damage(&log.damaged);
+        Ok(log)
+    }
+
     fn write_episodes(&self, format: EpisodeFormat) -> Result<Vec<PathBuf>> {
         let mut run = RecordedRun::read(&self.run)?;
         for notice in &run.notices {
             say!("{notice}");
         }
+        warn_of_damage(&run.log.damaged);
         let is_chosen = !self.cases.is_empty() || self.condition.is_some();
         self.choose(&mut run.log, if is_chosen { Selection::All } else { FEW })?;
         let timing = Timing { steps_per_s: self.fps.unwrap_or(2), edge: self.size.unwrap_or(448) };
@@ -174,16 +181,13 @@ impl ExportArgs {
     }
 
     fn write_tables(&self, format: TableFormat) -> Result<Vec<PathBuf>> {
-        let mut log = RunLog::read(&self.run)?;
+        let mut log = self.read_log()?;
         self.choose(&mut log, Selection::All)?;
         write_tables(&log, format, &self.out)
     }
 
     /// Leaves the chosen episodes in `log`, the `default` ones unless a number was given.
     fn choose(&self, log: &mut RunLog, default: Selection) -> Result<()> {
-        for line in &log.damaged {
-            say!("warning: damaged, left out: {line}");
-        }
         let before = log.episodes.len();
         if !self.cases.is_empty() {
             let world = World::load(log.manifest.settings.assets.as_deref())?;

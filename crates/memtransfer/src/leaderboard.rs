@@ -6,7 +6,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use export::leaderboard::{Board, read, write_page};
 
-use super::{Exit, print, print_json};
+use super::{Exit, print, print_json, warn_of_damage};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -35,6 +35,7 @@ pub(super) fn run(args: &LeaderboardArgs) -> Result<Exit> {
     for file in &found.left_out {
         say!("left out: {file}");
     }
+    warn_of_damage(&found.damaged);
     if found.entries.is_empty() {
         bail!(
             "there is no run and no entry of a leaderboard: `memtransfer export RUN --format leaderboard` \

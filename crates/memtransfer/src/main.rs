@@ -34,10 +34,12 @@ mod validate;
 mod view;
 mod work;
 
+use std::fmt::Display;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use ::report::table::{WIDTH, wrap};
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use replay::World;
@@ -223,6 +225,14 @@ fn print(text: &str) -> anyhow::Result<()> {
 /// Prints a value to stdout as JSON.
 fn print_json(value: &impl serde::Serialize) -> anyhow::Result<()> {
     print(&serde_json::to_string_pretty(value)?)
+}
+
+/// Names the `damaged` lines of a run, whose content is missing in what a verb prints or writes.
+fn warn_of_damage(damaged: impl IntoIterator<Item: Display>) {
+    for line in damaged {
+        let text = format!("warning: damaged, left out: {line}");
+        say!("{}", wrap(&text, WIDTH).join("\n"));
+    }
 }
 
 /// The world that a verb uses.

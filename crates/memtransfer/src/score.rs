@@ -8,7 +8,7 @@ use results::log::{Difference, RunLog};
 use results::score::{Comparison, score};
 use serde::Serialize;
 
-use super::{Exit, print, print_json};
+use super::{Exit, print, print_json, warn_of_damage};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -42,27 +42,24 @@ pub(super) fn run(args: &ScoreArgs) -> anyhow::Result<Exit> {
     let mut log = RunLog::read(&args.run)?;
     let mut other = args.other.as_deref().map(RunLog::read).transpose()?;
     tell_apart([Some(&mut log), other.as_mut()].into_iter().flatten());
+    let is_summary = args.compare.is_none() && other.is_none() && !args.json;
+    if !is_summary {
+        // The summary names them itself.
+        warn_of_damage(log.damaged.iter().chain(other.iter().flat_map(|other| &other.damaged)));
+    }
     match (&args.compare, &other) {
         (None, None) => args.show(&score(&log), || report::summary(&log))?,
         (None, Some(other)) => {
-            for line in log.damaged.iter().chain(&other.damaged) {
-                say!("warning: damaged, left out: {line}");
-            }
-            let compared = compare_runs(&log, other)?;
-            let shown = ComparedRuns {
-                differing_settings: differing_settings(&log, other),
-                comparisons: &compared,
-            };
-            args.show(&shown, || report::compared_runs(&log, other, &compared))?;
+            args.show_runs(&log, other, &compare_runs(&log, other)?)?;
         }
         (Some(conditions), other) => {
             let [a, b] = [0, 1].map(|side| conditions[side].as_str());
             let second = other.as_ref().unwrap_or(&log);
             let compared = [compare_conditions((&log, a), (second, b))?];
-            args.show(&compared, || match other {
-                Some(other) => report::compared_runs(&log, other, &compared),
-                None => report::comparison(&compared),
-            })?;
+            match other {
+                Some(other) => args.show_runs(&log, other, &compared)?,
+                None => args.show(&compared, || report::comparison(&compared))?,
+            }
         }
     }
     let given_up =
@@ -78,6 +75,11 @@ struct ComparedRuns<'a> {
 }
 
 impl ScoreArgs {
+    fn show_runs(&self, a: &RunLog, b: &RunLog, comparisons: &[Comparison]) -> anyhow::Result<()> {
+        let shown = ComparedRuns { differing_settings: differing_settings(a, b), comparisons };
+        self.show(&shown, || report::compared_runs(a, b, comparisons))
+    }
+
     fn show(&self, value: &impl Serialize, text: impl Fn() -> String) -> anyhow::Result<()> {
         if self.json { print_json(value) } else { print(&text()) }
     }

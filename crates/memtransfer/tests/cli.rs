@@ -175,6 +175,14 @@ fn a_world_with_a_wrong_case_is_found_by_validate() {
 }
 
 #[test]
+fn the_shipped_world_is_validated_in_a_hundred_columns() {
+    let dir = dir();
+    let said = text(&memtransfer(dir.path(), "validate").stdout);
+    assert!(said.ends_with("100 cases, 600 trajectories, 0 violations\n"), "{said}");
+    assert!(said.lines().all(|line| line.chars().count() <= 100), "{said}");
+}
+
+#[test]
 fn a_generated_world_is_valid_runs_and_is_the_same_again() {
     let dir = dir();
     let generate = |out: &str| {
@@ -335,6 +343,52 @@ fn a_run_without_prompts_is_shown_and_a_missing_case_explained() {
     ] {
         let found = message(&memtransfer(dir.path(), arguments), arguments);
         assert!(found.contains(said), "{arguments}: {found}");
+    }
+}
+
+#[test]
+fn damaged_lines_are_named_by_all_that_leave_them_out() {
+    let dir = dir();
+    for (name, seed) in [("a", 1), ("b", 2)] {
+        let mut manifest = testing::manifest();
+        manifest.settings.seed = seed;
+        let mut folder = RunFolder::open(&dir.path().join(name), manifest, false).unwrap().folder;
+        let record = testing::record("t01-01", true);
+        let timings = testing::timings(&record);
+        folder.finish(&[(record, timings)]).unwrap();
+    }
+    let path = dir.path().join("a/episodes.jsonl");
+    let whole = fs::read_to_string(&path).unwrap();
+    fs::write(&path, whole.clone() + &whole.replace("\"task\"", "\"tusk\"")).unwrap();
+    let condition = "episodic/original/unchanged/original";
+    let said = "warning: damaged, left out: ";
+    let field = "episodes.jsonl, line 2: unknown field `tusk` at line 1 column ";
+    for arguments in [
+        "score a --json",
+        "score a b",
+        "score a b --json",
+        &format!("score a --compare {condition} {condition}"),
+        &format!("score a --compare {condition} {condition} --json"),
+        &format!("score b a --compare {condition} {condition}"),
+        "leaderboard a",
+        "export a --format leaderboard --out board",
+        "export a --format csv --out tables",
+    ] {
+        let output = memtransfer(dir.path(), arguments);
+        let found = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{arguments}: {found}");
+        assert_eq!(found.matches(said).count(), 1, "{arguments}: {found}");
+        assert!(found.contains(field), "{arguments}: {found}");
+        assert!(found.lines().all(|line| line.chars().count() <= 100), "{arguments}: {found}");
+    }
+    // Both comparisons of two runs name the settings that differ.
+    for arguments in
+        ["score a b --json", &format!("score a b --compare {condition} {condition} --json")]
+    {
+        let found = text(&memtransfer(dir.path(), arguments).stdout);
+        let found: serde_json::Value = serde_json::from_str(&found).unwrap();
+        assert_eq!(found["differing_settings"][0]["key"], "seed", "{arguments}: {found}");
+        assert_eq!(found["comparisons"][0]["cases"], 1, "{arguments}: {found}");
     }
 }
 
