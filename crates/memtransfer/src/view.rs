@@ -53,6 +53,9 @@ pub(super) fn run(args: &ViewArgs) -> Result<Exit> {
     let mut site = Site::new(runs, &view_program()?, args.out.is_none())?;
     if let Some(out) = &args.out {
         let bundle = write_bundle(&mut site, out, args.episodes)?;
+        for path in &bundle.missing {
+            say!("warning: missing, left out: {}", path.display());
+        }
         say!(
             "{} episodes, {} of them with views: {} views, {:.1} MB in all",
             bundle.episodes,

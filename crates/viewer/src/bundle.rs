@@ -28,6 +28,8 @@ pub struct Bundle {
     pub views: usize,
     /// Bytes of all files.
     pub bytes: u64,
+    /// Images of prompts that the run folder does not have, and that are left out.
+    pub missing: Vec<PathBuf>,
 }
 
 /// A file that only bundles have, so that a folder is known as one.
@@ -117,7 +119,10 @@ impl BundleFolder<'_> {
             self.write(&format!("{name}/episodes/{index}.js"), &file)?;
         }
         for (hash, path) in images {
-            self.write(&format!("{name}/images/{hash}.jpg"), &image(&path)?)?;
+            match image(&path)? {
+                Some(file) => self.write(&format!("{name}/images/{hash}.jpg"), &file)?,
+                None => self.bundle.missing.push(path),
+            }
         }
         for ground in grounds {
             let map = run.map(ground).with_context(|| format!("there is no world {ground}"))?;

@@ -65,9 +65,6 @@ impl std::fmt::Debug for ViewServer {
     }
 }
 
-/// The name of the cookie with the token.
-const COOKIE: &str = "memtransfer-token";
-
 impl ViewServer {
     /// Listens at `address`.
     ///
@@ -165,18 +162,19 @@ impl SiteService {
         let path = url.trim_start_matches('/');
         match &self.token {
             // Another site's page may reach a loopback server under a name of its own: only ours is answered.
-            None if !self.is_own_name(request) => {
+            None if !is_own_name(self.address, text(request, &header::HOST)) => {
                 return status(StatusCode::FORBIDDEN, "this server is for this machine only");
             }
             Some(token) => {
                 if path.strip_prefix("?token=").is_some_and(|given| is_same(given, token)) {
-                    let cookie = format!("{COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/");
+                    let cookie = self.cookie_name();
+                    let cookie = format!("{cookie}={token}; HttpOnly; SameSite=Strict; Path=/");
                     let headers = [(header::SET_COOKIE, cookie.as_str()), (header::LOCATION, "/")];
                     return answer(StatusCode::SEE_OTHER, Vec::new(), &headers);
                 }
-                let cookies = text(request, &header::COOKIE);
+                let (cookies, name) = (text(request, &header::COOKIE), self.cookie_name());
                 let given =
-                    cookies.split("; ").find_map(|one| one.strip_prefix(COOKIE)?.strip_prefix('='));
+                    cookies.split("; ").find_map(|one| one.strip_prefix(&name)?.strip_prefix('='));
                 if !given.is_some_and(|given| is_same(given, token)) {
                     return status(
                         StatusCode::FORBIDDEN,
@@ -196,11 +194,16 @@ impl SiteService {
         }
     }
 
-    fn is_own_name(&self, request: &Request<Incoming>) -> bool {
-        let port = self.address.port();
-        let own = [self.address.to_string(), format!("localhost:{port}")];
-        own.iter().any(|own| own == text(request, &header::HOST))
+    /// The name of the cookie with the token. A browser sends a cookie to all ports of a host, so the name has the port.
+    fn cookie_name(&self) -> String {
+        format!("memtransfer-token-{}", self.address.port())
     }
+}
+
+/// Whether `host`, as a client writes it, is the server at `address`. Clients leave out port 80.
+fn is_own_name(address: SocketAddr, host: &str) -> bool {
+    let own = [address.to_string(), format!("localhost:{}", address.port())];
+    own.iter().any(|own| own == host || own.strip_suffix(":80") == Some(host))
 }
 
 /// The rules for what a page may load: only from this server. The report has its style inside.
@@ -261,4 +264,24 @@ fn random_token() -> Result<String> {
     let mut source = SystemFile::open("/dev/urandom").context("cannot open /dev/urandom")?;
     source.read_exact(&mut bytes).context("cannot read /dev/urandom")?;
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_host_has_no_port_where_it_is_80() {
+        for (address, host, is_own) in [
+            ("127.0.0.1:80", "127.0.0.1", true),
+            ("127.0.0.1:80", "localhost", true),
+            ("127.0.0.1:80", "localhost:80", true),
+            ("[::1]:80", "[::1]", true),
+            ("127.0.0.1:8080", "127.0.0.1:8080", true),
+            ("127.0.0.1:8080", "127.0.0.1", false),
+            ("127.0.0.1:80", "elsewhere", false),
+        ] {
+            assert_eq!(is_own_name(address.parse().unwrap(), host), is_own, "{address}: {host}");
+        }
+    }
 }

@@ -260,7 +260,7 @@ impl RunPages {
             "images" => {
                 let hash = name.strip_suffix(".jpg").filter(|hash| is_hash(hash));
                 let file = hash.map(|hash| image_file(&self.log.dir.join(PROMPTS_FOLDER), hash));
-                file.filter(|file| file.exists()).map(|file| image(&file)).transpose()
+                file.map_or(Ok(None), |file| image(&file))
             }
             _ => Ok(None),
         }
@@ -438,13 +438,16 @@ impl Growth {
     }
 }
 
-/// A PNG file as JPEG.
-pub(crate) fn image(path: &Path) -> Result<File> {
-    let image = RgbaImage::read(path)?;
+/// A PNG file as JPEG; `None` if there is none.
+pub(crate) fn image(path: &Path) -> Result<Option<File>> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let image = RgbaImage::read(path).with_context(|| format!("cannot read {}", path.display()))?;
     let edge = |edge: u32| u16::try_from(edge).context("the image is too large");
     let size = (edge(image.width())?, edge(image.height())?);
     let bytes = jpeg(size, VIEW_FORMAT.quality, image.as_bytes())?;
-    Ok(File { kind: "image/jpeg", bytes })
+    Ok(Some(File { kind: "image/jpeg", bytes }))
 }
 
 #[cfg(test)]
@@ -466,6 +469,16 @@ mod tests {
         let file = site.file(&format!("run1/new.json?from={from}")).unwrap().unwrap();
         let news: Value = serde_json::from_slice(&file.bytes).unwrap();
         (news["rows"].as_array().unwrap().len(), news["restarted"] == true)
+    }
+
+    #[test]
+    fn an_image_that_is_missing_is_no_error_and_a_damaged_one_is_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.png");
+        assert_eq!(image(&path).unwrap(), None);
+        fs::write(&path, "no image").unwrap();
+        let error = format!("{:#}", image(&path).unwrap_err());
+        assert!(error.starts_with(&format!("cannot read {}: ", path.display())), "{error}");
     }
 
     #[test]

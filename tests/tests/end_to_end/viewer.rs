@@ -320,6 +320,26 @@ feedback = "success"
 }
 
 #[test]
+fn a_missing_image_of_a_prompt_is_left_out_of_the_pages() {
+    let bench = Bench::new();
+    let how = ["--log-prompts", "--cases", "t01-01", "--max-steps", "3"];
+    let run = blocked(&bench, "r", "working", &how);
+    let images = fs::read_dir(run.join("prompts/images")).unwrap();
+    let images: Vec<PathBuf> = images.map(|image| image.unwrap().path()).collect();
+    fs::remove_file(&images[0]).unwrap();
+    let pages = bench.out("pages");
+    let args = ["view", run.to_str().unwrap(), "--out", pages.to_str().unwrap()];
+    let said = bench.run(&args).expect(0).stderr;
+    let warning = format!("warning: missing, left out: {}", images[0].display());
+    assert!(said.contains(&warning), "{said}");
+    let written = [0, 1].map(|at| {
+        let name = Path::new(images[at].file_name().unwrap()).with_extension("jpg");
+        pages.join("run1/images").join(name).exists()
+    });
+    assert_eq!(written, [false, true]);
+}
+
+#[test]
 fn text_of_a_run_is_never_read_as_a_page() {
     const TEXT: &str = "<img src=x onerror=window.hacked=1><script>window.hacked=1</script>";
     let bench = Bench::new();

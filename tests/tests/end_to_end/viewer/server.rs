@@ -93,6 +93,8 @@ fn a_server_shows_every_view_and_gives_nothing_else_away() {
     assert_eq!(open.ask("GET /run1/run.js", open.host()).0, 403);
     let (status, answer) = open.ask(&format!("GET /?{}", open.url.split('?').nth(1).unwrap()), "x");
     assert!(status == 303 && answer.contains("HttpOnly"), "{answer}");
+    let port = open.host().rsplit(':').next().unwrap();
+    assert!(answer.contains(&format!("set-cookie: memtransfer-token-{port}=")), "{answer}");
 }
 
 #[test]
