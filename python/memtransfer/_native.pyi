@@ -125,4 +125,6 @@ def image_name(frame: Frame) -> str:
 
 def read_run(
     folder: str | PathLike[str],
-) -> tuple[str, str, list[tuple[str, str, list[Any]]], list[tuple[str, str, list[Any]]]]: ...
+) -> tuple[
+    str, str, list[tuple[str, str, list[Any]]], list[tuple[str, str, list[Any]]], list[str]
+]: ...

@@ -12,6 +12,7 @@ Needs pandas: `pip install './python[results]'`. The run's scores with their int
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,13 +46,15 @@ class Results:
 
 
 def read(folder: str | Path) -> Results:
-    """Reads the run in `folder`, finished or not.
+    """Reads the run in `folder`, finished or not. Warns of each damaged line of its log, which is left out.
 
     Raises:
         FileNotFoundError: The folder holds no run.
         ValueError: The run cannot be read, for example because another version wrote it.
     """
-    manifest, sessions, episodes, timings = _native.read_run(folder)
+    manifest, sessions, episodes, timings, damaged = _native.read_run(folder)
+    for line in damaged:
+        warnings.warn(f"damaged, left out: {line}", stacklevel=2)
     frame = _frame(episodes).rename(columns={"sub_goals": "required"})
     frame["seed"] = frame["seed"].astype("UInt64")
     return Results(

@@ -11,8 +11,9 @@ use results::log::{LogError, RunLog};
 /// A column: its name, the kind of its values, and the values, `None` where there is none.
 type DataColumn<'py> = (String, &'static str, Bound<'py, PyList>);
 
-/// The manifest and the sessions as JSON, then the columns of the episodes and of the timings.
-type Run<'py> = (String, String, Vec<DataColumn<'py>>, Vec<DataColumn<'py>>);
+/// The manifest and the sessions as JSON, the columns of the episodes and of the timings, and the damaged lines that are left
+/// out.
+type Run<'py> = (String, String, Vec<DataColumn<'py>>, Vec<DataColumn<'py>>, Vec<String>);
 
 /// Reads the run in `folder`.
 #[pyfunction]
@@ -26,8 +27,10 @@ pub(crate) fn read_run(py: Python<'_>, folder: PathBuf) -> PyResult<Run<'_>> {
     };
     let manifest = json(serde_json::to_string(&log.manifest))?;
     let sessions = json(serde_json::to_string(&log.sessions))?;
+    let damaged = log.damaged.iter().map(ToString::to_string).collect();
     let log = std::slice::from_ref(&log);
-    Ok((manifest, sessions, columns(py, episodes_frame(log))?, columns(py, timings_frame(log))?))
+    let episodes = columns(py, episodes_frame(log))?;
+    Ok((manifest, sessions, episodes, columns(py, timings_frame(log))?, damaged))
 }
 
 fn columns(py: Python<'_>, table: DataFrame) -> PyResult<Vec<DataColumn<'_>>> {

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import pytest
 
 from memtransfer.results import read
+
+RUN = Path(__file__).parents[2] / "crates/results/tests/rq2-version-1"
 
 
 def test_a_folder_without_a_run(tmp_path: Path) -> None:
@@ -20,6 +23,15 @@ def test_a_run_of_another_version(tmp_path: Path) -> None:
     (tmp_path / "manifest.json").write_text(json.dumps({"format": 99}))
     with pytest.raises(ValueError, match="manifest.json"):
         read(tmp_path)
+
+
+def test_damaged_lines_are_warned_of(tmp_path: Path) -> None:
+    shutil.copytree(RUN, tmp_path, dirs_exist_ok=True)
+    with (tmp_path / "episodes.jsonl").open("a") as file:
+        file.write("damaged\n")
+    with pytest.warns(UserWarning, match="damaged, left out: episodes.jsonl, line "):
+        results = read(tmp_path)
+    assert len(results.episodes) > 0
 
 
 def test_the_extra_results_brings_what_reports_are_read_with() -> None:
