@@ -167,7 +167,8 @@ fn a_world_with_a_wrong_case_is_found_by_validate() {
     fs::write(&path, swapped).unwrap();
     let output = memtransfer(dir.path(), "validate --assets assets");
     assert_eq!(output.status.code(), Some(1));
-    for constraint in ["irrelevant: the history", "confusable: at a pose", "are regenerated"] {
+    for constraint in ["irrelevant: the history", "confusable: at a shared pose", "are regenerated"]
+    {
         let found = text(&output.stdout);
         let line = found.lines().find(|line| line.contains(constraint)).unwrap();
         assert!(line.starts_with("FAIL"), "{found}");
