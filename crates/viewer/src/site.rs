@@ -147,8 +147,8 @@ pub(crate) struct RunPages {
 /// report: they are read when one is asked for, so that an open run page costs the run little.
 #[derive(Debug)]
 struct Growth {
-    /// Whether the run was started afresh since the page last asked.
-    restarted: bool,
+    /// How often everything was read again. A page that knows another number begins again.
+    restarts: u32,
     episodes: JournalTail<EpisodeRecord>,
     timings: JournalTail<EpisodeTimings>,
     requests: JournalTail<RequestRecord>,
@@ -353,9 +353,7 @@ impl RunPages {
     fn news(&mut self, query: &str) -> Result<File> {
         let from: Option<usize> = query.strip_prefix("from=").and_then(|from| from.parse().ok());
         self.read_episodes()?;
-        let restarted =
-            self.growth.as_mut().is_some_and(|growth| std::mem::take(&mut growth.restarted));
-        let from = from.filter(|&from| from <= self.log.episodes.len() && !restarted);
+        let restarts = self.growth.as_ref().map_or(0, |growth| growth.restarts);
         let rows: Vec<EpisodeCell> = self
             .log
             .episodes
@@ -368,7 +366,7 @@ impl RunPages {
         // A session that was killed leaves its file behind.
         let status =
             status.filter(|status| Path::new("/proc").join(status["pid"].to_string()).exists());
-        let news = json!({ "restarted": from.is_none(), "rows": rows, "status": status });
+        let news = json!({ "restarts": restarts, "rows": rows, "status": status });
         Ok(File::text("application/json", serde_json::to_vec(&news)?))
     }
 
@@ -416,9 +414,10 @@ impl RunPages {
 
     /// Reads everything again, because the run was started afresh, or has conditions that it did not have.
     fn start_afresh(&mut self) -> Result<()> {
+        let restarts = self.growth.as_ref().map_or(0, |growth| growth.restarts);
         *self = Self::new(RecordedRun::read(&self.log.dir)?, &self.renderer.program, true)?;
         if let Some(growth) = &mut self.growth {
-            growth.restarted = true;
+            growth.restarts = restarts + 1;
         }
         Ok(())
     }
@@ -428,7 +427,7 @@ impl Growth {
     /// What the run folder of `log` gains; what `log` has is read again once, and left out.
     fn new(log: &RunLog) -> Self {
         Self {
-            restarted: false,
+            restarts: 0,
             episodes: JournalTail::new(log.dir.join(EPISODES_FILE)),
             timings: JournalTail::new(log.dir.join(TIMINGS_FILE)),
             requests: JournalTail::new(log.dir.join(REQUESTS_FILE)),
@@ -464,11 +463,11 @@ mod tests {
         serde_json::to_string(record).unwrap() + "\n"
     }
 
-    /// The rows that a page gets which has `from` of them, and whether it has to begin again.
-    fn news(site: &mut Site, from: usize) -> (usize, bool) {
+    /// The rows that a page gets which has `from` of them, and how often everything was read again.
+    fn news(site: &mut Site, from: usize) -> (usize, u64) {
         let file = site.file(&format!("run1/new.json?from={from}")).unwrap().unwrap();
         let news: Value = serde_json::from_slice(&file.bytes).unwrap();
-        (news["rows"].as_array().unwrap().len(), news["restarted"] == true)
+        (news["rows"].as_array().unwrap().len(), news["restarts"].as_u64().unwrap())
     }
 
     #[test]
@@ -495,23 +494,23 @@ mod tests {
         let program = ViewProgram { path: "/nonexistent".into(), variable: ("UNUSED", "") };
         let run = RecordedRun::read(&folder).unwrap();
         let mut site = Site::new(vec![run], &program, true).unwrap();
-        assert_eq!(news(&mut site, 1), (0, false));
+        assert_eq!(news(&mut site, 1), (0, 0));
 
         let second = line(&record("t01-02", true));
         let damaged = line(&record("t01-03", true)).replace("\"steps\":10", "\"steps\":11");
         let (half, rest) = second.split_at(40);
         add(&damaged);
         add(half);
-        assert_eq!(news(&mut site, 1), (0, false), "a damaged record and half of one");
+        assert_eq!(news(&mut site, 1), (0, 0), "a damaged record and half of one");
         add(rest);
-        assert_eq!(news(&mut site, 1), (1, false));
+        assert_eq!(news(&mut site, 1), (1, 0));
 
         add(&line(&keyed(EpisodeRecord { window: 3, ..record("t01-04", true) })));
-        assert_eq!(news(&mut site, 2), (3, true), "a condition that the settings do not have");
-        assert_eq!(news(&mut site, 3), (0, false));
+        assert_eq!(news(&mut site, 2), (1, 1), "a condition that the settings do not have");
+        assert_eq!(news(&mut site, 3), (0, 1), "a second page gets to know it, too");
 
         fs::remove_file(&path).unwrap();
         fs::write(&path, line(&record("t01-05", true)).repeat(2)).unwrap();
-        assert_eq!(news(&mut site, 3), (1, true), "started afresh");
+        assert_eq!(news(&mut site, 3), (0, 2), "started afresh");
     }
 }

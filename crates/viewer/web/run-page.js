@@ -227,6 +227,8 @@ memtransfer.follow = (run, live, grown) => {
   const { h } = memtransfer;
   let timer = null;
   let isOver = false;
+  // How often the server has read the whole run again.
+  let knownRestarts = null;
   let isDrawn = true;
   let nextDrawing = 0;
   function draw() {
@@ -244,10 +246,10 @@ memtransfer.follow = (run, live, grown) => {
     try {
       const answer = await fetch(`${run.folder}/new.json?from=${run.episodes.length}`);
       if (!answer.ok) throw new Error(`the server answered ${answer.status}`);
-      const { restarted, rows, status } = await answer.json();
+      const { restarts, rows, status } = await answer.json();
       if (isOver) return;
       // Its conditions may be others, too.
-      if (restarted) { location.reload(); return; }
+      if (restarts !== (knownRestarts ??= restarts)) { location.reload(); return; }
       run.episodes.push(...rows);
       if (rows.length) isDrawn = false;
       if (!isDrawn && (!status || performance.now() >= nextDrawing)) draw();
