@@ -19,7 +19,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
-use shm_types::ATTACH_VARIABLE;
+use shm_types::{ATTACH_VARIABLE, registry};
 use tempfile::TempDir;
 
 /// How long one run of the program may take before it is killed.
@@ -132,6 +132,15 @@ pub fn shared_memory_of(runs: &[String]) -> Vec<String> {
         .map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned())
         .filter(|name| prefixes.iter().any(|prefix| name.starts_with(prefix)))
         .collect()
+}
+
+/// What tests kill would stay in shared memory, where every process of later tests lists it.
+impl Drop for Bench {
+    fn drop(&mut self) {
+        if let Err(error) = registry::clean(self.registry.path()) {
+            eprintln!("killed runs are not cleaned: {error}");
+        }
+    }
 }
 
 impl Default for Bench {
