@@ -125,12 +125,12 @@ fn first_action(words: &[&str]) -> Option<Action> {
     })
 }
 
-/// Whether the clause that begins with an action goes on to say that it is impossible.
+/// Whether the clause that begins with an action, of one or two words, says of that action that it is impossible.
 fn is_denied_after(words: &[&str]) -> bool {
-    let clause: Vec<&str> =
-        words.iter().copied().take_while(|word| !is_boundary(word)).take(8).collect();
-    clause.windows(2).any(|two| {
-        two[1] == "isnt" || matches!(two[0], "is" | "seems" | "looks") && DENIALS.contains(&two[1])
+    let clause = words.iter().copied().take_while(|word| !is_boundary(word));
+    let clause: Vec<&str> = clause.filter(|word| !FILLERS.contains(word)).take(4).collect();
+    clause.windows(2).skip(1).any(|two| {
+        two[0] == "isnt" || matches!(two[0], "is" | "seems" | "looks") && DENIALS.contains(&two[1])
     })
 }
 
@@ -234,6 +234,9 @@ mod tests {
             ("Moving forward is not possible; turn left", Ok(Action::TurnLeft)),
             ("unable to move forward, turn left", Ok(Action::TurnLeft)),
             ("The way forward is blocked. Turn left.", Ok(Action::TurnLeft)),
+            ("Moving forward isn't possible, turn left", Ok(Action::TurnLeft)),
+            ("Turn left because the path is blocked.", Ok(Action::TurnLeft)),
+            ("turn right since forward is blocked", Ok(Action::TurnRight)),
             ("move ahead", Ok(Action::Forward)),
             ("Go ahead and turn left", Ok(Action::TurnLeft)),
             ("Moving forward is the best choice.", Ok(Action::Forward)),
