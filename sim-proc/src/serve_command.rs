@@ -15,8 +15,8 @@ use crate::renderer::RenderSettings;
 use crate::serve::serve;
 use crate::worlds::WorldsArgs;
 
-/// How long the processes of the generation before may take to leave.
-const LEAVING_TIMEOUT: Duration = Duration::from_secs(30);
+/// How long to wait for the shared memory of the generation before.
+const ROOM_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Arguments of `sim-proc serve`.
 #[derive(Debug, clap::Args)]
@@ -50,7 +50,7 @@ pub fn run(args: ServeArgs) -> Result<()> {
     die_with_parent(attach.orchestrator_pid)
         .context("cannot tie this process to its orchestrator")?;
     // Processes of the generation before may use its frames for a moment longer.
-    let patience = if attach.generation > 1 { LEAVING_TIMEOUT } else { Duration::ZERO };
+    let patience = if attach.generation > 1 { ROOM_TIMEOUT } else { Duration::ZERO };
     let deadline = Instant::now() + patience;
     while let Err(error) = check_shared_memory(attach.shared_memory_bytes()) {
         if Instant::now() >= deadline {

@@ -206,7 +206,7 @@ impl ViewCache {
         let mut evicted = Vec::new();
         while self.views.len() > self.capacity {
             let Some((_, view)) = self.idle.pop_first() else {
-                // Views that are being rendered for nobody any more can be evicted once they are there.
+                // A view that has lost its last pin while it is being rendered can be evicted once it is there.
                 let needed = self.views.values().filter(|view| view.is_pinned()).count();
                 let Self { capacity, .. } = *self;
                 return if needed > capacity {

@@ -139,7 +139,7 @@ pub(crate) struct EnvironmentPin {
 }
 
 impl Wanted {
-    /// Whether a set-up for `purpose` installs the item `name`, for which this is stated.
+    /// Whether a set-up for `purpose` installs the item `name`, which has this entry.
     pub(crate) fn now(self, purpose: Purpose, name: &str) -> bool {
         if let Purpose::Only(only) = purpose {
             return name == only;

@@ -240,8 +240,8 @@ impl Generation {
 
     /// The exit of a process, if one has exited: it is the cause of whatever else failed.
     ///
-    /// A policy or an external memory that ends closes its queues first. Until it has ended, it looks as if those had
-    /// failed that could not send to it.
+    /// A policy or an external memory closes its queues before its process ends. In between, the processes that could not
+    /// send to it seem to be the ones that failed.
     pub(super) fn root_cause(
         &mut self,
         options: &PipelineOptions,
