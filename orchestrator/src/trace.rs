@@ -250,4 +250,11 @@ mod tests {
         let names: Vec<&Value> = names.map(|event| &event["args"]["name"]).collect();
         assert!(names.contains(&&json!("lane 1")) && names.contains(&&json!("renderer")));
     }
+
+    #[test]
+    fn every_external_memory_has_a_file_of_its_own() {
+        let file = |index| spans_file(Path::new("spans"), Role::ExternalMemory, index, 2);
+        assert_ne!(file(0), file(1));
+        assert_eq!(role_of(&file(1)), Some(Role::ExternalMemory));
+    }
 }

@@ -86,6 +86,7 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
         ("run --memory episodic --demos none", "no condition is left"),
         ("run --memory none", "no memory is left"),
         ("run --memory external --dry-run", "start yourself, and without it no condition"),
+        ("run --frame-budget 4000000000 --dry-run", "not a whole number from 1 to 1048576"),
         ("run --elsewhere w --dry-run", "--elsewhere is the warehouse of --demos elsewhere"),
         ("run --policy openai --model m --max-cost 3 --dry-run", "--max-cost needs prices"),
         ("plan --out p.json --workers 5", "<--slurm|--kubernetes>"),
