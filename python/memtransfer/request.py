@@ -6,7 +6,7 @@ All classes here are plain objects: build them yourself to test a policy without
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, TypeAlias
 
 from memtransfer._native import Frame, MemoryStep, Step
@@ -156,7 +156,9 @@ class Request:
 
 
 class ReadWhenUsed:
-    """Reads each field from the step when it is first used. Its subclasses have the slot `_step`."""
+    """Reads each field from the step when it is first used. Its subclasses have the slot `_step`, and a dataclass as their
+    other base: the class of their copies.
+    """
 
     __slots__ = ()
     _step: Any
@@ -171,6 +173,10 @@ class ReadWhenUsed:
         value = self._step.field(name)
         setattr(self, name, value)
         return value
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        _, plain = type(self).__bases__
+        return plain, tuple(getattr(self, field.name) for field in fields(plain))
 
 
 class ServedRequest(ReadWhenUsed, Request):

@@ -138,6 +138,21 @@ impl Frame {
         matches!(self.pixels, Pixels::Shared(_)) && self.resident().is_none()
     }
 
+    fn __copy__(frame: Py<Self>) -> Py<Self> {
+        frame
+    }
+
+    /// Deep copies and pickles hold a copy of the pixels, so that another process can read them.
+    #[expect(clippy::type_complexity, reason = "the shape that pickle wants")]
+    fn __reduce__<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyAny>, u64, Bound<'py, PyBytes>))> {
+        let of = py.get_type::<Self>().getattr("of")?;
+        let pixels = self.pixels(py)?.call_method0("copy")?;
+        Ok((of, (pixels, self.id, self.content_hash(py))))
+    }
+
     fn __eq__(&self, other: &Self) -> bool {
         (self.id, self.content_hash) == (other.id, other.content_hash)
     }

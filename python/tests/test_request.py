@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import pickle
 import re
 
 import numpy as np
@@ -25,7 +26,7 @@ from memtransfer import (
     Request,
     Segment,
 )
-from memtransfer.memory import ServedQuery
+from memtransfer.memory import Query, ServedQuery
 from memtransfer.request import ServedRequest
 
 
@@ -64,12 +65,20 @@ def test_what_a_run_supplies_can_be_copied() -> None:
         def field(self, name: str) -> str:
             return name
 
-    for served, field in [(ServedRequest, "window"), (ServedQuery, "embedding")]:
+    for served, plain in [(ServedRequest, Request), (ServedQuery, Query)]:
         original = served(AnyStep())  # type: ignore[arg-type]
-        for copied in [copy.copy(original), copy.deepcopy(original)]:
-            assert (type(copied), getattr(copied, field)) == (served, field)
+        for copied in [copy.copy(original), copy.deepcopy(original), pickle.loads(pickle.dumps(original))]:
+            assert (type(copied), copied.window) == (plain, "window")
         with pytest.raises(AttributeError, match="_step"):
             served.__new__(served)._step
+
+
+def test_a_frame_can_be_copied() -> None:
+    frame = Frame.of(np.arange(24, dtype=np.uint8).reshape(2, 3, 4), id=5, content_hash=bytes(range(16)))
+    assert copy.copy(frame) is frame
+    for copied in [copy.deepcopy(frame), pickle.loads(pickle.dumps(frame))]:
+        assert copied == frame and copied is not frame
+        assert (copied.pixels == frame.pixels).all() and not copied.pixels.flags.writeable
 
 
 def test_items_are_sorted_by_what_they_are() -> None:

@@ -1,9 +1,11 @@
-"""Keeps every frame and every request, and the pixels of one view. Kept pixels never change, and reading a frame that
-the run has evicted raises `FrameGone`. Writes what it observed to a file.
+"""Keeps every frame and every request, the pixels of one view, and a copy of one request. What it keeps never changes, and
+reading a frame that the run has evicted raises `FrameGone`. Writes what it observed to a file.
 
     keeper.py FILE
 """
 
+import copy
+import pickle
 import random
 import sys
 
@@ -18,6 +20,8 @@ class Keeper(Policy):
         self.frames = []
         self.requests = []
         self.kept = self.copy = None
+        self.copies = ()
+        self.shown = None
         self.gone = 0
 
     def act(self, batch):
@@ -26,9 +30,15 @@ class Keeper(Policy):
                 # Part of a part: an array keeps the memory that it shows.
                 self.kept = request.frame.pixels[4:20, :, :3][1:]
                 self.copy = self.kept.copy()
+            elif not self.copies:
+                self.copies = (copy.deepcopy(request), pickle.loads(pickle.dumps(request)))
+                self.shown = request.frame.pixels.copy()
             self.frames.append(request.frame)
             self.requests.append(request)
         assert (self.kept == self.copy).all()
+        for copied in self.copies:
+            assert (copied.frame.pixels == self.shown).all()
+            assert copied.images() == 1 + len(copied.window)
         gone = [frame for frame in self.frames if frame.is_gone]
         for frame in gone:
             assert "copy the pixels that you want to keep" in raised(lambda: frame.pixels)
