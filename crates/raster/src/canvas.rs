@@ -1,6 +1,8 @@
 //! Colour and depth of the image being drawn, in blocks of 4 x 4 pixels. The samples of a block lie side by side, so that a
 //! block is a few vector registers and stays in the first-level cache.
 
+use std::ops::Range;
+
 use fearless_simd::{Simd, SimdBase, u32x16};
 
 /// Pixels along a side of a block.
@@ -35,6 +37,12 @@ pub(super) struct BlockState<'a> {
 }
 
 impl BlockState<'_> {
+    /// Whether something as near as `nearest` may be visible.
+    #[inline(always)]
+    pub(super) fn may_show(&self, nearest: f32) -> bool {
+        nearest > *self.farthest
+    }
+
     /// Whether nothing has been drawn into the block: its samples are not stored either.
     #[inline(always)]
     pub(super) fn is_untouched(&self) -> bool {
@@ -76,19 +84,20 @@ impl<const M: usize> SampledImage<M> {
         self.background = background;
     }
 
-    /// Whether something as near as `nearest` may be visible in block `place`.
+    /// Some blocks of a row, whose samples may be all overwritten, and their states, to be updated. An untouched block has
+    /// any samples.
     #[inline(always)]
-    pub(super) fn may_show(&self, place: usize, nearest: f32) -> bool {
-        nearest > self.farthest[place]
-    }
-
-    /// Block `place`, whose samples may be all overwritten, and its state, to be updated. An untouched block has any
-    /// samples.
-    #[inline(always)]
-    pub(super) fn block(&mut self, place: usize) -> (&mut SampleBlock<M>, BlockState<'_>) {
-        let state =
-            BlockState { farthest: &mut self.farthest[place], is_flat: &mut self.is_flat[place] };
-        (&mut self.blocks[place], state)
+    pub(super) fn blocks(
+        &mut self,
+        row: usize,
+        columns: Range<usize>,
+    ) -> impl Iterator<Item = (&mut SampleBlock<M>, BlockState<'_>)> {
+        let start = row * self.columns;
+        let places = start + columns.start..start + columns.end;
+        let states =
+            self.farthest[places.clone()].iter_mut().zip(&mut self.is_flat[places.clone()]);
+        let states = states.map(|(farthest, is_flat)| BlockState { farthest, is_flat });
+        self.blocks[places].iter_mut().zip(states)
     }
 
     /// The colour where nothing is drawn.
@@ -97,28 +106,27 @@ impl<const M: usize> SampledImage<M> {
         self.background
     }
 
-    /// Writes the finished image: RGBA in rows from the top, as many as fit into `pixels`.
+    /// Finishes the image and writes it: RGBA in rows from the top, as many as fit into `pixels`.
     #[inline(always)]
-    pub(super) fn resolve<V: Simd>(&self, simd: V, pixels: &mut [u8]) {
-        let row_bytes = self.columns * SIDE * 4;
-        let rows = self.blocks.chunks_exact(self.columns).enumerate();
-        for (band, (row, blocks)) in pixels.chunks_mut(row_bytes * SIDE).zip(rows) {
-            let mut lines = band.chunks_exact_mut(row_bytes);
-            let mut lines: [_; SIDE] = std::array::from_fn(|_| {
-                lines.next().unwrap_or_default().chunks_exact_mut(4 * SIDE)
-            });
-            for (block, place) in blocks.iter().zip(row * self.columns..) {
-                let mixed = if self.farthest[place] == UNTOUCHED {
-                    [self.background; PIXELS]
-                } else if M == 1 || self.is_flat[place] {
-                    block.colour[0]
-                } else {
-                    mix(simd, &block.colour).to_array()
-                };
-                for (line, mixed) in lines.iter_mut().zip(mixed.as_chunks::<SIDE>().0) {
-                    if let Some(pixels) = line.next() {
-                        pixels.copy_from_slice(bytemuck::bytes_of(mixed));
-                    }
+    pub(super) fn resolve<V: Simd>(&mut self, simd: V, pixels: &mut [u8]) {
+        const BLOCK_LINE: usize = 4 * SIDE;
+        let Self { columns, background, .. } = *self;
+        let row_bytes = columns * BLOCK_LINE;
+        let states = self.farthest.chunks_exact(columns).zip(self.is_flat.chunks_exact(columns));
+        let rows = self.blocks.chunks_exact_mut(columns).zip(states);
+        for (band, (blocks, (farthest, is_flat))) in pixels.chunks_mut(row_bytes * SIDE).zip(rows) {
+            for ((block, &farthest), &is_flat) in blocks.iter_mut().zip(farthest).zip(is_flat) {
+                if farthest == UNTOUCHED {
+                    block.colour[0] = [background; PIXELS];
+                } else if M > 1 && !is_flat {
+                    block.colour[0] = mix(simd, &block.colour).to_array();
+                }
+            }
+            for (line, pixels) in band.chunks_exact_mut(row_bytes).enumerate() {
+                let places = pixels.as_chunks_mut::<BLOCK_LINE>().0;
+                for (block, place) in blocks.iter().zip(places) {
+                    let colours = block.colour[0].as_chunks::<SIDE>().0[line];
+                    *place = bytemuck::cast(colours);
                 }
             }
         }
@@ -163,11 +171,12 @@ mod tests {
         let mut canvas = SampledImage::<4>::new(64, 4);
         let mut pixels = vec![0; 64 * 4 * 4];
         canvas.clear(0);
-        let (block, state) = canvas.block(15);
+        let (block, state) = canvas.blocks(0, 15..16).next().expect("a block");
         block.colour = [1, 2, 3, 4].map(|sample| [sample << 4; PIXELS]);
         *state.farthest = 0.5;
         for (is_flat, expected) in [(true, 0x10), (false, 0x28)] {
-            *canvas.block(15).1.is_flat = is_flat;
+            let (_, state) = canvas.blocks(0, 15..16).next().expect("a block");
+            *state.is_flat = is_flat;
             dispatch!(Level::new(), simd => canvas.resolve(simd, &mut pixels));
             let last = pixels.as_chunks::<4>().0.last();
             assert_eq!(last, Some(&[expected, 0, 0, 0]));
@@ -182,10 +191,10 @@ mod tests {
             canvas.clear(0xff33_2211);
             dispatch!(Level::new(), simd => canvas.resolve(simd, &mut pixels));
             assert!(pixels.chunks_exact(4).all(|pixel| pixel == [0x11, 0x22, 0x33, 0xff]));
-            let (block, state) = canvas.block(3);
+            let (block, state) = canvas.blocks(0, 3..4).next().expect("a block");
             block.colour = [[0; PIXELS]; 4];
             *state.farthest = 0.5;
-            assert!(canvas.may_show(3, 0.6) && !canvas.may_show(3, 0.5));
+            assert!(state.may_show(0.6) && !state.may_show(0.5));
         }
     }
 }

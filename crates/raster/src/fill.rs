@@ -157,6 +157,12 @@ fn less(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
 }
 
+/// As [`more`].
+#[inline(always)]
+fn more_f32(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
 /// As [`less`].
 #[inline(always)]
 fn less_f32(a: f32, b: f32) -> f32 {
@@ -339,7 +345,8 @@ fn fill<V: Simd, const M: usize, H: Shader>(
         slopes[i] = f32x16::load_array(simd, COLUMN) * rights[i]
             + f32x16::load_array(simd, LINE) * downs[i];
     }
-    let (x, y) = (edges.x.to_array(), edges.y.to_array());
+    let x = (edges.x + TO_BITS).bitcast::<u64x4<V>>().to_array();
+    let y = (edges.y + TO_BITS).bitcast::<u64x4<V>>().to_array();
     let mut depths = [0.0; M];
     for (depth, [dx, dy]) in depths.iter_mut().zip(samples::<M>()) {
         *depth = (rights[0] * (dx - 8) as f32 + downs[0] * (dy - 8) as f32) / 16.0;
@@ -347,12 +354,12 @@ fn fill<V: Simd, const M: usize, H: Shader>(
     // Rounding keeps order, so these are the extremes of what is computed for the lanes.
     let [across, along] = [rights[0], downs[0]].map(|change| change * (SIDE - 1) as f32);
     let deepest = DepthOffset {
-        pixel: across.min(0.0) + along.min(0.0),
-        sample: depths.into_iter().fold(f32::INFINITY, f32::min),
+        pixel: less_f32(across, 0.0) + less_f32(along, 0.0),
+        sample: depths.into_iter().fold(f32::INFINITY, less_f32),
     };
     let shallowest = DepthOffset {
-        pixel: across.max(0.0) + along.max(0.0),
-        sample: depths.into_iter().fold(f32::NEG_INFINITY, f32::max),
+        pixel: more_f32(across, 0.0) + more_f32(along, 0.0),
+        sample: depths.into_iter().fold(f32::NEG_INFINITY, more_f32),
     };
     let mut offsets = [[0; M]; 4];
     let mut lanes = [i32x16::splat(simd, 0); 4];
@@ -375,7 +382,7 @@ fn fill<V: Simd, const M: usize, H: Shader>(
         most: va.max(vb).max(vc.max(vd)).to_array(),
     };
 
-    let nearest = a.nearness.max(b.nearness).max(c.nearness.max(d.nearness));
+    let nearest = more_f32(more_f32(a.nearness, b.nearness), more_f32(c.nearness, d.nearness));
     let is_slim = last[0] - first[0] < SLIM;
     for row in first[1]..=last[1] {
         let starts = edges.start + edges.y * (f64::from(row) * step);
@@ -389,15 +396,17 @@ fn fill<V: Simd, const M: usize, H: Shader>(
             // A block that an edge crosses is kept.
             (to_whole(low.ceil()) as usize, to_whole(high.floor()) as usize + 1)
         };
-        let place = row as usize * canvas.columns;
-        let y = (row as usize * SIDE) as f64 + 0.5;
-        for number in begin..end {
-            let at = [(number * SIDE) as f64 + 0.5, y];
+        let y = f64::from(row) * SIDE as f64 + 0.5;
+        let background = canvas.background();
+        let mut column = begin as f64 - 1.0;
+        for (block, state) in canvas.blocks(row as usize, begin..end) {
+            column += 1.0;
+            let at = [column * SIDE as f64 + 0.5, y];
             let nearness = quad.plane.nearness(at);
-            if !canvas.may_show(place + number, less_f32(shallowest.from(nearness), nearest)) {
+            if !state.may_show(less_f32(shallowest.from(nearness), nearest)) {
                 continue;
             }
-            let here = starts + edges.x * (number as f64 * step);
+            let here = starts + edges.x * (column * step);
             if here.simd_lt(-edges.rise).any_true() {
                 continue;
             }
@@ -408,8 +417,6 @@ fn fill<V: Simd, const M: usize, H: Shader>(
             let inside = [inside[0] as i32, inside[1] as i32, inside[2] as i32, inside[3] as i32];
             let crossing = crossing.to_bitmask();
             let part = QuadPart { simd, quad: &quad, at, nearness, inside, crossing };
-            let background = canvas.background();
-            let (block, state) = canvas.block(place + number);
             part.draw(shader, block, state, background);
         }
     }
