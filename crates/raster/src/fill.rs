@@ -464,10 +464,12 @@ impl<V: Simd, const M: usize> QuadPart<'_, V, M> {
             let outside = self.outside();
             for s in 0..M {
                 let before = f32x16::load_array_ref(simd, &block.depth[s]);
-                shows[s] = depths[s].simd_gt(before);
                 if !is_inside {
-                    shows[s] &= outside[s].simd_ge(0);
+                    // What the quad does not cover is behind everything.
+                    let nothing = f32x16::splat(simd, -1.0);
+                    depths[s] = outside[s].simd_ge(0).select(depths[s], nothing);
                 }
+                shows[s] = depths[s].simd_gt(before);
                 any |= shows[s];
                 all &= shows[s];
             }
@@ -490,7 +492,7 @@ impl<V: Simd, const M: usize> QuadPart<'_, V, M> {
         // The first sample last: in a flat block it has the colours of all.
         for s in (0..M).rev() {
             let before = f32x16::load_array_ref(simd, &block.depth[s]);
-            let depth = shows[s].select(depths[s], before);
+            let depth = depths[s].max(before);
             depth.store_array(&mut block.depth[s]);
             least = least.min(depth);
             let before = &block.colour[if *state.is_flat { 0 } else { s }];
