@@ -492,6 +492,7 @@ impl<V: Simd, const M: usize> QuadPart<'_, V, M> {
         // The first sample last: in a flat block it has the colours of all.
         for s in (0..M).rev() {
             let before = f32x16::load_array_ref(simd, &block.depth[s]);
+            // Selecting by `shows` gives the same, but as a masked store, which is slow on AMD's processors without AVX-512.
             let depth = depths[s].max(before);
             depth.store_array(&mut block.depth[s]);
             least = least.min(depth);
