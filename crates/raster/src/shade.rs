@@ -154,10 +154,11 @@ impl TextShader<'_> {
         let x = (u * width - 0.5).max(0.0).min(width - 1.0);
         let y = (v * height - 0.5).max(0.0).min(height - 1.0);
         let (left, top) = (x.to_int::<i32x16<V>>(), y.to_int::<i32x16<V>>());
-        let places = (top * (width as i32) + left).to_array();
+        let places = (top * (width as i32) + left).bitcast::<u32x16<V>>().to_array();
+        let last = texels.len() - 1;
         let mut quads = [0; PIXELS];
         for lane in 0..PIXELS {
-            quads[lane] = texels.get(places[lane] as usize).copied().unwrap_or(0);
+            quads[lane] = texels[last.min(places[lane] as usize)];
         }
         let quads = u32x16::load_array(simd, quads);
         let right = x - left.to_float::<f32x16<V>>();
