@@ -22,8 +22,7 @@ use shm_types::message::{
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
-    Bus, BusError, ErrorReporter, FrameError, FramePublisher, FrameSlot, Heartbeats, Receiver,
-    Sender, Spans,
+    Bus, BusError, ErrorReporter, FrameError, FramePublisher, Heartbeats, Receiver, Sender, Spans,
 };
 
 use crate::lanes::{SimulatedLanes, Stepped};
@@ -39,8 +38,12 @@ use crate::worlds::{WorldParts, Worlds};
 /// The longest sleep of the loop. Nothing relies on waking this often.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
 
-/// How long consumers may take to release evicted frames when no slot is free.
-const SLOT_TIMEOUT: Duration = Duration::from_secs(30);
+/// How often to look for a free slot. A policy that is at work releases evicted frames only afterwards, and sends nothing
+/// when it does.
+const SLOT_POLL: Duration = Duration::from_millis(1);
+
+/// How long to wait for a free slot before each report of it. The orchestrator decides when a process hangs.
+const SLOT_PATIENCE: Duration = Duration::from_secs(30);
 
 /// How often to check whether the consumers of frames have connected.
 const CONSUMER_POLL: Duration = Duration::from_millis(1);
@@ -98,6 +101,8 @@ struct Simulator<'a> {
     control: ViewControl,
     views: ViewCache,
     pending: Vec<Pending>,
+    /// Since when no slot is free, or when that was reported last.
+    no_slot_since: Option<Instant>,
     frames_rendered: u64,
     frames_evicted: u64,
     pixel_bytes_copied: u64,
@@ -132,6 +137,7 @@ impl<'a> Simulator<'a> {
             lanes: SimulatedLanes::new(worlds, lanes),
             views: ViewCache::new(attach.frame_capacity as usize, lanes, window),
             pending: Vec::new(),
+            no_slot_since: None,
             frames_rendered: 0,
             frames_evicted: 0,
             pixel_bytes_copied: 0,
@@ -158,8 +164,8 @@ impl<'a> Simulator<'a> {
         self.wakeups.send_to_all()?;
         while self.stops.next()?.is_none() {
             match self.turn(&mut rendering) {
-                Ok(true) => {}
-                Ok(false) => drop(self.bus.listener().wait(LONGEST_SLEEP)?),
+                Ok(Duration::ZERO) => {}
+                Ok(sleep) => drop(self.bus.listener().wait(sleep)?),
                 Err(error) => match error.downcast_ref() {
                     Some(missing) if self.stops.explains(missing)? => break,
                     _ => return Err(error),
@@ -194,8 +200,8 @@ impl<'a> Simulator<'a> {
         tracing::info!(views = needed, "rendering every view");
         views.iter().for_each(|&view| self.views.pin_for_memory(view));
         while self.views.missing() > 0 {
-            self.request_missing(pool)?;
-            self.bus.listener().wait(LONGEST_SLEEP)?;
+            let sleep = self.request_missing(pool)?;
+            self.bus.listener().wait(sleep)?;
             self.publish_rendered(pool)?;
         }
         for view in views {
@@ -208,8 +214,8 @@ impl<'a> Simulator<'a> {
         Ok(())
     }
 
-    /// One turn of the loop. Returns whether more commands may be waiting.
-    fn turn(&mut self, rendering: &mut Rendering) -> Result<bool> {
+    /// One turn of the loop. Returns how long it may sleep until the next: not at all if more commands may be waiting.
+    fn turn(&mut self, rendering: &mut Rendering) -> Result<Duration> {
         let reported = self.reporter.count();
         self.take_requests(rendering)?;
         let more = self.take_commands(rendering)?;
@@ -220,8 +226,8 @@ impl<'a> Simulator<'a> {
             self.wakeups.add(Role::Orchestrator);
         }
         self.wakeups.send()?;
-        self.request_missing(&mut rendering.pool)?;
-        Ok(more)
+        let sleep = self.request_missing(&mut rendering.pool)?;
+        Ok(if more { Duration::ZERO } else { sleep })
     }
 
     fn beat(&mut self) -> bool {
@@ -371,18 +377,36 @@ impl<'a> Simulator<'a> {
         Ok(())
     }
 
-    /// Sends the next missing views to the render workers, as many as they accept.
-    fn request_missing(&mut self, pool: &mut RenderPool) -> Result<()> {
-        for view in self.views.take_missing(pool.room()) {
+    /// Sends the next missing views to the render workers, as many as they accept and slots are free. Returns how long the
+    /// loop may sleep.
+    fn request_missing(&mut self, pool: &mut RenderPool) -> Result<Duration> {
+        let mut none_since = self.no_slot_since.take();
+        while pool.room() > 0
+            && let Some(view) = self.views.next_missing()
+        {
+            let slot = match self.frames.loan() {
+                Err(error @ FrameError::NoChunk { .. }) => {
+                    let since = none_since.get_or_insert_with(Instant::now);
+                    if since.elapsed() >= SLOT_PATIENCE {
+                        *since = Instant::now();
+                        self.reporter.report(error);
+                    }
+                    self.no_slot_since = none_since;
+                    return Ok(SLOT_POLL);
+                }
+                slot => slot?,
+            };
+            none_since = None;
+            self.views.start_rendering(view);
             let world = match view {
                 FrameKey::WorldParts { world, pose } => {
                     Some((world.stock, self.lanes.worlds().closed(world).clone(), pose))
                 }
                 FrameKey::Blank => None,
             };
-            pool.send(RenderRequest { view, world, slot: self.loan()? })?;
+            pool.send(RenderRequest { view, world, slot })?;
         }
-        Ok(())
+        Ok(LONGEST_SLEEP)
     }
 
     /// Publishes the views that workers have rendered.
@@ -413,18 +437,5 @@ impl<'a> Simulator<'a> {
             }
         }
         Ok(())
-    }
-
-    /// Loans a slot. If none is free, waits for consumers to release evicted frames.
-    fn loan(&self) -> Result<FrameSlot, FrameError> {
-        let deadline = Instant::now() + SLOT_TIMEOUT;
-        loop {
-            match self.frames.loan() {
-                Err(FrameError::NoChunk { .. }) if Instant::now() < deadline => {
-                    sleep(Duration::from_millis(1));
-                }
-                outcome => return outcome,
-            }
-        }
     }
 }

@@ -170,24 +170,26 @@ impl ViewCache {
         self.capacity
     }
 
-    /// Takes up to `most` views to be rendered, first those that lanes wait for. Each must be
-    /// [inserted](ViewCache::insert) afterwards.
-    pub fn take_missing(&mut self, most: usize) -> Vec<FrameKey> {
-        let mut taken = Vec::new();
-        while taken.len() < most
-            && let Some(view) = self.urgent.pop_front().or_else(|| self.later.pop_front())
-        {
-            if let Some(entry) = self.views.get_mut(&view)
-                && entry.state == ViewState::Missing
-            {
-                entry.state = ViewState::Rendering;
-                taken.push(view);
+    /// The view to be rendered next; those that lanes wait for come first.
+    pub fn next_missing(&mut self) -> Option<FrameKey> {
+        loop {
+            let queue = if self.urgent.is_empty() { &mut self.later } else { &mut self.urgent };
+            let view = *queue.front()?;
+            if self.views.get(&view).is_some_and(|entry| entry.state == ViewState::Missing) {
+                return Some(view);
             }
+            queue.pop_front();
         }
-        taken
     }
 
-    /// Makes a view that was taken to be rendered resident as `frame`.
+    /// Marks a missing view as being rendered. It must be [inserted](ViewCache::insert) afterwards.
+    pub fn start_rendering(&mut self, view: FrameKey) {
+        if let Some(entry) = self.views.get_mut(&view) {
+            entry.state = ViewState::Rendering;
+        }
+    }
+
+    /// Makes a view that was being rendered resident as `frame`.
     pub fn insert(&mut self, view: FrameKey, frame: FrameId) {
         let Some(entry) = self.views.get_mut(&view) else { return };
         entry.state = ViewState::Resident(frame);
@@ -271,9 +273,19 @@ mod tests {
         FrameKey::WorldParts { world: WorldParts::UNCHANGED, pose: Pose::new(n, 0, Heading::N) }
     }
 
+    /// Starts to render up to `most` views.
+    fn take_missing(views: &mut ViewCache, most: usize) -> Vec<FrameKey> {
+        let next = || {
+            let view = views.next_missing()?;
+            views.start_rendering(view);
+            Some(view)
+        };
+        std::iter::from_fn(next).take(most).collect()
+    }
+
     /// "Renders" everything that is missing; frames are numbered from `first`.
     fn render_missing(views: &mut ViewCache, first: FrameId) {
-        for (n, view) in views.take_missing(usize::MAX).into_iter().enumerate() {
+        for (n, view) in take_missing(views, usize::MAX).into_iter().enumerate() {
             views.insert(view, first + n as FrameId);
         }
     }
@@ -285,9 +297,9 @@ mod tests {
         views.pin_for_memory(view(2));
         views.show(0, view(3));
         views.show(1, view(2));
-        assert_eq!(views.take_missing(2), [view(3), view(2)]);
-        assert_eq!(views.take_missing(2), [view(1)]);
-        assert_eq!(views.take_missing(2), []);
+        assert_eq!(take_missing(&mut views, 2), [view(3), view(2)]);
+        assert_eq!(take_missing(&mut views, 2), [view(1)]);
+        assert_eq!(take_missing(&mut views, 2), []);
     }
 
     #[test]
@@ -328,10 +340,10 @@ mod tests {
         let mut views = ViewCache::new(1, 1, 0);
         views.show(0, view(1));
         views.clear_lane(0);
-        assert_eq!(views.take_missing(9), []);
+        assert_eq!(take_missing(&mut views, 9), []);
         // A view that is unpinned while it is rendered can be evicted afterwards.
         views.show(0, view(2));
-        assert_eq!(views.take_missing(9), [view(2)]);
+        assert_eq!(take_missing(&mut views, 9), [view(2)]);
         views.clear_lane(0);
         views.pin_for_memory(view(3));
         assert_eq!(views.make_room(), Ok(vec![]));
@@ -401,7 +413,7 @@ mod tests {
                         holds[usize::from(n)] -= u32::from(held);
                     }
                     Op::Render(most) => {
-                        for taken in views.take_missing(most) {
+                        for taken in take_missing(&mut views, most) {
                             let FrameKey::WorldParts { pose, .. } = taken else { unreachable!() };
                             let n = usize::from(pose.cell.x);
                             prop_assert!(frames[n].is_none());

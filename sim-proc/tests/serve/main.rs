@@ -363,6 +363,37 @@ fn no_lane_waits_for_the_view_of_another() {
 }
 
 #[test]
+fn no_lane_waits_until_evicted_frames_are_released() {
+    let mut sim = simulator(|attach| {
+        (attach.frame_capacity, attach.lanes, attach.window) = (6, 1, 1);
+    });
+    let poses = poses();
+    let here = reset(0, 1, 0, poses[0]);
+    let resident = sim.ask(&here).frame;
+
+    // Memory and policy are at work and do not look at evictions.
+    let chunks = sim.neighbours.attach().frame_chunks() as usize;
+    for &pose in &poses[1..chunks] {
+        sim.pin(pose);
+        let view = sim.view();
+        sim.release(view.frame);
+    }
+    sim.pin(poses[chunks]);
+    sim.command(&StepCommand { episode: 2, ..here });
+    sim.notify();
+    let seen = sim.until(|neighbours| neighbours.observations.next().unwrap());
+    assert_eq!((seen.episode, seen.frame), (2, resident));
+    assert_eq!(sim.neighbours.views.next().unwrap(), None, "there is no slot for it");
+
+    for store in &mut sim.neighbours.stores {
+        store.apply_evictions().unwrap();
+    }
+    let view = sim.until(|neighbours| neighbours.views.next().unwrap());
+    assert_eq!(shown_code(&mut sim, view.frame), code(&Variant::UNCHANGED, poses[chunks]));
+    sim.stop();
+}
+
+#[test]
 fn warm_views_are_not_rendered_again() {
     let mut sim = simulator_with(|attach| attach.frame_capacity = 1500, true, |_| Ok(setup()));
     sim.handshake();
