@@ -60,7 +60,7 @@ fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
         views = (cold.rendered, stored(&cache.join("embeddings"), dimension).len());
         ensure!(views.0 > 0 && views.1 > 0, "{views:?} views were rendered and embedded");
         // The same with cached embeddings and resident views: stepping, lookup, deciding and logging remain.
-        let again = execute(session, &cache, &["--warm-views"])?;
+        let again = execute(session, &cache, session.size.pick(&[][..], &["--warm-views"]))?;
         let drawing = render::ours(session, Samples::Four)?;
         rounds.rendering.push(views.0 as f64 / drawing.views_per_second);
         rounds.embedding.push(views.1 as f64 / embed::rate(&mut encoder, &frames)?);

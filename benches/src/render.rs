@@ -291,7 +291,7 @@ fn repeated(session: &mut BenchSession<'_>) -> Result<Measurement> {
     let mut views = ViewCache::new(keys.len(), LANES, DEFAULT_WINDOW as usize);
     for (frame, &view) in (1..).zip(&keys) {
         views.pin_for_memory(view);
-        views.take_missing(1);
+        views.start_rendering(view);
         views.insert(view, frame);
         views.release(frame)?;
     }

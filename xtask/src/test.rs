@@ -14,8 +14,15 @@ use crate::pins::{Pins, Purpose};
 use crate::setup;
 use crate::workspace::{Workspace, succeeds};
 
-/// What cargo tests: everything.
-const TESTS: [&str; 4] = ["test", "--release", "--workspace", "--no-fail-fast"];
+/// What cargo tests: everything. That benches run is tested, not how fast they are.
+const TESTS: [&str; 6] = [
+    "test",
+    "--release",
+    "--workspace",
+    "--no-fail-fast",
+    "--config",
+    "profile.release.package.benches.opt-level=0",
+];
 
 /// The variable with the number of tests that run at a time.
 const TEST_THREADS: &str = "RUST_TEST_THREADS";
