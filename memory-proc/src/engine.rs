@@ -334,7 +334,7 @@ impl<I: Clone> Engine<I> {
         &mut self,
         clock: impl Fn() -> u64,
         documents: &mut dyn DocumentSupplier,
-    ) -> anyhow::Result<Vec<(Recall, RecallTrace)>> {
+    ) -> anyhow::Result<Vec<Box<(Recall, RecallTrace)>>> {
         for bank in self.sequences.take_dropped() {
             self.externals.take_back(bank);
         }
@@ -346,7 +346,7 @@ impl<I: Clone> Engine<I> {
         for lane in std::mem::take(&mut self.pending) {
             match self.advance(lane, &clock, documents)? {
                 LaneProgress::Waiting => drop(self.pending.insert(lane)),
-                LaneProgress::Answered(messages) => answers.push(*messages),
+                LaneProgress::Answered(messages) => answers.push(messages),
                 LaneProgress::Learned(report) => {
                     self.learned.push(report);
                     if let Some(done) = self.lanes[lane as usize].running.take() {

@@ -416,7 +416,8 @@ impl<'a> MemoryServer<'a> {
     fn answer(&mut self) -> anyhow::Result<()> {
         let began = self.spans.begin();
         let mut answers = self.engine.answers(monotonic_ns, &mut self.documents)?;
-        for (recall, trace) in &mut answers {
+        for answer in &mut answers {
+            let (recall, trace) = &mut **answer;
             recall.sent_ns = monotonic_ns();
             trace.sent_ns = recall.sent_ns;
             // The trace is sent before the recall, so that the policy's decision does not overtake it.

@@ -15,6 +15,7 @@
 //! consumer that reads an unknown id finds the frame in its queue.
 
 use std::collections::hash_map::Entry;
+use std::ptr::NonNull;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, Weak};
 
@@ -263,14 +264,20 @@ pub struct Frame {
     header: FrameHeader,
     size: FrameSize,
     evicted: AtomicBool,
-    sample: Sample<Ipc, [Page], FrameHeader>,
+    /// The pixels of `sample`. To ask the sample for them locks the subscriber's mutex and reads shared memory.
+    pixels: NonNull<[u8]>,
+    /// Keeps the pixels mapped.
+    _sample: Sample<Ipc, [Page], FrameHeader>,
 }
 
 #[expect(unsafe_code, reason = "worker threads read frames")]
 // SAFETY: a `&Frame` gives access to a copied header, an atomic, and a shared slice of memory that no process writes while
-// the sample exists. Reading the sample's length locks the subscriber's mutex (`ipc_threadsafe`), and the sample itself is
-// `Send`, so it may be dropped on any thread.
+// the sample exists.
 unsafe impl Sync for Frame {}
+
+#[expect(unsafe_code, reason = "worker threads drop frames")]
+// SAFETY: the pixels belong to the sample, and the sample is `Send`.
+unsafe impl Send for Frame {}
 
 impl Frame {
     /// The frame's id.
@@ -295,7 +302,11 @@ impl Frame {
 
     /// The pixels in shared memory: RGBA8, rows top to bottom without gaps.
     pub fn pixels(&self) -> &[u8] {
-        &bytemuck::cast_slice(self.sample.payload())[..self.size.bytes()]
+        #[expect(unsafe_code, reason = "the sample and a slice of its pixels are in one structure")]
+        // SAFETY: they stay mapped, at the same address, and unchanged while the sample exists.
+        unsafe {
+            self.pixels.as_ref()
+        }
     }
 }
 
@@ -402,8 +413,14 @@ impl FrameStore {
         }
         match self.frames.entry(id) {
             Entry::Vacant(entry) if id != NO_FRAME => {
-                let evicted = AtomicBool::new(false);
-                entry.insert(Arc::new(Frame { header, size: expected, evicted, sample }));
+                let pixels = &bytemuck::cast_slice(sample.payload())[..expected.bytes()];
+                entry.insert(Arc::new(Frame {
+                    header,
+                    size: expected,
+                    evicted: AtomicBool::new(false),
+                    pixels: pixels.into(),
+                    _sample: sample,
+                }));
                 self.received += 1;
                 Ok(())
             }

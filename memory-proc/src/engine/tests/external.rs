@@ -81,7 +81,7 @@ impl ExternalRig {
         loop {
             let now_ns = self.now_ns;
             let answers = self.rig.engine.answers(|| now_ns, &mut self.rig.documents);
-            recalls.extend(answers.unwrap());
+            recalls.extend(answers.unwrap().into_iter().map(|answer| *answer));
             for (index, message) in self.rig.engine.take_external_messages() {
                 assert_eq!(index, 2);
                 match message {

@@ -204,7 +204,8 @@ impl Rig {
     /// Collects the answers that are possible now; returns their lanes.
     pub(super) fn collect(&mut self) -> Vec<u32> {
         let mut lanes = Vec::new();
-        for (recall, trace) in self.engine.answers(|| 5, &mut self.documents).unwrap() {
+        for answer in self.engine.answers(|| 5, &mut self.documents).unwrap() {
+            let (recall, trace) = *answer;
             let answer = self.answer(&recall, &trace);
             assert_eq!((recall.episode, recall.step), (trace.episode, trace.step));
             assert!(self.answers.insert((recall.episode, recall.step), answer).is_none());
