@@ -6,7 +6,7 @@ use std::sync::Arc;
 use anyhow::{Context, anyhow, bail};
 use bytemuck::Zeroable;
 use domain::{Action, Arm, Feedback, FeedbackLevel, Pose, Representation, SegmentContent};
-use peer::memory::{Item, Memory, Query, Step};
+use peer::memory::{Memory, MemoryItem, Query, Step};
 use search::{ContentHash, Embedding};
 use shm_types::message::{
     EXPERIENCE, EXTERNAL, FrameId, MAX_ITEMS, MAX_SEGMENT, MemoryEpisodeConfig, NO_ACTION,
@@ -360,7 +360,7 @@ impl MemoryEpisode {
     ///
     /// # Errors
     /// When an item cannot be supplied.
-    pub(crate) fn checked(&self, items: Vec<Item>) -> Result<Arc<CheckedAnswer>, String> {
+    pub(crate) fn checked(&self, items: Vec<MemoryItem>) -> Result<Arc<CheckedAnswer>, String> {
         match &self.last {
             Some((last, _)) if last.is_of(&items) => Ok(last.clone()),
             _ => CheckedAnswer::new(items, &self.bank, self.budgets).map(Arc::new),

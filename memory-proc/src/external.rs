@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytemuck::Zeroable;
-use peer::memory::{EpisodeEnd, Item};
+use peer::memory::{EpisodeEnd, MemoryItem};
 use search::Embedding;
 use shm_types::description::Scope;
 use shm_types::message::{
@@ -589,7 +589,7 @@ impl ExternalMemories {
         &mut self,
         index: u8,
         message: &ExternalAnswer,
-    ) -> Result<Vec<Item>, String> {
+    ) -> Result<Vec<MemoryItem>, String> {
         let place = (index, message.lane);
         let note = match self.notes.get(&place).map(|note| note.header) {
             _ if message.note == 0 => None,

@@ -1,6 +1,6 @@
 //! Readers of bytes from outside without queues, for the fuzz targets in `tests/fuzz`. Not part of the program.
 
-use peer::memory::Item;
+use peer::memory::MemoryItem;
 use shm_types::message::ExternalAnswer;
 
 use crate::demonstrations::ReplayedDemonstration;
@@ -11,7 +11,7 @@ use crate::worlds::WorldStates;
 ///
 /// # Errors
 /// When the answer is not valid.
-pub fn answered_items(answer: &ExternalAnswer, note: &[u8]) -> Result<Vec<Item>, String> {
+pub fn answered_items(answer: &ExternalAnswer, note: &[u8]) -> Result<Vec<MemoryItem>, String> {
     crate::external::read_items(answer, note)
 }
 

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
-use peer::memory::{Item, Source, Views};
+use peer::memory::{MemoryItem, Source, Views};
 use shm_types::documents::Content;
 use shm_types::message::{
     DocumentId, FrameId, ItemKind, MAX_ITEMS, MAX_SEGMENT, MAX_SOURCES, MAX_STEPS, NO_ACTION,
@@ -64,7 +64,7 @@ pub struct Amount {
 #[derive(Debug, Clone, PartialEq)]
 pub struct CheckedAnswer {
     /// The answer as it was given.
-    given: Vec<Item>,
+    given: Vec<MemoryItem>,
     /// What the recall will consist of.
     parts: Vec<Part>,
     /// What was asked for.
@@ -89,7 +89,11 @@ impl CheckedAnswer {
     ///
     /// # Errors
     /// When an item names something that is not in the bank, or there are too many items or sources.
-    pub fn new(given: Vec<Item>, bank: &ReplayedBank, budgets: Budgets) -> Result<Self, String> {
+    pub fn new(
+        given: Vec<MemoryItem>,
+        bank: &ReplayedBank,
+        budgets: Budgets,
+    ) -> Result<Self, String> {
         let mut sources = 0;
         for (number, item) in given.iter().enumerate() {
             sources += check(item, bank).map_err(|what| format!("item {number} {what}"))?;
@@ -125,22 +129,22 @@ impl CheckedAnswer {
     }
 
     /// Whether a memory gave just these items.
-    pub fn is_of(&self, items: &[Item]) -> bool {
+    pub fn is_of(&self, items: &[MemoryItem]) -> bool {
         self.given == items
     }
 }
 
 /// The items of the recall for the kept ones of `given`.
-fn parts(given: &[Item], kept: &[usize], bank: &ReplayedBank) -> Vec<Part> {
-    let is_frame = |&&number: &&usize| matches!(given[number], Item::Frame { .. });
+fn parts(given: &[MemoryItem], kept: &[usize], bank: &ReplayedBank) -> Vec<Part> {
+    let is_frame = |&&number: &&usize| matches!(given[number], MemoryItem::Frame { .. });
     let mut room = MAX_STEPS.saturating_sub(kept.iter().filter(is_frame).count());
     let mut parts: Vec<Part> = Vec::new();
     for &number in kept {
         let (mut kind, mut whole, mut joins) = (ItemKind::Text, false, false);
         match &given[number] {
-            Item::Text { .. } => {}
-            Item::Frame { .. } => kind = ItemKind::Frame,
-            Item::Steps { source, views, distance, .. } => {
+            MemoryItem::Text { .. } => {}
+            MemoryItem::Frame { .. } => kind = ItemKind::Frame,
+            MemoryItem::Steps { source, views, distance, .. } => {
                 let count = source.count as usize;
                 let length = bank.demonstrations[source.demonstration as usize].poses.len();
                 whole = count == length;
@@ -163,21 +167,21 @@ fn parts(given: &[Item], kept: &[usize], bank: &ReplayedBank) -> Vec<Part> {
 
 impl Part {
     /// Whether further whole demonstrations can become part of this item.
-    fn joins(&self, given: &[Item]) -> bool {
+    fn joins(&self, given: &[MemoryItem]) -> bool {
         let is_close =
-            |&number: &usize| matches!(given[number], Item::Steps { distance: None, .. });
+            |&number: &usize| matches!(given[number], MemoryItem::Steps { distance: None, .. });
         self.kind == ItemKind::Trajectory && self.whole && self.items.iter().all(is_close)
     }
 }
 
 /// Checks the references of an item; returns the number of its sources.
-fn check(item: &Item, bank: &ReplayedBank) -> Result<usize, String> {
+fn check(item: &MemoryItem, bank: &ReplayedBank) -> Result<usize, String> {
     match item {
-        Item::Text { sources, .. } => {
+        MemoryItem::Text { sources, .. } => {
             sources.iter().try_for_each(|source| demonstration(source, bank).map(drop))?;
             Ok(sources.len())
         }
-        Item::Steps { source, views, actions, distance } => {
+        MemoryItem::Steps { source, views, actions, distance } => {
             demonstration(source, bank)?;
             let steps = source.first..source.first + source.count;
             match views {
@@ -200,7 +204,7 @@ fn check(item: &Item, bank: &ReplayedBank) -> Result<usize, String> {
             }
             finite(*distance)
         }
-        Item::Frame { demonstration: number, step, distance, .. } => {
+        MemoryItem::Frame { demonstration: number, step, distance, .. } => {
             let source = Source { demonstration: *number, first: *step, count: 1 };
             demonstration(&source, bank)?;
             finite(*distance)
@@ -237,33 +241,33 @@ fn demonstration<'b>(
     Ok(demonstration)
 }
 
-fn amount(item: &Item) -> Amount {
+fn amount(item: &MemoryItem) -> Amount {
     let (images, text) = match item {
-        Item::Text { text, .. } => (0, text.len()),
-        Item::Steps { source, views, .. } => match views {
+        MemoryItem::Text { text, .. } => (0, text.len()),
+        MemoryItem::Steps { source, views, .. } => match views {
             Views::None => (0, 0),
             Views::All => (source.count as usize, 0),
             Views::Keyframes(shown) => (shown.len(), 0),
         },
-        Item::Frame { caption, .. } => (1, caption.len()),
+        MemoryItem::Frame { caption, .. } => (1, caption.len()),
     };
     let short = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
     Amount { items: 1, images: short(images), text: short(text) }
 }
 
 /// Where the views that a checked item shows are seen from.
-fn views(item: &Item, bank: &ReplayedBank) -> Vec<Viewpoint> {
+fn views(item: &MemoryItem, bank: &ReplayedBank) -> Vec<Viewpoint> {
     let at = |of: u32, step: u32| bank.demonstrations[of as usize].viewpoint(step);
     match item {
-        Item::Text { .. } | Item::Steps { views: Views::None, .. } => Vec::new(),
-        Item::Steps { source, views: Views::All, .. } => {
+        MemoryItem::Text { .. } | MemoryItem::Steps { views: Views::None, .. } => Vec::new(),
+        MemoryItem::Steps { source, views: Views::All, .. } => {
             let steps = source.first..source.first + source.count;
             steps.map(|step| at(source.demonstration, step)).collect()
         }
-        Item::Steps { source, views: Views::Keyframes(shown), .. } => {
+        MemoryItem::Steps { source, views: Views::Keyframes(shown), .. } => {
             shown.iter().map(|&step| at(source.demonstration, step)).collect()
         }
-        Item::Frame { demonstration, step, .. } => vec![at(*demonstration, *step)],
+        MemoryItem::Frame { demonstration, step, .. } => vec![at(*demonstration, *step)],
     }
 }
 
@@ -317,14 +321,14 @@ impl Assembler<'_> {
             let mut item = RecalledItem { kind: *kind as u8, ..NOTHING };
             item.whole = (*whole).into();
             match &answer.given[items[0]] {
-                Item::Text { text, .. } => self.place(text, &mut item),
-                Item::Frame { caption, distance, .. } => {
+                MemoryItem::Text { text, .. } => self.place(text, &mut item),
+                MemoryItem::Frame { caption, distance, .. } => {
                     if !caption.is_empty() {
                         self.place(caption, &mut item);
                     }
                     item.distance = distance.unwrap_or(f32::NAN);
                 }
-                Item::Steps { distance, .. } => item.distance = distance.unwrap_or(f32::NAN),
+                MemoryItem::Steps { distance, .. } => item.distance = distance.unwrap_or(f32::NAN),
             }
             match kind {
                 ItemKind::Text => {}
@@ -355,8 +359,8 @@ impl Assembler<'_> {
         let mut new = Vec::new();
         for &number in answer.parts.iter().flat_map(|part| &part.items) {
             let text = match &answer.given[number] {
-                Item::Text { text, .. } | Item::Frame { caption: text, .. } => text,
-                Item::Steps { .. } => continue,
+                MemoryItem::Text { text, .. } | MemoryItem::Frame { caption: text, .. } => text,
+                MemoryItem::Steps { .. } => continue,
             };
             if self.texts.contains_key(text) || new.iter().any(|(known, _)| known == text) {
                 continue;
@@ -410,13 +414,13 @@ impl Assembler<'_> {
     /// The views and actions of an item.
     fn steps(
         &self,
-        item: &Item,
+        item: &MemoryItem,
         frame: &impl Fn(Viewpoint) -> Option<FrameId>,
     ) -> Vec<SegmentStep> {
         let (source, views, actions) = match item {
-            Item::Text { .. } => return Vec::new(),
-            Item::Steps { source, views, actions, .. } => (*source, views, *actions),
-            &Item::Frame { demonstration, step, .. } => {
+            MemoryItem::Text { .. } => return Vec::new(),
+            MemoryItem::Steps { source, views, actions, .. } => (*source, views, *actions),
+            &MemoryItem::Frame { demonstration, step, .. } => {
                 (Source { demonstration, first: step, count: 1 }, &Views::All, false)
             }
         };
@@ -456,11 +460,11 @@ const NOTHING: RecalledItem = RecalledItem {
 };
 
 /// Number of steps of an item.
-const fn steps_of(item: &Item) -> u32 {
+const fn steps_of(item: &MemoryItem) -> u32 {
     match item {
-        Item::Text { .. } => 0,
-        Item::Steps { source, .. } => source.count,
-        Item::Frame { .. } => 1,
+        MemoryItem::Text { .. } => 0,
+        MemoryItem::Steps { source, .. } => source.count,
+        MemoryItem::Frame { .. } => 1,
     }
 }
 
@@ -484,11 +488,11 @@ impl AssembledRecall {
         (first, count)
     }
 
-    fn add_sources(&mut self, item: &Item, bank: &ReplayedBank, number: u8, kind: ItemKind) {
+    fn add_sources(&mut self, item: &MemoryItem, bank: &ReplayedBank, number: u8, kind: ItemKind) {
         let (sources, distance) = match item {
-            Item::Text { sources, .. } => (sources.clone(), None),
-            Item::Steps { source, distance, .. } => (vec![*source], *distance),
-            &Item::Frame { demonstration, step, distance, .. } => {
+            MemoryItem::Text { sources, .. } => (sources.clone(), None),
+            MemoryItem::Steps { source, distance, .. } => (vec![*source], *distance),
+            &MemoryItem::Frame { demonstration, step, distance, .. } => {
                 (vec![Source { demonstration, first: step, count: 1 }], distance)
             }
         };

@@ -17,7 +17,7 @@ use domain::{DocumentKind, Representation, SegmentContent};
 use memory_proc::embedding_cache::stored;
 use memory_proc::paths::CacheFolder;
 use peer::memory::{
-    Item, Memory, MemoryDescription, MemoryError, MemoryMethod, Query, Source, Views, serve,
+    Memory, MemoryDescription, MemoryError, MemoryItem, MemoryMethod, Query, Source, Views, serve,
 };
 use shm_types::Attach;
 use shm_types::description::memory_folder;
@@ -50,12 +50,12 @@ impl MemoryMethod for Scripted {
 }
 
 impl Memory for Scripted {
-    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<Item>, MemoryError> {
+    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<MemoryItem>, MemoryError> {
         let source = Source { demonstration: 0, first: query.now.step + 1, count: 2 };
         match query.now.step {
             0 => Ok(vec![
-                Item::Text { text: query.instruction.into(), sources: vec![source] },
-                Item::Steps { source, views: Views::All, actions: true, distance: None },
+                MemoryItem::Text { text: query.instruction.into(), sources: vec![source] },
+                MemoryItem::Steps { source, views: Views::All, actions: true, distance: None },
             ]),
             _ => {
                 while query.now.lane > 0 && !self.ended.load(Relaxed) {

@@ -6,8 +6,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use peer::memory::{
-    Demonstration, Episode, EpisodeEnd, Item, Memory, MemoryDescription, MemoryError, MemoryMethod,
-    Query, Scope, Source, Step, Views,
+    Demonstration, Episode, EpisodeEnd, Memory, MemoryDescription, MemoryError, MemoryItem,
+    MemoryMethod, Query, Scope, Source, Step, Views,
 };
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
@@ -151,7 +151,7 @@ impl<'m> PythonMemory<'m> {
         })
     }
 
-    fn items(&self, answer: &Bound<'_, PyAny>) -> PyResult<Vec<Item>> {
+    fn items(&self, answer: &Bound<'_, PyAny>) -> PyResult<Vec<MemoryItem>> {
         if answer.is_none() || answer.is_instance_of::<PyString>() {
             let problem = format!(
                 "recall returned {}, but must return a list of items, which may be empty",
@@ -168,7 +168,7 @@ impl<'m> PythonMemory<'m> {
         items.map(|item| self.item(&item?)).collect()
     }
 
-    fn item(&self, item: &Bound<'_, PyAny>) -> PyResult<Item> {
+    fn item(&self, item: &Bound<'_, PyAny>) -> PyResult<MemoryItem> {
         let py = item.py();
         let classes = &Classes::get(py)?.memory;
         let distance = || match item.getattr(intern!(py, "distance"))?.extract::<Option<f32>>()? {
@@ -178,11 +178,11 @@ impl<'m> PythonMemory<'m> {
             distance => Ok(distance),
         };
         if let Ok(text) = item.cast::<PyString>() {
-            return Ok(Item::text(text.to_str()?));
+            return Ok(MemoryItem::text(text.to_str()?));
         }
         if item.is_instance(classes.steps.bind(py))? {
             let views = item.getattr(intern!(py, "views"))?;
-            return Ok(Item::Steps {
+            return Ok(MemoryItem::Steps {
                 source: self.source(item)?,
                 views: match views.cast::<PyBool>() {
                     Ok(all) if all.is_true() => Views::All,
@@ -198,14 +198,14 @@ impl<'m> PythonMemory<'m> {
         if item.is_instance(classes.text.bind(py))? {
             let sources = item.getattr(intern!(py, "sources"))?.try_iter()?;
             let text = item.getattr(intern!(py, "text"))?;
-            return Ok(Item::Text {
+            return Ok(MemoryItem::Text {
                 text: text.cast::<PyString>()?.to_str()?.into(),
                 sources: sources.map(|source| self.source(&source?)).collect::<PyResult<_>>()?,
             });
         }
         if item.is_instance(classes.view.bind(py))? {
             let caption = item.getattr(intern!(py, "caption"))?;
-            return Ok(Item::Frame {
+            return Ok(MemoryItem::Frame {
                 demonstration: number(item.getattr(intern!(py, "demonstration")))?,
                 step: number(item.getattr(intern!(py, "step")))?,
                 caption: caption.cast::<PyString>()?.to_str()?.into(),
@@ -282,7 +282,7 @@ impl Memory for PythonMemory<'_> {
         })
     }
 
-    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<Item>, MemoryError> {
+    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<MemoryItem>, MemoryError> {
         self.call(|py, memory, _| {
             let query = served(py, MemoryStep::of_query(py, query)?)?;
             self.items(&memory.call_method1(intern!(py, "recall"), (query,))?)

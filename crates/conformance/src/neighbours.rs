@@ -185,7 +185,7 @@ impl PolicyNeighbours {
 
 /// The neighbours of an external memory.
 #[derive(Debug)]
-pub struct MemoryNeighbours {
+pub struct ExternalMemoryNeighbours {
     /// What it has built.
     pub built: Receiver<ExternalBuilt>,
     /// Its answers.
@@ -206,7 +206,7 @@ pub struct MemoryNeighbours {
     neighbours: Neighbours,
 }
 
-impl Deref for MemoryNeighbours {
+impl Deref for ExternalMemoryNeighbours {
     type Target = Neighbours;
 
     fn deref(&self) -> &Neighbours {
@@ -214,7 +214,7 @@ impl Deref for MemoryNeighbours {
     }
 }
 
-impl MemoryNeighbours {
+impl ExternalMemoryNeighbours {
     /// Joins the run of `attach`, whose only participant has to be one external memory.
     ///
     /// # Errors

@@ -88,12 +88,12 @@ pub trait SubjectNeighbours: Deref<Target = Neighbours> + Sized {
 
 /// A process under test.
 #[derive(Debug)]
-enum Subject {
+enum RigSubject {
     Thread(Option<JoinHandle<anyhow::Result<()>>>),
     Process(Child),
 }
 
-impl Subject {
+impl RigSubject {
     fn has_ended(&mut self) -> bool {
         match self {
             Self::Thread(thread) => thread.as_ref().is_none_or(JoinHandle::is_finished),
@@ -105,7 +105,7 @@ impl Subject {
 /// A subject among its neighbours. Fields are dropped in order: the subject before its run.
 #[derive(Debug)]
 pub struct Rig<N: SubjectNeighbours> {
-    subject: Subject,
+    subject: RigSubject,
     /// The other roles.
     pub neighbours: N,
     /// The subject's first words, until the test asks for them.
@@ -116,7 +116,7 @@ pub struct Rig<N: SubjectNeighbours> {
 impl<N: SubjectNeighbours> Drop for Rig<N> {
     /// After a failed test the subject must not outlive its run.
     fn drop(&mut self) {
-        if let Subject::Process(child) = &mut self.subject {
+        if let RigSubject::Process(child) = &mut self.subject {
             let _ = child.kill();
             let _ = child.wait();
         } else if !self.subject.has_ended() {
@@ -137,7 +137,7 @@ impl<N: SubjectNeighbours> Rig<N> {
     ) -> Self {
         Self::start(change, |folder| {
             let folder = folder.to_owned();
-            Subject::Thread(Some(thread::spawn(move || serve(&folder))))
+            RigSubject::Thread(Some(thread::spawn(move || serve(&folder))))
         })
     }
 
@@ -146,12 +146,12 @@ impl<N: SubjectNeighbours> Rig<N> {
         change: impl FnOnce(&mut Attach),
         command: impl FnOnce(&Path) -> Command,
     ) -> Self {
-        Self::start(change, |folder| Subject::Process(command(folder).spawn().unwrap()))
+        Self::start(change, |folder| RigSubject::Process(command(folder).spawn().unwrap()))
     }
 
     /// Returns once the subject can be sent messages, or has ended. It starts last, so that its own first messages find
     /// their receivers.
-    fn start(change: impl FnOnce(&mut Attach), subject: impl FnOnce(&Path) -> Subject) -> Self {
+    fn start(change: impl FnOnce(&mut Attach), subject: impl FnOnce(&Path) -> RigSubject) -> Self {
         let run = ScratchRun::new(&[N::SUBJECT], change);
         let neighbours = N::join(run.attach()).unwrap();
         let subject = subject(run.path());
@@ -239,8 +239,8 @@ impl<N: SubjectNeighbours> Rig<N> {
             thread::sleep(Duration::from_millis(2));
         }
         match &mut self.subject {
-            Subject::Thread(thread) => thread.take().unwrap().join().unwrap(),
-            Subject::Process(child) => {
+            RigSubject::Thread(thread) => thread.take().unwrap().join().unwrap(),
+            RigSubject::Process(child) => {
                 let status = child.wait()?;
                 anyhow::ensure!(status.success(), "{status}");
                 Ok(())
@@ -299,7 +299,7 @@ impl PolicyRig {
     }
 }
 
-impl SubjectNeighbours for neighbours::MemoryNeighbours {
+impl SubjectNeighbours for neighbours::ExternalMemoryNeighbours {
     const SUBJECT: Role = Role::ExternalMemory;
 
     fn join(attach: &Attach) -> Result<Self, BusError> {
@@ -308,7 +308,7 @@ impl SubjectNeighbours for neighbours::MemoryNeighbours {
 }
 
 /// An external memory among its neighbours.
-pub type ExternalMemoryRig = Rig<neighbours::MemoryNeighbours>;
+pub type ExternalMemoryRig = Rig<neighbours::ExternalMemoryNeighbours>;
 
 impl ExternalMemoryRig {
     /// Publishes a grey frame of one brightness.

@@ -1,8 +1,7 @@
 //! `memtransfer doctor`: checks what a run needs by using it.
 
 use std::borrow::Cow;
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use anyhow::{Context, bail, ensure};
@@ -109,8 +108,9 @@ enum ProbedMark {
 
 pub(super) fn run(args: &DoctorArgs) -> anyhow::Result<Exit> {
     // One view is rendered and then embedded, as in a run.
-    let scratch = Scratch::new()?;
-    let view = scratch.0.join("view.png");
+    let scratch = tempfile::Builder::new().prefix("memtransfer-doctor-").tempdir();
+    let scratch = scratch.context("cannot make a temporary folder")?;
+    let view = scratch.path().join("view.png");
     let mut findings = vec![
         DoctorFinding::of("warehouse and cases", world(&args.world)),
         DoctorFinding::of("programs", programs()),
@@ -277,24 +277,6 @@ fn succeed(mut command: Command) -> anyhow::Result<()> {
     let message = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "{}", message.trim());
     Ok(())
-}
-
-/// A folder that is removed when it is dropped.
-struct Scratch(PathBuf);
-
-impl Scratch {
-    fn new() -> anyhow::Result<Self> {
-        let path = std::env::temp_dir().join(format!("memtransfer-doctor-{}", std::process::id()));
-        fs::create_dir_all(&path)?;
-        Ok(Self(path))
-    }
-}
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        // Nothing depends on it.
-        let _ = fs::remove_dir_all(&self.0);
-    }
 }
 
 #[cfg(test)]

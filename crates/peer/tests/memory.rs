@@ -10,7 +10,7 @@ use bytemuck::Zeroable;
 use conformance::testing::{ExternalMemoryRig, LONG};
 use domain::{Action, Feedback, Heading, Pose};
 use peer::memory::{
-    Demonstration, Episode, EpisodeEnd, Item, Memory, MemoryDescription, MemoryError, Method,
+    Demonstration, Episode, EpisodeEnd, Memory, MemoryDescription, MemoryError, MemoryItem, Method,
     Query, Scope, Source, Step, Views, serve,
 };
 use shm_types::banks::{BankDemonstration, BankStep};
@@ -168,7 +168,7 @@ impl Memory for Recorder {
         Ok(())
     }
 
-    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<Item>, MemoryError> {
+    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<MemoryItem>, MemoryError> {
         let window: Vec<_> = query
             .window
             .iter()
@@ -181,19 +181,22 @@ impl Memory for Recorder {
         let source = Source { demonstration: 0, first: 1, count: 2 };
         match step {
             0 => Ok(vec![
-                Item::Text { text: "left".into(), sources: vec![source] },
-                Item::Steps { source, views: Views::All, actions: true, distance: Some(0.5) },
-                Item::Steps {
+                MemoryItem::Text { text: "left".into(), sources: vec![source] },
+                MemoryItem::Steps { source, views: Views::All, actions: true, distance: Some(0.5) },
+                MemoryItem::Steps {
                     source,
                     views: Views::Keyframes(vec![2]),
                     actions: false,
                     distance: None,
                 },
-                Item::Frame {
-                    demonstration: 0, step: 2, caption: "bärrel".into(), distance: None
+                MemoryItem::Frame {
+                    demonstration: 0,
+                    step: 2,
+                    caption: "bärrel".into(),
+                    distance: None,
                 },
             ]),
-            1 => Ok(vec![Item::text("x"); 9]),
+            1 => Ok(vec![MemoryItem::text("x"); 9]),
             _ => Err(MemoryError::new("it is tired")),
         }
     }

@@ -87,7 +87,7 @@ pub struct Table {
     /// The other columns.
     pub columns: Vec<TableColumn>,
     /// The rows.
-    pub groups: Vec<Group>,
+    pub groups: Vec<RowGroup>,
 }
 
 /// A column.
@@ -103,7 +103,7 @@ pub struct TableColumn {
 
 /// Rows that belong together.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Group {
+pub struct RowGroup {
     /// Their common label; `None` in tables with one label column.
     pub label: Option<String>,
     /// The rows.
@@ -224,7 +224,7 @@ impl Table {
             caption: caption.into(),
             stubs: stubs.iter().map(|stub| (*stub).to_owned()).collect(),
             columns: columns.iter().map(|name| TableColumn::new(*name)).collect(),
-            groups: vec![Group { label: None, rows: rows.into_iter().map(row).collect() }],
+            groups: vec![RowGroup { label: None, rows: rows.into_iter().map(row).collect() }],
         }
     }
 

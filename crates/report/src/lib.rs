@@ -28,7 +28,7 @@ mod tests;
 
 pub use data::{episodes_frame, timings_frame};
 pub use document::{
-    Group, Missing, ReportBlock, ReportDocument, ReportFigure, ReportSection, Table, TableCell,
+    Missing, ReportBlock, ReportDocument, ReportFigure, ReportSection, RowGroup, Table, TableCell,
     TableColumn, TableRow,
 };
 pub use frame::{DataFrame, Series, Values};

@@ -152,7 +152,7 @@ fn blocked_routes_have_rows_for_all_demonstrations_and_conflicts_are_of_one_star
         let groups = table(&document, id).groups.iter();
         let rows = groups.flat_map(|group| group.rows.iter().map(move |row| (group, row)));
         let own = rows.filter(|(_, row)| !row.published);
-        let label = |group: &Group| group.label.clone().unwrap();
+        let label = |group: &RowGroup| group.label.clone().unwrap();
         own.map(|(group, row)| {
             format!("{}: {}: {}", label(group), row.label, texts(row).join(" | "))
         })

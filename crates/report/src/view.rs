@@ -7,7 +7,7 @@ use results::conditions::Condition;
 use results::log::RunLog;
 use results::score::{ConditionScore, Interval, Scores, Spread};
 
-use super::document::{Group, Missing, TableCell, TableColumn, TableRow};
+use super::document::{Missing, RowGroup, TableCell, TableColumn, TableRow};
 use super::published::{Published, PublishedCondition, PublishedSpread};
 
 /// One run, scored.
@@ -81,7 +81,7 @@ impl ScoredRun<'_> {
         memories: &[MemoryKind],
         ours: impl Fn(MemoryKind) -> Vec<TableCell>,
         theirs: impl Fn(MemoryKind) -> Vec<TableCell>,
-    ) -> Vec<Group> {
+    ) -> Vec<RowGroup> {
         let group = |&memory: &MemoryKind| {
             let ours = TableRow::new(OURS, ours(memory));
             let theirs = memory.built_in().map(|_| TableRow {
@@ -90,7 +90,7 @@ impl ScoredRun<'_> {
                 cells: theirs(memory),
             });
             let rows = [ours].into_iter().chain(theirs).collect();
-            Group { label: Some(title(memory)), rows }
+            RowGroup { label: Some(title(memory)), rows }
         };
         memories.iter().map(group).collect()
     }

@@ -7,7 +7,7 @@
 //! ```
 
 use peer::memory::{
-    Demonstration, Item, Memory, MemoryDescription, MemoryError, Method, Query, Source, Views,
+    Demonstration, MemoryItem, Memory, MemoryDescription, MemoryError, Method, Query, Source, Views,
     serve_from_environment,
 };
 
@@ -40,7 +40,7 @@ impl Memory for Nearest {
     }
 
     // Called at every step. Items name steps by number: the run looks up their views and actions.
-    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<Item>, MemoryError> {
+    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<MemoryItem>, MemoryError> {
         let now = query.now.embedding.ok_or_else(|| MemoryError::new("no embedding"))?;
         let views = self.demonstrations.iter().zip(0..).flat_map(|(remembered, number)| {
             remembered.embeddings.iter().zip(0..).map(move |(view, step)| {
@@ -60,10 +60,10 @@ impl Memory for Nearest {
             true => Views::All,
             false => Views::None,
         };
-        let mut items = vec![Item::Steps { source, views, actions: true, distance: Some(distance) }];
+        let mut items = vec![MemoryItem::Steps { source, views, actions: true, distance: Some(distance) }];
         let text = format!("From a demonstration of: {instruction}");
         if text.len() <= query.text_budget as usize {
-            items.push(Item::Text { text: text.into(), sources: vec![source] });
+            items.push(MemoryItem::Text { text: text.into(), sources: vec![source] });
         }
         Ok(items)
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
-use peer::memory::{Item, Source, Views};
+use peer::memory::{MemoryItem, Source, Views};
 use search::Embedding;
 use shm_types::message::{
     AnswerItem, AnswerSource, ExternalAnswer, ExternalEpisode, ExternalQuery, ItemKind, Learning,
@@ -62,7 +62,7 @@ pub(crate) fn query_message(
 }
 
 /// Reads the items of an answer with the note `note`. References are not checked.
-pub(crate) fn read_items(message: &ExternalAnswer, note: &[u8]) -> Result<Vec<Item>, String> {
+pub(crate) fn read_items(message: &ExternalAnswer, note: &[u8]) -> Result<Vec<MemoryItem>, String> {
     let within = |what: &str, count: u32, most: usize| match count as usize {
         count if count <= most => Ok(count),
         count => Err(format!("it has {count} {what}, and at most {most} are allowed")),
@@ -87,7 +87,7 @@ fn read_item(
     item: &AnswerItem,
     sources: &[AnswerSource],
     note: &[u8],
-) -> Result<Item, String> {
+) -> Result<MemoryItem, String> {
     let &AnswerItem { first_byte, bytes, demonstration, first_step: first, steps: count, .. } =
         item;
     let in_note = || {
@@ -109,7 +109,7 @@ fn read_item(
                 first: source.first_step,
                 count: source.steps,
             };
-            Ok(Item::Text { text: text()?, sources: its_own.map(source).collect() })
+            Ok(MemoryItem::Text { text: text()?, sources: its_own.map(source).collect() })
         }
         Ok(ItemKind::Steps) => {
             let views = match item.views {
@@ -133,7 +133,7 @@ fn read_item(
                     return Err(format!("has the code {code} for its actions, expected 0 or 1"));
                 }
             };
-            Ok(Item::Steps {
+            Ok(MemoryItem::Steps {
                 source: Source { demonstration, first, count },
                 views,
                 actions,
@@ -144,7 +144,7 @@ fn read_item(
             Err(format!("is a captioned frame of {count} steps, expected 1"))
         }
         Ok(ItemKind::Frame) => {
-            Ok(Item::Frame { demonstration, step: first, caption: text()?, distance })
+            Ok(MemoryItem::Frame { demonstration, step: first, caption: text()?, distance })
         }
         Ok(ItemKind::Trajectory) => {
             Err("is a trajectory: steps of any length have the kind of steps".to_owned())

@@ -19,28 +19,28 @@ fn source(demonstration: u32, first: u32, count: u32) -> Source {
     Source { demonstration, first, count }
 }
 
-fn steps(demonstration: u32, first: u32, count: u32) -> Item {
+fn steps(demonstration: u32, first: u32, count: u32) -> MemoryItem {
     let source = source(demonstration, first, count);
-    Item::Steps { source, views: Views::All, actions: true, distance: Some(0.5) }
+    MemoryItem::Steps { source, views: Views::All, actions: true, distance: Some(0.5) }
 }
 
-fn whole(demonstration: u32, count: u32, shown: &[u32]) -> Item {
+fn whole(demonstration: u32, count: u32, shown: &[u32]) -> MemoryItem {
     let source = source(demonstration, 0, count);
     let views = Views::Keyframes(shown.to_vec());
-    Item::Steps { source, views, actions: true, distance: None }
+    MemoryItem::Steps { source, views, actions: true, distance: None }
 }
 
-fn frame(demonstration: u32, step: u32, caption: &str) -> Item {
-    Item::Frame { demonstration, step, caption: caption.into(), distance: None }
+fn frame(demonstration: u32, step: u32, caption: &str) -> MemoryItem {
+    MemoryItem::Frame { demonstration, step, caption: caption.into(), distance: None }
 }
 
-fn refusal(items: Vec<Item>) -> String {
+fn refusal(items: Vec<MemoryItem>) -> String {
     CheckedAnswer::new(items, &bank(), AMPLE).unwrap_err()
 }
 
 /// The recall of `items`, with frames that are numbered by row.
 fn assembled(
-    items: Vec<Item>,
+    items: Vec<MemoryItem>,
     texts: &mut PublishedTexts,
     documents: &mut TestDocuments,
 ) -> AssembledRecall {
@@ -57,15 +57,20 @@ fn assembled(
 
 #[test]
 fn what_is_not_in_the_bank_is_refused_by_name() {
-    let distant = |distance| Item::Steps {
+    let distant = |distance| MemoryItem::Steps {
         source: source(0, 0, 2),
         views: Views::All,
         actions: true,
         distance: Some(distance),
     };
-    let neither =
-        Item::Steps { source: source(0, 0, 2), views: Views::None, actions: false, distance: None };
-    let text = Item::Text { text: "cone".into(), sources: vec![source(0, 0, 2), source(1, 4, 2)] };
+    let neither = MemoryItem::Steps {
+        source: source(0, 0, 2),
+        views: Views::None,
+        actions: false,
+        distance: None,
+    };
+    let text =
+        MemoryItem::Text { text: "cone".into(), sources: vec![source(0, 0, 2), source(1, 4, 2)] };
     let sources = vec![source(0, 0, 1); 17];
     for (item, expected) in [
         (steps(3, 0, 1), "item 1 names demonstration 3, but the bank has 3 (from 0)"),
@@ -80,24 +85,27 @@ fn what_is_not_in_the_bank_is_refused_by_name() {
         (neither, "item 1 supplies neither views nor actions"),
         (distant(f32::INFINITY), "item 1 has the distance inf, expected a finite number"),
         (text, "item 1 names 2 steps from step 4 of demonstration 1"),
-        (Item::Text { text: "".into(), sources }, "it has 17 sources, and at most 16 are allowed"),
+        (
+            MemoryItem::Text { text: "".into(), sources },
+            "it has 17 sources, and at most 16 are allowed",
+        ),
     ] {
-        let error = refusal(vec![Item::text("before"), item]);
+        let error = refusal(vec![MemoryItem::text("before"), item]);
         assert!(error.starts_with(expected), "{error}");
     }
-    let error = refusal(vec![Item::text("x"); 9]);
+    let error = refusal(vec![MemoryItem::text("x"); 9]);
     assert_eq!(error, "it has 9 items, and at most 8 are allowed");
 }
 
 #[test]
 fn an_item_that_does_not_fit_into_a_budget_is_dropped_whole() {
     let items = vec![
-        Item::text("four"),
+        MemoryItem::text("four"),
         steps(0, 2, 5),
         frame(0, 0, "it"),
         steps(0, 0, 4),
-        Item::text("to"),
-        Item::text("long text"),
+        MemoryItem::text("to"),
+        MemoryItem::text("long text"),
     ];
     for (images, text, kept, supplied) in [
         (200, 200, vec![0, 1, 2, 3, 4, 5], (10, 17)),
@@ -119,7 +127,7 @@ fn an_item_that_does_not_fit_into_a_budget_is_dropped_whole() {
 
 #[test]
 fn steps_show_what_the_item_asks_for() {
-    let with = |views, actions| Item::Steps {
+    let with = |views, actions| MemoryItem::Steps {
         source: source(0, 2, 3),
         views,
         actions,
@@ -187,10 +195,10 @@ fn a_text_is_published_once_in_an_episode() {
         .consolidated(domain::DocumentKind::Summary, warehouse::Demonstrations::ALL)
         .unwrap();
     let items = vec![
-        Item::text("a cone"),
-        Item::text("a bärrel"),
-        Item::text("a cone"),
-        Item::Text { text: known, sources: Vec::new() },
+        MemoryItem::text("a cone"),
+        MemoryItem::text("a bärrel"),
+        MemoryItem::text("a cone"),
+        MemoryItem::Text { text: known, sources: Vec::new() },
     ];
     let first = assembled(items.clone(), &mut texts, &mut documents);
     let places = first.items[..4].iter().map(|i| (i.document, i.first_byte, i.bytes));
@@ -205,7 +213,7 @@ fn a_text_is_published_once_in_an_episode() {
     assert_eq!(documents.published.len(), 3);
 }
 
-fn item() -> impl Strategy<Value = Item> {
+fn item() -> impl Strategy<Value = MemoryItem> {
     let source = || {
         (0..4_u32, prop_oneof![0..70_u32, any::<u32>()], prop_oneof![0..70_u32, any::<u32>()])
             .prop_map(|(demonstration, first, count)| source(demonstration, first, count))
@@ -219,15 +227,15 @@ fn item() -> impl Strategy<Value = Item> {
     let distance = || prop_oneof![Just(None), any::<f32>().prop_map(Some)];
     prop_oneof![
         ("[a-zäö]{0,90}", prop::collection::vec(source(), 0..4))
-            .prop_map(|(text, sources)| Item::Text { text: text.into(), sources }),
+            .prop_map(|(text, sources)| MemoryItem::Text { text: text.into(), sources }),
         (source(), views, any::<bool>(), distance()).prop_map(
             |(source, views, actions, distance)| {
-                Item::Steps { source, views, actions, distance }
+                MemoryItem::Steps { source, views, actions, distance }
             }
         ),
         (source(), "[a-z]{0,9}", distance()).prop_map(|(source, caption, distance)| {
             let Source { demonstration, first: step, .. } = source;
-            Item::Frame { demonstration, step, caption: caption.into(), distance }
+            MemoryItem::Frame { demonstration, step, caption: caption.into(), distance }
         }),
     ]
 }

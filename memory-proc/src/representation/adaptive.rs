@@ -41,7 +41,7 @@ use std::sync::Arc;
 
 use domain::{Action, Feedback, Pose, SegmentContent};
 use peer::memory::{
-    Demonstration, Episode, EpisodeEnd, Item, Memory, MemoryError, Query, Source, Step, Views,
+    Demonstration, Episode, EpisodeEnd, Memory, MemoryError, MemoryItem, Query, Source, Step, Views,
 };
 use search::{Embedding, Index, IndexBuilder, Neighbour, ViewEntry, distance};
 use serde::{Deserialize, Serialize};
@@ -271,12 +271,12 @@ impl Adaptive {
     }
 
     /// The view that was found, and the continuation from there.
-    fn segment(&self, Neighbour { entry, distance }: Neighbour) -> Item {
+    fn segment(&self, Neighbour { entry, distance }: Neighbour) -> MemoryItem {
         let of = &self.trajectories[usize::from(entry.demonstration)];
         let first = usize::from(entry.step);
         let transitions = first..(first + self.horizon as usize).min(of.steps.len());
         let count = 1 + transitions.take_while(|&at| of.continues(at)).count() as u32;
-        Item::Steps {
+        MemoryItem::Steps {
             source: Source { demonstration: of.number, first: first as u32, count },
             views: Views::All,
             actions: self.content == SegmentContent::Actions,
@@ -413,7 +413,7 @@ impl Memory for Adaptive {
         Ok(())
     }
 
-    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<Item>, MemoryError> {
+    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<MemoryItem>, MemoryError> {
         let embedding = query.now.embedding;
         let embedding =
             embedding.ok_or_else(|| MemoryError::new("the current view has not been embedded"))?;

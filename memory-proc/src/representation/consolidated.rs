@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use peer::memory::{Item, Memory, MemoryError, Query};
+use peer::memory::{Memory, MemoryError, MemoryItem, Query};
 
 /// A memory of documents.
 #[derive(Debug)]
@@ -13,8 +13,8 @@ pub(super) struct Consolidated {
 }
 
 impl Memory for Consolidated {
-    fn recall(&mut self, _: &Query<'_>) -> Result<Vec<Item>, MemoryError> {
-        Ok(self.documents.iter().map(|text| Item::text(text.clone())).collect())
+    fn recall(&mut self, _: &Query<'_>) -> Result<Vec<MemoryItem>, MemoryError> {
+        Ok(self.documents.iter().map(|text| MemoryItem::text(text.clone())).collect())
     }
 
     fn store_bytes(&self) -> Option<u64> {
@@ -35,7 +35,7 @@ mod tests {
         let mut memory = built_in(Representation::Hybrid, &settings);
         build(&mut *memory, &[]).unwrap();
         let items = recall(&mut *memory, None, 0, 0).unwrap();
-        assert_eq!(items, ["summary", "knowledge"].map(super::Item::text));
+        assert_eq!(items, ["summary", "knowledge"].map(super::MemoryItem::text));
         assert_eq!(items, recall(&mut *memory, None, 1, 9).unwrap());
         assert_eq!(memory.store_bytes(), Some(16));
     }

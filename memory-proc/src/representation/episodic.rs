@@ -8,7 +8,7 @@
 use std::sync::Arc;
 
 use domain::SegmentContent;
-use peer::memory::{Demonstration, Item, Memory, MemoryError, Query, Source, Views};
+use peer::memory::{Demonstration, Memory, MemoryError, MemoryItem, Query, Source, Views};
 use search::{Index, IndexBuilder, Neighbour, ViewEntry};
 
 use super::{MemorySettings, dimension};
@@ -35,12 +35,12 @@ impl Episodic {
     }
 
     /// The view at `entry`, and at most `horizon` actions from there, with the views that they lead to.
-    fn segment(&self, Neighbour { entry, distance }: Neighbour) -> Item {
+    fn segment(&self, Neighbour { entry, distance }: Neighbour) -> MemoryItem {
         let first = u32::from(entry.step);
         let length = self.lengths[usize::from(entry.demonstration)];
         let count = (self.horizon + 1).min(length - first);
         let demonstration = entry.demonstration.into();
-        Item::Steps {
+        MemoryItem::Steps {
             source: Source { demonstration, first, count },
             views: Views::All,
             actions: self.content == SegmentContent::Actions,
@@ -70,7 +70,7 @@ impl Memory for Episodic {
         Ok(())
     }
 
-    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<Item>, MemoryError> {
+    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<MemoryItem>, MemoryError> {
         let (Some(index), Some(embedding)) = (&self.index, query.now.embedding) else {
             return Err(MemoryError::new("the current view has not been embedded"));
         };
@@ -115,7 +115,7 @@ mod tests {
         let embedding = view.embedding.as_ref().map(Embedding::as_slice);
         let items = recall(memory, embedding, stage, elapsed).unwrap();
         let hit = |item| match item {
-            Item::Steps { source, views: Views::All, distance: Some(distance), .. } => {
+            MemoryItem::Steps { source, views: Views::All, distance: Some(distance), .. } => {
                 (source.demonstration, source.first, source.count, distance)
             }
             other => panic!("{other:?}"),
@@ -141,7 +141,7 @@ mod tests {
             let settings = MemorySettings { segment, ..settings() };
             let mut memory = memory(&[demonstration(1, 5, 9)], &settings);
             let items = recall(&mut memory, Some(&[1.0, 0.0]), 0, 0).unwrap();
-            let [Item::Steps { actions, .. }] = items[..] else { panic!("{items:?}") };
+            let [MemoryItem::Steps { actions, .. }] = items[..] else { panic!("{items:?}") };
             assert_eq!(actions, segment == SegmentContent::Actions);
         }
     }

@@ -14,13 +14,13 @@
 //! A keyframe is a step, not a view: a view that the expert saw twice may appear twice. Actions are always complete.
 
 use domain::Action;
-use peer::memory::{Demonstration, Item, Memory, MemoryError, Query, Source, Views};
+use peer::memory::{Demonstration, Memory, MemoryError, MemoryItem, Query, Source, Views};
 
 /// All demonstrations of a case.
 #[derive(Debug)]
 pub(super) struct FullContext {
     budget: usize,
-    items: Vec<Item>,
+    items: Vec<MemoryItem>,
 }
 
 impl FullContext {
@@ -35,7 +35,7 @@ impl Memory for FullContext {
         let lengths: Vec<usize> = demonstrations.iter().map(|of| of.steps.len()).collect();
         let shares = shares(&lengths, self.budget);
         let chosen = demonstrations.iter().zip(shares).zip(0..);
-        let items = chosen.map(|((of, share), demonstration)| Item::Steps {
+        let items = chosen.map(|((of, share), demonstration)| MemoryItem::Steps {
             source: Source { demonstration, first: 0, count: of.steps.len() as u32 },
             views: Views::Keyframes(keyframes(of, share).into_iter().map(|t| t as u32).collect()),
             actions: true,
@@ -45,7 +45,7 @@ impl Memory for FullContext {
         Ok(())
     }
 
-    fn recall(&mut self, _: &Query<'_>) -> Result<Vec<Item>, MemoryError> {
+    fn recall(&mut self, _: &Query<'_>) -> Result<Vec<MemoryItem>, MemoryError> {
         Ok(self.items.clone())
     }
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use anyhow::bail;
 use domain::{Action, DocumentKind, Feedback, Heading, Pose, SegmentContent};
-use peer::memory::{Item, Memory, MemoryError, Query, Step};
+use peer::memory::{Memory, MemoryError, MemoryItem, Query, Step};
 use shm_types::documents::Content;
 use shm_types::message::DocumentId;
 use warehouse::Demonstrations;
@@ -73,7 +73,7 @@ pub(crate) fn recall(
     embedding: Option<&[f32]>,
     stage: u32,
     step: u32,
-) -> Result<Vec<Item>, MemoryError> {
+) -> Result<Vec<MemoryItem>, MemoryError> {
     let now = Step {
         lane: 1,
         episode: 7,

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use anyhow::Result;
 use domain::MemoryKind;
 use report::{
-    Curve, Curves, Group, ReportBlock, ReportDocument, ReportFigure, ReportSection, Stack,
+    Curve, Curves, ReportBlock, ReportDocument, ReportFigure, ReportSection, RowGroup, Stack,
     StackRow, Table, TableCell, TableColumn, TableRow, curves, stack,
 };
 use results::latency::LatencySummary;
@@ -130,7 +130,7 @@ fn distribution(run: &AccessRun) -> Table {
                 cells: cells(&latency.times),
             })
             .collect();
-        Group { label: Some(memory.to_string()), rows }
+        RowGroup { label: Some(memory.to_string()), rows }
     });
     Table {
         id: format!("t-split-{}", run.caches),
@@ -162,7 +162,7 @@ fn waiting(profile: &Profile) -> Option<ReportSection> {
             let label = memory.to_string();
             Some(TableRow { label, published: false, cells: cells(total) })
         };
-        Group {
+        RowGroup {
             label: Some(run.name()),
             rows: run.memories().into_iter().filter_map(row).collect(),
         }

@@ -26,7 +26,7 @@ use supervise::Children;
 
 use self::answers::Supplied;
 use crate::messages::{external_episode, query};
-use crate::neighbours::{MemoryNeighbours, TICK};
+use crate::neighbours::{ExternalMemoryNeighbours, TICK};
 use crate::subject::{CheckResult, Subject, Terms, TestedRole, wrong};
 
 /// The index of the memory under test. Not 0: a memory has to take it from its folder.
@@ -81,7 +81,7 @@ impl TestedRole for MemoryRole {
     const ANSWERED: &'static str = "answered";
     const WAITS_FOR_RUN: bool = true;
 
-    type Neighbours = MemoryNeighbours;
+    type Neighbours = ExternalMemoryNeighbours;
     type Answer = ReceivedAnswer;
 
     fn settings(attach: Attach) -> Attach {
@@ -115,17 +115,17 @@ impl TestedRole for MemoryRole {
         Ok(())
     }
 
-    fn join(attach: &Attach) -> Result<MemoryNeighbours, BusError> {
-        MemoryNeighbours::join(attach)
+    fn join(attach: &Attach) -> Result<ExternalMemoryNeighbours, BusError> {
+        ExternalMemoryNeighbours::join(attach)
     }
 
-    fn frames(neighbours: &mut MemoryNeighbours) -> &mut FramePublisher {
+    fn frames(neighbours: &mut ExternalMemoryNeighbours) -> &mut FramePublisher {
         &mut neighbours.frames
     }
 
     fn receive(
         &mut self,
-        neighbours: &mut MemoryNeighbours,
+        neighbours: &mut ExternalMemoryNeighbours,
     ) -> CheckResult<Vec<(RequestId, ReceivedAnswer)>> {
         // A note is published before the message that names it.
         let (built, answers) = (neighbours.built.drain()?, neighbours.answers.drain()?);

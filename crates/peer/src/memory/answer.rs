@@ -5,7 +5,7 @@ use shm_types::message::{
     AnswerItem, AnswerSource, ExternalAnswer, ItemKind, MAX_ITEMS, MAX_SOURCES, NOT_MEASURED,
 };
 
-use super::{Item, MemoryError, Source, Views};
+use super::{MemoryError, MemoryItem, Source, Views};
 
 /// An answer that has not been sent.
 pub(super) struct UnsentAnswer {
@@ -34,7 +34,7 @@ impl UnsentAnswer {
     ///
     /// # Errors
     /// When there are too many.
-    pub(super) fn of(items: &[Item]) -> Result<Self, MemoryError> {
+    pub(super) fn of(items: &[MemoryItem]) -> Result<Self, MemoryError> {
         if items.len() > MAX_ITEMS {
             let count = items.len();
             return Err(MemoryError::new(format_args!(
@@ -50,15 +50,15 @@ impl UnsentAnswer {
         Ok(answer)
     }
 
-    fn item(&mut self, number: u32, item: &Item) -> Result<AnswerItem, MemoryError> {
+    fn item(&mut self, number: u32, item: &MemoryItem) -> Result<AnswerItem, MemoryError> {
         let nothing = AnswerItem { distance: f32::NAN, ..Zeroable::zeroed() };
         Ok(match item {
-            Item::Text { text, sources } => {
+            MemoryItem::Text { text, sources } => {
                 sources.iter().try_for_each(|source| self.add_source(number, source))?;
                 let (first_byte, bytes) = self.write(text.as_bytes());
                 AnswerItem { kind: ItemKind::Text as u8, first_byte, bytes, ..nothing }
             }
-            Item::Steps { source, views, actions, distance } => {
+            MemoryItem::Steps { source, views, actions, distance } => {
                 let Source { demonstration, first, count } = *source;
                 let (code, (first_byte, bytes)) = match views {
                     Views::None => (0, (0, 0)),
@@ -81,7 +81,7 @@ impl UnsentAnswer {
                     reserved: 0,
                 }
             }
-            Item::Frame { demonstration, step, caption, distance } => {
+            MemoryItem::Frame { demonstration, step, caption, distance } => {
                 let (first_byte, bytes) = self.write(caption.as_bytes());
                 AnswerItem {
                     kind: ItemKind::Frame as u8,

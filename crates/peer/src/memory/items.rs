@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 /// One item of what a memory supplies for a step.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Item {
+pub enum MemoryItem {
     /// A text.
     Text {
         /// The text. Equal texts are passed on once.
@@ -36,7 +36,7 @@ pub enum Item {
     },
 }
 
-impl Item {
+impl MemoryItem {
     /// A text that comes from the memory as a whole.
     pub fn text(text: impl Into<Arc<str>>) -> Self {
         Self::Text { text: text.into(), sources: Vec::new() }

@@ -1,7 +1,7 @@
 //! The role of a memory: what it is given, what it answers, and how an external one is served.
 //!
 //! A memory is built from a bank of [`Demonstration`]s. At each step of an episode it is given a [`Query`] and returns
-//! [`Item`]s: texts, steps of demonstrations, captioned frames. It names what it was given by number, so it cannot supply
+//! [`MemoryItem`]s: texts, steps of demonstrations, captioned frames. It names what it was given by number, so it cannot supply
 //! anything else; the host looks up views and actions, applies the budgets, and passes the items on to the policy.
 //!
 //! In a stream one memory serves many episodes. It learns from some of them ([`Episode::learns`]): it observes their steps,
@@ -22,7 +22,7 @@ use std::path::Path;
 pub use shm_types::MemoryDescription;
 pub use shm_types::description::Scope;
 
-pub use self::items::{Item, Source, Views};
+pub use self::items::{MemoryItem, Source, Views};
 pub use self::method::{MemoryMethod, Method};
 pub use self::serving::{serve, serve_from_environment};
 pub use self::views::{
@@ -66,7 +66,7 @@ pub trait Memory {
     ///
     /// # Errors
     /// As [`Self::begin_episode`].
-    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<Item>, MemoryError>;
+    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<MemoryItem>, MemoryError>;
 
     /// An episode is over, or was given up.
     ///

@@ -4,7 +4,7 @@ use domain::MemoryKind;
 use results::conditions::{Condition, Route};
 use results::score::{BlockedScore, Derived};
 
-use crate::document::{Group, Missing, Table, TableCell, TableColumn, TableRow};
+use crate::document::{Missing, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::view::{
     ScoredRun, name, pair_stubs, published_text, signed, sure_or, title, with_interval,
 };
@@ -78,7 +78,7 @@ fn rows(view: &ScoredRun<'_>, is_shown: impl Fn(&Condition) -> bool) -> Option<T
         let label = format!("{demonstrations}{variation}").replace('/', ", ");
         TableRow::new(label, cells(view, &condition.to_string()))
     };
-    let groups = shown.chunk_by(|a, b| a.memory == b.memory).map(|conditions| Group {
+    let groups = shown.chunk_by(|a, b| a.memory == b.memory).map(|conditions| RowGroup {
         label: conditions.first().map(|condition| title(condition.memory)),
         rows: conditions.iter().map(row).collect(),
     });

@@ -4,7 +4,7 @@ use results::conditions::{Condition, Route};
 use results::score::ConditionScore;
 
 use super::main_table::{NO_REQUESTS, NO_TOKENS};
-use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
+use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, interval_text, plain_or, spread_text, title};
 
 const NO_RETRIEVAL: Missing = Missing::NotApplicable("nothing is retrieved under this condition");
@@ -33,7 +33,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
 pub(crate) fn conditions_table(view: &ScoredRun<'_>) -> Table {
     let scores = &view.scores.conditions;
     let groups = scores.chunk_by(|a, b| a.condition.memory == b.condition.memory);
-    let group = |scores: &[ConditionScore]| Group {
+    let group = |scores: &[ConditionScore]| RowGroup {
         label: scores.first().map(|score| title(score.condition.memory)),
         rows: scores.iter().map(row).collect(),
     };

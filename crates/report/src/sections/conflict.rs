@@ -9,7 +9,7 @@ use results::score::{ConditionScore, HISTORIES};
 use super::blocked::NONE_TRIED;
 use super::mixed::NO_RETRIEVAL;
 use super::streams::NOTHING_RETRIEVED;
-use crate::document::{Group, Missing, Table, TableCell, TableColumn, TableRow};
+use crate::document::{Missing, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, sure, sure_or, title};
 
 /// Success on both routes and use of outdated demonstrations from the new start, the only one with blocked routes, by memory,
@@ -51,7 +51,7 @@ pub(crate) fn conflict_table(view: &ScoredRun<'_>) -> Option<Table> {
         scores.iter().map(|score| (score.condition.memory, score.condition.variation)).collect();
     let groups = both.into_iter().map(|(memory, variation)| {
         let sets = [Demonstrations::NONE].into_iter().chain(HISTORIES);
-        Group {
+        RowGroup {
             label: Some(title(memory) + &variation.to_string().replace('/', ", ")),
             rows: sets.filter_map(|set| row(memory, variation, set)).collect(),
         }

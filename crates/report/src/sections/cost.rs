@@ -5,7 +5,7 @@ use results::conditions::Variation;
 use results::score::RequestScore;
 
 use super::main_table::{NO_REQUESTS, mega};
-use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
+use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, name, pair_stubs, plain_or, title};
 
 const SETTINGS: [(&str, &str, &str); 2] = [
@@ -115,7 +115,7 @@ pub(crate) fn requests_table(view: &ScoredRun<'_>) -> Option<Table> {
             .to_owned(),
         stubs: vec!["Figure".to_owned()],
         columns: columns.map(TableColumn::new).collect(),
-        groups: vec![Group { label: None, rows: figures.into_iter().map(row).collect() }],
+        groups: vec![RowGroup { label: None, rows: figures.into_iter().map(row).collect() }],
     })
 }
 

@@ -2,7 +2,7 @@
 
 use domain::{MemoryKind, Representation};
 
-use crate::document::{Group, ReportBlock, Table, TableRow};
+use crate::document::{ReportBlock, RowGroup, Table, TableRow};
 use crate::sections::main_table::{rate_figure, rate_rows};
 use crate::view::{OURS, ScoredRun, THEIRS, name, our_rates, rate_columns, their_rates, title};
 
@@ -13,7 +13,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let row = |(choice, name): &(String, String)| {
         TableRow::new(choice, [our_rates(view, name), their_rates(view, name)].concat())
     };
-    let group = |(heading, conditions): &(String, Vec<(String, String)>)| Group {
+    let group = |(heading, conditions): &(String, Vec<(String, String)>)| RowGroup {
         label: Some(heading.clone()),
         rows: conditions.iter().filter(|(_, name)| view.score(name).is_some()).map(row).collect(),
     };

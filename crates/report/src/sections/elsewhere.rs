@@ -2,7 +2,7 @@
 
 use domain::{MemoryKind, Representation};
 
-use crate::document::{Group, ReportBlock, ReportSection, Table};
+use crate::document::{ReportBlock, ReportSection, RowGroup, Table};
 use crate::sections::pairs::{columns, row};
 use crate::view::{ScoredRun, name, title};
 
@@ -28,7 +28,7 @@ pub(super) fn section(view: &ScoredRun<'_>) -> Option<ReportSection> {
             let label = "elsewhere − working memory";
             rows.extend(has_run(&nothing).then(|| row(view, label, &elsewhere, &nothing)));
         }
-        Group { label: Some(title(memory)), rows }
+        RowGroup { label: Some(title(memory)), rows }
     };
     let memories = view.memories();
     let groups = memories.iter().map(group).filter(|group| !group.rows.is_empty());

@@ -5,7 +5,7 @@ use results::score::GrowthScore;
 use super::main_table::{NO_TOKENS, rate_figure, rate_rows};
 use super::mixed::NO_RETRIEVAL;
 use super::streams::NOTHING_RETRIEVED;
-use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
+use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::plot::{Curve, Curves, curves};
 use crate::view::{ScoredRun, plain_or, sure, title};
 
@@ -94,8 +94,8 @@ pub(crate) fn growth_table(view: &ScoredRun<'_>) -> Option<Table> {
         ];
         TableRow::new(label(one), cells)
     };
-    let groups: Vec<Group> = by_memory(view)
-        .map(|scores| Group {
+    let groups: Vec<RowGroup> = by_memory(view)
+        .map(|scores| RowGroup {
             label: Some(heading(scores)),
             rows: scores.iter().map(row).collect(),
         })

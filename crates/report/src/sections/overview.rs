@@ -7,7 +7,7 @@ use domain::{Appearance, Representation};
 use results::conditions::{Condition, Frames, PolicyKind};
 use results::log::{EpisodeRecord, ExternalMemoryFacts, Manifest};
 
-use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
+use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, title};
 
 /// Notices for the reader of the figures: the policy, controls, missing episodes, damaged lines.
@@ -175,6 +175,6 @@ pub(super) fn facts_table(
         caption: caption.to_owned(),
         stubs: vec!["Fact".to_owned()],
         columns: vec![TableColumn::text("Value")],
-        groups: vec![Group { label: None, rows: facts.into_iter().map(row).collect() }],
+        groups: vec![RowGroup { label: None, rows: facts.into_iter().map(row).collect() }],
     }
 }

@@ -5,7 +5,7 @@ use results::compare::compare_conditions;
 use results::conditions::Condition;
 use results::score::{Comparison, FigureDifference};
 
-use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
+use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::sections::conditions::setting;
 use crate::view::{ScoredRun, name, p_value, signed, title, with_interval};
 
@@ -40,7 +40,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
             let label = "memory − working memory (new start, 4 demos)";
             rows.push(row(view, label, &of(("new/unchanged", "4")), &baseline));
         }
-        Group { label: Some(title(representation)), rows }
+        RowGroup { label: Some(title(representation)), rows }
     };
     let table = Table {
         id: view.id("pairs"),
@@ -75,7 +75,7 @@ fn against_others(view: &ScoredRun<'_>) -> Option<Table> {
                 Some(row(view, &label, &condition.to_string(), &other.to_string()))
             })
         });
-        Group { label: Some(name.to_string()), rows: rows.collect() }
+        RowGroup { label: Some(name.to_string()), rows: rows.collect() }
     };
     let groups = view.external_memories().into_iter().map(group);
     let table = Table {

@@ -8,7 +8,7 @@ use results::conditions::Condition;
 use super::overview::notices;
 use super::pairs::{cells, columns};
 use crate::document::{
-    Group, Missing, ReportBlock, ReportSection, Table, TableCell, TableColumn, TableRow,
+    Missing, ReportBlock, ReportSection, RowGroup, Table, TableCell, TableColumn, TableRow,
 };
 use crate::sections::conditions::setting;
 use crate::view::{ScoredRun, sure, title};
@@ -64,7 +64,7 @@ fn side_by_side(views: &[ScoredRun<'_>]) -> Table {
         });
         TableRow::new(setting(condition), cells.collect())
     };
-    let group = |conditions: &[Condition]| Group {
+    let group = |conditions: &[Condition]| RowGroup {
         label: conditions.first().map(|condition| title(condition.memory)),
         rows: conditions.iter().map(row).collect(),
     };
@@ -106,7 +106,7 @@ fn compared(first: &ScoredRun<'_>, second: &ScoredRun<'_>) -> Vec<ReportBlock> {
         ),
         stubs: vec!["Condition".to_owned()],
         columns: columns(),
-        groups: vec![Group { label: None, rows: rows.collect() }],
+        groups: vec![RowGroup { label: None, rows: rows.collect() }],
     }));
     blocks
 }

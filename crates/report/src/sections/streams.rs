@@ -15,7 +15,7 @@ use results::conditions::{Condition, Variation};
 use results::score::{Estimate, StreamScore, StreamScores};
 use retention::matrix_table;
 
-use crate::document::{Group, Missing, ReportBlock, ReportSection, TableCell, TableRow};
+use crate::document::{Missing, ReportBlock, ReportSection, RowGroup, TableCell, TableRow};
 use crate::view::{ScoredRun, title, with_interval};
 
 pub(super) const NOTHING_RETRIEVED: Missing = Missing::Undefined("nothing was retrieved");
@@ -113,10 +113,10 @@ fn memory_and_arm() -> Vec<String> {
 fn by_condition(
     scores: &StreamScores,
     cells: impl Fn(&StreamScore) -> Option<Vec<TableCell>>,
-) -> Vec<Group> {
+) -> Vec<RowGroup> {
     let row = |score: &StreamScore| Some(TableRow::new(arm(&score.condition), cells(score)?));
     let of_memory = scores.conditions.chunk_by(|a, b| a.condition.memory == b.condition.memory);
-    let group = |scores: &[StreamScore]| Group {
+    let group = |scores: &[StreamScore]| RowGroup {
         label: scores.first().map(|score| title(score.condition.memory)),
         rows: scores.iter().filter_map(row).collect(),
     };

@@ -3,7 +3,7 @@
 use domain::MemoryKind;
 use results::score::MemoryScore;
 
-use crate::document::{Group, Missing, Table, TableCell, TableColumn, TableRow};
+use crate::document::{Missing, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, plain_or, title};
 
 const BUILT_IN: Missing =
@@ -44,6 +44,6 @@ pub(crate) fn supplied_table(view: &ScoredRun<'_>) -> Option<Table> {
             .to_owned(),
         stubs: vec!["Memory".to_owned()],
         columns: columns.into_iter().chain(["Tokens"]).map(TableColumn::new).collect(),
-        groups: vec![Group { label: None, rows }],
+        groups: vec![RowGroup { label: None, rows }],
     })
 }

@@ -4,7 +4,7 @@ use domain::MemoryKind;
 use results::log::Stages;
 use results::score::StageTimes;
 
-use crate::document::{Group, Missing, ReportBlock, Table, TableColumn, TableRow};
+use crate::document::{Missing, ReportBlock, RowGroup, Table, TableColumn, TableRow};
 use crate::plot::{Stack, StackRow, stack};
 use crate::view::{ScoredRun, plain_or, title};
 
@@ -53,6 +53,6 @@ pub(crate) fn time_table(view: &ScoredRun<'_>) -> Option<Table> {
             .to_owned(),
         stubs: vec!["Stage".to_owned()],
         columns: times.iter().map(|(memory, _)| TableColumn::new(title(*memory))).collect(),
-        groups: vec![Group { label: None, rows }],
+        groups: vec![RowGroup { label: None, rows }],
     })
 }

@@ -201,7 +201,7 @@ impl EpisodeData {
             new.collect()
         });
         let seen = seen.collect();
-        let mut memory = Remembered { world, record, state: &state, found: Vec::new() };
+        let mut memory = DemonstrationCollector { world, record, state: &state, found: Vec::new() };
         let supplied = memory.supplied(case_index, experience);
         let failure = Failure::of(record);
         let stages = timings.map(|timings| {
@@ -308,14 +308,14 @@ impl EpisodeData {
 }
 
 /// Collects the demonstrations that an episode's memory had.
-struct Remembered<'a> {
+struct DemonstrationCollector<'a> {
     world: &'a RunWorld,
     record: &'a EpisodeRecord,
     state: &'a WorldState,
     found: Vec<(DemonstrationOrigin, DemonstrationData)>,
 }
 
-impl Remembered<'_> {
+impl DemonstrationCollector<'_> {
     /// The sources by step.
     fn supplied<'r>(
         &mut self,

@@ -97,7 +97,7 @@ fn supplied(memory: &mut Adaptive, pose: Pose, elapsed: usize, task: &str) -> (u
         stage: Some(0),
     };
     match &memory.recall(&query).unwrap()[..] {
-        [Item::Steps { source, .. }] => (source.demonstration, source.first, source.count),
+        [MemoryItem::Steps { source, .. }] => (source.demonstration, source.first, source.count),
         [] => (u32::MAX, 0, 0),
         other => panic!("{other:?}"),
     }

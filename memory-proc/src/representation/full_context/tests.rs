@@ -80,7 +80,12 @@ fn supplied(demonstrations: &[ReplayedDemonstration], keyframes: usize) -> Vec<V
     build(&mut memory, demonstrations).unwrap();
     let items = recall(&mut memory, None, 0, 3).unwrap();
     let shown = items.into_iter().zip(0..).map(|(item, number)| match item {
-        Item::Steps { source, views: Views::Keyframes(shown), actions: true, distance: None } => {
+        MemoryItem::Steps {
+            source,
+            views: Views::Keyframes(shown),
+            actions: true,
+            distance: None,
+        } => {
             let count = demonstrations[number as usize].poses.len() as u32;
             assert_eq!(source, Source { demonstration: number, first: 0, count });
             shown

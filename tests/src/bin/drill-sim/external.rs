@@ -8,8 +8,8 @@ use anyhow::Result;
 use domain::Action;
 use orchestrator::external_memory::ExternalMemory;
 use peer::memory::{
-    Demonstration, EpisodeEnd, Item, Memory, MemoryDescription, MemoryError, Method, Query, Source,
-    Step, Views,
+    Demonstration, EpisodeEnd, Memory, MemoryDescription, MemoryError, MemoryItem, Method, Query,
+    Source, Step, Views,
 };
 
 use crate::roles::pixels;
@@ -105,7 +105,7 @@ impl Memory for DigestMemory {
         Ok(())
     }
 
-    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<Item>, MemoryError> {
+    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<MemoryItem>, MemoryError> {
         let mut hasher = blake3::Hasher::new_keyed(&self.known);
         hasher.update(query.instruction.as_bytes());
         add_step(&mut hasher, &query.now);
@@ -121,7 +121,7 @@ impl Memory for DigestMemory {
             Action::ALL[draw(0, Action::ALL.len() as u32) as usize].words(),
             digest
         );
-        let mut items = vec![Item::text(text)];
+        let mut items = vec![MemoryItem::text(text)];
         if let Some(&length) = self.lengths.get(draw(1, self.lengths.len() as u32) as usize)
             && length > 0
         {
@@ -129,9 +129,19 @@ impl Memory for DigestMemory {
             let first = draw(2, length);
             let count = 1 + draw(3, 3.min(length - first));
             let source = Source { demonstration, first, count };
-            items.push(Item::Steps { source, views: Views::All, actions: true, distance: None });
+            items.push(MemoryItem::Steps {
+                source,
+                views: Views::All,
+                actions: true,
+                distance: None,
+            });
             let caption = format!("step {first}").into();
-            items.push(Item::Frame { demonstration, step: first, caption, distance: Some(0.5) });
+            items.push(MemoryItem::Frame {
+                demonstration,
+                step: first,
+                caption,
+                distance: Some(0.5),
+            });
         }
         Ok(items)
     }

@@ -3,7 +3,7 @@
 use results::score::{Necessity, NecessitySuccess, StreamCost, StreamScore, StreamScores};
 
 use super::{arm, is_tested, memory_and_arm, short, sure};
-use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
+use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::plot::{Curve, Curves, curves};
 use crate::sections::growth::{NO_RECALL, NO_STORE};
 use crate::sections::main_table::NO_TOKENS;
@@ -30,7 +30,7 @@ fn cost_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<Table> {
         ];
         TableRow::new(format!("after {}", cost.after), cells)
     };
-    let group = |score: &StreamScore| Group {
+    let group = |score: &StreamScore| RowGroup {
         label: Some(format!("{}, {}", title(score.condition.memory), arm(&score.condition))),
         rows: score.costs.iter().map(row).collect(),
     };
@@ -84,7 +84,7 @@ pub(crate) fn necessity_table(view: &ScoredRun<'_>) -> Option<Table> {
             ];
             TableRow::new(arm(&one.condition), cells)
         };
-        Group { label: Some(title(oracle.memory)), rows: success.iter().map(row).collect() }
+        RowGroup { label: Some(title(oracle.memory)), rows: success.iter().map(row).collect() }
     };
     let mut columns = vec![TableColumn::new("Certified"), TableColumn::new("Share %")];
     columns.extend(["all cases", "certified"].map(|name| TableColumn::under("Success %", name)));

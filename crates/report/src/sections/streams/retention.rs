@@ -3,7 +3,7 @@
 use results::score::{StreamScore, StreamScores};
 
 use super::{arm, by_condition, memory_and_arm, sure};
-use crate::document::{Group, Missing, Table, TableColumn, TableRow};
+use crate::document::{Missing, RowGroup, Table, TableColumn, TableRow};
 use crate::view::{ScoredRun, plain_or, title};
 
 const ONE_BLOCK: Missing = Missing::Undefined("it needs two blocks");
@@ -45,7 +45,7 @@ pub(super) fn matrix_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Optio
         let cells = rates.map(|rate| plain_or(rate, 1, NOT_EVALUATED));
         TableRow::new(format!("after {learned}"), cells.collect())
     };
-    let group = |score: &StreamScore| Group {
+    let group = |score: &StreamScore| RowGroup {
         label: Some(format!("{}, {}", title(score.condition.memory), arm(&score.condition))),
         rows: score.matrix.iter().enumerate().map(row).collect(),
     };

@@ -5,7 +5,7 @@ use results::conditions::Condition;
 use results::score::{FigureDifference, RoundScore, StreamScore, StreamScores};
 
 use super::{by_condition, is_tested, memory_and_arm, short, sure};
-use crate::document::{Group, Missing, ReportBlock, Table, TableCell, TableColumn, TableRow};
+use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::plot::{Course, Curve, course};
 use crate::view::{ScoredRun, signed, title, with_interval};
 
@@ -146,7 +146,7 @@ pub(crate) fn differences_table(view: &ScoredRun<'_>) -> Option<Table> {
             .to_owned(),
         stubs: vec!["First − second".to_owned()],
         columns: ["Streams", "Before events", "After events", "ACC"].map(TableColumn::new).to_vec(),
-        groups: vec![Group { label: None, rows: rows.collect() }],
+        groups: vec![RowGroup { label: None, rows: rows.collect() }],
     };
     table.pruned()
 }
