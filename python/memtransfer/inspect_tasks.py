@@ -267,9 +267,11 @@ async def _read_some(process: anyio.abc.Process, log: list[str]) -> bool:
 def _result(run: Path, log: str) -> dict[str, Any]:
     """The result of the only episode of `run`."""
     try:
-        _, _, columns, *_ = _native.read_run(run)
+        _, _, columns, _, damaged = _native.read_run(run)
     except (FileNotFoundError, ValueError):
         raise RuntimeError(f"memtransfer did not run the episode:\n{log}") from None
+    if damaged:
+        raise RuntimeError(f"the log of the episode is damaged: {'; '.join(damaged)}\n{log}")
     episode = {name: values[0] for name, _, values in columns if values}
     if episode.get("success") is None:
         raise RuntimeError(f"the episode has no result: {episode.get('error')}\n{log}")
