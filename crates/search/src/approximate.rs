@@ -12,6 +12,7 @@ use usearch::{IndexOptions, MetricKind, ScalarKind};
 use crate::exact;
 use crate::index::{Index, Neighbour, SearchQuery};
 use crate::kernels::SimdLevel;
+use crate::pages;
 use crate::quantized::{QuantizedMatrix, record_distance};
 
 /// How a graph is built and searched.
@@ -44,7 +45,9 @@ fn failed(error: impl std::fmt::Display) -> GraphError {
 pub struct ApproximateIndex<'a> {
     index: &'a Index,
     quantized: &'a QuantizedMatrix,
+    /// Reads `stored`, so it is dropped first.
     graph: usearch::Index,
+    stored: Vec<u8>,
     threads: usize,
 }
 
@@ -86,7 +89,8 @@ impl<'a> ApproximateIndex<'a> {
             }
         };
         crate::on_threads(threads.get(), insert).into_iter().collect::<Result<(), _>>()?;
-        Ok(Self { index, quantized, graph, threads: threads.get() })
+        let stored = store(&mut graph)?;
+        Ok(Self { index, quantized, graph, stored, threads: threads.get() })
     }
 
     /// About the `wanted` nearest views of each query, nearest first.
@@ -129,23 +133,41 @@ impl<'a> ApproximateIndex<'a> {
             return Ok(Vec::new());
         }
         assert_eq!(vector.len(), rows.dimension(), "another encoder's query");
-        // All candidates are measured: quantized vectors confuse the order of near ones.
+        // Quantized vectors confuse the order of near candidates, so all that may be among the nearest are measured.
         let candidates = self.graph.expansion_search().max(wanted);
-        let found = self.graph.search(&self.quantized.query_record(vector), candidates);
-        let found = found.map_err(failed)?.keys.into_iter().map(|key| key as usize);
-        let nearest = exact::scan_some(SimdLevel::best(), rows, found, vector, wanted);
+        let quantized = self.quantized.query(vector);
+        let found = self.graph.search(&self.quantized.query_record(&quantized), candidates);
+        let found = found.map_err(failed)?;
+        let found = found.keys.into_iter().map(|key| key as usize).zip(found.distances);
+        let bound = |limit| self.quantized.record_limit(&quantized, limit);
+        let nearest = exact::scan_some(SimdLevel::best(), rows, found, (vector, wanted), bound);
         Ok(self.index.in_order(nearest, query, wanted))
     }
 
     /// Size of the graph in memory, without the index.
     pub fn bytes(&self) -> usize {
-        self.graph.memory_usage()
+        self.graph.memory_usage() + self.stored.len()
     }
 
     /// Sets how many candidates a query considers.
     pub fn set_searching(&mut self, searching: usize) {
         self.graph.change_expansion_search(searching);
     }
+}
+
+/// Moves a graph that is complete into one block of large pages, which it reads from then on: most of a search is waiting
+/// for nodes at random addresses. The block must outlive the graph.
+#[expect(unsafe_code, reason = "the library does not know how long the block lives")]
+fn store(graph: &mut usearch::Index) -> Result<Vec<u8>, GraphError> {
+    let bytes = graph.serialized_length();
+    let mut stored = Vec::with_capacity(bytes);
+    pages::advise_large(&mut stored);
+    stored.resize(bytes, 0);
+    graph.save_to_buffer(&mut stored).map_err(failed)?;
+    // SAFETY: the caller keeps the block as long as the graph, and nobody changes it.
+    unsafe { graph.view_from_buffer(&stored) }.map_err(failed)?;
+    measure_records(graph);
+    Ok(stored)
 }
 
 /// Makes a graph of records measure the distance of the quantized vectors.

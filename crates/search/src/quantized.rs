@@ -181,13 +181,21 @@ impl QuantizedMatrix {
     }
 
     /// The record of a query.
-    pub(crate) fn query_record(&self, vector: &[f32]) -> Vec<u8> {
-        let mut record = vec![CODE_ZERO; self.record_bytes()];
-        let (codes, tail) = record.split_at_mut(self.record_bytes() - RECORD_TAIL);
-        let quantized = kernels::quantize(self.level, vector, &self.centre, codes);
-        tail[..4].copy_from_slice(&quantized.scale.to_ne_bytes());
-        tail[4..].copy_from_slice(&(quantized.half_norm as f32).to_ne_bytes());
+    pub(crate) fn query_record(&self, query: &QuantizedQuery) -> Vec<u8> {
+        let stored = |code: &u8| code.wrapping_add(CODE_ZERO);
+        let mut record: Vec<u8> = query.codes.iter().map(stored).collect();
+        record.resize(self.record_bytes() - RECORD_TAIL, CODE_ZERO);
+        record.extend(query.scale.to_ne_bytes());
+        record.extend((query.half_norm as f32).to_ne_bytes());
         record
+    }
+
+    /// The greatest [`record_distance`] from a query of a row of original distance `limit` or less. The slack is for the
+    /// rounding of the half norms, which [`Self::threshold`] does not add up.
+    pub(crate) fn record_limit(&self, query: &QuantizedQuery, limit: f32) -> f32 {
+        let half_norms = query.half_norm + self.max_half_norm;
+        let threshold = f64::from(self.threshold(query, limit));
+        ((query.half_norm + threshold + half_norms * 2.0_f64.powi(-20)) as f32).next_up()
     }
 }
 
