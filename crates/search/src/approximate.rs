@@ -1,6 +1,6 @@
 //! Approximate search through a graph of neighbours (HNSW), with the library usearch.
 //!
-//! The nodes hold quantized vectors, and the views that a search visits last are measured exactly. Distances and the
+//! The nodes hold quantized vectors, and found views that may be among the nearest are measured exactly. Distances and the
 //! order of ties are therefore those of the exact search; what may be missing are views that the search did not
 //! visit. Runs use exact search only, because the graph depends on the order in which threads insert nodes.
 
@@ -164,7 +164,7 @@ fn store(graph: &mut usearch::Index) -> Result<Vec<u8>, GraphError> {
     pages::advise_large(&mut stored);
     stored.resize(bytes, 0);
     graph.save_to_buffer(&mut stored).map_err(failed)?;
-    // SAFETY: the caller keeps the block as long as the graph, and nobody changes it.
+    // SAFETY: `ApproximateIndex` drops the graph before the block, and the block is never written to again.
     unsafe { graph.view_from_buffer(&stored) }.map_err(failed)?;
     measure_records(graph);
     Ok(stored)

@@ -78,8 +78,8 @@ pub(crate) fn scan(level: SimdLevel, rows: &Matrix, query: &[f32], wanted: usize
     nearest
 }
 
-/// Measures the given rows only, up to the first whose estimated distance exceeds `bound` of the greatest distance that still
-/// counts. Estimates grow.
+/// Measures only `some` rows, given in ascending order of their estimated distances. `bound` turns the greatest distance that
+/// still counts into the greatest estimate that a row so near can have; the scan stops at the first estimate above it.
 pub(crate) fn scan_some(
     level: SimdLevel,
     rows: &Matrix,

@@ -143,7 +143,8 @@ pub(crate) fn dot_products<const QUERIES: usize>(
     );
 }
 
-/// The product of two vectors of stored codes, less what [`CODE_ZERO`] adds to them. Their length is a multiple of 64.
+/// The product of two vectors of stored codes, less what [`CODE_ZERO`] adds to them. Their length is a multiple of 64, and no
+/// stored code is 0, which would be -128.
 pub(crate) fn dot_product(level: SimdLevel, a: &[u8], b: &[u8]) -> i32 {
     dispatch!(
         level,
