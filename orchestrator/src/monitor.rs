@@ -5,6 +5,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use domain::{ExternalName, MemoryKind};
+use results::policy::PolicyLabel;
 use shm_types::message::{Heartbeat, Role};
 
 use crate::lanes::{PendingAnswer, Stamps};
@@ -42,12 +43,24 @@ pub struct Monitor {
 }
 
 impl Monitor {
-    /// The monitor of a session in the folder `run`.
-    pub fn new(run: &Path, lanes: u32, episodes: EpisodeCounts, progress: ProgressDisplay) -> Self {
+    /// The monitor of a session with this policy in the folder `run`.
+    pub fn new(
+        run: &Path,
+        policy: PolicyLabel,
+        lanes: u32,
+        episodes: EpisodeCounts,
+        progress: ProgressDisplay,
+    ) -> Self {
         let now = Instant::now();
         let pid = std::process::id();
         Self {
-            status: LiveStatus { pid, lanes, episodes, ..LiveStatus::default() },
+            status: LiveStatus {
+                pid,
+                policy: Some(policy),
+                lanes,
+                episodes,
+                ..LiveStatus::default()
+            },
             progress,
             file: StatusFile::new(run),
             recent: StepLatencies::default(),
@@ -199,7 +212,8 @@ mod tests {
     fn the_status_file_contains_steps_lanes_and_loads() {
         let run = tempfile::tempdir().unwrap();
         let episodes = EpisodeCounts { planned: 100, earlier: (40, 1), ..EpisodeCounts::default() };
-        let mut monitor = Monitor::new(run.path(), 8, episodes, ProgressDisplay::new(true));
+        let policy = results::log::testing::manifest().policy_label();
+        let mut monitor = Monitor::new(run.path(), policy, 8, episodes, ProgressDisplay::new(true));
         monitor.updated.0 -= INTERVAL;
         monitor.stepped(&Stamps::new(1, 0, Representation::Working.into()));
         monitor.pending(&[PendingAnswer {

@@ -9,6 +9,7 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use domain::{ExternalName, MemoryKind};
 use results::latency::LatencySummary;
+use results::policy::PolicyLabel;
 use serde::{Deserialize, Serialize};
 
 /// Name of the file in a run's folder.
@@ -19,6 +20,9 @@ const STATUS_FILE: &str = "status.json";
 pub struct LiveStatus {
     /// Process id of the orchestrator.
     pub pid: u32,
+    /// The policy; absent in the status of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub policy: Option<PolicyLabel>,
     /// What the session does: starting its processes, running episodes, ...
     pub phase: String,
     /// Why the policy waits for its model's server, while it does.
@@ -143,7 +147,9 @@ impl LiveStatus {
         let (episodes, successes) =
             (counts.earlier.0 + counts.finished.0, counts.earlier.1 + counts.finished.1);
         if episodes > 0 {
-            parts.push(format!("SR {:.1} %", 100.0 * successes as f64 / episodes as f64));
+            let role = self.policy.as_ref().and_then(|policy| policy.role);
+            let role = role.map_or_else(String::new, |role| format!(" ({role})"));
+            parts.push(format!("SR {:.1} %{role}", 100.0 * successes as f64 / episodes as f64));
         }
         if counts.given_up > 0 {
             parts.push(format!("{} given up", counts.given_up));
@@ -240,6 +246,9 @@ mod tests {
         assert_eq!(after(counts, 1, 0.0).line(), "0/400 episodes");
         let counts = EpisodeCounts { finished: (50, 20), ..counts };
         insta::assert_snapshot!(after(counts, 1000, 10.0).line(), @"50/400 episodes, 100 steps/s, SR 40.0 %, 1 min 10 s left");
+        let policy = Some(results::log::testing::manifest().policy_label());
+        let marked = LiveStatus { policy, ..after(counts, 1000, 10.0) };
+        insta::assert_snapshot!(marked.line(), @"50/400 episodes, 100 steps/s, SR 40.0 % (scripted stand-in), 1 min 10 s left");
         // A resumed run counts all episodes; the time left follows from this session's speed.
         let counts = EpisodeCounts { earlier: (100, 100), given_up: 50, ..counts };
         let status = after(counts, 1000, 10.0);

@@ -105,12 +105,17 @@ impl Episodes {
                     EpisodeFormat::Mcap => {
                         Box::new(mcap::McapRecording::create(draft, &self.log, timing)?)
                     }
-                    EpisodeFormat::Mp4 => Box::new(video::Video::create(draft, timing)?),
+                    EpisodeFormat::Mp4 => {
+                        let policy = self.log.manifest.policy_label();
+                        Box::new(video::Video::create(draft, &policy.sentence(), timing)?)
+                    }
                 };
+                let written = || format!("cannot write {}", path.display());
                 for &index in episodes {
-                    sink.episode(&self.moments(index)?)?;
+                    let moments = self.moments(index)?;
+                    sink.episode(&moments).with_context(written)?;
                 }
-                sink.finish()
+                sink.finish().with_context(written)
             })?;
         }
         Ok(files.into_iter().map(|(path, _)| path).collect())

@@ -87,11 +87,8 @@ fn yaml(
             "success rate in percent, n = {} {counted}; MemTransfer {}, protocol {protocol}; policy {}",
             score.count,
             version.unwrap_or("of unknown version"),
-            entry.policy.name
+            entry.policy.label()
         );
-        if entry.policy.stand_in {
-            notes.push_str(", a scripted stand-in and no model");
-        }
         if let Some((low, high)) = figure.low.zip(figure.high) {
             write!(notes, "; 95 % interval {low:.1} to {high:.1}")?;
         }

@@ -98,10 +98,10 @@ impl McapRecording {
             file.channel(topic, &format!("foxglove.{message}"), "protobuf", &schema, "protobuf")
         };
         let channels = McapChannels {
-            camera: foxglove("/camera", "CompressedImage"),
-            transforms: foxglove("/tf", "FrameTransform"),
-            pose: foxglove("/pose", "PoseInFrame"),
-            events: foxglove("/events", "Log"),
+            camera: foxglove("/camera", "CompressedImage")?,
+            transforms: foxglove("/tf", "FrameTransform")?,
+            pose: foxglove("/pose", "PoseInFrame")?,
+            events: foxglove("/events", "Log")?,
             step: json_channel(&mut file, "/step", "Step", &step_schema())?,
             episode: json_channel(&mut file, "/episode", "Episode", &episode_schema())?,
         };
@@ -112,7 +112,7 @@ impl McapRecording {
                 ("run", &log.name),
                 ("version", &log.manifest.version),
                 ("suite", settings.suite.word()),
-                ("policy", &log.policy_label()),
+                ("policy", &log.manifest.policy_label().to_string()),
                 ("seed", &settings.seed.to_string()),
                 ("steps_per_second", &timing.steps_per_s.to_string()),
             ],
@@ -134,7 +134,7 @@ fn json_channel(
     schema: &Value,
 ) -> Result<ChannelId> {
     let schema = serde_json::to_vec(schema)?;
-    Ok(file.channel(topic, &format!("memtransfer.{name}"), "jsonschema", &schema, "json"))
+    Ok(file.channel(topic, &format!("memtransfer.{name}"), "jsonschema", &schema, "json")?)
 }
 
 /// The schema of a message, with the names of its properties by their type.

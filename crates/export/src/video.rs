@@ -17,8 +17,8 @@ pub(crate) struct Video {
 }
 
 impl Video {
-    /// Starts ffmpeg, which writes to `path`.
-    pub(crate) fn create(path: &Path, timing: Timing) -> Result<Self> {
+    /// Starts ffmpeg, which writes to `path`. The `comment` is kept in the file.
+    pub(crate) fn create(path: &Path, comment: &str, timing: Timing) -> Result<Self> {
         let rate = timing.steps_per_s.to_string();
         let started = Command::new("ffmpeg")
             .args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y"])
@@ -26,6 +26,7 @@ impl Video {
             // Players of all kinds know H.264 with these pixels; the index comes first, so that it can be streamed.
             .args(["-c:v", "libx264", "-preset", "veryfast", "-pix_fmt", "yuv420p"])
             .args(["-movflags", "+faststart"])
+            .args(["-metadata", &format!("comment={comment}")])
             .args(["-f", "mp4"])
             .arg(path)
             .stdin(Stdio::piped())

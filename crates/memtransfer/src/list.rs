@@ -355,7 +355,7 @@ fn run_row(folder: &Path) -> Vec<Value> {
     vec![
         name,
         json!(log.manifest.settings.suite.word()),
-        json!(log.policy_label()),
+        json!(log.manifest.policy_label().to_string()),
         json!(log.sessions.first().map(|session| date(session.unix_s))),
         json!(state),
         json!(scores.finished),

@@ -167,6 +167,17 @@ impl RunPlan {
         self.episodes.iter().map(|episode| episode.key.to_string()).collect()
     }
 
+    /// The types of the tasks of all cases, if the run has banks.
+    fn tasks(&self) -> BTreeMap<String, u8> {
+        let conditions = self.settings.runs().into_iter();
+        let mut sizes = conditions.map(|(condition, _)| condition.demonstrations.bank_size());
+        if !sizes.any(|size| size.is_some()) {
+            return BTreeMap::new();
+        }
+        let cases = self.world.cases.cases.iter();
+        cases.map(|case| (case.id.clone(), case.task.number())).collect()
+    }
+
     /// The run's manifest.
     pub(super) fn manifest(&self) -> Manifest {
         let mut hashes = self.world.hashes.clone();
@@ -178,6 +189,7 @@ impl RunPlan {
             commit: program_commit(),
             settings: self.settings.clone(),
             hashes,
+            tasks: self.tasks(),
             documents: BTreeMap::new(),
             memories: self.memories().iter().map(|memory| (memory.name, memory.facts())).collect(),
             prices: self.prices.clone(),
@@ -342,7 +354,8 @@ impl RunPlan {
         for (sequence, position, experience) in learned {
             lanes.remember(sequence, position, experience);
         }
-        let monitor = Monitor::new(folder.dir(), attach.lanes, counts, progress);
+        let policy = folder.manifest().policy_label();
+        let monitor = Monitor::new(folder.dir(), policy, attach.lanes, counts, progress);
         let size = (attach.lanes, attach.frame_capacity);
         let mut session = RunSession::new(folder, monitor, budget, trace, size);
         let stop = signals.stop();

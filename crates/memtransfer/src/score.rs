@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use results::compare::{compare_conditions, compare_runs, differing_settings, tell_apart};
 use results::log::{Difference, RunLog};
+use results::policy::PolicyLabel;
 use results::score::{Comparison, score};
 use serde::Serialize;
 
@@ -58,7 +59,14 @@ pub(super) fn run(args: &ScoreArgs) -> anyhow::Result<Exit> {
             let compared = [compare_conditions((&log, a), (second, b))?];
             match other {
                 Some(other) => args.show_runs(&log, other, &compared)?,
-                None => args.show(&compared, || report::comparison(&compared))?,
+                None => {
+                    let policy = log.manifest.policy_label();
+                    let labelled = compared.each_ref().map(|comparison| ComparedConditions {
+                        policy: policy.clone(),
+                        comparison,
+                    });
+                    args.show(&labelled, || report::comparison(&log, &compared))?;
+                }
             }
         }
     }
@@ -67,16 +75,28 @@ pub(super) fn run(args: &ScoreArgs) -> anyhow::Result<Exit> {
     Ok(if given_up { Exit::Failed } else { Exit::Complete })
 }
 
+/// Two conditions of one run compared, as JSON.
+#[derive(Debug, Serialize)]
+struct ComparedConditions<'a> {
+    policy: PolicyLabel,
+    #[serde(flatten)]
+    comparison: &'a Comparison,
+}
+
 /// Two runs compared, as JSON.
 #[derive(Debug, Serialize)]
 struct ComparedRuns<'a> {
+    /// Of the first run and of the second.
+    policies: [PolicyLabel; 2],
     differing_settings: Vec<Difference>,
     comparisons: &'a [Comparison],
 }
 
 impl ScoreArgs {
     fn show_runs(&self, a: &RunLog, b: &RunLog, comparisons: &[Comparison]) -> anyhow::Result<()> {
-        let shown = ComparedRuns { differing_settings: differing_settings(a, b), comparisons };
+        let policies = [a, b].map(|log| log.manifest.policy_label());
+        let differing_settings = differing_settings(a, b);
+        let shown = ComparedRuns { policies, differing_settings, comparisons };
         self.show(&shown, || report::compared_runs(a, b, comparisons))
     }
 

@@ -11,6 +11,7 @@ use domain::prompt_log::RecordedItem;
 use replay::World;
 use results::log::{EpisodeRecord, RunLog};
 use results::names::UnknownName;
+use results::policy::PolicyLabel;
 use results::step_view::{LoggedStep, RecordedPrompt, logged_steps, look_up};
 use results::timeline::{EpisodeEvent, timeline};
 use serde::Serialize;
@@ -62,6 +63,7 @@ pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
     let Some(step) = args.step else {
         let shown = ShownEpisode {
             key: &record.key,
+            policy: log.manifest.policy_label(),
             reference: record.reference,
             events: timeline(record),
             steps: logged_steps(record),
@@ -94,6 +96,7 @@ pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
 #[derive(Serialize)]
 struct ShownEpisode<'a> {
     key: &'a str,
+    policy: PolicyLabel,
     reference: u32,
     events: Vec<EpisodeEvent>,
     steps: Vec<LoggedStep>,

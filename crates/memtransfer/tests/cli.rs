@@ -6,6 +6,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use results::conditions::PolicyKind;
 use results::log::{RunFolder, testing};
 use tempfile::TempDir;
 
@@ -345,6 +346,130 @@ fn a_run_without_prompts_is_shown_and_a_missing_case_explained() {
     ] {
         let found = message(&memtransfer(dir.path(), arguments), arguments);
         assert!(found.contains(said), "{arguments}: {found}");
+    }
+}
+
+/// Makes the finished run `name` of `policy` in `dir`: one case under two conditions.
+fn finished_run(dir: &Path, name: &str, policy: PolicyKind) {
+    let mut manifest = testing::manifest();
+    (manifest.settings.policy, manifest.episodes) = (policy, 2);
+    let mut folder = RunFolder::open(&dir.join(name), manifest, false).unwrap().folder;
+    let record = testing::record("t01-01", true);
+    let other = "working/original/unchanged/none".parse().unwrap();
+    for record in [record.clone(), testing::under(other, record)] {
+        let timings = testing::timings(&record);
+        folder.finish(&[(record, timings)]).unwrap();
+    }
+}
+
+/// The words that `--help` lists after the line `from`, indented, until an empty line.
+fn listed(help: &str, from: &str) -> Vec<String> {
+    let lines = help.lines().skip_while(|line| *line != from).skip(1);
+    let lines = lines.take_while(|line| !line.is_empty());
+    lines.filter_map(|line| Some(line.strip_prefix("  ")?.split(' ').next()?.to_owned())).collect()
+}
+
+#[test]
+fn every_output_with_figures_of_a_run_names_a_policy_that_is_no_model() {
+    /// Each verb with the commands that show figures of a run. The others are tested where a run takes place (`run`, `work`,
+    /// `top`, `view`), or show no figure of a policy.
+    const SHOWN: &[(&str, &[&str])] = &[
+        ("run", &[]),
+        ("plan", &[]),
+        ("work", &[]),
+        ("merge", &[]),
+        ("top", &[]),
+        ("ls", &["ls runs .", "ls runs . --json"]),
+        ("validate", &[]),
+        ("map", &[]),
+        ("render", &[]),
+        ("memory", &[]),
+        (
+            "score",
+            &[
+                "score RUN",
+                "score RUN --json",
+                "score RUN other",
+                "score RUN other --json",
+                "score RUN --compare A B",
+                "score RUN --compare A B --json",
+                "score RUN other --compare A A",
+                "score RUN other --compare A A --json",
+            ],
+        ),
+        ("report", &["report RUN --out made/report", "report RUN other --out made/both"]),
+        ("view", &[]),
+        (
+            "export",
+            &[
+                "export RUN --out made/tables --format csv",
+                "export RUN --out made/tables --format parquet",
+                "export RUN --out made/entries --format leaderboard",
+                "export RUN --out made/hub --dataset a/b --format hugging-face",
+            ],
+        ),
+        ("leaderboard", &["leaderboard RUN --out made/board.html", "leaderboard RUN --json"]),
+        (
+            "show",
+            &["show RUN t01-01 --condition working", "show RUN t01-01 --condition working --json"],
+        ),
+        ("profile", &[]),
+        ("conformance", &[]),
+        ("clean", &[]),
+        ("cache", &[]),
+        ("generate", &[]),
+        ("doctor", &[]),
+        ("help", &[]),
+    ];
+    let (a, b) = ("episodic/original/unchanged/original", "working/original/unchanged/none");
+    for (policy, role) in [
+        (PolicyKind::Grounded, "scripted stand-in"),
+        (PolicyKind::Random, "lower bound"),
+        (PolicyKind::Expert, "upper bound"),
+    ] {
+        let dir = dir();
+        finished_run(dir.path(), "one", policy);
+        finished_run(dir.path(), "other", PolicyKind::External);
+        let help = text(&memtransfer(dir.path(), "--help").stdout);
+        let verbs: Vec<&str> = SHOWN.iter().map(|(verb, _)| *verb).collect();
+        assert_eq!(listed(&help, "Commands:"), verbs, "a verb that this test does not know");
+        let help = text(&memtransfer(dir.path(), "export --help").stdout);
+        let formats = listed(&help, "Formats:").join(" ");
+        assert_eq!(
+            formats, "mcap mp4 csv, leaderboard hugging-face",
+            "a format that it does not know"
+        );
+        for command in SHOWN.iter().flat_map(|(_, commands)| *commands) {
+            let arguments: Vec<&str> = command
+                .split(' ')
+                .map(|word| match word {
+                    "RUN" => "one",
+                    "A" => a,
+                    "B" => b,
+                    word => word,
+                })
+                .collect();
+            let output = memtransfer(dir.path(), &arguments.join(" "));
+            assert_eq!(output.status.code(), Some(0), "{command}: {}", text(&output.stderr));
+            let shown = text(&output.stdout);
+            let writes = command.starts_with("report") || command.starts_with("export");
+            assert!(writes || shown.contains(role), "{command} does not say {role}:\n{shown}");
+        }
+        let made = dir.path().join("made");
+        for file in [
+            "report/report.html",
+            "both/report.html",
+            "tables/episodes.csv",
+            "tables/steps.csv",
+            "tables/episodes.parquet",
+            "tables/steps.parquet",
+            "entries/one.json",
+            "hub/memtransfer-quick.yaml",
+            "board.html",
+        ] {
+            let content = text(&fs::read(made.join(file)).unwrap());
+            assert!(content.contains(role), "{file} does not say {role}");
+        }
     }
 }
 

@@ -4,8 +4,10 @@ use results::conditions::Condition;
 use results::key::EpisodeKey;
 use results::log::{EpisodeRecord, EpisodeTimings, RecallTotals, RunLog, Stages, StreamRecord};
 use results::score::{
-    ConditionScore, Derived, Estimate, Failure, Spread, StreamScore, group_of, path_weight,
+    ConditionScore, Derived, Estimate, Failure, Spread, StreamScore, path_weight,
 };
+
+use warehouse::TaskGroup;
 
 use super::frame::{DataFrame, FrameBuilder};
 use super::view::ScoredRun;
@@ -13,7 +15,7 @@ use super::view::ScoredRun;
 /// An episode of a run. One that was given up has an error, and no record.
 #[derive(Debug)]
 struct EpisodeRow<'a> {
-    log: &'a str,
+    log: &'a RunLog,
     key: &'a str,
     /// The key in its parts; `None` for one that cannot be read.
     parts: Option<EpisodeKey>,
@@ -27,9 +29,9 @@ struct EpisodeRow<'a> {
 pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
     let mut rows = Vec::new();
     for log in logs {
-        let (name, timings) = (log.name.as_str(), log.timings_by_key());
+        let timings = log.timings_by_key();
         rows.extend(log.episodes.iter().map(|record| EpisodeRow {
-            log: name,
+            log,
             key: &record.key,
             parts: Some(record.own_key()),
             record: Some(record),
@@ -37,7 +39,7 @@ pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
             error: None,
         }));
         rows.extend(log.errors.iter().map(|error| EpisodeRow {
-            log: name,
+            log,
             key: &error.key,
             parts: EpisodeKey::read(&error.key),
             record: None,
@@ -46,13 +48,13 @@ pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
         }));
     }
     let mut frame = FrameBuilder::new(&rows);
-    frame.text("log", |row| Some(row.log.to_owned()));
+    add_run(&mut frame, |row| row.log);
     frame.text("key", |row| Some(row.key.to_owned()));
     add_condition(&mut frame, |row| Some(row.parts.as_ref()?.condition));
     frame.whole("run", |row| Some(row.parts.as_ref()?.run));
     frame.text("case", |row| Some(row.parts.as_ref()?.case.clone()));
     frame.whole("task", |row| Some(row.record?.task));
-    frame.text("group", |row| Some(group_of(row.record?.task).name().to_owned()));
+    frame.text("group", |row| Some(TaskGroup::of_type(row.record?.task)?.name().to_owned()));
     frame.text("seed", |row| Some(row.record?.seed.to_string()));
     frame.text("ending", |row| {
         Some(row.record.map_or("given-up".to_owned(), |record| record.ending.to_string()))
@@ -110,12 +112,10 @@ pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
 
 /// A row for each episode of the runs: when and where it ran, and the nanoseconds of all its steps in each stage.
 pub fn timings_frame(logs: &[RunLog]) -> DataFrame {
-    let rows: Vec<(String, &EpisodeTimings)> = logs
-        .iter()
-        .flat_map(|log| log.timings.iter().map(move |timings| (log.name.clone(), timings)))
-        .collect();
+    let rows: Vec<(&RunLog, &EpisodeTimings)> =
+        logs.iter().flat_map(|log| log.timings.iter().map(move |timings| (log, timings))).collect();
     let mut frame = FrameBuilder::new(&rows);
-    frame.text("log", |(log, _)| Some(log.clone()));
+    add_run(&mut frame, |(log, _)| log);
     frame.text("key", |(_, timings)| Some(timings.key.clone()));
     frame.whole("session", |(_, timings)| Some(timings.session));
     frame.whole("attempt", |(_, timings)| Some(timings.attempt));
@@ -136,8 +136,7 @@ pub(super) fn conditions(views: &[ScoredRun<'_>]) -> DataFrame {
         .flat_map(|view| view.scores.conditions.iter().map(move |score| (view, score)))
         .collect();
     let mut frame = FrameBuilder::new(&rows);
-    frame.text("log", |(view, _)| Some(view.log.name.clone()));
-    frame.text("policy", |(view, _)| Some(view.log.manifest.settings.policy.to_string()));
+    add_run(&mut frame, |(view, _)| view.log);
     frame.text("frames", |(view, _)| Some(view.log.manifest.settings.frames.to_string()));
     frame.text("condition", |(_, score)| Some(score.condition.to_string()));
     add_condition(&mut frame, |(_, score)| Some(score.condition));
@@ -176,7 +175,7 @@ pub(super) fn conditions(views: &[ScoredRun<'_>]) -> DataFrame {
         frame.real(name, |(_, score)| Some(derived(score)?.value));
         frame.interval(name, |(_, score)| derived(score)?.interval);
     }
-    for group in warehouse::TaskGroup::ALL {
+    for group in TaskGroup::ALL {
         let of = move |score: &ConditionScore| {
             score.groups.iter().find(|found| found.group == group).map(|found| found.sr)
         };
@@ -203,6 +202,13 @@ pub(super) fn conditions(views: &[ScoredRun<'_>]) -> DataFrame {
     });
     frame.text("published_source", |(view, score)| Some(published(view, score)?.source));
     frame.finish()
+}
+
+/// The columns that say of which run a row is, and whose figures it holds.
+pub(super) fn add_run<T>(frame: &mut FrameBuilder<'_, T>, of: impl Fn(&T) -> &RunLog) {
+    frame.text("log", |row| Some(of(row).name.clone()));
+    frame.text("policy", |row| Some(of(row).manifest.settings.policy.to_string()));
+    frame.text("policy_role", |row| Some(of(row).manifest.policy_role()?.to_string()));
 }
 
 /// The columns that say under which condition a row is.
@@ -243,8 +249,7 @@ pub(super) fn streams(views: &[ScoredRun<'_>]) -> DataFrame {
         .flat_map(|(view, streams)| streams.conditions.iter().map(move |score| (view, score)))
         .collect();
     let mut frame = FrameBuilder::new(&rows);
-    frame.text("log", |(view, _)| Some(view.log.name.clone()));
-    frame.text("policy", |(view, _)| Some(view.log.manifest.settings.policy.to_string()));
+    add_run(&mut frame, |(view, _)| view.log);
     frame.text("condition", |(_, score)| Some(score.condition.to_string()));
     add_condition(&mut frame, |(_, score)| Some(score.condition));
     frame.whole("streams", |(_, score)| Some(score.streams));

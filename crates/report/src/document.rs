@@ -2,6 +2,10 @@
 //!
 //! A [`TableCell`] cannot be empty: where there is no figure, it gives the reason.
 
+use results::policy::PolicyLabel;
+
+use super::plot::Svg;
+
 /// A whole report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReportDocument {
@@ -14,22 +18,16 @@ pub struct ReportDocument {
 impl ReportDocument {
     /// All tables, in order.
     pub fn tables(&self) -> impl Iterator<Item = &Table> {
-        self.blocks().filter_map(|block| match block {
-            ReportBlock::Table(table) => Some(table),
-            _ => None,
-        })
+        self.sections.iter().flat_map(ReportSection::tables)
     }
 
     /// All figures, in order.
     pub fn figures(&self) -> impl Iterator<Item = &ReportFigure> {
-        self.blocks().filter_map(|block| match block {
+        let blocks = self.sections.iter().flat_map(|section| &section.blocks);
+        blocks.filter_map(|block| match block {
             ReportBlock::Figure(figure) => Some(figure),
             _ => None,
         })
-    }
-
-    fn blocks(&self) -> impl Iterator<Item = &ReportBlock> {
-        self.sections.iter().flat_map(|section| &section.blocks)
     }
 }
 
@@ -44,12 +42,51 @@ pub struct ReportSection {
     pub title: String,
     /// The content.
     pub blocks: Vec<ReportBlock>,
+    /// Whose figures it holds, see [`ReportSection::of_policy`]; `None` where they are not a policy's.
+    pub policy: Option<String>,
 }
 
 impl ReportSection {
     /// Makes a top-level section.
     pub fn new(id: impl Into<String>, title: impl Into<String>, blocks: Vec<ReportBlock>) -> Self {
-        Self { id: id.into(), level: 2, title: title.into(), blocks }
+        Self { id: id.into(), level: 2, title: title.into(), blocks, policy: None }
+    }
+
+    /// The section with figures of `policy`, a policy's label. Where a policy `is_marked`, as one that is no model, the caption of
+    /// every table and figure and every image name it: each of them can be shown without the rest of the report.
+    fn with_policy(mut self, policy: &str, is_marked: bool) -> Self {
+        self.policy = Some(policy.to_owned());
+        for block in self.blocks.iter_mut().filter(|_| is_marked) {
+            match block {
+                ReportBlock::Table(table) => table.caption += &policy_note(policy),
+                ReportBlock::Figure(figure) => figure.name_policy(policy),
+                ReportBlock::Text(_) | ReportBlock::Notice(_) | ReportBlock::Terms(_) => {}
+            }
+        }
+        self
+    }
+
+    /// The section with figures of one run's policy.
+    pub(super) fn of_policy(self, policy: &PolicyLabel) -> Self {
+        self.with_policy(&policy.to_string(), policy.role.is_some())
+    }
+
+    /// The section with figures of several runs, each with the label of its policy.
+    pub(super) fn of_policies<'a>(
+        self,
+        runs: impl Iterator<Item = (&'a str, PolicyLabel)> + Clone,
+    ) -> Self {
+        let is_marked = runs.clone().any(|(_, policy)| policy.role.is_some());
+        let labels: Vec<String> = runs.map(|(run, policy)| format!("{run}: {policy}")).collect();
+        self.with_policy(&labels.join("; "), is_marked)
+    }
+
+    /// The tables, in order.
+    pub(super) fn tables(&self) -> impl Iterator<Item = &Table> {
+        self.blocks.iter().filter_map(|block| match block {
+            ReportBlock::Table(table) => Some(table),
+            _ => None,
+        })
     }
 }
 
@@ -203,8 +240,26 @@ pub struct ReportFigure {
     pub caption: String,
     /// Its content in words, for readers who do not see it.
     pub alt: String,
+    pub(super) image: Svg,
+}
+
+impl ReportFigure {
     /// The image, as an `svg` element.
-    pub svg: String,
+    pub fn svg(&self) -> String {
+        self.image.element_text()
+    }
+
+    fn name_policy(&mut self, policy: &str) {
+        let note = policy_note(policy);
+        self.image.add_note(note.trim());
+        self.caption += &note;
+        self.alt += &note;
+    }
+}
+
+/// What a caption says about the policy whose figures it is about.
+fn policy_note(policy: &str) -> String {
+    format!(" Policy: {policy}.")
 }
 
 impl Table {

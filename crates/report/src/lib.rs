@@ -96,12 +96,20 @@ fn views<'a>(logs: &'a [RunLog], published: &'a Published) -> Vec<ScoredRun<'a>>
 
 fn arrange(views: &[ScoredRun<'_>]) -> ReportDocument {
     let mut sections = Vec::new();
+    let policy = |view: &ScoredRun<'_>| view.log.manifest.policy_label();
     match views {
-        [view] => sections.extend(sections::sections(view)),
-        _ => sections.push(sections::runs(views)),
+        [view] => {
+            let found = sections::sections(view).into_iter();
+            sections.extend(found.map(|section| section.of_policy(&policy(view))));
+        }
+        _ => {
+            let policies = views.iter().map(|view| (view.log.name.as_str(), policy(view)));
+            sections.push(sections::runs(views).of_policies(policies));
+        }
     }
     sections.push(sections::method());
-    sections.extend(views.iter().map(sections::provenance));
+    let provenance = |view| sections::provenance(view).of_policy(&policy(view));
+    sections.extend(views.iter().map(provenance));
     let names: Vec<String> = views.iter().map(|view| view.log.name.clone()).collect();
     ReportDocument { title: format!("MemTransfer: {}", names.join(", ")), sections }
 }
@@ -130,12 +138,15 @@ pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
     let page = text("report.html", &html::render(&document).map_err(template("report.html"))?)?;
     text("report.md", &markdown::render(&document).map_err(template("report.md"))?)?;
     for figure in document.figures() {
-        text(&format!("figures/{}.svg", figure.id), &figure.svg)?;
+        text(&format!("figures/{}.svg", figure.id), &figure.svg())?;
     }
-    for table in document.tables() {
-        write_file(dir.join(format!("tables/{}.csv", table.id)), |file| {
-            csv::write_table(table, file).map_err(io::Error::other)
-        })?;
+    for section in &document.sections {
+        for table in section.tables() {
+            write_file(dir.join(format!("tables/{}.csv", table.id)), |file| {
+                let policy = section.policy.as_deref();
+                csv::write_table(table, policy, file).map_err(io::Error::other)
+            })?;
+        }
     }
     let mut frames =
         vec![("conditions", data::conditions(&views)), ("episodes", data::episodes_frame(logs))];

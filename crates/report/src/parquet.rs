@@ -6,45 +6,71 @@
 
 use std::io::{self, Write};
 
-use super::frame::{DataFrame, Values};
+use super::frame::{DataFrame, Series, Values};
 
 const MAGIC: &[u8; 4] = b"PAR1";
 
 /// Writes `frame` as a Parquet file.
 ///
 /// # Errors
-/// When writing fails.
+/// When writing fails, or a column is larger than the format allows.
 pub(super) fn write_frame(frame: &DataFrame, mut out: impl Write) -> io::Result<()> {
     out.write_all(MAGIC)?;
     let mut offset = MAGIC.len();
     let mut chunks = Vec::new();
     for series in &frame.columns {
-        let page = page(&series.values);
+        let page = page(series)?;
         out.write_all(&page)?;
-        chunks.push(ColumnChunk { offset, bytes: page.len() });
+        chunks.push(ColumnChunk { offset: count(offset)?, bytes: count(page.len())? });
         offset += page.len();
     }
-    let footer = footer(frame, &chunks);
+    let footer = footer(frame, &chunks)?;
     out.write_all(&footer)?;
-    out.write_all(&(footer.len() as u32).to_le_bytes())?;
+    out.write_all(&length("footer", "bytes", footer.len())?.to_le_bytes())?;
     out.write_all(MAGIC)
 }
 
 /// Where a column is in the file.
 struct ColumnChunk {
-    offset: usize,
-    bytes: usize,
+    offset: i64,
+    bytes: i64,
+}
+
+/// The number of `unit` in the part called `name` as the format stores it: in 31 bits.
+///
+/// # Errors
+/// When there are more.
+fn length(name: &str, unit: &str, count: usize) -> io::Result<i32> {
+    i32::try_from(count).map_err(|_| {
+        io::Error::other(format!(
+            "`{name}` has {count} {unit}, and a part of a Parquet file has at most {}: write fewer episodes into one file, \
+             or CSV",
+            i32::MAX
+        ))
+    })
+}
+
+/// A number of rows or bytes of the whole file.
+fn count(count: usize) -> io::Result<i64> {
+    i64::try_from(count).map_err(io::Error::other)
 }
 
 /// A data page with its header: definition levels, then the values that are present.
-fn page(values: &Values) -> Vec<u8> {
+fn page(Series { name, values }: &Series) -> io::Result<Vec<u8>> {
     let (present, plain) = match values {
         Values::Text(list) => encode(list, |text, bytes| {
-            bytes.extend((text.len() as u32).to_le_bytes());
+            bytes.extend(length(name, "bytes in one text", text.len())?.to_le_bytes());
             bytes.extend(text.as_bytes());
-        }),
-        Values::Whole(list) => encode(list, |whole, bytes| bytes.extend(whole.to_le_bytes())),
-        Values::Real(list) => encode(list, |real, bytes| bytes.extend(real.to_le_bytes())),
+            Ok(())
+        })?,
+        Values::Whole(list) => encode(list, |whole, bytes| {
+            bytes.extend(whole.to_le_bytes());
+            Ok(())
+        })?,
+        Values::Real(list) => encode(list, |real, bytes| {
+            bytes.extend(real.to_le_bytes());
+            Ok(())
+        })?,
         Values::Flag(list) => {
             let flags: Vec<bool> = list.iter().flatten().copied().collect();
             (list.iter().map(Option::is_some).collect(), bits(&flags))
@@ -54,30 +80,35 @@ fn page(values: &Values) -> Vec<u8> {
     let mut levels = Vec::new();
     varint(&mut levels, (present.len().div_ceil(8) as u64) << 1 | 1);
     levels.extend(bits(&present));
-    let mut content = (levels.len() as u32).to_le_bytes().to_vec();
+    let mut content = length(name, "bytes of levels", levels.len())?.to_le_bytes().to_vec();
     content.extend(levels);
     content.extend(plain);
 
     let mut header = Thrift::default();
     header.i32(1, 0); // DATA_PAGE
-    header.i32(2, content.len() as i32);
-    header.i32(3, content.len() as i32);
+    let (bytes, rows) =
+        (length(name, "bytes", content.len())?, length(name, "rows", values.len())?);
+    header.i32(2, bytes);
+    header.i32(3, bytes);
     header.structure(5, |page| {
-        page.i32(1, values.len() as i32);
+        page.i32(1, rows);
         page.i32(2, 0); // PLAIN
         page.i32(3, 3); // definition levels: RLE
         page.i32(4, 3); // repetition levels: RLE
     });
     let mut page = header.finish();
     page.extend(content);
-    page
+    Ok(page)
 }
 
 /// Which values are present, and those values in PLAIN encoding.
-fn encode<T>(list: &[Option<T>], write: impl Fn(&T, &mut Vec<u8>)) -> (Vec<bool>, Vec<u8>) {
+fn encode<T>(
+    list: &[Option<T>],
+    write: impl Fn(&T, &mut Vec<u8>) -> io::Result<()>,
+) -> io::Result<(Vec<bool>, Vec<u8>)> {
     let mut bytes = Vec::new();
-    list.iter().flatten().for_each(|value| write(value, &mut bytes));
-    (list.iter().map(Option::is_some).collect(), bytes)
+    list.iter().flatten().try_for_each(|value| write(value, &mut bytes))?;
+    Ok((list.iter().map(Option::is_some).collect(), bytes))
 }
 
 /// Bits in bytes, the lowest first.
@@ -89,14 +120,14 @@ fn bits(flags: &[bool]) -> Vec<u8> {
 }
 
 /// `FileMetaData`.
-fn footer(frame: &DataFrame, chunks: &[ColumnChunk]) -> Vec<u8> {
-    let rows = frame.rows() as i64;
+fn footer(frame: &DataFrame, chunks: &[ColumnChunk]) -> io::Result<Vec<u8>> {
+    let (rows, columns) = (count(frame.rows())?, length("schema", "columns", frame.columns.len())?);
     let mut meta = Thrift::default();
     meta.i32(1, 1);
     meta.list(2, frame.columns.len() + 1, |index, element| match index.checked_sub(1) {
         None => {
             element.text(4, "memtransfer");
-            element.i32(5, frame.columns.len() as i32);
+            element.i32(5, columns);
         }
         Some(column) => {
             let series = &frame.columns[column];
@@ -112,23 +143,23 @@ fn footer(frame: &DataFrame, chunks: &[ColumnChunk]) -> Vec<u8> {
     meta.list(4, 1, |_, group| {
         group.list(1, chunks.len(), |column, chunk| {
             let (series, at) = (&frame.columns[column], &chunks[column]);
-            chunk.i64(2, at.offset as i64);
+            chunk.i64(2, at.offset);
             chunk.structure(3, |meta| {
                 meta.i32(1, physical(&series.values));
                 meta.integers(2, &[0, 3]); // PLAIN, RLE
                 meta.texts(3, &[&series.name]);
                 meta.i32(4, 0); // UNCOMPRESSED
-                meta.i64(5, series.values.len() as i64);
-                meta.i64(6, at.bytes as i64);
-                meta.i64(7, at.bytes as i64);
-                meta.i64(9, at.offset as i64);
+                meta.i64(5, rows);
+                meta.i64(6, at.bytes);
+                meta.i64(7, at.bytes);
+                meta.i64(9, at.offset);
             });
         });
-        group.i64(2, chunks.iter().map(|chunk| chunk.bytes as i64).sum());
+        group.i64(2, chunks.iter().map(|chunk| chunk.bytes).sum());
         group.i64(3, rows);
     });
     meta.text(6, "memtransfer");
-    meta.finish()
+    Ok(meta.finish())
 }
 
 /// The code of the physical type.
@@ -238,7 +269,13 @@ fn varint(bytes: &mut Vec<u8>, mut value: u64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::Series;
+
+    #[test]
+    fn what_the_format_cannot_count_is_refused_with_its_size() {
+        assert_eq!(length("key", "rows", i32::MAX as usize).unwrap(), i32::MAX);
+        let error = length("actions", "bytes", 1 << 31).unwrap_err();
+        insta::assert_snapshot!(error, @"`actions` has 2147483648 bytes, and a part of a Parquet file has at most 2147483647: write fewer episodes into one file, or CSV");
+    }
 
     #[test]
     fn a_small_file_has_the_bytes_that_were_read_with_pyarrow() {

@@ -25,9 +25,12 @@ const LEFT: i32 = 250;
 const RIGHT: i32 = 24;
 /// The height of the labels of a horizontal axis.
 const BOTTOM: i32 = 44;
+/// The height of a line below the plot.
+const NOTE: i32 = 24;
 
-/// An SVG image under construction. Coordinates are pixels from the top left.
-struct Svg {
+/// An SVG image. Coordinates are pixels from the top left.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Svg {
     height: i32,
     body: String,
 }
@@ -114,13 +117,23 @@ impl Svg {
         caption: &str,
         in_words: impl Iterator<Item = String>,
     ) -> ReportFigure {
-        let svg = format!(
+        let alt = format!("{caption} {}", in_words.collect::<Vec<_>>().join("; "));
+        ReportFigure { id: id.to_owned(), caption: caption.to_owned(), alt, image: self }
+    }
+
+    /// The image as an `svg` element.
+    pub(super) fn element_text(&self) -> String {
+        format!(
             "<svg width=\"{WIDTH}\" height=\"{0}\" viewBox=\"0 0 {WIDTH} {0}\" \
              xmlns=\"http://www.w3.org/2000/svg\" font-family=\"sans-serif\">\n{1}</svg>\n",
             self.height, self.body
-        );
-        let alt = format!("{caption} {}", in_words.collect::<Vec<_>>().join("; "));
-        ReportFigure { id: id.to_owned(), caption: caption.to_owned(), alt, svg }
+        )
+    }
+
+    /// Adds a line of text below the image.
+    pub(super) fn add_note(&mut self, text: &str) {
+        self.text(text, (8, self.height + NOTE / 2), TextAnchor::After, TextStyle::Faint);
+        self.height += NOTE;
     }
 
     fn element(&mut self, element: std::fmt::Arguments<'_>) {
@@ -207,31 +220,85 @@ impl ValueAxis {
         LEFT + (share * f64::from(WIDTH - LEFT - RIGHT)).round() as i32
     }
 
-    /// A round step that gives at most seven marks.
-    fn step(&self) -> f64 {
+    /// The marks with their labels: at most seven multiples of a step of one digit, so that as many decimals as the step has
+    /// give every mark exactly.
+    fn marks(&self) -> Vec<(f64, String)> {
+        /// What a multiple may be off by, in steps, from rounding.
+        const ROUNDING: f64 = 1e-9;
         let rough = (self.to - self.from) / 6.0;
-        let magnitude = 10_f64.powf(rough.log10().floor());
-        let steps = [1.0, 2.0, 2.5, 5.0, 10.0].map(|step| step * magnitude);
-        steps.into_iter().find(|step| *step >= rough).unwrap_or(rough)
+        let exponent = rough.log10().floor() as i32;
+        let steps = [1.0, 2.0, 5.0].map(|digit| digit * 10_f64.powi(exponent));
+        let (step, exponent) = match steps.into_iter().find(|step| *step >= rough) {
+            Some(step) => (step, exponent),
+            None => (10_f64.powi(exponent + 1), exponent + 1),
+        };
+        let digits = usize::try_from(-exponent).unwrap_or(0);
+        let first = (self.from / step - ROUNDING).ceil() as i64;
+        let last = (self.to / step + ROUNDING).floor() as i64;
+        let values = (first..=last).map(|multiple| multiple as f64 * step);
+        values.map(|value| (value, format!("{value:.digits$}"))).collect()
     }
 
     /// Draws grid lines, marks and the name of the axis.
     fn draw(&self, svg: &mut Svg, name: &str, top: i32, bottom: i32) {
-        let step = self.step();
-        let marks = ((self.to - self.from) / step + 1e-9).floor() as u32;
-        for mark in 0..=marks {
-            let value = self.from + f64::from(mark) * step;
+        for (value, label) in self.marks() {
             let x = self.x(value);
             svg.line(&[(x, top), (x, bottom)], Stroke::Rule);
-            let digits = usize::from(step < 1.0) + usize::from(step < 0.1);
-            svg.text(
-                &format!("{value:.digits$}"),
-                (x, bottom + 12),
-                TextAnchor::Around,
-                TextStyle::Plain,
-            );
+            svg.text(&label, (x, bottom + 12), TextAnchor::Around, TextStyle::Plain);
         }
         let middle = i32::midpoint(self.x(self.from), self.x(self.to));
         svg.text(name, (middle, bottom + 32), TextAnchor::Around, TextStyle::Plain);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn fourteen_milliseconds_have_no_rounded_marks() {
+        let labels = |from, to| {
+            let marks = ValueAxis { from, to }.marks().into_iter();
+            marks.map(|(_, label)| label).collect::<Vec<_>>().join(" ")
+        };
+        for (from, to, expected) in [
+            (0.0, 14.0, "0 5 10"),
+            (0.0, 100.0, "0 20 40 60 80 100"),
+            (0.0, 1.3, "0.0 0.5 1.0"),
+            (0.0, 0.0042, "0.000 0.001 0.002 0.003 0.004"),
+            (-3.0, 9.0, "-2 0 2 4 6 8"),
+            (7.0, 30_000.0, "5000 10000 15000 20000 25000 30000"),
+        ] {
+            assert_eq!(labels(from, to), expected, "{from} to {to}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_label_is_the_value_at_its_place_and_places_are_equally_far_apart(
+            from in prop_oneof![Just(0.0), -1e3..1e3_f64],
+            digits in 1.0..10.0,
+            exponent in -5..8,
+        ) {
+            let length = digits * 10_f64.powi(exponent);
+            prop_assume!(length > from.abs() * 1e-6);
+            let axis = ValueAxis { from, to: from + length };
+            let marks = axis.marks();
+            prop_assert!((2..=7).contains(&marks.len()), "{marks:?}");
+            let read: Vec<f64> = marks.iter().map(|(_, label)| label.parse().unwrap()).collect();
+            for (read, (value, _)) in read.iter().zip(&marks) {
+                prop_assert!((read - value).abs() <= length * 1e-6, "{marks:?}");
+                prop_assert!(axis.from - length * 1e-6 <= *read && *read <= axis.to + length * 1e-6);
+            }
+            let steps: Vec<f64> = read.windows(2).map(|pair| pair[1] - pair[0]).collect();
+            let places: Vec<i32> = read.iter().map(|value| axis.x(*value)).collect();
+            let apart: Vec<i32> = places.windows(2).map(|pair| pair[1] - pair[0]).collect();
+            for (step, apart_px) in steps.iter().zip(&apart) {
+                prop_assert!((step - steps[0]).abs() <= length * 1e-6, "{marks:?}");
+                prop_assert!((apart_px - apart[0]).abs() <= 1, "rounded to pixels: {places:?}");
+            }
+        }
     }
 }

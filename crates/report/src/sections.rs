@@ -92,7 +92,10 @@ pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<ReportSection> {
     if let (Some(first), false) = (sections.first_mut(), is_silent) {
         let text = match view.log.episodes.is_empty() {
             true => "No episode of this run is finished.".to_owned(),
-            false => format!("This run has no conditions for: {}.", not_run.join("; ")),
+            false => format!(
+                "Sections without a figure of this run are left out: {}.",
+                not_run.join("; ")
+            ),
         };
         first.blocks.push(ReportBlock::Text(text));
     }

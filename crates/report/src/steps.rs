@@ -6,11 +6,12 @@ use std::iter::repeat;
 use domain::{Action, Feedback, Pose};
 use results::log::{EpisodeRecord, RequestRecord, RunLog};
 
+use super::data::add_run;
 use super::frame::{DataFrame, FrameBuilder};
 
 /// A moment of an episode.
 struct StepRow<'a> {
-    log: &'a str,
+    log: &'a RunLog,
     record: &'a EpisodeRecord,
     step: u32,
     pose: Pose,
@@ -38,7 +39,6 @@ fn words(column: &Option<String>) -> impl Iterator<Item = Option<&str>> {
 /// A row for each moment of the finished episodes of `log`: the start, and after every step. `docs/exports.md` describes
 /// the columns.
 pub fn steps_frame(log: &RunLog) -> DataFrame {
-    let name = log.name.clone();
     let asked: BTreeSet<&str> = log.episodes.iter().map(|record| record.key.as_str()).collect();
     // The last one of a step: requests of attempts that were given up come before those of the finished one.
     let requests: BTreeMap<(&str, u32), &RequestRecord> = log
@@ -52,10 +52,10 @@ pub fn steps_frame(log: &RunLog) -> DataFrame {
         .iter()
         .flat_map(|record| {
             let told = words(&record.retrieved).zip(words(&record.distances));
-            let (name, requests) = (&name, &requests);
+            let requests = &requests;
             (0..).zip(record.replay()).zip(told).map(
                 move |((step, (pose, feedback)), (sources, distances))| StepRow {
-                    log: name,
+                    log,
                     record,
                     step,
                     pose,
@@ -68,7 +68,7 @@ pub fn steps_frame(log: &RunLog) -> DataFrame {
         })
         .collect();
     let mut frame = FrameBuilder::new(&rows);
-    frame.text("log", |row| Some(row.log.to_owned()));
+    add_run(&mut frame, |row| row.log);
     frame.text("key", |row| Some(row.record.key.clone()));
     frame.text("memory", |row| Some(row.record.memory.to_string()));
     frame.text("case", |row| Some(row.record.case.clone()));
@@ -120,12 +120,12 @@ mod tests {
         let text =
             String::from_utf8(csv).unwrap().replace("episodic/original/unchanged/original/", "");
         insta::assert_snapshot!(text, @"
-        log,key,memory,case,run,step,x,y,heading,feedback,action,is_last,sub_goals_met,sub_goals,tried_closed,sources,distances,outcome,latency_us,images,prompt_tokens,completion_tokens,memory_tokens
-        run,run1/t01-01,episodic,t01-01,1,0,5,0,N,The episode has just begun.,move forward,false,0,1,false,o3,0.0132,,,,,,
-        run,run1/t01-01,episodic,t01-01,1,1,5,1,N,You moved.,turn right,false,1,1,false,,,,,,,,
-        run,run1/t01-01,episodic,t01-01,1,2,5,1,E,You turned.,,false,1,1,false,n1+o2,0+-,,,,,,
-        run,run1/t01-01,episodic,t01-01,1,3,5,1,E,Your last answer was not understood: you did not move.,move forward,false,1,1,false,o4,,,,,,,
-        run,run1/t01-01,episodic,t01-01,1,4,5,1,E,Something blocks the way: you did not move.,,true,1,1,true,,,,,,,,
+        log,policy,policy_role,key,memory,case,run,step,x,y,heading,feedback,action,is_last,sub_goals_met,sub_goals,tried_closed,sources,distances,outcome,latency_us,images,prompt_tokens,completion_tokens,memory_tokens
+        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,0,5,0,N,The episode has just begun.,move forward,false,0,1,false,o3,0.0132,,,,,,
+        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,1,5,1,N,You moved.,turn right,false,1,1,false,,,,,,,,
+        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,2,5,1,E,You turned.,,false,1,1,false,n1+o2,0+-,,,,,,
+        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,3,5,1,E,Your last answer was not understood: you did not move.,move forward,false,1,1,false,o4,,,,,,,
+        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,4,5,1,E,Something blocks the way: you did not move.,,true,1,1,true,,,,,,,,
         ");
     }
 }

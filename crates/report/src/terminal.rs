@@ -77,7 +77,7 @@ fn closing(view: &ScoredRun<'_>) -> Vec<String> {
     let mut lines = Vec::new();
     if !view.scores.conditions.is_empty() {
         lines.push(
-            "N: finished episodes. SR: mean ± standard deviation over runs; CI: Wilson's interval over cases."
+            "N: finished episodes. SR: mean ± sample standard deviation over runs; CI: Wilson's interval over cases."
                 .to_owned(),
         );
     }
@@ -138,11 +138,19 @@ pub fn compared_runs(a: &RunLog, b: &RunLog, compared: &[Comparison]) -> String 
     if !text.is_empty() {
         text += "The differences below may come from that.\n\n";
     }
-    text + &comparison(compared)
+    text += &compared_conditions(compared);
+    for log in [a, b] {
+        text += &wrapped(&format!("{}: {}", log.name, log.manifest.policy_label().sentence()));
+    }
+    text
 }
 
-/// Comparisons, a row each.
-pub fn comparison(compared: &[Comparison]) -> String {
+/// Comparisons of conditions of one run, a row each.
+pub fn comparison(log: &RunLog, compared: &[Comparison]) -> String {
+    compared_conditions(compared) + &wrapped(&log.manifest.policy_label().sentence())
+}
+
+fn compared_conditions(compared: &[Comparison]) -> String {
     let shared: Option<Vec<_>> = compared.iter().map(shared_condition).collect();
     let sides = match shared.as_deref() {
         Some([(a, b, _), ..]) => format!("A: {a}, B: {b}."),
@@ -265,8 +273,12 @@ mod tests {
             p: 0.0004,
         };
         let pair = "working/new/unchanged/none";
-        insta::assert_snapshot!(comparison(&[of(&format!("r1: {pair}"), &format!("r2: {pair}"))]));
-        let text = comparison(&[of("one", "two")]);
+        insta::assert_snapshot!(compared_conditions(&[of(
+            &format!("r1: {pair}"),
+            &format!("r2: {pair}")
+        )]));
+        let text = comparison(&log(vec![]), &[of("one", "two")]);
         assert!(text.contains("A: one") && text.contains("B: two"), "{text}");
+        assert!(text.contains("Policy: grounded, scripted stand-in."), "{text}");
     }
 }

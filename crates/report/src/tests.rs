@@ -4,6 +4,7 @@ use results::conditions::{Condition, PolicyKind};
 use results::log::{BlockedRecord, EpisodeRecord};
 
 use super::testing::{made_up, made_up_streams, paper_conditions};
+use super::view::THEIRS;
 use super::*;
 
 fn published() -> Published {
@@ -71,7 +72,7 @@ fn the_paper_suite_fills_every_cell() {
         assert_ne!(*cell, TableCell::Missing(Missing::NotRun), "{place}: the whole suite was run");
     }
     for figure in document.figures() {
-        assert!(!figure.svg.contains("not run"), "{}", figure.id);
+        assert!(!figure.svg().contains("not run"), "{}", figure.id);
     }
 }
 
@@ -82,10 +83,10 @@ fn what_was_not_run_is_left_out_and_named_in_one_line() {
     let titles = titles(&document);
     assert!(!titles.contains(&"RQ2: a blocked route"), "{titles:?}");
     let line = document.sections[0].blocks.iter().find_map(|block| match block {
-        ReportBlock::Text(text) if text.starts_with("This run has no conditions for") => Some(text),
+        ReportBlock::Text(text) if text.starts_with("Sections without a figure") => Some(text),
         _ => None,
     });
-    insta::assert_snapshot!(line.unwrap(), @"This run has no conditions for: RQ1: a start that was not demonstrated; RQ2: a blocked route; RQ3: histories of other tasks; Design choices.");
+    insta::assert_snapshot!(line.unwrap(), @"Sections without a figure of this run are left out: RQ1: a start that was not demonstrated; RQ2: a blocked route; RQ3: histories of other tasks; Design choices.");
     let cells = cells(&document);
     let found = |place: &str| {
         let cell = cells.iter().find(|(at, _)| at == place);
@@ -102,7 +103,11 @@ fn what_was_not_run_is_left_out_and_named_in_one_line() {
     assert!(cells.iter().all(|(_, cell)| !cell.text().is_empty()));
     // Plots show the run's conditions, and call the published points published.
     let figure = document.figures().find(|figure| figure.id == "main-figure").unwrap();
-    assert!(figure.svg.contains("published") && !figure.svg.contains("Hybrid"), "{}", figure.svg);
+    assert!(
+        figure.svg().contains("published") && !figure.svg().contains("Hybrid"),
+        "{}",
+        figure.svg()
+    );
 }
 
 #[test]
@@ -342,6 +347,106 @@ fn a_report_is_a_folder_of_files_and_the_same_each_time() {
     }
     let episodes = fs::read_to_string(first.path().join("episodes.csv")).unwrap();
     assert_eq!(episodes.lines().count(), 1 + log.episodes.len());
+}
+
+/// The files in `dir`, with their paths in it.
+fn files(dir: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(dir).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+        match path.is_dir() {
+            true => {
+                let inner = files(&path).into_iter();
+                found.extend(inner.map(|(file, content)| (format!("{name}/{file}"), content)));
+            }
+            false => found.push((name, fs::read(path).unwrap())),
+        }
+    }
+    found
+}
+
+#[test]
+fn every_file_of_a_report_names_a_policy_that_is_no_model() {
+    let mut beyond = made_up(
+        &only(&[
+            "working/new/unchanged/none",
+            "working/new/blocked/none",
+            "episodic/new/blocked/original",
+            "episodic/new/blocked/after",
+            "episodic/new/unchanged/elsewhere",
+            "episodic/new/unchanged/bank-4",
+            "episodic/new/unchanged/bank-16",
+        ]),
+        &[1, 9],
+    );
+    for timings in &mut beyond.timings {
+        (timings.recalls.store_bytes, timings.recalls.requests) = (Some(4096), timings.steps);
+    }
+    beyond.requests = vec![results::log::testing::request(&beyond.episodes[0].key, 1)];
+    let small = vec![beyond.clone()];
+    let both = vec![beyond.clone(), RunLog { name: "other".to_owned(), ..beyond }];
+    let paper = made_up(&paper_conditions(), &[1, 9]);
+    for (policy, role) in [
+        (PolicyKind::Grounded, Some("grounded, scripted stand-in")),
+        (PolicyKind::Random, Some("random, lower bound")),
+        (PolicyKind::Expert, Some("expert, upper bound")),
+        (PolicyKind::External, None),
+    ] {
+        let all = match policy {
+            PolicyKind::Grounded => {
+                vec![vec![paper.clone()], vec![made_up_streams()], both.clone()]
+            }
+            _ => vec![],
+        };
+        for mut logs in all.into_iter().chain([small.clone()]) {
+            for log in &mut logs {
+                log.manifest.settings.policy = policy;
+            }
+            let dir = tempfile::tempdir().unwrap();
+            write(&logs, dir.path()).unwrap();
+            let streams_alone = |log: &RunLog| log.manifest.settings.stream.is_some();
+            for (name, content) in files(dir.path()) {
+                let text = String::from_utf8_lossy(&content);
+                let found = |words: &str| text.contains(words);
+                match role {
+                    // It has no rows.
+                    _ if name == "conditions.parquet" && logs.iter().all(streams_alone) => {}
+                    Some(label) if name.ends_with(".parquet") => {
+                        let role = label.split_once(", ").unwrap().1;
+                        assert!(found(role), "{name} does not say {role}");
+                    }
+                    // The whole label is in two columns there.
+                    Some(label) if name.ends_with(".csv") && !name.starts_with("tables/") => {
+                        let mut lines = text.lines().skip(1);
+                        let label = label.replace(", ", ",");
+                        assert!(lines.all(|line| line.contains(&label)), "{name}: {label}");
+                    }
+                    Some(label) if name.starts_with("tables/") => {
+                        let mut lines = text.lines().skip(1);
+                        let is_named = |line: &str| line.contains(label) || line.ends_with(THEIRS);
+                        assert!(lines.all(is_named), "{name}: {label}\n{text}");
+                    }
+                    Some(label) => assert!(found(label), "{name} does not say {label}"),
+                    None => {
+                        for words in ["stand-in", "lower bound", "upper bound"] {
+                            assert!(!found(words), "{name} says {words}");
+                        }
+                    }
+                }
+            }
+            let summary = summary(&logs[0]);
+            assert!(role.is_none_or(|label| summary.contains(label)), "{summary}");
+            let document = document(&logs, &published());
+            for section in document.sections.iter().filter(|section| section.id != "s-method") {
+                assert!(section.policy.is_some(), "{}", section.id);
+            }
+            let captions = document.tables().map(|table| &table.caption);
+            for caption in captions.chain(document.figures().map(|figure| &figure.caption)) {
+                assert!(role.is_none_or(|label| caption.contains(label)), "{caption}");
+            }
+        }
+    }
 }
 
 #[test]

@@ -176,7 +176,7 @@ pub(super) fn plain_or(value: Option<f64>, digits: usize, missing: Missing) -> T
     value.map_or(TableCell::Missing(missing), |value| TableCell::Value(format!("{value:.digits$}")))
 }
 
-/// Mean and standard deviation over runs.
+/// Mean and sample standard deviation over runs.
 pub(super) fn spread_text(spread: Spread, digits: usize) -> String {
     match spread.std {
         Some(std) => format!("{:.digits$} ± {std:.digits$}", spread.mean),

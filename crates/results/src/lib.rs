@@ -13,6 +13,7 @@ pub mod key;
 pub mod latency;
 pub mod log;
 pub mod names;
+pub mod policy;
 pub mod score;
 pub mod settings;
 pub mod source;

@@ -59,7 +59,7 @@ pub use streams::{
     Estimate, Necessity, NecessitySuccess, OrderScore, RoundScore, StreamCost, StreamDifference,
     StreamScore, StreamScores,
 };
-pub use success::{GroupScore, group_of};
+pub use success::GroupScore;
 pub use time::StageTimes;
 pub use trial::{Trials, path_weight};
 pub use worst::{CaseScore, worst_cases};
@@ -70,10 +70,13 @@ use serde::Serialize;
 
 use crate::conditions::Condition;
 use crate::log::{Manifest, RunLog};
+use crate::policy::PolicyLabel;
 
 /// The scores of a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Scores {
+    /// The policy whose scores they are.
+    pub policy: PolicyLabel,
     /// One entry for each condition that has a finished episode, ordered by memory, start, route, demonstrations.
     pub conditions: Vec<ConditionScore>,
     /// Episodes of the whole run, finished or not.
@@ -125,7 +128,8 @@ pub fn score(log: &RunLog) -> Scores {
     let mut conditions: Vec<ConditionScore> = scored.collect();
     condition::relate(&mut conditions, &trials);
     Scores {
-        growth: growth::growth(&trials, &planned, &timings),
+        policy: log.manifest.policy_label(),
+        growth: growth::growth(&trials, &planned, &timings, &log.tasks()),
         conflicts: conflict::conflicts(log, &trials, &planned, &timings),
         conditions,
         planned: log.manifest.episodes as usize,

@@ -105,10 +105,10 @@ memtransfer.EpisodeView = class {
     const { name, mark, style, meaning } = memtransfer.outcome(run, row.outcome);
     const condition = run.conditions[row.condition];
     return h("div", { class: "heading" },
-      h(level, {}, level === "h1" ? episode.instruction : `${run.name}: ${condition.name}`),
+      h(level, {}, level === "h1" ? episode.instruction : `${run.name} (${run.policy}): ${condition.name}`),
       h("p", {}, h("span", { class: `mark ${style}`, "aria-hidden": "true" }, mark), ` ${name}: ${meaning}. `,
         `${episode.steps} steps, the reference takes ${episode.reference}; ${episode.subGoals.length} of ${episode.required} sub-goals.`),
-      level === "h1" && h("p", { class: "soft" }, `${run.cases[row.case].id}, ${run.cases[row.case].task}; ${condition.name}; ${row.place || `run ${row.repetition}`}`));
+      level === "h1" && h("p", { class: "soft" }, `${run.cases[row.case].id}, ${run.cases[row.case].task}; ${condition.name}; ${row.place || `run ${row.repetition}`}; policy: ${run.policy}`));
   }
 
   /** Why it failed, in a sentence with links to the steps. */

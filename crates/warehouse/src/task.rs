@@ -129,11 +129,16 @@ impl Task {
 
     /// The group of its type.
     pub const fn group(&self) -> TaskGroup {
-        match self.number() {
-            1 | 2 => TaskGroup::Basic,
-            3..=6 => TaskGroup::MultiObject,
-            9 => TaskGroup::Revisit,
-            _ => TaskGroup::ReturnLoop,
+        match self {
+            Self::FindType { .. } | Self::FindCategory { .. } => TaskGroup::Basic,
+            Self::EveryOfType { .. }
+            | Self::EveryOfCategory { .. }
+            | Self::BothTypes { .. }
+            | Self::InOrder { .. } => TaskGroup::MultiObject,
+            Self::FindAndReturn { .. }
+            | Self::EveryAndReturn { .. }
+            | Self::InOrderAndReturn { .. } => TaskGroup::ReturnLoop,
+            Self::Revisit { .. } => TaskGroup::Revisit,
         }
     }
 
@@ -277,6 +282,17 @@ impl TaskGroup {
     /// All groups, in the order of the paper's table.
     pub const ALL: [Self; 4] = [Self::Basic, Self::MultiObject, Self::ReturnLoop, Self::Revisit];
 
+    /// The group of the type of tasks with this number; `None` outside 1 to 10 (specification, section 3).
+    pub const fn of_type(number: u8) -> Option<Self> {
+        match number {
+            1 | 2 => Some(Self::Basic),
+            3..=6 => Some(Self::MultiObject),
+            7 | 8 | 10 => Some(Self::ReturnLoop),
+            9 => Some(Self::Revisit),
+            _ => None,
+        }
+    }
+
     /// The heading of the group's column.
     pub const fn name(self) -> &'static str {
         match self {
@@ -301,6 +317,16 @@ fn with_article(noun: &str) -> String {
 mod tests {
     use super::*;
     use crate::testing::{BLUE_BARREL, CONES, ORANGE_CONE, all_tasks, tiny};
+
+    #[test]
+    fn the_group_of_a_type_is_that_of_its_tasks_and_other_numbers_have_none() {
+        for task in all_tasks(&tiny()) {
+            assert_eq!(TaskGroup::of_type(task.number()), Some(task.group()), "{task:?}");
+        }
+        for number in (0..=u8::MAX).filter(|number| !(1..=10).contains(number)) {
+            assert_eq!(TaskGroup::of_type(number), None, "{number}");
+        }
+    }
 
     #[test]
     fn instructions_read_well() {

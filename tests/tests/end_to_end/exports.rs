@@ -46,6 +46,8 @@ fn every_format_is_read_by_the_programs_it_is_for() {
     for format in ["csv", "parquet"] {
         export(&bench, format, "x/tables", &[]).expect(0);
     }
+    let recording = fs::read(bench.out("x/all.mcap")).unwrap();
+    assert!(String::from_utf8_lossy(&recording).contains("grounded, scripted stand-in"));
     export(&bench, "hugging-face", "x/hub", &["--dataset", "team/memtransfer"]).expect(0);
     let mut python = Command::new(needs::exports_python());
     python.arg(repository("tests/python/read_exports.py")).args([bench.out("r"), bench.out("x")]);
@@ -67,10 +69,12 @@ fn a_video_has_a_picture_for_every_moment() {
     assert_eq!(video.stdout.trim(), "video.mp4");
     let probe = Command::new("ffprobe")
         .args(["-v", "error", "-of", "json", "-show_entries"])
-        .arg("stream=codec_name,width,height,pix_fmt,r_frame_rate,nb_frames")
+        .arg("stream=codec_name,width,height,pix_fmt,r_frame_rate,nb_frames:format_tags=comment")
         .arg(bench.out("video.mp4"))
         .output();
     let shown: Value = serde_json::from_slice(&probe.unwrap().stdout).unwrap();
+    let comment = shown["format"]["tags"]["comment"].as_str().unwrap();
+    assert!(comment.starts_with("Policy: grounded, scripted stand-in."), "{comment}");
     let stream = &shown["streams"][0];
     assert_eq!(stream["codec_name"], "h264");
     assert_eq!((&stream["width"], &stream["height"]), (&json!(128), &json!(128)));

@@ -59,7 +59,7 @@ fn every_condition_of_the_paper_runs_resumes_and_is_reported() {
     let page = fs::read_to_string(pages.join("report.html")).unwrap();
     let text = fs::read_to_string(pages.join("report.md")).unwrap();
     for page in [&page, &text] {
-        assert!(page.contains("a scripted stand-in"), "the stand-in is named");
+        assert!(page.contains("grounded, scripted stand-in"), "the stand-in is named");
     }
     let mut cells = 0;
     for row in text.lines().filter(|line| line.starts_with("| ")) {

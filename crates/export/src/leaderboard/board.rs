@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 
 use report::table::{WIDTH, table, wrap};
+use results::policy::PolicyLabel;
 use serde_json::Value;
 
 use super::{Entry, EntryFigure, Score};
@@ -58,9 +59,7 @@ pub struct BoardRow {
     /// When it began.
     pub date: String,
     /// The policy.
-    pub policy: String,
-    /// Whether the policy is a scripted stand-in.
-    pub stand_in: bool,
+    pub policy: PolicyLabel,
     /// The memory.
     pub memory: String,
     /// The demonstrations.
@@ -272,7 +271,7 @@ impl BoardTable {
                 false => format!("{} ({})", row.memory, row.variation),
             };
             let mut cells =
-                vec![row.run.clone(), row.policy.clone(), memory, row.demonstrations.clone()];
+                vec![row.run.clone(), row.policy.to_string(), memory, row.demonstrations.clone()];
             cells.push(row.counted());
             let figures = row.cells(columns).into_iter();
             cells.extend(figures.map(|cell| format!("{} {}", cell.figure, cell.interval)));
@@ -292,8 +291,7 @@ fn row(entry: &Entry, score: &Score, columns: &[&'static BoardColumn]) -> BoardR
     BoardRow {
         run: entry.run.clone(),
         date: entry.date.clone().unwrap_or_default(),
-        policy: entry.policy.name.clone(),
-        stand_in: entry.policy.stand_in,
+        policy: entry.policy.label(),
         memory,
         demonstrations,
         variation: words.collect::<Vec<_>>().join(", "),

@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, Result, bail, ensure};
-use results::conditions::Condition;
+use results::conditions::{Condition, PolicyKind};
 use results::date::date;
 use results::log::RunLog;
+use results::policy::{PolicyLabel, PolicyRole};
 use results::score::{ConditionScore, Estimate, Interval, Spread, StreamScore, score};
 use results::settings::FREE_KEYS;
 use serde::{Deserialize, Serialize};
@@ -68,6 +69,26 @@ pub struct EntryPolicy {
     pub name: String,
     /// Whether it is a scripted stand-in for a model.
     pub stand_in: bool,
+    /// What its figures stand for; absent for a model, and in entries of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    role: Option<PolicyRole>,
+}
+
+impl EntryPolicy {
+    fn new(PolicyLabel { name, role }: PolicyLabel) -> Self {
+        Self { name, stand_in: role == Some(PolicyRole::StandIn), role }
+    }
+
+    /// The policy as every output names it.
+    pub fn label(&self) -> PolicyLabel {
+        let bound = match self.name.parse() {
+            Ok(PolicyKind::Random) => Some(PolicyRole::LowerBound),
+            Ok(PolicyKind::Expert) => Some(PolicyRole::UpperBound),
+            Ok(PolicyKind::Grounded | PolicyKind::Openai | PolicyKind::External) | Err(_) => None,
+        };
+        let stand_in = self.stand_in.then_some(PolicyRole::StandIn);
+        PolicyLabel { name: self.name.clone(), role: self.role.or(stand_in).or(bound) }
+    }
 }
 
 /// The figures of one condition.
@@ -140,8 +161,6 @@ impl Entry {
             hasher.update(&serde_json::to_vec(record)?).update(b"\n");
         }
         hashes.insert("episodes".to_owned(), hasher.finalize().to_hex().to_string());
-        let policy = manifest.processes.get("policy");
-        let stand_in = policy.and_then(|facts| facts.get("stand_in"));
         let Value::Object(settings) = serde_json::to_value(&manifest.settings)? else {
             bail!("settings that are no table; this is a mistake in the program, please report it");
         };
@@ -153,10 +172,7 @@ impl Entry {
             format: FORMAT,
             run: log.name.clone(),
             date: log.began_unix_s().map(date),
-            policy: EntryPolicy {
-                name: log.policy_label(),
-                stand_in: stand_in.is_some_and(|fact| fact == "true"),
-            },
+            policy: EntryPolicy::new(manifest.policy_label()),
             protocol: manifest.protocol(),
             commit: manifest.commit.clone(),
             wire_version: manifest.wire_version,

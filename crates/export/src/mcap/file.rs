@@ -53,6 +53,20 @@ struct McapChunk {
     times: Option<(u64, u64)>,
 }
 
+/// The number of bytes in front of data that it counts, in 32 bits.
+///
+/// # Errors
+/// When there are more.
+fn length(bytes: usize) -> io::Result<u32> {
+    u32::try_from(bytes).map_err(|_| {
+        io::Error::other(format!(
+            "a part of an MCAP file has at most {} bytes, and one has {bytes}: export fewer episodes into one file, or each \
+             into a file of its own",
+            u32::MAX
+        ))
+    })
+}
+
 /// The content of a record under construction.
 #[derive(Default)]
 struct RecordContent(Vec<u8>);
@@ -79,11 +93,14 @@ impl RecordContent {
     }
 
     /// Bytes after their number.
-    fn data(self, bytes: &[u8]) -> Self {
-        self.u32(bytes.len() as u32).raw(bytes)
+    ///
+    /// # Errors
+    /// When there are more than 32 bits can count.
+    fn data(self, bytes: &[u8]) -> io::Result<Self> {
+        Ok(self.u32(length(bytes.len())?).raw(bytes))
     }
 
-    fn text(self, text: &str) -> Self {
+    fn text(self, text: &str) -> io::Result<Self> {
         self.data(text.as_bytes())
     }
 
@@ -121,7 +138,8 @@ impl<W: Write> McapFile<W> {
             times: None,
         };
         file.write(&MAGIC)?;
-        file.write(&RecordContent::default().text("").text("memtransfer").record(Op::Header))?;
+        let header = RecordContent::default().text("")?.text("memtransfer")?;
+        file.write(&header.record(Op::Header))?;
         Ok(file)
     }
 
@@ -138,25 +156,27 @@ impl<W: Write> McapFile<W> {
         encoding: &str,
         schema: &[u8],
         messages: &str,
-    ) -> ChannelId {
+    ) -> io::Result<ChannelId> {
         let id = self.channels;
-        self.channels += 1;
         // The number 0 means no schema.
-        let schema = RecordContent::default().u16(id + 1).text(name).text(encoding).data(schema);
-        let channel =
-            RecordContent::default().u16(id).u16(id + 1).text(topic).text(messages).data(&[]);
+        let schema =
+            RecordContent::default().u16(id + 1).text(name)?.text(encoding)?.data(schema)?;
+        let channel = RecordContent::default().u16(id).u16(id + 1);
+        let channel = channel.text(topic)?.text(messages)?.data(&[])?;
+        self.channels += 1;
         self.declared.extend(schema.record(Op::Schema));
         self.declared.extend(channel.record(Op::Channel));
-        ChannelId(id)
+        Ok(ChannelId(id))
     }
 
     /// Adds facts about the file.
     pub(super) fn metadata(&mut self, name: &str, facts: &[(&str, &str)]) -> io::Result<()> {
-        let facts = facts
-            .iter()
-            .fold(RecordContent::default(), |facts, (name, value)| facts.text(name).text(value));
-        let record = RecordContent::default().text(name).data(&facts.0).record(Op::Metadata);
-        let index = RecordContent::default().u64(self.position).u64(record.len() as u64).text(name);
+        let facts = facts.iter().try_fold(RecordContent::default(), |facts, (name, value)| {
+            facts.text(name)?.text(value)
+        })?;
+        let record = RecordContent::default().text(name)?.data(&facts.0)?.record(Op::Metadata);
+        let index = RecordContent::default().u64(self.position).u64(record.len() as u64);
+        let index = index.text(name)?;
         self.indexes.extend(index.record(Op::MetadataIndex));
         self.metadata += 1;
         self.write(&record)
@@ -168,8 +188,9 @@ impl<W: Write> McapFile<W> {
             self.chunk.records.extend(&self.declared);
         }
         let sequence = self.counts.entry(channel).or_default();
-        let message =
-            RecordContent::default().u16(channel.0).u32(*sequence as u32).u64(at_ns).u64(at_ns);
+        // Readers detect lost messages by gaps in it: it goes on from 0 after the largest number.
+        let number = (*sequence % (1 << 32)) as u32;
+        let message = RecordContent::default().u16(channel.0).u32(number).u64(at_ns).u64(at_ns);
         *sequence += 1;
         let place = self.chunk.records.len() as u64;
         self.chunk.index.entry(channel).or_default().push((at_ns, place));
@@ -182,8 +203,8 @@ impl<W: Write> McapFile<W> {
     pub(super) fn end_chunk(&mut self) -> io::Result<()> {
         let McapChunk { records, index, times } = std::mem::take(&mut self.chunk);
         let size = records.len() as u64;
-        let chunk =
-            RecordContent::default().times(times).u64(size).u32(0).text("").u64(size).raw(&records);
+        let chunk = RecordContent::default().times(times).u64(size).u32(0).text("")?.u64(size);
+        let chunk = chunk.raw(&records);
         let (chunk, begins) = (chunk.record(Op::Chunk), self.position);
         self.write(&chunk)?;
         let (indexes_begin, mut offsets) = (self.position, RecordContent::default());
@@ -192,12 +213,12 @@ impl<W: Write> McapFile<W> {
             let places = messages
                 .iter()
                 .fold(RecordContent::default(), |places, &(at, place)| places.u64(at).u64(place));
-            let record = RecordContent::default().u16(channel.0).data(&places.0);
+            let record = RecordContent::default().u16(channel.0).data(&places.0)?;
             self.write(&record.record(Op::MessageIndex))?;
         }
         let entry = RecordContent::default().times(times).u64(begins).u64(chunk.len() as u64);
-        let entry = entry.data(&offsets.0).u64(self.position - indexes_begin);
-        let entry = entry.text("").u64(size).u64(size);
+        let entry = entry.data(&offsets.0)?.u64(self.position - indexes_begin);
+        let entry = entry.text("")?.u64(size).u64(size);
         self.indexes.extend(entry.record(Op::ChunkIndex));
         self.chunks += 1;
         Ok(())
@@ -219,7 +240,7 @@ impl<W: Write> McapFile<W> {
             .u32(self.metadata)
             .u32(self.chunks)
             .times(self.times)
-            .data(&counts.0);
+            .data(&counts.0)?;
         let mut records = std::mem::take(&mut self.declared);
         records.extend(statistics.record(Op::Statistics));
         records.append(&mut self.indexes);
@@ -227,5 +248,17 @@ impl<W: Write> McapFile<W> {
         self.write(&RecordContent::default().u64(summary).u64(0).u32(0).record(Op::Footer))?;
         self.write(&MAGIC)?;
         self.out.flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_format_cannot_count_is_refused_with_its_size() {
+        assert_eq!(length(u32::MAX as usize).unwrap(), u32::MAX);
+        let error = length(1 << 32).unwrap_err();
+        insta::assert_snapshot!(error, @"a part of an MCAP file has at most 4294967295 bytes, and one has 4294967296: export fewer episodes into one file, or each into a file of its own");
     }
 }

@@ -17,8 +17,9 @@ const DIGITS: usize = 8;
 
 /// Renders the episode.
 pub(super) fn episode(shown: &ShownEpisode) -> String {
-    let ShownEpisode { key, reference, events, steps } = shown;
+    let ShownEpisode { key, policy, reference, events, steps } = shown;
     let mut text = format!("{key}: {} steps; the reference has {reference}\n", steps.len());
+    let _ = writeln!(text, "{}", policy.sentence());
     for event in events {
         let _ = writeln!(text, "  after {:>3}  {}", event.step, event.words);
     }
@@ -165,7 +166,7 @@ fn indented(text: &mut String, content: &str) {
 
 #[cfg(test)]
 mod tests {
-    use results::log::testing::record;
+    use results::log::testing::{manifest, record};
     use results::step_view::logged_steps;
     use results::timeline::timeline;
 
@@ -178,12 +179,14 @@ mod tests {
         (one.sub_goals, one.retrieved) = (vec![1], Some("o12 - o3+n4".to_owned()));
         let shown = ShownEpisode {
             key: &one.key,
+            policy: manifest().policy_label(),
             reference: one.reference,
             events: timeline(&one),
             steps: logged_steps(&one),
         };
         insta::assert_snapshot!(episode(&shown), @"
         episodic/original/unchanged/original/run1/a: 3 steps; the reference has 8
+        Policy: grounded, scripted stand-in. It tests the harness; its figures are no claim about any model.
           after   1  sub-goal 1 of 2 is met
           after   2  no action could be read in the answer
           after   3  failed: never-saw (the target that was next was never in view)

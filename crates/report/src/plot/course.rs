@@ -77,8 +77,8 @@ mod tests {
             curves: vec![curve("frozen", false), curve("no memory", true)],
         });
         assert_eq!(figure.alt, "Success. frozen: 100, 25; no memory: 100, 25");
-        assert_eq!(figure.svg.matches(">events<").count(), 2);
-        assert_eq!(figure.svg.matches("<circle").count(), 4, "two points, and two in the legend");
-        assert!(figure.svg.contains("block 2") && !figure.svg.contains("block 3"));
+        assert_eq!(figure.svg().matches(">events<").count(), 2);
+        assert_eq!(figure.svg().matches("<circle").count(), 4, "two points, and two in the legend");
+        assert!(figure.svg().contains("block 2") && !figure.svg().contains("block 3"));
     }
 }

@@ -167,7 +167,8 @@ fn label(value: f64) -> String {
         size if size >= 99.5 || size == 0.0 => 0,
         size if size >= 9.95 => 1,
         size if size >= 0.995 => 2,
-        _ => 4,
+        // At least two significant digits.
+        size => usize::try_from(1 - size.log10().floor() as i32).unwrap_or(0).max(4),
     };
     let text = format!("{scaled:.digits$}");
     let text =
@@ -177,6 +178,8 @@ fn label(value: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     #[test]
@@ -190,6 +193,28 @@ mod tests {
             (250.0, "250"),
         ] {
             assert_eq!(label(value), text);
+        }
+    }
+
+    /// The number that a label stands for.
+    fn read(label: &str) -> f64 {
+        let (digits, unit) = match label.strip_suffix(['k', 'M', 'G']) {
+            Some(digits) => (digits, &label[digits.len()..]),
+            None => (label, ""),
+        };
+        let power = ["", "k", "M", "G"].iter().position(|one| *one == unit).unwrap();
+        digits.parse::<f64>().unwrap() * 1000_f64.powi(power as i32)
+    }
+
+    proptest! {
+        #[test]
+        fn a_label_is_the_value_at_its_place(low in -9.0..11.0, decades in 0.0..8.0) {
+            let ends = [low, low + decades].map(|power: f64| 10_f64.powf(power));
+            let scale = Scale::over(ends.into_iter(), 0, 100_000);
+            for mark in scale.marks() {
+                let shown = read(&label(mark));
+                prop_assert!((shown / mark - 1.0).abs() < 1e-9, "{mark}: {}", label(mark));
+            }
         }
     }
 
@@ -231,6 +256,6 @@ mod tests {
             figure.alt,
             "Time. exact: 10 at 1k, 9k at 1M; bandwidth: 5 at 1k, 5k at 1M; nothing: "
         );
-        assert!(figure.svg.starts_with("<svg") && figure.svg.contains("entries"));
+        assert!(figure.svg().starts_with("<svg") && figure.svg().contains("entries"));
     }
 }

@@ -22,7 +22,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         ]);
     }
     table.caption = "Every condition that was run. N: finished episodes, and planned ones where some are missing. SR \
-                     %: success rate, mean ± standard deviation over runs. SPL, steps, images per request (Img), million \
+                     %: success rate, mean ± sample standard deviation over runs. SPL, steps, images per request (Img), million \
                      tokens per 100 cases (Mtok), percentage of unreadable answers and of retrievals from another \
                      task's history: means. conditions.csv and conditions.parquet hold every figure in full."
         .to_owned();

@@ -11,7 +11,8 @@ use crate::view::{ScoredRun, plain_or, sure, title};
 
 pub(super) const NO_RECALL: Missing = Missing::NotMeasured("no recall was timed");
 pub(super) const NO_STORE: Missing = Missing::NotMeasured("the memory told no size");
-const NO_TYPE: Missing = Missing::NotMeasured("the ids of cases do not begin with their type");
+const NO_TYPE: Missing =
+    Missing::NotMeasured("the log does not tell the type of every source's task");
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let groups: Vec<&[GrowthScore]> = by_memory(view).collect();

@@ -50,7 +50,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let table = Table {
         id: view.id("main"),
         caption: "Memory performance across the three questions (the paper's table “Memory performance across the three RQs”). SR: success rate \
-                  in percent, mean ± standard deviation over runs, and its 95 % interval in brackets. SPL: \
+                  in percent, mean ± sample standard deviation over runs, and its 95 % interval in brackets. SPL: \
                   success weighted by path length, mean. Img: images per request; this run's is the mean over all \
                   requests at the new start, where an episode's first steps have a shorter window, and the paper's the \
                   number at full window. Mtok: million prompt and completion tokens per 100 new-start cases. Working \

@@ -66,15 +66,11 @@ pub(crate) fn method() -> ReportSection {
                    and if all succeeded.";
     let marks = "In the tables: not run, the run has no such condition; n/m, not measured; —, not published; undef., \
                  undefined; n/a, does not exist. The reason stands below each table.";
-    ReportSection {
-        id: "s-method".to_owned(),
-        level: 2,
-        title: "Definitions".to_owned(),
-        blocks: vec![
-            ReportBlock::Terms(terms),
-            ReportBlock::Text(intervals),
-            ReportBlock::Text(missing.to_owned()),
-            ReportBlock::Text(marks.to_owned()),
-        ],
-    }
+    let blocks = vec![
+        ReportBlock::Terms(terms),
+        ReportBlock::Text(intervals),
+        ReportBlock::Text(missing.to_owned()),
+        ReportBlock::Text(marks.to_owned()),
+    ];
+    ReportSection::new("s-method", "Definitions", blocks)
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use domain::representation::RepresentationInfo;
 use domain::{Appearance, Representation};
-use results::conditions::{Condition, Frames, PolicyKind};
+use results::conditions::{Condition, Frames};
 use results::log::{EpisodeRecord, ExternalMemoryFacts, Manifest};
 
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
@@ -47,28 +47,10 @@ const MOST_DAMAGED: usize = 5;
 /// The policy, and whether the frames were a control.
 fn standing(manifest: &Manifest) -> Vec<String> {
     let settings = &manifest.settings;
-    let mut lines = vec![match settings.policy {
-        PolicyKind::Grounded => {
-            "Policy: grounded, a scripted stand-in. It tests the harness; its numbers are no claim \
-                                 about any model."
-                .to_owned()
-        }
-        PolicyKind::Openai => {
-            let model = settings.model.as_ref().map_or("?", |model| model.model.as_str());
-            format!("Policy: {model}, asked through an OpenAI-compatible endpoint.")
-        }
-        PolicyKind::External => {
-            let name = manifest.policy_name().map_or(String::new(), |name| format!(" {name}"));
-            match &settings.policy_cmd {
-                Some(command) => format!("Policy: external{name}, started with `{command}`."),
-                None => format!("Policy: external{name}."),
-            }
-        }
-        PolicyKind::Random => "Policy: random, the lower bound of the scale.".to_owned(),
-        PolicyKind::Expert => {
-            "Policy: expert, which replays the reference: the upper bound of the scale.".to_owned()
-        }
-    }];
+    let mut lines = vec![manifest.policy_label().sentence()];
+    if let Some(command) = &settings.policy_cmd {
+        lines.push(format!("The policy was started with `{command}`."));
+    }
     match settings.frames {
         Frames::Rendered => {}
         control => lines.push(format!(
@@ -102,7 +84,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         None => TableCell::Missing(Missing::NotMeasured("the log holds no timings")),
     };
     let facts = [
-        ("Policy", TableCell::Value(settings.policy.to_string())),
+        ("Policy", TableCell::Value(view.log.manifest.policy_label().to_string())),
         ("Suite", TableCell::Value(settings.suite.to_string())),
         ("Conditions", TableCell::Value(conditions.len().to_string())),
         ("Cases", TableCell::Value(cases.to_string())),

@@ -35,7 +35,7 @@ fn overview(views: &[ScoredRun<'_>]) -> Table {
     let row = |view: &ScoredRun<'_>| {
         let settings = &view.log.manifest.settings;
         let facts = vec![
-            settings.policy.to_string(),
+            view.log.manifest.policy_label().to_string(),
             settings.suite.to_string(),
             settings.frames.to_string(),
             view.scores.conditions.len().to_string(),
@@ -74,7 +74,7 @@ fn side_by_side(views: &[ScoredRun<'_>]) -> Table {
     });
     Table {
         id: "side-by-side".to_owned(),
-        caption: "Success rate (mean ± standard deviation over runs, 95 % interval) and SPL of every condition."
+        caption: "Success rate (mean ± sample standard deviation over runs, 95 % interval) and SPL of every condition."
             .to_owned(),
         stubs: vec!["Memory".to_owned(), "Start, route, demonstrations".to_owned()],
         columns: columns.collect(),

@@ -36,6 +36,10 @@ pub struct Manifest {
     pub settings: RunSettings,
     /// BLAKE3 hashes of layout, catalogue, cases, ... by name.
     pub hashes: BTreeMap<String, String>,
+    /// The types of the tasks of all cases, by the case's id, in runs with banks: a bank holds demonstrations of cases that
+    /// the run does not have.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub tasks: BTreeMap<String, u8>,
     /// The documents that memory supplies, by name: `summary/4`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub documents: BTreeMap<String, DocumentFacts>,

@@ -83,15 +83,10 @@ impl RunLog {
         Ok(Self { dir, name, manifest, episodes, timings, requests, errors, sessions, damaged })
     }
 
-    /// The policy, with the name that an external one gives itself, or the model of `openai`.
-    pub fn policy_label(&self) -> String {
-        let settings = &self.manifest.settings;
-        let model = settings.model.as_ref().map(|model| model.model.as_str());
-        let kind = settings.policy.to_string();
-        match model.or(self.manifest.policy_name()) {
-            Some(name) if name != kind => format!("{kind} ({name})"),
-            _ => kind,
-        }
+    /// The types of the tasks of cases, by the case's id: of those that the manifest or an episode tells.
+    pub fn tasks(&self) -> BTreeMap<&str, u8> {
+        let told = self.manifest.tasks.iter().map(|(case, task)| (case.as_str(), *task));
+        told.chain(self.episodes.iter().map(|one| (one.case.as_str(), one.task))).collect()
     }
 
     /// The timings of the finished episodes, by key.

@@ -25,6 +25,7 @@ pub fn manifest() -> Manifest {
         commit: None,
         settings: settings(),
         hashes: BTreeMap::from([("layout".to_owned(), "00".to_owned())]),
+        tasks: BTreeMap::new(),
         documents: BTreeMap::new(),
         memories: BTreeMap::new(),
         prices: None,

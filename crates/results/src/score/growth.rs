@@ -23,8 +23,8 @@ pub struct GrowthScore {
     /// Percentage of the retrieved sources that are demonstrations of the episode's own case. `None` where nothing was
     /// retrieved.
     pub from_own_case: Option<f64>,
-    /// Percentage of the retrieved sources whose case has a task of the same type. `None` also where a case's id does not begin
-    /// with its type, as in `t03-07`.
+    /// Percentage of the retrieved sources whose case has a task of the same type. `None` also where the log does not tell
+    /// the type of one of them, as those of earlier versions do not.
     pub from_same_type: Option<f64>,
     /// Mean microseconds of a search.
     pub search_us: Option<f64>,
@@ -39,11 +39,12 @@ pub struct GrowthScore {
 }
 
 /// The scores of the conditions with banks, by memory and size, each after working memory on the same start and route. Empty
-/// without a bank.
+/// without a bank. `tasks`: the type of the task of every case that the log tells, by the case's id.
 pub(super) fn growth(
     trials: &BTreeMap<Condition, Trials<'_>>,
     planned: &Planned,
     timings: &BTreeMap<&str, &EpisodeTimings>,
+    tasks: &BTreeMap<&str, u8>,
 ) -> Vec<GrowthScore> {
     let has_bank = |condition: &Condition| condition.demonstrations.bank_size().is_some();
     if !trials.keys().any(has_bank) {
@@ -56,7 +57,7 @@ pub(super) fn growth(
         .filter(|(condition, _)| is_shown(condition))
         .filter_map(|(condition, trials)| {
             let planned = planned.episodes(condition, planned.cases);
-            of_condition(*condition, trials, planned, timings)
+            of_condition(*condition, trials, planned, timings, tasks)
         })
         .collect();
     found.sort_by_key(|one| {
@@ -71,6 +72,7 @@ fn of_condition(
     trials: &Trials<'_>,
     planned: usize,
     timings: &BTreeMap<&str, &EpisodeTimings>,
+    tasks: &BTreeMap<&str, u8>,
 ) -> Option<GrowthScore> {
     let sources: Vec<(&EpisodeRecord, Option<String>)> = trials
         .iter()
@@ -86,7 +88,7 @@ fn of_condition(
         .iter()
         .map(|(record, other)| match other {
             None => Some(true),
-            Some(case) => Some(task_type(case)? == record.task),
+            Some(case) => Some(*tasks.get(case.as_str())? == record.task),
         })
         .collect();
     let timed = || trials.iter().filter_map(|record| timings.get(record.key.as_str()).copied());
@@ -112,11 +114,6 @@ fn of_condition(
         images: per_recall(&|of| of.recalls.images),
         tokens: tokens.map(|(tokens, requests)| tokens as f64 / requests as f64),
     })
-}
-
-/// The type of the task of a case, by its id.
-fn task_type(case: &str) -> Option<u8> {
-    case.strip_prefix('t')?.split_once('-')?.0.parse().ok()
 }
 
 #[cfg(test)]
@@ -151,6 +148,10 @@ mod tests {
             timings.recalls.images = u64::from(timings.steps) * 7;
             timings.recalls.store_bytes = Some(1000);
         }
+        assert_eq!(score(&log).growth[1].from_same_type, None, "the types are not known");
+        // An id says nothing about the type.
+        let tasks = [("t01-01", 1), ("t01-07", 9), ("t09-01", 1)];
+        log.manifest.tasks = tasks.map(|(case, task)| (case.to_owned(), task)).into();
         let scores = score(&log).growth;
         let sizes: Vec<u16> = scores.iter().map(|score| score.size).collect();
         assert_eq!(sizes, [4, 16]);

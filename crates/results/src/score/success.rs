@@ -40,20 +40,11 @@ fn by_name<S: serde::Serializer>(group: &TaskGroup, serializer: S) -> Result<S::
 pub(super) fn groups(trials: &Trials<'_>) -> Vec<GroupScore> {
     let rate = |group: TaskGroup| {
         trials.over_runs(|run| {
-            let of_group = run.iter().filter(|record| group_of(record.task) == group);
+            let of_group =
+                run.iter().filter(|record| TaskGroup::of_type(record.task) == Some(group));
             percentage(of_group.map(|record| record.is_success()))
         })
     };
     let scored = |group: TaskGroup| Some(GroupScore { group, sr: rate(group)? });
     TaskGroup::ALL.into_iter().filter_map(scored).collect()
-}
-
-/// The group of task `number` (specification, section 3).
-pub const fn group_of(number: u8) -> TaskGroup {
-    match number {
-        1 | 2 => TaskGroup::Basic,
-        7 | 8 | 10 => TaskGroup::ReturnLoop,
-        9 => TaskGroup::Revisit,
-        _ => TaskGroup::MultiObject,
-    }
 }

@@ -16,6 +16,8 @@ use warehouse::{Case, Task, TaskGroup};
 #[serde(rename_all = "camelCase")]
 pub struct RunData {
     name: String,
+    /// The policy, as every output names it.
+    policy: String,
     facts: Vec<(&'static str, String)>,
     /// Episodes of the whole run.
     planned: u32,
@@ -80,6 +82,7 @@ impl RunData {
         };
         Self {
             name: log.name.clone(),
+            policy: log.manifest.policy_label().to_string(),
             facts: facts(log),
             planned: log.manifest.episodes,
             conditions: conditions.iter().map(condition).collect(),
@@ -140,7 +143,7 @@ fn facts(log: &RunLog) -> Vec<(&'static str, String)> {
     let settings = &log.manifest.settings;
     let mut facts = vec![
         ("Suite", settings.suite.to_string()),
-        ("Policy", log.manifest.policy_name().unwrap_or(settings.policy.name()).to_owned()),
+        ("Policy", log.manifest.policy_label().to_string()),
     ];
     facts.extend(settings.model.as_ref().map(|model| ("Model", model.model.clone())));
     facts.push(("Seed", settings.seed.to_string()));
@@ -151,12 +154,9 @@ fn facts(log: &RunLog) -> Vec<(&'static str, String)> {
 
 fn notices(log: &RunLog) -> Vec<String> {
     let mut notices = Vec::new();
-    let policy = log.manifest.processes.get("policy");
-    if policy.and_then(|facts| facts.get("stand_in")).is_some_and(|fact| fact == "true") {
-        notices.push(
-            "The policy is a scripted stand-in: it tests the harness, and its results are no claim about any model."
-                .to_owned(),
-        );
+    let policy = log.manifest.policy_label();
+    if policy.role.is_some() {
+        notices.push(policy.sentence());
     }
     match log.manifest.settings.frames {
         Frames::Rendered => {}

@@ -180,6 +180,7 @@ impl Scenario {
             commit: None,
             settings: self.settings.clone(),
             hashes,
+            tasks: BTreeMap::new(),
             documents: BTreeMap::new(),
             memories: self.memories.iter().map(|memory| (memory.name, memory.facts())).collect(),
             prices: None,

@@ -264,7 +264,9 @@ fn session(
         shutdown_timeout: launch::SHUTDOWN_TIMEOUT,
     };
     let counts = EpisodeCounts { planned: missing.len() as u64, ..EpisodeCounts::default() };
-    let monitor = Monitor::new(folder.dir(), attach.lanes, counts, ProgressDisplay::silent());
+    let policy = folder.manifest().policy_label();
+    let progress = ProgressDisplay::silent();
+    let monitor = Monitor::new(folder.dir(), policy, attach.lanes, counts, progress);
     let budget = Budget::new(None, None, &requests);
     let size = (attach.lanes, attach.frame_capacity);
     let mut session = RunSession::new(&mut folder, monitor, budget, None, size);

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::estimate::by_stream;
 use super::sequence::{CompleteSequences, StreamEpisode};
-use crate::log::EpisodeTimings;
+use crate::log::{EpisodeTimings, Stages};
 use crate::score::spread::mean;
 
 /// What memory cost after some blocks were learned: means over evaluation episodes, then over sequences and streams.
@@ -20,7 +20,10 @@ pub struct StreamCost {
     /// Episodes that the memory was given: a demonstration of each case of the stream, and in the arm `learning` every
     /// learning episode so far. A memory with a budget may hold fewer.
     pub episodes: f64,
-    /// Microseconds of a recall: embedding the view, searching, putting the answer together.
+    /// Microseconds of a search. Embedding the view is not part of it.
+    pub search_us: Option<f64>,
+    /// Microseconds of a recall: embedding the view, searching, putting the answer together. A view is embedded when it is
+    /// first seen, by whichever sequence sees it, so this falls as a run goes on, whatever the memory holds.
     pub recall_us: Option<f64>,
     /// Bytes of the memory's store. None if it told none.
     pub store_bytes: Option<f64>,
@@ -52,12 +55,10 @@ pub(super) fn costs(
             let learned = if arm == Arm::Learning { learned } else { 0 };
             is_evaluated.then_some((cases.len() + learned) as f64)
         });
-        let recall_us = |e: &StreamEpisode<'_>| {
+        let per_recall = |e: &StreamEpisode<'_>, ns: fn(&Stages) -> u64| {
             let timings = timings.get(e.record.key.as_str())?;
-            let stages = timings.stages;
-            let ns = stages.recalling() as f64;
             let requests = timings.recalls.requests;
-            (requests > 0).then(|| ns / 1000.0 / f64::from(requests))
+            (requests > 0).then(|| ns(&timings.stages) as f64 / 1000.0 / f64::from(requests))
         };
         let tokens = |e: &StreamEpisode<'_>| {
             let (tokens, requests) = (e.record.memory_tokens?, e.record.requests?);
@@ -66,7 +67,8 @@ pub(super) fn costs(
         Some(StreamCost {
             after,
             episodes: mean(given.into_values())?,
-            recall_us: figure(&recall_us),
+            search_us: figure(&|e| per_recall(e, |stages| stages.search)),
+            recall_us: figure(&|e| per_recall(e, Stages::recalling)),
             store_bytes: figure(&|e| e.stream.store_bytes.map(|bytes| bytes as f64)),
             tokens: figure(&tokens),
         })
