@@ -109,6 +109,11 @@ class Recording:
         return self._run.notices
 
     @property
+    def policy_label(self) -> str:
+        """The policy, and what its figures stand for where it is no model: `grounded, scripted stand-in`."""
+        return self._run.policy_label
+
+    @property
     def frame_size(self) -> tuple[int, int]:
         """Width and height of a view in pixels."""
         return self._run.size_px

@@ -117,6 +117,12 @@ impl RecordedRun {
         json(&self.log.manifest)
     }
 
+    /// The policy as every output names it.
+    #[getter]
+    fn policy_label(&self) -> String {
+        self.log.manifest.policy_label().to_string()
+    }
+
     /// The trajectories of the episodes that have a result, as JSON, in the order of the log.
     fn episodes(&self) -> PyResult<String> {
         let episodes = self.log.episodes.iter().map(|record| self.episode(record));

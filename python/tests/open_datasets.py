@@ -36,6 +36,8 @@ assert dataset.action_space == env.action_space
 again = dataset.recover_environment()
 assert again.observation_space == env.observation_space
 assert len(dataset) == len(trajectories)
+assert dataset.storage.metadata["algorithm_name"] == recording.policy_label
+assert recording.policy_label in dataset.storage.metadata["description"]
 metadata = list(dataset.storage.get_episode_metadata(range(len(dataset))))
 for trajectory, episode, about in zip(trajectories, dataset, metadata):
     steps = trajectory.decided
@@ -96,6 +98,7 @@ validated = subprocess.run(
 print(validated.stderr)
 assert validated.returncode == 0 and "error" not in validated.stderr.lower()
 tables = mlcroissant.Dataset(f"{croissant}/croissant.json")
+assert recording.policy_label in tables.metadata.description
 summaries = list(tables.records("trajectories"))
 assert [row["trajectories/id"].decode() for row in summaries] == [one.id for one in trajectories]
 assert [row["trajectories/success"] for row in summaries] == [one.success for one in trajectories]

@@ -4,6 +4,7 @@
 """
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -16,6 +17,7 @@ recording = Recording(run)
 trajectories = recording.episodes() + recording.demonstrations()
 dataset = LeRobotDataset("memtransfer/test", root=folder, video_backend="pyav")
 assert dataset.meta.info["codebase_version"] == "v3.0"
+assert recording.policy_label in (Path(folder) / "README.md").read_text()
 assert dataset.num_episodes == len(trajectories) == 5
 assert len(dataset) == sum(len(trajectory.decided) for trajectory in trajectories)
 assert set(dataset.meta.tasks.index) == {trajectory.instruction for trajectory in trajectories}

@@ -69,6 +69,7 @@ def test_a_run_is_read_and_its_views_are_rendered() -> None:
     assert len(episode.poses) == len(episode.feedback) == len(episode.actions) + 1
     views = recording.views(episode)
     assert views.shape == (len(episode.poses), 64, 64, 3) and views.std() > 10
+    assert recording.policy_label == "grounded, scripted stand-in"
     floor = recording.floor(episode.variant)
     assert all(floor[row, column] for column, row, _ in episode.poses.tolist())
     demonstration = recording.demonstrations()[0]
@@ -86,7 +87,8 @@ def test_steps_without_an_action_are_no_decisions() -> None:
     )
     assert isinstance(trajectory, Trajectory)
     assert (trajectory.decided, trajectory.unread) == ([1, 2], 1)
-    assert [f"{step} {words}" for step, level, words in events(trajectory)] == [
+    assert [f"{step} {words}" for step, level, words in events(trajectory, "grounded, scripted stand-in")] == [
+        "0 Policy: grounded, scripted stand-in.",
         "0 Go. From column 1, row 2, facing north.",
         "0 memory supplied o1",
         "1 memory supplied -",

@@ -107,7 +107,7 @@ impl Episodes {
                     }
                     EpisodeFormat::Mp4 => {
                         let policy = self.log.manifest.policy_label();
-                        Box::new(video::Video::create(draft, &policy.sentence(), timing)?)
+                        Box::new(video::Video::create(draft, &policy.sentence("Policy"), timing)?)
                     }
                 };
                 let written = || format!("cannot write {}", path.display());

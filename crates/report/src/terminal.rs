@@ -140,14 +140,15 @@ pub fn compared_runs(a: &RunLog, b: &RunLog, compared: &[Comparison]) -> String 
     }
     text += &compared_conditions(compared);
     for log in [a, b] {
-        text += &wrapped(&format!("{}: {}", log.name, log.manifest.policy_label().sentence()));
+        let subject = format!("Policy of {}", log.name);
+        text += &wrapped(&log.manifest.policy_label().sentence(&subject));
     }
     text
 }
 
 /// Comparisons of conditions of one run, a row each.
 pub fn comparison(log: &RunLog, compared: &[Comparison]) -> String {
-    compared_conditions(compared) + &wrapped(&log.manifest.policy_label().sentence())
+    compared_conditions(compared) + &wrapped(&log.manifest.policy_label().sentence("Policy"))
 }
 
 fn compared_conditions(compared: &[Comparison]) -> String {

@@ -48,11 +48,12 @@ pub struct PolicyLabel {
 }
 
 impl PolicyLabel {
-    /// The policy as a sentence, and what a reader of its figures must know.
-    pub fn sentence(&self) -> String {
+    /// Names the policy after `subject`, and says what a reader of its figures must know:
+    /// `Policy: random, lower bound. It chooses every action at random.`
+    pub fn sentence(&self, subject: &str) -> String {
         match self.role {
-            Some(role) => format!("Policy: {self}. {}", role.meaning()),
-            None => format!("Policy: {self}."),
+            Some(role) => format!("{subject}: {self}. {}", role.meaning()),
+            None => format!("{subject}: {self}."),
         }
     }
 }

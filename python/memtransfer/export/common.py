@@ -29,6 +29,10 @@ class Selected:
     recording: Recording
     trajectories: list[Trajectory]
 
+    def about(self) -> str:
+        """Returns what the trajectories are, for the description of a data set."""
+        return f"Trajectories of a run of MemTransfer, policy {self.recording.policy_label}."
+
     def playable(self) -> list[Trajectory]:
         """Those with at least one action."""
         playable = [trajectory for trajectory in self.trajectories if trajectory.decided]

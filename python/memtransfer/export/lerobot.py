@@ -74,4 +74,6 @@ def write(selected: Selected, folder: Path) -> str:
                 frames += 1
             dataset.save_episode()
         dataset.finalize()
+        # The format itself has no place for a description.
+        (partial / "README.md").write_text(selected.about() + "\n", encoding="utf-8")
     return f"{folder}: {len(trajectories)} episodes, {frames} frames"

@@ -43,8 +43,8 @@ def write(selected: Selected, name: str) -> str:
             name,
             episodes(),
             env=env,
-            algorithm_name=settings["policy"],
-            description=f"Trajectories of a run of MemTransfer: {', '.join(sorted({t.case for t in trajectories}))}.",
+            algorithm_name=recording.policy_label,
+            description=f"{selected.about()} Cases: {', '.join(sorted({t.case for t in trajectories}))}.",
             requirements=["memtransfer[gym]"],
         )
         dataset.storage.update_episode_metadata([_metadata(trajectory) for trajectory in trajectories])

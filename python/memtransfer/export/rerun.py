@@ -107,16 +107,17 @@ def _log(rr: Any, pillow: Any, stream: Any, selected: Selected, trajectory: Traj
 
     for name, values in zip(("column", "row", "heading"), trajectory.poses.T):
         by_step(at("pose", name), rr.Scalars.columns(scalars=values.astype(np.float64)))
-    for step, level, text in events(trajectory):
+    for step, level, text in events(trajectory, selected.recording.policy_label):
         stream.set_time(TIMELINE, sequence=step)
         stream.log(at("events"), rr.TextLog(text, level=level))
 
 
-def events(trajectory: Trajectory) -> list[tuple[int, str, str]]:
-    """What happened, as step, level and words."""
+def events(trajectory: Trajectory, policy: str) -> list[tuple[int, str, str]]:
+    """Who acted, the policy or the expert of a demonstration, and what happened, as step, level and words."""
     column, row, _ = trajectory.poses[0].tolist()
     start = f"{trajectory.instruction} From column {column}, row {row}, facing {trajectory.headings[0].words}."
-    found = [(0, "INFO", start)]
+    actor = f"Policy: {policy}." if trajectory.record else "Expert demonstration."
+    found = [(0, "INFO", actor), (0, "INFO", start)]
     record = trajectory.record or {}
     sources, distances = ((record.get(column) or "").split() for column in ("retrieved", "distances"))
     for step, (source, distance) in enumerate(zip_longest(sources, distances, fillvalue="-")):

@@ -331,6 +331,21 @@ mod tests {
     }
 
     #[test]
+    fn entries_of_earlier_versions_name_what_is_no_model() {
+        for (policy, label) in [
+            (r#"{"name":"grounded","stand_in":true}"#, "grounded, scripted stand-in"),
+            (r#"{"name":"external (mine)","stand_in":true}"#, "external (mine), scripted stand-in"),
+            (r#"{"name":"random","stand_in":false}"#, "random, lower bound"),
+            (r#"{"name":"expert","stand_in":false}"#, "expert, upper bound"),
+            (r#"{"name":"openai (m)","stand_in":false}"#, "openai (m)"),
+        ] {
+            let policy: EntryPolicy = serde_json::from_str(policy).unwrap();
+            assert_eq!(policy.label().to_string(), label);
+            assert_eq!(EntryPolicy::new(policy.label()).label(), policy.label());
+        }
+    }
+
+    #[test]
     fn streams_have_figures_of_their_own() {
         let entry = Entry::of(&stream_log(vec![stream_record("a", true)], [2, 1, 2])).unwrap();
         assert!(entry.scores.iter().all(|score| !score.figures.contains_key("sr")));

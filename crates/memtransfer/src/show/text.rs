@@ -19,7 +19,7 @@ const DIGITS: usize = 8;
 pub(super) fn episode(shown: &ShownEpisode) -> String {
     let ShownEpisode { key, policy, reference, events, steps } = shown;
     let mut text = format!("{key}: {} steps; the reference has {reference}\n", steps.len());
-    let _ = writeln!(text, "{}", policy.sentence());
+    let _ = writeln!(text, "{}", policy.sentence("Policy"));
     for event in events {
         let _ = writeln!(text, "  after {:>3}  {}", event.step, event.words);
     }

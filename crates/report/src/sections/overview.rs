@@ -47,7 +47,7 @@ const MOST_DAMAGED: usize = 5;
 /// The policy, and whether the frames were a control.
 fn standing(manifest: &Manifest) -> Vec<String> {
     let settings = &manifest.settings;
-    let mut lines = vec![manifest.policy_label().sentence()];
+    let mut lines = vec![manifest.policy_label().sentence("Policy")];
     if let Some(command) = &settings.policy_cmd {
         lines.push(format!("The policy was started with `{command}`."));
     }
@@ -108,9 +108,8 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let facts = facts.into_iter().chain(streams);
     blocks.push(ReportBlock::Table(facts_table(view.id("facts"), "Summary of the run.", facts)));
     let task = "An agent has an instruction such as “Visit a blue barrel, then an orange cone.”, its pose and what it sees. \
-                 A memory was built from expert demonstrations before; at every step the policy gets a part of it in \
-                 addition to the last few steps. The tables show how much that helps where a demonstration matches, and \
-                 where it does not.";
+                 Every memory but working memory is built from expert demonstrations before; at every step the policy gets \
+                 a part of it in addition to the last few steps.";
     blocks.push(ReportBlock::Text(task.to_owned()));
     let memory = |representation: &Representation| {
         let RepresentationInfo { stores, supplies, .. } = representation.describe();

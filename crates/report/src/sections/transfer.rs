@@ -20,7 +20,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         id: view.id("transfer"),
         caption: "RQ1: demonstrations from other starts (the paper's table “RQ1: Changing starting pose”). The test starts \
                   at the original pose; the columns vary the start of the one demonstration in memory. The \
-                  figures for the original start repeat those of the first table."
+                  figures for the original start are also in the table of the three questions."
             .to_owned(),
         stubs: pair_stubs(),
         columns: rate_columns(&SETTINGS.map(|(heading, _, _)| heading)),

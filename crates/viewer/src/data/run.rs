@@ -156,7 +156,7 @@ fn notices(log: &RunLog) -> Vec<String> {
     let mut notices = Vec::new();
     let policy = log.manifest.policy_label();
     if policy.role.is_some() {
-        notices.push(policy.sentence());
+        notices.push(policy.sentence("Policy"));
     }
     match log.manifest.settings.frames {
         Frames::Rendered => {}
