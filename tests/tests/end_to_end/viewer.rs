@@ -47,6 +47,8 @@ fn five_clicks_lead_from_a_run_to_the_step_that_decided_a_failure() {
     let mut browser = Browser::start(1300, 1000);
     browser.open(&url);
     browser.wait_for("document.querySelectorAll('td a.mark').length === 12");
+    let notice = browser.text(".notice");
+    assert!(notice.starts_with("Policy: grounded, scripted stand-in."), "{notice}");
 
     // 1: the failures of one kind. 2: an episode.
     browser.click(".outcomes button:has(.failure-blocked)");
@@ -54,6 +56,8 @@ fn five_clicks_lead_from_a_run_to_the_step_that_decided_a_failure() {
     assert!(left.as_u64().unwrap() > 0 && left.as_u64().unwrap() < 12, "{left}");
     browser.click("td a.mark.failure-blocked");
     browser.wait_for(EPISODE);
+    let heading = browser.text(".heading");
+    assert!(heading.contains("policy: grounded, scripted stand-in"), "{heading}");
     let story = browser.text(".story");
     assert!(story.contains("closed passage") && story.contains("Failed, blocked"), "{story}");
     // 3: the step.
