@@ -250,7 +250,9 @@ impl BoardTable {
             scores.iter().map(|(entry, score)| row(entry, score, &columns)).collect();
         // The two main figures.
         let means = |row: &BoardRow| {
-            let mean = |figure: &Option<EntryFigure>| figure.map(|figure| figure.mean);
+            // Figures that are the same on paper differ by rounding.
+            let mean =
+                |figure: &Option<EntryFigure>| figure.map(|figure| (figure.mean * 1e9).round());
             row.figures.iter().take(2).map(mean).collect::<Vec<_>>()
         };
         rows.sort_by(|a, b| {
