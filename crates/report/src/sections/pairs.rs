@@ -1,4 +1,4 @@
-//! The comparisons that the paper's questions ask for, paired by case.
+//! The comparisons that the paper's questions ask for, paired by case and repetition.
 
 use domain::{ExternalName, MemoryKind, Representation};
 use results::compare::compare_conditions;

@@ -1,4 +1,4 @@
-//! Several runs side by side: their settings, and the conditions that they share, paired by case.
+//! Several runs side by side: their settings, and the conditions that they share, paired by case and repetition.
 
 use std::collections::BTreeSet;
 
