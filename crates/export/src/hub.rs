@@ -141,7 +141,7 @@ mod tests {
           value: 50.00
           source:
             url: "team/\"x\""
-          notes: "success rate in percent, n = 2 episodes; MemTransfer 1.2.3, protocol ID; policy grounded, scripted stand-in; 95 % interval 9.5 to 90.5"
+          notes: "success rate in percent, n = 2 episodes; MemTransfer 1.2.3, protocol ID; policy grounded, scripted stand-in; 95 % interval 0.0 to 100.0"
         "#);
         let condition = ("episodic/new/unchanged/original/learning".parse().unwrap(), 1);
         let streams = stream_log(

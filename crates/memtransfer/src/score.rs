@@ -14,8 +14,8 @@ use super::{Exit, print, print_json, warn_of_damage};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Reads the runs' folders and nothing else; a run in progress can be scored, too.
-A comparison is paired: it takes the cases that both sides have, prints the figures of both and
-their difference, and names the settings in which two runs differ.
+A comparison is paired: it takes the cases and repetitions that both sides have, prints the figures
+of both and their difference, and names the settings in which two runs differ.
 Exit status 1 when episodes were given up.
 
 Examples:

@@ -77,13 +77,13 @@ fn closing(view: &ScoredRun<'_>) -> Vec<String> {
     let mut lines = Vec::new();
     if !view.scores.conditions.is_empty() {
         lines.push(
-            "N: finished episodes. SR: mean ± sample standard deviation over runs; CI: Wilson's interval over cases."
+            "N: finished episodes. SR: mean ± sample standard deviation over runs; CI: 95 % interval over cases."
                 .to_owned(),
         );
     }
     if view.scores.streams.is_some() {
         lines.push(
-            "Streams: means over the sequences of a stream, then over streams; brackets: 95 % bootstrap over streams. \
+            "Streams: means over the sequences of a stream, then over streams; brackets: 95 % intervals over streams. \
              docs/streams.md defines the figures."
                 .to_owned(),
         );
@@ -164,13 +164,16 @@ fn compared_conditions(compared: &[Comparison]) -> String {
     let interval = |one: &FigureDifference, digits| {
         one.interval.map_or("-".to_owned(), |interval| interval_text(interval, digits))
     };
-    let mut rates = table(&["condition", "cases", "A SR", "B SR", "A−B", "95 % CI", "A:B", "p"], 1);
-    let mut lengths = table(&["condition", "cases", "A SPL", "B SPL", "A−B", "95 % CI"], 1);
+    let mut rates =
+        table(&["condition", "cases", "pairs", "A SR", "B SR", "A−B", "95 % CI", "A:B", "p"], 1);
+    let mut lengths =
+        table(&["condition", "cases", "pairs", "A SPL", "B SPL", "A−B", "95 % CI"], 1);
     for one in compared {
-        let Comparison { cases, sr, spl, more_under_a, more_under_b, p, .. } = one;
+        let Comparison { cases, pairs, sr, spl, more_under_a, more_under_b, p, .. } = one;
         rates.add_row([
             label(one),
             cases.to_string(),
+            pairs.to_string(),
             format!("{:.1}", sr.a),
             format!("{:.1}", sr.b),
             signed(sr.mean, 1),
@@ -181,17 +184,25 @@ fn compared_conditions(compared: &[Comparison]) -> String {
         lengths.add_row([
             label(one),
             cases.to_string(),
+            pairs.to_string(),
             format!("{:.3}", spl.a),
             format!("{:.3}", spl.b),
             signed(spl.mean, 3),
             interval(spl, 3),
         ]);
     }
-    let notes = "Means over the cases that both have, SR in percent. CI: 95 % bootstrap, cases paired; \
-                 where all cases differ by the same, Newcombe's for SR and none for SPL. A:B: cases that succeed more often under \
-                 A and under B; p: exact two-sided sign test on these counts (McNemar's \
-                 exact test where there is one run each), not corrected for the number of rows.";
-    format!("{rates}\n\n{lengths}\n\n{}{}", wrapped(&sides), wrapped(notes))
+    let unpaired = |count: fn(&Comparison) -> usize| compared.iter().map(count).sum::<usize>();
+    let left_out = match (unpaired(|one| one.unpaired_a), unpaired(|one| one.unpaired_b)) {
+        (0, 0) => String::new(),
+        (a, b) => format!(
+            "Left out, because the other side lacks the case or repetition: episodes of A {a}, of B {b}."
+        ),
+    };
+    let notes = "Pairs: episodes of the same case and repetition, finished on both sides; all figures are of these. Means \
+                 over cases, SR in percent. CI: 95 % interval over cases. A:B: cases that succeed more often under A and \
+                 under B; p: exact two-sided sign test on these counts (McNemar's exact test where every case has one \
+                 pair), not corrected for the number of rows.";
+    format!("{rates}\n\n{lengths}\n\n{}{}{}", wrapped(&sides), wrapped(&left_out), wrapped(notes))
 }
 
 /// The names of two runs and the condition under which they are compared, if it is one.
@@ -262,6 +273,9 @@ mod tests {
             a: a.to_owned(),
             b: b.to_owned(),
             cases: 3,
+            pairs: 9,
+            unpaired_a: 0,
+            unpaired_b: 6,
             sr: FigureDifference {
                 a: 50.0,
                 b: 100.0,

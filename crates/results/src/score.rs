@@ -17,7 +17,7 @@
 //! | what memories supplied and what that took | `memory.rs` |
 //! | kinds of failure, the cases that fail most | `failure.rs`, `worst.rs` |
 //! | time of a step by stage, steps per second | `time.rs` |
-//! | 95 % intervals: of rates, of other figures | `interval.rs`, `bootstrap.rs` |
+//! | 95 % intervals | `interval.rs`, `student.rs` |
 //! | two configurations on the same cases | `compare.rs` |
 //! | banks of different sizes | `growth.rs` |
 //! | demonstrations from before and after an event | `conflict.rs` |
@@ -27,7 +27,6 @@
 //! are of the other episodes.
 
 mod blocked;
-mod bootstrap;
 mod compare;
 mod condition;
 mod conflict;
@@ -39,13 +38,13 @@ mod memory;
 mod requests;
 mod spread;
 mod streams;
+mod student;
 mod success;
 mod time;
 mod trial;
 mod worst;
 
 pub use blocked::{BlockedScore, Derived};
-pub use bootstrap::{RESAMPLES, SEED};
 pub use compare::{Comparison, FigureDifference, compare};
 pub use condition::{Bounds, ConditionScore};
 pub use conflict::HISTORIES;

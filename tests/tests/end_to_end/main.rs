@@ -23,6 +23,7 @@ mod pipeline;
 mod python;
 mod ray;
 mod real_server;
+mod statistics;
 mod streams;
 mod transfer;
 mod units;

@@ -249,7 +249,9 @@ impl BoardTable {
             scores.iter().map(|(entry, score)| row(entry, score, &columns)).collect();
         // The two main figures.
         let means = |row: &BoardRow| {
-            let mean = |figure: &Option<EntryFigure>| figure.map(|figure| figure.mean);
+            // Figures that are the same on paper differ by rounding.
+            let mean =
+                |figure: &Option<EntryFigure>| figure.map(|figure| (figure.mean * 1e9).round());
             row.figures.iter().take(2).map(mean).collect::<Vec<_>>()
         };
         rows.sort_by(|a, b| {
@@ -304,9 +306,33 @@ fn row(entry: &Entry, score: &Score, columns: &[&'static BoardColumn]) -> BoardR
 #[cfg(test)]
 mod tests {
     use results::key::Order;
-    use results::log::testing::{log, record, stream_log, stream_record};
+    use results::log::EpisodeRecord;
+    use results::log::testing::{keyed, log, record, stream_log, stream_record};
 
     use super::*;
+
+    #[test]
+    fn runs_whose_figures_differ_by_rounding_stand_in_the_order_of_their_names() {
+        // 3 and 5 of 6 cases are 66.66666666666666 % on average, 2 of 3 are 66.66666666666667 %.
+        let run_of = |name: &str, counts: &[(usize, usize)]| {
+            let of_run = |(run, &(successes, cases)): (u32, &(usize, usize))| {
+                let of_case = move |case: usize| {
+                    let record = record(&format!("t01-{case:02}"), case < successes);
+                    keyed(EpisodeRecord { run, ..record })
+                };
+                (0..cases).map(of_case)
+            };
+            let mut log = log((1..).zip(counts).flat_map(of_run).collect());
+            log.name = name.to_owned();
+            Entry::of(&log).unwrap()
+        };
+        let (lower, higher) = (run_of("a", &[(3, 6), (5, 6)]), run_of("b", &[(2, 3)]));
+        for entries in [[lower.clone(), higher.clone()], [higher, lower]] {
+            let board = Board::new(&entries);
+            let rows = &board.sections[0].tables[0].rows;
+            assert_eq!(rows.iter().map(|row| row.run.as_str()).collect::<Vec<_>>(), ["a", "b"]);
+        }
+    }
 
     #[test]
     fn runs_with_another_protocol_are_apart_and_the_difference_is_named() {
@@ -335,23 +361,21 @@ mod tests {
 
         original start, unchanged route
         ────────────────────────────────────────────────────────────────────────────────────────────────────
-        run     policy                      memory    demos     n           Success, %                   SPL
+        run     policy                       memory    demos     n          Success, %                   SPL
         ────────────────────────────────────────────────────────────────────────────────────────────────────
-        strong  grounded, scripted          episodic  original  2  100.0 [34.2, 100.0]  0.800 [0.223, 0.982]
-                stand-in
-        weak    grounded, scripted          episodic  original  2     50.0 [9.5, 90.5]  0.400 [0.000, 0.800]
-                stand-in
+        strong  grounded, scripted stand-in  episodic  original  2  100.0 [0.0, 100.0]  0.800 [0.000, 1.000]
+        weak    grounded, scripted stand-in  episodic  original  2   50.0 [0.0, 100.0]  0.400 [0.000, 1.000]
         ────────────────────────────────────────────────────────────────────────────────────────────────────
 
         Suite quick, protocol SECOND
           not comparable: seed is 2 here and 1 in protocol FIRST
 
         original start, unchanged route
-        ────────────────────────────────────────────────────────────────────────────────────────────────────
-        run    policy                       memory    demos     n           Success, %                   SPL
-        ────────────────────────────────────────────────────────────────────────────────────────────────────
-        other  grounded, scripted stand-in  episodic  original  2  100.0 [34.2, 100.0]  0.800 [0.223, 0.982]
-        ────────────────────────────────────────────────────────────────────────────────────────────────────
+        ───────────────────────────────────────────────────────────────────────────────────────────────────
+        run    policy                       memory    demos     n          Success, %                   SPL
+        ───────────────────────────────────────────────────────────────────────────────────────────────────
+        other  grounded, scripted stand-in  episodic  original  2  100.0 [0.0, 100.0]  0.800 [0.000, 1.000]
+        ───────────────────────────────────────────────────────────────────────────────────────────────────
         ");
         assert!(text.lines().all(|line| line.chars().count() <= 100));
     }

@@ -1,7 +1,5 @@
 //! How the figures are defined.
 
-use results::score::{RESAMPLES, SEED};
-
 use crate::document::{ReportBlock, ReportSection};
 
 /// The section with the definitions.
@@ -22,11 +20,11 @@ pub(crate) fn method() -> ReportSection {
         term(
             "Δ",
             "(SR blocked − SR unchanged) minus the same of working memory, in percentage points, from mean success \
-             rates. Negative: blocking costs more than it costs the baseline.",
+             rates over runs. Negative: blocking costs more than it costs the baseline.",
         ),
         term(
             "Retention",
-            "SR blocked / SR unchanged. Undefined when nothing succeeds on the unchanged route.",
+            "SR blocked / SR unchanged, from mean success rates over runs. Undefined when nothing succeeds on the unchanged route.",
         ),
         term(
             "Follow",
@@ -51,16 +49,15 @@ pub(crate) fn method() -> ReportSection {
             "Sample standard deviation over runs. Every figure is computed for each run by itself, then averaged.",
         ),
     ];
-    let intervals = format!(
-        "Intervals are of 95 %. Of success and follow rates: Wilson's score interval over cases, for several runs with \
-         the effective sample size between the number of cases and of episodes that the cases' own means show; it \
-         has a width at 0 and 100 %, too. Of the other figures: percentile bootstrap from {RESAMPLES} resamples \
-         (ChaCha8, seed {SEED}): cases are drawn with replacement, and for each case drawn its repetitions, again with \
-         replacement; conditions that enter one figure together are drawn with the same cases. Where every case is \
-         alike the bootstrap has no width: SPL and recovery then have Wilson's interval, a difference of success \
-         rates Newcombe's, the others none. A figure that is undefined in more than one resample of twenty has no \
-         interval either."
-    );
+    let intervals = "Intervals are of 95 %, one method for all figures: Student's t over cases, after two cases are added, one at each \
+                     end of what a case can contribute: 0 and 100 % for a rate, 0 and 1 for SPL, a success under the one \
+                     condition alone and one under the other alone for a difference, Δ and retention. So intervals have a width \
+                     at 0 and 100 %, too. A case's repetitions are averaged first. Of streams: Student's t over streams, without \
+                     added ones, because a stream is a mean over many episodes already. No interval: one case or stream, streams \
+                     that are all alike, and a retention that may be arbitrarily large because little or nothing succeeds on the \
+                     unchanged route. The specification, section 7, has the formulas.";
+    let pairs = "Comparisons pair the episodes of the same case and repetition; others do not enter. Better and worse count cases with \
+                 more successes under the first, or the second; p is the exact two-sided sign test on these counts.";
     let missing = "Figures are over finished episodes. An episode that was given up because of a fault is not scored. \
                    Where episodes are missing the report says so, with the success rate and SPL if all of them failed \
                    and if all succeeded.";
@@ -68,7 +65,8 @@ pub(crate) fn method() -> ReportSection {
                  undefined; n/a, does not exist. The reason stands below each table.";
     let blocks = vec![
         ReportBlock::Terms(terms),
-        ReportBlock::Text(intervals),
+        ReportBlock::Text(intervals.to_owned()),
+        ReportBlock::Text(pairs.to_owned()),
         ReportBlock::Text(missing.to_owned()),
         ReportBlock::Text(marks.to_owned()),
     ];

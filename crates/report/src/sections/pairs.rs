@@ -1,4 +1,4 @@
-//! The comparisons that the paper's questions ask for, paired by case.
+//! The comparisons that the paper's questions ask for, paired by case and repetition.
 
 use domain::{ExternalName, MemoryKind, Representation};
 use results::compare::compare_conditions;
@@ -44,10 +44,11 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     };
     let table = Table {
         id: view.id("pairs"),
-        caption: "Pairs of conditions on the same cases, and first minus second, SR in percent, with 95 % bootstrap \
-                  intervals over cases and runs; where all cases differ by the same, Newcombe's for SR and none for SPL. Better, worse: cases that succeed more often, or less often, under the \
-                  first. p: exact two-sided sign test on these two counts (McNemar's exact test where each condition \
-                  has one run), not corrected for the number of rows."
+        caption: "Pairs of conditions on the same cases and repetitions, and first minus second, SR in percent, with 95 % \
+                  intervals over cases. Pairs: episodes of the same case and repetition; where one condition has more \
+                  repetitions, the others do not enter. Better, worse: cases that succeed more often, or less often, under \
+                  the first. p: exact two-sided sign test on these two counts (McNemar's exact test where every case has \
+                  one pair), not corrected for the number of rows."
             .to_owned(),
         stubs: vec!["Representation".to_owned(), "Comparison".to_owned()],
         columns: columns(),
@@ -80,8 +81,8 @@ fn against_others(view: &ScoredRun<'_>) -> Option<Table> {
     let groups = view.external_memories().into_iter().map(group);
     let table = Table {
         id: view.id("external-pairs"),
-        caption: "Each external memory against the other memories of the run, in the same setting and on the same cases: \
-                  first minus second, as above."
+        caption: "Each external memory against the other memories of the run, in the same setting and on the same cases \
+                  and repetitions: first minus second, as above."
             .to_owned(),
         stubs: vec!["Memory".to_owned(), "Comparison".to_owned()],
         columns: columns(),
@@ -91,7 +92,7 @@ fn against_others(view: &ScoredRun<'_>) -> Option<Table> {
 }
 
 pub(super) fn columns() -> Vec<TableColumn> {
-    let mut columns = vec![TableColumn::new("Cases")];
+    let mut columns = vec![TableColumn::new("Cases"), TableColumn::new("Pairs")];
     for over in ["SR %", "SPL"] {
         columns
             .extend(["first", "second", "difference"].map(|name| TableColumn::under(over, name)));
@@ -108,7 +109,7 @@ pub(super) fn row(view: &ScoredRun<'_>, label: &str, a: &str, b: &str) -> TableR
 
 /// The cells of a comparison under [`columns`].
 pub(super) fn cells(compared: &Comparison) -> Vec<TableCell> {
-    let Comparison { cases, sr, spl, more_under_a, more_under_b, p, .. } = compared;
+    let Comparison { cases, pairs, sr, spl, more_under_a, more_under_b, p, .. } = compared;
     let three = |FigureDifference { a, b, mean, interval }: &FigureDifference, digits: usize| {
         [
             TableCell::Value(format!("{a:.digits$}")),
@@ -116,7 +117,7 @@ pub(super) fn cells(compared: &Comparison) -> Vec<TableCell> {
             with_interval(signed(*mean, digits), *interval, digits),
         ]
     };
-    let mut cells = vec![TableCell::Value(cases.to_string())];
+    let mut cells = [cases, pairs].map(|count| TableCell::Value(count.to_string())).to_vec();
     cells.extend(three(sr, 1).into_iter().chain(three(spl, 3)));
     cells.extend(
         [more_under_a.to_string(), more_under_b.to_string(), p_value(*p)].map(TableCell::Value),

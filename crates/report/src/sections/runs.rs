@@ -1,4 +1,4 @@
-//! Several runs side by side: their settings, and the conditions that they share, paired by case.
+//! Several runs side by side: their settings, and the conditions that they share, paired by case and repetition.
 
 use std::collections::BTreeSet;
 
@@ -100,7 +100,7 @@ fn compared(first: &ScoredRun<'_>, second: &ScoredRun<'_>) -> Vec<ReportBlock> {
     blocks.push(ReportBlock::Table(Table {
         id: format!("compare-{}{}", first.prefix, second.prefix.trim_end_matches('-')),
         caption: format!(
-            "{a} minus {b}, on the conditions and cases that both have. SR in percentage points. Better, worse: cases \
+            "{a} minus {b}, on the conditions, cases and repetitions that both have. SR in percentage points. Better, worse: cases \
              that succeed more often, or less often, in {a}. p: exact two-sided sign test on these two counts, not \
              corrected for the number of rows."
         ),

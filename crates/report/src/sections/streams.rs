@@ -75,8 +75,8 @@ fn introduction(scores: &StreamScores) -> String {
          observes its learning episodes and is told of their end (feedback: {}). Frozen is built once from the original \
          demonstrations, oracle for every block from demonstrations in the world as it is, wrong from histories of other \
          tasks. Evaluations change no memory. Block 0 is the unchanged world: before events. {} streams, {} complete \
-         sequences. Figures are means over the sequences of each stream, then over streams; brackets: 95 % bootstrap \
-         intervals over streams, all orders and repetitions of a stream together.",
+         sequences. Figures are means over the sequences of each stream, then over streams; brackets: 95 % \
+         intervals over streams, Student's t, all orders and repetitions of a stream together.",
         feedback.join(", "),
         scores.streams,
         scores.sequences

@@ -28,7 +28,8 @@ pub struct BlockedScore {
 pub struct Derived {
     /// The figure, from the mean success rates over runs.
     pub value: f64,
-    /// Its 95 % bootstrap interval; all conditions are resampled with the same cases.
+    /// Its 95 % interval over the cases. `None` for a single case, for Delta of working memory, which is 0 by definition, and
+    /// for R where so little succeeds on the unchanged route that it may be arbitrarily large.
     pub interval: Option<Interval>,
 }
 
@@ -55,8 +56,7 @@ pub(super) fn stale(records: &[&EpisodeRecord]) -> Option<f64> {
 
 /// `Delta_r = (S_{r,blocked} - S_{r,unchanged}) - (S_{w,blocked} - S_{w,unchanged})`, where S are mean success
 /// rates and w is working memory: negative when blocking costs more than it costs the baseline.
-pub(super) fn change(blocked: f64, unchanged: f64, baseline: [f64; 2]) -> f64 {
-    let [baseline_blocked, baseline_unchanged] = baseline;
+pub(super) fn change([blocked, unchanged, baseline_blocked, baseline_unchanged]: [f64; 4]) -> f64 {
     (blocked - unchanged) - (baseline_blocked - baseline_unchanged)
 }
 

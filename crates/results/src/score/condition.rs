@@ -6,10 +6,9 @@ use domain::Representation;
 use serde::Serialize;
 
 use super::blocked::{self, BlockedScore, Derived};
-use super::bootstrap::intervals;
 use super::cost;
 use super::failure::Failures;
-use super::interval::{Interval, rate_interval, wilson};
+use super::interval::{Interval, Units};
 use super::spread::{Spread, mean, weighted_mean};
 use super::success::{self, GroupScore};
 use super::time::{StageTimes, exists};
@@ -82,66 +81,28 @@ impl Bounds {
     }
 }
 
-/// The figures of an episode that the intervals need.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct EpisodeSample {
-    pub(super) success: bool,
-    pub(super) path_weight: f64,
-    tried_closed: Option<bool>,
-    /// Its weight in a figure of all episodes.
-    pub(super) weight: f64,
-    /// Its weight in a figure of those that tried the closed cell.
-    weight_of_tried: f64,
-}
-
-/// The weights of the episodes of each run with which the mean over all episodes that `counts` is the mean over runs: 1
-/// where every run has as many, less in a run that has more.
-fn run_weights(
-    trials: &Trials<'_>,
-    counts: impl Fn(&EpisodeRecord) -> bool,
-) -> impl Fn(&EpisodeRecord) -> f64 {
-    let mut counted: BTreeMap<u32, usize> = BTreeMap::new();
-    for record in trials.iter().filter(|record| counts(record)) {
-        *counted.entry(record.run).or_default() += 1;
+/// The cases as units of the mean over runs of each run's mean of `value`, over the episodes that have one.
+fn cases(trials: &Trials<'_>, value: impl Fn(&EpisodeRecord) -> Option<f64>) -> Units {
+    let mut by_run: BTreeMap<u32, u32> = BTreeMap::new();
+    let mut by_case: BTreeMap<&str, Vec<(f64, u32)>> = BTreeMap::new();
+    for record in trials.iter() {
+        if let Some(value) = value(record) {
+            *by_run.entry(record.run).or_default() += 1;
+            by_case.entry(&record.case).or_default().push((value, record.run));
+        }
     }
-    let (all, runs) = (counted.values().sum::<usize>(), counted.len());
-    move |record| counted.get(&record.run).map_or(0.0, |count| all as f64 / (runs * count) as f64)
-}
-
-/// The repetitions of each case under each of the `arms`, for the cases that all arms have.
-pub(super) fn paired<'a>(arms: &[&Trials<'a>]) -> BTreeMap<&'a str, Vec<Vec<EpisodeSample>>> {
-    let samples = |trials: &&Trials<'a>| {
-        let weight = run_weights(trials, |_| true);
-        let weight_of_tried = run_weights(trials, |record| record.tried_closed == Some(true));
-        let sample = |record: &EpisodeRecord| EpisodeSample {
-            success: record.is_success(),
-            path_weight: path_weight(record),
-            tried_closed: record.tried_closed,
-            weight: weight(record),
-            weight_of_tried: weight_of_tried(record),
-        };
-        let cases = trials.cases().into_iter();
-        cases
-            .map(|(case, records)| (case, records.into_iter().map(sample).collect()))
-            .collect::<BTreeMap<&str, Vec<EpisodeSample>>>()
+    // Every run weighs the same, however many episodes it has.
+    let weigh = |&(value, run): &(f64, u32)| (value, 1.0 / f64::from(by_run[&run]));
+    let unit = |values: &Vec<(f64, u32)>| {
+        let weight = values.iter().map(|value| weigh(value).1).sum();
+        Some((weighted_mean(values.iter().map(weigh))?, weight))
     };
-    let by_case: Vec<_> = arms.iter().map(samples).collect();
-    let Some(first) = by_case.first() else { return BTreeMap::new() };
-    let repetitions = |case: &str| {
-        let arm = |cases: &BTreeMap<&str, Vec<EpisodeSample>>| cases.get(case).cloned();
-        by_case.iter().map(arm).collect::<Option<Vec<Vec<EpisodeSample>>>>()
-    };
-    first.keys().filter_map(|case| Some((*case, repetitions(case)?))).collect()
+    Units::weighted(&by_case.values().filter_map(unit).collect::<Vec<_>>())
 }
 
-/// The success rate, in percent.
-pub(super) fn rate(samples: &[EpisodeSample]) -> Option<f64> {
-    weighted_mean(samples.iter().map(|sample| (percent(sample.success), sample.weight)))
-}
-
-/// SPL.
-pub(super) fn path_weighted(samples: &[EpisodeSample]) -> Option<f64> {
-    weighted_mean(samples.iter().map(|sample| (sample.path_weight, sample.weight)))
+/// The success of an episode in percent.
+fn succeeded(record: &EpisodeRecord) -> f64 {
+    percent(record.is_success())
 }
 
 fn percent(holds: bool) -> f64 {
@@ -157,7 +118,6 @@ pub(super) fn score_condition(
     timings: &BTreeMap<&str, &EpisodeTimings>,
 ) -> Option<ConditionScore> {
     let planned = planned.max(trials.count());
-    let intervals = Intervals::of(trials);
     Some(ConditionScore {
         condition,
         episodes: trials.count(),
@@ -165,14 +125,24 @@ pub(super) fn score_condition(
         bounds: Bounds::of(trials, planned),
         runs: trials.runs().len(),
         cases: trials.cases().len(),
-        sr: trials.over_runs(success::success_rate)?.within(intervals.sr),
-        spl: trials.over_runs(success::path_weighted)?.within(intervals.spl),
+        sr: trials
+            .over_runs(success::success_rate)?
+            .within(cases(trials, |record| Some(succeeded(record))).interval(Interval::PERCENT)),
+        spl: trials
+            .over_runs(success::path_weighted)?
+            .within(cases(trials, |record| Some(path_weight(record))).interval(Interval::SHARE)),
         groups: success::groups(trials),
         blocked: (condition.route == Route::Blocked).then(|| {
-            let within = |spread: Option<Spread>, interval| spread.map(|s| s.within(interval));
+            let within = |spread: Option<Spread>, units: Units| {
+                spread.map(|spread| spread.within(units.interval(Interval::PERCENT)))
+            };
+            let tried = |record: &EpisodeRecord| record.tried_closed.map(percent);
+            let recovered = |record: &EpisodeRecord| {
+                (record.tried_closed == Some(true)).then(|| succeeded(record))
+            };
             BlockedScore {
-                follow: within(trials.over_runs(blocked::follow), intervals.follow),
-                recovery: within(trials.over_runs(blocked::recovery), intervals.recovery),
+                follow: within(trials.over_runs(blocked::follow), cases(trials, tried)),
+                recovery: within(trials.over_runs(blocked::recovery), cases(trials, recovered)),
                 stale: trials.over_runs(blocked::stale),
                 change: None,
                 retention: None,
@@ -186,43 +156,6 @@ pub(super) fn score_condition(
         failures: Failures::of(trials.iter()),
         stage_us: stage_us(condition, trials, timings),
     })
-}
-
-/// The intervals of a condition's own figures.
-struct Intervals {
-    sr: Option<Interval>,
-    spl: Option<Interval>,
-    follow: Option<Interval>,
-    recovery: Option<Interval>,
-}
-
-impl Intervals {
-    fn of(trials: &Trials<'_>) -> Self {
-        let cases: Vec<_> = paired(&[trials]).into_values().collect();
-        let of_rate = |value: fn(&EpisodeSample) -> Option<bool>| {
-            let weighted = |sample: &EpisodeSample| Some((value(sample)?, sample.weight));
-            let by_case = cases.iter().map(|arms| arms[0].iter().filter_map(weighted).collect());
-            rate_interval(&by_case.collect::<Vec<_>>())
-        };
-        let tried = |samples: &[EpisodeSample]| {
-            let tried = samples.iter().filter(|sample| sample.tried_closed == Some(true));
-            weighted_mean(tried.map(|sample| (percent(sample.success), sample.weight_of_tried)))
-        };
-        let [spl, recovery] = intervals(&cases, |arms| [path_weighted(&arms[0]), tried(&arms[0])]);
-        let counted = cases.iter().filter(|arms| tried(&arms[0]).is_some()).count();
-        Self {
-            sr: of_rate(|sample| Some(sample.success)),
-            spl: spl.map(|found| with_width(found, cases.len(), 1.0)),
-            follow: of_rate(|sample| sample.tried_closed),
-            recovery: recovery.map(|found| with_width(found, counted, 100.0)),
-        }
-    }
-}
-
-/// The bootstrap interval `found` of a mean of values from 0 to `most` over `cases`; Wilson's where all cases are
-/// alike, so that the bootstrap has no width. (The variance of such a mean is at most that of a rate.)
-fn with_width(found: Interval, cases: usize, most: f64) -> Interval {
-    if found.is_point() { wilson(found.low / most, cases as f64).scaled(most) } else { found }
 }
 
 /// `None` unless every run was measured.
@@ -249,8 +182,11 @@ pub(super) fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition,
         let [Some(after), Some(before)] = own.map(|condition| trials.get(&condition)) else {
             continue;
         };
-        found.retention =
-            derived([after, before], |[after, before]| blocked::retention(after, before));
+        found.retention = common([after, before]).and_then(|found| {
+            let [after, before] = &found.units;
+            let value = blocked::retention(found.rates[0], found.rates[1])?;
+            Some(Derived { value, interval: after.interval_of_ratio(before, 100.0) })
+        });
         let baseline = own.map(|Condition { start, route, variation, arm, .. }| {
             let none = Demonstrations::NONE;
             let working = Condition::new(Representation::Working, start, route, none, variation);
@@ -261,34 +197,32 @@ pub(super) fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition,
         else {
             continue;
         };
-        let change = |[after, before, baseline @ ..]: [f64; 4]| {
-            Some(blocked::change(after, before, baseline))
-        };
-        found.change = derived([after, before, baseline_after, baseline_before], change);
-        if let Some(change) = found.change.as_mut().filter(|_| Some(own[0]) == baseline[0]) {
-            // The baseline against itself is 0 by definition, not by measurement.
-            change.interval = None;
-        }
+        // The baseline against itself is 0 by definition, not by measurement.
+        let is_baseline = Some(own[0]) == baseline[0];
+        found.change = common([after, before, baseline_after, baseline_before]).map(|found| {
+            let units = Units::combined(found.units.each_ref(), blocked::change);
+            let interval = units.interval(Interval::POINTS).filter(|_| !is_baseline);
+            Derived { value: blocked::change(found.rates), interval }
+        });
     }
 }
 
-/// What `figure` makes of the success rates of the `arms` on the cases that all of them have, with its bootstrap interval, if
-/// not all cases are alike. `None` when they have no case in common.
-fn derived<const N: usize>(
-    arms: [&Trials<'_>; N],
-    figure: impl Fn([f64; N]) -> Option<f64>,
-) -> Option<Derived> {
-    let cases = arms.map(|arm| arm.cases().into_keys().collect::<BTreeSet<_>>());
-    let common = cases.into_iter().reduce(|some, more| &some & &more)?;
-    let arms = arms.map(|arm| arm.of_cases(&common));
-    let rates = arms.each_ref().map(|arm| arm.over_runs(success::success_rate));
-    let value = figure(all(rates)?.map(|rate| rate.mean))?;
-    let cases: Vec<_> = paired(&arms.each_ref()).into_values().collect();
-    let [interval] = intervals(&cases, |arms| {
-        let rates = arms.iter().map(|arm| rate(arm)).collect::<Option<Vec<f64>>>();
-        [rates.and_then(|rates| figure(rates.try_into().ok()?))]
-    });
-    Some(Derived { value, interval: interval.filter(|interval| !interval.is_point()) })
+/// Conditions on the cases that all of them have.
+struct Common<const N: usize> {
+    /// The mean success rate over runs of each condition.
+    rates: [f64; N],
+    /// The same cases in the same order for each condition.
+    units: [Units; N],
+}
+
+/// `None` when the `arms` have no case in common.
+fn common<const N: usize>(arms: [&Trials<'_>; N]) -> Option<Common<N>> {
+    let ids = arms.map(|arm| arm.cases().into_keys().collect::<BTreeSet<_>>());
+    let shared = ids.into_iter().reduce(|some, more| &some & &more)?;
+    let arms = arms.map(|arm| arm.of_cases(&shared));
+    let rates = all(arms.each_ref().map(|arm| arm.over_runs(success::success_rate)))?;
+    let units = arms.each_ref().map(|arm| cases(arm, |record| Some(succeeded(record))));
+    Some(Common { rates: rates.map(|rate| rate.mean), units })
 }
 
 /// All of these values; `None` when one is missing.

@@ -34,6 +34,7 @@ use domain::{Arm, FeedbackLevel, Representation};
 use serde::Serialize;
 
 use super::compare::FigureDifference;
+use super::interval::Interval;
 use super::spread::mean;
 use crate::conditions::{Condition, Demonstrations};
 use crate::key::Order;
@@ -198,11 +199,13 @@ fn score_condition(
     timings: &BTreeMap<&str, &EpisodeTimings>,
 ) -> StreamScore {
     let sequences = &found[&condition];
-    let estimate = |figure: &dyn Fn(SequenceId, &Sequence<'_>) -> Option<f64>| {
-        Estimate::of(&by_stream(sequences, figure))
+    let estimate = |range, figure: &dyn Fn(SequenceId, &Sequence<'_>) -> Option<f64>| {
+        Estimate::of(&by_stream(sequences, figure), range)
     };
-    let of_matrix =
-        |figure: fn(&ResultMatrix) -> Option<f64>| estimate(&|_, s| figure(&ResultMatrix::of(s)));
+    let of_matrix = |range, figure: fn(&ResultMatrix) -> Option<f64>| {
+        estimate(range, &|_, s| figure(&ResultMatrix::of(s)))
+    };
+    let (percent, points) = (Interval::PERCENT, Interval::POINTS);
     let paired = |condition: Option<Condition>, id| found.get(&condition?)?.complete.get(&id);
     // A condition is not compared with itself: that is 0 by definition, not by measurement.
     let other = |with: Condition| Some(with).filter(|with| *with != condition);
@@ -218,21 +221,21 @@ fn score_condition(
         streams: streams.len(),
         sequences: sequences.complete.len(),
         planned: sequences.planned,
-        success: estimate(&|_, s| success_rate(s.learning())),
-        before: estimate(&|_, s| success_rate(part(s, false))),
-        after: estimate(&|_, s| success_rate(part(s, true))),
-        average: of_matrix(ResultMatrix::average),
-        backward: of_matrix(ResultMatrix::backward),
-        forward: estimate(&|id, s| {
+        success: estimate(percent, &|_, s| success_rate(s.learning())),
+        before: estimate(percent, &|_, s| success_rate(part(s, false))),
+        after: estimate(percent, &|_, s| success_rate(part(s, true))),
+        average: of_matrix(percent, ResultMatrix::average),
+        backward: of_matrix(points, ResultMatrix::backward),
+        forward: estimate(points, &|id, s| {
             ResultMatrix::of(s).forward(&ResultMatrix::of(paired(baseline, id)?))
         }),
-        forgetting: of_matrix(ResultMatrix::forgetting),
-        t_ndtw: estimate(&|_, s| path::t_ndtw(s)),
-        regret: estimate(&|id, s| online::regret(s, paired(oracle, id)?)),
-        lag: estimate(&|_, s| online::lag(s)),
-        adapted: estimate(&|_, s| online::adapted(s)),
-        stale: estimate(&|_, s| online::stale(s.learning())),
-        stale_after: estimate(&|_, s| online::stale(part(s, true))),
+        forgetting: of_matrix(points, ResultMatrix::forgetting),
+        t_ndtw: estimate(Interval::SHARE, &|_, s| path::t_ndtw(s)),
+        regret: estimate(Interval::ANY, &|id, s| online::regret(s, paired(oracle, id)?)),
+        lag: estimate(Interval::POSITIVE, &|_, s| online::lag(s)),
+        adapted: estimate(percent, &|_, s| online::adapted(s)),
+        stale: estimate(percent, &|_, s| online::stale(s.learning())),
+        stale_after: estimate(percent, &|_, s| online::stale(part(s, true))),
         orders: orders(sequences),
         order_spread: order_spread(sequences, &|s| success_rate(s.learning())),
         order_spread_average: order_spread(sequences, &|s| ResultMatrix::of(s).average()),
@@ -280,7 +283,8 @@ fn order_spread(
         (values.len() >= 3).then_some(high - low)
     };
     let ranges = streams.into_iter();
-    Estimate::of(&ranges.filter_map(|(stream, values)| Some((stream, range(values)?))).collect())
+    let ranges = ranges.filter_map(|(stream, values)| Some((stream, range(values)?))).collect();
+    Estimate::of(&ranges, Interval::PERCENT)
 }
 
 /// R, each cell a mean over the streams that have it.

@@ -310,6 +310,17 @@ fn time_is_a_mean_over_steps() {
     assert_eq!(score(&log).steps_per_s, Some(5.0));
 }
 
+/// The comparison of episodic memory with working memory.
+fn compared(records: Vec<EpisodeRecord>) -> Option<Comparison> {
+    let log = log(records);
+    let trials = Trials::by_condition(&log);
+    let of = |memory: Representation| {
+        let condition = trials.keys().find(|condition| condition.memory == memory);
+        condition.map(|condition| &trials[condition])
+    };
+    compare(("A", of(Representation::Episodic)?), ("B", of(Representation::Working)?))
+}
+
 #[test]
 fn two_configurations_are_compared_case_by_case() {
     let side = |memory, successes: [[bool; 2]; 4]| {
@@ -324,41 +335,81 @@ fn two_configurations_are_compared_case_by_case() {
     records.extend(side(Representation::Working, [no, no, yes, half]));
     // A fifth case that only one side has does not enter.
     records.push(episode(Representation::Working, "e", 1, true, None));
-    let log = log(records);
-    let of = |memory| {
-        let mut trials = Trials::by_condition(&log).into_iter();
-        trials.find(|(condition, _)| condition.memory == memory).unwrap().1
-    };
-    let (episodic, working) = (of(Representation::Episodic), of(Representation::Working));
-    let found = compare(("A", &episodic), ("B", &working)).unwrap();
+    let found = compared(records).unwrap();
     // Differences of the cases' means: 100 - 0, 50 - 0, 100 - 100, 0 - 50; their mean is 25. SPL: 0.8 of that.
-    assert_eq!((found.cases, found.sr.mean), (4, 25.0));
+    assert_eq!((found.cases, found.pairs, found.sr.mean), (4, 8, 25.0));
+    assert_eq!((found.unpaired_a, found.unpaired_b), (0, 1));
+    assert_eq!((found.sr.a, found.sr.b), (62.5, 37.5));
     near(found.spl.mean, 0.2);
     // Two cases better, one worse, one equal: p = 2 * (1 + 3) / 2^3 = 1.
     assert_eq!((found.more_under_a, found.more_under_b, found.p), (2, 1, 1.0));
+    // Mean 25 * 4/6; squares 10,000 + 2500 + 0 + 2500 + 2 * 10,000 about 0.
     let interval = found.sr.interval.unwrap();
-    assert!(interval.low < 25.0 && interval.high > 25.0);
+    near(interval.low, -69.019_394_521_210_49);
+    near(interval.high, 100.0);
+}
+
+/// `runs` repetitions of `cases` cases under `memory`.
+fn repeated(
+    memory: Representation,
+    cases: usize,
+    runs: u32,
+    success: impl Fn(usize, u32) -> bool,
+) -> Vec<EpisodeRecord> {
+    let ids = (0..cases).map(|case| (case, format!("c{case:02}")));
+    let of_case = |(case, id): (usize, String)| {
+        (1..=runs)
+            .map(|run| episode(memory, &id, run, success(case, run), None))
+            .collect::<Vec<_>>()
+    };
+    ids.flat_map(of_case).collect()
 }
 
 #[test]
-fn a_case_that_was_repeated_more_often_weighs_no_more_in_a_comparison() {
-    let mut records: Vec<_> =
-        (1..=40).map(|run| episode(Representation::Episodic, "c00", run, false, None)).collect();
-    for case in 0..40 {
-        let id = format!("c{case:02}");
-        records.push(episode(Representation::Working, &id, 1, false, None));
-        if case > 0 {
-            records.push(episode(Representation::Episodic, &id, 1, true, None));
-        }
+fn conditions_that_always_succeed_are_equal_however_often_they_were_repeated() {
+    // As means of floats 3 of 3 and 5 of 5 may differ, and 50 cases would be better in one of them.
+    let mut records = repeated(Representation::Episodic, 50, 3, |_, _| true);
+    records.extend(repeated(Representation::Working, 50, 5, |_, _| true));
+    let found = compared(records).unwrap();
+    assert_eq!((found.more_under_a, found.more_under_b, found.p), (0, 0, 1.0));
+    assert_eq!((found.cases, found.pairs, found.unpaired_a, found.unpaired_b), (50, 150, 0, 100));
+    assert_eq!((found.sr.a, found.sr.b, found.sr.mean, found.spl.mean), (100.0, 100.0, 0.0, 0.0));
+}
+
+#[test]
+fn only_repetitions_that_both_have_are_compared() {
+    // Of three repetitions the first fails everywhere; the other side has the first alone.
+    let mut records = repeated(Representation::Episodic, 50, 3, |_, run| run > 1);
+    records.extend(repeated(Representation::Working, 50, 1, |case, _| case == 0));
+    let found = compared(records.clone()).unwrap();
+    assert_eq!((found.pairs, found.unpaired_a, found.unpaired_b), (50, 100, 0));
+    assert_eq!((found.sr.a, found.sr.b), (0.0, 2.0));
+    assert_eq!((found.more_under_a, found.more_under_b, found.p), (0, 1, 1.0));
+    // A case without a common repetition is no pair, and without pairs there is no comparison.
+    let (case, run) = ("c07", 1);
+    records.retain(|record| {
+        record.case != case || record.run != run || record.memory != Representation::Episodic
+    });
+    let found = compared(records.clone()).unwrap();
+    assert_eq!((found.cases, found.pairs, found.unpaired_a, found.unpaired_b), (49, 49, 100, 1));
+    records.retain(|record| record.run > 1 || record.memory == Representation::Working);
+    assert_eq!(compared(records), None);
+}
+
+#[test]
+fn cases_weigh_the_same_in_a_comparison_however_many_pairs_they_have() {
+    // One case has 40 pairs of failures, 39 have one of a success and a failure.
+    let mut records = Vec::new();
+    for memory in [Representation::Episodic, Representation::Working] {
+        records.extend(repeated(memory, 1, 40, |_, _| false));
+        let others = repeated(memory, 40, 1, |_, _| memory == Representation::Episodic);
+        records.extend(others.into_iter().filter(|record| record.case != "c00"));
     }
-    let log = log(records);
-    let trials: Vec<_> = Trials::by_condition(&log).into_values().collect();
-    let [working, episodic] = &trials[..] else { panic!("two conditions") };
-    let found = compare(("A", episodic), ("B", working)).unwrap();
-    // 39 of 40 cases.
+    let found = compared(records).unwrap();
     near(found.sr.mean, 97.5);
+    assert_eq!((found.pairs, found.more_under_a), (79, 39));
     for (figure, scale) in [(found.sr, 1.0), (found.spl, 125.0)] {
         let Interval { low, high } = figure.interval.unwrap();
-        assert!(low * scale > 85.0 && high * scale <= 100.0 + 1e-9, "{figure:?}");
+        assert!(low * scale > 75.0 && low * scale < 97.5 && high * scale > 97.0, "{figure:?}");
     }
 }

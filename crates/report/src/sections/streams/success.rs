@@ -140,7 +140,7 @@ pub(crate) fn differences_table(view: &ScoredRun<'_>) -> Option<Table> {
     });
     let table = Table {
         id: view.id("stream-differences"),
-        caption: "First minus second on the sequences that both have, in percentage points, with 95 % bootstrap intervals over \
+        caption: "First minus second on the sequences that both have, in percentage points, with 95 % intervals over \
                   streams: success of the learning episodes before and after events, and average success over all blocks \
                   after the last (ACC). No interval: one stream, or all streams alike."
             .to_owned(),

@@ -1,17 +1,16 @@
 //! Figures over streams, with their intervals.
 //!
 //! Episodes of a stream depend on each other, so the stream is the unit: a figure is computed for every sequence by itself,
-//! then averaged over the sequences of each stream (its orders and repetitions), then over streams. Intervals come from the
-//! [bootstrap](crate::score::bootstrap) over streams; all sequences of a stream stay together.
+//! then averaged over the sequences of each stream (its orders and repetitions), then over streams. Intervals are Student's t
+//! over the streams' means ([`interval`](crate::score::interval)).
 
 use std::collections::BTreeMap;
 
 use serde::Serialize;
 
 use super::sequence::{CompleteSequences, Sequence, SequenceId};
-use crate::score::bootstrap::intervals;
 use crate::score::compare::FigureDifference;
-use crate::score::interval::Interval;
+use crate::score::interval::{Interval, Units};
 use crate::score::spread::mean;
 
 /// A figure over streams.
@@ -19,26 +18,20 @@ use crate::score::spread::mean;
 pub struct Estimate {
     /// Its mean over the streams in which it is defined.
     pub mean: f64,
-    /// The 95 % interval: bootstrap over streams. None for fewer than two streams, and where all are alike.
+    /// The 95 % interval: Student's t over streams. None for fewer than two streams, and where all are alike.
     pub interval: Option<Interval>,
     /// Number of streams in which it is defined.
     pub streams: usize,
 }
 
 impl Estimate {
-    /// Of values by stream; None if there are none.
-    pub(super) fn of(streams: &BTreeMap<u32, f64>) -> Option<Self> {
+    /// Of values by stream that lie in `range`; None if there are none.
+    pub(super) fn of(streams: &BTreeMap<u32, f64>, range: Interval) -> Option<Self> {
         let values: Vec<f64> = streams.values().copied().collect();
-        let found = mean(values.iter().copied())?;
-        Some(Self { mean: found, interval: interval(&values), streams: values.len() })
+        let (found, streams) = (mean(values.iter().copied())?, values.len());
+        let interval = Units::alike(values).interval_of_means(range);
+        Some(Self { mean: found, interval, streams })
     }
-}
-
-/// The bootstrap interval of the mean of `values`, one for each stream.
-fn interval(values: &[f64]) -> Option<Interval> {
-    let streams: Vec<Vec<Vec<f64>>> = values.iter().map(|value| vec![vec![*value]]).collect();
-    let [found] = intervals(&streams, |arms| [mean(arms[0].iter().copied())]);
-    found.filter(|interval| !interval.is_point())
 }
 
 /// The mean of `figure` over the sequences of each stream in which it is defined.
@@ -56,8 +49,8 @@ pub(super) fn by_stream<'a>(
     means.filter_map(|(stream, values)| Some((stream, mean(values.into_iter())?))).collect()
 }
 
-/// The difference of `figure` between the sequences of `a` and the paired ones of `b`, over the pairs in which both are
-/// defined; None if there are none.
+/// The difference of `figure`, a percentage, between the sequences of `a` and the paired ones of `b`, over the pairs in which
+/// both are defined; None if there are none.
 pub(super) fn difference<'a>(
     a: &CompleteSequences<'a>,
     b: &CompleteSequences<'a>,
@@ -69,7 +62,7 @@ pub(super) fn difference<'a>(
     let side =
         |value: fn((f64, f64)) -> f64| by_stream(a, |id, sequence| both(id, sequence).map(value));
     let [first, second, differences] = [|(a, _)| a, |(_, b)| b, |(a, b)| a - b].map(side);
-    let Estimate { mean: difference, interval, .. } = Estimate::of(&differences)?;
+    let Estimate { mean: difference, interval, .. } = Estimate::of(&differences, Interval::POINTS)?;
     Some(FigureDifference {
         a: mean(first.into_values())?,
         b: mean(second.into_values())?,

@@ -9,6 +9,7 @@ use super::estimate::{Estimate, by_stream};
 use super::sequence::{CompleteSequences, StreamEpisode, success_rate};
 use super::without_memory;
 use crate::conditions::Condition;
+use crate::score::interval::Interval;
 
 /// The cases of the streams that certify that memory matters, with the oracle arm of one memory.
 ///
@@ -93,5 +94,5 @@ fn on(sequences: &CompleteSequences<'_>, places: &BTreeSet<BlockCase<'_>>) -> Op
     let streams = by_stream(sequences, |_, sequence| {
         success_rate(sequence.learning().filter(|episode| places.contains(&place(episode))))
     });
-    Estimate::of(&streams)
+    Estimate::of(&streams, Interval::PERCENT)
 }
