@@ -276,6 +276,12 @@ impl Attach {
         roles.iter().map(processes).sum()
     }
 
+    /// As [`Self::count`], without external memories: a run goes on without them.
+    pub(crate) fn count_required(&self, roles: &[Role]) -> usize {
+        let is_external = roles.contains(&Role::ExternalMemory);
+        self.count(roles) - if is_external { self.external_memories.len() } else { 0 }
+    }
+
     /// Checks every value.
     ///
     /// # Errors

@@ -3,7 +3,8 @@
 //! The external memory with index i of a run has the folder `memory-<i>` in the run's folder. It writes the file before it
 //! waits for `attach.json`, because the orchestrator plans with its name.
 
-use std::fs;
+use std::fs::{self, File};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -15,6 +16,12 @@ use crate::message::MAX_EXTERNAL_MEMORIES;
 
 /// Name of the file in the folder of an external memory.
 pub const DESCRIPTION_FILE: &str = "description.json";
+
+/// Maximum length of the file, in bytes.
+pub const MAX_DESCRIPTION_BYTES: u64 = 64 << 10;
+
+/// Maximum length of each text of a description but its name, in bytes.
+pub const MAX_DESCRIPTION_TEXT: usize = 100;
 
 /// An external memory's description of itself.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -85,8 +92,18 @@ impl MemoryDescription {
     /// When the file is missing or not the expected JSON, or a value is not valid.
     pub fn read(folder: &Path) -> Result<Self, AttachError> {
         let path = folder.join(DESCRIPTION_FILE);
-        let text = fs::read_to_string(&path)
-            .map_err(|cause| AttachError::File { path: path.clone(), cause })?;
+        let mut text = String::new();
+        let read = File::open(&path)
+            .and_then(|file| file.take(MAX_DESCRIPTION_BYTES + 1).read_to_string(&mut text));
+        let read = read.map_err(|cause| AttachError::File { path: path.clone(), cause })?;
+        if read as u64 > MAX_DESCRIPTION_BYTES {
+            let bytes = fs::metadata(&path).map_or(read as u64, |file| file.len());
+            return Err(AttachError::Value {
+                field: DESCRIPTION_FILE,
+                value: format!("a file of {bytes} bytes"),
+                expected: format!("at most {MAX_DESCRIPTION_BYTES}"),
+            });
+        }
         let description: Self =
             serde_json::from_str(&text).map_err(|cause| AttachError::Json { path, cause })?;
         description.check()?;
@@ -102,7 +119,7 @@ impl MemoryDescription {
         write_json(folder, DESCRIPTION_FILE, self)
     }
 
-    /// Checks the name, and that no pixels are expected where there are none.
+    /// Checks the name, the length of the other texts, and that no pixels are expected where there are none.
     ///
     /// # Errors
     /// When a value is not valid.
@@ -114,6 +131,15 @@ impl MemoryDescription {
                 expected: "false with the scope `all`: only memories of one case get pixels"
                     .to_owned(),
             });
+        }
+        for (field, text) in [("version", &self.version), ("sdk", &self.sdk)] {
+            if text.len() > MAX_DESCRIPTION_TEXT {
+                return Err(AttachError::Value {
+                    field,
+                    value: format!("a text of {} bytes", text.len()),
+                    expected: format!("at most {MAX_DESCRIPTION_TEXT}"),
+                });
+            }
         }
         let checked = self.name.parse::<ExternalName>();
         checked.map(drop).map_err(|error| AttachError::Value {
@@ -147,6 +173,12 @@ mod tests {
             let bad = MemoryDescription { name: name.to_owned(), ..description.clone() };
             assert!(bad.check().unwrap_err().to_string().starts_with("name is "), "{name}");
         }
+        let long = MemoryDescription { version: "1".repeat(101), ..description.clone() };
+        let error = long.check().unwrap_err().to_string();
+        assert_eq!(error, "version is a text of 101 bytes, but must be at most 100");
+        fs::write(folder.path().join(DESCRIPTION_FILE), " ".repeat(70_000)).unwrap();
+        let error = MemoryDescription::read(folder.path()).unwrap_err().to_string();
+        assert_eq!(error, "description.json is a file of 70000 bytes, but must be at most 65536");
         let newer = MemoryDescription { version: "2".to_owned(), ..description.clone() };
         assert_eq!(description.changes(&newer), "`version` was \"1\" and is \"2\"");
         assert_eq!(description.changes(&description), "");
