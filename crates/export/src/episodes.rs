@@ -58,7 +58,7 @@ pub(crate) struct Moments<'a> {
     pub(crate) instruction: String,
     /// Poses with the feedback on the action before: at the start, and after every step.
     pub(crate) poses: Vec<(Pose, Feedback)>,
-    /// The view of each of them.
+    /// The view that the policy was shown at each of them.
     pub(crate) views: Vec<ViewKey>,
     /// JPEG files.
     pub(crate) images: BTreeMap<ViewKey, Vec<u8>>,
@@ -105,7 +105,7 @@ impl Episodes {
                     EpisodeFormat::Mcap => {
                         Box::new(mcap::McapRecording::create(draft, &self.log, timing)?)
                     }
-                    EpisodeFormat::Mp4 => Box::new(video::Video::create(draft, timing)?),
+                    EpisodeFormat::Mp4 => Box::new(video::Video::create(draft, &self.log, timing)?),
                 };
                 for &index in episodes {
                     sink.episode(&self.moments(index)?)?;
@@ -122,7 +122,8 @@ impl Episodes {
         let state = self.world.state(record, case)?;
         let variant = self.world.variant(record, case_index);
         let poses = record.replay();
-        let views: Vec<ViewKey> = poses.iter().map(|(pose, _)| (variant, *pose)).collect();
+        let views: Vec<ViewKey> =
+            poses.iter().map(|(pose, _)| self.world.seen(variant, *pose)).collect();
         let distinct: Vec<ViewKey> =
             views.iter().copied().collect::<BTreeSet<_>>().into_iter().collect();
         let mut images = BTreeMap::new();

@@ -6,6 +6,7 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::thread::JoinHandle;
 
 use anyhow::{Context, Result, anyhow, bail};
+use results::log::RunLog;
 
 use crate::episodes::{EpisodeSink, Moments, Timing};
 
@@ -17,8 +18,10 @@ pub(crate) struct Video {
 }
 
 impl Video {
-    /// Starts ffmpeg, which writes to `path`.
-    pub(crate) fn create(path: &Path, timing: Timing) -> Result<Self> {
+    /// Starts ffmpeg, which writes views of `log` to `path`.
+    pub(crate) fn create(path: &Path, log: &RunLog, timing: Timing) -> Result<Self> {
+        let frames = log.manifest.settings.frames;
+        let comment = format!("comment=MemTransfer, run {}, frames {frames}", log.name);
         let rate = timing.steps_per_s.to_string();
         let started = Command::new("ffmpeg")
             .args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y"])
@@ -26,6 +29,7 @@ impl Video {
             // Players of all kinds know H.264 with these pixels; the index comes first, so that it can be streamed.
             .args(["-c:v", "libx264", "-preset", "veryfast", "-pix_fmt", "yuv420p"])
             .args(["-movflags", "+faststart"])
+            .args(["-metadata", &comment])
             .args(["-f", "mp4"])
             .arg(path)
             .stdin(Stdio::piped())

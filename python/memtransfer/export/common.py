@@ -29,6 +29,12 @@ class Selected:
     recording: Recording
     trajectories: list[Trajectory]
 
+    @property
+    def control(self) -> str:
+        """The control that the frames of the run are, in words to append; empty if they show what is there."""
+        frames = self.recording.manifest["settings"]["frames"]
+        return "" if frames == "rendered" else f" A control: frames {frames}."
+
     def playable(self) -> list[Trajectory]:
         """Those with at least one action."""
         playable = [trajectory for trajectory in self.trajectories if trajectory.decided]

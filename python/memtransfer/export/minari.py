@@ -44,7 +44,7 @@ def write(selected: Selected, name: str) -> str:
             episodes(),
             env=env,
             algorithm_name=settings["policy"],
-            description=f"Trajectories of a run of MemTransfer: {', '.join(sorted({t.case for t in trajectories}))}.",
+            description=f"Trajectories of a run of MemTransfer: {', '.join(sorted({t.case for t in trajectories}))}.{selected.control}",
             requirements=["memtransfer[gym]"],
         )
         dataset.storage.update_episode_metadata([_metadata(trajectory) for trajectory in trajectories])
