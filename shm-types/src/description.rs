@@ -49,6 +49,9 @@ pub struct MemoryDescription {
     /// The SDK and its version.
     #[serde(default)]
     pub sdk: String,
+    /// The files that its code is in, with their hashes, so that changed code is known: any text. Empty: it does not tell.
+    #[serde(default)]
+    pub code: String,
 }
 
 /// The demonstrations that one instance of an external memory remembers.
@@ -132,7 +135,8 @@ impl MemoryDescription {
                     .to_owned(),
             });
         }
-        for (field, text) in [("version", &self.version), ("sdk", &self.sdk)] {
+        for (field, text) in [("version", &self.version), ("sdk", &self.sdk), ("code", &self.code)]
+        {
             if text.len() > MAX_DESCRIPTION_TEXT {
                 return Err(AttachError::Value {
                     field,
@@ -166,6 +170,7 @@ mod tests {
             deterministic: true,
             learns: true,
             sdk: "test".to_owned(),
+            code: "memory.py=0123456789abcdef".to_owned(),
         };
         description.write(folder.path()).unwrap();
         assert_eq!(MemoryDescription::read(folder.path()).unwrap(), description);

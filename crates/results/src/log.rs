@@ -78,7 +78,7 @@ pub enum LogError {
     },
     /// The folder holds a run with other settings.
     #[error(
-        "{} holds a run with other settings:\n{}\nUse the same settings to continue it, remove it to start over (as `run \
+        "{} holds a run with other settings or code:\n{}\nUse the same settings and code to continue it, remove it to start over (as `run \
          --fresh` does), or choose another --out",
         dir.display(), differences.iter().map(|d| format!("  {d}")).collect::<Vec<_>>().join("\n")
     )]

@@ -5,7 +5,7 @@ use shm_types::banks::{BankDemonstration, BankStep, max_banks};
 use shm_types::message::{ExternalEpisode, Heartbeat, NO_FRAME, Role};
 use shm_types::notes::NoteHeader;
 use shm_types::{
-    Attach, BankContent, BankPublisher, BankReceiver, Bus, NotePublisher, NoteReceiver,
+    Attach, BankContent, BankPublisher, BankReceiver, Bus, NotePublisher, NoteReceiver, NoteTooLong,
 };
 
 use crate::common::{LONG, Run, bus, run};

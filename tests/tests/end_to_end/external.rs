@@ -271,3 +271,56 @@ fn a_program_that_closes_its_queues_and_does_not_end_is_named() {
     assert!(!ended.stderr.contains("the sim process ended"), "{}", ended.stderr);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
+
+#[test]
+fn changed_code_is_refused_as_another_version_is() {
+    let bench = Bench::new();
+    let refused = |args: &[&str], difference: &str| {
+        let refused = bench.run(args).expect(2).stderr;
+        assert!(refused.contains(difference), "{refused}");
+        assert!(refused.contains("Use the same settings and code to continue it"), "{refused}");
+    };
+    // A compiled program, which is named by its path.
+    let memory = bench.out("my-memory");
+    std::fs::copy(program("misbehaving-memory"), &memory).unwrap();
+    let command = "./my-memory well-behaved";
+    let args = with_memory("memory", command, "4");
+    bench.run(&args).expect(0);
+    bench.run(&args).expect(0);
+    let changed = [std::fs::read(&memory).unwrap(), vec![0]].concat();
+    std::fs::write(&memory, changed).unwrap();
+    refused(&args, "file ./my-memory of memory well-behaved: ");
+    bench.run(&[&args[..], &["--fresh"]].concat()).expect(0);
+
+    // The same, where the SDK tells it: the command names another file.
+    let sdk = bench.out("sdk-memory");
+    std::fs::copy(program("misbehaving-memory"), &sdk).unwrap();
+    std::fs::write(bench.out("start"), format!("exec {} sdk-huge-text none\n", sdk.display()))
+        .unwrap();
+    let args = with_memory("sdk", "sh start", "4");
+    bench.run(&args).expect(0);
+    let changed = [std::fs::read(&sdk).unwrap(), vec![0]].concat();
+    std::fs::write(&sdk, changed).unwrap();
+    refused(&args, r#"code of memory sdk-huge-text: "sdk-memory="#);
+
+    // A script of a policy; and what its SDK tells when it has started.
+    let script = bench.out("policy.sh");
+    let policy = bench.out("my-policy");
+    std::fs::copy(program("misbehaving-policy"), &policy).unwrap();
+    let text = format!("exec {} crash-on nothing\n", policy.display());
+    std::fs::write(&script, &text).unwrap();
+    let args = |limit| {
+        let mut args = vec!["run", "--memory", "working", "--starts", "original", "--limit", limit];
+        args.extend(["--max-steps", "5", "--policy-cmd", "sh policy.sh", "--out", "policy"]);
+        args
+    };
+    bench.run(&args("1")).expect(0);
+    std::fs::write(&script, format!("# Changed.\n{text}")).unwrap();
+    refused(&args("2"), "file policy.sh of the policy: ");
+    std::fs::write(&script, &text).unwrap();
+    bench.run(&args("2")).expect(0);
+    let changed = [std::fs::read(&policy).unwrap(), vec![0]].concat();
+    std::fs::write(&policy, changed).unwrap();
+    refused(&args("3"), r#"code of the policy: my-policy="#);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}

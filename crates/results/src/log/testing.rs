@@ -27,6 +27,7 @@ pub fn manifest() -> Manifest {
         hashes: BTreeMap::from([("layout".to_owned(), "00".to_owned())]),
         documents: BTreeMap::new(),
         memories: BTreeMap::new(),
+        policy_files: BTreeMap::new(),
         prices: None,
         episodes: 4,
         unit: None,
@@ -238,6 +239,8 @@ pub fn external_memory(version: &str) -> ExternalMemoryFacts {
         deterministic: true,
         learns: false,
         sdk: "memtransfer 1".to_owned(),
+        code: String::new(),
+        files: BTreeMap::new(),
     }
 }
 

@@ -170,7 +170,7 @@ impl Runner {
     fn look(&mut self, pose: Pose, variant: &Variant, frames: Frames) -> Arc<Image> {
         match frames {
             Frames::Rendered => self.views.of(pose, variant),
-            Frames::Blank | Frames::BlankAll => Arc::clone(&self.blank),
+            Frames::Blank => Arc::clone(&self.blank),
             Frames::Swapped => {
                 let place = self.poses.binary_search(&pose).expect("agents stand on free cells");
                 let other = self.poses[(place * 397 + 211) % self.poses.len()];
