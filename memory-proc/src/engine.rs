@@ -338,6 +338,7 @@ impl<I: Clone> Engine<I> {
         for bank in self.sequences.take_dropped() {
             self.externals.take_back(bank);
         }
+        self.fail_deserted(clock());
         self.build_banks(&clock);
         for collecting in self.sequences.unfinished_banks() {
             self.views.collect(collecting, true);

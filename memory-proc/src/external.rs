@@ -15,9 +15,9 @@ use shm_types::description::Scope;
 use shm_types::message::{
     DocumentId, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore,
     ExternalStored, MAX_FOLDER, MAX_SUB_GOALS, MemoryEpisodeConfig, NO_DOCUMENT, NOT_MEASURED,
-    write_text,
+    shortened_reason, write_text,
 };
-use shm_types::{BankContent, MemoryDescription, Note};
+use shm_types::{BankContent, MemoryDescription, Note, NoteTooLong};
 use warehouse::{CaseSet, Demonstrations, Warehouse};
 
 use crate::bank::{BankSteps, Collecting, KnownView, ReplayedBank, Viewpoint};
@@ -62,6 +62,10 @@ pub enum ToExternal {
     Store(Box<ExternalStore>),
 }
 
+/// Time that an external memory has to end once it has closed its queues. The SDK takes less: it waits for the next
+/// generation first.
+const LEAVING_TIME: Duration = Duration::from_secs(15);
+
 /// Banks without an episode that are kept built.
 const KEPT_BANKS: usize = 64;
 
@@ -87,9 +91,11 @@ pub struct ExternalMemories {
     notes: HashMap<(u8, u32), Note>,
     /// By external memory and note: why a bank cannot be built, saved or loaded. Several may come before the messages that
     /// name them.
-    reasons: BTreeMap<(u8, DocumentId), Vec<u8>>,
+    reasons: BTreeMap<(u8, DocumentId), String>,
     /// When each external memory was last seen to build, save or load: it answers nothing meanwhile.
     last_busy_ns: BTreeMap<u8, u64>,
+    /// Since when each external memory that has left the run is known to have closed its queues.
+    left_ns: BTreeMap<u8, u64>,
     /// The number of messages that each external memory has sent.
     heard: BTreeMap<u8, u64>,
     pub(crate) outbox: Vec<(u8, ToExternal)>,
@@ -154,6 +160,7 @@ impl ExternalMemories {
             notes: HashMap::new(),
             reasons: BTreeMap::new(),
             last_busy_ns: BTreeMap::new(),
+            left_ns: BTreeMap::new(),
             heard: BTreeMap::new(),
             outbox: Vec::new(),
         }
@@ -488,6 +495,22 @@ impl ExternalMemories {
         LaneProgress::Waiting
     }
 
+    /// Notes that a message to an external memory found its queues closed.
+    pub(crate) fn has_left(&mut self, index: u8, now_ns: u64) {
+        self.left_ns.entry(index).or_insert(now_ns);
+    }
+
+    /// Why an external memory answers nothing any more, if it has left and its process should have ended by now. The
+    /// orchestrator sees that end, and starts everything again.
+    pub(crate) fn gone(&self, index: u8, now_ns: u64) -> Option<String> {
+        let since_ns = *self.left_ns.get(&index)?;
+        let is_settled = u128::from(now_ns.saturating_sub(since_ns)) > LEAVING_TIME.as_nanos();
+        let name = self.name(index);
+        is_settled.then(|| {
+            format!("external memory {name} has closed its queues, and its process has not ended")
+        })
+    }
+
     /// Notes that an external memory has sent a message.
     pub(crate) fn hear(&mut self, index: u8) {
         *self.heard.entry(index).or_default() += 1;
@@ -529,7 +552,7 @@ impl ExternalMemories {
     pub(crate) fn take_note(&mut self, index: u8, lanes: u32, note: Note) -> Result<(), String> {
         let lane = note.header.lane;
         if lane == NO_LANE {
-            self.reasons.insert((index, note.header.id), note.bytes);
+            self.reasons.insert((index, note.header.id), readable(&note.bytes));
             let own = self.reasons.keys().copied().filter(|reason| reason.0 == index);
             let own: Vec<_> = own.collect();
             let banks = self.banks.values().filter(|bank| bank.index == index).count();
@@ -577,7 +600,7 @@ impl ExternalMemories {
         if failure == NO_DOCUMENT {
             return Ok(store_bytes);
         }
-        let why = readable(&self.reasons.remove(&(index, failure)).unwrap_or_default());
+        let why = self.reasons.remove(&(index, failure)).unwrap_or_else(|| NO_REASON.to_owned());
         Err(format!("external memory {} cannot {cannot}: {why}", self.name(index)).into())
     }
 
@@ -605,9 +628,9 @@ impl ExternalMemories {
             }
             None => return Err(format!("it names note {}, which was not published", message.note)),
         };
-        let bytes = note.map_or_else(Vec::new, |note| note.bytes);
+        let bytes = note.map_or_else(|| Ok(Vec::new()), |note| note.bytes);
         match message.failed {
-            0 => read_items(message, &bytes),
+            0 => read_items(message, &bytes.map_err(|too_long| too_long.to_string())?),
             1 => Err(readable(&bytes)),
             code => Err(format!("`failed` is {code}, expected 0 or 1")),
         }
@@ -619,11 +642,18 @@ impl ExternalMemories {
     }
 }
 
-/// A text of an external memory for an error message.
-fn readable(bytes: &[u8]) -> String {
+/// What stands for a reason that is missing.
+const NO_REASON: &str = "it gives no reason";
+
+/// The reason of an external memory for an error message.
+fn readable(note: &Result<Vec<u8>, NoteTooLong>) -> String {
+    let bytes = match note {
+        Ok(bytes) => bytes,
+        Err(too_long) => return format!("its reason is too long: {too_long}"),
+    };
     match str::from_utf8(bytes) {
-        Ok("") => "it gives no reason".to_owned(),
-        Ok(text) => text.to_owned(),
+        Ok("") => NO_REASON.to_owned(),
+        Ok(text) => shortened_reason(text.to_owned()),
         Err(_) => "its reason is not UTF-8".to_owned(),
     }
 }

@@ -316,8 +316,8 @@ impl<'a> MemoryServer<'a> {
             let external = ports.externals.iter_mut().find(|external| external.index == index);
             let Some(external) = external else { continue };
             match external.send(&mut message) {
-                // Its process has ended: the orchestrator sees that, and starts all processes and episodes again.
-                Ok(()) | Err(BusError::Deserted { .. }) => {}
+                Ok(()) => {}
+                Err(BusError::Deserted { .. }) => engine.external_left(index, monotonic_ns()),
                 Err(error) => engine.external_unreachable(index, &message, &error.to_string()),
             }
             external.notifier.notify()?;

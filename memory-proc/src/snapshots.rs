@@ -13,6 +13,9 @@ use shm_types::message::SnapshotId;
 /// The folder that a snapshot is written into before it has its name.
 const UNFINISHED: &str = "unfinished";
 
+/// Maximum size of the files of a snapshot, in bytes.
+const MAX_SNAPSHOT_BYTES: u64 = 1 << 30;
+
 /// The folder of a run's snapshots.
 #[derive(Debug, Clone)]
 pub struct SnapshotFolder(PathBuf);
@@ -85,10 +88,27 @@ impl SnapshotFolder {
 /// part of the names.
 fn digest(folder: &Path, sync_files: bool) -> Result<SnapshotId, String> {
     let mut hasher = blake3::Hasher::new();
+    let bytes = size(folder)?;
+    if bytes > MAX_SNAPSHOT_BYTES {
+        return Err(format!(
+            "what the memory saved has {bytes} bytes, and at most {MAX_SNAPSHOT_BYTES} can be kept"
+        ));
+    }
     add_folder(&mut hasher, folder, "", sync_files)?;
     let mut id = SnapshotId::default();
     id.copy_from_slice(&hasher.finalize().as_bytes()[..size_of::<SnapshotId>()]);
     Ok(id)
+}
+
+/// Bytes of all files in `folder`.
+fn size(folder: &Path) -> Result<u64, String> {
+    let mut bytes = 0_u64;
+    for entry in done(folder, "read", fs::read_dir(folder))? {
+        let path = done(folder, "read", entry)?.path();
+        let file = done(&path, "read", fs::symlink_metadata(&path))?;
+        bytes = bytes.saturating_add(if file.is_dir() { size(&path)? } else { file.len() });
+    }
+    Ok(bytes)
 }
 
 fn add_folder(

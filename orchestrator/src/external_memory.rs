@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use crate::command_files::command_files;
 use anyhow::{Context, Result, bail};
 use domain::ExternalName;
 use results::log::ExternalMemoryFacts;
@@ -55,7 +56,10 @@ impl ExternalMemory {
     }
 
     /// What the manifest says about it.
-    pub fn facts(&self) -> ExternalMemoryFacts {
+    ///
+    /// # Errors
+    /// When a file that its command names cannot be read.
+    pub fn facts(&self) -> Result<ExternalMemoryFacts> {
         let MemoryDescription {
             name: _,
             version,
@@ -65,8 +69,10 @@ impl ExternalMemory {
             deterministic,
             learns,
             sdk,
+            code,
         } = self.description.clone();
-        ExternalMemoryFacts {
+        let files = self.command.as_deref().map(command_files).transpose()?.unwrap_or_default();
+        Ok(ExternalMemoryFacts {
             index: self.index,
             version,
             command: self.command.clone(),
@@ -79,7 +85,9 @@ impl ExternalMemory {
             deterministic,
             learns,
             sdk,
-        }
+            code,
+            files,
+        })
     }
 }
 
@@ -225,7 +233,7 @@ mod tests {
         let found: Vec<_> = started
             .memories
             .iter()
-            .map(|memory| (memory.index, memory.name.to_string(), memory.facts().version))
+            .map(|memory| (memory.index, memory.name.to_string(), memory.facts().unwrap().version))
             .collect();
         assert_eq!(found, [(0, "top-3".into(), "2".into()), (1, "bm25".into(), "2".into())]);
         let folder = started.run.path().to_owned();

@@ -83,7 +83,7 @@ pub fn rules(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Rule
         horizon: u8::try_from(settings.horizon).context("--horizon")?,
         hits: u8::try_from(settings.hits).context("--hits")?,
         memory_images: u16::try_from(settings.memory_image_budget()).context("--memory-images")?,
-        memory_text_bytes: settings.memory_text_bytes,
+        memory_text_bytes: settings.memory_text_budget(),
         keyframes: u8::try_from(settings.keyframes).context("--keyframes")?,
         max_steps: settings.max_steps,
         expert: settings.policy == PolicyKind::Expert,
@@ -116,6 +116,7 @@ pub fn attach(
             Frames::Rendered => FrameControl::Rendered,
             Frames::Blank => FrameControl::Blank,
             Frames::Swapped => FrameControl::Swapped,
+            Frames::BlankAll => FrameControl::BlankAll,
         },
         // Absolute: an external policy may have another working folder.
         prompts: prompts.map(std::path::absolute).transpose()?,

@@ -14,6 +14,7 @@
 //! `memtransfer`.
 
 pub mod budget;
+pub mod command_files;
 pub mod commit;
 pub mod documents;
 pub mod event_recorder;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import os
 import re
 import signal
@@ -61,7 +62,7 @@ def serve(program: Program, folder: str | Path) -> None:
 
 def _serve(program: Program, folder: str | None) -> None:
     if isinstance(program, Policy):
-        _native.serve(program, folder)
+        _native.serve(program, code_of(type(program)), folder)
     elif isinstance(program, Memory):
         _serve_memory(program, partial(copy.deepcopy, program), folder)
     elif isinstance(program, type) and issubclass(program, Memory):
@@ -85,7 +86,24 @@ def _serve_memory(
     if memory.learns and (kind.save is Memory.save or kind.load is Memory.load):
         raise TypeError(f"memory {name} learns: it must override save and load, or a resumed run loses what it has learned")
     needs = (memory.embeddings, memory.frames, memory.deterministic, memory.learns)
-    _native.serve_memory(create, (name, memory.version, memory.scope, *needs), folder)
+    _native.serve_memory(create, (name, memory.version, memory.scope, *needs, code_of(kind)), folder)
+
+
+def code_of(kind: type) -> str:
+    """Returns the files that a policy's or memory's code is in, each with the start of its SHA-256: the file of the main program,
+    and those of the modules that define the class and its bases. Modules of the standard library and of this package are left
+    out. Empty if there is no file, as in a notebook."""
+    names = ["__main__", *(base.__module__ for base in kind.__mro__)]
+    hashes = {}
+    for name in dict.fromkeys(names):
+        file = getattr(sys.modules.get(name), "__file__", None)
+        package = name.partition(".")[0]
+        if file and package not in sys.stdlib_module_names and package != __package__ and Path(file).is_file():
+            hashes[os.path.abspath(file)] = hashlib.sha256(Path(file).read_bytes()).hexdigest()[:16]
+    told = " ".join(f"{os.path.basename(file)}={digest}" for file, digest in hashes.items())
+    if len(told.encode()) > 100:
+        return f"{len(hashes)} files={hashlib.sha256(told.encode()).hexdigest()[:16]}"
+    return told
 
 
 def _set_handlers(program: Program) -> dict[int, signal._HANDLER]:

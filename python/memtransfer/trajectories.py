@@ -132,9 +132,10 @@ class Recording:
         return np.array([[square == "." for square in row] for row in self._run.floor(variant)])
 
     def views(self, trajectory: Trajectory) -> NDArray[np.uint8]:
-        """Renders what the agent saw at every step, as (steps + 1, height, width, 3), read-only."""
+        """Renders the view at every step: what the policy was shown, which in a control run is not what is there; of a
+        demonstration, what memory was given. As (steps + 1, height, width, 3), read-only."""
         width, height = self.frame_size
-        pixels = self._run.views(trajectory.variant, trajectory.poses.tolist())
+        pixels = self._run.views(trajectory.variant, trajectory.poses.tolist(), trajectory.record is not None)
         return np.frombuffer(pixels, np.uint8).reshape(-1, height, width, 3)
 
 

@@ -20,8 +20,8 @@ use crate::frame::Frame;
 use crate::query::{MemoryStep, Numbers, as_array};
 
 /// Name, version, scope, whether it uses embeddings, whether it looks at frames, whether it is deterministic, whether it
-/// learns.
-pub(crate) type Described = (String, String, String, bool, bool, bool, bool);
+/// learns, the files of its code.
+pub(crate) type Described = (String, String, String, bool, bool, bool, bool, String);
 
 /// The file beside a memory's own that holds the number of steps of each episode it has learned from.
 const LENGTHS_FILE: &str = "steps-of-episodes.txt";
@@ -34,7 +34,7 @@ pub(crate) struct PythonMethod {
 
 impl PythonMethod {
     pub(crate) fn new(create: &Bound<'_, PyAny>, described: Described) -> PyResult<Self> {
-        let (name, version, scope, embeddings, frames, deterministic, learns) = described;
+        let (name, version, scope, embeddings, frames, deterministic, learns, code) = described;
         let scope = match &*scope {
             "case" => Scope::Case,
             "all" => Scope::All,
@@ -50,6 +50,7 @@ impl PythonMethod {
             deterministic,
             learns,
             sdk,
+            code,
         };
         Ok(Self { create: create.clone().unbind(), description })
     }

@@ -32,7 +32,7 @@ enum Reply<'py> {
 }
 
 impl PythonPolicy {
-    pub(crate) fn new(policy: &Bound<'_, PyAny>) -> PyResult<Self> {
+    pub(crate) fn new(policy: &Bound<'_, PyAny>, code: String) -> PyResult<Self> {
         let py = policy.py();
         let mut name: String = policy.getattr("name")?.extract()?;
         if name.is_empty() {
@@ -40,6 +40,9 @@ impl PythonPolicy {
         }
         let said = policy.call_method0("facts")?;
         let mut facts = vec![("sdk".to_owned(), "python".to_owned())];
+        if !code.is_empty() {
+            facts.push(("code".to_owned(), code));
+        }
         let entries = PyDict::new(py);
         entries.update(said.cast()?)?;
         for (key, value) in entries {

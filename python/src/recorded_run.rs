@@ -160,14 +160,16 @@ impl RecordedRun {
         Ok((0..layout.height()).map(row).collect())
     }
 
-    /// The views of `poses` in world variant `variant`: their pixels, RGB, one view after the other.
+    /// The views of `poses` in world variant `variant`: their pixels, RGB, one view after the other. `seen`: what the policy was
+    /// shown there, otherwise what memory was given.
     fn views<'py>(
         &mut self,
         py: Python<'py>,
         variant: u32,
         poses: Vec<[u8; 3]>,
+        seen: bool,
     ) -> PyResult<Bound<'py, PyBytes>> {
-        let pixels = self.render(variant, &poses).map_err(|error| invalid(&error))?;
+        let pixels = self.render(variant, &poses, seen).map_err(|error| invalid(&error))?;
         Ok(PyBytes::new(py, &pixels))
     }
 }
@@ -203,7 +205,7 @@ impl RecordedRun {
         })
     }
 
-    fn render(&mut self, variant: u32, poses: &[[u8; 3]]) -> anyhow::Result<Vec<u8>> {
+    fn render(&mut self, variant: u32, poses: &[[u8; 3]], seen: bool) -> anyhow::Result<Vec<u8>> {
         let Self { world, settings, views, .. } = self;
         let views = match views {
             Some(views) => views,
@@ -216,7 +218,10 @@ impl RecordedRun {
         for &[x, y, heading] in poses {
             let heading =
                 Heading::ALL.get(usize::from(heading)).context("there is no such heading")?;
-            let view = views.render(variant, Pose::new(x, y, *heading))?;
+            let pose = Pose::new(x, y, *heading);
+            let (variant, pose) =
+                if seen { world.seen(variant, pose) } else { world.supplied(variant, pose) };
+            let view = views.render(variant, pose)?;
             pixels.extend(
                 view.as_bytes().as_chunks::<4>().0.iter().flat_map(|&[r, g, b, _]| [r, g, b]),
             );

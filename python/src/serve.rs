@@ -10,11 +10,16 @@ use crate::classes::error;
 use crate::memory::{Described, PythonMethod};
 use crate::policy::PythonPolicy;
 
-/// Serves the run in `folder`, or without one the run that `MEMTRANSFER_ATTACH` names, until the run ends.
+/// Serves the run in `folder`, or without one the run that `MEMTRANSFER_ATTACH` names, until the run ends. `code`
+/// tells the files of its code.
 #[pyfunction]
-pub(crate) fn serve(policy: &Bound<'_, PyAny>, folder: Option<PathBuf>) -> PyResult<()> {
+pub(crate) fn serve(
+    policy: &Bound<'_, PyAny>,
+    code: String,
+    folder: Option<PathBuf>,
+) -> PyResult<()> {
     let py = policy.py();
-    let mut policy = PythonPolicy::new(policy)?;
+    let mut policy = PythonPolicy::new(policy, code)?;
     let served = py.detach(|| match &folder {
         Some(folder) => peer::serve(&mut policy, folder),
         None => peer::serve_from_environment(&mut policy),
@@ -54,6 +59,7 @@ fn ended(py: Python<'_>, served: Result<(), ServeError>) -> PyResult<()> {
         | ServeError::NotARun(_)
         | ServeError::NotAMemoryFolder(_)
         | ServeError::NoOrchestrator { .. }
+        | ServeError::OwnCode(_)
         | ServeError::Parent(_)
         | ServeError::Bus(BusError::Attach(_) | BusError::Taken { .. }) => "AttachError",
         ServeError::Bus(_) | ServeError::Spans(_) | ServeError::Frames(_) => "BusError",

@@ -113,10 +113,10 @@ pub struct Wait {
     pub spin_us: u32,
 }
 
-/// What observed frames show. Controls other than [`Rendered`](Self::Rendered) test that results come from pixels;
-/// views that memory requests are always rendered.
+/// What frames show. Controls other than [`Rendered`](Self::Rendered) test that results come from pixels. Views that memory
+/// requests are rendered, except by [`BlankAll`](Self::BlankAll).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "kebab-case")]
 pub enum FrameControl {
     /// The agent's view.
     #[default]
@@ -125,6 +125,8 @@ pub enum FrameControl {
     Blank,
     /// The view from another pose.
     Swapped,
+    /// A uniform grey, and in the views that memory requests as well.
+    BlankAll,
 }
 
 impl FrameControl {
@@ -134,6 +136,7 @@ impl FrameControl {
             Self::Rendered => "rendered",
             Self::Blank => "blank",
             Self::Swapped => "swapped",
+            Self::BlankAll => "blank-all",
         }
     }
 }
@@ -274,6 +277,12 @@ impl Attach {
             role => usize::from(self.participants.contains(role)),
         };
         roles.iter().map(processes).sum()
+    }
+
+    /// As [`Self::count`], without external memories: a run goes on without them.
+    pub(crate) fn count_required(&self, roles: &[Role]) -> usize {
+        let is_external = roles.contains(&Role::ExternalMemory);
+        self.count(roles) - if is_external { self.external_memories.len() } else { 0 }
     }
 
     /// Checks every value.

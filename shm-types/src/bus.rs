@@ -188,8 +188,9 @@ impl Bus {
             return Ok(Sender { port });
         }
         let receivers = if is_private::<M>() { 1 } else { self.attach.count(M::TO) };
+        let required = if is_private::<M>() { 1 } else { self.attach.count_required(M::TO) };
         let sender = M::open_sender(self, index)?;
-        let port = Arc::new(Port { sender, receivers });
+        let port = Arc::new(Port { sender, receivers, required });
         ports.insert(key, port.clone());
         Ok(Sender { port })
     }
@@ -247,6 +248,8 @@ struct Port<M: Message> {
     sender: Box<dyn SenderPort<M>>,
     /// Receivers that take part in the run.
     receivers: usize,
+    /// Those without which a message is not delivered.
+    required: usize,
 }
 
 impl<M: Message> Sender<M> {
@@ -254,13 +257,14 @@ impl<M: Message> Sender<M> {
     ///
     /// # Errors
     /// [`BusError::Full`] when a receiver's queue is full (the others got the message),
-    /// [`BusError::Deserted`] when a receiver is missing, otherwise a failed transport.
+    /// [`BusError::Deserted`] when a receiver is missing, otherwise a failed transport. An external memory among other
+    /// receivers may be missing: the memory process notices that it does not answer.
     pub fn send(&self, message: &M) -> Result<(), BusError> {
         clock::pause();
         if clock::is_simulated_queue_full(M::SERVICE) {
             return Err(BusError::Full { service: M::SERVICE });
         }
-        delivered(M::SERVICE, self.port.receivers, self.port.sender.send(message))
+        delivered(M::SERVICE, self.port.required, self.port.sender.send(message))
     }
 
     /// Waits until all receivers exist.

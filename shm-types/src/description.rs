@@ -3,7 +3,8 @@
 //! The external memory with index i of a run has the folder `memory-<i>` in the run's folder. It writes the file before it
 //! waits for `attach.json`, because the orchestrator plans with its name.
 
-use std::fs;
+use std::fs::{self, File};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -15,6 +16,12 @@ use crate::message::MAX_EXTERNAL_MEMORIES;
 
 /// Name of the file in the folder of an external memory.
 pub const DESCRIPTION_FILE: &str = "description.json";
+
+/// Maximum length of the file, in bytes.
+pub const MAX_DESCRIPTION_BYTES: u64 = 64 << 10;
+
+/// Maximum length of each text of a description but its name, in bytes.
+pub const MAX_DESCRIPTION_TEXT: usize = 100;
 
 /// An external memory's description of itself.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -42,6 +49,9 @@ pub struct MemoryDescription {
     /// The SDK and its version.
     #[serde(default)]
     pub sdk: String,
+    /// The files that its code is in, with their hashes, so that changed code is known: any text. Empty: it does not tell.
+    #[serde(default)]
+    pub code: String,
 }
 
 /// The demonstrations that one instance of an external memory remembers.
@@ -85,8 +95,18 @@ impl MemoryDescription {
     /// When the file is missing or not the expected JSON, or a value is not valid.
     pub fn read(folder: &Path) -> Result<Self, AttachError> {
         let path = folder.join(DESCRIPTION_FILE);
-        let text = fs::read_to_string(&path)
-            .map_err(|cause| AttachError::File { path: path.clone(), cause })?;
+        let mut text = String::new();
+        let read = File::open(&path)
+            .and_then(|file| file.take(MAX_DESCRIPTION_BYTES + 1).read_to_string(&mut text));
+        let read = read.map_err(|cause| AttachError::File { path: path.clone(), cause })?;
+        if read as u64 > MAX_DESCRIPTION_BYTES {
+            let bytes = fs::metadata(&path).map_or(read as u64, |file| file.len());
+            return Err(AttachError::Value {
+                field: DESCRIPTION_FILE,
+                value: format!("a file of {bytes} bytes"),
+                expected: format!("at most {MAX_DESCRIPTION_BYTES}"),
+            });
+        }
         let description: Self =
             serde_json::from_str(&text).map_err(|cause| AttachError::Json { path, cause })?;
         description.check()?;
@@ -102,7 +122,7 @@ impl MemoryDescription {
         write_json(folder, DESCRIPTION_FILE, self)
     }
 
-    /// Checks the name, and that no pixels are expected where there are none.
+    /// Checks the name, the length of the other texts, and that no pixels are expected where there are none.
     ///
     /// # Errors
     /// When a value is not valid.
@@ -114,6 +134,16 @@ impl MemoryDescription {
                 expected: "false with the scope `all`: only memories of one case get pixels"
                     .to_owned(),
             });
+        }
+        for (field, text) in [("version", &self.version), ("sdk", &self.sdk), ("code", &self.code)]
+        {
+            if text.len() > MAX_DESCRIPTION_TEXT {
+                return Err(AttachError::Value {
+                    field,
+                    value: format!("a text of {} bytes", text.len()),
+                    expected: format!("at most {MAX_DESCRIPTION_TEXT}"),
+                });
+            }
         }
         let checked = self.name.parse::<ExternalName>();
         checked.map(drop).map_err(|error| AttachError::Value {
@@ -140,6 +170,7 @@ mod tests {
             deterministic: true,
             learns: true,
             sdk: "test".to_owned(),
+            code: "memory.py=0123456789abcdef".to_owned(),
         };
         description.write(folder.path()).unwrap();
         assert_eq!(MemoryDescription::read(folder.path()).unwrap(), description);
@@ -147,6 +178,12 @@ mod tests {
             let bad = MemoryDescription { name: name.to_owned(), ..description.clone() };
             assert!(bad.check().unwrap_err().to_string().starts_with("name is "), "{name}");
         }
+        let long = MemoryDescription { version: "1".repeat(101), ..description.clone() };
+        let error = long.check().unwrap_err().to_string();
+        assert_eq!(error, "version is a text of 101 bytes, but must be at most 100");
+        fs::write(folder.path().join(DESCRIPTION_FILE), " ".repeat(70_000)).unwrap();
+        let error = MemoryDescription::read(folder.path()).unwrap_err().to_string();
+        assert_eq!(error, "description.json is a file of 70000 bytes, but must be at most 65536");
         let newer = MemoryDescription { version: "2".to_owned(), ..description.clone() };
         assert_eq!(description.changes(&newer), "`version` was \"1\" and is \"2\"");
         assert_eq!(description.changes(&description), "");

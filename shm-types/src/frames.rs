@@ -155,6 +155,8 @@ pub struct FramePublisher {
     generation: u32,
     published: u64,
     consumers: usize,
+    /// Consumers without which a frame is not delivered.
+    required: usize,
 }
 
 impl FramePublisher {
@@ -183,6 +185,7 @@ impl FramePublisher {
             generation: attach.generation,
             published: 0,
             consumers: attach.count(&FRAME_CONSUMERS),
+            required: attach.count_required(&FRAME_CONSUMERS),
         })
     }
 
@@ -213,7 +216,7 @@ impl FramePublisher {
     /// Sends a slot to all consumers as a frame and returns its id. Ids grow by one and are never reused within a run.
     ///
     /// # Errors
-    /// When a consumer's queue is full or a consumer is missing.
+    /// When a consumer's queue is full or a consumer other than an external memory is missing.
     pub fn publish(
         &mut self,
         slot: FrameSlot,
@@ -223,7 +226,7 @@ impl FramePublisher {
         self.published += 1;
         let id = (u64::from(self.generation) << ID_BITS) | self.published;
         *sample.user_header_mut() = FrameHeader { id, width, height, content_hash };
-        delivered(FRAME_SERVICE, self.consumers, sample.send())?;
+        delivered(FRAME_SERVICE, self.required, sample.send())?;
         Ok(id)
     }
 }

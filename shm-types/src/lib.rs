@@ -44,6 +44,6 @@ pub use events::{Listener, Notifier};
 pub use frames::{Frame, FrameError, FramePublisher, FrameSlot, FrameStore};
 pub use handshake::FactsTooLong;
 pub use heartbeats::Heartbeats;
-pub use notes::{Note, NotePublisher, NoteReceiver};
+pub use notes::{Note, NotePublisher, NoteReceiver, NoteTooLong};
 pub use registry::RunDir;
 pub use spans::Spans;

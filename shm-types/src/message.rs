@@ -28,7 +28,7 @@ pub use counts::DecisionCounts;
 pub use parts::*;
 pub use pose::WirePose;
 pub use route::{Description, Message, Traffic};
-pub use text::{read_text, write_text};
+pub use text::{MAX_REASON_BYTES, read_text, shortened_reason, write_text};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
 pub const WIRE_VERSION: u32 = 10;

@@ -18,6 +18,16 @@ use crate::transport::{BusError, Ipc, delivered, receiver};
 /// First part of the name of the service that carries notes; the index of the external memory follows.
 pub const NOTE_SERVICE: &str = "note";
 
+/// A note is longer than a document can be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the texts of an answer have {bytes} bytes together, and at most {MAX_DOCUMENT_BYTES} can be sent"
+)]
+pub struct NoteTooLong {
+    /// Its bytes.
+    pub bytes: usize,
+}
+
 /// Bytes of a note for which shared memory is reserved from the start.
 const INITIAL_BYTES: usize = 4 << 10;
 
@@ -78,7 +88,7 @@ impl NotePublisher {
     /// Publishes the bytes of a note for an answer, and returns its id.
     ///
     /// # Errors
-    /// When it is too long, or memory does not receive it.
+    /// When it is longer than [`MAX_DOCUMENT_BYTES`], or memory does not receive it.
     pub fn publish(
         &mut self,
         lane: u32,
@@ -86,9 +96,22 @@ impl NotePublisher {
         bytes: &[u8],
     ) -> Result<DocumentId, BusError> {
         if bytes.len() > MAX_DOCUMENT_BYTES {
-            let cause = format!("{} bytes, and at most {MAX_DOCUMENT_BYTES} fit", bytes.len());
-            return Err(BusError::transport("publishing a note", cause));
+            let too_long = NoteTooLong { bytes: bytes.len() };
+            return Err(BusError::transport("publishing a note", too_long));
         }
+        self.publish_of_any_length(lane, episode, bytes)
+    }
+
+    /// As [`Self::publish`], without the check of the length: for programs that test what the host makes of it.
+    ///
+    /// # Errors
+    /// When memory does not receive it.
+    pub fn publish_of_any_length(
+        &mut self,
+        lane: u32,
+        episode: u64,
+        bytes: &[u8],
+    ) -> Result<DocumentId, BusError> {
         let loaned = self.publisher.loan_slice_uninit(bytes.len());
         let failed = |e: LoanError| BusError::transport("loaning a note", e);
         let mut sample = loaned.map_err(failed)?.write_from_slice(bytes);
@@ -105,8 +128,8 @@ impl NotePublisher {
 pub struct Note {
     /// Its id, episode and lane.
     pub header: NoteHeader,
-    /// Its bytes.
-    pub bytes: Vec<u8>,
+    /// Its bytes, unless there are too many.
+    pub bytes: Result<Vec<u8>, NoteTooLong>,
 }
 
 /// Receives the notes of one external memory; for memory.
@@ -127,7 +150,7 @@ impl NoteReceiver {
         Ok(Self { subscriber, most: bus.attach().queue_len(Traffic::Lanes) })
     }
 
-    /// The waiting notes, in order; at most as many as the queue holds. Those longer than a document are empty.
+    /// The waiting notes, in order; at most as many as the queue holds. The bytes of one that is too long are not copied.
     ///
     /// # Errors
     /// When the transport fails.
@@ -137,8 +160,10 @@ impl NoteReceiver {
             let sample = self.subscriber.receive();
             let sample = sample.map_err(|e| BusError::transport("receiving notes", e))?;
             let Some(sample) = sample else { break };
-            let bytes = Some(sample.payload()).filter(|bytes| bytes.len() <= MAX_DOCUMENT_BYTES);
-            let bytes = bytes.map_or_else(Vec::new, <[u8]>::to_vec);
+            let bytes = match sample.payload() {
+                bytes if bytes.len() <= MAX_DOCUMENT_BYTES => Ok(bytes.to_vec()),
+                bytes => Err(NoteTooLong { bytes: bytes.len() }),
+            };
             notes.push(Note { header: *sample.user_header(), bytes });
         }
         Ok(notes)

@@ -20,7 +20,7 @@ const WAITING_PER_WORKER: usize = 1;
 const WORKER_ENDED: &str = "a render worker has ended; its own message on standard error says why";
 
 /// The pixel of a blank frame, RGBA.
-const GREY: [u8; 4] = [128, 128, 128, 255];
+pub(crate) const GREY: [u8; 4] = [128, 128, 128, 255];
 
 /// A view and the slot that it is rendered into.
 #[derive(Debug)]

@@ -261,7 +261,8 @@ impl<'a> Simulator<'a> {
                 let pose = Pose::try_from(request.pose).map_err(|unknown| problem(&unknown))?;
                 let world =
                     self.lanes.standing(request.variant, pose).map_err(|bad| problem(&bad))?;
-                let view = self.with_same_pixels(FrameKey::WorldParts { world, pose }, rendering);
+                let view = self.control.view_for_memory(world, pose);
+                let view = self.with_same_pixels(view, rendering);
                 self.views.pin_for_memory(view);
                 let answer = PendingView::View(pose.into(), request.variant);
                 self.pending.push(Pending { view: Some(view), answer });

@@ -3,7 +3,9 @@
 use anyhow::{Context, Result, ensure};
 use domain::Pose;
 use png_file::RgbaImage;
+use warehouse::GREY_VARIANT;
 
+use crate::render_pool::GREY;
 use crate::renderer::{RenderSettings, Renderer, ViewSpec};
 use crate::worlds::{WorldParts, Worlds};
 
@@ -15,6 +17,7 @@ pub struct ViewSource {
     elsewhere: Option<Renderer>,
     /// The last image, and what it shows.
     last: Option<(WorldParts, Pose, RgbaImage)>,
+    grey: RgbaImage,
 }
 
 impl ViewSource {
@@ -24,18 +27,22 @@ impl ViewSource {
     /// When there is no such adapter, or frames of this size cannot be rendered.
     pub fn new(worlds: Worlds, settings: RenderSettings) -> Result<Self> {
         let (stocks, other) = worlds.halls();
+        let grey = RgbaImage::filled(settings.width_px, settings.height_px, GREY);
         let renderer = Renderer::with_stocks(stocks, settings.clone())?;
         let elsewhere = other.map(|other| Renderer::new(other, settings)).transpose()?;
-        Ok(Self { worlds, renderer, elsewhere, last: None })
+        Ok(Self { worlds, renderer, elsewhere, last: None, grey })
     }
 
-    /// Renders the view from `pose` in world variant `variant`. Variants that look the same from a pose are rendered once
+    /// Renders the view from `pose` in world variant `variant`; uniform grey for [`GREY_VARIANT`]. Variants that look the same from a pose are rendered once
     /// if they come one after another.
     ///
     /// # Errors
     /// When there is no such variant, the pose is not on free floor, or the device failed.
     pub fn render(&mut self, variant: u32, pose: Pose) -> Result<&RgbaImage> {
-        let Self { worlds, renderer, elsewhere, last } = self;
+        let Self { worlds, renderer, elsewhere, last, grey } = self;
+        if variant == GREY_VARIANT {
+            return Ok(grey);
+        }
         let world = worlds.variant(variant);
         let mut world = world.with_context(|| format!("there is no world variant {variant}"))?;
         let is_free = worlds.layout_of(world).is_free(pose.cell);
@@ -91,5 +98,6 @@ mod tests {
         assert_ne!(seen[0], seen[2]);
         let again = [(1, away), (0, away), (1, before), (0, before)].map(|(v, p)| image(v, p));
         assert!(again.iter().eq(seen.iter().rev()));
+        assert!(image(GREY_VARIANT, before).pixels().all(|pixel| pixel == GREY));
     }
 }

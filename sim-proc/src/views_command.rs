@@ -10,7 +10,7 @@ use crate::renderer::RenderSettings;
 use crate::view_source::ViewSource;
 use crate::worlds::WorldsArgs;
 
-/// Arguments of `sim-proc views`. Every line of stdin names a view: the number of a world variant and a pose, for example
+/// Arguments of `sim-proc views`. Every line of stdin names a view: the number of a world variant and a pose (for grey, that of no world), for example
 /// `0 3,12,N`. Its answer on stdout is width x height x 4 bytes: red, green, blue and alpha, row by row from the top left
 /// corner.
 #[derive(Debug, clap::Args)]

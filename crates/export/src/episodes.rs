@@ -58,7 +58,7 @@ pub(crate) struct Moments<'a> {
     pub(crate) instruction: String,
     /// Poses with the feedback on the action before: at the start, and after every step.
     pub(crate) poses: Vec<(Pose, Feedback)>,
-    /// The view of each of them.
+    /// The view that the policy was shown at each of them.
     pub(crate) views: Vec<ViewKey>,
     /// JPEG files.
     pub(crate) images: BTreeMap<ViewKey, Vec<u8>>,
@@ -106,8 +106,14 @@ impl Episodes {
                         Box::new(mcap::McapRecording::create(draft, &self.log, timing)?)
                     }
                     EpisodeFormat::Mp4 => {
-                        let policy = self.log.manifest.policy_label();
-                        Box::new(video::Video::create(draft, &policy.sentence("Policy"), timing)?)
+                        let manifest = &self.log.manifest;
+                        let comment = format!(
+                            "MemTransfer, run {}, frames {}. {}",
+                            self.log.name,
+                            manifest.settings.frames,
+                            manifest.policy_label().sentence("Policy")
+                        );
+                        Box::new(video::Video::create(draft, &comment, timing)?)
                     }
                 };
                 let written = || format!("cannot write {}", path.display());
@@ -127,7 +133,8 @@ impl Episodes {
         let state = self.world.state(record, case)?;
         let variant = self.world.variant(record, case_index);
         let poses = record.replay();
-        let views: Vec<ViewKey> = poses.iter().map(|(pose, _)| (variant, *pose)).collect();
+        let views: Vec<ViewKey> =
+            poses.iter().map(|(pose, _)| self.world.seen(variant, *pose)).collect();
         let distinct: Vec<ViewKey> =
             views.iter().copied().collect::<BTreeSet<_>>().into_iter().collect();
         let mut images = BTreeMap::new();

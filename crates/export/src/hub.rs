@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::{Result, bail};
+use results::conditions::Frames;
 use results::date::date;
 use results::log::RunLog;
 
@@ -57,18 +58,25 @@ pub fn write_results(
         true => out.to_owned(),
         false => out.join(format!("memtransfer-{}.yaml", entry.suite())),
     };
-    let text = yaml(&entry, log.began_unix_s(), dataset, source)?;
+    let frames = log.manifest.settings.frames;
+    let text = yaml(&entry, frames, log.began_unix_s(), dataset, source)?;
     write_text(&path, &text)?;
     Ok(path)
 }
 
-/// The id of a task: the suite and the condition, `rq1_episodic_new_unchanged_original`.
-fn task_id(entry: &Entry, score: &Score) -> String {
-    format!("{}_{}", entry.suite(), score.condition.replace('/', "_"))
+/// The id of a task: the suite and the condition, `rq1_episodic_new_unchanged_original`; in a control run the kind of its frames
+/// follows.
+fn task_id(entry: &Entry, score: &Score, frames: Frames) -> String {
+    let id = format!("{}_{}", entry.suite(), score.condition.replace('/', "_"));
+    match frames {
+        Frames::Rendered => id,
+        control => format!("{id}_frames-{control}"),
+    }
 }
 
 fn yaml(
     entry: &Entry,
+    frames: Frames,
     began: Option<u64>,
     dataset: &HubDataset,
     source: Option<&str>,
@@ -89,12 +97,15 @@ fn yaml(
             version.unwrap_or("of unknown version"),
             entry.policy.label()
         );
+        if frames != Frames::Rendered {
+            write!(notes, "; a control: frames {frames}")?;
+        }
         if let Some((low, high)) = figure.low.zip(figure.high) {
             write!(notes, "; 95 % interval {low:.1} to {high:.1}")?;
         }
         writeln!(text, "- dataset:")?;
         writeln!(text, "    id: {}", quoted(&dataset.0)?)?;
-        writeln!(text, "    task_id: {}", quoted(&task_id(entry, score))?)?;
+        writeln!(text, "    task_id: {}", quoted(&task_id(entry, score, frames))?)?;
         writeln!(text, "  value: {:.2}", figure.mean)?;
         if let Some(began) = began {
             writeln!(
@@ -143,6 +154,14 @@ mod tests {
             url: "team/\"x\""
           notes: "success rate in percent, n = 2 episodes; MemTransfer 1.2.3, protocol ID; policy grounded, scripted stand-in; 95 % interval 0.0 to 100.0"
         "#);
+        log.manifest.settings.frames = Frames::Blank;
+        let path = write_results(&log, &dataset, None, dir.path()).unwrap();
+        let text = std::fs::read_to_string(path).unwrap();
+        assert!(
+            text.contains("\"quick_episodic_original_unchanged_original_frames-blank\""),
+            "{text}"
+        );
+        assert!(text.contains("; a control: frames blank; 95 %"), "{text}");
         let condition = ("episodic/new/unchanged/original/learning".parse().unwrap(), 1);
         let streams = stream_log(
             sequence(condition, (0, Order::Drawn), &[(0, &["t01-01"])], 1, |_, _| true),

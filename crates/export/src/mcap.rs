@@ -2,7 +2,7 @@
 //!
 //! | topic | message |
 //! |---|---|
-//! | `/camera` | `foxglove.CompressedImage`: the view, as JPEG |
+//! | `/camera` | `foxglove.CompressedImage`: the view that the policy was shown, as JPEG |
 //! | `/tf` | `foxglove.FrameTransform`: `warehouse` to `agent` to `camera` |
 //! | `/pose` | `foxglove.PoseInFrame`: the agent in the warehouse |
 //! | `/events` | `foxglove.Log`: sub-goals, blocked moves, unreadable answers, why it failed |
@@ -112,6 +112,7 @@ impl McapRecording {
                 ("run", &log.name),
                 ("version", &log.manifest.version),
                 ("suite", settings.suite.word()),
+                ("frames", &settings.frames.to_string()),
                 ("policy", &log.manifest.policy_label().to_string()),
                 ("seed", &settings.seed.to_string()),
                 ("steps_per_second", &timing.steps_per_s.to_string()),

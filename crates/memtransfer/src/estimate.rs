@@ -133,7 +133,7 @@ impl Basis<'_> {
                 RETRIEVED_VIEW * u64::from(self.settings.hits * (1 + self.settings.horizon))
             }
             // At most, as everything about an external memory: what it supplies is not known in advance.
-            None => u64::from(self.settings.memory_text_bytes),
+            None => u64::from(self.settings.memory_text_budget()),
             Some(Trajectories::Whole) => {
                 let actions: u64 =
                     missing.iter().map(|episode| self.demonstrated(condition, episode)).sum();

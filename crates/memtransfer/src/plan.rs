@@ -95,7 +95,7 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
     let Some(documents) = run.documents(&options, &signals)? else {
         return Ok(stopped_before_episodes(&signals, BUILDING_DOCUMENTS));
     };
-    let mut manifest = run.manifest();
+    let mut manifest = run.manifest()?;
     manifest.documents = documents.facts();
     let mut plan = UnitPlan::new(manifest, args.unit_episodes);
     if let Some(store) = &args.store {

@@ -10,6 +10,7 @@ use domain::prompt_log::session_folder;
 use domain::representation::Trajectories;
 use domain::{cache_folder, shell_word};
 use orchestrator::budget::Budget;
+use orchestrator::command_files::command_files;
 use orchestrator::commit::program_commit;
 use orchestrator::documents::ReadyDocuments;
 use orchestrator::external_memory::{self, ExternalMemory, StartedMemories};
@@ -179,10 +180,13 @@ impl RunPlan {
     }
 
     /// The run's manifest.
-    pub(super) fn manifest(&self) -> Manifest {
+    pub(super) fn manifest(&self) -> Result<Manifest> {
         let mut hashes = self.world.hashes.clone();
         hashes.extend(self.streams.iter().map(|streams| (STREAMS_HASH.to_owned(), streams.hash())));
-        Manifest {
+        let memories = self.memories().iter();
+        let memories = memories.map(|memory| Ok((memory.name, memory.facts()?)));
+        let policy_cmd = self.settings.policy_cmd.as_deref();
+        Ok(Manifest {
             format: FORMAT,
             version: env!("CARGO_PKG_VERSION").to_owned(),
             wire_version: WIRE_VERSION,
@@ -191,12 +195,13 @@ impl RunPlan {
             hashes,
             tasks: self.tasks(),
             documents: BTreeMap::new(),
-            memories: self.memories().iter().map(|memory| (memory.name, memory.facts())).collect(),
+            memories: memories.collect::<Result<_>>()?,
+            policy_files: policy_cmd.map(command_files).transpose()?.unwrap_or_default(),
             prices: self.prices.clone(),
             episodes: self.episodes.len() as u32,
             unit: self.unit.clone(),
             processes: BTreeMap::new(),
-        }
+        })
     }
 
     /// The documents of the run, built if they are missing. `None` when a signal asked to stop.
@@ -235,7 +240,7 @@ impl RunPlan {
     fn execute_missing(&mut self, options: &RunOptions, signals: &Signals) -> Result<Executed> {
         let settings = self.settings.clone();
         RunFolder::check(&settings.out)?;
-        let mut manifest = self.manifest();
+        let mut manifest = self.manifest()?;
         let Some(documents) = self.documents(options, signals)? else {
             return Ok(Executed::Stopped(stopped_before_episodes(signals, BUILDING_DOCUMENTS)));
         };

@@ -134,7 +134,7 @@ fn unit_run(
     let Some(mut run) = RunPlan::new(settings, episodes, options, signals)? else {
         return Ok(None);
     };
-    check_machine(&run.manifest(), plan, args)?;
+    check_machine(&run.manifest()?, plan, args)?;
     check_documents(&run, plan)?;
     run.unit = Some(plan.unit_id(args.unit));
     Ok(Some(run))

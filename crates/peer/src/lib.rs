@@ -31,6 +31,7 @@
 pub mod connection;
 pub mod memory;
 pub mod policy;
+mod program_code;
 pub mod run;
 
 pub use connection::{Connection, Service, Session};

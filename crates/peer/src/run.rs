@@ -78,6 +78,9 @@ pub enum ServeError {
     /// The facts of the handshake are too long.
     #[error(transparent)]
     Facts(#[from] FactsTooLong),
+    /// The program's own file cannot be read, whose hash it has to tell.
+    #[error("cannot read this program's own file: {0}")]
+    OwnCode(io::Error),
     /// The prompt log cannot be created.
     #[error("{0}")]
     PromptLog(String),

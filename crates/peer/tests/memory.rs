@@ -19,6 +19,7 @@ use shm_types::message::{
     ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore, ExternalStored,
     FrameId, Handshake, ItemKind, Learning, NO_ACTION, NO_FRAME, NOT_MEASURED, Role, write_text,
 };
+use shm_types::notes::NoteHeader;
 use shm_types::{Attach, BankContent, Note};
 
 /// The index of the external memory.
@@ -29,6 +30,12 @@ struct Rig {
     rig: ExternalMemoryRig,
     handshake: Handshake,
     told: mpsc::Receiver<String>,
+}
+
+/// A note that is not too long.
+struct ReceivedNote {
+    header: NoteHeader,
+    bytes: Vec<u8>,
 }
 
 impl Rig {
@@ -99,8 +106,10 @@ impl Rig {
         self.rig.until(|neighbours| neighbours.answers.next().unwrap())
     }
 
-    fn note(&mut self) -> Note {
-        self.rig.until(|neighbours| neighbours.notes.drain().unwrap().pop())
+    fn note(&mut self) -> ReceivedNote {
+        let Note { header, bytes } =
+            self.rig.until(|neighbours| neighbours.notes.drain().unwrap().pop());
+        ReceivedNote { header, bytes: bytes.unwrap() }
     }
 
     fn error_report(&mut self) -> String {

@@ -29,7 +29,7 @@ pub struct ViewFormat {
     pub quality: u8,
 }
 
-/// What a view shows: the number of the world variant, and the pose.
+/// What a view shows: the number of the world variant, or [`GREY_VARIANT`](warehouse::GREY_VARIANT), and the pose.
 pub type ViewKey = (u32, Pose);
 
 /// `sim-proc views` as a child process. It ends when this is dropped.

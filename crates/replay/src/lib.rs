@@ -14,7 +14,20 @@ pub use world::RunWorld;
 use std::path::Path;
 
 use anyhow::Result;
+use results::conditions::Frames;
 use results::log::RunLog;
+
+/// What a reader of views must know about a run whose frames were a control.
+pub fn control_notice(frames: Frames) -> Option<String> {
+    let supplied = match frames {
+        Frames::Rendered => return None,
+        Frames::Blank | Frames::Swapped => "what memory supplied was left as it is",
+        Frames::BlankAll => "those of memory too, and memory supplied no texts",
+    };
+    Some(format!(
+        "The frames of this run are the control `{frames}`: views show what the policy was shown, not what is there; {supplied}."
+    ))
+}
 
 /// A run, and the worlds that it took place in.
 #[derive(Debug)]
@@ -40,7 +53,8 @@ impl RecordedRun {
         let differs = |name: &&str| log.manifest.hashes.get(*name) != hashes.get(*name);
         let changed: Vec<&str> =
             ["layout", "catalogue", "cases"].into_iter().filter(differs).collect();
-        let mut notices = Vec::new();
+        let mut notices: Vec<String> =
+            control_notice(log.manifest.settings.frames).into_iter().collect();
         if !changed.is_empty() {
             notices.push(format!(
                 "This program has another {} than the run had: maps, views and demonstrations may be others.",

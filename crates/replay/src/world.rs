@@ -1,18 +1,20 @@
 //! The worlds that the episodes of a run took place in.
 
-use std::cell::RefCell;
+use std::cell::{OnceCell, RefCell};
 use std::collections::BTreeMap;
 use std::fs;
 
 use anyhow::{Context, Result};
-use results::conditions::Route;
+use domain::Pose;
+use results::conditions::{Frames, Route};
 use results::log::{ELSEWHERE_FILE, ELSEWHERE_HASH, EpisodeRecord, RunLog, STREAMS_FILE};
 use warehouse::{
-    Case, CaseSet, ELSEWHERE_VARIANT, Elsewhere, Layout, StreamSet, Trajectory, Variant, Warehouse,
-    WorldState,
+    Case, CaseSet, ELSEWHERE_VARIANT, Elsewhere, GREY_VARIANT, Layout, StreamSet, SwappedPoses,
+    Trajectory, Variant, Warehouse, WorldState,
 };
 
 use crate::changes::changes;
+use crate::frames::ViewKey;
 
 /// The warehouse and the cases of a run, and its streams if it has any.
 #[derive(Debug)]
@@ -22,6 +24,9 @@ pub struct RunWorld {
     /// The cases.
     pub cases: CaseSet,
     streams: Option<StreamSet>,
+    /// What frames showed.
+    frames: Frames,
+    swapped: OnceCell<SwappedPoses>,
     /// Those of the streams.
     states: Vec<WorldState>,
     /// References in worlds of the streams, by world and case: planned when they are needed.
@@ -48,7 +53,15 @@ impl RunWorld {
         }
         let states = streams.as_ref().map(|set| set.states(&warehouse)).transpose()?;
         let states = states.unwrap_or_default();
-        Ok(Self { warehouse, cases, streams, states, references: RefCell::default() })
+        Ok(Self {
+            warehouse,
+            cases,
+            streams,
+            frames: log.manifest.settings.frames,
+            swapped: OnceCell::new(),
+            states,
+            references: RefCell::default(),
+        })
     }
 
     /// The states of its streams' worlds: world variants after those of the cases.
@@ -73,6 +86,42 @@ impl RunWorld {
             (Some(stream), Some(set), _) => set.variant(stream.world, self.cases.cases.len()),
             (_, _, Route::Blocked) => 1 + case as u32,
             (_, _, Route::Unchanged) => 0,
+        }
+    }
+
+    /// The view that the policy was shown at `pose` in the world variant `variant`: another one than the true one where frames
+    /// were a control.
+    pub fn seen(&self, variant: u32, pose: Pose) -> ViewKey {
+        match self.frames {
+            Frames::Rendered => (variant, pose),
+            Frames::Blank | Frames::BlankAll => (GREY_VARIANT, pose),
+            Frames::Swapped => {
+                let swapped =
+                    self.swapped.get_or_init(|| SwappedPoses::new(&self.warehouse.layout));
+                (variant, swapped.shown(&self.closed(variant), pose))
+            }
+        }
+    }
+
+    /// The view from `pose` in the world variant `variant` that memory was given.
+    pub fn supplied(&self, variant: u32, pose: Pose) -> ViewKey {
+        match self.frames {
+            Frames::BlankAll => (GREY_VARIANT, pose),
+            Frames::Rendered | Frames::Blank | Frames::Swapped => (variant, pose),
+        }
+    }
+
+    /// The closed passages of the world variant with this number.
+    fn closed(&self, variant: u32) -> Variant {
+        let Some(index) = variant.checked_sub(1).map(|index| index as usize) else {
+            return Variant::UNCHANGED;
+        };
+        match self.cases.cases.get(index) {
+            Some(case) => Variant::closing(case.barricade.iter().copied()),
+            None => {
+                let state = self.states.get(index - self.cases.cases.len());
+                state.map_or(Variant::UNCHANGED, |state| state.variant.clone())
+            }
         }
     }
 
@@ -113,7 +162,7 @@ impl RunWorld {
             return self.cases.elsewhere.as_ref().map(|elsewhere| &elsewhere.warehouse().layout);
         }
         let count = 1 + self.cases.cases.len() + self.states.len();
-        ((variant as usize) < count).then_some(&self.warehouse.layout)
+        (variant == GREY_VARIANT || (variant as usize) < count).then_some(&self.warehouse.layout)
     }
 
     /// The index of the drawing of the floor with the items of its world: 0 is the unchanged one.

@@ -56,7 +56,8 @@ named! {
         Jpeg = "jpeg",
     }
 
-    /// What observed frames show: the true view, or a control that proves that results come from pixels.
+    /// What frames show: the true view, or a control that proves that results come from pixels. What memory supplies is
+    /// replaced by the last one only.
     Frames, "kind of frames" {
         /// The true view.
         Rendered = "rendered",
@@ -64,6 +65,8 @@ named! {
         Blank = "blank",
         /// The view of another pose.
         Swapped = "swapped",
+        /// Uniform grey, in the views that memory supplies as well; and memory supplies no texts.
+        BlankAll = "blank-all",
     }
 }
 

@@ -76,9 +76,9 @@ pub enum LogError {
         /// What is wrong with it.
         problem: String,
     },
-    /// The folder holds a run with other settings.
+    /// The folder holds a run with other settings, or of other code.
     #[error(
-        "{} holds a run with other settings:\n{}\nUse the same settings to continue it, remove it to start over (as `run \
+        "{} holds a run with other settings or code:\n{}\nUse the same settings and code to continue it, remove it to start over (as `run \
          --fresh` does), or choose another --out",
         dir.display(), differences.iter().map(|d| format!("  {d}")).collect::<Vec<_>>().join("\n")
     )]

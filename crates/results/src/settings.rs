@@ -207,6 +207,14 @@ impl RunSettings {
         built_in.map_or(most, |one| one.images(self.horizon, self.hits, self.keyframes).min(most))
     }
 
+    /// Maximum number of bytes of text that a memory supplies at a step: none where what it supplies is blank.
+    pub fn memory_text_budget(&self) -> u32 {
+        match self.frames {
+            Frames::BlankAll => 0,
+            Frames::Rendered | Frames::Blank | Frames::Swapped => self.memory_text_bytes,
+        }
+    }
+
     /// Most images that a memory may supply at a step. By default no built-in memory has more.
     pub fn memory_image_budget(&self) -> u32 {
         let most_built_in = self.keyframes.max(self.hits * (1 + self.horizon));

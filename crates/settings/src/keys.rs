@@ -220,7 +220,8 @@ pub const KEYS: &[Key] = keys! {
     "frame-size" "PIXELS" Number(64, 4096, 64),
         "Width and height of a frame, a multiple of 64";
     "frames" "KIND" Text(parses::<Frames>),
-        "What frames show: rendered, or as a control blank (grey) or swapped (another pose)";
+        "What frames show: rendered, or as a control blank (grey) or swapped (another pose), which leave what \
+         memory supplies as it is, or blank-all (grey, also in memory's views; memory supplies no texts)";
     "plates" "on|off" Text(parses::<Drawn>),
         "Whether a coloured plate hangs above every item; grounded and the builders of documents read \
          nothing else";

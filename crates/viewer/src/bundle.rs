@@ -9,7 +9,7 @@ use domain::Pose;
 use replay::Selection;
 use replay::frames::ViewKey;
 use results::step_view::PromptLog;
-use warehouse::ELSEWHERE_VARIANT;
+use warehouse::{ELSEWHERE_VARIANT, GREY_VARIANT};
 
 use crate::data::image_hashes;
 use crate::site::{FRONT_END, File, RunPages, Site, folder_of, image};
@@ -151,7 +151,7 @@ impl BundleFolder<'_> {
         let mut views: BTreeSet<(Pose, u32)> = BTreeSet::new();
         for &ViewFile { view: (variant, pose), .. } in &wanted {
             views.insert((pose, variant));
-            if variant != ELSEWHERE_VARIANT {
+            if ![ELSEWHERE_VARIANT, GREY_VARIANT].contains(&variant) {
                 views.insert((pose, 0));
             }
         }

@@ -35,6 +35,7 @@ mod route;
 pub mod sight;
 mod state;
 pub mod stream;
+mod swapped;
 pub mod task;
 #[cfg(test)]
 mod testing;
@@ -56,6 +57,7 @@ pub use mixed::Overlap;
 pub use progress::Progress;
 pub use state::{StockChange, WorldChange, WorldChangeError, WorldState};
 pub use stream::{StreamError, StreamSet};
+pub use swapped::{GREY_VARIANT, SwappedPoses, every_pose};
 pub use task::{Phase, Task, TaskGroup};
 pub use validate::validate;
 pub use world::{CATALOGUE_FILE, Item, LAYOUT_FILE, Warehouse};

@@ -117,6 +117,22 @@ impl<I: Clone> Engine<I> {
         }
     }
 
+    /// An external memory has closed its queues.
+    pub fn external_left(&mut self, index: u8, now_ns: u64) {
+        self.externals.has_left(index, now_ns);
+    }
+
+    /// Fails the episodes of external memories that have left.
+    pub(super) fn fail_deserted(&mut self, now_ns: u64) {
+        for lane in 0..self.lanes.len() as u32 {
+            let running = self.lanes[lane as usize].running.as_ref();
+            let external = running.and_then(MemoryEpisode::external);
+            if let Some(why) = external.and_then(|(index, _)| self.externals.gone(index, now_ns)) {
+                self.fail(lane, why);
+            }
+        }
+    }
+
     fn fail_episode(&mut self, lane: u32, episode: u64, why: String) {
         let running = self.lanes.get(lane as usize).and_then(|lane| lane.running.as_ref());
         if running.is_some_and(|running| running.id == episode) {

@@ -241,7 +241,7 @@ impl Generation {
     /// The exit of a process, if one has exited: it is the cause of whatever else failed.
     ///
     /// A policy or an external memory closes its queues before its process ends. In between, the processes that could not
-    /// send to it seem to be the ones that failed.
+    /// send to it seem to be the ones that failed. A policy that has closed its queues and does not end is the cause, too.
     pub(super) fn root_cause(
         &mut self,
         options: &PipelineOptions,
@@ -259,6 +259,10 @@ impl Generation {
             let exit = self.children.exited();
             let was_killed = exit.is_some_and(|exit| exit.status.signal().is_some());
             let is_settled = !matches!(failure, Failure::Retry(_)) || !may_leave || was_killed;
+            if !is_settled && has_policy_left && Instant::now() >= deadline {
+                let left = "the policy process has closed its queues and has not ended";
+                return Failure::Policy(left.to_owned());
+            }
             if is_settled || Instant::now() >= deadline {
                 return failure;
             }

@@ -31,7 +31,13 @@ class Selected:
 
     def about(self) -> str:
         """Returns what the trajectories are, for the description of a data set."""
-        return f"Trajectories of a run of MemTransfer, policy {self.recording.policy_label}."
+        return f"Trajectories of a run of MemTransfer, policy {self.recording.policy_label}.{self.control}"
+
+    @property
+    def control(self) -> str:
+        """The control that the frames of the run are, in words to append; empty if they show what is there."""
+        frames = self.recording.manifest["settings"]["frames"]
+        return "" if frames == "rendered" else f" A control: frames {frames}."
 
     def playable(self) -> list[Trajectory]:
         """Those with at least one action."""

@@ -141,7 +141,7 @@ def _describe(mlc: Any, selected: Selected, folder: Path) -> Any:
     return mlc.Metadata(
         name="memtransfer-trajectories",
         description="Trajectories of agents in the simulated warehouse of MemTransfer, which is a grid of cells: "
-        f"policy {selected.recording.policy_label}, seed {settings['seed']}, recorded by version {manifest['version']}.",
+        f"policy {selected.recording.policy_label}, seed {settings['seed']}, recorded by version {manifest['version']}.{selected.control}",
         license=["https://spdx.org/licenses/MIT", "https://spdx.org/licenses/Apache-2.0"],
         version=manifest["version"],
         distribution=[file("trajectories.csv", "One row a trajectory."), file("steps.csv", "One row a step.")],

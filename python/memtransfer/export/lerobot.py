@@ -43,6 +43,7 @@ def write(selected: Selected, folder: Path) -> str:
     library("datasets", "lerobot").disable_progress_bars()
     lerobot = library("lerobot.datasets.lerobot_dataset", "lerobot")
     recording, trajectories = selected.recording, selected.playable()
+    frames_shown = recording.manifest["settings"]["frames"]
     frames = 0
     with new(folder) as partial:
         dataset = lerobot.LeRobotDataset.create(
@@ -50,7 +51,7 @@ def write(selected: Selected, folder: Path) -> str:
             root=partial,
             fps=STEPS_PER_SECOND,
             features=features(*recording.frame_size),
-            robot_type="memtransfer",
+            robot_type="memtransfer" + (f", frames {frames_shown}" if selected.control else ""),
         )
         for trajectory in progress("LeRobot", trajectories):
             views = recording.views(trajectory)

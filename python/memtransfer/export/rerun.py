@@ -105,6 +105,9 @@ def _log(rr: Any, pillow: Any, stream: Any, selected: Selected, trajectory: Traj
         stream.set_time(TIMELINE, sequence=step)
         stream.log(at("map", "path"), rr.LineStrips2D([path[: step + 1]], colors=[_PATH], radii=0.1))
 
+    if selected.control:
+        stream.set_time(TIMELINE, sequence=0)
+        stream.log(at("events"), rr.TextLog(selected.control.strip(), level="WARN"))
     for name, values in zip(("column", "row", "heading"), trajectory.poses.T):
         by_step(at("pose", name), rr.Scalars.columns(scalars=values.astype(np.float64)))
     for step, level, text in events(trajectory, selected.recording.policy_label):

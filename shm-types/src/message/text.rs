@@ -12,6 +12,19 @@ pub fn write_text(buffer: &mut [u8], text: &str) -> u32 {
     end as u32
 }
 
+/// Bytes that are kept of the reason for a failure.
+pub const MAX_REASON_BYTES: usize = 4096;
+
+/// The reason for a failure, cut at a character boundary where it is longer than [`MAX_REASON_BYTES`]; then the length of the
+/// whole follows.
+pub fn shortened_reason(reason: String) -> String {
+    if reason.len() <= MAX_REASON_BYTES {
+        return reason;
+    }
+    let start = &reason[..reason.floor_char_boundary(MAX_REASON_BYTES)];
+    format!("{start}... (cut: {} bytes in all, and {MAX_REASON_BYTES} are kept)", reason.len())
+}
+
 /// The text that the first `len` bytes of `buffer` hold.
 ///
 /// # Errors

@@ -5,7 +5,7 @@ use shm_types::banks::{BankDemonstration, BankStep, max_banks};
 use shm_types::message::{ExternalEpisode, Heartbeat, NO_FRAME, Role};
 use shm_types::notes::NoteHeader;
 use shm_types::{
-    Attach, BankContent, BankPublisher, BankReceiver, Bus, NotePublisher, NoteReceiver,
+    Attach, BankContent, BankPublisher, BankReceiver, Bus, NotePublisher, NoteReceiver, NoteTooLong,
 };
 
 use crate::common::{LONG, Run, bus, run};
@@ -112,6 +112,13 @@ fn notes_arrive_with_their_lane_and_episode() {
     let headers: Vec<NoteHeader> = notes.iter().map(|note| note.header).collect();
     let header = |id, episode, lane| NoteHeader { id, episode, lane, reserved: 0 };
     assert_eq!(headers, [header(ids[0], 7, 1), header(ids[1], 9, 3)]);
-    assert_eq!(notes[0].bytes.len(), 16_000);
-    assert!(publisher.publish(0, 0, &vec![0; (16 << 20) + 1]).is_err());
+    assert_eq!(notes[0].bytes.as_ref().map(Vec::len), Ok(16_000));
+
+    let long = vec![0; (16 << 20) + 1];
+    let refused = publisher.publish(0, 0, &long).unwrap_err().to_string();
+    let expected = "have 16777217 bytes together, and at most 16777216 can be sent";
+    assert!(refused.ends_with(expected), "{refused}");
+    publisher.publish_of_any_length(0, 0, &long).unwrap();
+    let received = receiver.drain().unwrap().remove(0).bytes;
+    assert_eq!(received, Err(NoteTooLong { bytes: long.len() }));
 }

@@ -232,8 +232,8 @@ fn an_episode_longer_than_the_store_evicts_and_memory_stays_bounded() {
 }
 
 #[test]
-fn controls_change_what_lanes_see_and_not_what_memory_gets() {
-    for control in [FrameControl::Blank, FrameControl::Swapped] {
+fn controls_change_what_lanes_see_and_only_one_what_memory_gets() {
+    for control in [FrameControl::Blank, FrameControl::Swapped, FrameControl::BlankAll] {
         let mut sim = simulator(|attach| attach.frame_control = control);
         let poses = poses();
         let mut shown = BTreeSet::new();
@@ -242,13 +242,17 @@ fn controls_change_what_lanes_see_and_not_what_memory_gets() {
             assert_eq!(seen.pose, pose.into());
             let pixel = shown_code(&mut sim, seen.frame);
             assert_ne!(pixel, code(&Variant::UNCHANGED, pose));
-            assert_eq!(pixel == [128, 128, 128, 255], control == FrameControl::Blank);
+            assert_eq!(pixel == [128, 128, 128, 255], control != FrameControl::Swapped);
             shown.insert(seen.frame);
             sim.pin(pose);
             let view = sim.view();
-            assert_eq!(shown_code(&mut sim, view.frame), code(&Variant::UNCHANGED, pose));
+            let supplied = shown_code(&mut sim, view.frame);
+            match control {
+                FrameControl::BlankAll => assert_eq!(supplied, [128, 128, 128, 255]),
+                _ => assert_eq!(supplied, code(&Variant::UNCHANGED, pose)),
+            }
         }
-        assert_eq!(shown.len() == 1, control == FrameControl::Blank, "one grey frame for all");
+        assert_eq!(shown.len() == 1, control != FrameControl::Swapped, "one grey frame for all");
         sim.stop();
     }
 }

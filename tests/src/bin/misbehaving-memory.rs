@@ -1,6 +1,7 @@
 //! An external memory for tests with one fault, named by its argument; `well-behaved` has none.
 //!
-//! The SDK prevents most of the faults, so this uses the bus directly.
+//! The SDK prevents most of the faults, so this uses the bus directly. A fault in one episode has the episode's instruction as
+//! second argument; with `sdk-` before its name, it is committed through the SDK.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -11,6 +12,8 @@ use std::time::Duration;
 use anyhow::{Context, bail, ensure};
 use bytemuck::Zeroable;
 use domain::Feedback;
+use peer::memory::{Memory, MemoryError, MemoryItem, Method, Query};
+use serde_json::json;
 use shm_types::description::run_of_memory_folder;
 use shm_types::message::{
     AnswerItem, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore,
@@ -30,12 +33,29 @@ const TEXT: &str = "Zurück zum Tor.";
 const LEARNING: [&str; 4] =
     ["saves-nothing", "saves-the-time", "loads-nothing", "learns-from-evaluations"];
 
+/// Bytes of a text that is too long to be sent.
+const HUGE: usize = 17_000_000;
+
+/// The step at which a fault in one episode occurs.
+const FAULTY_STEP: u32 = 3;
+
 /// Text of a query that cannot be answered.
 const UNUSABLE: &str = "the query cannot be used";
 
 fn main() -> anyhow::Result<()> {
     let mode = std::env::args().nth(1).context("usage: misbehaving-memory FAULT")?;
+    let victim = std::env::args().nth(2).unwrap_or_default();
     let folder = PathBuf::from(std::env::var_os(ATTACH_VARIABLE).context(ATTACH_VARIABLE)?);
+    if let Some(fault) = mode.strip_prefix("sdk-") {
+        let description = MemoryDescription {
+            name: mode.clone(),
+            deterministic: true,
+            ..MemoryDescription::default()
+        };
+        let (fault, victim) = (fault.to_owned(), victim);
+        let create = move || FaultyMemory { fault: fault.clone(), victim: victim.clone() };
+        return Ok(peer::memory::serve(&Method::new(description, create), &folder)?);
+    }
     if mode == "leaves-a-lock" {
         let lock = fs::File::create_new(folder.join("my.lock"));
         lock.unwrap_or_else(|_| fail("I run already"));
@@ -43,7 +63,28 @@ fn main() -> anyhow::Result<()> {
     describe(&mode, &folder)?;
     let (run, index) = run_of_memory_folder(&folder).context("not the folder of a memory")?;
     let attach = wait_for_run(&mode, run)?;
-    serve(&mode, attach, index)
+    serve(&mode, &victim, attach, index)
+}
+
+/// A memory with the SDK that is at fault in the episodes with the instruction `victim`.
+struct FaultyMemory {
+    fault: String,
+    victim: String,
+}
+
+impl Memory for FaultyMemory {
+    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<MemoryItem>, MemoryError> {
+        if query.instruction != self.victim || query.now.step != FAULTY_STEP {
+            return Ok(Vec::new());
+        }
+        match self.fault.as_str() {
+            "huge-text" => {
+                Ok(vec![MemoryItem::Text { text: "x".repeat(HUGE).into(), sources: Vec::new() }])
+            }
+            "huge-reason" => Err(MemoryError::new("x".repeat(HUGE))),
+            fault => fail(&format!("there is no fault {fault} with the SDK")),
+        }
+    }
 }
 
 fn fail(why: &str) -> ! {
@@ -62,6 +103,12 @@ fn describe(mode: &str, folder: &Path) -> anyhow::Result<()> {
     };
     match mode {
         "undescribed" => {}
+        "huge-description" => {
+            let text = json!({ "name": mode, "version": "1".repeat(HUGE) }).to_string();
+            let draft = folder.join("draft.json");
+            fs::write(&draft, text)?;
+            fs::rename(draft, folder.join("description.json"))?;
+        }
         "nameless" => {
             let text = r#"{"name": "My Memory", "version": "1"}"#;
             // Renamed, so that it is read whole.
@@ -109,11 +156,12 @@ struct Episode {
     budgets: (u32, u32),
     is_over: bool,
     is_valid: bool,
+    is_victim: bool,
     bank: u64,
     learns: bool,
 }
 
-fn serve(mode: &str, attach: Attach, index: u8) -> anyhow::Result<()> {
+fn serve(mode: &str, victim: &str, attach: Attach, index: u8) -> anyhow::Result<()> {
     let watch = ProcessWatch::new(attach.orchestrator_pid)?;
     let lanes = attach.lanes;
     let bus = Bus::join_external_memory(attach, index)?;
@@ -167,7 +215,7 @@ fn serve(mode: &str, attach: Attach, index: u8) -> anyhow::Result<()> {
             let message = ExternalBuilt { bank: id, ..Zeroable::zeroed() };
             let reason = why_not(mode, &bank);
             let failure = match reason {
-                Some(why) => notes.publish(u32::MAX, 0, why.as_bytes())?,
+                Some(why) => notes.publish_of_any_length(u32::MAX, 0, why.as_bytes())?,
                 None => 0,
             };
             match mode {
@@ -203,6 +251,7 @@ fn serve(mode: &str, attach: Attach, index: u8) -> anyhow::Result<()> {
                     continue;
                 }
                 let instruction = read_text(&message.instruction, message.instruction_len);
+                let is_victim = instruction.as_ref().is_ok_and(|text| *text == victim);
                 let is_ascii = instruction.as_ref().is_ok_and(|text| text.is_ascii());
                 if mode == "ascii" && !is_ascii {
                     fail("I read ASCII only");
@@ -212,8 +261,15 @@ fn serve(mode: &str, attach: Attach, index: u8) -> anyhow::Result<()> {
                 let budgets = (image_budget, text_budget);
                 let learns = message.learning == Learning::Learns as u32
                     || mode == "learns-from-evaluations";
-                let begun =
-                    Episode { id: episode, budgets, is_over: false, is_valid, bank, learns };
+                let begun = Episode {
+                    id: episode,
+                    budgets,
+                    is_over: false,
+                    is_valid,
+                    is_victim,
+                    bank,
+                    learns,
+                };
                 episodes.insert(lane, begun);
             }
             // A lane whose next episode is announced awaits no answer.
@@ -224,6 +280,7 @@ fn serve(mode: &str, attach: Attach, index: u8) -> anyhow::Result<()> {
                 budgets: (0, 0),
                 is_over: false,
                 is_valid: true,
+                is_victim: false,
                 bank: 0,
                 learns: false,
             };
@@ -269,6 +326,19 @@ fn serve(mode: &str, attach: Attach, index: u8) -> anyhow::Result<()> {
                 usual.failed = 1;
             } else if mode == "fails" {
                 usual.failed = 1;
+            } else if running.is_victim && step == FAULTY_STEP && mode.starts_with("huge-") {
+                note = vec![b'x'; HUGE];
+                let bytes = HUGE as u32;
+                usual.failed = u32::from(mode == "huge-reason");
+                usual.items[0] =
+                    AnswerItem { kind: ItemKind::Text as u8, bytes, ..Zeroable::zeroed() };
+                usual.items_len = u32::from(mode == "huge-text");
+            } else if running.is_victim && step == FAULTY_STEP && mode == "leaves" {
+                drop((bank_queue, episode_queue, query_queue, stops, frames, notes, built));
+                drop((stores, stored, answers, errors, orchestrator, host, bus));
+                loop {
+                    thread::sleep(Duration::from_secs(1));
+                }
             } else {
                 let nothing = AnswerItem { distance: f32::NAN, ..Zeroable::zeroed() };
                 let bytes = note.len() as u32;
@@ -310,7 +380,7 @@ fn serve(mode: &str, attach: Attach, index: u8) -> anyhow::Result<()> {
             }
             let note_lane = if mode == "wrong-note" { lane + 1 } else { lane };
             if lane < lanes {
-                usual.note = notes.publish(note_lane, episode, &note)?;
+                usual.note = notes.publish_of_any_length(note_lane, episode, &note)?;
             }
             usual.sent_ns = if mode == "no-times" { 0 } else { monotonic_ns() };
             let sent = match mode {
@@ -375,15 +445,17 @@ fn serve(mode: &str, attach: Attach, index: u8) -> anyhow::Result<()> {
 }
 
 /// Why a memory with this fault cannot be built from a bank.
-fn why_not(mode: &str, bank: &Bank) -> Option<&'static str> {
+fn why_not(mode: &str, bank: &Bank) -> Option<String> {
     let demonstrations = bank.demonstrations();
     let first = bank.instruction(&demonstrations[0]);
     let is_mixed =
         demonstrations.iter().any(|demonstration| bank.instruction(demonstration) != first);
-    match mode {
-        "cannot-build" => Some("I have no idea"),
-        "small" if demonstrations.len() > 100 => Some("too many demonstrations"),
-        "one-task" if is_mixed && demonstrations.len() < 100 => Some("demonstrations of two tasks"),
-        _ => None,
-    }
+    let why = match mode {
+        "cannot-build" => "I have no idea",
+        "small" if demonstrations.len() > 100 => "too many demonstrations",
+        "one-task" if is_mixed && demonstrations.len() < 100 => "demonstrations of two tasks",
+        "huge-build" => return Some("x".repeat(HUGE)),
+        _ => return None,
+    };
+    Some(why.to_owned())
 }

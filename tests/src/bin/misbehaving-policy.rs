@@ -1,7 +1,7 @@
 //! A policy for tests with one fault, named by its argument.
 //!
-//! `crash-on TEXT` and `silent-on TEXT` fail in the episodes whose instruction is TEXT. The other faults are those
-//! that the SDK prevents, so they use the bus directly.
+//! `crash-on TEXT` and `silent-on TEXT` fail in the episodes whose instruction is TEXT, and `long-name` has a name that does
+//! not fit into a message. The other faults are those that the SDK prevents, so they use the bus directly.
 
 #![expect(clippy::unwrap_used, reason = "a policy for tests may end by panicking")]
 
@@ -32,7 +32,25 @@ fn main() {
                 std::process::exit(2);
             }
         }
+        ("long-name", _) => {
+            let error = serve_from_environment(&mut LongName("x".repeat(17_000_000)));
+            eprintln!("misbehaving-policy: {}", error.unwrap_err());
+            std::process::exit(2);
+        }
         (mode, _) => raw(mode),
+    }
+}
+
+/// A policy with a long name.
+struct LongName(String);
+
+impl peer::Policy for LongName {
+    fn name(&self) -> &str {
+        &self.0
+    }
+
+    fn act(&mut self, _: &[peer::Request<'_>]) -> Vec<peer::Decision> {
+        Vec::new()
     }
 }
 
@@ -86,11 +104,11 @@ fn raw(mode: &str) {
     let watch = ProcessWatch::new(attach.orchestrator_pid).unwrap();
     let bus = Bus::join(attach, Role::Policy).unwrap();
     let configs = bus.receiver::<PolicyEpisodeConfig>().unwrap();
-    let observations = bus.receiver::<Observation>().unwrap();
-    let recalls = bus.receiver::<Recall>().unwrap();
+    let observation_queue = bus.receiver::<Observation>().unwrap();
+    let recall_queue = bus.receiver::<Recall>().unwrap();
     let stops = bus.receiver::<Stop>().unwrap();
     let mut frames = FrameStore::new(&bus).unwrap();
-    let _documents = shm_types::DocumentStore::new(&bus).unwrap();
+    let documents = shm_types::DocumentStore::new(&bus).unwrap();
     let decisions = bus.sender::<Decision>().unwrap();
     let orchestrator = bus.notifier(Role::Orchestrator).unwrap();
     if mode != "no-handshake" {
@@ -105,7 +123,8 @@ fn raw(mode: &str) {
     let mut lanes: BTreeMap<u32, Lane> = BTreeMap::new();
     let mut answered = 0;
     loop {
-        let (recalls, observations) = (recalls.drain().unwrap(), observations.drain().unwrap());
+        let (recalls, observations) =
+            (recall_queue.drain().unwrap(), observation_queue.drain().unwrap());
         for PolicyEpisodeConfig { lane, episode, .. } in configs.drain().unwrap() {
             lanes.insert(lane, Lane { episode, ..Lane::default() });
         }
@@ -173,6 +192,14 @@ fn raw(mode: &str) {
                 "garbage" => vec![Decision { outcome: 77, ..usual }],
                 "twice" => vec![usual; 2],
                 "flood" => vec![usual; 5000],
+                // It closes its queues, and does not end.
+                "leaves" if answered == 20 => {
+                    drop((configs, observation_queue, stops, frames, documents, decisions));
+                    drop((orchestrator, recall_queue, bus));
+                    loop {
+                        std::thread::sleep(Duration::from_secs(1));
+                    }
+                }
                 "crash" if answered == 20 => {
                     eprintln!("I am no good at this");
                     std::process::abort();

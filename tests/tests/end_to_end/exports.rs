@@ -4,8 +4,13 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
+use domain::prompt_log::RecordedItem;
 use memtransfer_tests::browser::Browser;
-use memtransfer_tests::{Bench, Ended, needs, repository};
+use memtransfer_tests::{Bench, Ended, needs, program, repository};
+use png_file::RgbaImage;
+use replay::RecordedRun;
+use replay::frames::{ViewFormat, ViewProgram, ViewRenderer, world_arguments};
+use results::step_view::{RecordedPrompt, look_up};
 use serde_json::{Value, json};
 
 /// A small run of `policy` with `memory` in the folder `out`, of at most `steps` steps an episode.
@@ -172,4 +177,81 @@ fn a_leaderboard_is_sorted_and_filtered_in_a_browser_and_keeps_protocols_apart()
     assert_eq!(browser.problems(), [""; 0]);
     let nothing = bench.run(&["leaderboard", "x"]).expect(2);
     assert!(nothing.stderr.contains("cannot read x"), "{}", nothing.stderr);
+}
+
+/// What the prompt log has of every step of a short run with this control: the view that the policy was shown, and the view that
+/// is exported.
+fn shown_and_exported(bench: &Bench, frames: &str) -> Vec<(RecordedPrompt, RgbaImage, RgbaImage)> {
+    let mut args = vec!["run", "--cases", "t03-02", "--memory", "full-context,summary"];
+    args.extend(["--starts", "new", "--policy", "grounded", "--max-steps", "6", "--log-prompts"]);
+    args.extend(["--frame-size", "64", "--frames", frames, "--out", frames]);
+    bench.run(&args).expect(0);
+    let RecordedRun { log, world, .. } = RecordedRun::read(&bench.out(frames)).unwrap();
+    let program =
+        ViewProgram { path: program("sim-proc"), variable: ("MEMTRANSFER_TEST", "views") };
+    let format = ViewFormat { edge: 64, quality: 90 };
+    let mut renderer = ViewRenderer::start(&program, &world_arguments(&log), format).unwrap();
+    let mut steps = Vec::new();
+    for record in &log.episodes {
+        let variant = world.variant(record, world.case(record).unwrap().0);
+        for step in 0..record.steps {
+            let shown = look_up(&log, record, step).unwrap();
+            let prompt = shown.prompt.unwrap();
+            let seen = RgbaImage::read(&prompt.images[&prompt.entry.request.frame]).unwrap();
+            let mut exported = RgbaImage::filled(64, 64, [0; 4]);
+            let view = [world.seen(variant, shown.logged.pose)];
+            let copy = |_, pixels: &[u8]| {
+                exported.as_bytes_mut().copy_from_slice(pixels);
+                Ok(())
+            };
+            renderer.render_pixels(&view, copy).unwrap();
+            steps.push((prompt, seen, exported));
+        }
+    }
+    assert!(steps.len() >= 6, "{} steps", steps.len());
+    steps
+}
+
+#[test]
+fn exports_of_a_control_show_what_the_policy_was_shown() {
+    let bench = Bench::new();
+    let grey = RgbaImage::filled(64, 64, [128, 128, 128, 255]);
+    let mut rendered = Vec::new();
+    for frames in ["rendered", "blank", "swapped", "blank-all"] {
+        let steps = shown_and_exported(&bench, frames);
+        let (mut supplied, mut texts) = (Vec::new(), 0);
+        for (prompt, seen, exported) in &steps {
+            assert!(seen == exported, "{frames}: another view is exported");
+            assert_eq!(*seen == grey, frames.starts_with("blank"), "{frames}");
+            for item in &prompt.entry.request.items {
+                match item {
+                    RecordedItem::Text { .. } => texts += 1,
+                    RecordedItem::Trajectory(hash) => supplied.extend(
+                        prompt.trajectory(hash).iter().filter_map(|step| step.frame.clone()),
+                    ),
+                    _ => {}
+                }
+            }
+            for hash in supplied.drain(..) {
+                let image = RgbaImage::read(&prompt.images[&hash]).unwrap();
+                assert_eq!(image == grey, frames == "blank-all", "{frames}: a view of memory");
+            }
+        }
+        assert_eq!(texts > 0, frames != "blank-all", "{frames}: {texts} texts");
+        let first = steps[0].1.clone();
+        assert_eq!(rendered.contains(&first), frames == "blank-all", "{frames}");
+        rendered.push(first);
+        let notice = bench.run(&["score", frames]).expect(0).stdout;
+        assert_eq!(notice.contains("Control: "), frames != "rendered", "{notice}");
+    }
+    // One is never continued with another.
+    let mut args = vec!["run", "--cases", "t03-02", "--memory", "full-context,summary"];
+    args.extend(["--starts", "new", "--policy", "grounded", "--max-steps", "6", "--log-prompts"]);
+    args.extend(["--frame-size", "64", "--frames", "blank-all", "--out", "blank"]);
+    let refused = bench.run(&args).expect(2).stderr;
+    assert!(refused.contains(r#"frames: "blank" there, "blank-all" now"#), "{refused}");
+    let args = ["export", "blank", "--format", "mcap", "--episodes", "1", "--out", "x.mcap"];
+    let exported = bench.run(&args).expect(0);
+    assert!(exported.stderr.contains("are the control `blank`"), "{}", exported.stderr);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
 }

@@ -180,3 +180,148 @@ fn a_fault_in_one_episode_costs_that_episode_only() {
     }
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
+
+/// The arguments of a run of six short episodes without a memory, and six with the memory of `command`.
+fn with_memory<'a>(out: &'a str, command: &'a str, lanes: &'a str) -> Vec<&'a str> {
+    let cases = "t01-01,t02-02,t03-02,t05-03,t07-04,t09-05";
+    let mut args = vec!["run", "--suite", "quick", "--cases", cases, "--memory", "working"];
+    args.extend(["--starts", "original", "--max-steps", "20", "--frame-size", "64"]);
+    args.extend(["--policy", "random", "--lanes", lanes, "--out", out, "--memory-cmd", command]);
+    args
+}
+
+/// The command of a memory with a fault in the episodes of case t03-02.
+fn faulty_memory(fault: &str) -> String {
+    let victim = instruction("t03-02").replace('\'', r"'\''");
+    format!("{} {fault} '{victim}'", program("misbehaving-memory").display())
+}
+
+/// The episodes of a run that ended without a result, and why.
+fn errors(run: &Path) -> Vec<String> {
+    let errors = std::fs::read_to_string(run.join("errors.jsonl")).unwrap_or_default();
+    errors.lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn what_is_too_long_costs_its_own_episode_and_no_other() {
+    let bench = Bench::new();
+    let too_long = "17000000 bytes together, and at most 16777216 can be sent";
+    for (fault, said) in [
+        ("huge-text", too_long),
+        ("huge-reason", too_long),
+        ("sdk-huge-text", too_long),
+        ("sdk-huge-reason", "xxxx"),
+    ] {
+        let command = faulty_memory(fault);
+        let ended = bench.run(&with_memory(fault, &command, "6")).expect(1);
+        let out = bench.out(fault);
+        let [error] = &errors(&out)[..] else { panic!("{fault}: {}", ended.stderr) };
+        assert!(error.contains("t03-02") && error.contains(said), "{fault}: {error}");
+        assert!(error.len() < 4096, "{fault}: {} bytes", error.len());
+        assert_eq!(sorted_log(&out).len(), 11, "{fault}: {}", ended.stderr);
+        assert!(!ended.stderr.contains("starting again"), "{fault}: {}", ended.stderr);
+        // Neither does a log repeat it.
+        for log in std::fs::read_dir(out.join("logs")).unwrap() {
+            let log = log.unwrap();
+            assert!(log.metadata().unwrap().len() < 100_000, "{fault}: {:?}", log.path());
+        }
+    }
+    let command = faulty_memory("huge-build");
+    bench.run(&with_memory("huge-build", &command, "6")).expect(1);
+    let errors = errors(&bench.out("huge-build"));
+    assert_eq!(errors.len(), 6, "{errors:?}");
+    assert!(errors.iter().all(|error| error.contains(too_long)), "{errors:?}");
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn what_is_too_long_at_the_start_is_refused_with_size_and_limit() {
+    let bench = Bench::new();
+    let command = faulty_memory("huge-description");
+    let refused = bench.run(&with_memory("description", &command, "6")).expect(2).stderr;
+    let said = "description.json is a file of 17000040 bytes, but must be at most 65536";
+    assert!(refused.contains(said), "{refused}");
+    let policy = format!("{} long-name", program("misbehaving-policy").display());
+    let refused = bench.run(&slice("name", "4", &["--policy-cmd", &policy])).expect(2).stderr;
+    // The facts that the SDK adds count as well.
+    let said = ["the facts of the policy's handshake have 170000", " bytes of JSON, and 492 fit"];
+    assert!(said.iter().all(|said| refused.contains(said)), "{refused}");
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn a_program_that_closes_its_queues_and_does_not_end_is_named() {
+    let bench = Bench::new();
+    // Its other episodes may have to wait for it as well.
+    let command = faulty_memory("leaves");
+    let ended = bench.run(&with_memory("memory", &command, "6")).expect(1);
+    let out = bench.out("memory");
+    let errors = errors(&out);
+    assert!(!errors.is_empty() && errors.len() <= 6, "{errors:?}");
+    let said = "external memory leaves has closed its queues, and its process has not ended";
+    assert!(errors.iter().all(|error| error.contains(said)), "{errors:?}");
+    assert!(!ended.stderr.contains("sim process"), "{}", ended.stderr);
+    let finished = sorted_log(&out);
+    let of_others = finished.iter().filter(|line| line.contains("\"working\"")).count();
+    assert_eq!(of_others, 6, "{}", ended.stderr);
+
+    let policy = format!("{} leaves", program("misbehaving-policy").display());
+    let ended = bench.run(&slice("policy", "4", &["--policy-cmd", &policy, "--step-timeout", "5"]));
+    let said = "the policy process has closed its queues and has not ended";
+    assert!(ended.stderr.contains(said), "{}", ended.stderr);
+    assert!(!ended.stderr.contains("the sim process ended"), "{}", ended.stderr);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn changed_code_is_refused_as_another_version_is() {
+    let bench = Bench::new();
+    let refused = |args: &[&str], difference: &str| {
+        let refused = bench.run(args).expect(2).stderr;
+        assert!(refused.contains(difference), "{refused}");
+        assert!(refused.contains("Use the same settings and code to continue it"), "{refused}");
+    };
+    // A compiled program, which is named by its path.
+    let memory = bench.out("my-memory");
+    std::fs::copy(program("misbehaving-memory"), &memory).unwrap();
+    let command = "./my-memory well-behaved";
+    let args = with_memory("memory", command, "4");
+    bench.run(&args).expect(0);
+    bench.run(&args).expect(0);
+    let changed = [std::fs::read(&memory).unwrap(), vec![0]].concat();
+    std::fs::write(&memory, changed).unwrap();
+    refused(&args, "file ./my-memory of memory well-behaved: ");
+    bench.run(&[&args[..], &["--fresh"]].concat()).expect(0);
+
+    // The same, where the SDK tells it: the command names another file.
+    let sdk = bench.out("sdk-memory");
+    std::fs::copy(program("misbehaving-memory"), &sdk).unwrap();
+    std::fs::write(bench.out("start"), format!("exec {} sdk-huge-text none\n", sdk.display()))
+        .unwrap();
+    let args = with_memory("sdk", "sh start", "4");
+    bench.run(&args).expect(0);
+    let changed = [std::fs::read(&sdk).unwrap(), vec![0]].concat();
+    std::fs::write(&sdk, changed).unwrap();
+    refused(&args, r#"code of memory sdk-huge-text: "sdk-memory="#);
+
+    // A script of a policy; and what its SDK tells when it has started.
+    let script = bench.out("policy.sh");
+    let policy = bench.out("my-policy");
+    std::fs::copy(program("misbehaving-policy"), &policy).unwrap();
+    let text = format!("exec {} crash-on nothing\n", policy.display());
+    std::fs::write(&script, &text).unwrap();
+    let args = |limit| {
+        let mut args = vec!["run", "--memory", "working", "--starts", "original", "--limit", limit];
+        args.extend(["--max-steps", "5", "--policy-cmd", "sh policy.sh", "--out", "policy"]);
+        args
+    };
+    bench.run(&args("1")).expect(0);
+    std::fs::write(&script, format!("# Changed.\n{text}")).unwrap();
+    refused(&args("2"), "file policy.sh of the policy: ");
+    std::fs::write(&script, &text).unwrap();
+    bench.run(&args("2")).expect(0);
+    let changed = [std::fs::read(&policy).unwrap(), vec![0]].concat();
+    std::fs::write(&policy, changed).unwrap();
+    refused(&args("3"), r#"code of the policy: my-policy="#);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}

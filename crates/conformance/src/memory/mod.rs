@@ -202,7 +202,10 @@ impl MemoryRole {
         let note = self.notes.remove(&NO_LANE).filter(|note| note.header.id == failure);
         let missing =
             || format!("(note {failure} with the reason was not published, with lane {NO_LANE})");
-        let text = |note: Note| String::from_utf8_lossy(&note.bytes).into_owned();
+        let text = |note: Note| match note.bytes {
+            Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
+            Err(too_long) => format!("({too_long})"),
+        };
         (failure != 0).then(|| note.map_or_else(missing, text))
     }
 
@@ -218,7 +221,7 @@ impl MemoryRole {
                 "it names note {id}, and the last note of its lane is note {} of episode {}",
                 note.header.id, note.header.episode
             )),
-            Some(note) => Ok(note.bytes),
+            Some(note) => note.bytes.map_err(|too_long| too_long.to_string()),
         }
     }
 

@@ -86,7 +86,7 @@ fn finished(plan: &RunPlan, documents: &RunDocuments) -> Result<Vec<EpisodeRecor
     if log.episodes.is_empty() {
         return Ok(Vec::new());
     }
-    let mut manifest = plan.manifest();
+    let mut manifest = plan.manifest()?;
     manifest.documents = documents.facts_now();
     let differences = manifest.differences(&log.manifest);
     if !differences.is_empty() {

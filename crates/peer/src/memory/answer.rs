@@ -1,6 +1,8 @@
 //! The answer of an external memory as a message and a note.
 
 use bytemuck::Zeroable;
+use shm_types::NoteTooLong;
+use shm_types::documents::MAX_DOCUMENT_BYTES;
 use shm_types::message::{
     AnswerItem, AnswerSource, ExternalAnswer, ItemKind, MAX_ITEMS, MAX_SOURCES, NOT_MEASURED,
 };
@@ -33,7 +35,7 @@ impl UnsentAnswer {
     /// These items.
     ///
     /// # Errors
-    /// When there are too many.
+    /// When there are too many, or their texts are too long.
     pub(super) fn of(items: &[MemoryItem]) -> Result<Self, MemoryError> {
         if items.len() > MAX_ITEMS {
             let count = items.len();
@@ -47,7 +49,10 @@ impl UnsentAnswer {
             answer.message.items[number as usize] = wire;
         }
         answer.message.items_len = items.len() as u32;
-        Ok(answer)
+        match answer.note.len() {
+            bytes if bytes > MAX_DOCUMENT_BYTES => Err(MemoryError::new(NoteTooLong { bytes })),
+            _ => Ok(answer),
+        }
     }
 
     fn item(&mut self, number: u32, item: &MemoryItem) -> Result<AnswerItem, MemoryError> {

@@ -6,7 +6,8 @@ use super::Memory;
 
 /// Makes memories.
 pub trait MemoryMethod {
-    /// What the method is called and needs. [`MemoryDescription::sdk`] is filled in if it is empty.
+    /// What the method is called and needs. [`MemoryDescription::sdk`] and [`MemoryDescription::code`] are
+    /// filled in if they are empty.
     fn describe(&self) -> MemoryDescription;
 
     /// A memory for one bank.

@@ -21,6 +21,7 @@ use std::path::Path;
 
 pub use shm_types::MemoryDescription;
 pub use shm_types::description::Scope;
+use shm_types::message::shortened_reason;
 
 pub use self::items::{MemoryItem, Source, Views};
 pub use self::method::{MemoryMethod, Method};
@@ -108,7 +109,7 @@ pub trait Memory {
     }
 }
 
-/// Why a memory cannot be built or cannot answer.
+/// Why a memory cannot be built or cannot answer. A long reason is cut: see [`MAX_REASON_BYTES`](shm_types::message::MAX_REASON_BYTES).
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct MemoryError(String);
@@ -116,12 +117,12 @@ pub struct MemoryError(String);
 impl MemoryError {
     /// An error with this text.
     pub fn new(what: impl std::fmt::Display) -> Self {
-        Self(what.to_string())
+        Self(shortened_reason(what.to_string()))
     }
 }
 
 impl From<String> for MemoryError {
     fn from(what: String) -> Self {
-        Self(what)
+        Self(shortened_reason(what))
     }
 }

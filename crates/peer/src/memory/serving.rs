@@ -11,6 +11,7 @@ use shm_types::{Attach, AttachError, Bus, BusError, MemoryDescription, registry}
 
 use super::{MemoryMethod, session};
 use crate::connection::{Connection, Service};
+use crate::program_code::own_code;
 use crate::run::{ServeError, folder_from_environment, serve_role};
 
 /// How often to look for `attach.json`.
@@ -38,6 +39,9 @@ pub fn serve(method: &dyn MemoryMethod, folder: &Path) -> Result<(), ServeError>
     let mut description = method.describe();
     if description.sdk.is_empty() {
         description.sdk = concat!("peer ", env!("CARGO_PKG_VERSION")).to_owned();
+    }
+    if description.code.is_empty() {
+        description.code = own_code().map_err(ServeError::OwnCode)?;
     }
     description.write(&folder).map_err(BusError::from)?;
     wait_for_run(run)?;

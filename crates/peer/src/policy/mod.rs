@@ -20,6 +20,7 @@ pub use self::request::{
     TextView, Usage,
 };
 use crate::connection::{Connection, Service};
+use crate::program_code::own_code;
 use crate::run::{ServeError, folder_from_environment, serve_role};
 
 /// A policy that decides at once.
@@ -106,12 +107,15 @@ impl<P: Policy + ?Sized> Decider for P {
     }
 }
 
-/// Serves `policy` in the run that `MEMTRANSFER_ATTACH` names, as [`serve`] does.
+/// Serves `policy` in the run that `MEMTRANSFER_ATTACH` names, as [`serve`] does. Its facts have `code`, the hash of the program's
+/// file, unless it tells another: a run is not continued with another program.
 ///
 /// # Errors
 /// As [`serve`], and when the variable is not set.
 pub fn serve_from_environment(policy: &mut (impl Decider + ?Sized)) -> Result<(), ServeError> {
-    serve(policy, &folder_from_environment(Role::Policy)?)
+    let folder = folder_from_environment(Role::Policy)?;
+    let code = Some(own_code().map_err(ServeError::OwnCode)?);
+    serve_role(&mut PolicyService { policy, code }, &folder)
 }
 
 /// Serves `policy` in the run whose folder is `folder` until the orchestrator sends a stop message, as
@@ -120,12 +124,17 @@ pub fn serve_from_environment(policy: &mut (impl Decider + ?Sized)) -> Result<()
 /// # Errors
 /// As [`serve_role`].
 pub fn serve(policy: &mut (impl Decider + ?Sized), folder: &Path) -> Result<(), ServeError> {
-    serve_role(&mut PolicyService { policy }, folder)
+    serve_role(&mut PolicyService { policy, code: None }, folder)
 }
+
+/// The fact that tells a program's code.
+const CODE: &str = "code";
 
 /// A policy as a [`Service`].
 struct PolicyService<'p, P: ?Sized> {
     policy: &'p mut P,
+    /// The hash of the program's file, if it is to be told.
+    code: Option<String>,
 }
 
 impl<P: Decider + ?Sized> Service for PolicyService<'_, P> {
@@ -138,7 +147,13 @@ impl<P: Decider + ?Sized> Service for PolicyService<'_, P> {
 
     fn facts(&self) -> Vec<(&str, String)> {
         let name = ("policy", self.policy.name().to_owned());
-        std::iter::once(name).chain(self.policy.facts()).collect()
+        let mut facts: Vec<_> = std::iter::once(name).chain(self.policy.facts()).collect();
+        if let Some(code) = &self.code
+            && facts.iter().all(|(fact, _)| *fact != CODE)
+        {
+            facts.push((CODE, code.clone()));
+        }
+        facts
     }
 
     fn start<'s>(&'s mut self, connection: &Connection) -> Result<Self::Session<'s>, ServeError> {

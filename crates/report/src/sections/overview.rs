@@ -53,8 +53,14 @@ fn standing(manifest: &Manifest) -> Vec<String> {
     }
     match settings.frames {
         Frames::Rendered => {}
+        Frames::BlankAll => lines.push(
+            "Control: all frames were blank, those of memory too, and memory supplied no texts. Compare with a run on \
+             rendered frames, not with the paper."
+                .to_owned(),
+        ),
         control => lines.push(format!(
-            "Control: observed frames were {control}. Compare with a run on rendered frames, not with the paper."
+            "Control: observed frames were {control}; the views and texts that memory supplied were left as they are. \
+             Compare with a run on rendered frames, not with the paper."
         )),
     }
     let appearance = settings.appearance();

@@ -14,9 +14,10 @@ use super::files::{
     TIMINGS_FILE,
 };
 use super::journal::unchecked;
+use super::manifest::{CODE, CODE_OF_POLICY, POLICY};
 use super::{
-    EpisodeError, EpisodeRecord, EpisodeTimings, Journal, LogError, Manifest, RequestRecord,
-    SessionEvent, SessionRecord, damaged_file, system,
+    Difference, EpisodeError, EpisodeRecord, EpisodeTimings, Journal, LogError, Manifest,
+    RequestRecord, SessionEvent, SessionRecord, damaged_file, system,
 };
 use crate::latency::LatencyRecord;
 
@@ -253,7 +254,7 @@ impl RunFolder {
     /// from the recorded ones.
     ///
     /// # Errors
-    /// When an operation of the system fails.
+    /// When the policy tells other code than when the run began; when an operation of the system fails.
     pub fn introduce(
         &mut self,
         processes: BTreeMap<String, BTreeMap<String, String>>,
@@ -264,6 +265,15 @@ impl RunFolder {
             return Ok(Vec::new());
         }
         let mut changes = Vec::new();
+        let code = processes.get(POLICY).and_then(|facts| facts.get(CODE));
+        if let (Some(here), Some(there)) = (code, self.manifest.policy_code())
+            && here != there
+        {
+            let key = CODE_OF_POLICY.to_owned();
+            let difference = Difference { key, there: there.to_owned(), here: here.clone() };
+            let (dir, differences) = (self.dir.clone(), vec![difference]);
+            return Err(LogError::OtherSettings { dir, differences });
+        }
         for (role, then) in &self.manifest.processes {
             // A memory that was left out has no process.
             let Some(now) = processes.get(role) else { continue };

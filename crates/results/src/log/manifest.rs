@@ -46,6 +46,9 @@ pub struct Manifest {
     /// The external memories, by name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub memories: BTreeMap<ExternalName, ExternalMemoryFacts>,
+    /// The files that the policy's command names, with their BLAKE3 hashes; empty in the manifests of earlier versions.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub policy_files: BTreeMap<String, String>,
     /// The prices of the model's tokens, if they were given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prices: Option<ModelPrices>,
@@ -107,6 +110,13 @@ pub struct ExternalMemoryFacts {
     pub learns: bool,
     /// Its SDK and that one's version.
     pub sdk: String,
+    /// The files that its code is in, with their hashes, as it tells them; empty if it does not, and in the manifests of earlier
+    /// versions.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub code: String,
+    /// The files that its command names, with their BLAKE3 hashes; empty in the manifests of earlier versions.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub files: BTreeMap<String, String>,
 }
 
 /// A key in which two manifests differ.
@@ -124,6 +134,28 @@ impl fmt::Display for Difference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}: {} there, {} now", self.key, self.there, self.here)
     }
+}
+
+/// The role of the policy among the processes, and the fact that tells its code.
+pub(super) const POLICY: &str = "policy";
+pub(super) const CODE: &str = "code";
+
+/// The key of the policy's code among the [differences](Manifest::differences).
+pub(super) const CODE_OF_POLICY: &str = "code of the policy";
+
+/// Hexadecimal digits of a file's hash that a message shows.
+const SHOWN_DIGITS: usize = 16;
+
+/// The files that both have and whose hashes differ, with the hashes.
+fn changed_files<'a>(
+    ours: &'a BTreeMap<String, String>,
+    theirs: &'a BTreeMap<String, String>,
+) -> impl Iterator<Item = (&'a String, &'a str, &'a str)> {
+    let short = |hash: &'a String| hash.get(..SHOWN_DIGITS).unwrap_or(hash);
+    ours.iter().filter_map(move |(file, hash)| {
+        let other = theirs.get(file).filter(|other| *other != hash)?;
+        Some((file, short(hash), short(other)))
+    })
 }
 
 /// The key of a hash among the [differences](Manifest::differences).
@@ -175,6 +207,11 @@ impl Manifest {
         self.processes.get("policy")?.get("policy").map(String::as_str)
     }
 
+    /// The files that the policy's code is in, with their hashes, as it tells them; `None` if it does not.
+    pub fn policy_code(&self) -> Option<&str> {
+        self.processes.get(POLICY)?.get(CODE).map(String::as_str)
+    }
+
     /// The keys whose values make an episode of one run differ from the same episode of the other. Which episodes a run
     /// has is not among them: a run can grow.
     pub fn differences(&self, there: &Self) -> Vec<Difference> {
@@ -205,6 +242,26 @@ impl Manifest {
             if let (Some(ours), Some(theirs)) = (&memory.command, &other.command) {
                 here.insert(format!("command of memory {name}"), ours.clone().into());
                 of_there.insert(format!("command of memory {name}"), theirs.clone().into());
+            }
+            for (file, ours, theirs) in changed_files(&memory.files, &other.files) {
+                here.insert(format!("file {file} of memory {name}"), ours.into());
+                of_there.insert(format!("file {file} of memory {name}"), theirs.into());
+            }
+            // One that tells it as the SDK of an earlier version did is not another.
+            if !memory.code.is_empty() && !other.code.is_empty() {
+                here.insert(format!("code of memory {name}"), memory.code.clone().into());
+                of_there.insert(format!("code of memory {name}"), other.code.clone().into());
+            }
+        }
+        // Another policy is another setting; this is the code of the same one.
+        if self.settings.policy_cmd == there.settings.policy_cmd {
+            for (file, ours, theirs) in changed_files(&self.policy_files, &there.policy_files) {
+                here.insert(format!("file {file} of the policy"), ours.into());
+                of_there.insert(format!("file {file} of the policy"), theirs.into());
+            }
+            if let (Some(ours), Some(theirs)) = (self.policy_code(), there.policy_code()) {
+                here.insert(CODE_OF_POLICY.to_owned(), ours.into());
+                of_there.insert(CODE_OF_POLICY.to_owned(), theirs.into());
             }
         }
         // A run can grow by demonstrations in another warehouse.

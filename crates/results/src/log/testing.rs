@@ -28,6 +28,7 @@ pub fn manifest() -> Manifest {
         tasks: BTreeMap::new(),
         documents: BTreeMap::new(),
         memories: BTreeMap::new(),
+        policy_files: BTreeMap::new(),
         prices: None,
         episodes: 4,
         unit: None,
@@ -239,6 +240,8 @@ pub fn external_memory(version: &str) -> ExternalMemoryFacts {
         deterministic: true,
         learns: false,
         sdk: "memtransfer 1".to_owned(),
+        code: String::new(),
+        files: BTreeMap::new(),
     }
 }
 

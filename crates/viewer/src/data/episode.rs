@@ -77,7 +77,7 @@ pub struct EpisodeData {
     supplied: Vec<Vec<Supplied>>,
     /// What leads into a closed cell of what memory supplied when the agent tried to enter one.
     led: Option<LedData>,
-    /// By step: the file of the view. Empty where there are none.
+    /// By step: the file of the view that the policy was shown. Empty where there are none.
     views: Vec<String>,
     facts: Vec<(&'static str, String)>,
     /// Mean microseconds of a step by stage.
@@ -211,7 +211,8 @@ impl EpisodeData {
         let mut demonstrations: Vec<DemonstrationData> =
             memory.found.into_iter().map(|(_, demonstration)| demonstration).collect();
         for one in &mut demonstrations {
-            one.views = view_names(one.variant, &one.at, true);
+            let views = one.at.iter().map(|pose| world.supplied(one.variant, *pose));
+            one.views = views.map(|view| ViewFile { view, is_small: true }.name()).collect();
         }
         let variant = world.variant(record, case_index);
         Ok(Self {
@@ -252,7 +253,11 @@ impl EpisodeData {
             led: led(horizon, record, &state, &demonstrations, &supplied),
             demonstrations,
             supplied,
-            views: view_names(variant, &poses, false),
+            views: poses
+                .iter()
+                .map(|pose| world.seen(variant, *pose))
+                .map(|view| ViewFile { view, is_small: false }.name())
+                .collect(),
             facts: facts(record),
             stages: stages.unwrap_or_default(),
             requests: episode.requests.iter().map(|request| request_data(request)).collect(),
@@ -454,10 +459,6 @@ fn led(
         let enters = enters(demonstration, from, horizon)?;
         Some(LedData { demonstration, from: Some(from), enters })
     })
-}
-
-fn view_names(variant: u32, poses: &[Pose], is_small: bool) -> Vec<String> {
-    poses.iter().map(|pose| ViewFile { view: (variant, *pose), is_small }.name()).collect()
 }
 
 fn facts(record: &EpisodeRecord) -> Vec<(&'static str, String)> {

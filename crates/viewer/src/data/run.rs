@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use domain::{Action, Feedback};
 use replay::RunWorld;
-use results::conditions::{Condition, Frames};
+use results::conditions::Condition;
 use results::log::{EpisodeRecord, RunLog};
 use results::score::Failure;
 use serde::Serialize;
@@ -157,12 +157,6 @@ fn notices(log: &RunLog) -> Vec<String> {
     let policy = log.manifest.policy_label();
     if policy.role.is_some() {
         notices.push(policy.sentence("Policy"));
-    }
-    match log.manifest.settings.frames {
-        Frames::Rendered => {}
-        control => notices.push(format!(
-            "The frames of this run are the control `{control}`: the policy did not see the views shown here."
-        )),
     }
     if !log.damaged.is_empty() {
         notices.push(format!(

@@ -119,7 +119,7 @@ impl ExternalRig {
 
     fn note(&mut self, id: u64, lane: u32, episode: u64, bytes: &[u8]) {
         let header = NoteHeader { id, episode, lane, reserved: 0 };
-        self.rig.engine.external_note(2, Note { header, bytes: bytes.to_vec() }).unwrap();
+        self.rig.engine.external_note(2, Note { header, bytes: Ok(bytes.to_vec()) }).unwrap();
     }
 
     /// What the failed episodes of the last calls failed for.
@@ -558,7 +558,7 @@ fn another_external_memory_cannot_answer_and_a_second_answer_is_refused() {
     let why = "external memory test, step 0: it answers step 0, and the last question was step 1";
     assert_eq!(rig.failures(), [(7, why.to_owned())]);
     let header = NoteHeader { id: 1, episode: 7, lane: 2, reserved: 0 };
-    let note = Note { header, bytes: Vec::new() };
+    let note = Note { header, bytes: Ok(Vec::new()) };
     let error = rig.rig.engine.external_note(2, note).unwrap_err().to_string();
     assert_eq!(error, "note of external memory test: lane 2 of 2");
 }

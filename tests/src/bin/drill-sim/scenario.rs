@@ -169,11 +169,13 @@ impl Scenario {
     }
 
     /// The run's manifest.
-    pub(crate) fn manifest(&self) -> Manifest {
+    pub(crate) fn manifest(&self) -> Result<Manifest> {
         let mut hashes = self.selected.world.hashes.clone();
         let streams = self.selected.streams.iter();
         hashes.extend(streams.map(|streams| (STREAMS_HASH.to_owned(), streams.hash())));
-        Manifest {
+        let memories = self.memories.iter();
+        let memories = memories.map(|memory| Ok((memory.name, memory.facts()?)));
+        Ok(Manifest {
             format: FORMAT,
             version: env!("CARGO_PKG_VERSION").to_owned(),
             wire_version: WIRE_VERSION,
@@ -182,11 +184,12 @@ impl Scenario {
             hashes,
             tasks: BTreeMap::new(),
             documents: BTreeMap::new(),
-            memories: self.memories.iter().map(|memory| (memory.name, memory.facts())).collect(),
+            memories: memories.collect::<Result<_>>()?,
+            policy_files: BTreeMap::new(),
             prices: None,
             episodes: self.episodes.len() as u32,
             unit: None,
             processes: BTreeMap::new(),
-        }
+        })
     }
 }

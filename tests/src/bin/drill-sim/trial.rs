@@ -203,7 +203,7 @@ fn session(
         let keys = scenario.episodes.iter().map(|episode| episode.key.to_string()).collect();
         RunLog::read(&settings.out)?.check_planned(&keys)?;
     }
-    let manifest = scenario.manifest();
+    let manifest = scenario.manifest()?;
     let opened = RunFolder::open(&settings.out, manifest, false)?;
     let Opened { mut folder, finished, requests, .. } = opened;
     if let Some(streams) = streams {

@@ -175,11 +175,11 @@ fn another_run_is_not_touched() {
     let error = open(other).unwrap_err().to_string();
     let error = error.replace(&dir.path().display().to_string(), "DIR");
     insta::assert_snapshot!(error, @r#"
-    DIR holds a run with other settings:
+    DIR holds a run with other settings or code:
       adapter: not set there, "processor" now
       contents of layout: "00" there, "ff" now
       seed: 1 there, 8 now
-    Use the same settings to continue it, remove it to start over (as `run --fresh` does), or choose another --out
+    Use the same settings and code to continue it, remove it to start over (as `run --fresh` does), or choose another --out
     "#);
 }
 
@@ -289,6 +289,23 @@ fn an_external_memory_is_the_same_when_a_run_goes_on() {
     let changed = with("top-3", facts("2")).unwrap_err().to_string();
     let lines: Vec<&str> = changed.lines().filter(|line| line.starts_with("  ")).collect();
     assert_eq!(lines, [r#"  version of memory top-3: "1" there, "2" now"#]);
+    let with_code = |code: &str, hash: &str| ExternalMemoryFacts {
+        code: code.to_owned(),
+        files: [("mine.py".to_owned(), hash.to_owned())].into(),
+        ..facts("1")
+    };
+    // Episodes of before are not known to have other code.
+    drop(with("top-3", with_code("base.py=1", "a")).unwrap());
+    let changed = with("top-3", with_code("base.py=2", "b")).unwrap_err().to_string();
+    let lines: Vec<&str> = changed.lines().filter(|line| line.starts_with("  ")).collect();
+    assert_eq!(
+        lines,
+        [
+            r#"  code of memory top-3: "base.py=1" there, "base.py=2" now"#,
+            r#"  file mine.py of memory top-3: "a" there, "b" now"#
+        ]
+    );
+    assert!(changed.contains("Use the same settings and code"), "{changed}");
     let other = ExternalMemoryFacts { command: Some("python other.py".to_owned()), ..facts("1") };
     let changed = with("top-3", other).unwrap_err().to_string();
     assert!(changed.contains("command of memory top-3: "), "{changed}");
