@@ -94,6 +94,11 @@ impl HttpClient {
         &self.endpoint
     }
 
+    /// The dialect of the server, as far as its refusals show.
+    pub(crate) fn dialect(&self) -> Dialect {
+        Dialect(self.dialect.load(Ordering::Relaxed))
+    }
+
     /// Sends a request once and waits for the answer until `deadline` has passed. A server that refuses an optional
     /// field is asked again at once without it.
     pub(crate) fn attempt(
@@ -102,7 +107,7 @@ impl HttpClient {
         deadline: Duration,
     ) -> Result<ChatReply, AttemptError> {
         loop {
-            let dialect = Dialect(self.dialect.load(Ordering::Relaxed));
+            let dialect = self.dialect();
             match self.send(dialect, request, deadline)? {
                 SendOutcome::Reply(reply) => return Ok(*reply),
                 // Each bit is set once, so this ends.

@@ -3,6 +3,7 @@
 use domain::{
     Action, Feedback, Heading, Outcome, Representation,
     codes::{CodeSet, Codes},
+    outcome,
 };
 use shm_types::attach::{
     ATTACH_FILE, MAX_FRAMES, MAX_LANES, MAX_LOANED_FRAMES, MAX_ROOT_BYTES, PAGE_BYTES,
@@ -43,10 +44,11 @@ pub(crate) const CARRIED: [Struct; 5] = [
     NoteHeader::LAYOUT,
 ];
 
-/// Every enum with codes: first those of the agent's world, then those of messages.
+/// Every enum with codes: first those of the agent's world, then those that the log shares, then those of messages.
 pub(crate) fn code_sets() -> Vec<CodeSet> {
     let agent = [Action::CODES, Feedback::CODES, Heading::CODES, Representation::CODES];
-    agent.into_iter().chain(CODE_SETS.iter().copied()).collect()
+    let shared = outcome::CODE_SETS.iter().chain(CODE_SETS).copied();
+    agent.into_iter().chain(shared).collect()
 }
 
 /// The words for a member of a code set in prompts, files and logs, if it has any.

@@ -6,7 +6,7 @@ use domain::{Action, Feedback};
 use replay::RunWorld;
 use results::conditions::{Condition, Frames};
 use results::log::{EpisodeRecord, RunLog};
-use results::score::Failure;
+use results::score::{Failure, WithoutAction};
 use serde::Serialize;
 use warehouse::map::MEASURES;
 use warehouse::{Case, Task, TaskGroup};
@@ -164,6 +164,8 @@ fn notices(log: &RunLog) -> Vec<String> {
             "The frames of this run are the control `{control}`: the policy did not see the views shown here."
         )),
     }
+    let model = log.manifest.settings.model.as_ref();
+    notices.extend(WithoutAction::of_run(log).map(|silent| silent.described(model)));
     if !log.damaged.is_empty() {
         notices.push(format!(
             "{} damaged lines of the log are left out, the first: {}.",
