@@ -220,16 +220,9 @@ fn answers_without_an_action_have_different_outcomes() {
         (6, Outcome::Acted),
     ];
     assert_eq!(outcomes, expected.map(|(lane, outcome)| (lane, outcome as u8)));
-    // The latest of the facts that the manifest gets.
-    let facts = [
-        r#"{"answers":"restricted, as far as replies show","reasoning":"off, as far as replies show"}"#,
-        r#"{"answers":"free text","reasoning":"off, as far as replies show"}"#,
-    ];
-    let mut learned = bench.learned_facts();
-    if learned == facts[0] {
-        learned = bench.learned_facts();
-    }
-    assert_eq!(learned, facts[1]);
+    // Once all have answered, the facts for the manifest are these, whatever the order of the replies.
+    let last = r#"{"answers":"free text","reasoning":"off, as far as replies show"}"#;
+    while bench.learned_facts() != last {}
     // A refused request does not count against the model.
     let (report, text) = bench.error_report();
     assert_eq!((report.kind, report.lane), (ErrorReportKind::Episode as u32, 5));

@@ -245,7 +245,11 @@ impl ServerProbe<'_> {
             ),
         };
         self.found("answers", mark, about);
-        let (mark, about) = if reply.reasoned {
+        let (mark, about) = if matches!(&reply.content, ReplyContent::Length(text) if text.is_empty())
+            && !reply.reasoned
+        {
+            (ProbeMark::Doubtful, "not known, because no text came".to_owned())
+        } else if reply.reasoned {
             (
                 ProbeMark::Bad,
                 "the model reasons although every request turns reasoning off, and has few tokens for its answer: turn \

@@ -9,6 +9,8 @@ use serde_json::Value;
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct InForce {
     reasoned: bool,
+    /// A reply had a whole text.
+    has_text: bool,
     /// An answer was none of the choices.
     unrestricted: bool,
     /// Fields that a server has refused.
@@ -27,6 +29,7 @@ impl InForce {
     ) -> Option<Vec<(&'static str, String)>> {
         self.reasoned |= reply.reasoned;
         if let ReplyContent::Text(text) = &reply.content {
+            self.has_text = true;
             self.unrestricted |= !is_choice(text);
         }
         self.refused = refused;
@@ -41,6 +44,9 @@ impl InForce {
         if self.unrestricted || CONSTRAINTS.iter().all(|field| self.refused.contains(field)) {
             return format!("free text{refused}");
         }
+        if !self.has_text {
+            return format!("no reply shows whether they are restricted{refused}");
+        }
         format!("restricted, as far as replies show{refused}")
     }
 
@@ -48,8 +54,11 @@ impl InForce {
         let refused = self.refused(false);
         if self.reasoned {
             format!("on: replies show it, although it was asked to be off{refused}")
-        } else {
+        } else if self.has_text {
             format!("off, as far as replies show{refused}")
+        } else {
+            // An answer that was cut off before its first word may have been reasoning that the server does not show.
+            format!("no reply shows whether it is off{refused}")
         }
     }
 
@@ -96,6 +105,15 @@ mod tests {
     #[test]
     fn the_facts_follow_from_replies_and_refusals() {
         let said = |text: &str| reply(ReplyContent::Text(text.to_owned()), false);
+        let mut cut_off_only = InForce::default();
+        let unknown = cut_off_only.add(&reply(ReplyContent::Length(String::new()), false), vec![]);
+        assert_eq!(
+            unknown.unwrap(),
+            [
+                ("answers", "no reply shows whether they are restricted".to_owned()),
+                ("reasoning", "no reply shows whether it is off".to_owned()),
+            ]
+        );
         let mut in_force = InForce::default();
         let first = in_force.add(&said("move forward"), vec![]);
         assert_eq!(
