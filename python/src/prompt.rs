@@ -202,7 +202,8 @@ pub(crate) fn read_answer<'py>(
 ) -> PyResult<Option<Bound<'py, PyAny>>> {
     let classes = Classes::get(py)?;
     let text = lossy(text)?;
-    let read = if cut_off { prompt::read_cut_off_answer(&text) } else { prompt::read_answer(&text) };
+    let read =
+        if cut_off { prompt::read_cut_off_answer(&text) } else { prompt::read_answer(&text) };
     Ok(match read {
         Ok(action) => classes.action.member(py, action as u8),
         Err(why) => classes.outcome.member(py, why.answer().outcome() as u8),

@@ -15,9 +15,9 @@ use bytemuck::Zeroable;
 use domain::Pose;
 use shm_types::documents::Content;
 use shm_types::message::{
-    Decision, DocumentId, ErrorReport, ErrorReportKind, FrameId, Handshake, MemoryEpisodeConfig, NO_DOCUMENT,
-    NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecallTrace, Role, ShutdownReport,
-    StepCommand, View, ViewRequest, ViewRequestKind, read_text,
+    Decision, DocumentId, ErrorReport, ErrorReportKind, FrameId, Handshake, MemoryEpisodeConfig,
+    NO_DOCUMENT, NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecallTrace, Role,
+    ShutdownReport, StepCommand, View, ViewRequest, ViewRequestKind, read_text,
 };
 use shm_types::{
     Attach, BusError, DocumentStore, FramePublisher, FrameSize, FrameStore, Receiver, RunDir,

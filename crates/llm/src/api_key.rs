@@ -45,7 +45,8 @@ impl ApiKey {
             let (before, found) = rest.split_at(at);
             let after = &found[key.len()..];
             let joins_before = before.chars().next_back().or_else(|| masked.chars().next_back());
-            let stands_alone = !joins_before.is_some_and(continues) && !after.starts_with(continues);
+            let stands_alone =
+                !joins_before.is_some_and(continues) && !after.starts_with(continues);
             masked.push_str(before);
             masked.push_str(if stands_alone || key.len() >= CERTAIN_LENGTH { MASK } else { key });
             rest = after;

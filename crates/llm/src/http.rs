@@ -188,9 +188,12 @@ impl HttpClient {
                 Ok(reply)
             }
             Err(UnusableReply { problem, code }) => {
-                let message = reply::error_message(problem.as_bytes(), |it| self.endpoint.masked(it));
+                let message =
+                    reply::error_message(problem.as_bytes(), |it| self.endpoint.masked(it));
                 let failure = match code {
-                    Some(status @ server::TOO_MANY_REQUESTS) => Transient::Status { status, message },
+                    Some(status @ server::TOO_MANY_REQUESTS) => {
+                        Transient::Status { status, message }
+                    }
                     _ => Transient::Unreadable(message),
                 };
                 Err(AttemptError::Transient(failure, None))

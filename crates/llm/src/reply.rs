@@ -71,7 +71,8 @@ const REFUSALS: [&str; 9] = [
 ];
 
 /// Values of `finish_reason` of an answer that was cut off: OpenAI's, those of Anthropic and Gemini, of Mistral and of GLM.
-const CUT_OFF: [&str; 4] = ["length", "max_tokens", "model_length", "model_context_window_exceeded"];
+const CUT_OFF: [&str; 4] =
+    ["length", "max_tokens", "model_length", "model_context_window_exceeded"];
 
 /// Values of `finish_reason` of an answer that calls tools, and so has no text.
 const TOOL_CALLS: [&str; 2] = ["tool_calls", "function_call"];
@@ -146,7 +147,9 @@ impl ChatReply {
         // A model that says nothing still says that it has ended, which is a token.
         match (self.completion_tokens, finish_reason) {
             (Some(0), _) => Some("it is empty and has no tokens".to_owned()),
-            (None, None) => Some("it is empty, and says neither why nor how many tokens it has".to_owned()),
+            (None, None) => {
+                Some("it is empty, and says neither why nor how many tokens it has".to_owned())
+            }
             _ => None,
         }
     }
@@ -408,7 +411,11 @@ mod tests {
             (r#""content":"<think>\n</think>North""#, "{}", false),
             (r#""content":"<think>hm</think>North""#, "{}", true),
             (r#""content":"hm</think>North""#, "{}", true),
-            (r#""content":"North","reasoning_details":[{"type":"reasoning.encrypted"}]"#, "{}", true),
+            (
+                r#""content":"North","reasoning_details":[{"type":"reasoning.encrypted"}]"#,
+                "{}",
+                true,
+            ),
             (r#""content":"North","reasoning_content":"hm""#, "{}", true),
             (r#""content":"North","reasoning":null"#, "{}", false),
             (
@@ -442,7 +449,8 @@ mod tests {
         let of = |choice: &str, usage: &str| {
             read(format!("{{\"choices\":[{choice}],\"usage\":{usage}}}").as_bytes())
         };
-        let died = r#"{"message":{"content":"mov"},"error":{"code":502,"message":"upstream died"}}"#;
+        let died =
+            r#"{"message":{"content":"mov"},"error":{"code":502,"message":"upstream died"}}"#;
         let busy = r#"{"message":{"content":""},"error":{"code":429,"message":"slow"}}"#;
         for (choice, usage, problem, code) in [
             (died, "{}", "it is an error: upstream died", Some(502)),

@@ -81,7 +81,9 @@ fn faulty(given: Arc<ReplyTotals>) -> Server {
             12 => Reaction::Answer { status: 502, headers: Vec::new(), body: "<html>".to_owned() },
             14 => Reaction::Hang,
             16 => Reaction::Trickle(reply(request).to_string()),
-            18 => hidden(|choice| choice["error"] = json!({"code": 502, "message": "upstream died"})),
+            18 => {
+                hidden(|choice| choice["error"] = json!({"code": 502, "message": "upstream died"}))
+            }
             20 => hidden(|choice| choice["finish_reason"] = json!("abort")),
             22 => hidden(|choice| choice["finish_reason"] = json!("error")),
             24 => hidden(|choice| choice["message"] = Value::Null),
@@ -195,11 +197,17 @@ fn a_run_whose_answers_are_all_cut_off_says_so_and_stops() {
     assert!(ended.stderr.contains("the run measures nothing"), "{}", ended.stderr);
     let silent = bench.out("silent");
     for request in requests(&silent) {
-        assert_eq!((&request["outcome"], &request["finish_reason"]), (&"cut-off".into(), &"length".into()));
+        assert_eq!(
+            (&request["outcome"], &request["finish_reason"]),
+            (&"cut-off".into(), &"length".into())
+        );
         assert_eq!((&request["reasoned"], &request["model"]), (&true.into(), &"scripted".into()));
     }
     for record in records(&silent) {
-        assert_eq!(record["unread"], json!({"unreadable": 0, "empty": 0, "refused": 0, "cut_off": 8}));
+        assert_eq!(
+            record["unread"],
+            json!({"unreadable": 0, "empty": 0, "refused": 0, "cut_off": 8})
+        );
     }
     let manifest: Value =
         serde_json::from_str(&fs::read_to_string(silent.join("manifest.json")).unwrap()).unwrap();

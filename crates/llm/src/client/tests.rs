@@ -166,7 +166,8 @@ fn transient_failures_are_retried() {
 #[test]
 fn a_key_changes_nothing_in_a_reply() {
     for key in ["1", "token", "North", "prompt_tokens", "scripted"] {
-        let server = Server::turns([Reaction::says("North. 1 token"), fails(400, "a token")]).unwrap();
+        let server =
+            Server::turns([Reaction::says("North. 1 token"), fails(400, "a token")]).unwrap();
         let endpoint = Endpoint::new(&server.base_url(), ApiKey::new(key)).unwrap();
         let client = ChatClient::new(endpoint, settings(1, 0), None);
         let reply = client.ask(&ChatRequest::text("a", 9), 0).unwrap().reply;

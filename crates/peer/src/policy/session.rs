@@ -387,7 +387,8 @@ impl OpenRequest {
         let decision = answer.ok().map(|(decision, _)| decision);
         let usage = decision.and_then(|decision| decision.usage.clone());
         let stamp = |stamp: fn(&Usage) -> u64| usage.as_ref().map_or(0, stamp);
-        let [prompted_ns, sent_ns] = [stamp(|usage| usage.prompted_ns), stamp(|usage| usage.sent_ns)];
+        let [prompted_ns, sent_ns] =
+            [stamp(|usage| usage.prompted_ns), stamp(|usage| usage.sent_ns)];
         Some(PromptLogEntry {
             episode: id.episode,
             step: id.step,

@@ -300,9 +300,8 @@ impl RunFolder {
             let before = known.insert(fact.clone(), now.clone());
             let is_first = self.learned.insert((role.to_owned(), fact.clone()));
             if let Some(before) = before.filter(|before| is_first && before != now) {
-                changes.push(format!(
-                    "{role}: {fact} was {before} in an earlier session, now {now}"
-                ));
+                changes
+                    .push(format!("{role}: {fact} was {before} in an earlier session, now {now}"));
             }
         }
         self.manifest.write(&self.dir)?;
