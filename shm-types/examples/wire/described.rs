@@ -1,7 +1,8 @@
 //! What the page describes: every struct, code and constant of the wire.
 
 use domain::{
-    Action, Feedback, Heading, Outcome, Representation,
+    Action, Arm, DocumentKind, Feedback, FeedbackLevel, Heading, Outcome, Reasoning,
+    Representation, SegmentContent,
     codes::{CodeSet, Codes},
     outcome,
 };
@@ -61,6 +62,11 @@ pub(crate) fn words(set: &CodeSet, code: u8) -> Option<&'static str> {
         "Representation" => {
             Representation::ALL.get(position).map(|representation| representation.name())
         }
+        "Reasoning" => Reasoning::ALL.get(position).map(|reasoning| reasoning.word()),
+        "Arm" => Arm::ALL.get(position).map(|arm| arm.word()),
+        "FeedbackLevel" => FeedbackLevel::ALL.get(position).map(|level| level.word()),
+        "SegmentContent" => SegmentContent::ALL.get(position).map(|content| content.word()),
+        "DocumentKind" => DocumentKind::ALL.get(position).map(|kind| kind.word()),
         "Outcome" => Outcome::ALL.get(position).map(|outcome| outcome.word()),
         "Role" => Role::ALL.get(position).map(|role| role.word()),
         _ => None,
