@@ -121,11 +121,9 @@ impl ChatReply {
             return Err("its refusal is empty, so its text was not kept".to_owned());
         }
         let content = match self.content {
-            refusal @ ReplyContent::Refusal(_) => refusal,
+            decided @ (ReplyContent::Refusal(_) | ReplyContent::Length(_)) => decided,
             ReplyContent::Empty => ReplyContent::new(String::new(), finish_reason),
-            ReplyContent::Text(text) | ReplyContent::Length(text) => {
-                ReplyContent::new(text, finish_reason)
-            }
+            ReplyContent::Text(text) => ReplyContent::new(text, finish_reason),
         };
         let reply = Self { content, ..self };
         match reply.failure() {

@@ -249,7 +249,7 @@ fn an_unusable_answer_fails_the_build_and_is_not_stored() {
 
 #[test]
 fn fences_around_an_answer_are_removed() {
-    for (content, text, expected) in [
+    for (text, expected) in [
         (" # A\nb\n", Some("# A\nb")),
         ("```markdown\n# A\nb\n```\n", Some("# A\nb")),
         ("```", None),
