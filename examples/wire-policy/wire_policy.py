@@ -13,7 +13,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION = 10
+WIRE_VERSION = 11
 ROLES = ("orchestrator", "sim", "memory", "policy", "external-memory")
 POLICY = ROLES.index("policy")
 FORWARD, TURN_LEFT, NO_ACTION = 0, 4, 255
@@ -59,10 +59,10 @@ Observation = struct("Observation", 72, """episode: u64, frame: u64, commanded_n
     last: u8, reserved: u8""")
 Recall = struct("Recall", 1064, """episode: u64, received_ns: u64, sent_ns: u64, lane: u32, step: u32, items_len: u32,
     steps_len: u32, items: RecalledItem x 8, steps: SegmentStep x 48""")
-Decision = struct("Decision", 112, """episode: u64, received_ns: u64, started_ns: u64, prompted_ns: u64, sent_ns: u64,
+Decision = struct("Decision", 272, """episode: u64, received_ns: u64, started_ns: u64, prompted_ns: u64, sent_ns: u64,
     decided_ns: u64, lane: u32, step: u32, prompt_tokens: u32, completion_tokens: u32, cached_tokens: u32,
     image_tokens: u32, memory_tokens: u32, reusable_tokens: u32, images_asked: u32, images: u32, attempts: u32, outcome: u8,
-    action: u8, replayed: u8, reserved: u8 x 17""")
+    action: u8, replayed: u8, reasoning: u8, finish_reason_len: u8, model_len: u8, finish_reason: u8 x 46, model: u8 x 128""")
 
 
 class Run:

@@ -13,6 +13,7 @@
 //! Settings are resolved in the crate `settings`; records and scores are in `results`. The command line is the crate
 //! `memtransfer`.
 
+mod answers;
 pub mod budget;
 pub mod command_files;
 pub mod commit;

@@ -156,7 +156,11 @@ pub trait Observer {
     fn ready(&mut self, _facts: &BTreeMap<Participant, Facts>) -> Result<()> {
         Ok(())
     }
-    /// A model answered a request. Returns why the run has to stop, if it has: its budget is used up.
+    /// A process has learned facts about itself since it was ready.
+    fn learned(&mut self, _sender: Participant, _facts: &Facts) -> Result<()> {
+        Ok(())
+    }
+    /// A model answered a request. Returns why the run has to stop, if it has: its budget is used up, or no answer has an action.
     fn answered(&mut self, _request: &AnsweredRequest) -> Result<Option<String>> {
         Ok(None)
     }

@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Result;
-use domain::{ExternalName, Outcome};
+use domain::{ExternalName, Outcome, Reasoning};
 use results::log::{EpisodeError, EpisodeTimings, RequestRecord, RunFolder, SessionEvent};
 use shm_types::ATTACH_VARIABLE;
-use shm_types::message::{Heartbeat, Role, ShutdownReport};
+use shm_types::message::{Heartbeat, Role, ShutdownReport, read_text};
 use shm_types::process::monotonic_ns;
 
+use crate::answers::{AnswerNotice, AnswerWatch};
 use crate::budget::Budget;
 use crate::lanes::{AnsweredRequest, FinishedEpisode, PendingAnswer, Stamps};
 use crate::machine::Machine;
@@ -28,6 +29,7 @@ pub struct RunSession<'a> {
     folder: &'a mut RunFolder,
     monitor: Monitor,
     budget: Budget,
+    answers: AnswerWatch,
     trace: Option<RunTrace>,
     lanes: u32,
     frame_budget: u32,
@@ -47,10 +49,12 @@ impl<'a> RunSession<'a> {
         trace: Option<RunTrace>,
         (lanes, frame_budget): (u32, u32),
     ) -> Self {
+        let answers = AnswerWatch::new(folder.manifest().settings.model.as_ref());
         Self {
             folder,
             monitor,
             budget,
+            answers,
             trace,
             lanes,
             frame_budget,
@@ -166,11 +170,26 @@ impl Observer for RunSession<'_> {
         Ok(())
     }
 
+    fn learned(&mut self, sender: Participant, facts: &Facts) -> Result<()> {
+        for change in self.folder.learn(&sender.to_string(), facts)? {
+            self.monitor.note(&change);
+        }
+        Ok(())
+    }
+
     fn answered(&mut self, request: &AnsweredRequest) -> Result<Option<String>> {
         let record = request_record(request, self.folder.session());
         self.folder.asked(&record)?;
         self.budget.add(&record);
-        Ok(self.budget.exceeded())
+        let without_action = match self.answers.add(&record) {
+            Some(AnswerNotice::Warning(warning)) => {
+                self.monitor.note(&warning);
+                None
+            }
+            Some(AnswerNotice::Stop(why)) => Some(why),
+            None => None,
+        };
+        Ok(self.budget.exceeded().or(without_action))
     }
 
     fn finished(&mut self, finished: &FinishedEpisode, attempt: u32) -> Result<()> {
@@ -242,6 +261,10 @@ fn request_record(request: &AnsweredRequest, session: u32) -> RequestRecord {
     let AnsweredRequest { key, decision } = request;
     let counts = decision.counts();
     let latency_ns = decision.decided_ns.saturating_sub(decision.sent_ns);
+    let text = |bytes: &[u8], len: u8| {
+        let text = read_text(bytes, len.into()).ok()?;
+        Some(text.to_owned()).filter(|text| !text.is_empty())
+    };
     RequestRecord {
         key: key.clone(),
         step: decision.step,
@@ -259,5 +282,12 @@ fn request_record(request: &AnsweredRequest, session: u32) -> RequestRecord {
         image_tokens: counts.image_tokens,
         memory_tokens: counts.memory_tokens,
         reusable_tokens: counts.reusable_tokens,
+        finish_reason: text(&decision.finish_reason, decision.finish_reason_len),
+        reasoned: match Reasoning::try_from(decision.reasoning) {
+            Ok(Reasoning::Off) => Some(false),
+            Ok(Reasoning::On) => Some(true),
+            Ok(Reasoning::Unknown) | Err(_) => None,
+        },
+        model: text(&decision.model, decision.model_len),
     }
 }

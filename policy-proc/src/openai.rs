@@ -8,6 +8,7 @@
 //! without a result, and a server that is gone stops the run.
 
 mod images;
+mod in_force;
 pub mod largest;
 mod reuse;
 mod usage;
@@ -23,10 +24,11 @@ use llm::{
 };
 use peer::{Answer, Answers, Batch, Decider, Decision, FrameView, RequestId, ServeError, Usage};
 use prompt::image::ImageFormat;
-use prompt::{PartContent, Prompt, UnreadAnswer, read_answer};
+use prompt::{PartContent, Prompt, UnreadAnswer, read_answer, read_cut_off_answer};
 use shm_types::process::monotonic_ns;
 
 use images::EncodedViews;
+use in_force::InForce;
 use reuse::EarlierPrompt;
 use usage::{PromptSize, TokenFit};
 
@@ -48,6 +50,7 @@ pub struct Openai {
     settings: OpenaiSettings,
     images: EncodedViews,
     token_fits: TokenFits,
+    in_force: Arc<Mutex<InForce>>,
     /// The last prompt of each lane's episode.
     earlier: HashMap<u32, (u64, EarlierPrompt)>,
     /// Reports that the server is waited for: the channel of the latest batch.
@@ -69,7 +72,8 @@ impl Openai {
             }
         });
         let (token_fits, earlier) = (TokenFits::default(), HashMap::new());
-        Self { client, settings, images, token_fits, earlier, answers }
+        let in_force = Arc::default();
+        Self { client, settings, images, token_fits, in_force, earlier, answers }
     }
 
     /// The server's address; of several the first one's and their number, since there is little room for facts.
@@ -105,9 +109,7 @@ impl Decider for Openai {
             ("image_format", image_format.described()),
             ("image_budget", image_budget.to_string()),
             ("answer_tokens", answer_tokens.to_string()),
-            ("answers", "restricted".to_owned()),
             ("temperature", "0".to_owned()),
-            ("reasoning", "off".to_owned()),
         ]
     }
 
@@ -130,6 +132,8 @@ impl Decider for Openai {
                 images: prompt.images_sent(),
                 size: PromptSize::of(request, &prompt, earlier.as_ref().map(|(_, prompt)| prompt)),
                 token_fits: Arc::clone(&self.token_fits),
+                in_force: Arc::clone(&self.in_force),
+                client: self.client.clone(),
                 prompted_ns: monotonic_ns(),
                 exchange: answers.logs_prompts().then(|| exchange(&prompt)),
                 answers: answers.clone(),
@@ -180,6 +184,8 @@ struct PendingRequest {
     images: u32,
     size: PromptSize,
     token_fits: TokenFits,
+    in_force: Arc<Mutex<InForce>>,
+    client: ChatClient,
     prompted_ns: u64,
     /// For the prompt log, where there is one.
     exchange: Option<RecordedExchange>,
@@ -198,10 +204,21 @@ impl PendingRequest {
             Err(AskError::Stopped(why)) => return self.answers.stop_run(why),
         };
         let read = read_reply(&answered.reply);
+        self.report_facts(&answered.reply);
         self.record(Some(&answered.reply), read.err());
         let answer = read.map_or_else(UnreadAnswer::answer, Answer::Act);
         let usage = Some(self.usage(&answered));
         self.answers.decide(id, Decision { answer, images: self.images, usage });
+    }
+
+    /// Reports what is in force if this reply is the first that shows it.
+    fn report_facts(&self, reply: &ChatReply) {
+        let refused = self.client.refused_fields();
+        let mut in_force = self.in_force.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(facts) = in_force.add(reply, refused) {
+            // Under the lock, so that the latest facts are reported last.
+            self.answers.learned(facts);
+        }
     }
 
     fn record(&mut self, reply: Option<&ChatReply>, unread: Option<UnreadAnswer>) {
@@ -236,6 +253,9 @@ impl PendingRequest {
             replayed: *from_cache,
             prompted_ns: self.prompted_ns,
             sent_ns: if *from_cache { 0 } else { *sent_ns },
+            finish_reason: reply.finish_reason.clone(),
+            reasoned: Some(reply.reasoned),
+            model: reply.model.clone(),
         }
     }
 }
@@ -259,7 +279,8 @@ fn exchange(prompt: &Prompt<'_>) -> RecordedExchange {
 /// The action that a reply names.
 fn read_reply(reply: &ChatReply) -> Result<domain::Action, UnreadAnswer> {
     match &reply.content {
-        ReplyContent::Text(text) | ReplyContent::Length(text) => read_answer(text),
+        ReplyContent::Text(text) => read_answer(text),
+        ReplyContent::Length(text) => read_cut_off_answer(text),
         ReplyContent::Empty => Err(UnreadAnswer::Empty),
         ReplyContent::Refusal(_) => Err(UnreadAnswer::Refused),
     }

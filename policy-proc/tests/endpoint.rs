@@ -69,6 +69,8 @@ fn stored_replies_can_be_listed_and_removed() {
     assert!(matches!(left, 9..=10), "{left}");
     let prune = ["cache", "prune", "--json", "--response-cache", here, "--older-than", "1d"];
     assert_eq!(value(&run(&prune))["removed"]["entries"], 0);
+    let prune = ["cache", "prune", "--response-cache", here, "--unusable", "--dry-run"];
+    assert!(stdout(&run(&prune)).starts_with("would remove 0 replies (0 B); left "));
     let plain = stdout(&run(&["cache", "clear", "--response-cache", here]));
     assert!(plain.starts_with(&format!("removed {left} replies (")), "{plain}");
     assert_eq!(run(&["cache", "prune", "--response-cache", here]).status.code(), Some(2));

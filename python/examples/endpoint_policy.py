@@ -45,15 +45,16 @@ class Endpoint(Policy):
         except OpenAIError as error:
             # Not the model's mistake: the episode is not scored, and the same command runs it again.
             return Failed(f"{type(error).__name__}: {error}", exchange=Exchange(messages))
-        used = reply.usage
+        used, choice = reply.usage, reply.choices[0]
         usage = Usage(
             prompt_tokens=used.prompt_tokens if used else None,
             completion_tokens=used.completion_tokens if used else None,
             sent_ns=sent_ns,
+            finish_reason=choice.finish_reason,
+            model=reply.model,
         )
-        choice = reply.choices[0]
         text = choice.message.content or ""
-        answer = read_answer(text)
+        answer = read_answer(text, cut_off=choice.finish_reason == "length")
         read = isinstance(answer, Action)
         # Stored with `--log-prompts`, for `memtransfer show`.
         exchange = Exchange(messages, text, unread=None if read else answer.words)

@@ -62,6 +62,7 @@ from memtransfer.serving import run, serve
 
 EMPTY = Outcome.EMPTY
 REFUSED = Outcome.REFUSED
+CUT_OFF = Outcome.CUT_OFF
 UNREADABLE = Outcome.UNREADABLE
 
 with suppress(ModuleNotFoundError):
@@ -74,6 +75,7 @@ with suppress(ModuleNotFoundError):
     )
 
 __all__ = [
+    "CUT_OFF",
     "EMPTY",
     "REFUSED",
     "UNREADABLE",

@@ -67,6 +67,8 @@ class Outcome(_Code):
     """The answer holds no text."""
     REFUSED = 3, "refused"
     """The model refused to answer."""
+    CUT_OFF = 4, "cut-off"
+    """The answer was cut off at the bound on its tokens, before it named an action."""
 
 
 class DocumentKind(_Code):

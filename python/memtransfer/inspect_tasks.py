@@ -185,9 +185,12 @@ class _Model(Policy):
             prompt_tokens=tokens.input_tokens if tokens else None,
             completion_tokens=tokens.output_tokens if tokens else None,
             cached_tokens=tokens.input_tokens_cache_read if tokens else None,
+            finish_reason=output.stop_reason,
+            model=output.model,
         )
         refused = output.stop_reason == "content_filter"
-        answer = Outcome.REFUSED if refused else read_answer(output.completion)
+        cut_off = output.stop_reason in ("max_tokens", "model_length")
+        answer = Outcome.REFUSED if refused else read_answer(output.completion, cut_off)
         rest: dict[str, Any] = {"images": prompt.images_sent, "usage": usage}
         return Decision(answer, **rest) if isinstance(answer, Action) else Decision(None, answer, **rest)
 

@@ -125,11 +125,11 @@ def render(request: Request, image_budget: int = IMAGE_BUDGET) -> Prompt:
 
 
 def read_answer(text: str, cut_off: bool = False) -> Action | Outcome:
-    """Returns the action that a model's reply names, or EMPTY or UNREADABLE.
+    """Returns the action that a model's reply names, or EMPTY, UNREADABLE, REFUSED or CUT_OFF.
 
-    `cut_off` says that the reply ran out of tokens. It makes no difference: the rules are the same.
+    `cut_off` says that the reply ran out of tokens: without an action, it is CUT_OFF.
     """
-    return _native.read_answer(text)
+    return _native.read_answer(text, cut_off)
 
 
 def data_url(frame: Frame) -> str:

@@ -213,6 +213,12 @@ class Usage:
     """When the prompt was complete (`time.monotonic_ns()`)."""
     sent_ns: int = 0
     """When the request was last sent; 0 if none was."""
+    finish_reason: str | None = None
+    """Why the reply ended, in the server's terms, such as `stop` or `length`. The log keeps 46 bytes."""
+    reasoned: bool | None = None
+    """Whether the model reasoned before it answered."""
+    model: str | None = None
+    """The model that the reply names. The log keeps 128 bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,7 +253,7 @@ class Decision:
     action: Action | None
     """The action to take; `None` if there is none, which `outcome` explains."""
     outcome: Outcome = Outcome.ACTED
-    """UNREADABLE, EMPTY or REFUSED if there is no action."""
+    """UNREADABLE, EMPTY, REFUSED or CUT_OFF if there is no action."""
     images: int | None = None
     """Images shown to the model; `None` for all of the request's."""
     usage: Usage | None = None

@@ -215,7 +215,7 @@ impl PythonPolicy {
             return Ok(Reply::Failed(why, some(answer.getattr("exchange")?)));
         }
         let problem = format!(
-            "policy {} answered {} ({}): an answer is an Action, UNREADABLE, EMPTY, REFUSED, None, a Decision \
+            "policy {} answered {} ({}): an answer is an Action, UNREADABLE, EMPTY, REFUSED, CUT_OFF, None, a Decision \
              or Failed",
             self.name,
             answer.repr()?,
@@ -291,6 +291,7 @@ fn without_action(code: u8) -> Option<Answer> {
         Outcome::Unreadable => Some(Answer::Unreadable),
         Outcome::Empty => Some(Answer::Empty),
         Outcome::Refused => Some(Answer::Refused),
+        Outcome::CutOff => Some(Answer::CutOff),
     }
 }
 
@@ -319,5 +320,8 @@ fn read_usage(value: &Bound<'_, PyAny>) -> PyResult<Usage> {
         replayed: value.getattr("replayed")?.is_truthy()?,
         prompted_ns: value.getattr("prompted_ns")?.extract()?,
         sent_ns: value.getattr("sent_ns")?.extract()?,
+        finish_reason: value.getattr("finish_reason")?.extract()?,
+        reasoned: value.getattr("reasoned")?.extract()?,
+        model: value.getattr("model")?.extract()?,
     })
 }

@@ -198,9 +198,13 @@ fn code<T: TryFrom<u8, Error: ToString>>(of: &Bound<'_, PyAny>, name: &str) -> P
 pub(crate) fn read_answer<'py>(
     py: Python<'py>,
     text: &Bound<'py, PyString>,
+    cut_off: bool,
 ) -> PyResult<Option<Bound<'py, PyAny>>> {
     let classes = Classes::get(py)?;
-    Ok(match prompt::read_answer(&lossy(text)?) {
+    let text = lossy(text)?;
+    let read =
+        if cut_off { prompt::read_cut_off_answer(&text) } else { prompt::read_answer(&text) };
+    Ok(match read {
         Ok(action) => classes.action.member(py, action as u8),
         Err(why) => classes.outcome.member(py, why.answer().outcome() as u8),
     })

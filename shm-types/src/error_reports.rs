@@ -80,6 +80,21 @@ impl ErrorReporter {
         self.sender.send(&self.filled_in(ErrorReportKind::Waiting, reason))
     }
 
+    /// Reports facts that the process has learned since its handshake. Not an error: neither counted nor logged. Notify the
+    /// orchestrator afterwards.
+    ///
+    /// # Errors
+    /// When the report cannot be delivered.
+    pub fn learned<'a>(
+        &self,
+        facts: impl IntoIterator<Item = (&'a str, String)>,
+    ) -> Result<(), BusError> {
+        let facts: serde_json::Map<_, _> =
+            facts.into_iter().map(|(name, value)| (name.to_owned(), value.into())).collect();
+        let text = serde_json::Value::from(facts).to_string();
+        self.sender.send(&self.filled_in(ErrorReportKind::Facts, &text))
+    }
+
     /// The number of reports so far.
     pub fn count(&self) -> u32 {
         self.count

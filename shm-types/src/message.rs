@@ -31,7 +31,7 @@ pub use route::{Description, Message, Traffic};
 pub use text::{MAX_REASON_BYTES, read_text, shortened_reason, write_text};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 10;
+pub const WIRE_VERSION: u32 = 11;
 
 /// Longest window of past steps.
 pub const MAX_WINDOW: usize = 32;
@@ -552,7 +552,7 @@ messages! {
     }
 
     /// Policy to orchestrator: the answer to a step. Counts that are not known are [`NOT_MEASURED`].
-    Decision, "memtransfer.Decision", "decision", 112 bytes,
+    Decision, "memtransfer.Decision", "decision", 272 bytes,
         [Policy] to [Orchestrator], Lanes {
         /// The episode.
         episode: u64,
@@ -595,8 +595,16 @@ messages! {
         action: u8,
         /// 1 when the reply came from the response cache.
         replayed: u8,
-        /// Zero.
-        reserved: [u8; 17],
+        /// Code of [`Reasoning`](domain::Reasoning): whether the model reasoned before it answered.
+        reasoning: u8,
+        /// Bytes of `finish_reason` in use.
+        finish_reason_len: u8,
+        /// Bytes of `model` in use.
+        model_len: u8,
+        /// Why the model's reply ended, in the server's terms; UTF-8.
+        finish_reason: [u8; 46],
+        /// The model that the reply names; UTF-8.
+        model: [u8; 128],
     }
 
     /// All to orchestrator, once, when ready.

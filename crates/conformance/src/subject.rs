@@ -470,7 +470,7 @@ impl<'a, R: TestedRole> Subject<'a, R> {
             let kind = u8::try_from(report.kind).ok().map(ErrorReportKind::try_from);
             match kind {
                 Some(Ok(ErrorReportKind::Message)) => self.errors.push(text.to_owned()),
-                Some(Ok(ErrorReportKind::Waiting)) => {}
+                Some(Ok(ErrorReportKind::Waiting | ErrorReportKind::Facts)) => {}
                 Some(Ok(ErrorReportKind::Episode | ErrorReportKind::Overdue)) => {
                     let lane = report.lane;
                     return wrong(format_args!("it gave up the episode of lane {lane}: {text}"));

@@ -15,9 +15,9 @@ use bytemuck::Zeroable;
 use domain::Pose;
 use shm_types::documents::Content;
 use shm_types::message::{
-    Decision, DocumentId, ErrorReport, FrameId, Handshake, MemoryEpisodeConfig, NO_DOCUMENT,
-    NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecallTrace, Role, ShutdownReport,
-    StepCommand, View, ViewRequest, ViewRequestKind, read_text,
+    Decision, DocumentId, ErrorReport, ErrorReportKind, FrameId, Handshake, MemoryEpisodeConfig,
+    NO_DOCUMENT, NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecallTrace, Role,
+    ShutdownReport, StepCommand, View, ViewRequest, ViewRequestKind, read_text,
 };
 use shm_types::{
     Attach, BusError, DocumentStore, FramePublisher, FrameSize, FrameStore, Receiver, RunDir,
@@ -200,11 +200,22 @@ impl<N: SubjectNeighbours> Rig<N> {
         })
     }
 
-    /// The next error report, and its text.
+    /// The next error report that is one, and its text: facts are passed over.
     pub fn error_report(&mut self) -> (ErrorReport, String) {
+        self.report(|kind| kind != ErrorReportKind::Facts as u32)
+    }
+
+    /// The facts that the subject has learned since its handshake, as JSON. Other reports are passed over.
+    pub fn learned_facts(&mut self) -> String {
+        self.report(|kind| kind == ErrorReportKind::Facts as u32).1
+    }
+
+    fn report(&mut self, is_awaited: impl Fn(u32) -> bool) -> (ErrorReport, String) {
         let mut first = self.first_words.1.take();
-        let report = self
-            .until(|neighbours| first.take().or_else(|| neighbours.error_reports.next().unwrap()));
+        let report = self.until(|neighbours| {
+            let next = first.take().or_else(|| neighbours.error_reports.next().unwrap());
+            next.filter(|report| is_awaited(report.kind))
+        });
         (report, read_text(&report.text, report.text_len).unwrap().to_owned())
     }
 

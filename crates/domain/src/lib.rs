@@ -20,7 +20,7 @@ pub use appearance::Appearance;
 pub use cache::{NoCacheFolder, cache_folder, create_private_folder};
 pub use hex::hex;
 pub use memory_kind::{ExternalName, MemoryKind};
-pub use outcome::{Arm, DocumentKind, FeedbackLevel, Outcome, SegmentContent};
+pub use outcome::{Arm, DocumentKind, FeedbackLevel, Outcome, Reasoning, SegmentContent};
 pub use pose::{Action, Cell, Feedback, Heading, Pose, UnknownCode};
 pub use representation::Representation;
 pub use shell::shell_word;

@@ -13,6 +13,18 @@ code_sets! {
         Empty = 2 "empty",
         /// The model refused.
         Refused = 3 "refused",
+        /// The answer was cut off at the bound on its tokens, before it named an action.
+        CutOff = 4 "cut-off",
+    }
+
+    /// Whether a model reasoned before it answered.
+    Reasoning, "whether a model reasoned" {
+        /// Not known.
+        Unknown = 0 "unknown",
+        /// Its reply shows no reasoning.
+        Off = 1 "off",
+        /// Its reply shows reasoning, or counts its tokens.
+        On = 2 "on",
     }
 
     /// The content of a retrieved segment (paper, Design Choices).

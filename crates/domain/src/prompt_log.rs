@@ -214,7 +214,7 @@ pub enum RecordedPart {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RecordedAnswer {
-    /// `acted`, `unreadable`, `empty` or `refused`.
+    /// `acted`, `unreadable`, `empty`, `refused` or `cut-off`.
     pub outcome: String,
     /// The action in words; absent if none could be read.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -226,7 +226,7 @@ pub struct RecordedAnswer {
 }
 
 /// The cost of asking a model. A count that is not known is absent.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RecordedUsage {
     /// Tokens of the prompt.
@@ -252,6 +252,15 @@ pub struct RecordedUsage {
     pub attempts: u32,
     /// Whether the reply came from the response cache.
     pub replayed: bool,
+    /// Why the reply ended, in the server's terms.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub finish_reason: Option<String>,
+    /// Whether the model reasoned before it answered.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reasoned: Option<bool>,
+    /// The model that the reply names.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<String>,
 }
 
 /// Time stamps in CLOCK_MONOTONIC nanoseconds.

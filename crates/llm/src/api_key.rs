@@ -2,10 +2,14 @@
 
 use std::fmt;
 
-use serde_json::Value;
-
 /// What replaces a key in texts.
 const MASK: &str = "[key]";
+
+/// Bytes from which a key is masked where it stands alone.
+const SECRET_LENGTH: usize = 8;
+
+/// Bytes from which a key is masked wherever it occurs: no other text has that many in common with it.
+const CERTAIN_LENGTH: usize = 16;
 
 /// A key. It has no `Display`, and its `Debug` shows a mask; only the request header contains the key itself.
 #[derive(Clone, PartialEq, Eq)]
@@ -24,33 +28,30 @@ impl ApiKey {
         key
     }
 
-    /// `text` with the key masked: some servers repeat it in their messages. In JSON the key may be written with escapes.
+    /// `text`, which is about to be shown or stored, with the key masked: some servers repeat it.
+    ///
+    /// A text of fewer than [`SECRET_LENGTH`] characters is no secret: servers without authentication get keys such as
+    /// `token` or `1`, which stand in every text. Up to [`CERTAIN_LENGTH`], only an occurrence that stands alone is masked, so
+    /// that the key `lm-studio` leaves the model `lm-studio-community/a` as it is.
     pub(crate) fn masked_in(&self, text: &str) -> String {
-        let masked = text.replace(self.expose(), MASK);
-        if !masked.contains('\\') {
-            return masked;
+        let key = self.expose();
+        if key.len() < SECRET_LENGTH {
+            return text.to_owned();
         }
-        let Ok(mut value) = serde_json::from_str(&masked) else { return masked };
-        if self.mask(&mut value) { value.to_string() } else { masked }
-    }
-
-    /// Masks the key in every string of `value`. Returns whether it was in one.
-    fn mask(&self, value: &mut Value) -> bool {
-        match value {
-            Value::String(text) if text.contains(self.expose()) => {
-                *text = text.replace(self.expose(), MASK);
-                true
-            }
-            Value::Array(items) => items.iter_mut().fold(false, |any, item| self.mask(item) | any),
-            Value::Object(fields) => {
-                let any = fields.keys().any(|key| key.contains(self.expose()));
-                let renamed = std::mem::take(fields).into_iter();
-                *fields =
-                    renamed.map(|(key, one)| (key.replace(self.expose(), MASK), one)).collect();
-                fields.values_mut().fold(any, |any, field| self.mask(field) | any)
-            }
-            _ => false,
+        let continues = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_');
+        let mut masked = String::with_capacity(text.len());
+        let mut rest = text;
+        while let Some(at) = rest.find(key) {
+            let (before, found) = rest.split_at(at);
+            let after = &found[key.len()..];
+            let joins_before = before.chars().next_back().or_else(|| masked.chars().next_back());
+            let stands_alone =
+                !joins_before.is_some_and(continues) && !after.starts_with(continues);
+            masked.push_str(before);
+            masked.push_str(if stands_alone || key.len() >= CERTAIN_LENGTH { MASK } else { key });
+            rest = after;
         }
+        masked + rest
     }
 }
 
@@ -69,10 +70,22 @@ mod tests {
         let key = ApiKey::new(" sk-12345\n").unwrap();
         assert_eq!(key.expose(), "sk-12345");
         assert_eq!(format!("{:?} {:#?}", Some(&key), key), "Some(ApiKey([key])) ApiKey([key])");
-        assert_eq!(key.masked_in("wrong key sk-12345!"), "wrong key [key]!");
-        let escaped = r#"{"choices":[{"text":"sk\u002D12345\n"}],"sk-\u00312345":1}"#;
-        assert_eq!(key.masked_in(escaped), r#"{"[key]":1,"choices":[{"text":"[key]\n"}]}"#);
-        assert_eq!(key.masked_in(r#"{"a": "\n"}"#), r#"{"a": "\n"}"#);
+    }
+
+    #[test]
+    fn a_key_is_masked_and_a_common_word_is_not() {
+        for (key, text, expected) in [
+            ("sk-12345", "wrong key sk-12345!", "wrong key [key]!"),
+            ("sk-12345", "sk-12345, sk-123456 and ask-12345", "[key], sk-123456 and ask-12345"),
+            ("sk-12345", "sk-12345sk-12345", "sk-12345sk-12345"),
+            ("lm-studio", "lm-studio-community/a for lm-studio", "lm-studio-community/a for [key]"),
+            ("sk-1234567890abcdef", "xsk-1234567890abcdefsk-1234567890abcdef", "x[key][key]"),
+            ("1", "status 1", "status 1"),
+            ("token", "at most 30 token", "at most 30 token"),
+            ("schlüssel-eins", "der schlüssel-eins.", "der [key]."),
+        ] {
+            assert_eq!(ApiKey::new(key).unwrap().masked_in(text), expected, "{key}");
+        }
     }
 
     #[test]

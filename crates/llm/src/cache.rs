@@ -4,7 +4,7 @@
 //! parameter of the request, and the number of the repetition ([`CacheKey`]). The server's address is not part of the
 //! key: the same model behind another address would give the same reply. Where it does not, use another folder.
 //!
-//! Failures are never stored. An entry is a file that appears whole, so processes may share a folder: two that write the
+//! Failures are never stored; those that earlier versions took for answers and stored are not used. An entry is a file that appears whole, so processes may share a folder: two that write the
 //! same entry write replies to the same request. An entry that cannot be read counts as missing and is replaced.
 
 mod upkeep;
@@ -104,7 +104,8 @@ impl ReplyCache {
         &self.folder
     }
 
-    /// The cached reply. One that cannot be read is logged and counts as missing.
+    /// The cached reply. One that cannot be read, or is not the model's answer ([`ChatReply::judged`]), is logged and counts
+    /// as missing.
     pub(crate) fn get(&self, key: &CacheKey) -> Option<ChatReply> {
         let path = self.path(key);
         let problem = match fs::read(&path) {
@@ -113,7 +114,10 @@ impl ReplyCache {
             Ok(text) => match serde_json::from_slice::<StoredReply>(&text) {
                 Err(error) => error.to_string(),
                 Ok(stored) if stored.key != key.to_string() => "it has another key".to_owned(),
-                Ok(stored) => return Some(stored.reply),
+                Ok(stored) => match stored.reply.judged() {
+                    Ok(reply) => return Some(reply),
+                    Err(problem) => problem,
+                },
             },
         };
         tracing::warn!("the cached reply {} is not used: {problem}", path.display());
@@ -232,6 +236,15 @@ mod tests {
         fs::create_dir_all(cache.path(&other).parent().unwrap()).unwrap();
         fs::write(cache.path(&other), &whole).unwrap();
         assert_eq!(cache.get(&other), None, "it has another key");
+
+        // As earlier versions stored the failure of a server.
+        let failure = ChatReply {
+            content: ReplyContent::Empty,
+            finish_reason: Some("abort".into()),
+            ..reply("")
+        };
+        cache.put(&key, "m", &failure).unwrap();
+        assert_eq!(cache.get(&key), None);
     }
 
     #[test]

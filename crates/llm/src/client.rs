@@ -14,7 +14,7 @@ use crate::error::{AskError, AttemptError};
 use crate::http::{HttpClient, jitter};
 use crate::pool::{RequestTurn, ServerPool};
 use crate::reply::ChatReply;
-use crate::request::ChatRequest;
+use crate::request::{ChatRequest, Dialect};
 use crate::server::{Attempts, Next, ServerState};
 use crate::slots::{EndpointLimit, Slots};
 
@@ -144,6 +144,13 @@ impl ChatClient {
     /// The addresses of the servers, at least one.
     pub fn endpoints(&self) -> impl Iterator<Item = &Endpoint> {
         self.shared.http.iter().map(HttpClient::endpoint)
+    }
+
+    /// The optional fields of requests that a server has refused so far, which it is not sent again: ways to turn reasoning off,
+    /// and [`CONSTRAINTS`](crate::CONSTRAINTS) of answers.
+    pub fn refused_fields(&self) -> Vec<&'static str> {
+        let dialects = self.shared.http.iter().map(|http| http.dialect().0);
+        Dialect(dialects.fold(0, |all, one| all | one)).refused()
     }
 
     /// Single attempts on the first server, without retries.

@@ -9,6 +9,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use crate::endpoint::Endpoint;
 use crate::error::Transient;
 use crate::http::HttpClient;
 use crate::reply;
@@ -65,7 +66,7 @@ pub struct Fingerprint {
 /// The server's answer to the question for its models.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum ModelList {
-    /// Their names.
+    /// Their names, as they came.
     Listed(Vec<String>),
     /// The server refuses: status and message.
     Refused(u16, String),
@@ -78,10 +79,10 @@ pub(crate) fn models(client: &HttpClient) -> Result<(Fingerprint, ModelList), Tr
     let page = client.get(&client.endpoint().page("/models"), PAGE_TIMEOUT)?;
     let mut fingerprint = Fingerprint { server: page.server, ..Fingerprint::default() };
     if page.status != 200 {
-        let message = reply::error_message(page.body.as_bytes());
+        let message = reply::error_message(&page.body, |text| client.endpoint().masked(text));
         return Ok((fingerprint, ModelList::Refused(page.status, message)));
     }
-    let list: Value = serde_json::from_str(&page.body).unwrap_or_default();
+    let list: Value = serde_json::from_slice(&page.body).unwrap_or_default();
     let Some(models) = list["data"].as_array() else {
         return Ok((fingerprint, ModelList::Unreadable));
     };
@@ -89,7 +90,8 @@ pub(crate) fn models(client: &HttpClient) -> Result<(Fingerprint, ModelList), Tr
     let asked = models.iter().find(|model| model["id"] == client.settings().model);
     fingerprint.model = asked.map(|model| {
         let fields = MODEL_FIELDS.iter().filter(|field| !model[**field].is_null());
-        fields.map(|field| ((*field).to_owned(), model[*field].clone())).collect()
+        let masked = |field: &str| masked(client.endpoint(), model[field].clone());
+        fields.map(|field| ((*field).to_owned(), masked(field))).collect()
     });
     Ok((fingerprint, ModelList::Listed(models.iter().filter_map(name).collect())))
 }
@@ -100,12 +102,26 @@ pub(crate) fn read_pages(client: &HttpClient, fingerprint: &mut Fingerprint) {
         let Ok(page) = client.get(&client.endpoint().server_page(path), PAGE_TIMEOUT) else {
             continue;
         };
-        let Ok(facts) = serde_json::from_str::<Value>(&page.body) else { continue };
+        let Ok(facts) = serde_json::from_slice::<Value>(&page.body) else { continue };
         for field in fields.iter().filter(|_| page.status == 200) {
             if let Some(value) = facts.pointer(field).filter(|value| !value.is_null()) {
-                fingerprint.pages.insert(format!("{path}{field}"), shortened(value));
+                let value = masked(client.endpoint(), shortened(value));
+                fingerprint.pages.insert(format!("{path}{field}"), value);
             }
         }
+    }
+}
+
+/// `value` with the key masked in its texts.
+fn masked(endpoint: &Endpoint, value: Value) -> Value {
+    match value {
+        Value::String(text) => endpoint.masked(&text).into(),
+        Value::Array(items) => items.into_iter().map(|item| masked(endpoint, item)).collect(),
+        Value::Object(fields) => fields
+            .into_iter()
+            .map(|(name, field)| (endpoint.masked(&name), masked(endpoint, field)))
+            .collect(),
+        other => other,
     }
 }
 
@@ -122,7 +138,7 @@ fn shortened(value: &Value) -> Value {
 mod tests {
     use super::*;
     use crate::scripted::{Reaction, Server};
-    use crate::{ApiKey, ChatSettings, Endpoint};
+    use crate::{ApiKey, ChatSettings};
 
     const KEY: &str = "sk-very-secret";
 

@@ -16,7 +16,7 @@ use ureq::tls::{RootCerts, TlsConfig, TlsProvider};
 use crate::client::ChatSettings;
 use crate::endpoint::Endpoint;
 use crate::error::{AttemptError, RequestError, Transient};
-use crate::reply::{self, ChatReply};
+use crate::reply::{self, ChatReply, UnusableReply};
 use crate::request::{ChatRequest, Dialect};
 use crate::server;
 
@@ -33,12 +33,13 @@ enum SendOutcome {
     OtherDialect(Dialect),
 }
 
-/// A page of the server, with the key masked.
+/// A page of the server.
 pub(crate) struct ServerPage {
     pub(crate) status: u16,
-    /// The `Server` header.
+    /// The `Server` header, with the key masked.
     pub(crate) server: Option<String>,
-    pub(crate) body: String,
+    /// As it came: the key has to be masked in what is shown of it.
+    pub(crate) body: Vec<u8>,
 }
 
 /// Sends single requests. Threads share it; each waits for its own answer.
@@ -93,6 +94,11 @@ impl HttpClient {
         &self.endpoint
     }
 
+    /// The dialect of the server, as far as its refusals show.
+    pub(crate) fn dialect(&self) -> Dialect {
+        Dialect(self.dialect.load(Ordering::Relaxed))
+    }
+
     /// Sends a request once and waits for the answer until `deadline` has passed. A server that refuses an optional
     /// field is asked again at once without it.
     pub(crate) fn attempt(
@@ -101,7 +107,7 @@ impl HttpClient {
         deadline: Duration,
     ) -> Result<ChatReply, AttemptError> {
         loop {
-            let dialect = Dialect(self.dialect.load(Ordering::Relaxed));
+            let dialect = self.dialect();
             match self.send(dialect, request, deadline)? {
                 SendOutcome::Reply(reply) => return Ok(*reply),
                 // Each bit is set once, so this ends.
@@ -131,21 +137,22 @@ impl HttpClient {
         let transient = |error| AttemptError::Transient(transient(error, deadline), None);
         let mut response = post.send(&body).map_err(transient)?;
         let answer = response.body_mut().with_config().limit(LARGEST_ANSWER).read_to_vec();
-        // Masked before anything is made of it, since a server may repeat the key.
-        let answer = self.endpoint.masked(&String::from_utf8_lossy(&answer.map_err(transient)?));
+        let answer = answer.map_err(transient)?;
         match response.status().as_u16() {
             200..=299 => {
                 self.read(&response, &answer).map(|reply| SendOutcome::Reply(Box::new(reply)))
             }
-            status => match dialect.after(request, &answer).filter(|_| matches!(status, 400 | 422))
-            {
-                Some((other, fields)) => {
-                    let fields = fields.join(", ");
-                    tracing::warn!("{} refuses {fields}: not sent again", self.endpoint);
-                    Ok(SendOutcome::OtherDialect(other))
+            status => {
+                let message = String::from_utf8_lossy(&answer);
+                match dialect.after(request, &message).filter(|_| matches!(status, 400 | 422)) {
+                    Some((other, fields)) => {
+                        let fields = fields.join(", ");
+                        tracing::warn!("{} refuses {fields}: not sent again", self.endpoint);
+                        Ok(SendOutcome::OtherDialect(other))
+                    }
+                    None => Err(self.refused(request, status, &response, &answer)),
                 }
-                None => Err(self.refused(request, status, &response, &answer)),
-            },
+            }
         }
     }
 
@@ -162,19 +169,36 @@ impl HttpClient {
         Ok(ServerPage {
             status: response.status().as_u16(),
             server: header(&response, SERVER).map(|server| self.endpoint.masked(server)),
-            body: self.endpoint.masked(&String::from_utf8_lossy(&body.map_err(failed)?)),
+            body: body.map_err(failed)?,
         })
     }
 
-    fn read<T>(&self, response: &Response<T>, answer: &str) -> Result<ChatReply, AttemptError> {
+    /// The reply in a response with status 2xx. It is read as it came, since a key may be any word: only then are the
+    /// texts in it masked.
+    fn read<T>(&self, response: &Response<T>, answer: &[u8]) -> Result<ChatReply, AttemptError> {
         let media_type = header(response, CONTENT_TYPE).unwrap_or_default();
         // A missing content type is no reason to reject an answer that can be read.
         if !media_type.is_empty() && !media_type.to_ascii_lowercase().contains("json") {
             let media_type = media_type.split(';').next().unwrap_or_default();
             return Err(self.not_chat(format!("{}, not JSON", self.endpoint.masked(media_type))));
         }
-        reply::read(answer.as_bytes())
-            .map_err(|problem| AttemptError::Transient(Transient::Unreadable(problem), None))
+        match reply::read(answer) {
+            Ok(mut reply) => {
+                reply.mask(|text| self.endpoint.masked(text));
+                Ok(reply)
+            }
+            Err(UnusableReply { problem, code }) => {
+                let message =
+                    reply::error_message(problem.as_bytes(), |it| self.endpoint.masked(it));
+                let failure = match code {
+                    Some(status @ server::TOO_MANY_REQUESTS) => {
+                        Transient::Status { status, message }
+                    }
+                    _ => Transient::Unreadable(message),
+                };
+                Err(AttemptError::Transient(failure, None))
+            }
+        }
     }
 
     /// The error for a status that is not 2xx.
@@ -183,13 +207,13 @@ impl HttpClient {
         request: &ChatRequest,
         status: u16,
         response: &Response<T>,
-        answer: &str,
+        answer: &[u8],
     ) -> AttemptError {
         if (300..=399).contains(&status) {
             let target = header(response, LOCATION).unwrap_or("nowhere");
             return self.not_chat(format!("a redirection to {}", self.endpoint.masked(target)));
         }
-        let message = reply::error_message(answer.as_bytes());
+        let message = reply::error_message(answer, |text| self.endpoint.masked(text));
         if server::is_transient(status) {
             let pause = header(response, RETRY_AFTER).and_then(|value| {
                 server::retry_after(value, header(response, DATE), SystemTime::now())

@@ -34,5 +34,7 @@ pub use endpoint::{BASE_URL_VARIABLES, ENV_FILE, Endpoint, EndpointError, KEY_VA
 pub use error::{AskError, RequestError, Transient};
 pub use fingerprint::Fingerprint;
 pub use reply::{ChatReply, ReplyContent};
-pub use request::{ChatMessage, ChatRequest, ChatRole, ContentPart, ImageUrl, MessageContent};
+pub use request::{
+    CONSTRAINTS, ChatMessage, ChatRequest, ChatRole, ContentPart, ImageUrl, MessageContent,
+};
 pub use slots::EndpointLimit;

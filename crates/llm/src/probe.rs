@@ -191,7 +191,7 @@ impl ServerProbe<'_> {
                 ProbeMark::Doubtful,
                 format!(
                     "{model} is not in the server's list ({}). If requests fail, pass one of these with --model.",
-                    abbreviated(&names)
+                    self.client.http().endpoint().masked(&abbreviated(&names))
                 ),
             ),
             ModelList::Refused(401 | 403, message) => (
@@ -225,6 +225,13 @@ impl ServerProbe<'_> {
         let text = short(reply.text());
         let (mark, about) = match &reply.content {
             ReplyContent::Text(_) => (ProbeMark::Ok, format!("{text:?}{tokens} to 17 + 25")),
+            ReplyContent::Length(answer) if answer.is_empty() => (
+                ProbeMark::Bad,
+                format!(
+                    "no text within {ANSWER_TOKENS} tokens to 17 + 25: the model spends them on reasoning that the server \
+                     does not show. Turn reasoning off at the server, or serve a variant that does not reason."
+                ),
+            ),
             ReplyContent::Length(_) => (
                 ProbeMark::Doubtful,
                 format!("more than {ANSWER_TOKENS} tokens to 17 + 25: {text:?}"),
@@ -238,7 +245,11 @@ impl ServerProbe<'_> {
             ),
         };
         self.found("answers", mark, about);
-        let (mark, about) = if reply.reasoned {
+        let (mark, about) = if matches!(&reply.content, ReplyContent::Length(text) if text.is_empty())
+            && !reply.reasoned
+        {
+            (ProbeMark::Doubtful, "not known, because no text came".to_owned())
+        } else if reply.reasoned {
             (
                 ProbeMark::Bad,
                 "the model reasons although every request turns reasoning off, and has few tokens for its answer: turn \

@@ -41,6 +41,63 @@ pub enum ReplyContent {
     Length(String),
 }
 
+/// Values of `finish_reason` of an answer that the server, not the model, ended: vLLM, SGLang and LMDeploy (`abort`,
+/// `error`), OpenRouter and Mistral (`error`), DeepSeek, GLM, TensorRT-LLM (`timeout`, `cancelled`), Ollama (`load`, `unload`).
+const FAILURES: [&str; 10] = [
+    "error",
+    "abort",
+    "aborted",
+    "cancelled",
+    "canceled",
+    "timeout",
+    "insufficient_system_resource",
+    "network_error",
+    "load",
+    "unload",
+];
+
+/// Values of `finish_reason` of an answer that was refused: OpenAI's, of which Gemini's (`content_filter: SAFETY`) begin with
+/// it; those of Gemini, Anthropic, Bedrock and GLM that some proxies pass on.
+const REFUSALS: [&str; 9] = [
+    "content_filter",
+    "refusal",
+    "safety",
+    "prohibited_content",
+    "blocklist",
+    "spii",
+    "recitation",
+    "guardrail_intervened",
+    "sensitive",
+];
+
+/// Values of `finish_reason` of an answer that was cut off: OpenAI's, those of Anthropic and Gemini, of Mistral and of GLM.
+const CUT_OFF: [&str; 4] =
+    ["length", "max_tokens", "model_length", "model_context_window_exceeded"];
+
+/// Values of `finish_reason` of an answer that calls tools, and so has no text.
+const TOOL_CALLS: [&str; 2] = ["tool_calls", "function_call"];
+
+/// Whether a `finish_reason` is one of `kinds`, in any case, also with an explanation after a colon.
+fn is_one_of(finish_reason: Option<&str>, kinds: &[&str]) -> bool {
+    let kind = |reason: &str| reason.split(':').next().unwrap_or_default().trim().to_lowercase();
+    finish_reason.is_some_and(|reason| kinds.contains(&kind(reason).as_str()))
+}
+
+impl ReplyContent {
+    /// The kind of an answer with this text that ended for this reason.
+    fn new(text: String, finish_reason: Option<&str>) -> Self {
+        if is_one_of(finish_reason, &REFUSALS) {
+            Self::Refusal(text)
+        } else if is_one_of(finish_reason, &CUT_OFF) {
+            Self::Length(text)
+        } else if text.is_empty() {
+            Self::Empty
+        } else {
+            Self::Text(text)
+        }
+    }
+}
+
 impl ChatReply {
     /// The answer's text; empty for an empty answer.
     pub fn text(&self) -> &str {
@@ -51,39 +108,98 @@ impl ChatReply {
             ReplyContent::Empty => "",
         }
     }
+
+    /// Judges a reply that an earlier version may have stored as the model's answer, as [`read`] judges a new one.
+    ///
+    /// # Errors
+    /// The failure of the server that it is.
+    pub fn judged(self) -> Result<Self, String> {
+        let finish_reason = self.finish_reason.as_deref();
+        if matches!(&self.content, ReplyContent::Refusal(text) if text.is_empty())
+            && !is_one_of(finish_reason, &REFUSALS)
+        {
+            return Err("its refusal is empty, so its text was not kept".to_owned());
+        }
+        let content = match self.content {
+            decided @ (ReplyContent::Refusal(_) | ReplyContent::Length(_)) => decided,
+            ReplyContent::Empty => ReplyContent::new(String::new(), finish_reason),
+            ReplyContent::Text(text) => ReplyContent::new(text, finish_reason),
+        };
+        let reply = Self { content, ..self };
+        match reply.failure() {
+            Some(problem) => Err(problem),
+            None => Ok(reply),
+        }
+    }
+
+    /// The failure of the server that the reply shows, if it is not the model's answer.
+    fn failure(&self) -> Option<String> {
+        let finish_reason = self.finish_reason.as_deref();
+        if is_one_of(finish_reason, &FAILURES) {
+            return Some(format!("its finish_reason is {:?}", finish_reason.unwrap_or_default()));
+        }
+        let is_answer = self.content != ReplyContent::Empty || self.reasoned;
+        if is_answer || is_one_of(finish_reason, &TOOL_CALLS) {
+            return None;
+        }
+        // A model that says nothing still says that it has ended, which is a token.
+        match (self.completion_tokens, finish_reason) {
+            (Some(0), _) => Some("it is empty and has no tokens".to_owned()),
+            (None, None) => {
+                Some("it is empty, and says neither why nor how many tokens it has".to_owned())
+            }
+            _ => None,
+        }
+    }
+
+    /// Replaces each text that the server wrote with what `masked` makes of it.
+    pub(crate) fn mask(&mut self, masked: impl Fn(&str) -> String) {
+        if let ReplyContent::Text(text) | ReplyContent::Length(text) | ReplyContent::Refusal(text) =
+            &mut self.content
+        {
+            *text = masked(text);
+        }
+        let words = [&mut self.model, &mut self.finish_reason, &mut self.system_fingerprint];
+        for word in words.into_iter().flatten() {
+            *word = masked(word);
+        }
+    }
 }
 
 /// Reads the body of a response with status 2xx.
 ///
 /// # Errors
-/// What is wrong with the body.
-pub fn read(body: &[u8]) -> Result<ChatReply, String> {
+/// What is wrong with the body, or the failure of the server that it reports: such a reply is not the model's answer.
+pub fn read(body: &[u8]) -> Result<ChatReply, UnusableReply> {
     let body: Value =
         serde_json::from_slice(body).map_err(|error| format!("it is not JSON: {error}"))?;
-    // Some proxies report a failure behind them with status 200.
-    if let Some(error) = body.get("error").filter(|error| !error.is_null()) {
-        return Err(format!("it is an error: {}", message_of(error)));
+    // Some proxies report a failure behind them with status 200, as the whole answer or inside a choice.
+    let errors = [body.get("error"), body.pointer("/choices/0/error")];
+    if let Some(error) = errors.into_iter().flatten().find(|error| !error.is_null()) {
+        let problem = format!("it is an error: {}", message_of(error));
+        let code = error.get("code").and_then(Value::as_u64).and_then(|code| code.try_into().ok());
+        return Err(UnusableReply { problem, code });
     }
     let choice = body.pointer("/choices/0").ok_or("it has no choices")?;
-    let message = choice.get("message").ok_or("its choice has no message")?;
+    let message = choice.get("message").filter(|message| message.is_object());
+    let message = message.ok_or("its choice has no message")?;
     let (reasoning, text) = split_reasoning(&text_of(message.get("content")));
     let word = |field| body.pointer(field).and_then(Value::as_str).map(str::to_owned);
     let count = |field| body.pointer(field).and_then(Value::as_u64);
     let finish_reason = word("/choices/0/finish_reason");
-    let refusal = message.get("refusal").and_then(Value::as_str);
-    let content = match (finish_reason.as_deref(), refusal) {
-        (_, Some(refusal)) => ReplyContent::Refusal(refusal.to_owned()),
-        (Some("content_filter"), None) => ReplyContent::Refusal(text),
-        (Some("length"), None) => ReplyContent::Length(text),
-        _ if text.is_empty() => ReplyContent::Empty,
-        _ => ReplyContent::Text(text),
+    let refusal = message.get("refusal").and_then(Value::as_str).map(str::trim);
+    let content = match refusal.filter(|refusal| !refusal.is_empty()) {
+        Some(refusal) => ReplyContent::Refusal(refusal.to_owned()),
+        None => ReplyContent::new(text, finish_reason.as_deref()),
     };
     let reasoned = reasoning
-        || ["reasoning_content", "reasoning"].iter().any(|field| {
-            message.get(*field).and_then(Value::as_str).is_some_and(|text| !text.trim().is_empty())
+        || REASONING.iter().any(|field| match message.get(*field) {
+            Some(Value::String(text)) => !text.trim().is_empty(),
+            Some(Value::Array(parts)) => !parts.is_empty(),
+            _ => false,
         })
         || count("/usage/completion_tokens_details/reasoning_tokens").is_some_and(|n| n > 0);
-    Ok(ChatReply {
+    let reply = ChatReply {
         content,
         model: word("/model"),
         prompt_tokens: count("/usage/prompt_tokens"),
@@ -93,8 +209,37 @@ pub fn read(body: &[u8]) -> Result<ChatReply, String> {
         finish_reason,
         system_fingerprint: word("/system_fingerprint"),
         reasoned,
-    })
+    };
+    match reply.failure() {
+        Some(problem) => Err(problem.into()),
+        None => Ok(reply),
+    }
 }
+
+/// A body with status 2xx that is no reply of the model.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct UnusableReply {
+    /// What is wrong with it.
+    pub problem: String,
+    /// The status that it reports about the failure, if it does.
+    pub code: Option<u16>,
+}
+
+impl From<String> for UnusableReply {
+    fn from(problem: String) -> Self {
+        Self { problem, code: None }
+    }
+}
+
+impl From<&str> for UnusableReply {
+    fn from(problem: &str) -> Self {
+        problem.to_owned().into()
+    }
+}
+
+/// Where servers report the model's reasoning: vLLM before 0.12, SGLang, llama.cpp, DeepSeek; vLLM, Ollama, OpenRouter;
+/// OpenRouter also in parts.
+const REASONING: [&str; 3] = ["reasoning_content", "reasoning", "reasoning_details"];
 
 /// Where servers report cached tokens: OpenAI, vLLM, SGLang; DeepSeek; llama.cpp.
 const CACHED_TOKENS: [&str; 3] = [
@@ -121,24 +266,31 @@ fn text_of(content: Option<&Value>) -> String {
 }
 
 /// Whether the answer begins with reasoning, and the answer without it and without surrounding white space. Reasoning
-/// that was cut off leaves an empty answer.
+/// that was cut off leaves an empty answer. Some chat templates open the reasoning, so that the text only closes it.
 fn split_reasoning(text: &str) -> (bool, String) {
     let text = text.trim();
-    let Some(reasoning) = text.strip_prefix("<think>") else { return (false, text.to_owned()) };
-    let (reasoning, answer) = reasoning.split_once("</think>").unwrap_or((reasoning, ""));
+    let (reasoning, answer) = match text.strip_prefix("<think>") {
+        Some(opened) => opened.split_once("</think>").unwrap_or((opened, "")),
+        None => match text.split_once("</think>") {
+            Some((reasoning, answer)) if !answer.trim().is_empty() => (reasoning, answer),
+            _ => ("", text),
+        },
+    };
     (!reasoning.trim().is_empty(), answer.trim().to_owned())
 }
 
 /// Characters of a server's message that are shown.
 const MESSAGE_CHARS: usize = 400;
 
-/// The message in the body of an error response, on one line.
-pub fn error_message(body: &[u8]) -> String {
+/// The message in the body of an error response, on one line, and what `masked` makes of it.
+pub fn error_message(body: &[u8], masked: impl Fn(&str) -> String) -> String {
     let text = String::from_utf8_lossy(body);
     let value: Option<Value> = serde_json::from_str(&text).ok();
     let message = value.as_ref().map_or_else(|| text.into_owned(), message_of);
     let line: String =
         message.split_whitespace().collect::<Vec<_>>().join(" ").replace(char::is_control, "");
+    // Before it is cut, since a part of the key would not be found.
+    let line = masked(&line);
     match line.char_indices().nth(MESSAGE_CHARS) {
         Some((end, _)) => format!("{}...", &line[..end]),
         None if line.is_empty() => "no message".to_owned(),
@@ -184,7 +336,20 @@ mod tests {
                 Length(String::new()),
             ),
             (r#"{"message":{"content":" \n"},"finish_reason":"stop"}"#, Empty),
-            (r#"{"message":{"content":null,"tool_calls":[]}}"#, Empty),
+            (
+                r#"{"message":{"content":null,"tool_calls":[{"id":"1"}]},"finish_reason":"tool_calls"}"#,
+                Empty,
+            ),
+            (r#"{"message":{"content":"","reasoning":"hm"}}"#, Empty),
+            (r#"{"message":{"content":null},"finish_reason":"length"}"#, Length(String::new())),
+            (r#"{"message":{"content":"Nor"},"finish_reason":"MAX_TOKENS"}"#, Length("Nor".into())),
+            (
+                r#"{"message":{"content":"","refusal":null},"finish_reason":"content_filter: PROHIBITED_CONTENT"}"#,
+                Refusal(String::new()),
+            ),
+            (r#"{"message":{"content":"North","refusal":""}}"#, Text("North".into())),
+            (r#"{"message":{"content":"hm\n</think>\n\nNorth"}}"#, Text("North".into())),
+            (r#"{"message":{"content":"North</think>"}}"#, Text("North</think>".into())),
             (
                 r#"{"message":{"content":null,"refusal":"I cannot."},"finish_reason":"stop"}"#,
                 Refusal("I cannot.".into()),
@@ -243,6 +408,12 @@ mod tests {
             (r#""content":"North""#, "{}", false),
             (r#""content":"<think>\n</think>North""#, "{}", false),
             (r#""content":"<think>hm</think>North""#, "{}", true),
+            (r#""content":"hm</think>North""#, "{}", true),
+            (
+                r#""content":"North","reasoning_details":[{"type":"reasoning.encrypted"}]"#,
+                "{}",
+                true,
+            ),
             (r#""content":"North","reasoning_content":"hm""#, "{}", true),
             (r#""content":"North","reasoning":null"#, "{}", false),
             (
@@ -262,10 +433,85 @@ mod tests {
             ("{\"choices\":[", "it is not JSON"),
             ("{\"choices\":[]}", "it has no choices"),
             ("{\"choices\":[{}]}", "its choice has no message"),
+            ("{\"choices\":[{\"message\":null}]}", "its choice has no message"),
             ("{\"error\":{\"message\":\"upstream died\"}}", "it is an error: upstream died"),
         ] {
-            let error = read(body.as_bytes()).unwrap_err();
+            let error = read(body.as_bytes()).unwrap_err().problem;
             assert!(error.starts_with(expected), "{error}");
+        }
+    }
+
+    /// Failures that servers report with status 200, as a server sends them and as an earlier version has stored them.
+    #[test]
+    fn a_failure_of_the_server_is_no_answer() {
+        let of = |choice: &str, usage: &str| {
+            read(format!("{{\"choices\":[{choice}],\"usage\":{usage}}}").as_bytes())
+        };
+        let died =
+            r#"{"message":{"content":"mov"},"error":{"code":502,"message":"upstream died"}}"#;
+        let busy = r#"{"message":{"content":""},"error":{"code":429,"message":"slow"}}"#;
+        for (choice, usage, problem, code) in [
+            (died, "{}", "it is an error: upstream died", Some(502)),
+            (busy, "{}", "it is an error: slow", Some(429)),
+            (
+                r#"{"message":{"content":"mov"},"finish_reason":"abort"}"#,
+                r#"{"completion_tokens":3}"#,
+                "its finish_reason is \"abort\"",
+                None,
+            ),
+            (
+                r#"{"message":{"content":""},"finish_reason":"ERROR"}"#,
+                "{}",
+                "its finish_reason is \"ERROR\"",
+                None,
+            ),
+            (
+                r#"{"message":{"content":""},"finish_reason":"stop"}"#,
+                r#"{"completion_tokens":0}"#,
+                "it is empty and has no tokens",
+                None,
+            ),
+            (
+                r#"{"message":{"content":null}}"#,
+                "{}",
+                "it is empty, and says neither why nor how many tokens it has",
+                None,
+            ),
+        ] {
+            let expected = UnusableReply { problem: problem.to_owned(), code };
+            assert_eq!(of(choice, usage), Err(expected), "{choice}");
+        }
+        let spoken = of(
+            r#"{"message":{"content":""},"finish_reason":"stop"}"#,
+            r#"{"completion_tokens":1}"#,
+        );
+        assert_eq!(spoken.unwrap().content, ReplyContent::Empty);
+    }
+
+    #[test]
+    fn a_stored_reply_is_judged_as_a_new_one() {
+        use ReplyContent::{Empty, Length, Refusal, Text};
+        let stored = |content: &ReplyContent, finish_reason: Option<&str>, tokens| ChatReply {
+            content: content.clone(),
+            finish_reason: finish_reason.map(str::to_owned),
+            completion_tokens: tokens,
+            ..read(br#"{"choices":[{"message":{"content":"a"}}]}"#).unwrap()
+        };
+        let (text, none) = (Text("North".to_owned()), String::new());
+        for (content, finish_reason, tokens, expected) in [
+            (&text, Some("stop"), Some(1), Some(&text)),
+            (&text, Some("error"), Some(1), None),
+            (&Empty, Some("abort"), Some(0), None),
+            (&Empty, Some("stop"), Some(0), None),
+            (&Empty, Some("stop"), Some(2), Some(&Empty)),
+            (&Empty, None, None, None),
+            (&Empty, Some("content_filter: SAFETY"), None, Some(&Refusal(none.clone()))),
+            (&Refusal(none.clone()), Some("stop"), Some(1), None),
+            (&Refusal("No.".to_owned()), Some("stop"), Some(1), Some(&Refusal("No.".to_owned()))),
+            (&Empty, Some("max_tokens"), Some(30), Some(&Length(none.clone()))),
+        ] {
+            let judged = stored(content, finish_reason, tokens).judged().ok();
+            assert_eq!(judged.map(|reply| reply.content).as_ref(), expected, "{finish_reason:?}");
         }
     }
 
@@ -280,8 +526,10 @@ mod tests {
             ("<html>Bad gateway</html>", "<html>Bad gateway</html>"),
             ("", "no message"),
         ] {
-            assert_eq!(error_message(body.as_bytes()), expected);
+            assert_eq!(error_message(body.as_bytes(), str::to_owned), expected);
         }
-        assert_eq!(error_message("x".repeat(1000).as_bytes()).len(), MESSAGE_CHARS + 3);
+        let long = "x".repeat(MESSAGE_CHARS - 2) + "secret" + &"x".repeat(MESSAGE_CHARS);
+        let shown = error_message(long.as_bytes(), |text| text.replace("secret", "[key]"));
+        assert_eq!(shown, "x".repeat(MESSAGE_CHARS - 2) + "[k...");
     }
 }

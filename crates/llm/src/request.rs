@@ -137,6 +137,9 @@ const RESPONSE_FORMAT: &str = "response_format";
 /// Constraints of single servers: vLLM's, and the grammar of llama.cpp.
 const SERVER_CONSTRAINTS: [&str; 2] = ["structured_outputs", "grammar"];
 
+/// The fields that restrict an answer to a list of choices: those of vLLM and llama.cpp, and that of the OpenAI interface.
+pub const CONSTRAINTS: [&str; 3] = [SERVER_CONSTRAINTS[0], SERVER_CONSTRAINTS[1], RESPONSE_FORMAT];
+
 /// Fields that a server may refuse, in the order of [`Dialect`]'s bits.
 fn optional_fields(choices: &[&str]) -> Vec<(&'static str, Value)> {
     let mut fields = vec![
@@ -218,6 +221,12 @@ impl Dialect {
             fields.retain(|(field, _)| *field != RESPONSE_FORMAT);
         }
         fields
+    }
+
+    /// The optional fields that the server has refused.
+    pub(crate) fn refused(self) -> Vec<&'static str> {
+        let all = optional_fields(&["any"]).into_iter().enumerate();
+        all.filter(|(bit, _)| self.0 & (1 << bit) != 0).map(|(_, (field, _))| field).collect()
     }
 
     /// The dialect without the fields that a refusal of `request` names, and those fields; `None` when `message` names

@@ -35,7 +35,7 @@ const MOST_PATIENCE: u32 = 8;
 /// An attempt may take this many times the recent latency.
 const LATENCY_FACTOR: u32 = 3;
 
-const TOO_MANY_REQUESTS: u16 = 429;
+pub(crate) const TOO_MANY_REQUESTS: u16 = 429;
 
 /// Whether another attempt may meet another answer than this status.
 pub(crate) fn is_transient(status: u16) -> bool {

@@ -9,6 +9,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use flags::{RunOptions, SettingFlags};
 use results::log::RunLog;
+use results::score::WithoutAction;
 use settings::{Layer, resolve};
 
 use super::run_plan::{
@@ -100,6 +101,14 @@ fn conclude(out: &Path, halted: Option<String>, signals: &Signals) -> Result<Exi
             planned - done,
             same_command()
         );
+    }
+    let model = log.manifest.settings.model.as_ref();
+    // Who turns the stop off has decided that such a run is one.
+    let counts_silence = model.is_some_and(|model| model.stop_without_action == 0);
+    let is_silent = WithoutAction::of_run(&log).is_some_and(|silent| silent.is_all());
+    if done >= planned && is_silent && !counts_silence {
+        say!("no answer of the model has an action, so the run measures nothing");
+        return Ok(Exit::Failed);
     }
     Ok(if done >= planned { Exit::Complete } else { Exit::Failed })
 }

@@ -26,6 +26,9 @@ pub enum UnreadAnswer {
     /// No action is named.
     #[error("the answer names no action")]
     NoAction,
+    /// The answer was cut off before it named an action.
+    #[error("the answer was cut off at the bound on its tokens before it named an action")]
+    CutOff,
 }
 
 impl UnreadAnswer {
@@ -35,6 +38,7 @@ impl UnreadAnswer {
             Self::Empty => Answer::Empty,
             Self::Refused => Answer::Refused,
             Self::NoAction => Answer::Unreadable,
+            Self::CutOff => Answer::CutOff,
         }
     }
 }
@@ -53,6 +57,17 @@ const FILLERS: [&str; 11] =
 /// Phrases of refusals.
 const REFUSALS: [&str; 7] =
     ["sorry", "cant assist", "cannot assist", "cant help", "cannot help", "as an ai", "i refuse"];
+
+/// Reads the first action in `text`, which was cut off at the bound on its tokens: in what follows, there may have been one.
+///
+/// # Errors
+/// When there is none.
+pub fn read_cut_off_answer(text: &str) -> Result<Action, UnreadAnswer> {
+    read_answer(text).map_err(|why| match why {
+        UnreadAnswer::Refused => UnreadAnswer::Refused,
+        UnreadAnswer::Empty | UnreadAnswer::NoAction | UnreadAnswer::CutOff => UnreadAnswer::CutOff,
+    })
+}
 
 /// Reads the first action in `text`.
 ///
@@ -183,7 +198,7 @@ fn is_walk(word: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::UnreadAnswer::{Empty, NoAction, Refused};
+    use super::UnreadAnswer::{CutOff, Empty, NoAction, Refused};
     use super::*;
 
     #[test]
@@ -253,6 +268,19 @@ mod tests {
             ("<think>turn left", Err(Empty)),
         ] {
             assert_eq!(read_answer(text), expected, "{text:?}");
+        }
+    }
+
+    #[test]
+    fn an_answer_that_was_cut_off_may_name_an_action() {
+        for (text, expected) in [
+            ("Turn left. I can s", Ok(Action::TurnLeft)),
+            ("I can see a wareh", Err(CutOff)),
+            ("", Err(CutOff)),
+            ("<think>turn left", Err(CutOff)),
+            ("I'm sorry, but I can't assist with th", Err(Refused)),
+        ] {
+            assert_eq!(read_cut_off_answer(text), expected, "{text:?}");
         }
     }
 

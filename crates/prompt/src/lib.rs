@@ -21,7 +21,7 @@ use domain::Action;
 use peer::{FrameView, Request};
 use serde_json::{Value, json};
 
-pub use answer::{UnreadAnswer, read_answer};
+pub use answer::{UnreadAnswer, read_answer, read_cut_off_answer};
 
 /// Version of the template, as its file states it: `prompt/1`.
 pub fn version() -> &'static str {

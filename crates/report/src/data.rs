@@ -82,6 +82,7 @@ pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
     frame.whole("unreadable", |row| Some(row.record?.unread.unreadable));
     frame.whole("empty", |row| Some(row.record?.unread.empty));
     frame.whole("refused", |row| Some(row.record?.unread.refused));
+    frame.whole("cut_off", |row| Some(row.record?.unread.cut_off));
     frame.text("retrieved", |row| row.record?.retrieved.clone());
     frame.real("distance", |row| row.record?.distance);
     frame.whole("memory_items_dropped", |row| Some(row.record?.memory_items_dropped));

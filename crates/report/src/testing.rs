@@ -116,7 +116,7 @@ fn fail(record: &mut EpisodeRecord, chance: i64) {
             ];
             record.sub_goals = vec![9];
         }
-        _ => record.unread = Unread { unreadable: chance as u32, empty: 0, refused: 1 },
+        _ => record.unread = Unread { unreadable: chance as u32, empty: 0, refused: 1, cut_off: 0 },
     }
 }
 

@@ -14,6 +14,7 @@
 //! | follow F, recovery C, change Delta, retention R | `blocked.rs` |
 //! | images, tokens, unreadable answers, retrievals from other tasks | `cost.rs` |
 //! | tokens, latency and cost of requests to a model | `requests.rs` |
+//! | answers without an action | `answers.rs` |
 //! | what memories supplied and what that took | `memory.rs` |
 //! | kinds of failure, the cases that fail most | `failure.rs`, `worst.rs` |
 //! | time of a step by stage, steps per second | `time.rs` |
@@ -26,6 +27,7 @@
 //! Episodes of streams enter the figures of their streams, and those of requests, memories and time. All other figures
 //! are of the other episodes.
 
+mod answers;
 mod blocked;
 mod compare;
 mod condition;
@@ -44,6 +46,7 @@ mod time;
 mod trial;
 mod worst;
 
+pub use answers::{AnswerCounts, WithoutAction};
 pub use blocked::{BlockedScore, Derived};
 pub use compare::{Comparison, FigureDifference, compare};
 pub use condition::{Bounds, ConditionScore};

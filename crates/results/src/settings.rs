@@ -276,6 +276,7 @@ pub const FREE_KEYS: &[&str] = &[
     "max-retries",
     "request-timeout",
     "server-patience",
+    "stop-without-action",
     "response-cache",
     "prices",
     "max-tokens-total",

@@ -261,6 +261,8 @@ pub const KEYS: &[Key] = keys! {
         "Time limit of one attempt";
     "server-patience" "SECONDS" Number(0, 86_400, 1),
         "How long a run waits for a server that answered before and is unreachable; 0 does not wait";
+    "stop-without-action" "N" Number(0, 1_000_000, 1),
+        "Stop if none of the first N answers of at least three episodes has an action; 0 never stops";
     "response-cache" "on|off|DIR" Text(parses::<ResponseCache>),
         "Cache replies, so that no request is sent twice: on, off, or the folder of the cache";
     "prices" "FILE" Text(any),
@@ -342,6 +344,7 @@ max-connections = 16
 max-retries = 5
 request-timeout = 120
 server-patience = 600
+stop-without-action = 100
 response-cache = "on"
 lanes = 16
 spin-us = 0

@@ -53,6 +53,7 @@ pub const MACHINE_KEYS: &[&str] = &[
     "max-retries",
     "request-timeout",
     "server-patience",
+    "stop-without-action",
     "response-cache",
     "lanes",
     "encoder-threads",

@@ -92,7 +92,7 @@ impl<A: AskModel> DocumentBuilder for ModelBuilder<A> {
                 model: None,
                 prompt_version: Some(PROMPT_VERSION),
                 requests: Some(0),
-                cut_off: Some(0),
+                cut_off: None,
                 prompt_tokens: Some(0),
                 completion_tokens: Some(0),
             },
@@ -258,49 +258,44 @@ impl Draft<'_> {
         let failed = || format!("the stage `{}` of the document failed", stage.name());
         let reply = self
             .steps
-            .next(stage, &prompt, || usable(ask(&prompt, waiting)?))
+            .next(stage, &prompt, usable, || ask(&prompt, waiting))
             .with_context(failed)?;
         count(&mut self.account, &reply);
         let known = |model: &&String| self.models.contains(model);
         self.models.extend(reply.model.as_ref().filter(|model| !known(model)).cloned());
-        if is_cut_off(&reply) {
-            tracing::warn!(
-                "an answer at the stage `{}` reached the limit of {} tokens; its incomplete end is left out",
-                stage.name(),
-                prompt.max_tokens
-            );
-        }
         text_of(&reply).map(str::to_owned).with_context(failed)
     }
 }
 
-/// Refuses a reply without a usable text, so that it is not stored.
+/// Refuses a reply without a whole text, so that neither it nor a document made of it is stored: a document without its end
+/// would be scored as if it were the representation.
 fn usable(reply: ChatReply) -> anyhow::Result<ChatReply> {
     let problem = match (&reply.content, text_of(&reply)) {
         (ReplyContent::Empty, _) => "the model's answer is empty".to_owned(),
         (ReplyContent::Refusal(text), _) => format!("the model refused to answer: {text:?}"),
-        (ReplyContent::Text(_) | ReplyContent::Length(_), Some(_)) => return Ok(reply),
+        (ReplyContent::Text(_), Some(_)) => return Ok(reply),
         (ReplyContent::Text(_), None) => "the model's answer has no text in it".to_owned(),
-        (ReplyContent::Length(_), None) => {
-            "the model's answer was cut off before its first sentence ended: raise --max-tokens"
-                .to_owned()
+        (ReplyContent::Length(_), _) => {
+            let tokens = match reply.completion_tokens {
+                Some(tokens) => format!(" after {tokens} tokens"),
+                None => String::new(),
+            };
+            let reasoning = if reply.reasoned {
+                ", some of them for reasoning, which can be turned off at the server"
+            } else {
+                ""
+            };
+            bail!(
+                "the model's answer was cut off{tokens}{reasoning}, and nothing of it is stored: raise --max-tokens"
+            );
         }
     };
     bail!("{problem}; give the same command again, or ask another model")
 }
 
-fn is_cut_off(reply: &ChatReply) -> bool {
-    matches!(reply.content, ReplyContent::Length(_))
-}
-
-/// The text of a reply, without a fence around it. Of a reply that was cut off, the whole lines or, if it has only one
-/// line, the whole sentences. `None` when nothing is left.
+/// The text of a reply, without a fence around it. `None` when nothing is left.
 fn text_of(reply: &ChatReply) -> Option<&str> {
     let mut text = reply.text().trim();
-    if is_cut_off(reply) {
-        let end = text.rfind('\n').or_else(|| Some(text.rfind(". ")? + 1))?;
-        text = &text[..end];
-    }
     if let Some(inside) = text.strip_prefix("```") {
         // The rest of the first line names a language.
         (_, text) = inside.split_once('\n')?;
@@ -332,7 +327,6 @@ fn add(sum: &mut Option<u64>, part: Option<u64>) {
 /// Counts a reply.
 fn count(account: &mut BuildAccount, reply: &ChatReply) {
     add(&mut account.requests, Some(1));
-    add(&mut account.cut_off, Some(is_cut_off(reply).into()));
     add(&mut account.prompt_tokens, reply.prompt_tokens);
     add(&mut account.completion_tokens, reply.completion_tokens);
 }

@@ -407,11 +407,7 @@ impl ActiveEpisode {
                 StepKind::Act
             }
             Err(outcome) => {
-                match outcome {
-                    Outcome::Acted | Outcome::Unreadable => record.unread.unreadable += 1,
-                    Outcome::Empty => record.unread.empty += 1,
-                    Outcome::Refused => record.unread.refused += 1,
-                }
+                record.unread.add(outcome);
                 self.feedback = Feedback::NotUnderstood;
                 self.last_action = NO_ACTION;
                 record.actions.push('?');

@@ -191,9 +191,10 @@ impl Generation {
         Ok((commands, report))
     }
 
-    /// Records the answers that have arrived since the last turn: what they cost was spent.
+    /// Records the answers and the facts that have arrived since the last turn: what answers cost was spent.
     fn receive_last(&mut self, run: &mut PipelineRun<'_, '_>) -> Result<(), Failure> {
-        match self.receive(run, usize::MAX) {
+        let received = self.receive(run, usize::MAX).and_then(|_| self.read_last_facts(run));
+        match received {
             Err(failure @ Failure::Fatal(_)) => Err(failure),
             // The generation ends anyway.
             _ => Ok(()),

@@ -129,12 +129,32 @@ impl Generation {
                     let reason = Some(text).filter(|text| !text.is_empty());
                     run.observer.waiting_for_server(reason);
                 }
+                Ok(Ok(ErrorReportKind::Facts)) => match (sender, serde_json::from_str(text)) {
+                    (Some(sender), Ok(facts)) => run.observer.learned(sender, &facts)?,
+                    _ => run.observer.problem(&what),
+                },
                 Ok(Ok(ErrorReportKind::Message)) | Ok(Err(_)) | Err(_) => {
                     run.observer.problem(&what);
                 }
             }
         }
         Ok(halted)
+    }
+
+    /// Records the facts that have arrived since the last look. What else a process reports concerns episodes that are over.
+    pub(super) fn read_last_facts(&self, run: &mut PipelineRun<'_, '_>) -> Result<(), Failure> {
+        for report in self.inbox.error_reports.drain()? {
+            let role = role(report.role).ok();
+            let sender = role.and_then(|role| run.options.participant(role, report.external));
+            if report.kind == ErrorReportKind::Facts as u32
+                && let Some(sender) = sender.filter(|sender| sender.memory.is_none())
+                && let Ok(text) = read_text(&report.text, report.text_len)
+                && let Ok(facts) = serde_json::from_str(text)
+            {
+                run.observer.learned(sender, &facts)?;
+            }
+        }
+        Ok(())
     }
 
     /// Whether the episode with an overdue answer waited for an external memory that has not answered anything for as long as it

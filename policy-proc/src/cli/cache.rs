@@ -16,6 +16,7 @@ Examples:
   memtransfer cache ls
   memtransfer cache prune --older-than 30d
   memtransfer cache prune --max-bytes 500M
+  memtransfer cache prune --unusable --dry-run
   memtransfer cache clear")]
 pub(crate) struct CacheArguments {
     #[command(subcommand)]
@@ -32,7 +33,7 @@ pub(crate) struct CacheArguments {
 enum CacheVerb {
     /// List the cached replies by model
     Ls,
-    /// Remove old replies, or the oldest until the rest is small enough
+    /// Remove old replies, the oldest until the rest is small enough, or those that are not used
     #[command(group = clap::ArgGroup::new("what").required(true).multiple(true))]
     Prune {
         /// Remove replies older than this: a number with s, m, h, d or w
@@ -41,6 +42,13 @@ enum CacheVerb {
         /// Keep at most this many bytes: a number, with K, M or G for KiB, MiB or GiB
         #[arg(long, value_name = "SIZE", value_parser = size, group = "what")]
         max_bytes: Option<u64>,
+        /// Remove replies that are not used: those that cannot be read, and failures of a server that earlier versions stored
+        /// as answers of the model
+        #[arg(long, group = "what", conflicts_with_all = ["older_than", "max_bytes"])]
+        unusable: bool,
+        /// With --unusable: count them and remove none
+        #[arg(long, requires = "unusable")]
+        dry_run: bool,
     },
     /// Remove all cached replies
     Clear,
@@ -58,10 +66,15 @@ pub(crate) fn run(arguments: &CacheArguments) -> anyhow::Result<()> {
             let listing = cache.list().with_context(context)?;
             show(&listing, *json, list)
         }
-        CacheVerb::Prune { older_than, max_bytes } => {
-            let pruned = cache.prune(*older_than, *max_bytes, SystemTime::now());
+        CacheVerb::Prune { older_than, max_bytes, unusable, dry_run } => {
+            let pruned = if *unusable {
+                cache.prune_unusable(*dry_run)
+            } else {
+                cache.prune(*older_than, *max_bytes, SystemTime::now())
+            };
+            let verb = if *dry_run { "would remove" } else { "removed" };
             show(&pruned.with_context(context)?, *json, |Pruned { removed, left }| {
-                format!("removed {}; left {}", describe(removed), describe(left))
+                format!("{verb} {}; left {}", describe(removed), describe(left))
             })
         }
         CacheVerb::Clear => {
@@ -76,7 +89,7 @@ fn show<T: Serialize>(value: &T, json: bool, plain: impl Fn(&T) -> String) -> an
 }
 
 fn list(listing: &CacheListing) -> String {
-    let CacheListing { folder, entries, bytes, broken, models } = listing;
+    let CacheListing { folder, entries, bytes, broken, failures, models } = listing;
     let all = describe(&CacheSize { entries: *entries, bytes: *bytes });
     let mut lines = format!("{}: {all}\n", folder.display());
     for ModelReplies { model, entries, bytes, oldest, newest } in models {
@@ -86,6 +99,12 @@ fn list(listing: &CacheListing) -> String {
     if *broken > 0 {
         lines +=
             &format!("  cannot be read: {broken}; these requests are sent again when needed\n");
+    }
+    if *failures > 0 {
+        lines += &format!(
+            "  failures of a server, stored as answers by an earlier version: {failures}; they are not used, and `memtransfer \
+             cache prune --unusable` removes them\n"
+        );
     }
     lines
 }

@@ -1,8 +1,10 @@
 //! What the page describes: every struct, code and constant of the wire.
 
 use domain::{
-    Action, Feedback, Heading, Outcome, Representation,
+    Action, Arm, DocumentKind, Feedback, FeedbackLevel, Heading, Outcome, Reasoning,
+    Representation, SegmentContent,
     codes::{CodeSet, Codes},
+    outcome,
 };
 use shm_types::attach::{
     ATTACH_FILE, MAX_FRAMES, MAX_LANES, MAX_LOANED_FRAMES, MAX_ROOT_BYTES, PAGE_BYTES,
@@ -43,10 +45,11 @@ pub(crate) const CARRIED: [Struct; 5] = [
     NoteHeader::LAYOUT,
 ];
 
-/// Every enum with codes: first those of the agent's world, then those of messages.
+/// Every enum with codes: first those of the agent's world, then those that the log shares, then those of messages.
 pub(crate) fn code_sets() -> Vec<CodeSet> {
     let agent = [Action::CODES, Feedback::CODES, Heading::CODES, Representation::CODES];
-    agent.into_iter().chain(CODE_SETS.iter().copied()).collect()
+    let shared = outcome::CODE_SETS.iter().chain(CODE_SETS).copied();
+    agent.into_iter().chain(shared).collect()
 }
 
 /// The words for a member of a code set in prompts, files and logs, if it has any.
@@ -59,6 +62,11 @@ pub(crate) fn words(set: &CodeSet, code: u8) -> Option<&'static str> {
         "Representation" => {
             Representation::ALL.get(position).map(|representation| representation.name())
         }
+        "Reasoning" => Reasoning::ALL.get(position).map(|reasoning| reasoning.word()),
+        "Arm" => Arm::ALL.get(position).map(|arm| arm.word()),
+        "FeedbackLevel" => FeedbackLevel::ALL.get(position).map(|level| level.word()),
+        "SegmentContent" => SegmentContent::ALL.get(position).map(|content| content.word()),
+        "DocumentKind" => DocumentKind::ALL.get(position).map(|kind| kind.word()),
         "Outcome" => Outcome::ALL.get(position).map(|outcome| outcome.word()),
         "Role" => Role::ALL.get(position).map(|role| role.word()),
         _ => None,

@@ -57,6 +57,9 @@ code_sets! {
         Waiting = 3 "waiting",
         /// From the memory process: as `Episode`, because the episode's external memory has exceeded a time limit.
         Overdue = 4 "overdue",
+        /// From the policy process, and not an error: facts that it has learned since its handshake, as the handshake has them,
+        /// such as whether a model reasons although it was asked not to. The text is a JSON object of strings.
+        Facts = 5 "facts",
     }
 
     /// The role of a process in a run.

@@ -58,12 +58,20 @@ fn reliable() -> Server {
     Server::concurrent(move |request| given.answer(request)).unwrap()
 }
 
-/// A server that fails almost every second request, in nine ways.
+/// A failure of a server that answers with status 200: `change` is made to the choice of a reply that has no tokens.
+fn hidden(change: impl FnOnce(&mut Value)) -> Reaction {
+    let mut reply = completion("mov");
+    reply["usage"] = json!({"prompt_tokens": 5, "completion_tokens": 0});
+    change(&mut reply["choices"][0]);
+    Reaction::json(200, &reply)
+}
+
+/// A server that fails almost every second request, in many ways.
 fn faulty(given: Arc<ReplyTotals>) -> Server {
     let count = AtomicU64::new(0);
     Server::concurrent(move |request| {
         let error = json!({"error": {"message": "not now"}});
-        match count.fetch_add(1, SeqCst) % 21 {
+        match count.fetch_add(1, SeqCst) % 31 {
             0 => Reaction::json(429, &error).with("Retry-After: 0"),
             2 => Reaction::json(500, &error),
             4 => Reaction::Half(reply(request).to_string()),
@@ -73,6 +81,14 @@ fn faulty(given: Arc<ReplyTotals>) -> Server {
             12 => Reaction::Answer { status: 502, headers: Vec::new(), body: "<html>".to_owned() },
             14 => Reaction::Hang,
             16 => Reaction::Trickle(reply(request).to_string()),
+            18 => {
+                hidden(|choice| choice["error"] = json!({"code": 502, "message": "upstream died"}))
+            }
+            20 => hidden(|choice| choice["finish_reason"] = json!("abort")),
+            22 => hidden(|choice| choice["finish_reason"] = json!("error")),
+            24 => hidden(|choice| choice["message"] = Value::Null),
+            26 => hidden(|choice| choice["message"]["content"] = json!("")),
+            28 => hidden(|choice| choice["error"] = json!({"code": 429, "message": "not now"})),
             _ => given.answer(request),
         }
     })
@@ -144,6 +160,66 @@ fn failures_of_the_server_change_neither_the_log_nor_the_totals() {
 
     check_kill_and_resume(&bench, &reference, "again", "off");
     check_kill_and_resume(&bench, &reference, "kept", "./replies");
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+/// A server whose model spends all tokens of an answer on reasoning that it does not show.
+fn cutting_off() -> Server {
+    Server::concurrent(|_| {
+        let mut reply = completion("");
+        reply["choices"][0]["finish_reason"] = json!("length");
+        reply["usage"] = json!({"prompt_tokens": 100, "completion_tokens": 30,
+            "completion_tokens_details": {"reasoning_tokens": 30}});
+        Reaction::json(200, &reply)
+    })
+    .unwrap()
+}
+
+#[test]
+fn a_run_whose_answers_are_all_cut_off_says_so_and_stops() {
+    let bench = Bench::new();
+    let server = cutting_off();
+    let base_url = server.base_url();
+    let run = |out: &str, limit: &str, status: i32| {
+        let mut args = slice(&base_url, out, "off");
+        args.extend(["--stop-without-action", limit]);
+        bench.run(&args).expect(status)
+    };
+    let steps = 8 * EPISODES;
+    let described = format!(
+        "{steps} of {steps} answers have no action: {steps} were cut off at 30 tokens. The model reasons"
+    );
+    // Complete, but without an action: not a success.
+    let ended = run("silent", "100", 1);
+    let in_one_line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(in_one_line(&ended.stdout).contains(&described), "{}", ended.stdout);
+    assert!(ended.stderr.contains("10 of 10 answers have no action"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("the run measures nothing"), "{}", ended.stderr);
+    let silent = bench.out("silent");
+    for request in requests(&silent) {
+        assert_eq!(
+            (&request["outcome"], &request["finish_reason"]),
+            (&"cut-off".into(), &"length".into())
+        );
+        assert_eq!((&request["reasoned"], &request["model"]), (&true.into(), &"scripted".into()));
+    }
+    for record in records(&silent) {
+        assert_eq!(
+            record["unread"],
+            json!({"unreadable": 0, "empty": 0, "refused": 0, "cut_off": 8})
+        );
+    }
+    let manifest: Value =
+        serde_json::from_str(&fs::read_to_string(silent.join("manifest.json")).unwrap()).unwrap();
+    let reasoning = manifest["processes"]["policy"]["reasoning"].as_str().unwrap();
+    assert_eq!(reasoning, "on: replies show it, although it was asked to be off");
+
+    // Stopped early, and resumed by someone who wants it: the log is the same.
+    let ended = run("stopped", "20", 1);
+    assert!(ended.stderr.contains("--stop-without-action 0"), "{}", ended.stderr);
+    assert!(records(&bench.out("stopped")).len() < EPISODES);
+    run("stopped", "0", 0);
+    assert_eq!(sorted_log(&bench.out("stopped")), sorted_log(&silent));
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 

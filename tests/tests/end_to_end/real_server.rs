@@ -5,9 +5,11 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use llm::scripted::{Reaction, Received, Server, completion};
+use llm::{ChatClient, ChatMessage, ChatRequest, ChatRole, ChatSettings, Endpoint};
 use memtransfer_tests::llama::{LlamaServer, MODEL};
 use memtransfer_tests::{Bench, records, sorted_log};
-use serde_json::Value;
+use serde_json::{Value, json};
 use warehouse::{CaseSet, History, Start, Warehouse};
 
 /// Tokens of a request with its answer.
@@ -59,6 +61,31 @@ fn json(path: &Path) -> Value {
     serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
 }
 
+/// A server in front of the one at `base_url` that passes on its answers as whole ones: the model of the tests never ends.
+fn with_an_end(base_url: &str) -> Server {
+    let endpoint = Endpoint::new(base_url, None).unwrap();
+    let client = ChatClient::new(endpoint, ChatSettings::new(MODEL), None);
+    let message = |message: &Value| {
+        let role = if message["role"] == "system" { ChatRole::System } else { ChatRole::User };
+        ChatMessage::text(role, message["content"].as_str().unwrap())
+    };
+    let answer = move |request: &Received| {
+        let body = &request.body;
+        let messages = body["messages"].as_array().unwrap().iter().map(message).collect();
+        let max_tokens = body["max_tokens"].as_u64().unwrap() as u32;
+        let asked = ChatRequest { messages, max_tokens, choices: Vec::new() };
+        let reply = client.ask(&asked, 0).unwrap().reply;
+        let mut whole = completion(reply.text());
+        whole["model"] = json!(reply.model);
+        whole["usage"] = json!({
+            "prompt_tokens": reply.prompt_tokens,
+            "completion_tokens": reply.completion_tokens,
+        });
+        Reaction::json(200, &whole)
+    };
+    Server::concurrent(answer).unwrap()
+}
+
 #[test]
 fn a_document_is_written_by_a_real_model() {
     let bench = Bench::new();
@@ -74,8 +101,16 @@ fn a_document_is_written_by_a_real_model() {
     assert!(stored(&folder, "summary-original").is_none());
     drop(server);
 
+    // The model does not come to an end, and no part of a document is stored.
     let server = LlamaServer::start(CONTEXT, 1);
-    bench.run(&build(server.base_url(), "semantic")).expect(0);
+    let ended = bench.run(&build(server.base_url(), "semantic")).expect(2);
+    assert!(ended.stderr.contains("was cut off after 24 tokens"), "{}", ended.stderr);
+    assert!(stored(&folder, "semantic-original").is_none());
+
+    let endless = server;
+    let server = with_an_end(endless.base_url());
+    let base_url = server.base_url();
+    bench.run(&build(&base_url, "semantic")).expect(0);
     let path = stored(&folder, "semantic-original").unwrap();
     let document = json(&path);
     assert!(!document["text"].as_str().unwrap().trim().is_empty());
@@ -94,8 +129,7 @@ fn a_document_is_written_by_a_real_model() {
     }
 
     // A finished document needs no server.
-    let base_url = server.base_url().to_owned();
-    drop(server);
+    drop((server, endless));
     bench.run(&build(&base_url, "semantic")).expect(0);
 }
 

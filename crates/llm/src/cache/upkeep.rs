@@ -27,7 +27,9 @@ pub struct CacheListing {
     pub bytes: u64,
     /// Replies that cannot be read.
     pub broken: u64,
-    /// The others, by model.
+    /// Replies that earlier versions stored as answers of the model, and that are failures of a server. They are not used.
+    pub failures: u64,
+    /// All that can be read, by model.
     pub models: Vec<ModelReplies>,
 }
 
@@ -84,17 +86,18 @@ impl ReplyCache {
     /// When its folder exists and cannot be read.
     pub fn list(&self) -> io::Result<CacheListing> {
         let mut models = BTreeMap::<String, ModelReplies>::new();
-        let (mut all, mut broken) = (CacheSize::default(), 0);
+        let (mut all, mut broken, mut failures) = (CacheSize::default(), 0, 0);
         for file in self.entries()? {
             let text = match fs::read(&file.path) {
                 Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
                 text => text.unwrap_or_default(),
             };
             all.add(&file);
-            let Ok(StoredReply { stored, model, .. }) = serde_json::from_slice(&text) else {
+            let Ok(StoredReply { stored, model, reply, .. }) = serde_json::from_slice(&text) else {
                 broken += 1;
                 continue;
             };
+            failures += u64::from(reply.judged().is_err());
             let replies = models.entry(model.clone()).or_insert(ModelReplies {
                 model,
                 entries: 0,
@@ -109,7 +112,7 @@ impl ReplyCache {
         }
         let CacheSize { entries, bytes } = all;
         let models = models.into_values().collect();
-        Ok(CacheListing { folder: self.folder.clone(), entries, bytes, broken, models })
+        Ok(CacheListing { folder: self.folder.clone(), entries, bytes, broken, failures, models })
     }
 
     /// Removes replies older than `older_than`, then the oldest until at most `max_bytes` are left.
@@ -137,6 +140,28 @@ impl ReplyCache {
             removed.add(&file);
             left.entries -= 1;
             left.bytes -= file.bytes;
+        }
+        Ok(Pruned { removed, left })
+    }
+
+    /// Removes the replies that are not used: those that cannot be read, and failures of a server that earlier versions
+    /// stored as answers. With `dry_run` it removes none, and returns what it would do.
+    ///
+    /// # Errors
+    /// As [`Self::prune`].
+    pub fn prune_unusable(&self, dry_run: bool) -> io::Result<Pruned> {
+        let (mut removed, mut left) = (CacheSize::default(), CacheSize::default());
+        for file in self.entries()? {
+            let text = fs::read(&file.path).unwrap_or_default();
+            let stored = serde_json::from_slice::<StoredReply>(&text);
+            if stored.is_ok_and(|stored| stored.reply.judged().is_ok()) {
+                left.add(&file);
+                continue;
+            }
+            if !dry_run {
+                remove(&file.path)?;
+            }
+            removed.add(&file);
         }
         Ok(Pruned { removed, left })
     }
@@ -253,11 +278,30 @@ mod tests {
         let broken = cache.folder.join(FORM).join("aa");
         fs::create_dir_all(&broken).unwrap();
         fs::write(broken.join("aa.json"), "{").unwrap();
-        let CacheListing { entries, broken, models, .. } = cache.list().unwrap();
-        assert_eq!((entries, broken), (5, 1));
+        let CacheListing { entries, broken, failures, models, .. } = cache.list().unwrap();
+        assert_eq!((entries, broken, failures), (5, 1, 0));
         let models: Vec<_> =
             models.iter().map(|replies| (&*replies.model, replies.entries)).collect();
         assert_eq!(models, [("newer", 3), ("older", 1)]);
+    }
+
+    #[test]
+    fn replies_that_are_not_used_are_counted_and_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = cache(folder.path(), SystemTime::now());
+        let key = CacheKey::of("newer", &ChatRequest::text("?", 9), 9).unwrap();
+        let answer = reply::read(br#"{"choices":[{"message":{"content":"North."}}]}"#).unwrap();
+        let failure = crate::ChatReply { finish_reason: Some("error".to_owned()), ..answer };
+        cache.put(&key, "newer", &failure).unwrap();
+        fs::write(cache.path(&key).with_file_name("aa.json"), "{").unwrap();
+        let CacheListing { entries, broken, failures, .. } = cache.list().unwrap();
+        assert_eq!((entries, broken, failures), (6, 1, 1));
+        let counted = cache.prune_unusable(true).unwrap();
+        assert_eq!((counted.removed.entries, counted.left.entries), (2, 4));
+        assert_eq!(cache.list().unwrap().entries, 6, "nothing was removed");
+        assert_eq!(cache.prune_unusable(false).unwrap(), counted);
+        let CacheListing { entries, broken, failures, .. } = cache.list().unwrap();
+        assert_eq!((entries, broken, failures), (4, 0, 0));
     }
 
     #[test]

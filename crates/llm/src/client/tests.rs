@@ -28,6 +28,21 @@ fn fails(status: u16, message: &str) -> Reaction {
     Reaction::json(status, &json!({"error": {"message": message}}))
 }
 
+/// A reply with status 200 that ended for this reason.
+fn finished(text: &str, finish_reason: &str) -> Reaction {
+    let mut reply = completion(text);
+    reply["choices"][0]["finish_reason"] = json!(finish_reason);
+    Reaction::json(200, &reply)
+}
+
+/// A reply without tokens, with `value` as a field of the object at `place`.
+fn inside(place: &str, field: &str, value: serde_json::Value) -> Reaction {
+    let mut reply = completion("mov");
+    reply["usage"]["completion_tokens"] = json!(0);
+    reply.pointer_mut(place).unwrap()[field] = value;
+    Reaction::json(200, &reply)
+}
+
 fn settings(max_connections: u32, max_retries: u32) -> ChatSettings {
     ChatSettings {
         max_connections,
@@ -131,6 +146,11 @@ fn transient_failures_are_retried() {
         Reaction::Half(completion("North.").to_string()),
         Reaction::json(200, &json!({"error": {"message": "upstream died"}})),
         Reaction::Answer { status: 200, headers: vec![], body: "{\"choices\": [".to_owned() },
+        finished("mov", "error"),
+        finished("", "abort"),
+        inside("/choices/0", "error", json!({"code": 502, "message": "upstream died"})),
+        inside("/choices/0", "message", json!(null)),
+        inside("/choices/0/message", "content", json!("")),
     ] {
         let server = Server::turns([turn.clone(), Reaction::says("North.")]).unwrap();
         let bench = Bench::new(&server.base_url(), settings(4, 2));
@@ -139,6 +159,22 @@ fn transient_failures_are_retried() {
         assert_eq!(answer.reply.text(), "North.", "{turn:?}");
         assert_eq!((answer.attempts, server.received().len()), (2, 2), "{turn:?}");
         assert_eq!(server.received()[0].body, server.received()[1].body);
+    }
+}
+
+/// Servers without authentication get keys that are common words: they change nothing in a reply, and in what is shown of it.
+#[test]
+fn a_key_changes_nothing_in_a_reply() {
+    for key in ["1", "token", "North", "prompt_tokens", "scripted"] {
+        let server =
+            Server::turns([Reaction::says("North. 1 token"), fails(400, "a token")]).unwrap();
+        let endpoint = Endpoint::new(&server.base_url(), ApiKey::new(key)).unwrap();
+        let client = ChatClient::new(endpoint, settings(1, 0), None);
+        let reply = client.ask(&ChatRequest::text("a", 9), 0).unwrap().reply;
+        assert_eq!((reply.prompt_tokens, reply.completion_tokens), (Some(10), Some(5)), "{key}");
+        assert_eq!(reply.content, ReplyContent::Text("North. 1 token".to_owned()), "{key}");
+        let error = client.ask(&ChatRequest::text("b", 9), 0).unwrap_err().to_string();
+        assert!(error.contains("status 400: a token"), "{error}");
     }
 }
 
@@ -380,15 +416,16 @@ fn stored_replies_need_no_connection_and_failures_are_never_stored() {
     let server = Server::turns([
         fails(400, "too long"),
         Reaction::says("North."),
+        finished("Sou", "abort"),
         Reaction::json(200, &json!({"error": {"message": "upstream died"}})),
         Reaction::says("South."),
     ])
     .unwrap();
     let base_url = server.base_url();
-    let bench = Bench::with_cache(&base_url, settings(1, 1), cache());
+    let bench = Bench::with_cache(&base_url, settings(1, 2), cache());
     bench.submit("a");
     assert!(matches!(bench.error(), AskError::Failed(_)));
-    for (name, attempts, from_cache) in [("a", 1, false), ("a", 0, true), ("b", 2, false)] {
+    for (name, attempts, from_cache) in [("a", 1, false), ("a", 0, true), ("b", 3, false)] {
         bench.submit(name);
         let (_, answer) = bench.answer();
         assert_eq!((answer.attempts, answer.from_cache), (attempts, from_cache), "{name}");

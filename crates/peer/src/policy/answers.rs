@@ -24,6 +24,8 @@ pub(super) enum AnswerEvent {
     Stopped(String),
     /// Decisions wait for this; empty when they no longer do.
     Waiting(String),
+    /// Facts learned since the handshake.
+    Learned(Vec<(&'static str, String)>),
 }
 
 /// Passes a policy's answers to the serve loop. Clone it for each thread that answers.
@@ -78,6 +80,12 @@ impl Answers {
     /// orchestrator shows it.
     pub fn waiting(&self, reason: impl Into<String>) {
         self.send(AnswerEvent::Waiting(reason.into()));
+    }
+
+    /// Reports facts for the manifest that the policy has learned since its handshake, from a server's replies for example.
+    /// Together they have at most 480 bytes of JSON.
+    pub fn learned(&self, facts: Vec<(&'static str, String)>) {
+        self.send(AnswerEvent::Learned(facts));
     }
 
     fn send(&self, event: AnswerEvent) {

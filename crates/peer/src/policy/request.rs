@@ -225,6 +225,8 @@ pub enum Answer {
     Empty,
     /// The model refused.
     Refused,
+    /// The answer was cut off at the bound on its tokens, before it named an action.
+    CutOff,
 }
 
 impl Answer {
@@ -235,6 +237,7 @@ impl Answer {
             Self::Unreadable => Outcome::Unreadable,
             Self::Empty => Outcome::Empty,
             Self::Refused => Outcome::Refused,
+            Self::CutOff => Outcome::CutOff,
         }
     }
 
@@ -242,13 +245,13 @@ impl Answer {
     pub const fn action(self) -> Option<Action> {
         match self {
             Self::Act(action) => Some(action),
-            Self::Unreadable | Self::Empty | Self::Refused => None,
+            Self::Unreadable | Self::Empty | Self::Refused | Self::CutOff => None,
         }
     }
 }
 
 /// The cost of asking a language model. A count that is not known is `None`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Usage {
     /// Tokens of the prompt.
     pub prompt_tokens: Option<u32>,
@@ -271,10 +274,16 @@ pub struct Usage {
     pub prompted_ns: u64,
     /// When the last request was sent; 0 without one.
     pub sent_ns: u64,
+    /// Why the reply ended, in the server's terms. The log keeps the first 46 bytes.
+    pub finish_reason: Option<String>,
+    /// Whether the model reasoned before it answered.
+    pub reasoned: Option<bool>,
+    /// The model that the reply names. The log keeps the first 128 bytes.
+    pub model: Option<String>,
 }
 
 /// A policy's answer to one request.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Decision {
     /// The answer.
     pub answer: Answer,

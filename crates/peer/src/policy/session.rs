@@ -2,13 +2,15 @@
 
 use std::sync::{Arc, mpsc};
 
+use bytemuck::Zeroable;
+use domain::Reasoning;
 use domain::prompt_log::{
     PromptLogEntry, RecordedAnswer, RecordedExchange, RecordedRequest, RecordedTiming,
     RecordedUsage,
 };
 use shm_types::message::{
     self, DocumentId, NO_ACTION, NOT_MEASURED, Observation, PolicyEpisodeConfig, Recall, RequestId,
-    Role,
+    Role, write_text,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
@@ -48,6 +50,8 @@ pub(super) struct PolicySession<'p, P: ?Sized> {
     failed: Vec<(RequestId, String)>,
     /// Whether the run was asked to stop.
     has_stopped: bool,
+    /// Facts that were learned and are not reported yet.
+    learned: Option<Vec<(&'static str, String)>>,
     log: Log,
 }
 
@@ -91,6 +95,7 @@ impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
             answered: 0,
             failed: Vec::new(),
             has_stopped: false,
+            learned: None,
             log,
         })
     }
@@ -212,10 +217,18 @@ impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
                     self.has_stopped = true;
                 }
                 AnswerEvent::Waiting(reason) => errors.waiting(&reason)?,
+                AnswerEvent::Learned(facts) => self.learned = Some(facts),
             }
             sent = true;
         }
-        // Those for which the queue has no room are reported in the next turn.
+        // What the queue has no room for is reported in the next turn.
+        if let Some(facts) = self.learned.take() {
+            match errors.learned(facts.iter().cloned()) {
+                Ok(()) => sent = true,
+                Err(BusError::Full { .. }) => self.learned = Some(facts),
+                Err(error) => return Err(error.into()),
+            }
+        }
         while let Some((id, why)) = self.failed.last() {
             match errors.fail_episode(id.lane, id.episode, why) {
                 Ok(()) => drop(self.failed.pop()),
@@ -328,9 +341,14 @@ impl OpenRequest {
     /// The decision as a message.
     fn message(&self, decision: &Decision, decided_ns: u64) -> message::Decision {
         let &Self { id, images, received_ns, started_ns, .. } = self;
-        let usage = decision.usage.unwrap_or_default();
+        let usage = decision.usage.clone().unwrap_or_default();
         let count = |count: Option<u32>| count.unwrap_or(NOT_MEASURED);
-        message::Decision {
+        let reasoning = match usage.reasoned {
+            None => Reasoning::Unknown,
+            Some(false) => Reasoning::Off,
+            Some(true) => Reasoning::On,
+        };
+        let mut message = message::Decision {
             episode: id.episode,
             received_ns,
             started_ns,
@@ -351,16 +369,26 @@ impl OpenRequest {
             outcome: decision.answer.outcome() as u8,
             action: decision.answer.action().map_or(NO_ACTION, |action| action as u8),
             replayed: usage.replayed.into(),
-            reserved: [0; 17],
-        }
+            reasoning: reasoning as u8,
+            ..Zeroable::zeroed()
+        };
+        let text = |text: &Option<String>, buffer: &mut [u8]| {
+            // The buffers are shorter than 256 bytes.
+            text.as_ref().map_or(0, |text| write_text(buffer, text) as u8)
+        };
+        message.finish_reason_len = text(&usage.finish_reason, &mut message.finish_reason);
+        message.model_len = text(&usage.model, &mut message.model);
+        message
     }
 
     /// The entry of the prompt log: of a decision and when it was made, or of why there is none.
     fn entry(self, answer: Result<(&Decision, u64), &str>) -> Option<PromptLogEntry> {
         let Self { id, images, received_ns, started_ns, request, exchange } = self;
         let decision = answer.ok().map(|(decision, _)| decision);
-        let usage = decision.and_then(|decision| decision.usage);
+        let usage = decision.and_then(|decision| decision.usage.clone());
         let stamp = |stamp: fn(&Usage) -> u64| usage.as_ref().map_or(0, stamp);
+        let [prompted_ns, sent_ns] =
+            [stamp(|usage| usage.prompted_ns), stamp(|usage| usage.sent_ns)];
         Some(PromptLogEntry {
             episode: id.episode,
             step: id.step,
@@ -383,12 +411,15 @@ impl OpenRequest {
                 reusable_tokens: usage.reusable_tokens,
                 attempts: usage.attempts,
                 replayed: usage.replayed,
+                finish_reason: usage.finish_reason,
+                reasoned: usage.reasoned,
+                model: usage.model,
             }),
             timing: RecordedTiming {
                 received_ns,
                 started_ns,
-                prompted_ns: stamp(|usage| usage.prompted_ns),
-                sent_ns: stamp(|usage| usage.sent_ns),
+                prompted_ns,
+                sent_ns,
                 decided_ns: answer.map_or_else(|_| monotonic_ns(), |(_, decided_ns)| decided_ns),
             },
         })

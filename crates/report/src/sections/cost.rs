@@ -85,6 +85,7 @@ pub(crate) fn requests_table(view: &ScoredRun<'_>) -> Option<Table> {
         ("Images left out", |s| TableCell::Value(s.images_dropped.to_string())),
         ("Unreadable answers", |s| TableCell::Value(s.unread.unreadable.to_string())),
         ("Empty answers", |s| TableCell::Value(s.unread.empty.to_string())),
+        ("Answers cut off at the token bound", |s| TableCell::Value(s.unread.cut_off.to_string())),
         ("Refusals", |s| TableCell::Value(s.unread.refused.to_string())),
         ("Latency p50, ms", |s| plain_or(s.latency_p50_ms, 0, NOTHING_SENT)),
         ("Latency p90, ms", |s| plain_or(s.latency_p90_ms, 0, NOTHING_SENT)),

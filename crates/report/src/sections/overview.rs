@@ -6,6 +6,8 @@ use domain::representation::RepresentationInfo;
 use domain::{Appearance, Representation};
 use results::conditions::{Condition, Frames};
 use results::log::{EpisodeRecord, ExternalMemoryFacts, Manifest};
+use results::score::{RequestScore, WithoutAction};
+use results::usage::UsageTotals;
 
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, title};
@@ -23,6 +25,7 @@ pub(crate) fn notices(view: &ScoredRun<'_>) -> Vec<String> {
             scores.errored
         ));
     }
+    notices.extend(answers(view));
     for score in scores.conditions.iter().take(MOST_BOUNDS) {
         if let Some(bounds) = &score.bounds {
             notices.push(format!(
@@ -35,6 +38,23 @@ pub(crate) fn notices(view: &ScoredRun<'_>) -> Vec<String> {
     notices.extend(damaged.map(|line| format!("Damaged and left out: {line}.")));
     if let Some(more) = view.log.damaged.len().checked_sub(MOST_DAMAGED).filter(|more| *more > 0) {
         notices.push(format!("Damaged and left out: {more} more lines."));
+    }
+    notices
+}
+
+/// That a model's answers have no action, or were not all given to this run.
+fn answers(view: &ScoredRun<'_>) -> Vec<String> {
+    let mut notices = Vec::new();
+    if let Some(silent) = WithoutAction::of_run(view.log) {
+        notices.push(silent.described(view.log.manifest.settings.model.as_ref()));
+    }
+    if let Some(UsageTotals { requests, replayed: replayed @ 1.., .. }) =
+        RequestScore::of_run(view.log).map(|score| score.usage)
+    {
+        notices.push(format!(
+            "{replayed} of {} answers came from the reply cache; tokens, latency and cost of requests are of the others.",
+            requests + replayed
+        ));
     }
     notices
 }

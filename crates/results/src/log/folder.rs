@@ -38,6 +38,8 @@ pub struct RunFolder {
     latency: Journal<LatencyRecord>,
     /// [`hash`]es of the keys of finished episodes.
     finished: HashSet<u128>,
+    /// Facts that were learned in this session: process and name.
+    learned: HashSet<(String, String)>,
     /// Dropped last, after everything else is closed.
     _lock: File,
 }
@@ -126,6 +128,7 @@ impl RunFolder {
             sessions,
             latency,
             finished: finished.iter().map(|record| hash(&record.key)).collect(),
+            learned: HashSet::new(),
             _lock: lock,
         };
         Ok(Opened { folder, finished, requests: asked, notes })
@@ -278,6 +281,9 @@ impl RunFolder {
             // A memory that was left out has no process.
             let Some(now) = processes.get(role) else { continue };
             for (fact, then) in then {
+                if LEARNED_FACTS.contains(&fact.as_str()) {
+                    continue;
+                }
                 let now = now.get(fact).map_or("nothing", String::as_str);
                 if now != then {
                     changes
@@ -287,7 +293,37 @@ impl RunFolder {
         }
         Ok(changes)
     }
+
+    /// Adds facts that a process has learned since it was ready to the manifest. Returns those that differ from what an
+    /// earlier session has learned. The manifest has the latest, `sessions.jsonl` all of them.
+    ///
+    /// # Errors
+    /// When an operation of the system fails.
+    pub fn learn(
+        &mut self,
+        role: &str,
+        facts: &BTreeMap<String, String>,
+    ) -> Result<Vec<String>, LogError> {
+        let known = self.manifest.processes.entry(role.to_owned()).or_default();
+        let mut changes = Vec::new();
+        for (fact, now) in facts {
+            let before = known.insert(fact.clone(), now.clone());
+            let is_first = self.learned.insert((role.to_owned(), fact.clone()));
+            if let Some(before) = before.filter(|before| is_first && before != now) {
+                changes
+                    .push(format!("{role}: {fact} was {before} in an earlier session, now {now}"));
+            }
+        }
+        self.manifest.write(&self.dir)?;
+        let (process, facts) = (role.to_owned(), facts.clone());
+        self.note(SessionEvent::Learned { process, facts })?;
+        Ok(changes)
+    }
 }
+
+/// The facts that a policy learns from the replies of its server ([`RunFolder::learn`]), and so does not have when it is
+/// ready.
+pub(super) const LEARNED_FACTS: [&str; 2] = ["answers", "reasoning"];
 
 /// Opens the journal in `path`, and adds notes on what was cut or set aside.
 fn journal<T: serde::Serialize + serde::de::DeserializeOwned>(

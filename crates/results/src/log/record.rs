@@ -254,6 +254,10 @@ pub struct Unread {
     pub empty: u32,
     /// The model refused.
     pub refused: u32,
+    /// The answer was cut off at the bound on its tokens, before it named an action. Absent when there were none, and in
+    /// earlier logs, which count such answers as unreadable.
+    #[serde(skip_serializing_if = "is_zero", default)]
+    pub cut_off: u32,
 }
 
 impl Unread {
@@ -264,7 +268,20 @@ impl Unread {
 
     /// All of them.
     pub fn total(&self) -> u32 {
-        self.unreadable.saturating_add(self.empty).saturating_add(self.refused)
+        let Self { unreadable, empty, refused, cut_off } = *self;
+        [unreadable, empty, refused, cut_off].into_iter().fold(0, u32::saturating_add)
+    }
+
+    /// Counts an answer with this outcome.
+    pub fn add(&mut self, outcome: Outcome) {
+        let count = match outcome {
+            Outcome::Acted => return,
+            Outcome::Unreadable => &mut self.unreadable,
+            Outcome::Empty => &mut self.empty,
+            Outcome::Refused => &mut self.refused,
+            Outcome::CutOff => &mut self.cut_off,
+        };
+        *count = count.saturating_add(1);
     }
 }
 
@@ -391,6 +408,15 @@ pub struct RequestRecord {
     /// estimate.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub reusable_tokens: Option<u32>,
+    /// Why the reply ended, in the server's terms, such as `stop` or `length`.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub finish_reason: Option<String>,
+    /// Whether the model reasoned before it answered, as far as the reply shows.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub reasoned: Option<bool>,
+    /// The model that the reply names.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub model: Option<String>,
 }
 
 /// Reads a count. Earlier versions wrote the wire's mark for "not measured", the largest number, into the log.
@@ -545,5 +571,12 @@ pub enum SessionEvent {
         /// The totals of each process of the last generation, from its shutdown report.
         #[serde(alias = "farewells")]
         shutdown_reports: BTreeMap<String, BTreeMap<String, u64>>,
+    },
+    /// A process has learned facts about itself or its server since it was ready.
+    Learned {
+        /// The process.
+        process: String,
+        /// The facts.
+        facts: BTreeMap<String, String>,
     },
 }

@@ -263,6 +263,9 @@ pub fn request(key: &str, step: u32) -> RequestRecord {
         image_tokens: Some(400),
         memory_tokens: Some(300),
         reusable_tokens: Some(250),
+        finish_reason: None,
+        reasoned: None,
+        model: None,
     }
 }
 

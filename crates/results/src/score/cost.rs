@@ -23,7 +23,7 @@ pub(super) fn tokens_per_100(records: &[&EpisodeRecord]) -> Option<f64> {
     Some(mean(tokens?.into_iter())? * 100.0)
 }
 
-/// Percentage of the answers of one run in which no action could be read: unreadable, empty or refused.
+/// Percentage of the answers of one run in which no action could be read: unreadable, empty, refused or cut off.
 pub(super) fn unread(records: &[&EpisodeRecord]) -> Option<f64> {
     let requests: u64 = records.iter().filter_map(|record| record.requests).map(u64::from).sum();
     let unread: u64 = records.iter().map(|record| u64::from(record.unread.total())).sum();

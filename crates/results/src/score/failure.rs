@@ -240,7 +240,7 @@ mod tests {
     fn one_record_of_each_kind() {
         use Requirement::{A, B, C};
         let mut unread = failed(1, 1, &[]);
-        unread.unread = Unread { unreadable: 60, empty: 30, refused: 10 };
+        unread.unread = Unread { unreadable: 60, empty: 30, refused: 10, cut_off: 0 };
         let mut half = unread.clone();
         half.unread.refused = 9;
         // Turns on the spot for the last 20 steps: each of four poses five times.
@@ -284,7 +284,7 @@ mod tests {
     fn a_failure_says_after_which_step_it_was_decided() {
         use Requirement::{A, B};
         let mut unread = failed(1, 1, &[]);
-        unread.unread = Unread { unreadable: 3, empty: 0, refused: 0 };
+        unread.unread = Unread { unreadable: 3, empty: 0, refused: 0, cut_off: 0 };
         (unread.actions, unread.steps, unread.requests) = ("f?f??".to_owned(), 5, Some(5));
         let mut spins = failed(1, 1, &[]);
         (spins.actions, spins.steps) = (format!("{}{}", "f".repeat(180), "L".repeat(20)), 200);

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use domain::{MemoryKind, Outcome};
+use domain::MemoryKind;
 use serde::Serialize;
 
 use crate::cost::Money;
@@ -94,14 +94,7 @@ impl RequestScore {
 
 fn unread(requests: &[&RequestRecord]) -> Unread {
     let mut unread = Unread::default();
-    for request in requests {
-        match request.outcome {
-            Outcome::Acted => {}
-            Outcome::Unreadable => unread.unreadable += 1,
-            Outcome::Empty => unread.empty += 1,
-            Outcome::Refused => unread.refused += 1,
-        }
-    }
+    requests.iter().for_each(|request| unread.add(request.outcome));
     unread
 }
 
@@ -113,6 +106,8 @@ fn quantile(sorted: &[u64], percent: usize) -> Option<u64> {
 
 #[cfg(test)]
 mod tests {
+    use domain::Outcome;
+
     use super::*;
     use crate::log::testing::{log, manifest, record, request};
 

@@ -229,7 +229,7 @@ fn images_tokens_answers_and_retrievals_per_run() {
         let mut record = record(id, true);
         (record.requests, record.images) = (Some(requests), Some(images));
         (record.prompt_tokens, record.completion_tokens) = (Some(tokens - 1), Some(1));
-        record.unread = Unread { unreadable: unread, empty: 0, refused: 0 };
+        record.unread = Unread { unreadable: unread, empty: 0, refused: 0, cut_off: 0 };
         record.retrieved = Some(retrieved.to_owned());
         in_run(run, record)
     };

@@ -30,6 +30,8 @@ pub struct ModelSettings {
     pub request_timeout: u32,
     #[serde(default)]
     pub server_patience: u32,
+    #[serde(default = "answers_before_a_stop")]
+    pub stop_without_action: u32,
     pub response_cache: ResponseCache,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prices: Option<PathBuf>,
@@ -37,6 +39,11 @@ pub struct ModelSettings {
     pub max_tokens_total: Option<u64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_cost: Option<Money>,
+}
+
+/// The default of `stop-without-action`, in manifests of earlier versions.
+const fn answers_before_a_stop() -> u32 {
+    100
 }
 
 /// Where answers are cached. Written `on`, `off`, or as a path, which has a slash.

@@ -6,7 +6,7 @@ use domain::{Action, Feedback};
 use replay::RunWorld;
 use results::conditions::Condition;
 use results::log::{EpisodeRecord, RunLog};
-use results::score::Failure;
+use results::score::{Failure, WithoutAction};
 use serde::Serialize;
 use warehouse::map::MEASURES;
 use warehouse::{Case, Task, TaskGroup};
@@ -158,6 +158,8 @@ fn notices(log: &RunLog) -> Vec<String> {
     if policy.role.is_some() {
         notices.push(policy.sentence("Policy"));
     }
+    let model = log.manifest.settings.model.as_ref();
+    notices.extend(WithoutAction::of_run(log).map(|silent| silent.described(model)));
     if !log.damaged.is_empty() {
         notices.push(format!(
             "{} damaged lines of the log are left out, the first: {}.",

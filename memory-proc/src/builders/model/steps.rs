@@ -46,11 +46,13 @@ impl StepFolder {
         Ok(Self { folder: folder.to_owned(), model: model.to_owned(), used: BTreeSet::new() })
     }
 
-    /// The reply to the next prompt: the stored one, else the result of `ask`, which is then stored.
+    /// The reply to the next prompt: the stored one, else the result of `ask`, which is then stored. Both have to be `usable`: an
+    /// earlier version may have stored a reply that is not, and the model is asked again.
     pub(super) fn next(
         &mut self,
         stage: PromptStage,
         prompt: &DocumentPrompt,
+        usable: impl Fn(ChatReply) -> anyhow::Result<ChatReply>,
         ask: impl FnOnce() -> anyhow::Result<ChatReply>,
     ) -> anyhow::Result<ChatReply> {
         let name = format!("{:03}-{}.json", self.used.len() + 1, stage.name());
@@ -58,9 +60,15 @@ impl StepFolder {
         self.used.insert(name.into());
         let request_sha256 = self.sha256(prompt)?;
         if let Some(step) = load(&path)?.filter(|step| step.request_sha256 == request_sha256) {
-            return Ok(step.reply);
+            match step.reply.judged().map_err(anyhow::Error::msg).and_then(&usable) {
+                Ok(reply) => return Ok(reply),
+                Err(problem) => tracing::warn!(
+                    "{} is not used ({problem:#}): the model is asked again",
+                    path.display()
+                ),
+            }
         }
-        let reply = ask()?;
+        let reply = usable(ask()?)?;
         let step = StepFile { request_sha256, prompt: prompt.clone(), reply };
         save(&path, &step).with_context(|| format!("cannot write {}", path.display()))?;
         Ok(step.reply)
@@ -136,6 +144,14 @@ mod tests {
         super::super::tests::reply(ReplyContent::Text(text.into()))
     }
 
+    /// As the builder does, takes only a whole text.
+    fn whole(reply: ChatReply) -> anyhow::Result<ChatReply> {
+        match reply.content {
+            ReplyContent::Text(_) => Ok(reply),
+            _ => bail!("no whole text"),
+        }
+    }
+
     fn names(folder: &Path) -> Vec<String> {
         let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name());
         let mut names: Vec<_> = entries.map(|name| name.into_string().unwrap()).collect();
@@ -154,7 +170,7 @@ mod tests {
                 None => bail!("no server"),
             };
             steps
-                .next(PromptStage::Extract, &prompt(limit), ask)
+                .next(PromptStage::Extract, &prompt(limit), whole, ask)
                 .map(|reply| reply.text().to_owned())
         };
         assert!(next("m", "1", None).is_err());
@@ -170,13 +186,30 @@ mod tests {
     }
 
     #[test]
+    fn a_stored_reply_that_is_no_whole_text_is_asked_for_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let next = |usable: fn(ChatReply) -> anyhow::Result<ChatReply>, content: ReplyContent| {
+            let mut steps = StepFolder::open(folder.path(), "m").unwrap();
+            let ask = || Ok(super::super::tests::reply(content));
+            steps
+                .next(PromptStage::Extract, &prompt("1"), usable, ask)
+                .map(|reply| reply.text().to_owned())
+        };
+        // As an earlier version stored it.
+        next(Ok, ReplyContent::Length("# A\nha".to_owned())).unwrap();
+        assert!(next(whole, ReplyContent::Empty).is_err());
+        assert_eq!(next(whole, ReplyContent::Text("# A".to_owned())).unwrap(), "# A");
+        assert_eq!(next(whole, ReplyContent::Empty).unwrap(), "# A");
+    }
+
+    #[test]
     fn finishing_removes_the_steps_of_an_earlier_document_and_nothing_else() {
         let folder = tempfile::tempdir().unwrap();
         for name in ["002-refine.json", "003-extract.json.new", "notes.txt", "a-b.json"] {
             fs::write(folder.path().join(name), "x").unwrap();
         }
         let mut steps = StepFolder::open(folder.path(), "m").unwrap();
-        steps.next(PromptStage::Summary, &prompt("1"), || Ok(reply("a"))).unwrap();
+        steps.next(PromptStage::Summary, &prompt("1"), whole, || Ok(reply("a"))).unwrap();
         steps.finish().unwrap();
         assert_eq!(names(folder.path()), ["001-summary.json", "a-b.json", "notes.txt"]);
     }

@@ -7,6 +7,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::MergeError;
+use crate::log::folder::LEARNED_FACTS;
 use crate::log::manifest::MANIFEST_FILE;
 use crate::log::{Difference, LogError, Manifest, UnitId, system};
 
@@ -131,7 +132,12 @@ impl UnitFolders {
                 for (role, facts) in unit.processes {
                     let known = of_plan.processes.entry(role).or_default();
                     facts.into_iter().for_each(|(name, value)| {
-                        known.entry(name).or_insert(value);
+                        let is_learned = LEARNED_FACTS.contains(&name.as_str());
+                        let joined = known.entry(name).or_insert_with(|| value.clone());
+                        // A policy's requests may have met different servers.
+                        if is_learned && !joined.contains(&value) {
+                            *joined += &format!("; in other units {value}");
+                        }
                     });
                 }
             }

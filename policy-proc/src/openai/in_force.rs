@@ -1,0 +1,159 @@
+//! What was in force when the model answered: whether it reasoned although it was asked not to, and whether its answers were
+//! restricted to the actions. Requests ask for both, but servers refuse fields, or ignore them, so only replies can tell.
+
+use domain::Action;
+use llm::{CONSTRAINTS, ChatReply, ReplyContent};
+use serde_json::Value;
+
+/// What the replies so far have shown.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct InForce {
+    reasoned: bool,
+    /// A reply had a whole text.
+    has_text: bool,
+    /// An answer was none of the choices.
+    unrestricted: bool,
+    /// Fields that a server has refused.
+    refused: Vec<&'static str>,
+    /// The facts that were reported last.
+    reported: Vec<(&'static str, String)>,
+}
+
+impl InForce {
+    /// Takes a reply, and the fields that servers have refused so far. Returns the facts for the manifest if they have
+    /// changed.
+    pub(super) fn add(
+        &mut self,
+        reply: &ChatReply,
+        refused: Vec<&'static str>,
+    ) -> Option<Vec<(&'static str, String)>> {
+        self.reasoned |= reply.reasoned;
+        if let ReplyContent::Text(text) = &reply.content {
+            self.has_text = true;
+            self.unrestricted |= !is_choice(text);
+        }
+        self.refused = refused;
+        let facts = vec![("answers", self.answers()), ("reasoning", self.reasoning())];
+        let changed = self.reported != facts;
+        self.reported.clone_from(&facts);
+        changed.then_some(facts)
+    }
+
+    fn answers(&self) -> String {
+        let refused = self.refused(true);
+        if self.unrestricted || CONSTRAINTS.iter().all(|field| self.refused.contains(field)) {
+            return format!("free text{refused}");
+        }
+        if !self.has_text {
+            return format!("no reply shows whether they are restricted{refused}");
+        }
+        format!("restricted, as far as replies show{refused}")
+    }
+
+    fn reasoning(&self) -> String {
+        let refused = self.refused(false);
+        if self.reasoned {
+            format!("on: replies show it, although it was asked to be off{refused}")
+        } else if self.has_text {
+            format!("off, as far as replies show{refused}")
+        } else {
+            // An answer that was cut off before its first word may have been reasoning that the server does not show.
+            format!("no reply shows whether it is off{refused}")
+        }
+    }
+
+    /// The refused fields that restrict answers, or those that turn reasoning off, at the end of a sentence.
+    fn refused(&self, constraints: bool) -> String {
+        let of_kind = |field: &&&str| CONSTRAINTS.contains(*field) == constraints;
+        let fields: Vec<&str> = self.refused.iter().filter(of_kind).copied().collect();
+        match fields.len() {
+            0 => String::new(),
+            _ => format!("; the server refuses {}", fields.join(", ")),
+        }
+    }
+}
+
+/// Whether an answer is what a server that restricts answers lets through: the words of an action, alone or as the `action` of
+/// an object.
+fn is_choice(text: &str) -> bool {
+    let is_action = |text: &str| Action::ALL.iter().any(|action| action.words() == text);
+    let of_object = || {
+        let object: Value = serde_json::from_str(text).ok()?;
+        object.get("action")?.as_str().map(is_action)
+    };
+    is_action(text) || of_object() == Some(true)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn reply(content: ReplyContent, reasoned: bool) -> ChatReply {
+        ChatReply {
+            content,
+            model: None,
+            prompt_tokens: None,
+            completion_tokens: None,
+            cached_tokens: None,
+            image_tokens: None,
+            finish_reason: None,
+            system_fingerprint: None,
+            reasoned,
+        }
+    }
+
+    #[test]
+    fn the_facts_follow_from_replies_and_refusals() {
+        let said = |text: &str| reply(ReplyContent::Text(text.to_owned()), false);
+        let mut cut_off_only = InForce::default();
+        let unknown = cut_off_only.add(&reply(ReplyContent::Length(String::new()), false), vec![]);
+        assert_eq!(
+            unknown.unwrap(),
+            [
+                ("answers", "no reply shows whether they are restricted".to_owned()),
+                ("reasoning", "no reply shows whether it is off".to_owned()),
+            ]
+        );
+        let mut in_force = InForce::default();
+        let first = in_force.add(&said("move forward"), vec![]);
+        assert_eq!(
+            first.unwrap(),
+            [
+                ("answers", "restricted, as far as replies show".to_owned()),
+                ("reasoning", "off, as far as replies show".to_owned()),
+            ]
+        );
+        assert_eq!(in_force.add(&said("{\"action\": \"turn left\"}"), vec![]), None);
+        let refused = vec!["reasoning_effort", "grammar"];
+        let second = in_force.add(&said("turn left"), refused.clone());
+        assert_eq!(
+            second.unwrap(),
+            [
+                (
+                    "answers",
+                    "restricted, as far as replies show; the server refuses grammar".to_owned()
+                ),
+                (
+                    "reasoning",
+                    "off, as far as replies show; the server refuses reasoning_effort".to_owned()
+                ),
+            ]
+        );
+        // An answer that was cut off or is empty shows no restriction, nor that there is none.
+        let cut_off = reply(ReplyContent::Length("I see".to_owned()), true);
+        let [_, (_, reasoning)] = &in_force.add(&cut_off, refused.clone()).unwrap()[..] else {
+            panic!("two facts")
+        };
+        assert_eq!(
+            reasoning,
+            "on: replies show it, although it was asked to be off; the server refuses reasoning_effort"
+        );
+        let [(_, answers), _] = &in_force.add(&said("I turn left."), refused).unwrap()[..] else {
+            panic!("two facts")
+        };
+        assert_eq!(answers, "free text; the server refuses grammar");
+        let mut refusing = InForce::default();
+        let facts = refusing.add(&said("turn left"), CONSTRAINTS.to_vec()).unwrap();
+        assert!(facts[0].1.starts_with("free text; the server refuses"), "{facts:?}");
+    }
+}
