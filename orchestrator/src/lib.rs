@@ -14,7 +14,6 @@
 //! `memtransfer`.
 
 pub mod budget;
-pub mod commit;
 pub mod documents;
 pub mod event_recorder;
 pub mod external_memory;
