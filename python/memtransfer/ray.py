@@ -91,7 +91,7 @@ def _flags_of_units(settings: Sequence[str], work: Sequence[str]) -> list[str]:
     flags = ["--allow-commands"]
     name = "--base-url"
     if not any(flag == name or flag.startswith(f"{name}=") for flag in work):
-        for flag, value in zip(settings, [*settings[1:], ""], strict=True):
+        for flag, value in zip(settings, [*settings[1:], ""], strict=False):
             if flag == name:
                 flags = [*flags, name, value]
             elif flag.startswith(f"{name}="):
