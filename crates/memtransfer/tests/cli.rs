@@ -534,6 +534,27 @@ fn a_dry_run_starts_no_program() {
     assert!(!has_started_a_program(dir.path()) && !cache.exists());
 }
 
+/// The names that external memories told earlier are in the run's folder.
+#[test]
+fn a_dry_run_lists_the_memories_that_the_folder_names() {
+    let dir = dir();
+    let mut manifest = testing::manifest();
+    manifest.settings.memory_cmd = vec!["./mine".to_owned()];
+    let facts = serde_json::json!({"index": 0, "version": "1", "command": "./mine", "scope": "case",
+        "embeddings": false, "frames": false, "deterministic": true, "learns": false, "sdk": "-"});
+    let facts = serde_json::from_value(facts).unwrap();
+    manifest.memories.insert("top-three".parse().unwrap(), facts);
+    drop(RunFolder::open(&dir.path().join("run"), manifest, false).unwrap());
+    let planned = |command: &str| {
+        let arguments = format!("run --dry-run --memory working --memory-cmd {command} --out run");
+        let output = memtransfer(dir.path(), &arguments);
+        (text(&output.stdout).contains("top-three/"), text(&output.stderr))
+    };
+    assert_eq!(planned("./mine"), (true, String::new()));
+    let (is_listed, said) = planned("./other");
+    assert!(!is_listed && said.contains("its conditions are not listed"), "{said}");
+}
+
 #[test]
 fn commands_of_a_file_are_shown_and_refused() {
     let dir = dir();
