@@ -11,7 +11,7 @@ use memory_proc::encoder::{
     Encoder, Image, ImageSource, ModelFile, PreparedEncoder, SessionOpening,
 };
 use memory_proc::manifest::EncoderManifest;
-use memory_proc::paths::CacheFolder;
+use memory_proc::paths::{CacheFolder, RuntimeLibrary};
 use serde_json::json;
 use shm_types::attach::FrameSize;
 use sim_proc::renderer::{RenderSettings, Renderer, ViewSpec};
@@ -104,7 +104,7 @@ fn default_model() -> Result<ModelFile> {
 /// The default encoder, with a worker for each core; its sessions are open.
 pub(crate) fn open(session: &BenchSession<'_>) -> Result<Encoder> {
     let threads = NonZeroUsize::new(threads()).context("no thread")?;
-    let runtime = CacheFolder::from_environment()?.runtime();
+    let runtime = RuntimeLibrary::from_environment(&CacheFolder::from_environment()?);
     let provider = session.hardware.provider;
     let prepared = PreparedEncoder::new(default_model()?, &runtime, threads, provider)?;
     let mut encoder = prepared.start(SessionOpening::Eagerly, || {});

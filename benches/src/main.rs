@@ -9,9 +9,9 @@ use anyhow::{Context, Result, bail};
 use benches::markdown::{self, Column};
 use benches::results::{BenchOutcome, FILE, Results};
 use benches::{BENCHES, Bench, BenchSession, Hardware, Size, compare, processes};
+use build_commit::COMMIT;
 use clap::{Parser, Subcommand};
 use memory_proc::encoder::Provider;
-use orchestrator::commit::program_commit;
 use sim_proc::renderer::Backend;
 
 /// Measures this project beside other programs, alternating on the same machine.
@@ -159,7 +159,7 @@ fn measure(bench: &Bench, mut session: BenchSession<'_>) -> BenchOutcome {
         name: bench.name.to_owned(),
         about: bench.about.to_owned(),
         began,
-        commit: program_commit(),
+        commit: COMMIT.map(str::to_owned),
         seconds: clock.elapsed().as_secs_f64(),
         error,
         figures: figures.unwrap_or_default(),

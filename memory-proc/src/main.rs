@@ -8,7 +8,7 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use documents::{DocumentName, ModelRecipe, Recipe};
-use llm::{ChatClient, ChatSettings, Endpoint};
+use llm::{ChatClient, ChatSettings, Servers, Source};
 use memory_proc::builders::build::{self, BuildSettings};
 use memory_proc::builders::{DocumentBuilder, Extractive, ModelBuilder, model};
 use memory_proc::embed_command;
@@ -58,11 +58,6 @@ enum MemoryProcVerb {
         /// The longest time that an external memory may take to answer
         #[arg(long, value_name = "SECONDS", default_value_t = 30)]
         memory_timeout: u32,
-        #[command(flatten)]
-        encoder: EncoderArguments,
-    },
-    /// Check that what the encoder needs is there. Started by `memtransfer run --dry-run`
-    CheckEncoder {
         #[command(flatten)]
         encoder: EncoderArguments,
     },
@@ -229,7 +224,8 @@ impl BuilderArguments {
             BuilderKind::Extractive => return Ok((Recipe::Extractive, Box::new(Extractive))),
             BuilderKind::Model => self.model.context("--builder model needs --model NAME")?,
         };
-        let (first, others) = Endpoint::from_environment(self.base_url.as_deref(), Path::new("."))?;
+        let given = self.base_url.as_deref().map(|url| (url, Source::CommandLine));
+        let Servers { first, others, .. } = Servers::from_environment(given, Path::new("."))?;
         let settings = ChatSettings {
             request_timeout: Duration::from_secs(self.request_timeout.into()),
             max_retries: self.max_retries,
@@ -329,10 +325,6 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
                 limits,
             };
             serve(&settings)
-        }
-        MemoryProcVerb::CheckEncoder { encoder } => {
-            let manifest = encoder.manifest()?;
-            encoder.settings()?.prepare(&manifest).map(drop)
         }
         MemoryProcVerb::Embed { files, repeat, encoder } => {
             embed_command::run(&files, repeat, &encoder.manifest()?, &encoder.settings()?)

@@ -5,7 +5,33 @@
 
 use std::path::{Path, PathBuf};
 
-use domain::{NoCacheFolder, cache_folder};
+use domain::{NoCacheFolder, RUNTIME_FILE, RUNTIME_VARIABLE, cache_folder};
+
+/// ONNX Runtime's library, which the process loads as code.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum RuntimeLibrary {
+    /// The one in the cache folder. It is used only if its hash is that of a library that set-up fetches.
+    Cached(PathBuf),
+    /// One of the user's own.
+    Own(PathBuf),
+}
+
+impl RuntimeLibrary {
+    /// The library that the environment names ([`RUNTIME_VARIABLE`]), else the one in `cache`.
+    pub fn from_environment(cache: &CacheFolder) -> Self {
+        match std::env::var_os(RUNTIME_VARIABLE).filter(|path| !path.is_empty()) {
+            Some(path) => Self::Own(path.into()),
+            None => cache.runtime(),
+        }
+    }
+
+    /// Its path.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Cached(path) | Self::Own(path) => path,
+        }
+    }
+}
 
 /// The cache folder.
 #[derive(Debug, Clone)]
@@ -37,9 +63,9 @@ impl CacheFolder {
         self.root.join("models").join(file)
     }
 
-    /// ONNX Runtime's library.
-    pub fn runtime(&self) -> PathBuf {
-        self.root.join("onnxruntime").join("libonnxruntime.so")
+    /// ONNX Runtime's library in it.
+    pub fn runtime(&self) -> RuntimeLibrary {
+        RuntimeLibrary::Cached(self.root.join(RUNTIME_FILE))
     }
 
     /// The folder of embedding caches.

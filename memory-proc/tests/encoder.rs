@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 
+use domain::RUNTIME_VARIABLE;
 use memory_proc::encoder::{
     Encoder, Image, ImageSource, ModelFile, PreparedEncoder, Provider, SessionOpening,
 };
@@ -126,7 +127,7 @@ fn a_provider_that_the_runtime_lacks_is_refused_with_those_that_it_has() {
     let error = error.to_string();
     let expected = format!(
         "ONNX Runtime at {} has no execution provider `cuda`; it offers cpu",
-        runtime.display()
+        runtime.path().display()
     );
     assert!(error.starts_with(&expected) && error.contains("--provider"), "{error}");
     assert_eq!(encoder(1).facts().provider, Provider::Cpu);
@@ -175,7 +176,10 @@ fn errors_about_missing_files_name_the_command_that_fetches_them() {
     };
     assert_eq!(
         error.to_string(),
-        format!("ONNX Runtime is not at {}; run `cargo xtask setup`", nowhere.runtime().display())
+        format!(
+            "ONNX Runtime is not at {}; run `cargo xtask setup`",
+            nowhere.runtime().path().display()
+        )
     );
 }
 
@@ -224,30 +228,54 @@ fn a_model_that_does_not_match_the_manifest_is_refused_with_a_reason() {
     }
 }
 
-/// In a process of its own: a process loads ONNX Runtime once.
+/// In processes of their own: a process loads ONNX Runtime once.
 #[test]
-fn a_library_that_is_not_onnx_runtime_is_refused() {
+fn only_a_known_library_in_the_cache_folder_is_loaded() {
     let folder = tempfile::tempdir().unwrap();
-    let broken = CacheFolder::at(folder.path());
-    let (model, runtime) = (broken.model("dinov2-s14.onnx"), broken.runtime());
-    for path in [&model, &runtime] {
+    let planted = CacheFolder::at(folder.path());
+    let (model, runtime) = (planted.model("dinov2-s14.onnx"), planted.runtime());
+    let (model, runtime) = (&*model, runtime.path());
+    for path in [model, runtime] {
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     }
-    std::os::unix::fs::symlink(cache().model("dinov2-s14.onnx"), &model).unwrap();
-    std::fs::write(&runtime, "no library").unwrap();
+    std::os::unix::fs::symlink(cache().model("dinov2-s14.onnx"), model).unwrap();
+    let known = std::fs::read(cache().runtime().path()).unwrap();
     let picture = folder.path().join("view.png");
     png_file::RgbaImage::filled(8, 8, [0; 4]).write(&picture).unwrap();
-    let embed = |picture: &Path| {
+    let embed = |picture: &Path, own: Option<&Path>| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_memory-proc"));
-        let output = command.arg("embed").arg(picture).arg("--cache").arg(folder.path()).output();
-        let output = output.unwrap();
-        assert_eq!(output.status.code(), Some(2));
-        String::from_utf8(output.stderr).unwrap()
+        command.arg("embed").arg(picture).arg("--cache").arg(folder.path());
+        command.env_remove(RUNTIME_VARIABLE).envs(own.map(|path| (RUNTIME_VARIABLE, path)));
+        let output = command.output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
     };
-    let error = embed(&picture);
-    let expected = format!("memory-proc: ONNX Runtime at {} cannot be used", runtime.display());
-    assert!(error.starts_with(&expected) && error.contains("cargo xtask setup"), "{error}");
-    let error = embed(&folder.path().join("none.png"));
+    let refused = |own: Option<&Path>| {
+        let (status, error) = embed(&picture, own);
+        assert_eq!(status, Some(2), "{error}");
+        let path = own.unwrap_or(runtime);
+        let expected = format!("memory-proc: ONNX Runtime at {} cannot be used", path.display());
+        assert!(error.starts_with(&expected), "{error}");
+        error
+    };
+    // Works as the known one does, has one byte more, and is not loaded.
+    let longer = [&known[..], b"\0"].concat();
+    for bytes in [b"no library", &longer[..]] {
+        std::fs::write(runtime, bytes).unwrap();
+        let error = refused(None);
+        for part in ["is not the library", "was not loaded", RUNTIME_VARIABLE, "cargo xtask setup"]
+        {
+            assert!(error.contains(part), "{part}: {error}");
+        }
+    }
+    // The user's own is not compared: it is loaded, and the loader says what is wrong with it.
+    let own = folder.path().join("own.so");
+    std::fs::write(&own, &longer).unwrap();
+    let (status, error) = embed(&picture, Some(&own));
+    assert_eq!(status, Some(0), "{error}");
+    std::fs::write(&own, "no library").unwrap();
+    let error = refused(Some(&own));
+    assert!(!error.contains("was not loaded") && error.contains(RUNTIME_VARIABLE), "{error}");
+    let (_, error) = embed(&folder.path().join("none.png"), None);
     assert!(error.contains("cannot read ") && error.contains("none.png"), "{error}");
 }
 

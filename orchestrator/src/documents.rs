@@ -71,7 +71,7 @@ pub struct ModelServer {
     pub max_retries: Option<u32>,
 }
 
-/// Documents that are ready. No other process builds in their folder while this value exists.
+/// Documents that are ready. If some of them were built now, no other process builds in their folder while this value exists.
 #[derive(Debug)]
 pub struct ReadyDocuments {
     /// The documents.
@@ -129,7 +129,8 @@ impl DocumentRequest {
         listed.with_context(|| format!("cannot list {}", folder.path().display()))
     }
 
-    /// Builds the wanted documents that are missing, or all of them if `force`. `None` when stopped.
+    /// Builds the wanted documents that are missing, or all of them if `force`. `None` when stopped. Where nothing is missing,
+    /// nothing is written.
     ///
     /// # Errors
     /// When a document is broken, or missing without a recipe for it; when building fails.
@@ -141,22 +142,25 @@ impl DocumentRequest {
         report: &mut dyn FnMut(BuildStage),
     ) -> Result<Option<ReadyDocuments>> {
         let folder = self.folder()?;
-        // Documents that are not built here are only read.
-        let lock = match self.selection {
-            DocumentSelection::Model(_) | DocumentSelection::Any => None,
-            DocumentSelection::Recipe(_) => match lock(folder.path(), stop, report)? {
-                None => return Ok(None),
-                locked => locked,
-            },
-        };
-        let documents = self.find(wanted)?;
-        let missing: Vec<&StoredDocument> = documents
-            .iter()
-            .filter(|document| force || document.state != DocumentState::Current)
-            .collect();
+        let is_missing =
+            |document: &&StoredDocument| force || document.state != DocumentState::Current;
+        let mut documents = self.find(wanted)?;
+        let mut locked = None;
+        // What is only read is not locked: this user may not be allowed to write in the folder.
+        if matches!(self.selection, DocumentSelection::Recipe(_))
+            && documents.iter().any(|document| is_missing(&document))
+        {
+            locked = lock(folder.path(), stop, report)?;
+            if locked.is_none() {
+                return Ok(None);
+            }
+            // Another process may have built them meanwhile.
+            documents = self.find(wanted)?;
+        }
+        let missing: Vec<&StoredDocument> = documents.iter().filter(is_missing).collect();
         let names: Vec<DocumentName> = missing.iter().map(|document| document.name).collect();
         if names.is_empty() {
-            return Ok(Some(ReadyDocuments { documents, built: names, _lock: lock }));
+            return Ok(Some(ReadyDocuments { documents, built: names, _lock: locked }));
         }
         if let Some(broken) =
             missing.iter().find(|document| document.state == DocumentState::Broken && !force)
@@ -176,7 +180,7 @@ impl DocumentRequest {
             let problem = bad.problem.clone().unwrap_or_default();
             bail!("document {} was built and is {}: {problem}", bad.name, bad.state.word());
         }
-        Ok(Some(ReadyDocuments { documents, built: names, _lock: lock }))
+        Ok(Some(ReadyDocuments { documents, built: names, _lock: locked }))
     }
 
     /// The message for a document that a run does not build by itself.
@@ -300,6 +304,7 @@ fn lock(
 
 #[cfg(test)]
 mod tests {
+    use documents::{BuildAccount, DocumentFile, Provenance};
     use domain::Representation;
     use results::conditions::{Route, Start, Variation};
     use warehouse::Demonstrations;
@@ -343,6 +348,41 @@ mod tests {
         let error = request.ensure(&wanted, false, &AtomicBool::new(false), &mut |_| ());
         let error = error.unwrap_err().to_string();
         assert!(error.contains("--builder model --model m --kind summary --demos 4"), "{error}");
+    }
+
+    /// The folder may be one that this user can only read.
+    #[test]
+    fn where_nothing_is_missing_nothing_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let request = DocumentRequest {
+            folder: Some(folder.path().to_owned()),
+            assets: None,
+            elsewhere: None,
+            frame_size: 448,
+            appearance: Appearance::STANDARD,
+            selection: DocumentSelection::Recipe(Recipe::Extractive),
+            server: ModelServer::default(),
+        };
+        let name: DocumentName = "summary/4".parse().unwrap();
+        let provenance = Provenance {
+            kind: name.kind,
+            demonstrations: name.demonstrations,
+            builder: Recipe::Extractive.builder().to_owned(),
+            builder_version: Recipe::Extractive.version(),
+            inputs_sha256: String::new(),
+            sources_sha256: request.sources().unwrap().sha256(name.demonstrations, request.frame()),
+            text_sha256: String::new(),
+            trajectories: 1,
+            views: 1,
+            account: BuildAccount::default(),
+        };
+        let file = request.folder().unwrap().file(name, &provenance.address());
+        DocumentFile::new(provenance, "text".to_owned()).save(&file).unwrap();
+        let ready = request.ensure(&[name], false, &AtomicBool::new(false), &mut |_| ());
+        assert!(ready.unwrap().unwrap().built.is_empty());
+        let there: Vec<_> =
+            fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
+        assert_eq!(there, [file]);
     }
 
     #[test]

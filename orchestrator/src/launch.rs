@@ -2,11 +2,10 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, bail};
 use domain::MemoryKind;
 use results::conditions::{Condition, Frames, PolicyKind};
 use results::log::{DOCUMENTS_FOLDER, ELSEWHERE_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE};
@@ -24,6 +23,9 @@ use crate::pipeline::PipelineOptions;
 use crate::plan::PlannedEpisode;
 use crate::streams::Streams;
 use replay::World;
+
+/// The flag of `policy-proc` that names a model's server.
+const BASE_URL: &str = "--base-url";
 
 /// Time that processes have to end once they are asked to.
 pub const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(5);
@@ -66,6 +68,15 @@ pub fn ship_embeddings(options: &mut PipelineOptions, file: &Path) {
     let memories = options.launches.iter_mut().filter(|launch| launch.role == Role::Memory);
     for memory in memories {
         memory.args.extend(["--shipped-embeddings".into(), file.into()]);
+    }
+}
+
+/// Tells the policy that asks a model where the address of its server was given, on which the key depends: `source` is a word of
+/// `policy-proc serve --base-url-from`.
+pub fn tell_source_of_base_url(options: &mut PipelineOptions, source: &str) {
+    let has_address = |launch: &&mut Launch| launch.args.iter().any(|arg| arg == BASE_URL);
+    for policy in options.launches.iter_mut().filter(has_address) {
+        policy.args.extend(["--base-url-from".into(), source.into()]);
     }
 }
 
@@ -202,23 +213,6 @@ pub(crate) fn encoder_flags(settings: &RunSettings) -> [(&'static str, Option<St
     ]
 }
 
-/// Checks that what the encoder of a run needs is there, if a memory matches views. The encoder is `memory-proc`'s, which does
-/// the check.
-///
-/// # Errors
-/// What the run's memory process would end with.
-pub fn check_encoder(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<()> {
-    if !settings.policy.has_process() || !matches_views(settings, memories) {
-        return Ok(());
-    }
-    let launch = Launch::sibling(Role::Memory, "memory-proc", vec!["check-encoder".into()])?;
-    let Launch { program, args, .. } = launch.with_flags(encoder_flags(settings));
-    let output = Command::new(&program).args(args).output();
-    let output = output.with_context(|| format!("cannot start {}", program.display()))?;
-    ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr).trim());
-    Ok(())
-}
-
 /// Whether a memory of the run matches views. Decided by all conditions, not by those that are left: the process reports the
 /// same when a run is resumed.
 pub fn matches_views(settings: &RunSettings, memories: &[ExternalMemory]) -> bool {
@@ -247,7 +241,7 @@ fn model_flags(model: &ModelSettings) -> Vec<(&'static str, Option<String>)> {
     let limit_folder = model.endpoint_limit_folder.as_ref().map(|path| path.display().to_string());
     vec![
         ("--model", Some(model.model.clone())),
-        ("--base-url", model.base_url.clone()),
+        (BASE_URL, model.base_url.clone()),
         ("--image-format", Some(model.image_format.to_string())),
         ("--image-budget", Some(model.image_budget.to_string())),
         ("--answer-tokens", Some(model.answer_tokens.to_string())),

@@ -16,7 +16,6 @@
 mod answers;
 pub mod budget;
 pub mod command_files;
-pub mod commit;
 pub mod documents;
 pub mod event_recorder;
 pub mod external_memory;

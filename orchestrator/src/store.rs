@@ -12,14 +12,16 @@ mod bucket;
 mod bucket;
 
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Read};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Component, Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
+use domain::{RUNTIME_FILE, RUNTIME_SHA256, hex};
 use results::settings::RunSettings;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 use shm_types::message::Role;
 use supervise::Launch;
 
@@ -28,6 +30,10 @@ use crate::launch::encoder_flags;
 
 /// The folder in the cache folder of embeddings that came with plans.
 const EMBEDDINGS: &str = "shipped-embeddings";
+
+/// The folders in the cache folder whose files a plan may bring. What else is there is nobody else's to write: programs, and
+/// what runs compute.
+const FOLDERS: [&str; 3] = ["documents", "models", EMBEDDINGS];
 
 /// A file of a store.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -106,7 +112,11 @@ impl Store {
                     return Ok(());
                 }
                 fs::create_dir_all(folder)?;
-                write_checked(&object, hash, |draft| copy_file(file, draft))
+                write_checked(
+                    &object,
+                    |draft| copy_file(file, draft),
+                    |draft| check_hash(draft, hash),
+                )
             }
             Files::Bucket(bucket) if bucket.size(hash)? == Some(bytes) => Ok(()),
             Files::Bucket(bucket) => bucket.put(hash, file),
@@ -115,11 +125,12 @@ impl Store {
 
     /// Copies `file` to its place in the folder `cache`, unless there is one. Returns whether it was copied.
     fn fetch(&self, file: &StoredFile, cache: &Path) -> Result<bool> {
-        let is_inside = |part| matches!(part, Component::Normal(_));
         ensure!(
-            Path::new(&file.path).components().all(is_inside),
-            "the plan names {:?}, which is not in the cache folder: write the plan again",
-            file.path
+            may_come_with_a_plan(&file.path),
+            "the plan brings {:?}, and a plan may only bring {RUNTIME_FILE} and files in {} of the cache folder: write the \
+             plan again, with `memtransfer plan --store`",
+            file.path,
+            FOLDERS.join(", ")
         );
         let hash = &file.hash;
         let is_hash = hash.len() == 64 && hash.bytes().all(|byte| byte.is_ascii_hexdigit());
@@ -134,7 +145,11 @@ impl Store {
             Files::Folder(folder) => copy_file(&folder.join(hash), draft),
             Files::Bucket(bucket) => bucket.get(hash, draft),
         };
-        write_checked(&to, hash, get).with_context(|| {
+        let check = |draft: &Path| {
+            check_hash(draft, hash)?;
+            if file.path == RUNTIME_FILE { check_runtime(draft) } else { Ok(()) }
+        };
+        write_checked(&to, get, check).with_context(|| {
             format!(
                 "cannot get {} from {}/{hash}; `memtransfer plan --store` puts it there",
                 file.path, self.address
@@ -159,16 +174,57 @@ fn copy_file(from: &Path, draft: &mut File) -> Result<()> {
     Ok(())
 }
 
-/// Writes the file `to`, which appears only when all of it is there and has the hash.
-fn write_checked(to: &Path, hash: &str, write: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
+/// Whether a plan may bring a file for this place in the cache folder.
+fn may_come_with_a_plan(path: &str) -> bool {
+    let parts: Vec<Component<'_>> = Path::new(path).components().collect();
+    let in_folder = |folder: &str| match parts[..] {
+        [Component::Normal(first), Component::Normal(_)] => first == folder,
+        _ => false,
+    };
+    path == RUNTIME_FILE || FOLDERS.into_iter().any(in_folder)
+}
+
+/// Checks the hash of a file of a store.
+fn check_hash(file: &Path, hash: &str) -> Result<()> {
+    let (found, bytes) = hash_of(file)?;
+    ensure!(found == hash, "its {bytes} bytes have the hash {found} instead of {hash}: remove it");
+    Ok(())
+}
+
+/// Checks that a file is a library that set-up fetches: it is code that memory loads, and the plan, which names its hash, may be
+/// another user's.
+fn check_runtime(file: &Path) -> Result<()> {
+    let read = || {
+        let (mut file, mut hasher, mut part) = (File::open(file)?, Sha256::new(), vec![0; 1 << 16]);
+        loop {
+            match file.read(&mut part)? {
+                0 => return Ok::<_, io::Error>(hex(&hasher.finalize())),
+                bytes => hasher.update(&part[..bytes]),
+            }
+        }
+    };
+    let sha256 = read().with_context(|| format!("cannot read {}", file.display()))?;
+    ensure!(
+        RUNTIME_SHA256.contains(&&*sha256),
+        "it is not the ONNX Runtime that set-up fetches, and would be loaded as code (its SHA-256 is {sha256}). Run `cargo xtask \
+         setup` on this machine instead"
+    );
+    Ok(())
+}
+
+/// Writes the file `to`, which appears only when all of it is there and `check` accepts it.
+fn write_checked(
+    to: &Path,
+    write: impl FnOnce(&mut File) -> Result<()>,
+    check: impl FnOnce(&Path) -> Result<()>,
+) -> Result<()> {
     let folder = to.parent().context("a file without a folder")?;
     // Other users of the store and of the cache folder read it, as far as the umask lets them.
     let permissions = fs::Permissions::from_mode(0o666);
     let mut draft = tempfile::Builder::new().permissions(permissions).tempfile_in(folder)?;
     write(draft.as_file_mut())?;
     draft.as_file().sync_all()?;
-    let (found, bytes) = hash_of(draft.path())?;
-    ensure!(found == hash, "its {bytes} bytes have the hash {found} instead of {hash}: remove it");
+    check(draft.path())?;
     draft.persist(to)?;
     Ok(())
 }
@@ -198,9 +254,12 @@ impl Shipment {
             let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
             let written = folder.path().join("embeddings");
             for file in encoder_files(settings, &written)? {
-                // A model of the user's own is named by --encoder-file on every machine.
-                if let Ok(path) = file.strip_prefix(cache) {
-                    files.push(store.add(&file, path.display().to_string())?);
+                // A model or runtime of the user's own is named on every machine.
+                let Ok(path) = file.strip_prefix(cache) else { continue };
+                let path = path.display().to_string();
+                let is_known = path != RUNTIME_FILE || check_runtime(&file).is_ok();
+                if is_known && may_come_with_a_plan(&path) {
+                    files.push(store.add(&file, path)?);
                 }
             }
             let (hash, _) = hash_of(&written)?;
@@ -212,11 +271,21 @@ impl Shipment {
     }
 
     /// Copies what the cache folder `cache` lacks from the plan's store, or from `store`. Workers of one machine wait for each
-    /// other, so that each file is copied once. Returns how many were.
+    /// other, so that each file is copied once. Returns how many were. Where nothing is missing, nothing is written.
     ///
     /// # Errors
     /// When a file is missing or damaged.
     pub fn fetch(&self, store: Option<&str>, cache: &Path) -> Result<usize> {
+        let is_brought = |path: &String| self.files.iter().any(|file| file.path == *path);
+        ensure!(
+            self.embeddings.iter().all(is_brought),
+            "the plan does not bring the embeddings that it names: write the plan again"
+        );
+        let is_there =
+            |file: &StoredFile| may_come_with_a_plan(&file.path) && cache.join(&file.path).exists();
+        if self.files.iter().all(is_there) {
+            return Ok(0);
+        }
         let store = Store::open(store.unwrap_or(&self.store))?;
         let path = cache.join("fetch.lock");
         let failed = || format!("cannot lock {}", path.display());
@@ -271,7 +340,9 @@ mod tests {
             Shipment { store: store.address().to_owned(), files: vec![file], embeddings: None };
         assert_eq!(shipment.fetch(None, &cache).unwrap(), 1);
         assert_eq!(fs::read_to_string(cache.join("models/model")).unwrap(), "weights");
+        fs::remove_file(cache.join("fetch.lock")).unwrap();
         assert_eq!(shipment.fetch(Some("/nowhere"), &cache).unwrap(), 0);
+        assert!(!cache.join("fetch.lock").exists(), "where nothing is missing, nothing is written");
 
         fs::remove_file(cache.join("models/model")).unwrap();
         let object = folder.path().join("store").join(&shipment.files[0].hash);
@@ -298,16 +369,43 @@ mod tests {
     }
 
     #[test]
-    fn a_plan_writes_nothing_outside_the_cache_folder() {
+    fn a_plan_brings_data_and_writes_nothing_outside_its_folders() {
         let (folder, store, file, cache) = stored();
         let inside = folder.path().join("x").display().to_string();
-        for path in ["../x", "models/../../x", &inside] {
+        for path in [
+            "../x",
+            "models/../../x",
+            "models/../x",
+            "models",
+            "",
+            &inside,
+            "python-tests/bin/python",
+            "model-hashes/x",
+            "responses/x",
+            "onnxruntime/libonnxruntime_providers_shared.so",
+        ] {
             let file = StoredFile { path: path.to_owned(), ..file.clone() };
             let error = store.fetch(&file, &cache).unwrap_err().to_string();
-            assert!(error.contains("not in the cache folder"), "{error}");
+            assert!(error.contains("a plan may only bring"), "{error}");
+            let files = vec![file];
+            let shipment = Shipment { store: store.address().to_owned(), files, embeddings: None };
+            let error = shipment.fetch(None, &cache).unwrap_err().to_string();
+            assert!(error.contains("a plan may only bring"), "{error}");
         }
         let file = StoredFile { hash: "../cache".into(), ..file };
         assert!(store.fetch(&file, &cache).unwrap_err().to_string().contains("no hash"));
+    }
+
+    #[test]
+    fn a_plan_brings_no_code_but_the_known_runtime() {
+        let (folder, store, _, cache) = stored();
+        let library = folder.path().join("planted.so");
+        fs::write(&library, "\x7fELF").unwrap();
+        let planted = store.add(&library, RUNTIME_FILE.to_owned()).unwrap();
+        let error = format!("{:#}", store.fetch(&planted, &cache).unwrap_err());
+        assert!(error.contains("is not the ONNX Runtime that set-up fetches"), "{error}");
+        let left = fs::read_dir(cache.join(RUNTIME_FILE).parent().unwrap()).unwrap();
+        assert_eq!(left.count(), 0, "it was not written");
     }
 
     #[cfg(not(feature = "object-store"))]

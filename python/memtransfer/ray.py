@@ -85,6 +85,20 @@ def _make_plan(program: str, settings: Sequence[str], units: Path) -> Path:
     return plan
 
 
+def _flags_of_units(settings: Sequence[str], work: Sequence[str]) -> list[str]:
+    """The flags of `memtransfer work`: a worker takes commands, and the address that a key is sent to, from no plan alone. These
+    settings are given here, on the command line."""
+    flags = ["--allow-commands"]
+    name = "--base-url"
+    if not any(flag == name or flag.startswith(f"{name}=") for flag in work):
+        for flag, value in zip(settings, [*settings[1:], ""], strict=False):
+            if flag == name:
+                flags = [*flags, name, value]
+            elif flag.startswith(f"{name}="):
+                flags = [*flags, flag]
+    return [*flags, *work]
+
+
 class _Progress:
     """A line about all nodes on stderr, at most one a second."""
 
@@ -153,7 +167,7 @@ def main(given: Sequence[str] | None = None) -> int:
     run.add_argument("--strict", action="store_true", help="as of `memtransfer merge`")
     arguments, settings = parser.parse_known_args(given)
     try:
-        arguments.flags = shlex.split(arguments.work)
+        arguments.flags = _flags_of_units(settings, shlex.split(arguments.work))
     except ValueError as error:
         parser.error(f"--work: {error}")
     units = Path(f"{arguments.out}.units")

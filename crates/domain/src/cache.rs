@@ -6,6 +6,17 @@ use std::io;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 
+/// The place of ONNX Runtime's library in the cache folder.
+pub const RUNTIME_FILE: &str = "onnxruntime/libonnxruntime.so";
+
+/// The variable that names a library of the user's own instead.
+pub const RUNTIME_VARIABLE: &str = "MEMTRANSFER_ONNXRUNTIME";
+
+/// SHA-256 of the libraries that set-up puts there, one for each platform. The library is code that a process loads, so one in
+/// the cache folder with another hash is not used, and no plan brings one.
+pub const RUNTIME_SHA256: &[&str] =
+    &["ad9665887025474170d3e71cd28021e7e811c5bf201bc365f953e34a2c4989cc"];
+
 /// The environment names no cache folder.
 #[derive(Debug, thiserror::Error)]
 #[error(
@@ -42,6 +53,20 @@ fn folder(variable: impl Fn(&str) -> Option<OsString>) -> Result<PathBuf, NoCach
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn known_runtimes_are_those_that_set_up_fetches() {
+        let pins = include_str!("../../../xtask/setup.toml");
+        let place = format!("place = \"{RUNTIME_FILE}\"");
+        let entry = pins.split("[[file]]").find(|entry| entry.contains(&place)).unwrap();
+        // A platform's own line, not that of the wheel that it is taken from.
+        let platforms = entry.split("[file.platform.").skip(1);
+        let platforms = platforms.filter(|part| !part.lines().next().unwrap().contains(".wheel]"));
+        let hashes: Vec<&str> = platforms
+            .map(|part| part.split("sha256 = \"").nth(1).unwrap().split('"').next().unwrap())
+            .collect();
+        assert_eq!(hashes, RUNTIME_SHA256);
+    }
 
     #[test]
     fn the_first_variable_that_is_set_decides() {

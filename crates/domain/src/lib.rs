@@ -17,7 +17,10 @@ pub mod search_profile;
 mod shell;
 
 pub use appearance::Appearance;
-pub use cache::{NoCacheFolder, cache_folder, create_private_folder};
+pub use cache::{
+    NoCacheFolder, RUNTIME_FILE, RUNTIME_SHA256, RUNTIME_VARIABLE, cache_folder,
+    create_private_folder,
+};
 pub use hex::hex;
 pub use memory_kind::{ExternalName, MemoryKind};
 pub use outcome::{Arm, DocumentKind, FeedbackLevel, Outcome, Reasoning, SegmentContent};

@@ -1,9 +1,14 @@
-//! The address of a chat server and its key: from a flag, the environment or a `.env` file.
+//! The addresses of chat servers and the key for them: from a flag, the environment, a `.env` file, or a suite or plan.
+//!
+//! A key goes to an address that was given in the same place as the key, or by a flag. Otherwise a file that comes from
+//! elsewhere, such as a `.env` in a downloaded folder, would name the server that this user's key is sent to. There is no
+//! exception for addresses of this machine, where other users have servers, too.
 
 use std::fmt;
 use std::io;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use ureq::http::Uri;
 use ureq::http::header::HeaderValue;
@@ -30,6 +35,69 @@ pub struct Endpoint {
     key: Option<ApiKey>,
 }
 
+/// Where an address or a key was given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Source {
+    /// A flag of the command line.
+    CommandLine,
+    /// A variable of the environment.
+    Environment,
+    /// The file [`ENV_FILE`] in the working folder.
+    EnvFile,
+    /// A suite or a plan.
+    SettingsFile,
+}
+
+impl Source {
+    const ALL: [Self; 4] =
+        [Self::CommandLine, Self::Environment, Self::EnvFile, Self::SettingsFile];
+
+    /// Its name as the value of a flag.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::CommandLine => "command-line",
+            Self::Environment => "environment",
+            Self::EnvFile => "env-file",
+            Self::SettingsFile => "settings-file",
+        }
+    }
+}
+
+impl FromStr for Source {
+    type Err = String;
+
+    fn from_str(word: &str) -> Result<Self, Self::Err> {
+        let known = || Self::ALL.map(Self::word).join(", ");
+        let found = Self::ALL.into_iter().find(|source| source.word() == word);
+        found.ok_or_else(|| format!("{word} is none of {}", known()))
+    }
+}
+
+impl fmt::Display for Source {
+    /// As part of a sentence.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::CommandLine => "the command line",
+            Self::Environment => "the environment",
+            Self::EnvFile => "the file .env",
+            Self::SettingsFile => "the suite or plan",
+        })
+    }
+}
+
+/// The servers of one model, which share its requests and get the same key.
+#[derive(Debug, Clone)]
+pub struct Servers {
+    /// The first.
+    pub first: Endpoint,
+    /// The others.
+    pub others: Vec<Endpoint>,
+    /// Where the addresses were given.
+    pub source: Source,
+    /// Where the key was given; `None` without one.
+    pub key_source: Option<Source>,
+}
+
 /// Why no endpoint can be used.
 #[derive(Debug, thiserror::Error)]
 pub enum EndpointError {
@@ -49,6 +117,19 @@ pub enum EndpointError {
     /// The key cannot be sent in a header.
     #[error("OPENAI_API_KEY holds a character that a header cannot carry: set it again")]
     Key,
+    /// The key would be sent to an address that was given elsewhere.
+    #[error(
+        "OPENAI_API_KEY was given in {key} and the address {base_urls} in {address}, and a key is sent only to an address \
+         that was given in the same place or with --base-url: give --base-url {base_urls} to send it there, or unset the key"
+    )]
+    KeyFromElsewhere {
+        /// The base URLs, separated by commas.
+        base_urls: String,
+        /// Where they were given.
+        address: Source,
+        /// Where the key was given.
+        key: Source,
+    },
     /// The `.env` file cannot be read. Its lines are never shown: one may hold the key.
     #[error("cannot read {}: {problem}", path.display())]
     EnvFile {
@@ -90,42 +171,6 @@ impl Endpoint {
             }
         };
         Ok(Self { completions, authorization, key })
-    }
-
-    /// The endpoints at `base_url`, else at the URL in the environment, else at the URL in `folder/.env`; the key is
-    /// looked up in the same order. A blank variable counts as not set. Several URLs are separated by commas; they share
-    /// the key.
-    ///
-    /// # Errors
-    /// When none of them names a base URL, or a value cannot be used.
-    pub fn from_environment(
-        base_url: Option<&str>,
-        folder: &Path,
-    ) -> Result<(Self, Vec<Self>), EndpointError> {
-        Self::resolve(base_url, |name| std::env::var(name).ok(), &folder.join(ENV_FILE))
-    }
-
-    fn resolve(
-        base_url: Option<&str>,
-        environment: impl Fn(&str) -> Option<String>,
-        env_file: &Path,
-    ) -> Result<(Self, Vec<Self>), EndpointError> {
-        let file = read_env_file(env_file)?;
-        let given = |value: &String| !value.trim().is_empty();
-        let variable = |name: &str| {
-            environment(name).filter(given).or_else(|| {
-                let (_, value) = file.iter().rfind(|(key, _)| key == name)?;
-                Some(value.clone()).filter(given)
-            })
-        };
-        let base_urls = base_url
-            .map(str::to_owned)
-            .or_else(|| BASE_URL_VARIABLES.into_iter().find_map(variable))
-            .ok_or(EndpointError::NoBaseUrl)?;
-        let key = variable(KEY_VARIABLE).as_deref().and_then(ApiKey::new);
-        let mut endpoints = base_urls.split(',').map(|base_url| Self::new(base_url, key.clone()));
-        let first = endpoints.next().ok_or(EndpointError::NoBaseUrl)??;
-        Ok((first, endpoints.collect::<Result<_, _>>()?))
     }
 
     /// The URL of chat completions.
@@ -171,6 +216,91 @@ impl Endpoint {
     }
 }
 
+impl Servers {
+    /// The servers at the URL `given`, else at the URL in the environment, else at the URL in `folder/.env`. A blank variable
+    /// counts as not set. Several URLs are separated by commas. The key is that of the place of the URL; a URL of the command
+    /// line gets that of the environment, else that of `folder/.env`.
+    ///
+    /// # Errors
+    /// When no place has a base URL, a value cannot be used, or there is a key in another place only.
+    pub fn from_environment(
+        given: Option<(&str, Source)>,
+        folder: &Path,
+    ) -> Result<Self, EndpointError> {
+        Self::resolve(given, |name| std::env::var(name).ok(), &folder.join(ENV_FILE))
+    }
+
+    fn resolve(
+        given: Option<(&str, Source)>,
+        environment: impl Fn(&str) -> Option<String>,
+        env_file: &Path,
+    ) -> Result<Self, EndpointError> {
+        let file = read_env_file(env_file)?;
+        let variable = |source, name: &str| {
+            let value = match source {
+                Source::Environment => environment(name),
+                Source::EnvFile => {
+                    file.iter().rfind(|(key, _)| key == name).map(|(_, value)| value.clone())
+                }
+                Source::CommandLine | Source::SettingsFile => None,
+            };
+            value.filter(|value| !value.trim().is_empty())
+        };
+        let places = [Source::Environment, Source::EnvFile];
+        let named = |source| {
+            let url = BASE_URL_VARIABLES.into_iter().find_map(|name| variable(source, name));
+            url.map(|url| (url, source))
+        };
+        let (base_urls, source) = given
+            .map(|(url, source)| (url.to_owned(), source))
+            .or_else(|| places.into_iter().find_map(named))
+            .ok_or(EndpointError::NoBaseUrl)?;
+        let key_in = |source| variable(source, KEY_VARIABLE).as_deref().and_then(ApiKey::new);
+        let found = places.into_iter().find_map(|place| Some((key_in(place)?, place)));
+        let key = match source {
+            Source::CommandLine => found,
+            other => match (key_in(other), found) {
+                (Some(key), _) => Some((key, other)),
+                (None, None) => None,
+                (None, Some((_, key))) => {
+                    // Read first: an address that cannot be used may hold a password, and is not shown.
+                    let bases = base_urls.split(',').map(|base_url| Endpoint::new(base_url, None));
+                    let bases: Vec<String> =
+                        bases.map(|one| Ok(one?.base())).collect::<Result<_, EndpointError>>()?;
+                    let (base_urls, address) = (bases.join(","), other);
+                    return Err(EndpointError::KeyFromElsewhere { base_urls, address, key });
+                }
+            },
+        };
+        let (key, key_source) = key.unzip();
+        let mut all = base_urls.split(',').map(|base_url| Endpoint::new(base_url, key.clone()));
+        let first = all.next().ok_or(EndpointError::NoBaseUrl)??;
+        Ok(Self { first, others: all.collect::<Result<_, _>>()?, source, key_source })
+    }
+
+    /// Where the addresses and the key were given, for messages.
+    pub fn places(&self) -> String {
+        let key = match self.key_source {
+            Some(source) => format!("with the key of {source}"),
+            None => "without a key".to_owned(),
+        };
+        format!("from {}, {key}", self.source)
+    }
+
+    /// All of them.
+    pub fn all(&self) -> impl Iterator<Item = &Endpoint> {
+        std::iter::once(&self.first).chain(&self.others)
+    }
+}
+
+impl fmt::Display for Servers {
+    /// The addresses, where they and the key come from.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let bases: Vec<String> = self.all().map(Endpoint::base).collect();
+        write!(f, "{} ({})", bases.join(" and "), self.places())
+    }
+}
+
 impl fmt::Display for Endpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.completions.fmt(f)
@@ -208,10 +338,10 @@ mod tests {
     const KEY: &str = "sk-very-secret";
 
     fn resolve(
-        flag: Option<&str>,
+        given: Option<(&str, Source)>,
         environment: &[(&str, &str)],
         env_file: &str,
-    ) -> Result<Endpoint, EndpointError> {
+    ) -> Result<Servers, EndpointError> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(ENV_FILE);
         if !env_file.is_empty() {
@@ -220,7 +350,90 @@ mod tests {
         let variable = |name: &str| {
             environment.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned())
         };
-        Endpoint::resolve(flag, variable, &path).map(|(first, _)| first)
+        Servers::resolve(given, variable, &path)
+    }
+
+    /// An address of the command line.
+    fn flag(url: &str) -> Option<(&str, Source)> {
+        Some((url, Source::CommandLine))
+    }
+
+    #[test]
+    fn a_key_goes_to_an_address_of_the_same_place_or_of_the_command_line() {
+        const URL: &str = "http://127.0.0.1:9/v1";
+        use Source::{CommandLine, EnvFile, Environment, SettingsFile};
+        let file_with = |names: &[&str]| {
+            let line = |name: &&str| match *name {
+                KEY_VARIABLE => format!("{KEY_VARIABLE}={KEY}\n"),
+                name => format!("{name}={URL}\n"),
+            };
+            names.iter().map(line).collect::<String>()
+        };
+        let (address, key) = (("OPENAI_BASE_URL", URL), (KEY_VARIABLE, KEY));
+        let (in_file, both) = ("OPENAI_BASE_URL", ["OPENAI_BASE_URL", KEY_VARIABLE]);
+        // Given; in the environment; in .env: where the address and the key are taken from, or the place of the key that is
+        // not sent.
+        for (given, environment, env_file, expected) in [
+            (None, &[address, key][..], &[][..], Ok((Environment, Some(Environment)))),
+            (None, &[address], &[], Ok((Environment, None))),
+            (None, &[], &both, Ok((EnvFile, Some(EnvFile)))),
+            (None, &[], &[in_file], Ok((EnvFile, None))),
+            // What a downloaded folder could ask for, and its opposite.
+            (None, &[key], &[in_file], Err((EnvFile, Environment))),
+            (None, &[address], &[KEY_VARIABLE], Err((Environment, EnvFile))),
+            // Each place has a pair: the address decides.
+            (None, &[address, key], &both, Ok((Environment, Some(Environment)))),
+            (None, &[key], &both, Ok((EnvFile, Some(EnvFile)))),
+            (Some(CommandLine), &[key], &[], Ok((CommandLine, Some(Environment)))),
+            (Some(CommandLine), &[], &[KEY_VARIABLE], Ok((CommandLine, Some(EnvFile)))),
+            (Some(CommandLine), &[], &[], Ok((CommandLine, None))),
+            (Some(Environment), &[key], &[], Ok((Environment, Some(Environment)))),
+            (Some(Environment), &[], &both, Err((Environment, EnvFile))),
+            (Some(SettingsFile), &[], &[], Ok((SettingsFile, None))),
+            (Some(SettingsFile), &[key], &[], Err((SettingsFile, Environment))),
+            (Some(SettingsFile), &[], &both, Err((SettingsFile, EnvFile))),
+        ] {
+            let context = format!("{given:?} {environment:?} {env_file:?}");
+            let given = given.map(|source| (URL, source));
+            match (resolve(given, environment, &file_with(env_file)), expected) {
+                (Ok(servers), Ok((source, key_source))) => {
+                    assert_eq!((servers.source, servers.key_source), (source, key_source));
+                    let is_sent = servers.first.authorization().is_some();
+                    assert_eq!(is_sent, key_source.is_some(), "{context}");
+                }
+                (Err(error), Err((address, key))) => {
+                    let printed = error.to_string();
+                    for part in [&address.to_string(), &key.to_string(), "--base-url http://127"] {
+                        assert!(printed.contains(part), "{context}: {printed}");
+                    }
+                    assert!(!printed.contains(KEY), "{printed}");
+                }
+                (found, _) => panic!("{context}: {found:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn servers_are_shown_with_the_places_that_name_them() {
+        let both = [("OPENAI_BASE_URL", "http://a/v1,http://b/v1/"), (KEY_VARIABLE, KEY)];
+        let shown = |given, environment| resolve(given, environment, "").unwrap().to_string();
+        assert_eq!(
+            shown(None, &both),
+            "http://a/v1 and http://b/v1 (from the environment, with the key of the environment)"
+        );
+        assert_eq!(
+            shown(flag("http://a/v1"), &[]),
+            "http://a/v1 (from the command line, without a key)"
+        );
+    }
+
+    #[test]
+    fn sources_are_read_by_their_words() {
+        for source in Source::ALL {
+            assert_eq!(source.word().parse(), Ok(source));
+        }
+        let error = "file".parse::<Source>().unwrap_err();
+        assert_eq!(error, "file is none of command-line, environment, env-file, settings-file");
     }
 
     #[test]
@@ -229,8 +442,8 @@ mod tests {
             [("OPENAI_BASE_URL", "http://b/v1"), ("OPENAI_API_BASE", "http://a/v1")],
             "OPENAI_BASE_URL=http://f/v1/",
         );
-        for (flag, environment, env_file, expected) in [
-            (Some("http://flag/v1//"), &both[..], file, "http://flag/v1/chat/completions"),
+        for (given, environment, env_file, expected) in [
+            (flag("http://flag/v1//"), &both[..], file, "http://flag/v1/chat/completions"),
             (None, &both[..], file, "http://b/v1/chat/completions"),
             (None, &both[1..], "", "http://a/v1/chat/completions"),
             (None, &[("OPENAI_BASE_URL", " ")][..], file, "http://f/v1/chat/completions"),
@@ -241,7 +454,8 @@ mod tests {
                 "https://x/v1/chat/completions",
             ),
         ] {
-            assert_eq!(resolve(flag, environment, env_file).unwrap().to_string(), expected);
+            let servers = resolve(given, environment, env_file).unwrap();
+            assert_eq!(servers.first.to_string(), expected);
         }
     }
 
@@ -249,14 +463,14 @@ mod tests {
     fn several_urls_are_separated_by_commas_and_share_the_key() {
         let key = |name: &str| (name == KEY_VARIABLE).then(|| KEY.to_owned());
         let urls = "http://a/v1, http://b:2/v1/";
-        let (first, others) = Endpoint::resolve(Some(urls), key, Path::new("/none")).unwrap();
-        let all: Vec<_> = std::iter::once(&first).chain(&others).collect();
+        let servers = Servers::resolve(flag(urls), key, Path::new("/none")).unwrap();
+        let all: Vec<_> = servers.all().collect();
         assert_eq!(
             all.iter().map(|endpoint| endpoint.to_string()).collect::<Vec<_>>(),
             ["http://a/v1/chat/completions", "http://b:2/v1/chat/completions"]
         );
         assert!(all.iter().all(|endpoint| endpoint.authorization().is_some()));
-        assert!(Endpoint::resolve(Some("http://a/v1,"), key, Path::new("/none")).is_err());
+        assert!(Servers::resolve(flag("http://a/v1,"), key, Path::new("/none")).is_err());
     }
 
     #[test]
@@ -275,7 +489,8 @@ mod tests {
     #[test]
     fn the_key_is_in_the_header_and_never_printed() {
         let endpoint =
-            resolve(Some("http://a/v1"), &[], &format!("OPENAI_API_KEY=\"{KEY}\"\n")).unwrap();
+            resolve(flag("http://a/v1"), &[], &format!("OPENAI_API_KEY=\"{KEY}\"\n")).unwrap();
+        let endpoint = endpoint.first;
         assert_eq!(endpoint.authorization().unwrap(), &format!("Bearer {KEY}"));
         let printed = format!("{endpoint} {endpoint:?} {}", endpoint.masked(KEY));
         assert!(!printed.contains(KEY), "{printed}");
@@ -298,17 +513,23 @@ mod tests {
     fn errors_show_no_secret() {
         for (base_url, environment, env_file, expected) in [
             (None, ("", ""), "", "no chat endpoint is given"),
-            (Some("localhost:8000/v1"), ("", ""), "", "is no URL"),
-            (Some("ftp://a/v1"), ("", ""), "", "does not begin with http"),
-            (Some("https://me:sk-very-secret@a/v1"), ("", ""), "", "OPENAI_API_KEY"),
-            (Some("https://a/v1?key=sk-very-secret"), ("", ""), "", "a query"),
             (
-                Some("http://a/v1"),
+                Some(("http://me:sk-very-secret@a/v1", Source::SettingsFile)),
+                (KEY_VARIABLE, KEY),
+                "",
+                "holds a name or password",
+            ),
+            (flag("localhost:8000/v1"), ("", ""), "", "is no URL"),
+            (flag("ftp://a/v1"), ("", ""), "", "does not begin with http"),
+            (flag("https://me:sk-very-secret@a/v1"), ("", ""), "", "OPENAI_API_KEY"),
+            (flag("https://a/v1?key=sk-very-secret"), ("", ""), "", "a query"),
+            (
+                flag("http://a/v1"),
                 (KEY_VARIABLE, "sk-very-secret\u{7}x"),
                 "",
                 "a header cannot carry",
             ),
-            (Some("http://a/v1"), ("", ""), "OPENAI_API_KEY sk-very-secret", "not NAME=value"),
+            (flag("http://a/v1"), ("", ""), "OPENAI_API_KEY sk-very-secret", "not NAME=value"),
         ] {
             let error = resolve(base_url, &[environment], env_file).unwrap_err();
             let printed = format!("{error} {error:?}");

@@ -1,6 +1,7 @@
 //! A client for chat completions of the OpenAI interface. The only crate that uses HTTP.
 //!
-//! - [`Endpoint`]: the address of a server and the key for it ([`ApiKey`]), from flags, environment or `.env`;
+//! - [`Endpoint`]: the address of a server and the key for it ([`ApiKey`]); [`Servers`]: those of a model, from flags,
+//!   environment, `.env` or a suite;
 //! - [`ChatRequest`] and [`ChatReply`]: messages of text and images; an answer and the tokens it took;
 //! - [`ChatClient`]: sends requests, many at once, with retries, a deadline for each attempt and a cache. What one
 //!   request learns about a server holds for all, and several servers of one model share the requests;
@@ -30,7 +31,9 @@ mod slots;
 pub use api_key::ApiKey;
 pub use cache::{CacheListing, CacheSize, ModelReplies, Pruned, ReplyCache};
 pub use client::{ChatAnswer, ChatClient, ChatSettings};
-pub use endpoint::{BASE_URL_VARIABLES, ENV_FILE, Endpoint, EndpointError, KEY_VARIABLE};
+pub use endpoint::{
+    BASE_URL_VARIABLES, ENV_FILE, Endpoint, EndpointError, KEY_VARIABLE, Servers, Source,
+};
 pub use error::{AskError, RequestError, Transient};
 pub use fingerprint::Fingerprint;
 pub use reply::{ChatReply, ReplyContent};

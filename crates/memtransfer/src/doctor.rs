@@ -1,24 +1,31 @@
 //! `memtransfer doctor`: checks what a run needs by using it.
 
 use std::borrow::Cow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, anyhow, bail, ensure};
 use clap::{Args, ValueEnum};
 use documents::DocumentName;
-use llm::Endpoint;
+use domain::cache_folder;
+use llm::{Endpoint, Servers, Source};
 use orchestrator::documents::needed;
 use results::settings::RunSettings;
+use rustix::fs::{Access, access};
+use rustix::io::Errno;
+use rustix::process::{Resource, getrlimit};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use settings::{Layer, resolve};
+use settings::{Layer, resolve, variable};
 use shm_types::process::{SHARED_MEMORY, check_shared_memory};
 use shm_types::{RunDir, registry};
 use supervise::sibling;
 
 use super::documents::{RunDocuments, listed};
 use super::{Exit, WorldArgs, print, print_json};
+
+/// Files that a process of a run opens, rounded up. The memory process opened most, 149, with 1 and with 1024 lanes.
+const OPEN_FILES: u64 = 256;
 
 /// The name of findings about a model's server.
 const ENDPOINT: &str = "endpoint";
@@ -43,8 +50,8 @@ pub(super) struct DoctorArgs {
     #[arg(long, value_name = "NAME", env = "MEMTRANSFER_MODEL")]
     model: Option<String>,
     /// With --policy openai: the server, up to /v1, or several, each of which is checked [default:
-    /// $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
-    #[arg(long, value_name = "URL,...", env = "MEMTRANSFER_BASE_URL")]
+    /// $MEMTRANSFER_BASE_URL, else $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
+    #[arg(long, value_name = "URL,...")]
     base_url: Option<String>,
     /// Print JSON
     #[arg(long)]
@@ -63,7 +70,7 @@ enum ModelPolicy {
 struct DoctorFinding {
     what: Cow<'static, str>,
     ok: bool,
-    /// Whether a run works, but with doubtful results.
+    /// Whether a run works, but with doubtful results, or without keeping some of them for later runs.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     doubtful: bool,
     /// What was found, or what is wrong and how to fix it.
@@ -115,19 +122,22 @@ pub(super) fn run(args: &DoctorArgs) -> anyhow::Result<Exit> {
         DoctorFinding::of("warehouse and cases", world(&args.world)),
         DoctorFinding::of("programs", programs()),
         DoctorFinding::of("shared memory", shared_memory()),
+        DoctorFinding::of("open files", open_files(args)),
+        cache(),
         DoctorFinding::of("rendering", rendering(&args.world, &view)),
         DoctorFinding::of("ONNX Runtime and encoder", encoder(&args.world, &view)),
         DoctorFinding::of("leftovers of killed runs", leftovers()),
     ];
     if let (Some(ModelPolicy::Openai), Some(model)) = (args.policy, &args.model) {
-        let servers = match Endpoint::from_environment(args.base_url.as_deref(), Path::new(".")) {
-            Ok((first, others)) => std::iter::once(first).chain(others).map(Ok).collect(),
-            Err(error) => vec![Err(error.into())],
-        };
-        for server in servers {
-            match server.and_then(|server| endpoint(model, &server.base())) {
-                Ok(found) => findings.extend(found),
-                Err(error) => findings.push(DoctorFinding::of(ENDPOINT, Err(error))),
+        match servers(args) {
+            Err(error) => findings.push(DoctorFinding::of(ENDPOINT, Err(error))),
+            Ok(servers) => {
+                for server in servers.all() {
+                    match endpoint(model, server, &servers) {
+                        Ok(found) => findings.extend(found),
+                        Err(error) => findings.push(DoctorFinding::of(ENDPOINT, Err(error))),
+                    }
+                }
             }
         }
     }
@@ -167,6 +177,86 @@ fn shared_memory() -> anyhow::Result<String> {
     Ok(format!("{SHARED_MEMORY} has room for a default run ({mib} MiB at most)"))
 }
 
+/// Checks the limit on open files. A process of a run opens the services of the wire, the same number whatever the number of
+/// lanes, and for a model a connection for each request in flight.
+fn open_files(args: &DoctorArgs) -> anyhow::Result<String> {
+    let mut needed = OPEN_FILES;
+    if let (Some(ModelPolicy::Openai), Some(model)) = (args.policy, &args.model) {
+        let connections = settings(model)?.model.map_or(0, |model| model.max_connections);
+        // A server that cannot be asked is another finding.
+        let servers = servers(args).map_or(1, |servers| servers.all().count());
+        needed += u64::from(connections) * servers as u64;
+    }
+    let limit = getrlimit(Resource::Nofile).current;
+    enough_files(needed, limit)
+}
+
+/// Whether a process may open `needed` files; no limit is `None`.
+fn enough_files(needed: u64, limit: Option<u64>) -> anyhow::Result<String> {
+    match limit {
+        None => Ok("not limited".to_owned()),
+        Some(limit) => {
+            ensure!(
+                limit >= needed,
+                "a process of a run may open {limit} files, and needs up to {needed}: `ulimit -n {needed}`"
+            );
+            Ok(format!("{limit} in a process, of which a run needs up to {needed}"))
+        }
+    }
+}
+
+/// Checks that what runs keep for each other can be read and written.
+fn cache() -> DoctorFinding {
+    const WHAT: &str = "cache folder";
+    let folder = match cache_folder().context("no folder") {
+        Ok(folder) => folder,
+        Err(error) => return DoctorFinding::of(WHAT, Err(error)),
+    };
+    let shown = folder.display();
+    if let Err(error) = access(&folder, Access::READ_OK | Access::EXEC_OK) {
+        let error = anyhow!("cannot read {shown}: {error}; `cargo xtask setup` makes and fills it");
+        return DoctorFinding::of(WHAT, Err(error));
+    }
+    match unwritable(&folder) {
+        None => DoctorFinding::of(WHAT, Ok(format!("{shown} can be read and written"))),
+        Some((path, error)) => DoctorFinding {
+            doubtful: true,
+            ..DoctorFinding::of(
+                WHAT,
+                Ok(format!(
+                    "{} cannot be written ({error}): runs use what is there, and can neither build documents that are \
+                     missing nor keep embeddings and replies. Make it writable for this user, or set MEMTRANSFER_CACHE",
+                    path.display()
+                )),
+            )
+        },
+    }
+}
+
+/// What a run would write in the cache folder `cache` and cannot, and why; what is not there yet would be made.
+fn unwritable(cache: &Path) -> Option<(PathBuf, Errno)> {
+    let mut written = Vec::new();
+    for name in ["documents", "embeddings", "model-hashes", "responses"] {
+        let folder = cache.join(name);
+        if !folder.exists() {
+            written.push(cache.to_owned());
+            continue;
+        }
+        written.push(folder.clone());
+        // These are written again, and not replaced.
+        let is_kept = |path: &PathBuf| {
+            path.ends_with("documents/lock") || path.extension().is_some_and(|ext| ext == "redb")
+        };
+        let files = folder.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
+        written.extend(files.filter(is_kept));
+    }
+    written.into_iter().find_map(|path| {
+        let wanted =
+            if path.is_dir() { Access::WRITE_OK | Access::EXEC_OK } else { Access::WRITE_OK };
+        access(&path, wanted).err().map(|error| (path, error))
+    })
+}
+
 fn rendering(world: &WorldArgs, view: &Path) -> anyhow::Result<String> {
     let mut command = Command::new(sibling("sim-proc")?);
     command.args(["render", "--pose", &a_pose(world)?, "--out"]).arg(view);
@@ -189,12 +279,31 @@ fn leftovers() -> anyhow::Result<String> {
     Ok("none".to_owned())
 }
 
-/// What the server of a model can do. The whole report is the data of the first finding.
-fn endpoint(model: &str, base_url: &str) -> anyhow::Result<Vec<DoctorFinding>> {
-    let mut command = Command::new(sibling("policy-proc")?);
-    command.args(["probe", "--json", "--model", model, "--base-url", base_url]);
+/// The settings of a run with `model`, as the environment has them.
+fn settings(model: &str) -> anyhow::Result<RunSettings> {
     let flags = Layer::flags([("policy", "openai"), ("model", model)])?;
-    let settings = resolve([Layer::environment(std::env::vars_os())?, flags])?.settings;
+    Ok(resolve([Layer::environment(std::env::vars_os())?, flags])?.settings)
+}
+
+/// The servers that a run would ask.
+fn servers(args: &DoctorArgs) -> anyhow::Result<Servers> {
+    let of_variable = variable("base-url")?;
+    let of_variable = of_variable.as_ref().and_then(Value::as_str);
+    let given = args.base_url.as_deref().map(|url| (url, Source::CommandLine));
+    let given = given.or(of_variable.map(|url| (url, Source::Environment)));
+    Ok(Servers::from_environment(given, Path::new("."))?)
+}
+
+/// What one of the `servers` of a model can do. The whole report is the data of the first finding.
+fn endpoint(
+    model: &str,
+    server: &Endpoint,
+    servers: &Servers,
+) -> anyhow::Result<Vec<DoctorFinding>> {
+    let mut command = Command::new(sibling("policy-proc")?);
+    command.args(["probe", "--json", "--model", model, "--base-url", &server.base()]);
+    command.args(["--base-url-from", servers.source.word()]);
+    let settings = settings(model)?;
     let documents = RunDocuments::of(&settings, None, false);
     command.args(request_size(&settings, &documents));
     let output = command.output()?;
@@ -206,7 +315,7 @@ fn endpoint(model: &str, base_url: &str) -> anyhow::Result<Vec<DoctorFinding>> {
     let fingerprint = report["fingerprint"].to_string();
     let whole = DoctorFinding {
         data: Some(report),
-        ..DoctorFinding::of(ENDPOINT, Ok(format!("{model} at {endpoint}")))
+        ..DoctorFinding::of(ENDPOINT, Ok(format!("{model} at {endpoint} ({})", servers.places())))
     };
     let parts = findings.into_iter().map(|ProbedFinding { what, mark, about }| DoctorFinding {
         what: format!("{ENDPOINT}, {what}").into(),
@@ -307,5 +416,15 @@ mod tests {
         assert!(finding.ok && finding.doubtful);
         assert!(finding.about.contains("without summary/original, semantic/original, which"));
         assert!(size_without(&[]).is_none());
+    }
+
+    #[test]
+    fn too_few_open_files_are_reported_with_the_command_that_raises_them() {
+        assert!(enough_files(256, None).is_ok() && enough_files(256, Some(256)).is_ok());
+        let error = enough_files(272, Some(128)).unwrap_err().to_string();
+        assert!(
+            error.contains("may open 128 files") && error.contains("`ulimit -n 272`"),
+            "{error}"
+        );
     }
 }

@@ -9,6 +9,7 @@ macro_rules! say {
 }
 
 mod clean;
+mod commands;
 mod conformance;
 mod doctor;
 mod documents;

@@ -1,6 +1,6 @@
 //! `memtransfer memory`: builds, lists and shows the documents of summary, semantic and hybrid memory.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand, ValueEnum};
@@ -9,6 +9,7 @@ use documents::{
     StoredDocument, kind,
 };
 use domain::{Appearance, DocumentKind};
+use llm::{Servers, Source};
 use orchestrator::documents::{DocumentRequest, ModelServer};
 use orchestrator::progress::BuildProgress;
 use replay::World;
@@ -255,6 +256,13 @@ fn build(args: BuildArgs) -> Result<Exit> {
     let request =
         args.made_for.request(args.out, DocumentSelection::Recipe(recipe), &args.demos)?;
     let request = DocumentRequest { server, ..request };
+    if let (DocumentSelection::Recipe(Recipe::Model(recipe)), false) =
+        (&request.selection, args.quiet)
+    {
+        let given = request.server.base_url.as_deref().map(|url| (url, Source::CommandLine));
+        let servers = Servers::from_environment(given, Path::new("."))?;
+        say!("asking {} at {servers}", recipe.model);
+    }
     let mut progress = BuildProgress::new(args.quiet);
     let ready =
         request.ensure(&wanted, args.force, signals.stop(), &mut |stage| progress.show(stage));

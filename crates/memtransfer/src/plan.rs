@@ -13,11 +13,11 @@ use results::conditions::PolicyKind;
 use results::settings::RunSettings;
 use settings::{Layer, resolve};
 
-use super::run::flags::{RunOptions, SettingFlags};
+use super::run::flags::{RunOptions, SettingFlags, source_of};
 use super::run_plan::{
-    ALL, BUILDING_DOCUMENTS, RunPlan, STARTING_MEMORIES, stopped_before_episodes,
+    ALL, BUILDING_DOCUMENTS, Purpose, RunPlan, STARTING_MEMORIES, stopped_before_episodes,
 };
-use super::{Exit, make_folder_of, print};
+use super::{Exit, commands, make_folder_of, print};
 use crate::signals::Signals;
 
 #[derive(Debug, Args)]
@@ -70,6 +70,11 @@ pub(super) struct PlanArgs {
     /// Show no progress, only problems
     #[arg(long)]
     quiet: bool,
+
+    /// Start the commands that the suite's file names, as policy-cmd or memory-cmd, here and in the
+    /// printed script; without this they are shown and refused
+    #[arg(long)]
+    allow_commands: bool,
 }
 
 pub(super) fn run(args: PlanArgs) -> Result<Exit> {
@@ -84,12 +89,16 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
     }
     let before = path.exists().then(|| UnitPlan::read(&path)).transpose();
     let before = before.map_err(|error| anyhow!("{error:#}. This one is left as it is"))?;
-    let settings = resolve([environment, flags])?.settings;
+    let resolved = resolve([environment, flags])?;
+    let base_url_source = source_of(resolved.origin("base-url"));
+    let used = commands::Use::Start { allowed: args.allow_commands };
+    let suite = format!("the suite {}", resolved.settings.suite);
+    commands::check(&suite, &resolved.commands_of_suite()?, used)?;
+    let settings = resolved.settings;
     check(&settings)?;
     let signals = Signals::listen().context("cannot listen to signals")?;
-    // External memories start, so that their names are known, and end with the plan.
-    let options = RunOptions { dry_run: true, quiet: args.quiet, ..RunOptions::default() };
-    let Some(run) = RunPlan::new(settings, ALL, &options, &signals)? else {
+    let options = RunOptions::of(args.quiet, base_url_source);
+    let Some(run) = RunPlan::new(settings, ALL, Purpose::Units, &options, &signals)? else {
         return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
     let Some(documents) = run.documents(&options, &signals)? else {
@@ -121,10 +130,11 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
     }
     let path = std::path::absolute(&path)?;
     let workers = args.workers.min(plan.units);
+    let flags = scripts::work_flags(&plan.manifest.settings, base_url_source)?;
     if args.slurm {
-        print(&scripts::slurm(&path, plan.units, workers)?)?;
+        print(&scripts::slurm(&path, plan.units, workers, &flags)?)?;
     } else if args.kubernetes {
-        print(&scripts::kubernetes(&args.image, plan.units, workers))?;
+        print(&scripts::kubernetes(&args.image, plan.units, workers, &flags))?;
     }
     Ok(Exit::Complete)
 }

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, ensure};
+use build_commit::COMMIT;
 use clap::Args;
 use domain::{Representation, cache_folder};
-use orchestrator::commit::program_commit;
 use orchestrator::external_memory;
 use orchestrator::lanes::Lanes;
 use orchestrator::launch;
@@ -177,7 +177,7 @@ pub(super) fn run(args: &ProfileArgs) -> Result<Exit> {
     let mut profile = Profile {
         schema: SCHEMA,
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        commit: program_commit(),
+        commit: COMMIT.map(str::to_owned),
         unix_s,
         machine: Machine::here(),
         floors: floors::measure(extent.floors),

@@ -7,15 +7,15 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use flags::{RunOptions, SettingFlags};
+use flags::{RunOptions, SettingFlags, source_of};
 use results::log::RunLog;
 use results::score::WithoutAction;
 use settings::{Layer, resolve};
 
 use super::run_plan::{
-    ALL, Executed, RunPlan, STARTING_MEMORIES, same_command, stopped_before_episodes,
+    ALL, Executed, Purpose, RunPlan, STARTING_MEMORIES, same_command, stopped_before_episodes,
 };
-use super::{Exit, print};
+use super::{Exit, commands, print};
 use crate::signals::{self, Signals};
 
 #[derive(Debug, Args)]
@@ -53,23 +53,26 @@ pub(super) struct RunArgs {
 }
 
 pub(super) fn run(args: RunArgs) -> Result<Exit> {
-    let RunArgs { flags, options, show_settings } = args;
+    let RunArgs { flags, mut options, show_settings } = args;
     let environment = Layer::environment(std::env::vars_os())?;
     let resolved = resolve([environment, flags.layer()?])?;
     if show_settings {
         print(&resolved.to_string())?;
         return Ok(Exit::Complete);
     }
+    options.base_url_source = source_of(resolved.origin("base-url"));
+    let suite = format!("the suite {}", resolved.settings.suite);
+    let (purpose, used) = match options.dry_run {
+        true => (Purpose::DryRun, commands::Use::Show),
+        false => (Purpose::Execution, commands::Use::Start { allowed: options.allow_commands }),
+    };
+    commands::check(&suite, &resolved.commands_of_suite()?, used)?;
     let signals = Signals::listen().context("cannot listen to signals")?;
-    let Some(mut plan) = RunPlan::new(resolved.settings, ALL, &options, &signals)? else {
+    let Some(mut plan) = RunPlan::new(resolved.settings, ALL, purpose, &options, &signals)? else {
         return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
     if options.dry_run {
-        let (text, missing) = dry_run::describe(&plan, options.fresh)?;
-        print(&text)?;
-        if missing > 0 {
-            plan.check_encoder()?;
-        }
+        print(&dry_run::describe(&plan, options.fresh)?)?;
         return Ok(Exit::Complete);
     }
     match plan.execute(&options, &signals)? {

@@ -6,12 +6,13 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
+use build_commit::COMMIT;
 use domain::prompt_log::session_folder;
 use domain::representation::Trajectories;
-use domain::{cache_folder, shell_word};
+use domain::{ExternalName, cache_folder, shell_word};
+use llm::Servers;
 use orchestrator::budget::Budget;
 use orchestrator::command_files::command_files;
-use orchestrator::commit::program_commit;
 use orchestrator::documents::ReadyDocuments;
 use orchestrator::external_memory::{self, ExternalMemory, StartedMemories};
 use orchestrator::frame_budget;
@@ -43,6 +44,17 @@ use super::documents::RunDocuments;
 use super::run::flags::RunOptions;
 use super::{Exit, in_one_line, write_file};
 use crate::signals::{self, Signals};
+
+/// What a plan of a run is made for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Purpose {
+    /// It is executed now. External memories write their logs into its folder.
+    Execution,
+    /// It is executed later, in units. External memories tell their names, and end.
+    Units,
+    /// It is described. No program is started.
+    DryRun,
+}
 
 /// All episodes of a run.
 pub(super) const ALL: Range<usize> = 0..usize::MAX;
@@ -118,6 +130,7 @@ impl RunPlan {
     pub(super) fn new(
         mut settings: RunSettings,
         range: Range<usize>,
+        purpose: Purpose,
         options: &RunOptions,
         signals: &Signals,
     ) -> Result<Option<Self>> {
@@ -130,9 +143,14 @@ impl RunPlan {
         }
         let selection = SelectedCases::of(&settings)?;
         check_banks(&settings, &selection.world)?;
-        let started = start_memories(&mut settings, options, signals)?;
-        if settings.has_external_memories() && started.is_none() && !options.dry_run {
-            return Ok(None);
+        let mut started = None;
+        if purpose == Purpose::DryRun {
+            name_memories_of_folder(&mut settings)?;
+        } else {
+            started = start_memories(&mut settings, purpose, options, signals)?;
+            if settings.has_external_memories() && started.is_none() {
+                return Ok(None);
+            }
         }
         note_omissions(&settings);
         let episodes: Vec<PlannedEpisode> = selection.with_episodes(&settings, |episodes| {
@@ -190,7 +208,7 @@ impl RunPlan {
             format: FORMAT,
             version: env!("CARGO_PKG_VERSION").to_owned(),
             wire_version: WIRE_VERSION,
-            commit: program_commit(),
+            commit: COMMIT.map(str::to_owned),
             settings: self.settings.clone(),
             hashes,
             tasks: self.tasks(),
@@ -217,11 +235,6 @@ impl RunPlan {
     /// Whether a memory of the run matches views.
     pub(super) fn matches_views(&self) -> bool {
         launch::matches_views(&self.settings, self.memories())
-    }
-
-    /// Checks that the run's encoder can be used.
-    pub(super) fn check_encoder(&self) -> Result<()> {
-        launch::check_encoder(&self.settings, self.memories())
     }
 
     /// Runs what is missing.
@@ -312,6 +325,13 @@ impl RunPlan {
         signals: &Signals,
     ) -> Result<Option<String>> {
         let Self { settings, world, streams, started, unit, shipped_embeddings, .. } = self;
+        if let Some(model) = &settings.model {
+            let given = model.base_url.as_deref().map(|url| (url, options.base_url_source));
+            let servers = Servers::from_environment(given, Path::new("."))?;
+            if !options.quiet {
+                say!("asking {} at {servers}", model.model);
+            }
+        }
         let Remaining { missing, learned } = remaining;
         let mut progress = ProgressDisplay::new(options.quiet);
         let (own, children);
@@ -345,6 +365,7 @@ impl RunPlan {
         }
         let mut pipeline_options =
             launch::pipeline_options(settings, memories, folder.dir().join(LOGS_FOLDER))?;
+        launch::tell_source_of_base_url(&mut pipeline_options, options.base_url_source.word());
         if unit.is_some() {
             launch::share_views(&mut pipeline_options, &cache_folder()?.join("views"));
         }
@@ -422,31 +443,53 @@ fn note_omissions(settings: &RunSettings) {
     }
 }
 
-/// Starts the external memories of a run and adds their names to the settings. `None` without any, when a signal asked to
-/// stop, and for one that the user starts in a dry run, which does not wait.
+/// Adds the names of the external memories of a dry run to the settings, as far as the run's folder has them: their programs, which
+/// would tell them, are not started.
+fn name_memories_of_folder(settings: &mut RunSettings) -> Result<()> {
+    if settings.has_external_memories() {
+        let recorded = match settings.out.join("manifest.json").exists() {
+            true => Manifest::read(&settings.out)?.memories,
+            false => BTreeMap::new(),
+        };
+        let named: Vec<(ExternalName, bool)> = recorded
+            .iter()
+            .filter(|(_, facts)| match &facts.command {
+                Some(command) => settings.memory_cmd.contains(command),
+                None => settings.external_memory,
+            })
+            .map(|(name, facts)| (*name, facts.learns))
+            .collect();
+        let all = settings.memory_cmd.len() + usize::from(settings.external_memory);
+        settings.add_external_memories(&named);
+        if named.len() < all {
+            let reason = "a dry run starts no program, and a memory of your own tells its name when it starts";
+            ensure!(
+                !settings.conditions().is_empty(),
+                "{reason}: without it no condition is left to list"
+            );
+            say(&format!("{reason}: its conditions are not listed"));
+        }
+    }
+    settings::check(settings)
+}
+
+/// Starts the external memories of a run and adds their names to the settings. `None` without any, and when a signal asked to
+/// stop.
 fn start_memories(
     settings: &mut RunSettings,
+    purpose: Purpose,
     options: &RunOptions,
     signals: &Signals,
 ) -> Result<Option<StartedMemories>> {
     let mut progress = ProgressDisplay::new(options.quiet);
-    let logs = if options.dry_run {
-        if std::mem::take(&mut settings.external_memory) {
-            let reason = "a dry run does not wait for a memory that you start yourself";
-            ensure!(
-                settings.has_external_memories() || !settings.conditions().is_empty(),
-                "{reason}, and without it no condition is left to list"
-            );
-            progress.note(&format!("{reason}: its conditions are not listed"));
-        }
-        None
-    } else {
+    let mut logs = None;
+    if purpose == Purpose::Execution {
         RunFolder::check(&settings.out)?;
         if options.fresh {
             RunFolder::remove_memory_logs(&settings.out)?;
         }
-        Some(settings.out.join(LOGS_FOLDER))
-    };
+        logs = Some(settings.out.join(LOGS_FOLDER));
+    }
     let started =
         external_memory::start(settings, logs, signals.stop(), &mut |note| progress.note(note))?;
     if let Some(started) = &started {

@@ -6,17 +6,18 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Error, Result, anyhow, bail};
 use clap::Args;
 use domain::cache_folder;
+use llm::Source;
 use orchestrator::selection::SelectedCases;
 use orchestrator::units::{ReadPlan, UnitPlan};
 use results::log::{Manifest, RunFolder, RunLog, UnitId, finish_unit, unit_folder};
-use settings::{KEYS, Key, Layer, MACHINE_KEYS, on_this_machine};
+use settings::{KEYS, Key, Layer, MACHINE_KEYS, on_this_machine, variable};
 use shm_types::process::die_with_parent;
 
 use super::run::flags::{MachineFlags, RunOptions};
 use super::run_plan::{
-    Executed, RunPlan, STARTING_MEMORIES, same_command, stopped_before_episodes,
+    Executed, Purpose, RunPlan, STARTING_MEMORIES, same_command, stopped_before_episodes,
 };
-use super::{Exit, in_one_line, print};
+use super::{Exit, commands, in_one_line, print};
 use crate::documents::RunDocuments;
 use crate::signals::{self, Signals};
 
@@ -56,6 +57,10 @@ pub(super) struct WorkArgs {
     #[arg(long)]
     quiet: bool,
 
+    /// Start the commands that the plan names; without this they are shown and refused
+    #[arg(long)]
+    allow_commands: bool,
+
     #[command(flatten)]
     machine: MachineFlags,
 }
@@ -71,13 +76,16 @@ pub(super) fn run(args: WorkArgs) -> Result<Exit> {
         print(&whole.display().to_string())?;
         return Ok(Exit::Complete);
     }
+    let used = commands::Use::Start { allowed: args.allow_commands };
+    let plan_named = format!("the plan {}", args.plan.display());
+    commands::check(&plan_named, &settings::commands(&plan.plan.manifest.settings)?, used)?;
     fs::create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;
     let part = args.out.join(format!("{}.part", unit_folder(args.unit)));
     if part.join("manifest.json").exists() {
         check_unit(&part, &plan.unit_id(args.unit))?;
     }
     let signals = Signals::listen().context("cannot listen to signals")?;
-    let options = RunOptions { quiet: args.quiet, ..RunOptions::default() };
+    let options = RunOptions::of(args.quiet, base_url_source(&args)?);
     let cache = cache_folder()?;
     let shipment = plan.plan.shipment.as_ref();
     if let Some(shipment) = shipment {
@@ -112,6 +120,18 @@ pub(super) fn run(args: WorkArgs) -> Result<Exit> {
     Ok(Exit::Complete)
 }
 
+/// Where the address of the model's server is given: here, or in the plan.
+fn base_url_source(args: &WorkArgs) -> Result<Source> {
+    const KEY: &str = "base-url";
+    Ok(if args.machine.layer()?.text(KEY).is_some() {
+        Source::CommandLine
+    } else if variable(KEY)?.is_some() {
+        Source::Environment
+    } else {
+        Source::SettingsFile
+    })
+}
+
 /// The run that a unit is, with its folder `part`; `None` when a signal asked to stop.
 fn unit_run(
     plan: &ReadPlan,
@@ -131,7 +151,8 @@ fn unit_run(
     settings.out = part;
     let settings = on_this_machine(&settings, layers)?;
     RunFolder::check(&settings.out)?;
-    let Some(mut run) = RunPlan::new(settings, episodes, options, signals)? else {
+    let run = RunPlan::new(settings, episodes, Purpose::Execution, options, signals)?;
+    let Some(mut run) = run else {
         return Ok(None);
     };
     check_machine(&run.manifest()?, plan, args)?;

@@ -3,9 +3,11 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use orchestrator::units::UnitPlan;
 use results::conditions::PolicyKind;
 use results::log::{RunFolder, testing};
 use tempfile::TempDir;
@@ -86,7 +88,10 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
         ("run --suite rq1 --window 20", "lower --window or --keyframes"),
         ("run --memory episodic --demos none", "no condition is left"),
         ("run --memory none", "no memory is left"),
-        ("run --memory external --dry-run", "start yourself, and without it no condition"),
+        (
+            "run --memory external --dry-run",
+            "a dry run starts no program, and a memory of your own tells its name when it starts: without it no condition",
+        ),
         ("run --frame-budget 4000000000 --dry-run", "not a whole number from 1 to 1048576"),
         ("run --elsewhere w --dry-run", "--elsewhere is the warehouse of --demos elsewhere"),
         ("run --policy openai --model m --max-cost 3 --dry-run", "--max-cost needs prices"),
@@ -597,4 +602,224 @@ fn lists_are_tables_and_json() {
         text(&output.stdout).replace(char::is_whitespace, ""),
         "{\"alive\":[],\"removed\":[]}"
     );
+}
+
+/// Files in `dir` whose commands leave a trace: the suite `mine.toml`, the same in assets, and a plan of it.
+fn files_with_commands(dir: &Path) -> [String; 2] {
+    let [policy, memory] = ["policy", "memory"].map(|name| {
+        let trace = dir.join(format!("started-{name}"));
+        format!("touch {}", trace.display())
+    });
+    let suite = format!(
+        "policy-cmd = \"{policy}\"\nmemory-cmd = [\"{memory}\"]\nmemory = [\"working\"]\nlimit = 1\nruns = 1"
+    );
+    assets(dir);
+    fs::create_dir(dir.join("assets/suites")).unwrap();
+    for file in ["mine.toml", "assets/suites/mine.toml", "assets/suites/quick.toml"] {
+        fs::write(dir.join(file), &suite).unwrap();
+    }
+    // The plan of a run of the same commands, which its author gave on the command line.
+    let mut manifest = testing::manifest();
+    manifest.settings.memory_cmd = vec![memory.clone()];
+    let plan = UnitPlan::new(manifest, 500);
+    plan.write(&dir.join("plan.json")).unwrap();
+    [policy, memory]
+}
+
+fn has_started_a_program(dir: &Path) -> bool {
+    ["policy", "memory"].iter().any(|name| dir.join(format!("started-{name}")).exists())
+}
+
+#[test]
+fn a_dry_run_starts_no_program() {
+    let dir = dir();
+    let [policy, memory] = files_with_commands(dir.path());
+    let flags = "--allow-commands --memory working --limit 1";
+    for arguments in [
+        "--suite ./mine.toml".to_owned(),
+        "--assets assets --suite mine".to_owned(),
+        format!("--suite ./mine.toml {flags}"),
+    ] {
+        let output = memtransfer(dir.path(), &format!("run --dry-run {arguments}"));
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{arguments}: {said}");
+        // They are shown, so that whoever tries a suite sees them.
+        for command in [&policy, &memory] {
+            assert!(said.contains(&**command), "{arguments}: {said}");
+        }
+        assert!(said.contains("a dry run starts no program"), "{arguments}: {said}");
+    }
+    // Nor one of the command line, and none of ours.
+    let mut command = Command::new(env!("CARGO_BIN_EXE_memtransfer"));
+    let cache = dir.path().join("cache");
+    command.args(["run", "--dry-run", "--limit", "1", "--memory-cmd", &memory]);
+    command.current_dir(dir.path()).env("MEMTRANSFER_CACHE", &cache);
+    let output = command.output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    assert!(!has_started_a_program(dir.path()) && !cache.exists());
+}
+
+/// The names that external memories told earlier are in the run's folder.
+#[test]
+fn a_dry_run_lists_the_memories_that_the_folder_names() {
+    let dir = dir();
+    let mut manifest = testing::manifest();
+    manifest.settings.memory_cmd = vec!["./mine".to_owned()];
+    let facts = serde_json::json!({"index": 0, "version": "1", "command": "./mine", "scope": "case",
+        "embeddings": false, "frames": false, "deterministic": true, "learns": false, "sdk": "-"});
+    let facts = serde_json::from_value(facts).unwrap();
+    manifest.memories.insert("top-three".parse().unwrap(), facts);
+    drop(RunFolder::open(&dir.path().join("run"), manifest, false).unwrap());
+    let planned = |command: &str| {
+        let arguments = format!("run --dry-run --memory working --memory-cmd {command} --out run");
+        let output = memtransfer(dir.path(), &arguments);
+        (text(&output.stdout).contains("top-three/"), text(&output.stderr))
+    };
+    assert_eq!(planned("./mine"), (true, String::new()));
+    let (is_listed, said) = planned("./other");
+    assert!(!is_listed && said.contains("its conditions are not listed"), "{said}");
+}
+
+#[test]
+fn commands_of_a_file_are_shown_and_refused() {
+    let dir = dir();
+    let [policy, memory] = files_with_commands(dir.path());
+    for (arguments, file, commands) in [
+        ("run --suite ./mine.toml", "the suite ./mine.toml", &[&policy, &memory][..]),
+        ("run --suite mine --assets assets", "the suite mine", &[&policy, &memory]),
+        ("run --suite ./mine.toml --policy-cmd mine", "the suite ./mine.toml", &[&memory]),
+        ("plan --suite ./mine.toml --out new.json", "the suite ./mine.toml", &[&policy, &memory]),
+        ("work --plan plan.json --unit 0 --out units", "the plan plan.json", &[&memory]),
+    ] {
+        let said = refused(dir.path(), arguments);
+        assert!(said.contains(&format!("{file} starts programs on this machine")), "{said}");
+        assert!(said.contains("give --allow-commands"), "{said}");
+        assert!(commands.iter().all(|command| said.contains(&***command)), "{arguments}: {said}");
+        assert!(!has_started_a_program(dir.path()), "{arguments}");
+        assert!(!dir.path().join("units").exists() && !dir.path().join("new.json").exists());
+    }
+    // No file allows itself.
+    fs::write(dir.path().join("allows.toml"), "allow-commands = true").unwrap();
+    assert!(
+        refused(dir.path(), "run --suite ./allows.toml").contains("unknown key `allow-commands`")
+    );
+    // With the flag they are shown and started: this one is no memory, and has left its trace.
+    let found = memtransfer(
+        dir.path(),
+        "run --suite ./mine.toml --policy grounded --allow-commands --out run --start-timeout 5",
+    );
+    let said = text(&found.stderr);
+    assert!(said.contains("the suite ./mine.toml starts these programs:"), "{said}");
+    assert!(said.contains(&memory) && has_started_a_program(dir.path()), "{said}");
+}
+
+/// `DIR/suites/quick.toml` in downloaded assets is not what `run --assets DIR` means.
+#[test]
+fn assets_do_not_replace_the_default_suite() {
+    let dir = dir();
+    files_with_commands(dir.path());
+    for verb in ["run --dry-run", "run", "plan --out plan2.json", "run --show-settings"] {
+        let said = refused(dir.path(), &format!("{verb} --assets assets"));
+        assert!(
+            said.contains("assets/suites/quick.toml differs from the shipped suite `quick`"),
+            "{said}"
+        );
+    }
+    assert!(!has_started_a_program(dir.path()));
+}
+
+/// Scripts for clusters are made by the user who gave the commands, or allowed them.
+#[test]
+fn scripts_of_a_plan_allow_what_its_maker_gave() {
+    let dir = dir();
+    let with = "--policy openai --model m --memory working --limit 1 --base-url http://a/v1";
+    for (verb, suffix) in [
+        ("--slurm", "--quiet --base-url http://a/v1 ||"),
+        ("--kubernetes", "--quiet --base-url http://a/v1 ||"),
+    ] {
+        let arguments = format!("plan {with} --out plan{verb}.json {verb}");
+        let output = memtransfer(dir.path(), &arguments);
+        assert!(
+            text(&output.stdout).contains(suffix),
+            "{}{}",
+            text(&output.stdout),
+            text(&output.stderr)
+        );
+    }
+    let with = "--policy-cmd ./mine --memory working --limit 1";
+    let output = memtransfer(dir.path(), &format!("plan {with} --out own.json --slurm"));
+    assert!(
+        text(&output.stdout).contains("--quiet --allow-commands ||"),
+        "{}",
+        text(&output.stderr)
+    );
+    let output =
+        memtransfer(dir.path(), "plan --policy random --limit 1 --out random.json --slurm");
+    assert!(text(&output.stdout).contains("--quiet ||"), "{}", text(&output.stderr));
+    // An address that the environment named is not one of the command line.
+    let with = "plan --policy openai --model m --memory working --limit 1 --out env.json --slurm";
+    let output = memtransfer_with(dir.path(), with, &[("MEMTRANSFER_BASE_URL", "http://a/v1")]);
+    assert!(text(&output.stdout).contains("--quiet ||"), "{}", text(&output.stderr));
+}
+
+/// Whoever a downloaded folder belongs to does not get the key of this user.
+#[test]
+fn a_key_is_not_sent_to_an_address_that_a_file_names() {
+    const KEY: (&str, &str) = ("OPENAI_API_KEY", "sk-very-secret");
+    let dir = dir();
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.set_nonblocking(true).unwrap();
+    let url = format!("http://{}/v1", listener.local_addr().unwrap());
+    fs::create_dir(dir.path().join("downloaded")).unwrap();
+    fs::write(dir.path().join("downloaded/.env"), format!("OPENAI_BASE_URL={url}\n")).unwrap();
+    let suite = format!(
+        "base-url = \"{url}\"\npolicy = \"openai\"\nmodel = \"m\"\nmemory = [\"working\"]\nlimit = 1"
+    );
+    fs::write(dir.path().join("suite.toml"), &suite).unwrap();
+    fs::create_dir(dir.path().join("downloaded/suites")).unwrap();
+    fs::write(dir.path().join("downloaded/suites/mine.toml"), &suite).unwrap();
+    for file in ["layout.toml", "catalogue.toml", "cases.toml"] {
+        let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets").join(file);
+        fs::copy(shipped, dir.path().join("downloaded").join(file)).unwrap();
+    }
+    let openai = "--policy openai --model m --memory working --limit 1";
+    // Its author gave the address on the command line.
+    let plan = format!("plan {openai} --base-url {url} --out plan.json");
+    assert_eq!(memtransfer(dir.path(), &plan).status.code(), Some(0));
+    let in_file = dir.path().join("downloaded");
+    for (folder, arguments, place) in [
+        (&*in_file, format!("run {openai}"), "the file .env"),
+        (&in_file, "doctor --policy openai --model m".to_owned(), "the file .env"),
+        (&in_file, "memory build --builder model --model m".to_owned(), "the file .env"),
+        (dir.path(), "run --suite ./suite.toml".to_owned(), "the suite or plan"),
+        (dir.path(), "run --assets downloaded --suite mine".to_owned(), "the suite or plan"),
+        (dir.path(), "work --plan plan.json --unit 0 --out units".to_owned(), "the suite or plan"),
+    ] {
+        let output = memtransfer_with(folder, &arguments, &[KEY]);
+        let said = text(&output.stderr) + &text(&output.stdout);
+        assert_ne!(output.status.code(), Some(0), "{arguments}: {said}");
+        for part in ["given in the environment", place, &format!("give --base-url {url}")] {
+            assert!(said.contains(part), "{arguments}: {part}: {said}");
+        }
+        assert!(!said.contains(KEY.1) && listener.accept().is_err(), "{arguments}: {said}");
+    }
+}
+
+/// The commit is that of the build: not of a repository that a variable names, and git is not asked.
+#[test]
+fn the_commit_of_a_manifest_is_that_of_the_build() {
+    let dir = dir();
+    let git = dir.path().join("git");
+    fs::write(&git, "#!/bin/sh\ntouch started-git\nexec sleep 1000\n").unwrap();
+    fs::set_permissions(&git, fs::Permissions::from_mode(0o755)).unwrap();
+    let other = dir.path().join("other");
+    let path = dir.path().to_str().unwrap();
+    let variables = [("PATH", path), ("GIT_DIR", other.to_str().unwrap())];
+    let arguments = "plan --policy random --limit 1 --out plan.json";
+    let output = memtransfer_with(dir.path(), arguments, &variables);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let plan = fs::read(dir.path().join("plan.json")).unwrap();
+    let plan: serde_json::Value = serde_json::from_slice(&plan).unwrap();
+    assert_eq!(plan["manifest"]["commit"].as_str(), build_commit::COMMIT);
+    assert!(!dir.path().join("started-git").exists());
 }

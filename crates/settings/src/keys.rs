@@ -124,7 +124,7 @@ const HOW: &str = "How it is run";
 
 /// Writes the table: one line of names and form, one of help.
 macro_rules! keys {
-    ($($heading:ident: $($name:literal $value_name:literal $kind:expr, $help:literal;)*)*) => {
+    ($($heading:ident: $($name:literal $value_name:tt $kind:expr, $help:literal;)*)*) => {
         &[$($(Key {
             name: $name,
             value_name: $value_name,
@@ -148,13 +148,13 @@ pub const KEYS: &[Key] = keys! {
         "What decides: grounded (scripted, needs no model), openai (a model behind an \
          OpenAI-compatible endpoint), external (your own program), random, or expert (replays the \
          reference)";
-    "policy-cmd" "COMMAND" Text(is_command),
+    "policy-cmd" COMMAND Text(is_command),
         "The command that starts your own policy, for example \"python my_policy.py\"; implies \
          --policy external";
     "memory" "LIST" List(is_memory),
         "Memories: working, full-context, summary, semantic, hybrid, episodic, adaptive; external \
          for one of your own that you start yourself (the run prints how); none for external ones only";
-    "memory-cmd" "COMMAND" Repeated(is_command),
+    "memory-cmd" COMMAND Repeated(is_command),
         "The command that starts a memory of your own, for example \"python my_memory.py\"; it runs \
          beside those of --memory, under the name it reports. Can be given up to 8 times";
     "starts" "LIST" List(parses::<Start>),
@@ -305,6 +305,9 @@ pub const KEYS: &[Key] = keys! {
         "Time limit for the processes to get ready";
 };
 
+/// What stands for a command in the help.
+const COMMAND: &str = "COMMAND";
+
 /// Names of the keys that concern a model: for `--policy openai` only.
 pub(super) fn model_keys() -> impl Iterator<Item = &'static str> {
     KEYS.iter().filter(|key| key.heading == MODEL).map(|key| key.name)
@@ -371,6 +374,11 @@ impl Key {
             }
             None => self.help.to_owned(),
         }
+    }
+
+    /// Whether its value is a command, which a run starts.
+    pub fn is_command(&self) -> bool {
+        self.value_name == COMMAND
     }
 
     /// Whether the flag can be repeated, each time with one more value.

@@ -10,8 +10,8 @@ use serde_json::{Map, Value};
 
 use super::keys::{DEFAULTS, KEYS, Key, STREAM_KEYS, VARIABLE_PREFIX};
 
-/// Variables with the prefix that are not settings: folders, and what tests use.
-const OTHER_VARIABLES: [&str; 4] = ["CACHE", "RUN_DIR", "ATTACH", "REGENERATE"];
+/// Variables with the prefix that are not settings: folders, the user's own ONNX Runtime, and what tests use.
+const OTHER_VARIABLES: [&str; 5] = ["CACHE", "RUN_DIR", "ATTACH", "REGENERATE", "ONNXRUNTIME"];
 const TEST_VARIABLES: &str = "TEST_";
 
 /// Where a setting comes from, weakest first.

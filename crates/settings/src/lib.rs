@@ -14,5 +14,7 @@ mod suite;
 pub use cases::select_cases;
 pub use keys::{KEYS, Key, MAX_IMAGES};
 pub use layer::{Layer, Origin, variable};
-pub use resolve::{MACHINE_KEYS, Resolved, check, check_values, on_this_machine, resolve};
+pub use resolve::{
+    MACHINE_KEYS, Resolved, check, check_values, commands, on_this_machine, resolve,
+};
 pub use suite::{SHIPPED_SUITES, load_suite};

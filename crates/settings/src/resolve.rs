@@ -42,6 +42,41 @@ pub fn resolve(above: impl IntoIterator<Item = Layer>) -> Result<Resolved> {
     merge([defaults, suite].into_iter().chain(above))
 }
 
+impl Resolved {
+    /// Where a key outside of groups comes from; `None` if it has no value.
+    pub fn origin(&self, key: &str) -> Option<Origin> {
+        self.origins.get(key).copied()
+    }
+
+    /// The commands that the suite says, each with its key.
+    ///
+    /// # Errors
+    /// As those of [`commands`].
+    pub fn commands_of_suite(&self) -> Result<Vec<(&'static str, String)>> {
+        let mut commands = commands(&self.settings)?;
+        commands.retain(|(key, _)| self.origin(key) == Some(Origin::Suite));
+        Ok(commands)
+    }
+}
+
+/// The commands that a run with `settings` starts, each with its key.
+///
+/// # Errors
+/// When the settings cannot be written as JSON, which they always can.
+pub fn commands(settings: &RunSettings) -> Result<Vec<(&'static str, String)>> {
+    let values = serde_json::to_value(settings)?;
+    let mut commands = Vec::new();
+    for key in KEYS.iter().filter(|key| key.is_command()) {
+        let given = match values.get(key.name) {
+            Some(Value::Array(list)) => list.iter().collect(),
+            one => Vec::from_iter(one),
+        };
+        commands
+            .extend(given.into_iter().filter_map(Value::as_str).map(|c| (key.name, c.to_owned())));
+    }
+    Ok(commands)
+}
+
 /// Keys that another machine may need other values of, and that change no result.
 pub const MACHINE_KEYS: &[&str] = &[
     "assets",

@@ -33,6 +33,8 @@ pub use session::ModelFile;
 use preprocess::Preprocessor;
 use session::{EncoderSession, Runtime};
 
+use crate::paths::RuntimeLibrary;
+
 /// Facts about an encoder, reported wherever its results appear.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EncoderFacts {
@@ -98,13 +100,13 @@ pub struct PreparedEncoder {
 }
 
 impl PreparedEncoder {
-    /// Loads ONNX Runtime from the library `runtime` for an encoder of `threads` workers.
+    /// Loads ONNX Runtime for an encoder of `threads` workers.
     ///
     /// # Errors
     /// When the runtime cannot be used, or its execution provider cannot.
     pub fn new(
         file: ModelFile,
-        runtime: &Path,
+        runtime: &RuntimeLibrary,
         threads: NonZeroUsize,
         provider: Provider,
     ) -> Result<Self> {

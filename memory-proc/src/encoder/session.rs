@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use domain::hex;
+use domain::{RUNTIME_SHA256, RUNTIME_VARIABLE, hex};
 use ort::environment::Environment;
 use ort::session::Session as OrtSession;
 use ort::session::builder::{BuilderResult, GraphOptimizationLevel, SessionBuilder};
@@ -21,7 +21,7 @@ use sha2::{Digest, Sha256};
 
 use super::Provider;
 use crate::manifest::{Model, Pooling};
-use crate::paths::CacheFolder;
+use crate::paths::{CacheFolder, RuntimeLibrary};
 use search::Embedding;
 
 /// A model file, checked against its manifest entry.
@@ -149,22 +149,29 @@ pub(super) struct Runtime {
 }
 
 impl Runtime {
-    /// Loads the library at `path`, unless this process has loaded one already.
-    pub(super) fn load(path: &Path) -> Result<Self> {
+    /// Loads the library, unless this process has loaded one already. One in the cache folder is loaded only if its hash is known.
+    pub(super) fn load(library: &RuntimeLibrary) -> Result<Self> {
         static ENVIRONMENT: OnceLock<(PathBuf, Result<Environment, String>)> = OnceLock::new();
+        let path = library.path();
         let shown = path.display();
-        ensure!(path.is_file(), "ONNX Runtime is not at {shown}; run `cargo xtask setup`");
+        let next = match library {
+            RuntimeLibrary::Cached(_) => "run `cargo xtask setup`".to_owned(),
+            RuntimeLibrary::Own(_) => format!("{RUNTIME_VARIABLE} names it"),
+        };
+        ensure!(path.is_file(), "ONNX Runtime is not at {shown}; {next}");
         let load = || {
+            if let RuntimeLibrary::Cached(path) = library {
+                check_known(path)?;
+            }
             let builder = ort::init_from(path).map_err(|error| error.to_string())?;
             let builder = builder.with_name("memtransfer").with_telemetry(false);
             builder.build().map_err(|error| error.to_string())
         };
         match ENVIRONMENT.get_or_init(|| (path.to_owned(), load())) {
             (path, Ok(environment)) => Ok(Self { environment, path }),
-            (path, Err(message)) => bail!(
-                "ONNX Runtime at {} cannot be used ({message}); delete it and run `cargo xtask setup`",
-                path.display()
-            ),
+            (path, Err(message)) => {
+                bail!("ONNX Runtime at {} cannot be used: {message}; {next}", path.display())
+            }
         }
     }
 
@@ -198,6 +205,19 @@ impl Runtime {
         let commit = info.split([' ', ',']).find_map(|word| word.strip_prefix("git-commit-id="));
         commit.map_or_else(|| info.to_owned(), |commit| format!("commit {commit}"))
     }
+}
+
+/// Checks that the library `path` is one that set-up fetches: it is code, and the cache folder also holds what others sent.
+fn check_known(path: &Path) -> Result<(), String> {
+    let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
+    let sha256 = sha256_of(&bytes);
+    if RUNTIME_SHA256.contains(&&*sha256) {
+        return Ok(());
+    }
+    Err(format!(
+        "it is not the library that set-up fetches, and was not loaded (its SHA-256 is {sha256}). A build of your own is used \
+         from another folder, with {RUNTIME_VARIABLE}=FILE"
+    ))
 }
 
 const FAILED: &str = "the encoder failed on an image";

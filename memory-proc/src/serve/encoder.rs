@@ -12,7 +12,7 @@ use crate::encoder::{
     Encoder, EncoderFacts, Image, ImageSource, ModelFile, PreparedEncoder, Provider, SessionOpening,
 };
 use crate::manifest::EncoderManifest;
-use crate::paths::CacheFolder;
+use crate::paths::{CacheFolder, RuntimeLibrary};
 
 /// How the encoder runs.
 #[derive(Debug, Clone)]
@@ -37,7 +37,8 @@ impl EncoderSettings {
     pub fn prepare(&self, manifest: &EncoderManifest) -> anyhow::Result<PreparedEncoder> {
         let model = manifest.model(self.name.as_ref().unwrap_or(&manifest.default))?;
         let file = ModelFile::read(model, self.file.as_deref(), &self.cache)?;
-        PreparedEncoder::new(file, &self.cache.runtime(), self.threads, self.provider)
+        let runtime = RuntimeLibrary::from_environment(&self.cache);
+        PreparedEncoder::new(file, &runtime, self.threads, self.provider)
     }
 }
 

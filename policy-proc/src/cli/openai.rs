@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::Args;
-use llm::{ChatClient, ChatSettings, Endpoint, EndpointLimit, ReplyCache};
+use llm::{ChatClient, ChatSettings, EndpointLimit, ReplyCache, Servers, Source};
 use policy_proc::openai::{Openai, OpenaiSettings};
 use prompt::image::ImageFormat;
 
@@ -20,6 +20,9 @@ pub(crate) struct ModelArguments {
     /// $OPENAI_API_BASE, also from .env]
     #[arg(long, value_name = "URL,...")]
     base_url: Option<String>,
+    /// Where the value of --base-url was given: it decides which key is sent there
+    #[arg(long, value_name = "SOURCE", default_value = Source::CommandLine.word(), hide = true)]
+    base_url_from: Source,
     /// Image encoding: png, or jpeg (smaller, with loss)
     #[arg(long, value_name = "FORMAT", default_value_t = ImageFormat::Png)]
     image_format: ImageFormat,
@@ -59,8 +62,8 @@ pub(crate) struct ModelArguments {
 /// When no server or no cache folder is known.
 pub(crate) fn policy(arguments: ModelArguments) -> anyhow::Result<Openai> {
     let model = arguments.model.context("--policy openai needs --model")?;
-    let (first, others) =
-        Endpoint::from_environment(arguments.base_url.as_deref(), Path::new("."))?;
+    let given = arguments.base_url.as_deref().map(|url| (url, arguments.base_url_from));
+    let Servers { first, others, .. } = Servers::from_environment(given, Path::new("."))?;
     let limit = |most| {
         let folder = match arguments.endpoint_limit_folder {
             Some(folder) => folder,

@@ -7,7 +7,7 @@ use std::time::Duration;
 use anyhow::ensure;
 use clap::Args;
 use llm::probe::{self, ProbeFinding, ProbeMark, ProbeReport, RunRequest};
-use llm::{ChatClient, ChatSettings, Endpoint};
+use llm::{ChatClient, ChatSettings, Servers, Source};
 use policy_proc::openai::largest::LargestRequest;
 use prompt::image::ImageFormat;
 
@@ -15,12 +15,16 @@ use super::print;
 
 #[derive(Args)]
 #[command(after_help = "\
-Sends about twenty requests, at least one of them of a run's size. The key comes from $OPENAI_API_KEY or .env.
+Sends about twenty requests, at least one of them of a run's size. The key comes from $OPENAI_API_KEY or .env,
+and is sent only to an address that was given in the same place or with --base-url.
 Exit status 0 if a run can start, 1 if something prevents it, 2 if the server could not be asked.")]
 pub(crate) struct ProbeArguments {
     /// The server, up to /v1 [default: $OPENAI_BASE_URL, else $OPENAI_API_BASE, also from .env]
     #[arg(long, value_name = "URL")]
     base_url: Option<String>,
+    /// Where the value of --base-url was given: it decides which key is sent there
+    #[arg(long, value_name = "SOURCE", default_value = Source::CommandLine.word(), hide = true)]
+    base_url_from: Source,
     /// The model, by the name that the server knows it by
     #[arg(long, value_name = "NAME")]
     model: String,
@@ -57,9 +61,9 @@ pub(crate) struct ProbeArguments {
 const MAX_RETRIES: u32 = 2;
 
 pub(crate) fn run(arguments: &ProbeArguments) -> anyhow::Result<ExitCode> {
-    let (endpoint, others) =
-        Endpoint::from_environment(arguments.base_url.as_deref(), Path::new("."))?;
-    ensure!(others.is_empty(), "one server can be checked at a time: pass --base-url URL");
+    let given = arguments.base_url.as_deref().map(|url| (url, arguments.base_url_from));
+    let servers = Servers::from_environment(given, Path::new("."))?;
+    ensure!(servers.others.is_empty(), "one server can be checked at a time: pass --base-url URL");
     let settings = ChatSettings {
         request_timeout: Duration::from_secs(arguments.request_timeout.into()),
         max_retries: MAX_RETRIES,
@@ -67,7 +71,7 @@ pub(crate) fn run(arguments: &ProbeArguments) -> anyhow::Result<ExitCode> {
         server_patience: Duration::ZERO,
         ..ChatSettings::new(&*arguments.model)
     };
-    let client = ChatClient::new(endpoint, settings, None);
+    let client = ChatClient::new(servers.first, settings, None);
     let largest = LargestRequest {
         frame_size: arguments.frame_size,
         image_format: arguments.image_format,

@@ -79,7 +79,10 @@ fn a_key_is_in_no_file_no_output_and_no_list_of_processes() {
         args.extend(["--trace", "trace.json", "--out", out]);
         command(&bench, &args)
     };
-    run("finished", "9").expect(0);
+    let said = run("finished", "9").expect(0).stderr;
+    let asked =
+        format!("asking m at {base_url} (from the command line, with the key of the environment)");
+    assert!(said.contains(&asked), "{said}");
     assert!(!records(&bench.out("finished")).is_empty());
     command(&bench, &["doctor", "--policy", "openai", "--model", "m", "--base-url", &base_url]);
     // Without retries the run ends with what the server said.

@@ -5,6 +5,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod banks;
+mod cache_folder;
 mod conformance;
 mod documents;
 mod drill_sim;

@@ -49,8 +49,24 @@ fn check_messages_without_a_cluster() {
     }
 }
 
+/// What is given on the command line of the launcher is not taken from the plan alone.
+fn check_flags_of_units() {
+    let print = "import sys; from memtransfer.ray import _flags_of_units as f; print(*f(sys.argv[2:], sys.argv[1].split()))";
+    let flags = |args: &[&str]| {
+        let found = python(&Bench::new(), &[&["-c", print], args].concat()).expect(0);
+        found.stdout.trim().to_owned()
+    };
+    assert_eq!(flags(&["--lanes 3"]), "--allow-commands --lanes 3");
+    let of_settings = "--allow-commands --base-url http://a/v1";
+    assert_eq!(flags(&["", "--suite", "x", "--base-url", "http://a/v1"]), of_settings);
+    assert_eq!(flags(&["", "--base-url=http://a/v1"]), of_settings.replace("l h", "l=h"));
+    let of_work = ["--base-url http://b/v1", "--base-url", "http://a/v1"];
+    assert_eq!(flags(&of_work), "--allow-commands --base-url http://b/v1");
+}
+
 #[test]
 fn nodes_that_are_lost_and_added_do_not_change_the_log() {
+    check_flags_of_units();
     check_messages_without_a_cluster();
     let bench = Bench::new();
     fs::write(bench.out("suite.toml"), SUITE).unwrap();

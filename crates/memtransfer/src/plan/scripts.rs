@@ -6,9 +6,28 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use llm::Source;
+use results::settings::RunSettings;
+
+use crate::commands::ALLOW;
+
+/// The flags of `work` in a script: what the user who makes it has given on the command line, or allowed, and what a worker would
+/// not take from the plan alone. Each begins with a space.
+pub(super) fn work_flags(settings: &RunSettings, base_url_source: Source) -> Result<String> {
+    let mut flags = String::new();
+    if !settings::commands(settings)?.is_empty() {
+        flags += &format!(" {ALLOW}");
+    }
+    let base_url = settings.model.as_ref().and_then(|model| model.base_url.as_ref());
+    if let Some(url) = base_url.filter(|_| base_url_source == Source::CommandLine) {
+        let url = shlex::try_quote(url).context("--base-url has a zero byte")?;
+        flags += &format!(" --base-url {url}");
+    }
+    Ok(flags)
+}
 
 /// An array script for `sbatch`: the workers, then the merge. Needs the plan, the programs and the current folder on every node.
-pub(super) fn slurm(plan: &Path, units: u32, workers: u32) -> Result<String> {
+pub(super) fn slurm(plan: &Path, units: u32, workers: u32, flags: &str) -> Result<String> {
     let plan = plan.to_str().context("the path of the plan is not UTF-8")?;
     let plan = shlex::try_quote(plan).context("the path of the plan has a zero byte")?;
     let last = workers - 1;
@@ -34,7 +53,7 @@ fi
 failed=0
 for ((unit = SLURM_ARRAY_TASK_ID; unit < {units}; unit += {workers})); do
     # What is finished is left as it is, also after a requeue.
-    memtransfer work --plan "$plan" --unit "$unit" --out "$units" --quiet || failed=1
+    memtransfer work --plan "$plan" --unit "$unit" --out "$units" --quiet{flags} || failed=1
 done
 exit "$failed"
 "#
@@ -42,7 +61,7 @@ exit "$failed"
 }
 
 /// An indexed Job for `kubectl apply`. Needs a volume claim `memtransfer` that holds `plan.json`.
-pub(super) fn kubernetes(image: &str, units: u32, workers: u32) -> String {
+pub(super) fn kubernetes(image: &str, units: u32, workers: u32, flags: &str) -> String {
     format!(
         r#"# Executes the {units} units of /work/plan.json on the volume claim "memtransfer", which all workers share.
 # Then: memtransfer merge --plan plan.json units --out RUN
@@ -68,7 +87,7 @@ spec:
             - |
               failed=0
               for ((unit = JOB_COMPLETION_INDEX; unit < {units}; unit += {workers})); do
-                memtransfer work --plan /work/plan.json --unit "$unit" --out /work/units --quiet || failed=1
+                memtransfer work --plan /work/plan.json --unit "$unit" --out /work/units --quiet{flags} || failed=1
               done
               exit "$failed"
           resources:

@@ -12,8 +12,8 @@ use crate::documents::RunDocuments;
 use crate::estimate::{Basis, RunEstimate};
 use crate::run_plan::RunPlan;
 
-/// What would run: conditions, episodes, requests, and the estimated cost of a model; and the number of episodes.
-pub(super) fn describe(plan: &RunPlan, fresh: bool) -> Result<(String, u64)> {
+/// What would run: conditions, episodes, requests, and the estimated cost of a model.
+pub(super) fn describe(plan: &RunPlan, fresh: bool) -> Result<String> {
     let RunPlan { settings, world, episodes, prices, .. } = plan;
     let documents = RunDocuments::of(settings, world.cases.elsewhere.as_ref(), fresh);
     let done = if fresh { Vec::new() } else { finished(plan, &documents)? };
@@ -73,7 +73,7 @@ pub(super) fn describe(plan: &RunPlan, fresh: bool) -> Result<(String, u64)> {
     if !estimates.is_empty() {
         text += &cost_table(&estimates, prices.as_ref());
     }
-    Ok((text, missing))
+    Ok(text)
 }
 
 /// The finished episodes of the run in the folder, which has to match this one.

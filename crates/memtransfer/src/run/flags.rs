@@ -5,7 +5,8 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, Error, FromArgMatches};
-use settings::{KEYS, Key, Layer, MACHINE_KEYS};
+use llm::Source;
+use settings::{KEYS, Key, Layer, MACHINE_KEYS, Origin};
 
 /// Settings that were given as flags, each with its text: any, or those among [`MACHINE_KEYS`].
 #[derive(Debug, Clone, Default)]
@@ -70,7 +71,7 @@ fn add_flag(command: Command, key: &Key) -> Command {
 }
 
 /// What concerns one invocation, and not the run.
-#[derive(Debug, Default, Args)]
+#[derive(Debug, Args)]
 pub(crate) struct RunOptions {
     /// Remove an earlier run from the run's folder, and start over
     #[arg(long)]
@@ -84,7 +85,39 @@ pub(crate) struct RunOptions {
     #[arg(long, value_name = "FILE")]
     pub(crate) trace: Option<PathBuf>,
 
-    /// Print what would run, and stop
+    /// Print what would run, and stop. Starts no program
     #[arg(long)]
     pub(crate) dry_run: bool,
+
+    /// Start the commands that the suite's file names, as policy-cmd or memory-cmd; without this they are
+    /// shown and refused
+    #[arg(long)]
+    pub(crate) allow_commands: bool,
+
+    /// Where the model's address was given
+    #[arg(skip = Source::SettingsFile)]
+    pub(crate) base_url_source: Source,
+}
+
+impl RunOptions {
+    /// Those of a verb that has no other flag of [`RunOptions`] than `--quiet`.
+    pub(crate) fn of(quiet: bool, base_url_source: Source) -> Self {
+        Self {
+            fresh: false,
+            quiet,
+            trace: None,
+            dry_run: false,
+            allow_commands: false,
+            base_url_source,
+        }
+    }
+}
+
+/// Where a setting from `origin` was given.
+pub(crate) fn source_of(origin: Option<Origin>) -> Source {
+    match origin {
+        Some(Origin::CommandLine) => Source::CommandLine,
+        Some(Origin::Environment) => Source::Environment,
+        Some(Origin::Default | Origin::Policy | Origin::Suite) | None => Source::SettingsFile,
+    }
 }

@@ -30,7 +30,7 @@ pub struct Manifest {
     pub version: String,
     /// Version of the wire.
     pub wire_version: u32,
-    /// Commit of the checkout that the program lies in, if it lies in one; `+` when that has changes.
+    /// Commit that the program was built from, if it was built in a checkout; `+` when that had changes.
     pub commit: Option<String>,
     /// The settings, resolved.
     pub settings: RunSettings,

@@ -272,3 +272,31 @@ fn flags_replace_parts_of_the_stream_table() {
     let unknown = Layer::suite("my.toml", &STREAM.replace("rounds", "turns")).unwrap_err();
     assert!(unknown.to_string().starts_with("suite my.toml, stream: unknown field `turns`"));
 }
+
+/// Whoever starts a run has read the command line, and perhaps not the suite.
+#[test]
+fn commands_of_a_suite_are_told_from_those_of_the_command_line() {
+    let of_suite = suite("policy-cmd = \"p\"\nmemory-cmd = [\"a\", \"b\"]");
+    let of = |layers: Vec<Layer>| {
+        let resolved = merge([Layer::defaults().unwrap()].into_iter().chain(layers)).unwrap();
+        let all = commands(&resolved.settings).unwrap();
+        (all, resolved.commands_of_suite().unwrap())
+    };
+    let owned = |list: &[(&'static str, &str)]| -> Vec<_> {
+        list.iter().map(|(key, command)| (*key, (*command).to_owned())).collect()
+    };
+    let (all, from_file) = of(vec![of_suite.clone()]);
+    assert_eq!(all, owned(&[("policy-cmd", "p"), ("memory-cmd", "a"), ("memory-cmd", "b")]));
+    assert_eq!(from_file, all);
+    let (all, from_file) = of(vec![of_suite, flags(&[("memory-cmd", "c")])]);
+    assert_eq!(all, owned(&[("policy-cmd", "p"), ("memory-cmd", "c")]));
+    assert_eq!(from_file, owned(&[("policy-cmd", "p")]));
+    let (all, from_file) = of(vec![flags(&[("policy-cmd", "q")])]);
+    assert_eq!((all.len(), from_file.len()), (1, 0));
+    // Every key whose value is a command is known as one: others accept a quote that is not closed.
+    for key in KEYS {
+        let is_open = key.check(&"a 'b".into()).is_err() && key.check(&"a b".into()).is_ok();
+        let in_list = key.check(&json!(["a 'b"])).is_err() && key.check(&json!(["a b"])).is_ok();
+        assert_eq!(key.is_command(), is_open || in_list, "{}", key.name);
+    }
+}

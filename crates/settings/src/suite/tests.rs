@@ -17,9 +17,30 @@ fn shipped_suites_can_be_read() {
 fn a_folder_of_assets_can_contain_its_own_suites() {
     let dir = tempfile::tempdir().unwrap();
     std::fs::create_dir(dir.path().join("suites")).unwrap();
-    std::fs::write(dir.path().join("suites/quick.toml"), "runs = 7").unwrap();
-    let layer = load_suite(&SuiteName::quick(), Some(dir.path())).unwrap();
-    assert_eq!(layer, Layer::suite("quick", "runs = 7").unwrap());
+    std::fs::write(dir.path().join("suites/mine.toml"), "runs = 7").unwrap();
+    let layer = load_suite(&"mine".parse().unwrap(), Some(dir.path())).unwrap();
+    assert_eq!(layer, Layer::suite("mine", "runs = 7").unwrap());
+}
+
+#[test]
+fn assets_do_not_replace_a_shipped_suite() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("suites/quick.toml");
+    std::fs::create_dir(dir.path().join("suites")).unwrap();
+    let load = |suite: &SuiteName| load_suite(suite, Some(dir.path()));
+    std::fs::write(&file, "runs = 7").unwrap();
+    let error = load(&SuiteName::quick()).unwrap_err().to_string();
+    let path = file.to_str().unwrap();
+    assert!(error.contains(&format!("--suite {path}")) && error.contains("shipped"), "{error}");
+    assert_eq!(load(&path.parse().unwrap()).unwrap(), Layer::suite("", "runs = 7").unwrap());
+    // The others are not concerned, and a copy is no other suite.
+    assert_eq!(
+        load(&"rq1".parse().unwrap()).unwrap(),
+        load_suite(&"rq1".parse().unwrap(), None).unwrap()
+    );
+    let shipped = SHIPPED_SUITES.iter().find(|(name, _)| *name == "quick").unwrap().1;
+    std::fs::write(&file, shipped).unwrap();
+    assert_eq!(load(&SuiteName::quick()).unwrap(), load_suite(&SuiteName::quick(), None).unwrap());
 }
 
 fn shipped(name: &str) -> RunSettings {
