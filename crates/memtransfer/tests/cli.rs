@@ -355,7 +355,8 @@ fn damaged_lines_are_named_by_all_that_leave_them_out() {
         let mut manifest = testing::manifest();
         manifest.settings.seed = seed;
         let mut folder = RunFolder::open(&dir.path().join(name), manifest, false).unwrap().folder;
-        let record = testing::record("t01-01", true);
+        let mut record = testing::record("t01-01", true);
+        record.seed = record.own_key().seed(seed);
         let timings = testing::timings(&record);
         folder.finish(&[(record, timings)]).unwrap();
     }

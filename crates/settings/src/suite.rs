@@ -24,7 +24,7 @@ pub const SHIPPED_SUITES: &[(&str, &str)] =
 /// When there is no such suite, the file cannot be read, or its content is invalid.
 pub fn load_suite(suite: &SuiteName, assets: Option<&Path>) -> Result<Layer> {
     let read = |path: &Path| {
-        std::fs::read_to_string(path)
+        durable::input::read_text(path)
             .map_err(|error| anyhow!("cannot read suite {}: {error}", path.display()))
             .and_then(|text| Layer::suite(&path.display().to_string(), &text))
     };
