@@ -38,8 +38,7 @@ pub fn open_beneath(folder: &Path, path: &Path) -> io::Result<File> {
 pub(crate) fn open_at(parent: impl AsFd, path: &Path, flags: OFlags) -> io::Result<File> {
     let flags = flags | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let mode = Mode::from_raw_mode(0o666);
-    let opened =
-        rustix::io::retry_on_intr(|| rustix::fs::openat(&parent, path, flags, mode));
+    let opened = rustix::io::retry_on_intr(|| rustix::fs::openat(&parent, path, flags, mode));
     opened.map(File::from).map_err(|errno| {
         let is_link = || {
             let found = rustix::fs::statat(&parent, path, AtFlags::SYMLINK_NOFOLLOW);

@@ -107,12 +107,18 @@ mod tests {
             let draft = FolderDraft::new(&target).unwrap();
             fs::write(draft.path().join(name), "").unwrap();
             draft.finish().unwrap();
-            assert_eq!((names(parent), names(&target)), (vec!["pages".to_owned()], vec![name.to_owned()]));
+            assert_eq!(
+                (names(parent), names(&target)),
+                (vec!["pages".to_owned()], vec![name.to_owned()])
+            );
         }
         let draft = FolderDraft::new(&target).unwrap();
         fs::write(draft.path().join("c"), "").unwrap();
         drop(draft);
-        assert_eq!((names(parent), names(&target)), (vec!["pages".to_owned()], vec!["b".to_owned()]));
+        assert_eq!(
+            (names(parent), names(&target)),
+            (vec!["pages".to_owned()], vec!["b".to_owned()])
+        );
 
         // A link is replaced, and not what it points to.
         let mine = base.path().join("mine");

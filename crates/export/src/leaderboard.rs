@@ -93,8 +93,7 @@ impl Found {
             self.damaged.extend(log.damaged.iter().map(|line| format!("{}: {line}", log.name)));
             return Entry::of(&log);
         }
-        let text =
-            read_text(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let text = read_text(path).with_context(|| format!("cannot read {}", path.display()))?;
         Entry::parse(&text).with_context(|| path.display().to_string())
     }
 

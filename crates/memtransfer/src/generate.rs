@@ -85,7 +85,10 @@ fn check_not_replaced(path: &Path, text: &str) -> anyhow::Result<()> {
         Err(error) => Err(error).with_context(|| format!("cannot read {}", path.display())),
         Ok(found) if found == text.as_bytes() => Ok(()),
         Ok(_) => {
-            bail!("{} is there already and differs: choose another --out, or give --force to replace it", path.display())
+            bail!(
+                "{} is there already and differs: choose another --out, or give --force to replace it",
+                path.display()
+            )
         }
     }
 }

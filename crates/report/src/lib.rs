@@ -241,7 +241,9 @@ mod folder_tests {
         symlink(mine.join("report.html"), &page).unwrap();
         fs::remove_file(dir.join("episodes.csv")).unwrap();
         write(&logs, &dir).unwrap();
-        assert!(fs::symlink_metadata(&page).unwrap().is_file() && dir.join("episodes.csv").exists());
+        assert!(
+            fs::symlink_metadata(&page).unwrap().is_file() && dir.join("episodes.csv").exists()
+        );
         fs::remove_dir_all(&dir).unwrap();
         symlink(&mine, &dir).unwrap();
         write(&logs, &dir).unwrap();

@@ -361,8 +361,8 @@ impl Launcher for System {
             let (reader, output) = io::pipe()?;
             Ok((reader, output.try_clone()?, output))
         };
-        let (reader, errors, output) =
-            pipe().map_err(|error: io::Error| anyhow::Error::from(error).context("cannot make a pipe"))?;
+        let (reader, errors, output) = pipe()
+            .map_err(|error: io::Error| anyhow::Error::from(error).context("cannot make a pipe"))?;
         // Ends when the process and all that it has started have closed their output.
         let (is_writing, written) = mpsc::channel();
         let write = move || {

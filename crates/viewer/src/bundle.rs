@@ -80,8 +80,9 @@ fn may_be_replaced(dir: &Path) -> io::Result<bool> {
         let is_front_end = FRONT_END.iter().any(|(file, _)| name == file);
         is_front_end || name == MARK || (1..=2).any(|place| *name == folder_of(place))
     };
-    let is_bundle =
-        || durable::read(&dir.join(MARK)).is_ok_and(|mark| mark.starts_with(b"memtransfer.receive("));
+    let is_bundle = || {
+        durable::read(&dir.join(MARK)).is_ok_and(|mark| mark.starts_with(b"memtransfer.receive("))
+    };
     Ok(names.is_empty() || names.iter().all(is_ours) && is_bundle())
 }
 
@@ -200,5 +201,31 @@ impl BundleFolder<'_> {
             Ok(())
         })?;
         Ok(same)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pages_replace_pages_and_nothing_else() {
+        let base = tempfile::tempdir().unwrap();
+        let dir = base.path().join("pages");
+        let may = || may_be_replaced(&dir).unwrap();
+        assert!(may(), "it is missing");
+        fs::create_dir(&dir).unwrap();
+        assert!(may(), "it is empty");
+        fs::write(dir.join(MARK), "window.runs = [];").unwrap();
+        assert!(!may(), "a script of someone else");
+        fs::write(dir.join(MARK), "memtransfer.receive(\"runs\",{});\n").unwrap();
+        fs::create_dir(dir.join("run1")).unwrap();
+        fs::write(dir.join("index.html"), "").unwrap();
+        assert!(may());
+        fs::write(dir.join("notes.txt"), "").unwrap();
+        assert!(!may(), "another file");
+        fs::remove_dir_all(&dir).unwrap();
+        std::os::unix::fs::symlink("/etc", &dir).unwrap();
+        assert!(may(), "the link is replaced");
     }
 }

@@ -96,7 +96,10 @@ mod tests {
         let case = &CaseSet::shipped().cases[0];
         let sound = EpisodeRecord {
             task: case.task.number(),
-            reference: case.replay(&Warehouse::shipped(), warehouse::Start::Original).length.unwrap(),
+            reference: case
+                .replay(&Warehouse::shipped(), warehouse::Start::Original)
+                .length
+                .unwrap(),
             ..record(&case.id, true)
         };
         let problem = |manifest: &Manifest, edit: fn(&mut EpisodeRecord)| {
@@ -122,7 +125,8 @@ mod tests {
         assert_ne!(problem(&manifest(), |record| record.seed = 9), "");
         // A folder of assets has them, as long as it has not changed.
         let folder = tempfile::tempdir().unwrap();
-        for (file, (_, text)) in ["layout.toml", "catalogue.toml", "cases.toml"].iter().zip(&texts) {
+        for (file, (_, text)) in ["layout.toml", "catalogue.toml", "cases.toml"].iter().zip(&texts)
+        {
             let text = format!("{text}\n# mine\n");
             std::fs::write(folder.path().join(file), &text).unwrap();
         }

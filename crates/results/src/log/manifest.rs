@@ -146,9 +146,13 @@ impl Manifest {
             Some(format) if u32::try_from(format).is_ok_and(|one| READABLE.contains(&one)) => {}
             Some(format) => {
                 let (first, last) = READABLE.into_inner();
-                return Err(broken(format!("format {format}, this program reads {first} to {last}")));
+                return Err(broken(format!(
+                    "format {format}, this program reads {first} to {last}"
+                )));
             }
-            None => return Err(broken("it is not the manifest of a run: it has no format".to_owned())),
+            None => {
+                return Err(broken("it is not the manifest of a run: it has no format".to_owned()));
+            }
         }
         let manifest: Self = serde_json::from_value(value).map_err(|e| broken(e.to_string()))?;
         manifest.settings.check_size().map_err(broken)?;

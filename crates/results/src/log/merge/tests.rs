@@ -74,11 +74,7 @@ fn units_in_several_folders_become_one_run_in_the_order_of_the_plan() {
 
     let out = dir.path().join("run");
     assert_eq!(merge(&whole, &units, planned(&cases), &out).unwrap(), 6);
-    let expected: String = cases
-        .concat()
-        .iter()
-        .map(|case| line(&record(case, true)))
-        .collect();
+    let expected: String = cases.concat().iter().map(|case| line(&record(case, true))).collect();
     assert_eq!(fs::read_to_string(out.join(EPISODES_FILE)).unwrap(), expected);
     let log = RunLog::read(&out).unwrap();
     assert_eq!((log.episodes.len(), log.timings.len(), log.damaged.len()), (6, 6, 0));
@@ -170,7 +166,10 @@ fn a_record_that_is_not_of_the_plan_and_changed_line_ends_are_refused() {
     insta::assert_snapshot!(refused("{", " {"), @"/units/unit-000000: episodes.jsonl, line 1: white space around the record, such as the line ends of Windows; remove this folder and execute the unit again");
     fs::write(&log, text.replacen("\"images\":140", "\"images\":141", 1)).unwrap();
     let error = merge(&manifest(), &units, planned(&cases), &out).unwrap_err().to_string();
-    assert!(error.contains("episodes.jsonl, line 1: it was changed after it was written"), "{error}");
+    assert!(
+        error.contains("episodes.jsonl, line 1: it was changed after it was written"),
+        "{error}"
+    );
     fs::write(&log, text).unwrap();
     assert_eq!(merge(&manifest(), &units, planned(&cases), &out).unwrap(), 1);
 }
