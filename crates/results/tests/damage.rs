@@ -1,7 +1,7 @@
 //! One character of a log is damaged, anywhere: no reader takes it for another result.
 
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{RngCore, SeedableRng};
+use rand_chacha::rand_core::{Rng, SeedableRng};
 use results::log::testing::{manifest, record, request, stream_record, timings, without_checksums};
 use results::log::{EPISODES_FILE, RunFolder, RunLog};
 use results::score::score;
