@@ -83,7 +83,7 @@ mod tests {
         assert_eq!(read_text(&path("bytes")).unwrap_err().kind(), ErrorKind::InvalidData);
 
         let mode = Mode::RUSR | Mode::WUSR;
-        rustix::fs::mkfifoat(CWD, &path("pipe"), mode).unwrap();
+        rustix::fs::mkfifoat(CWD, path("pipe"), mode).unwrap();
         File::create(path("large")).unwrap().set_len(INPUT_LIMIT + 1).unwrap();
         let problem = |path: &Path| read(path).unwrap_err().to_string();
         assert_eq!(problem(&path("pipe")), "it is a pipe and not a regular file");
