@@ -150,7 +150,7 @@ fn lanes(session: &BenchSession<'_>, lanes: u32) -> Result<f64> {
 
 fn generate(session: &BenchSession<'_>, cases: u32) -> Result<f64> {
     let mut command = session.memtransfer()?;
-    command.args(["generate", "--out", "cases.toml", "--count", &cases.to_string()]);
+    command.args(["generate", "--force", "--out", "cases.toml", "--count", &cases.to_string()]);
     timed(session, &mut command)
 }
 

@@ -95,7 +95,7 @@ pub fn plan<'a>(
         repeated.map(move |&(condition, _)| {
             let case = ids[case_index].to_owned();
             let key = EpisodeKey { condition, run, place: None, case };
-            let seed = seed_of(master_seed, &key);
+            let seed = key.seed(master_seed);
             PlannedEpisode { key, case_index, seed, part: None }
         })
     })
@@ -138,7 +138,7 @@ pub fn plan_streams<'a>(
                 let key = EpisodeKey { condition, run, place, case: ids[case_index].to_owned() };
                 let sequence = key.sequence().map_or(0, |name| sequence_id(&name));
                 let part = Some(StreamPart { sequence, ..part });
-                let seed = seed_of(master_seed, &key);
+                let seed = key.seed(master_seed);
                 PlannedEpisode { key, case_index, seed, part }
             });
             sequence.collect::<Vec<_>>()
@@ -190,22 +190,6 @@ pub fn sequence_id(name: &str) -> u64 {
     first.copied().map_or(0, u64::from_le_bytes).max(1)
 }
 
-/// The seed of an episode: the first 8 bytes, as a little-endian number, of the BLAKE3 hash of
-/// `memtransfer episode seed v1`, a zero byte, the master seed as 8 little-endian bytes, and the key as it
-/// is written.
-///
-/// It depends on nothing but these, so neither the number of lanes nor which other episodes are run
-/// changes what an episode draws.
-pub fn seed_of(master_seed: u64, key: &EpisodeKey) -> u64 {
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(b"memtransfer episode seed v1\0");
-    hasher.update(&master_seed.to_le_bytes());
-    hasher.update(key.to_string().as_bytes());
-    let hash = hasher.finalize();
-    let first = hash.as_bytes().first_chunk::<8>();
-    first.copied().map_or(0, u64::from_le_bytes)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -247,8 +231,8 @@ mod tests {
         text.extend(7_u64.to_le_bytes());
         text.extend(b"working/original/unchanged/none/run1/t01-01");
         let hash = blake3::hash(&text);
-        assert_eq!(seed_of(7, &key).to_le_bytes(), hash.as_bytes()[..8]);
-        insta::assert_snapshot!(seed_of(7, &key), @"7419264810186364379");
+        assert_eq!(key.seed(7).to_le_bytes(), hash.as_bytes()[..8]);
+        insta::assert_snapshot!(key.seed(7), @"7419264810186364379");
     }
 
     use warehouse::WorldChange;

@@ -119,14 +119,14 @@ impl LiveStatus {
     /// When the status file exists and cannot be read.
     pub fn read(run: &Path) -> Result<Option<Self>> {
         let path = run.join(STATUS_FILE);
-        let text = match fs::read_to_string(&path) {
+        let text = match durable::read(&path) {
             Ok(text) => text,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(error) => {
                 return Err(error).with_context(|| format!("cannot read {}", path.display()));
             }
         };
-        let status: Self = serde_json::from_str(&text)
+        let status: Self = serde_json::from_slice(&text)
             .with_context(|| format!("{} is not a status file", path.display()))?;
         // A session that was killed leaves its file behind.
         let is_alive = Path::new("/proc").join(status.pid.to_string()).exists();
@@ -197,7 +197,7 @@ impl StatusFile {
         let new = self.path.with_extension("json.new");
         let written = serde_json::to_vec(status)
             .map_err(std::io::Error::from)
-            .and_then(|text| fs::write(&new, text))
+            .and_then(|text| durable::write_file(&new, &text))
             .and_then(|()| fs::rename(&new, &self.path));
         if let Err(error) = written {
             tracing::debug!(%error, "cannot write the status file");

@@ -70,7 +70,8 @@ impl UnitPlan {
     /// # Errors
     /// When the file cannot be read, or is no plan of this format.
     pub fn read(path: &Path) -> Result<ReadPlan> {
-        let bytes = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let bytes = durable::input::read(path)
+            .with_context(|| format!("cannot read {}", path.display()))?;
         Self::parse(&bytes, path)
     }
 

@@ -1,14 +1,29 @@
 //! Operations on the files that a run is resumed from: its log, its manifest, snapshots of memories.
 //!
-//! They do what the standard library does. In a drill ([`inject`]) they also fail as a disk does that is full, broken
-//! or slow, or as the program does that is killed in the middle of a write.
+//! They do what the standard library does, except that they follow no symbolic link, so that a folder from elsewhere makes
+//! the program read and write nothing outside of it. In a drill ([`inject`]) they also fail as a disk does that is full,
+//! broken or slow, or as the program does that is killed in the middle of a write.
+//!
+//! [`input`] reads files that a user names.
 
 #![deny(unsafe_code)]
+
+mod beneath;
+mod draft;
+pub mod input;
+
+pub use beneath::{check_no_links, open_beneath};
+pub use draft::FolderDraft;
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read, Write};
 use std::path::Path;
 use std::sync::OnceLock;
+
+use rustix::fs::OFlags;
+
+/// Most bytes of a file of a run that are read, 16 GiB: what a run of tens of millions of requests logs.
+const RUN_FILE_LIMIT: u64 = 16 << 30;
 
 /// An operation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -64,19 +79,46 @@ fn check(operation: Operation, path: &Path) -> io::Result<()> {
     }
 }
 
-/// Reads the whole file `path`.
+/// Opens the regular file `path` for reading; `path` itself must not be a symbolic link.
 ///
 /// # Errors
-/// When the system refuses.
+/// When it is something else, or the system refuses.
+pub fn open(path: &Path) -> io::Result<File> {
+    input::regular(beneath::open_at(rustix::fs::CWD, path, OFlags::RDONLY)?)
+}
+
+/// Reads the whole file `path`, a regular file and no symbolic link.
+///
+/// # Errors
+/// When it is something else or too large, or the system refuses.
 pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     match fault(Operation::Read, path) {
         Some(Fault::Fails { error, .. }) => Err(error()),
         Some(Fault::ShortReads) => {
-            let (mut text, mut file) = (Vec::new(), Interrupted(File::open(path)?, false));
+            let (mut text, mut file) = (Vec::new(), Interrupted(open(path)?, false));
             file.read_to_end(&mut text).map(|_| text)
         }
-        None => fs::read(path),
+        None => input::read_at_most(open(path)?, RUN_FILE_LIMIT),
     }
+}
+
+/// Opens the file `path` for appending, and creates it if it is missing; `path` itself must not be a symbolic link.
+///
+/// # Errors
+/// When it is something else than a regular file, or the system refuses.
+pub fn append(path: &Path) -> io::Result<File> {
+    let flags = OFlags::WRONLY | OFlags::APPEND | OFlags::CREATE;
+    input::regular(beneath::open_at(rustix::fs::CWD, path, flags)?)
+}
+
+/// Opens an empty file `path` for writing, in place of the content of any that is there; `path` itself must not be a
+/// symbolic link.
+///
+/// # Errors
+/// When it is something else than a regular file, or the system refuses.
+pub fn create(path: &Path) -> io::Result<File> {
+    let flags = OFlags::WRONLY | OFlags::TRUNC | OFlags::CREATE;
+    input::regular(beneath::open_at(rustix::fs::CWD, path, flags)?)
 }
 
 /// Writes `bytes` to `file`, which was opened as `path`, with one call where the system takes them all at once.
@@ -98,7 +140,7 @@ pub fn write(file: &mut File, path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// # Errors
 /// As [`write()`].
 pub fn write_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    write(&mut File::create(path)?, path, bytes)
+    write(&mut create(path)?, path, bytes)
 }
 
 /// Returns when the data of `file`, which was opened as `path`, is on the disk.
@@ -151,7 +193,7 @@ pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
 /// # Errors
 /// As the steps.
 pub fn replace(path: &Path, draft: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut file = File::create(draft)?;
+    let mut file = create(draft)?;
     write(&mut file, draft, bytes)?;
     check(Operation::Sync, draft)?;
     file.sync_all()?;

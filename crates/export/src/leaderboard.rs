@@ -14,6 +14,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use durable::input::read_text;
 use results::log::RunLog;
 
 use crate::files::{is_file, write_text};
@@ -39,7 +40,7 @@ pub fn write_entry(log: &RunLog, out: &Path) -> Result<PathBuf> {
         false => out.join(format!("{}.json", log.name)),
     };
     let entry = Entry::of(log)?;
-    let before = fs::read_to_string(&path).ok().and_then(|text| Entry::parse(&text).ok());
+    let before = read_text(&path).ok().and_then(|text| Entry::parse(&text).ok());
     let is_another = |one: &Entry| (&one.date, &one.policy) != (&entry.date, &entry.policy);
     if let Some(other) = before.filter(is_another) {
         bail!(
@@ -92,8 +93,7 @@ impl Found {
             self.damaged.extend(log.damaged.iter().map(|line| format!("{}: {line}", log.name)));
             return Entry::of(&log);
         }
-        let text =
-            fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let text = read_text(path).with_context(|| format!("cannot read {}", path.display()))?;
         Entry::parse(&text).with_context(|| path.display().to_string())
     }
 

@@ -1,8 +1,9 @@
 //! `memtransfer generate`: generates a case file, or a warehouse with its cases, from a seed.
 
-use std::path::PathBuf;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
 
-use anyhow::ensure;
+use anyhow::{Context, bail, ensure};
 use clap::{Args, Subcommand};
 use warehouse::{CaseSet, SHIPPED_COUNT, SHIPPED_SEED, Warehouse};
 
@@ -35,6 +36,9 @@ pub(super) struct GenerateArgs {
     /// Write to FILE instead of stdout
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// Replace a file that is there
+    #[arg(long, requires = "out")]
+    force: bool,
     #[command(flatten)]
     world: WorldArgs,
 }
@@ -64,9 +68,27 @@ fn cases(args: &GenerateArgs) -> anyhow::Result<Exit> {
     match &args.out {
         None => print(&text)?,
         Some(path) => {
+            if !args.force {
+                check_not_replaced(path, &text)?;
+            }
             write_file(path, &text)?;
             say!("{} cases in {}", cases.cases.len(), path.display());
         }
     }
     Ok(Exit::Complete)
+}
+
+/// Refuses to replace the file `path` by one with another text: people edit layouts, catalogues and cases.
+fn check_not_replaced(path: &Path, text: &str) -> anyhow::Result<()> {
+    match durable::input::read(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
+        Err(error) => Err(error).with_context(|| format!("cannot read {}", path.display())),
+        Ok(found) if found == text.as_bytes() => Ok(()),
+        Ok(_) => {
+            bail!(
+                "{} is there already and differs: choose another --out, or give --force to replace it",
+                path.display()
+            )
+        }
+    }
 }

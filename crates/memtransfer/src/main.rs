@@ -228,11 +228,19 @@ fn print_json(value: &impl serde::Serialize) -> anyhow::Result<()> {
     print(&serde_json::to_string_pretty(value)?)
 }
 
+/// Damaged lines that are named; of more, only their number is told.
+const NAMED_DAMAGES: usize = 20;
+
 /// Names the `damaged` lines of a run, whose content is missing in what a verb prints or writes.
 fn warn_of_damage(damaged: impl IntoIterator<Item: Display>) {
-    for line in damaged {
+    let mut damaged = damaged.into_iter();
+    for line in damaged.by_ref().take(NAMED_DAMAGES) {
         let text = format!("warning: damaged, left out: {line}");
         say!("{}", wrap(&text, WIDTH).join("\n"));
+    }
+    let more = damaged.count();
+    if more > 0 {
+        say!("warning: damaged, left out: {more} more lines");
     }
 }
 

@@ -16,6 +16,7 @@ use results::step_view::{LoggedStep, RecordedPrompt, logged_steps, look_up};
 use results::timeline::{EpisodeEvent, timeline};
 use serde::Serialize;
 use settings::select_cases;
+use viewer::logged_image;
 
 use super::{Exit, print, print_json};
 
@@ -88,7 +89,7 @@ pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
             args.case
         );
     };
-    write_images(folder, prompt)?;
+    write_images(folder, &args.run, prompt)?;
     Ok(Exit::Complete)
 }
 
@@ -188,7 +189,7 @@ impl ShowArgs {
 }
 
 /// Writes the images of a request, named by their place in it.
-fn write_images(folder: &Path, prompt: &RecordedPrompt) -> Result<()> {
+fn write_images(folder: &Path, run: &Path, prompt: &RecordedPrompt) -> Result<()> {
     fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let request = &prompt.entry.request;
     let mut named = vec![("now".to_owned(), &request.frame)];
@@ -214,8 +215,9 @@ fn write_images(folder: &Path, prompt: &RecordedPrompt) -> Result<()> {
     for (name, hash) in &named {
         let Some(source) = prompt.images.get(*hash) else { continue };
         let target = folder.join(format!("{name}.png"));
-        fs::copy(source, &target)
-            .with_context(|| format!("cannot copy {} to {}", source.display(), target.display()))?;
+        let (bytes, _) = logged_image(run, source)?
+            .with_context(|| format!("{} is missing", source.display()))?;
+        fs::write(&target, bytes).with_context(|| format!("cannot write {}", target.display()))?;
     }
     say!("wrote {} images to {}", named.len(), folder.display());
     Ok(())

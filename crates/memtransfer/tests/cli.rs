@@ -199,8 +199,10 @@ fn a_generated_world_is_valid_runs_and_is_the_same_again() {
         assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
         let said = text(&output.stderr);
         assert!(said.starts_with("14 x 16 cells, ") && said.contains(" 20 cases in "), "{said}");
-        ["layout.toml", "catalogue.toml", "cases.toml"]
-            .map(|file| fs::read_to_string(dir.path().join(out).join(file)).unwrap())
+        ["layout.toml", "catalogue.toml", "cases.toml"].map(|file| {
+            let folder = out.split(' ').next().unwrap();
+            fs::read_to_string(dir.path().join(folder).join(file)).unwrap()
+        })
     };
     let files = generate("one");
     assert_eq!(generate("two"), files);
@@ -209,6 +211,15 @@ fn a_generated_world_is_valid_runs_and_is_the_same_again() {
     fs::write(dir.path().join("two/notes.txt"), "").unwrap();
     let said = refused(dir.path(), "generate world --seed 5 --size 14x16 --out two");
     assert!(said.contains("has other files, \"notes.txt\" for one"), "{said}");
+    // What someone has edited stays, until --force replaces it.
+    let cases = dir.path().join("one/cases.toml");
+    fs::write(&cases, "# mine\n").unwrap();
+    for what in ["world --seed 5 --size 14x16 --cases 20 --out one", "--out one/cases.toml"] {
+        let said = refused(dir.path(), &format!("generate {what}"));
+        assert!(said.contains("cases.toml is there already and differs"), "{said}");
+        assert_eq!(fs::read_to_string(&cases).unwrap(), "# mine\n");
+    }
+    assert_eq!(generate("one --force"), files);
     let said = refused(dir.path(), "generate world --seed 5 --size 11x16 --out three");
     assert!(said.contains("11x16 cells; each side must be 12 to 64"), "{said}");
 
@@ -485,7 +496,8 @@ fn damaged_lines_are_named_by_all_that_leave_them_out() {
         let mut manifest = testing::manifest();
         manifest.settings.seed = seed;
         let mut folder = RunFolder::open(&dir.path().join(name), manifest, false).unwrap().folder;
-        let record = testing::record("t01-01", true);
+        let mut record = testing::record("t01-01", true);
+        record.seed = record.own_key().seed(seed);
         let timings = testing::timings(&record);
         folder.finish(&[(record, timings)]).unwrap();
     }
@@ -534,6 +546,87 @@ fn a_folder_with_other_files_is_not_touched() {
         assert!(said.contains("precious holds files and is no run folder"), "{said}");
     }
     assert_eq!(fs::read_to_string(dir.path().join("precious/thesis.txt")).unwrap(), "years");
+}
+
+#[test]
+fn a_folder_with_another_manifest_is_not_touched() {
+    let dir = dir();
+    let web = dir.path().join("web");
+    for folder in ["documents", "report", "prompts", "snapshots"] {
+        fs::create_dir_all(web.join(folder)).unwrap();
+        fs::write(web.join(folder).join("mine.txt"), "mine").unwrap();
+    }
+    fs::write(web.join("manifest.json"), r#"{"name": "My pages"}"#).unwrap();
+    for arguments in ["run --out web", "run --out web --fresh"] {
+        let said = refused(dir.path(), arguments);
+        assert!(said.contains("it is not the manifest of a run"), "{said}");
+    }
+    for folder in ["documents", "report", "prompts", "snapshots"] {
+        assert_eq!(fs::read_to_string(web.join(folder).join("mine.txt")).unwrap(), "mine");
+    }
+    assert_eq!(fs::read_dir(&web).unwrap().count(), 5);
+}
+
+#[test]
+fn what_is_no_regular_file_is_refused_at_once() {
+    let dir = dir();
+    let made = |path: &str| {
+        let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
+        rustix::fs::mkfifoat(rustix::fs::CWD, dir.path().join(path), mode).unwrap();
+    };
+    for run in ["runs/pipe", "runs/episodes"] {
+        drop(RunFolder::open(&dir.path().join(run), testing::manifest(), false).unwrap());
+    }
+    fs::remove_file(dir.path().join("runs/pipe/manifest.json")).unwrap();
+    fs::remove_file(dir.path().join("runs/episodes/episodes.jsonl")).unwrap();
+    fs::create_dir(dir.path().join("assets")).unwrap();
+    made("runs/pipe/manifest.json");
+    made("runs/episodes/episodes.jsonl");
+    made("assets/layout.toml");
+    made("pipe");
+    for arguments in [
+        "run --dry-run --suite /dev/zero",
+        "run --dry-run --suite ./pipe",
+        "run --dry-run --assets assets",
+        "run --dry-run --policy openai --model m --base-url http://127.0.0.1:9 --prices /dev/zero",
+        "work --plan /dev/zero --unit 0 --out units",
+        "leaderboard /dev/zero",
+        "score runs/pipe",
+        "score runs/episodes",
+        "report runs/pipe",
+        "view runs/episodes --out pages",
+    ] {
+        let said = message(&memtransfer(dir.path(), arguments), arguments);
+        assert!(said.contains("not a regular file"), "{arguments}: {said}");
+    }
+    let listed = memtransfer(dir.path(), "ls runs");
+    assert_eq!(listed.status.code(), Some(0), "{}", text(&listed.stderr));
+    let shown = text(&listed.stdout).split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(shown.contains("runs/pipe") && shown.contains("regular file"), "{shown}");
+}
+
+#[test]
+fn a_report_is_written_beside_the_folder_and_follows_no_link() {
+    let dir = dir();
+    let mut folder =
+        RunFolder::open(&dir.path().join("run"), testing::manifest(), false).unwrap().folder;
+    let record = testing::record("t01-01", true);
+    let timings = testing::timings(&record);
+    folder.finish(&[(record, timings)]).unwrap();
+    drop(folder);
+    let report = dir.path().join("run/report");
+    fs::create_dir(&report).unwrap();
+    fs::write(dir.path().join("mine.html"), "mine").unwrap();
+    std::os::unix::fs::symlink("../../mine.html", report.join("report.html")).unwrap();
+    let output = memtransfer(dir.path(), "report run");
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    assert_eq!(fs::read_to_string(dir.path().join("mine.html")).unwrap(), "mine");
+    assert!(fs::symlink_metadata(report.join("report.html")).unwrap().is_file());
+    // A folder with anything else is no report.
+    fs::create_dir(dir.path().join("notes")).unwrap();
+    fs::write(dir.path().join("notes/notes.txt"), "mine").unwrap();
+    let said = refused(dir.path(), "report run --out notes");
+    assert!(said.contains("holds files that are no report"), "{said}");
 }
 
 #[test]

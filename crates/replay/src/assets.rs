@@ -1,7 +1,6 @@
 //! The world and the cases of a run: built in, or read from a folder of assets.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 
 use results::log::ELSEWHERE_HASH;
@@ -44,7 +43,7 @@ impl World {
                         file: path.display().to_string(),
                         source,
                     };
-                    blake3::hash(&fs::read(&path).map_err(unreadable)?)
+                    blake3::hash(&durable::input::read(&path).map_err(unreadable)?)
                 }
             };
             hashes.insert(name.to_owned(), hash.to_hex().to_string());

@@ -2,7 +2,7 @@
 
 use std::cell::{OnceCell, RefCell};
 use std::collections::BTreeMap;
-use std::fs;
+use std::io;
 
 use anyhow::{Context, Result};
 use domain::Pose;
@@ -42,7 +42,8 @@ impl RunWorld {
         let mut streams = None;
         if log.manifest.settings.stream.is_some() {
             let file = log.dir.join(STREAMS_FILE);
-            let text = fs::read_to_string(&file)
+            let text = durable::read(&file)
+                .and_then(|bytes| String::from_utf8(bytes).map_err(io::Error::other))
                 .with_context(|| format!("cannot read {}", file.display()))?;
             let set = StreamSet::parse(&text, &warehouse, &cases);
             streams = Some(set.with_context(|| file.display().to_string())?);

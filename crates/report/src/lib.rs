@@ -38,13 +38,32 @@ pub use published::{Published, PublishedCondition, PublishedSpread};
 pub use steps::steps_frame;
 pub use terminal::{compared_runs, comparison, summary};
 
+use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use durable::FolderDraft;
 use results::log::RunLog;
 use results::score::score;
 use view::ScoredRun;
+
+/// The page.
+const PAGE: &str = "report.html";
+
+/// Everything in the folder of a report.
+const FILES: [&str; 10] = [
+    PAGE,
+    "report.md",
+    "figures",
+    "tables",
+    "conditions.csv",
+    "conditions.parquet",
+    "episodes.csv",
+    "episodes.parquet",
+    "streams.csv",
+    "streams.parquet",
+];
 
 /// Why a report could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -57,6 +76,9 @@ pub enum ReportError {
         /// The system's error.
         source: io::Error,
     },
+    /// The folder holds something else.
+    #[error("{} holds files that are no report: choose another --out", .0.display())]
+    NotAReport(PathBuf),
     /// A page could not be rendered from its template.
     #[error("cannot make {page}: {source}; this is a mistake in the program, please report it")]
     Template {
@@ -114,8 +136,8 @@ fn arrange(views: &[ScoredRun<'_>]) -> ReportDocument {
     ReportDocument { title: format!("MemTransfer: {}", names.join(", ")), sections }
 }
 
-/// Writes the report about `logs` into the folder `dir`, which is made if need be; files of an earlier report there
-/// are replaced. Returns the page to open.
+/// Writes the report about `logs` as the folder `dir`, in place of an earlier report there: a kill at any moment leaves one
+/// or the other. Returns the page to open.
 ///
 /// | file | holds |
 /// |---|---|
@@ -127,15 +149,42 @@ fn arrange(views: &[ScoredRun<'_>]) -> ReportDocument {
 /// | `streams.csv`, `streams.parquet` | of streams: a row for each condition with every figure, in full |
 ///
 /// # Errors
-/// When an operation of the system fails.
+/// When the folder holds something else, or an operation of the system fails.
 pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
+    let failed = |source| ReportError::Write { path: dir.to_owned(), source };
+    if !may_be_replaced(dir).map_err(failed)? {
+        return Err(ReportError::NotAReport(dir.to_owned()));
+    }
+    let draft = FolderDraft::new(dir).map_err(failed)?;
+    write_files(logs, draft.path())?;
+    draft.finish().map_err(failed)?;
+    Ok(dir.join(PAGE))
+}
+
+/// Whether the folder `dir` is missing or empty, or holds a report and nothing else. A symbolic link is replaced, not what it
+/// points to.
+fn may_be_replaced(dir: &Path) -> io::Result<bool> {
+    let entries = match fs::symlink_metadata(dir) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(true),
+        Ok(found) if found.is_symlink() => return Ok(true),
+        _ => fs::read_dir(dir)?,
+    };
+    let names: Vec<OsString> =
+        entries.map(|entry| entry.map(|entry| entry.file_name())).collect::<io::Result<_>>()?;
+    let is_report = names.iter().any(|name| name == PAGE);
+    let is_file = |name: &OsString| FILES.iter().any(|file| name == file);
+    Ok(names.is_empty() || is_report && names.iter().all(is_file))
+}
+
+/// Writes the files of the report into the folder `dir`.
+fn write_files(logs: &[RunLog], dir: &Path) -> Result<(), ReportError> {
     let published = Published::load()?;
     let views = views(logs, &published);
     let document = arrange(&views);
     let template = |page| move |source| ReportError::Template { page, source };
     let text =
         |name: &str, text: &str| write_file(dir.join(name), |file| file.write_all(text.as_bytes()));
-    let page = text("report.html", &html::render(&document).map_err(template("report.html"))?)?;
+    text(PAGE, &html::render(&document).map_err(template("report.html"))?)?;
     text("report.md", &markdown::render(&document).map_err(template("report.md"))?)?;
     for figure in document.figures() {
         text(&format!("figures/{}.svg", figure.id), &figure.svg())?;
@@ -157,14 +206,14 @@ pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
         write_file(dir.join(format!("{name}.csv")), |file| frame.write_csv(file))?;
         write_file(dir.join(format!("{name}.parquet")), |file| frame.write_parquet(file))?;
     }
-    Ok(page)
+    Ok(())
 }
 
 /// Writes the file `path`, and makes its folder.
 fn write_file(
     path: PathBuf,
     write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
-) -> Result<PathBuf, ReportError> {
+) -> Result<(), ReportError> {
     let written = || {
         if let Some(parent) = path.parent() {
             fs::create_dir_all(parent)?;
@@ -173,8 +222,50 @@ fn write_file(
         write(&mut file)?;
         file.flush()
     };
-    match written() {
-        Ok(()) => Ok(path),
-        Err(source) => Err(ReportError::Write { path, source }),
+    written().map_err(|source| ReportError::Write { path, source })
+}
+
+#[cfg(test)]
+mod folder_tests {
+    use std::os::unix::fs::symlink;
+
+    use results::log::testing::{log, record};
+
+    use super::*;
+
+    #[test]
+    fn a_report_replaces_a_report_and_nothing_else() {
+        let base = tempfile::tempdir().unwrap();
+        let logs = [log(vec![record("t01-01", true)])];
+        let dir = base.path().join("report");
+        let page = write(&logs, &dir).unwrap();
+        let text = fs::read(&page).unwrap();
+        for name in fs::read_dir(&dir).unwrap() {
+            let name = name.unwrap().file_name();
+            assert!(FILES.iter().any(|file| name == *file), "{name:?}");
+        }
+        // What the page links to stays as it is, and so does what the folder links to.
+        let mine = base.path().join("mine");
+        fs::create_dir(&mine).unwrap();
+        fs::write(mine.join("report.html"), "mine").unwrap();
+        fs::remove_file(&page).unwrap();
+        symlink(mine.join("report.html"), &page).unwrap();
+        fs::remove_file(dir.join("episodes.csv")).unwrap();
+        write(&logs, &dir).unwrap();
+        assert!(
+            fs::symlink_metadata(&page).unwrap().is_file() && dir.join("episodes.csv").exists()
+        );
+        fs::remove_dir_all(&dir).unwrap();
+        symlink(&mine, &dir).unwrap();
+        write(&logs, &dir).unwrap();
+        assert!(fs::symlink_metadata(&dir).unwrap().is_dir());
+        assert_eq!(fs::read(&page).unwrap(), text);
+        assert_eq!(fs::read(mine.join("report.html")).unwrap(), b"mine");
+        assert_eq!(fs::read_dir(&mine).unwrap().count(), 1);
+
+        fs::write(mine.join("notes.txt"), "mine").unwrap();
+        assert!(matches!(write(&logs, &mine), Err(ReportError::NotAReport(_))));
+        assert_eq!(fs::read(mine.join("report.html")).unwrap(), b"mine");
+        assert_eq!(fs::read_dir(base.path()).unwrap().count(), 2, "no draft is left");
     }
 }

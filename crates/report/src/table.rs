@@ -152,17 +152,19 @@ fn total_width(widths: &[usize]) -> usize {
 pub fn wrap(text: &str, width: usize) -> Vec<String> {
     let mut lines = Vec::new();
     for line in text.lines() {
-        let mut rest: Vec<char> = line.chars().collect();
+        let chars: Vec<char> = line.chars().collect();
+        let mut rest = &chars[..];
         while rest.len() > width.max(1) {
             let fits = &rest[..=width.max(1)];
             let space = fits.iter().rposition(|c| *c == ' ').filter(|at| *at > 0);
             let mark = fits[..fits.len() - 1].iter().rposition(|c| ",/-+".contains(*c));
             let end = space.or(mark.map(|at| at + 1)).unwrap_or(width.max(1));
-            let tail = rest.split_off(end);
-            lines.push(rest.iter().collect::<String>().trim_end().to_owned());
-            rest = tail.into_iter().skip_while(|c| *c == ' ').collect();
+            let (part, tail) = rest.split_at(end);
+            lines.push(part.iter().collect::<String>().trim_end().to_owned());
+            let spaces = tail.iter().take_while(|c| **c == ' ').count();
+            rest = &tail[spaces..];
         }
-        lines.push(rest.into_iter().collect());
+        lines.push(rest.iter().collect());
     }
     lines
 }
@@ -192,6 +194,14 @@ mod tests {
         assert!(text.lines().all(|line| line.chars().count() <= WIDTH), "{text}");
         assert_eq!(text.matches("word").count(), 30);
         assert_eq!(text.matches('x').count(), 200);
+    }
+
+    /// The time grows with the length: if it grew with the square, this would take hours.
+    #[test]
+    fn a_word_of_millions_of_letters_is_wrapped() {
+        let word = "x".repeat(8 << 20);
+        let lines = wrap(&word, 8);
+        assert_eq!((lines.len(), lines.concat().len()), (1 << 20, word.len()));
     }
 
     #[test]

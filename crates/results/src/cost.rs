@@ -4,7 +4,6 @@
 //! depend on the order of its requests. The manifest records the prices of the run.
 
 use std::fmt;
-use std::fs;
 use std::path::Path;
 use std::str::FromStr;
 
@@ -51,7 +50,7 @@ impl ModelPrices {
     /// # Errors
     /// When the file cannot be read, is not a price file, or has no price of the model.
     pub fn read(path: &Path, model: &str) -> Result<Self> {
-        let text = fs::read_to_string(path)
+        let text = durable::input::read_text(path)
             .with_context(|| format!("cannot read the prices in {}", path.display()))?;
         Self::parse(&text, model).with_context(|| format!("the prices in {}", path.display()))
     }

@@ -74,6 +74,22 @@ impl EpisodeKey {
         Some(Self { condition, run, place, case: case.to_owned() })
     }
 
+    /// The seed of the episode in a run with this master seed: the first 8 bytes, as a little-endian number, of the BLAKE3
+    /// hash of `memtransfer episode seed v1`, a zero byte, the master seed as 8 little-endian bytes, and the key as it is
+    /// written.
+    ///
+    /// It depends on nothing but these, so neither the number of lanes nor which other episodes are run changes what an
+    /// episode draws.
+    pub fn seed(&self, master_seed: u64) -> u64 {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(b"memtransfer episode seed v1\0");
+        hasher.update(&master_seed.to_le_bytes());
+        hasher.update(self.to_string().as_bytes());
+        let hash = hasher.finalize();
+        let first = hash.as_bytes().first_chunk::<8>();
+        first.copied().map_or(0, u64::from_le_bytes)
+    }
+
     /// The name of the sequence that the episode is part of: one stream in one order under one condition and
     /// repetition, for example `episodic/new/unchanged/original/learning/run1/s2-reversed`. `None` outside of streams.
     pub fn sequence(&self) -> Option<String> {

@@ -21,11 +21,13 @@ mod existing;
 mod files;
 mod folder;
 mod journal;
+mod known;
 mod manifest;
 mod merge;
 mod record;
 mod replay;
 mod run_log;
+mod sealed;
 
 pub use files::{
     DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, LOGS_FOLDER, PROMPTS_FOLDER, REPORT_FOLDER,

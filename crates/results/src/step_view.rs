@@ -18,6 +18,8 @@ use domain::prompt_log::{
     is_hash, line_key, session_folder, text_file, trajectory_file,
 };
 use domain::{Action, Pose};
+use durable::input::INPUT_LIMIT;
+use durable::open_beneath;
 use serde::Serialize;
 
 use crate::log::{EpisodeRecord, EpisodeTimings, PROMPTS_FOLDER, RunLog};
@@ -137,6 +139,8 @@ type EntryPlaces = BTreeMap<(u64, u32), (u64, usize)>;
 /// The prompt log of a run. Each of its files is searched once, however many steps are read.
 #[derive(Debug)]
 pub struct PromptLog {
+    /// The run's folder.
+    run: PathBuf,
     folder: PathBuf,
     files: BTreeMap<PathBuf, EntryPlaces>,
 }
@@ -144,7 +148,8 @@ pub struct PromptLog {
 impl PromptLog {
     /// The prompt log of `log`, which may have none.
     pub fn of(log: &RunLog) -> Self {
-        Self { folder: log.dir.join(PROMPTS_FOLDER), files: BTreeMap::new() }
+        let (run, folder) = (log.dir.clone(), log.dir.join(PROMPTS_FOLDER));
+        Self { run, folder, files: BTreeMap::new() }
     }
 
     /// Whether the run has one.
@@ -163,13 +168,14 @@ impl PromptLog {
         }
         let unreadable = || format!("cannot read {}", file.display());
         if !self.files.contains_key(&file) {
-            self.files.insert(file.clone(), entry_places(&file).with_context(unreadable)?);
+            let opened = open_beneath(&self.run, &file).with_context(unreadable)?;
+            self.files.insert(file.clone(), entry_places(opened).with_context(unreadable)?);
         }
         let places = self.files.get(&file);
         let place = places.and_then(|places| places.get(&(timings.episode, step)));
         let Some(&(offset, length)) = place else { return Ok(None) };
         let mut line = vec![0; length];
-        File::open(&file)
+        open_beneath(&self.run, &file)
             .and_then(|mut opened| {
                 opened.seek(SeekFrom::Start(offset))?;
                 opened.read_exact(&mut line)
@@ -181,14 +187,14 @@ impl PromptLog {
                 file.display()
             )
         })?;
-        resolve(&self.folder, entry).map(Some)
+        resolve(&self.run, entry).map(Some)
     }
 }
 
 /// Of several entries about the same step, the last counts.
-fn entry_places(file: &Path) -> io::Result<EntryPlaces> {
+fn entry_places(file: File) -> io::Result<EntryPlaces> {
     let mut places = EntryPlaces::new();
-    let mut lines = BufReader::new(File::open(file)?);
+    let mut lines = BufReader::new(file);
     let (mut offset, mut line) = (0, Vec::new());
     while lines.read_until(b'\n', &mut line)? > 0 {
         let start = String::from_utf8_lossy(&line[..line.len().min(64)]);
@@ -208,11 +214,35 @@ fn checked(hash: &Hash) -> Result<&Hash> {
     Ok(hash)
 }
 
-/// Reads what `entry` of the prompt log in `folder` refers to.
-fn resolve(folder: &Path, entry: PromptLogEntry) -> Result<RecordedPrompt> {
+/// Reads the file `path` of a prompt log in the run folder `run`, which may come from elsewhere: no link is followed.
+///
+/// # Errors
+/// When it cannot be read.
+pub fn read_logged(run: &Path, path: &Path) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    open_beneath(run, path)?.take(INPUT_LIMIT).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// Whether a file of a prompt log may hold `content` under the name `hash`.
+pub fn is_named(content: &[u8], hash: &str) -> bool {
+    let found = blake3::hash(content).to_hex();
+    found.get(..32).is_some_and(|found| found.eq_ignore_ascii_case(hash))
+}
+
+/// Reads what `entry` of the prompt log of the run in the folder `run` refers to.
+fn resolve(run: &Path, entry: PromptLogEntry) -> Result<RecordedPrompt> {
+    let folder = &run.join(PROMPTS_FOLDER);
     let read = |file: fn(&Path, &str) -> PathBuf, hash: &Hash| {
         let path = file(folder, checked(hash)?);
-        std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))
+        let unreadable = || format!("cannot read {}", path.display());
+        let content = read_logged(run, &path).with_context(unreadable)?;
+        ensure!(
+            is_named(&content, hash),
+            "{} was changed after it was written: its content does not have the hash that is its name",
+            path.display()
+        );
+        String::from_utf8(content).with_context(unreadable)
     };
     let request = &entry.request;
     let mut trajectories: BTreeMap<Hash, Vec<RecordedView>> = BTreeMap::new();
@@ -264,8 +294,12 @@ mod tests {
         std::fs::create_dir_all(prompts.join("documents")).unwrap();
         std::fs::write(folder.path().join("secret.txt"), "secret").unwrap();
         std::fs::write(folder.path().join("secret.json"), "[]").unwrap();
-        let (inside, outside) = ("ab".repeat(16), "../../secret".to_owned());
+        let name = |content: &str| blake3::hash(content.as_bytes()).to_hex()[..32].to_owned();
+        let (inside, outside) = (name("note"), "../../secret".to_owned());
         std::fs::write(text_file(&prompts, &inside), "note").unwrap();
+        let (linked, changed) = (name("secret"), name("text"));
+        std::os::unix::fs::symlink("../../secret.txt", text_file(&prompts, &linked)).unwrap();
+        std::fs::write(text_file(&prompts, &changed), "another text").unwrap();
         let read = |frame: &str, item: serde_json::Value| {
             let request = json!({
                 "repeat": 1, "seed": 5, "instruction": "Find a cone.", "pose": "3,5,N", "feedback": "",
@@ -276,7 +310,7 @@ mod tests {
             let entry = json!({
                 "episode": 1, "step": 0, "lane": 0, "request": request, "timing": timing,
             });
-            resolve(&prompts, serde_json::from_value(entry).unwrap())
+            resolve(folder.path(), serde_json::from_value(entry).unwrap())
         };
         let text = |hash: &str| json!({"text": {"kind": "note", "text": hash}});
         assert_eq!(read(&inside, text(&inside)).unwrap().text(&inside), "note");
@@ -289,5 +323,16 @@ mod tests {
             let error = read(frame, item).unwrap_err().to_string();
             assert!(error.contains("../../secret\", which is no hash"), "{error}");
         }
+        let error = format!("{:#}", read(&inside, text(&linked)).unwrap_err());
+        assert!(error.contains("it is a symbolic link"), "{error}");
+        let error = read(&inside, text(&changed)).unwrap_err().to_string();
+        assert!(error.contains("was changed after it was written"), "{error}");
+        std::fs::remove_dir_all(&prompts).unwrap();
+        let elsewhere = folder.path().join("elsewhere");
+        std::fs::create_dir_all(elsewhere.join("documents")).unwrap();
+        std::fs::write(text_file(&elsewhere, &inside), "note").unwrap();
+        std::os::unix::fs::symlink("elsewhere", &prompts).unwrap();
+        let error = format!("{:#}", read(&inside, text(&inside)).unwrap_err());
+        assert!(error.contains("it is a symbolic link"), "{error}");
     }
 }

@@ -26,7 +26,7 @@ pub const SHIPPED_SUITES: &[(&str, &str)] =
 /// one's name.
 pub fn load_suite(suite: &SuiteName, assets: Option<&Path>) -> Result<Layer> {
     let read = |path: &Path| {
-        std::fs::read_to_string(path)
+        durable::input::read_text(path)
             .map_err(|error| anyhow!("cannot read suite {}: {error}", path.display()))
     };
     let parse = |path: &Path, text: &str| Layer::suite(&path.display().to_string(), text);

@@ -4,16 +4,20 @@
 //! Ctrl-C reaches the orchestrator alone; when a child has ended, its whole group is killed, including everything that
 //! it started. Children end with the orchestrator: the kernel kills them when the thread that started them ends (see
 //! `shm_types::process::die_with_parent`; external policies get that from the SDK). The output of a child goes to a log
-//! file, whose last lines are part of the message when it fails.
+//! file, whose last lines are part of the message when it fails; of a long log the middle is left out.
+
+mod log_file;
 
 use std::ffi::OsString;
 use std::fmt::Debug;
-use std::fs::{self, DirBuilder, File};
+use std::fs::{DirBuilder, File};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::os::unix::fs::DirBuilderExt;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{self, Receiver};
+use std::thread;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
@@ -24,11 +28,16 @@ use shm_types::clock::{Instant, sleep};
 use shm_types::description::memory_folder;
 use shm_types::message::Role;
 
+use log_file::{LogFile, LogLimits, LogPosition};
+
 /// Lines of the log shown when a child has ended.
 const TAIL_LINES: usize = 12;
 
 /// Most bytes of the end of a log that are read.
 const TAIL_BYTES: u64 = 64 << 10;
+
+/// How long the rest of a process's output is awaited when it has ended.
+const LOG_WAIT: Duration = Duration::from_secs(2);
 
 /// A variable for programs that render: without a desktop session, one of Mesa's Vulkan layers otherwise prints errors.
 pub const QUIET_DRIVER: (&str, &str) = ("NODEVICE_SELECT", "1");
@@ -165,6 +174,8 @@ struct SystemProcess {
     child: Child,
     /// Its status, once it was waited for. From then on its process id may be another process's.
     status: Option<ExitStatus>,
+    /// Disconnected once everything that it has printed is in its log.
+    written: Receiver<()>,
 }
 
 /// A child that ended without being asked to.
@@ -230,7 +241,7 @@ struct ChildProcess {
     process: Box<dyn Process>,
     log: PathBuf,
     /// Where the output of this process begins in the log.
-    log_start: u64,
+    log_start: LogPosition,
 }
 
 impl Children {
@@ -311,7 +322,10 @@ impl Drop for Children {
 impl ChildProcess {
     fn start(launcher: &dyn Launcher, launch: &Launch, logs: &Path) -> Result<Self> {
         let log = logs.join(log_name(launch.role, launch.index));
-        let log_start = fs::metadata(&log).map_or(0, |metadata| metadata.len());
+        // Shortens what earlier processes printed, if need be, so that its end is known.
+        LogFile::open(&log, LogLimits::STANDARD)
+            .with_context(|| format!("cannot open {}", log.display()))?;
+        let log_start = LogPosition::end_of(&log);
         let process = launcher.start(launch, &log)?;
         let (role, index, command) = (launch.role, launch.index, launch.command.clone());
         Ok(Self { role, index, command, process, log, log_start })
@@ -341,22 +355,37 @@ impl ChildProcess {
 impl Launcher for System {
     fn start(&self, launch: &Launch, log: &Path) -> Result<Box<dyn Process>> {
         let Launch { program, args, env, .. } = launch;
-        let file = File::options().create(true).append(true).open(log);
-        let file = file.with_context(|| format!("cannot open {}", log.display()))?;
-        let output = file.try_clone().with_context(|| format!("cannot open {}", log.display()))?;
+        let mut file = LogFile::open(log, LogLimits::STANDARD)
+            .with_context(|| format!("cannot open {}", log.display()))?;
+        let pipe = || {
+            let (reader, output) = io::pipe()?;
+            Ok((reader, output.try_clone()?, output))
+        };
+        let (reader, errors, output) = pipe()
+            .map_err(|error: io::Error| anyhow::Error::from(error).context("cannot make a pipe"))?;
+        // Ends when the process and all that it has started have closed their output.
+        let (is_writing, written) = mpsc::channel();
+        let write = move || {
+            file.take(reader);
+            drop(is_writing);
+        };
+        thread::Builder::new()
+            .name("process-log".to_owned())
+            .spawn(write)
+            .context("cannot start a thread")?;
         let child = Command::new(program)
             .args(args)
             .envs(env.iter().map(|(name, value)| (name, value)))
             .stdin(Stdio::null())
             .stdout(output)
-            .stderr(file)
+            .stderr(errors)
             .process_group(0)
             .spawn();
         let child = child.map_err(|error| {
             let why = launch.not_started(&error);
             anyhow::Error::from(error).context(why)
         })?;
-        Ok(Box::new(SystemProcess { child, status: None }))
+        Ok(Box::new(SystemProcess { child, status: None, written }))
     }
 }
 
@@ -384,6 +413,8 @@ impl Process for SystemProcess {
         // Before the wait: until then no other group can have this id. The group may be empty.
         let _ = kill_process_group(self.group(), Signal::KILL);
         let status = self.child.wait()?;
+        // A process that has left the group may keep the output open.
+        let _ = self.written.recv_timeout(LOG_WAIT);
         Ok(*self.status.insert(status))
     }
 }
@@ -396,10 +427,10 @@ fn log_name(role: Role, index: u8) -> String {
     }
 }
 
-/// The end of `log`, of which the process wrote from byte `start` on: from its final error message (`sim-proc: ...`) if
+/// The end of `log`, of which the process wrote from `start` on: from its final error message (`sim-proc: ...`) if
 /// there is one, otherwise the last lines.
-fn log_tail(log: &Path, start: u64, role: Role) -> io::Result<String> {
-    let text = end_of(log, start)?;
+fn log_tail(log: &Path, start: LogPosition, role: Role) -> io::Result<String> {
+    let text = end_of(log, start.offset_in(&File::open(log)?)?)?;
     let lines: Vec<&str> = text.lines().collect();
     let message = format!("{}-proc: ", role.word());
     let from = lines.iter().rposition(|line| line.starts_with(&message));
@@ -410,7 +441,10 @@ fn log_tail(log: &Path, start: u64, role: Role) -> io::Result<String> {
 /// The end of the file `log` from byte `start` on, at most [`TAIL_BYTES`]: a process may have printed any amount.
 fn end_of(log: &Path, start: u64) -> io::Result<String> {
     let mut file = File::open(log)?;
-    let start = start.max(file.metadata()?.len().saturating_sub(TAIL_BYTES));
+    let length = file.metadata()?.len();
+    // A part of it may have been left out since.
+    let start = if start > length { 0 } else { start };
+    let start = start.max(length.saturating_sub(TAIL_BYTES));
     file.seek(SeekFrom::Start(start))?;
     let mut bytes = Vec::new();
     file.take(TAIL_BYTES).read_to_end(&mut bytes)?;

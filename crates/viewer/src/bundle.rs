@@ -2,10 +2,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use domain::Pose;
+use durable::FolderDraft;
 use replay::Selection;
 use replay::frames::ViewKey;
 use results::step_view::PromptLog;
@@ -35,27 +37,18 @@ pub struct Bundle {
 /// A file that only bundles have, so that a folder is known as one.
 const MARK: &str = "runs.js";
 
-/// Writes `site` into the folder `dir`, which is made if need be; an earlier bundle in it is replaced. The selected episodes
-/// have views and prompts, all others a page without them.
+/// Writes `site` as the folder `dir`, in place of an earlier bundle: a kill at any moment leaves one or the other. The
+/// selected episodes have views and prompts, all others a page without them.
 ///
 /// # Errors
 /// When the folder holds something else, a run cannot be read, the renderer fails, or the system refuses.
 pub fn write_bundle(site: &mut Site, dir: &Path, selection: Selection) -> Result<Bundle> {
-    let is_empty = fs::read_dir(dir)
-        .map_or(Ok(true), |mut all| all.next().transpose().map(|first| first.is_none()))?;
-    if !is_empty && !dir.join(MARK).is_file() {
+    let cannot = || format!("cannot write {}", dir.display());
+    if !may_be_replaced(dir).with_context(cannot)? {
         bail!("{} holds files and no earlier pages of a run: choose another --out", dir.display());
     }
-    let mut folder = BundleFolder { dir, bundle: Bundle::default() };
-    if !is_empty {
-        for place in 1..=2 {
-            let earlier = dir.join(folder_of(place));
-            if earlier.is_dir() {
-                fs::remove_dir_all(&earlier)
-                    .with_context(|| format!("cannot remove {}", earlier.display()))?;
-            }
-        }
-    }
+    let draft = FolderDraft::new(dir).with_context(cannot)?;
+    let mut folder = BundleFolder { dir: draft.path(), bundle: Bundle::default() };
     for name in FRONT_END.iter().map(|(name, _)| *name).chain([MARK]) {
         let file = site.file(name)?.with_context(|| format!("there is no {name}"))?;
         folder.write(name, &file)?;
@@ -66,8 +59,31 @@ pub fn write_bundle(site: &mut Site, dir: &Path, selection: Selection) -> Result
         keys.extend(chosen.iter().map(|&index| run.log.episodes[index].key.clone()));
         folder.run(&folder_of(place), run, &chosen)?;
     }
-    folder.bundle.page = dir.join("index.html");
-    Ok(folder.bundle)
+    let bundle = Bundle { page: dir.join("index.html"), ..folder.bundle };
+    draft.finish().with_context(cannot)?;
+    Ok(bundle)
+}
+
+/// Whether the folder `dir` is missing or empty, or holds a bundle and nothing else. A symbolic link is replaced, not what it
+/// points to.
+fn may_be_replaced(dir: &Path) -> io::Result<bool> {
+    let entries = match fs::symlink_metadata(dir) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(true),
+        Ok(found) if found.is_symlink() => return Ok(true),
+        _ => fs::read_dir(dir)?,
+    };
+    let mut names = Vec::new();
+    for entry in entries {
+        names.push(entry?.file_name().to_string_lossy().into_owned());
+    }
+    let is_ours = |name: &String| {
+        let is_front_end = FRONT_END.iter().any(|(file, _)| name == file);
+        is_front_end || name == MARK || (1..=2).any(|place| *name == folder_of(place))
+    };
+    let is_bundle = || {
+        durable::read(&dir.join(MARK)).is_ok_and(|mark| mark.starts_with(b"memtransfer.receive("))
+    };
+    Ok(names.is_empty() || names.iter().all(is_ours) && is_bundle())
 }
 
 /// The most thumbnails of demonstrations that an episode has, so that one of 40 steps stays below 1 MB.
@@ -119,7 +135,7 @@ impl BundleFolder<'_> {
             self.write(&format!("{name}/episodes/{index}.js"), &file)?;
         }
         for (hash, path) in images {
-            match image(&path)? {
+            match image(&run.log.dir, &path)? {
                 Some(file) => self.write(&format!("{name}/images/{hash}.jpg"), &file)?,
                 None => self.bundle.missing.push(path),
             }
@@ -185,5 +201,31 @@ impl BundleFolder<'_> {
             Ok(())
         })?;
         Ok(same)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pages_replace_pages_and_nothing_else() {
+        let base = tempfile::tempdir().unwrap();
+        let dir = base.path().join("pages");
+        let may = || may_be_replaced(&dir).unwrap();
+        assert!(may(), "it is missing");
+        fs::create_dir(&dir).unwrap();
+        assert!(may(), "it is empty");
+        fs::write(dir.join(MARK), "window.runs = [];").unwrap();
+        assert!(!may(), "a script of someone else");
+        fs::write(dir.join(MARK), "memtransfer.receive(\"runs\",{});\n").unwrap();
+        fs::create_dir(dir.join("run1")).unwrap();
+        fs::write(dir.join("index.html"), "").unwrap();
+        assert!(may());
+        fs::write(dir.join("notes.txt"), "").unwrap();
+        assert!(!may(), "another file");
+        fs::remove_dir_all(&dir).unwrap();
+        std::os::unix::fs::symlink("/etc", &dir).unwrap();
+        assert!(may(), "the link is replaced");
     }
 }

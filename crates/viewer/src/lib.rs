@@ -14,4 +14,4 @@ mod view_file;
 
 pub use bundle::{Bundle, write_bundle};
 pub use server::{Address, ViewServer};
-pub use site::{File, Site};
+pub use site::{File, Site, logged_image};

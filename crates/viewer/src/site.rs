@@ -16,10 +16,11 @@
 //! images and nothing else.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
+use std::io::ErrorKind;
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use domain::prompt_log::{image_file, is_hash};
 use png_file::RgbaImage;
 use replay::frames::{ViewKey, ViewProgram, ViewRenderer, jpeg, world_arguments};
@@ -31,7 +32,7 @@ use results::log::{
     EPISODES_FILE, EpisodeRecord, EpisodeTimings, JournalTail, PROMPTS_FOLDER, REQUESTS_FILE,
     RequestRecord, RunLog, STATUS_FILE, TIMINGS_FILE,
 };
-use results::step_view::PromptLog;
+use results::step_view::{PromptLog, is_named, read_logged};
 use serde::Serialize;
 use serde_json::{Value, json};
 use warehouse::map;
@@ -260,7 +261,7 @@ impl RunPages {
             "images" => {
                 let hash = name.strip_suffix(".jpg").filter(|hash| is_hash(hash));
                 let file = hash.map(|hash| image_file(&self.log.dir.join(PROMPTS_FOLDER), hash));
-                file.map_or(Ok(None), |file| image(&file))
+                file.map_or(Ok(None), |file| image(&self.log.dir, &file))
             }
             _ => Ok(None),
         }
@@ -361,8 +362,8 @@ impl RunPages {
             .skip(from.unwrap_or(0))
             .filter_map(|record| row(&self.world, &self.conditions, record, true))
             .collect();
-        let status = std::fs::read_to_string(self.log.dir.join(STATUS_FILE)).ok();
-        let status = status.and_then(|text| serde_json::from_str::<Value>(&text).ok());
+        let status = durable::read(&self.log.dir.join(STATUS_FILE)).ok();
+        let status = status.and_then(|text| serde_json::from_slice::<Value>(&text).ok());
         // A session that was killed leaves its file behind.
         let status =
             status.filter(|status| Path::new("/proc").join(status["pid"].to_string()).exists());
@@ -437,12 +438,30 @@ impl Growth {
     }
 }
 
-/// A PNG file as JPEG; `None` if there is none.
-pub(crate) fn image(path: &Path) -> Result<Option<File>> {
-    if !path.exists() {
-        return Ok(None);
-    }
-    let image = RgbaImage::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+/// The image `path`, a PNG file in the prompt log of the run in the folder `run`, and its pixels; `None` if there is none. Its
+/// name is the hash of the file or, for a view, of its pixels.
+///
+/// # Errors
+/// When it cannot be read, is no image, or another than its name says.
+pub fn logged_image(run: &Path, path: &Path) -> Result<Option<(Vec<u8>, RgbaImage)>> {
+    let bytes = match read_logged(run, path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+        bytes => bytes.with_context(|| format!("cannot read {}", path.display()))?,
+    };
+    let image =
+        RgbaImage::decode(&bytes).with_context(|| format!("cannot read {}", path.display()))?;
+    let hash = path.file_stem().and_then(OsStr::to_str).unwrap_or_default();
+    ensure!(
+        is_named(&bytes, hash) || is_named(image.as_bytes(), hash),
+        "{} was changed after it was written: its content does not have the hash that is its name",
+        path.display()
+    );
+    Ok(Some((bytes, image)))
+}
+
+/// As [`logged_image`], as JPEG.
+pub(crate) fn image(run: &Path, path: &Path) -> Result<Option<File>> {
+    let Some((_, image)) = logged_image(run, path)? else { return Ok(None) };
     let edge = |edge: u32| u16::try_from(edge).context("the image is too large");
     let size = (edge(image.width())?, edge(image.height())?);
     let bytes = jpeg(size, VIEW_FORMAT.quality, image.as_bytes())?;
@@ -474,10 +493,24 @@ mod tests {
     fn an_image_that_is_missing_is_no_error_and_a_damaged_one_is_named() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.png");
-        assert_eq!(image(&path).unwrap(), None);
+        assert_eq!(image(dir.path(), &path).unwrap(), None);
         fs::write(&path, "no image").unwrap();
-        let error = format!("{:#}", image(&path).unwrap_err());
-        assert!(error.starts_with(&format!("cannot read {}: ", path.display())), "{error}");
+        let problem = |path: &Path| format!("{:#}", image(dir.path(), path).unwrap_err());
+        assert!(problem(&path).starts_with(&format!("cannot read {}: ", path.display())));
+
+        let pixels = RgbaImage::filled(2, 2, [7; 4]);
+        let name = |content: &[u8]| format!("{}.png", &blake3::hash(content).to_hex()[..32]);
+        let view = dir.path().join(name(pixels.as_bytes()));
+        pixels.write(&view).unwrap();
+        assert!(image(dir.path(), &view).unwrap().is_some());
+        let file = dir.path().join(name(&fs::read(&view).unwrap()));
+        fs::copy(&view, &file).unwrap();
+        assert!(image(dir.path(), &file).unwrap().is_some());
+        pixels.write(&path).unwrap();
+        assert!(problem(&path).contains("was changed after it was written"));
+        let other = dir.path().join(name(b"other"));
+        std::os::unix::fs::symlink(&view, &other).unwrap();
+        assert!(problem(&other).contains("it is a symbolic link"));
     }
 
     #[test]

@@ -28,7 +28,7 @@ pub(crate) type Problem = String;
 
 /// Reads `path` as text.
 pub(crate) fn read(path: &Path) -> Result<String, AssetError> {
-    std::fs::read_to_string(path)
+    durable::input::read_text(path)
         .map_err(|source| AssetError::Unreadable { file: path.display().to_string(), source })
 }
 

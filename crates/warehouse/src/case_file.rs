@@ -4,6 +4,7 @@
 //! Reading checks that names, cells and actions are valid in a warehouse; the [validator](crate::validate()) checks the
 //! constraints on cases.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -18,12 +19,30 @@ use crate::catalogue::Catalogue;
 use crate::demonstrated::PlannedAfter;
 use crate::dynamics::MAX_STEPS;
 use crate::task::{Task, TaskSubject};
-use crate::world::Warehouse;
+use crate::world::{CATALOGUE_FILE, LAYOUT_FILE, SHIPPED_CATALOGUE, SHIPPED_LAYOUT, Warehouse};
 
 /// The name of the file in an assets folder.
 pub const CASES_FILE: &str = "cases.toml";
 
 const SHIPPED_CASES: &str = include_str!("../../../assets/cases.toml");
+
+/// The texts of layout, catalogue and cases in the folder `assets`, or of those that are compiled in, by name.
+///
+/// # Errors
+/// A file that cannot be read.
+pub fn file_texts(
+    assets: Option<&Path>,
+) -> Result<[(&'static str, Cow<'static, str>); 3], AssetError> {
+    let text = |file: &str, shipped: &'static str| match assets {
+        None => Ok(Cow::Borrowed(shipped)),
+        Some(folder) => read(&folder.join(file)).map(Cow::Owned),
+    };
+    Ok([
+        ("layout", text(LAYOUT_FILE, SHIPPED_LAYOUT)?),
+        ("catalogue", text(CATALOGUE_FILE, SHIPPED_CATALOGUE)?),
+        ("cases", text(CASES_FILE, SHIPPED_CASES)?),
+    ])
+}
 
 /// Maximum number of cases of a set.
 const MAX_CASES: usize = 100_000;

@@ -7,7 +7,8 @@ use clap::Args;
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CATALOGUE_FILE, CaseSet, GeneratedWorld, LAYOUT_FILE};
 
-use crate::Exit;
+use super::check_not_replaced;
+use crate::{Exit, write_file};
 
 const FILES: [&str; 3] = [LAYOUT_FILE, CATALOGUE_FILE, CASES_FILE];
 
@@ -36,9 +37,12 @@ pub(super) struct WorldGenerateArgs {
     /// Number of cases, spread evenly over the ten tasks
     #[arg(long, value_name = "N", default_value_t = 50)]
     cases: usize,
-    /// The folder: a new one, an empty one, or one that this command has written
+    /// The folder: a new one, an empty one, or one with the same files
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Replace a layout, a catalogue and cases that are there
+    #[arg(long)]
+    force: bool,
 }
 
 fn parse_size(text: &str) -> Result<(usize, usize), String> {
@@ -53,12 +57,12 @@ pub(super) fn run(args: &WorldGenerateArgs) -> anyhow::Result<Exit> {
     let world = GeneratedWorld::generate(args.seed, width, height, args.aisles)?;
     let cases = CaseSet::generate(&world.warehouse, args.seed, args.cases)?;
     let texts = [world.layout, world.catalogue, cases.to_toml(&world.warehouse.catalogue)];
-    std::fs::create_dir_all(&args.out)
-        .with_context(|| format!("cannot create {}", args.out.display()))?;
-    for (file, text) in FILES.into_iter().zip(texts) {
-        let path = args.out.join(file);
-        std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
+    let files: Vec<(PathBuf, String)> =
+        FILES.into_iter().map(|file| args.out.join(file)).zip(texts).collect();
+    if !args.force {
+        files.iter().try_for_each(|(path, text)| check_not_replaced(path, text))?;
     }
+    files.iter().try_for_each(|(path, text)| write_file(path, text))?;
     say!(
         "{width} x {height} cells, {} aisles, {} items in {} categories, {} cases in {}",
         world.warehouse.layout.aisles().len(),

@@ -7,21 +7,25 @@ use std::collections::BTreeSet;
 
 use domain::{Action, Arm, ExternalName};
 
+use super::known::KnownFacts;
 use super::{BlockedRecord, Ending, EpisodeRecord, Manifest, StreamRecord};
 use crate::conditions::{Condition, Route};
 
 /// More blocks than any stream has.
 const MOST_BLOCKS: u32 = 1 << 16;
 
-/// Checks that records agree with themselves, that their memories are those of the run, and that none occurs twice.
+/// Checks that records agree with themselves and with their run: its memories, its seed and, where they are known, its
+/// cases; and that none occurs twice.
 pub(super) fn check_records(
     manifest: &Manifest,
 ) -> impl FnMut(&EpisodeRecord) -> Result<(), String> + use<> {
     let max_steps = manifest.settings.max_steps;
     let memories: BTreeSet<ExternalName> = manifest.memories.keys().copied().collect();
     let mut seen = BTreeSet::new();
+    let mut known = KnownFacts::of(manifest);
     move |record| {
         record.check(max_steps)?;
+        known.check(record)?;
         if let Some(name) = record.memory.external()
             && !memories.contains(&name)
         {
@@ -163,6 +167,10 @@ impl EpisodeRecord {
         let is_action = |letter| Action::from_letter(letter).is_some();
         ensure(stream.reference_actions.chars().all(is_action), || {
             "\"reference_actions\" has a letter that is no action".to_owned()
+        })?;
+        let actions = stream.reference_actions.len();
+        ensure(actions == 0 || actions == self.reference as usize, || {
+            format!("\"reference\" is {}, and \"reference_actions\" has {actions}", self.reference)
         })?;
         let learned = self.arm == Arm::Learning && stream.learns();
         ensure(stream.snapshot.is_some() == learned, || {

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use rustix::fs::FlockOperation;
 
-use super::files::{CONTENTS, EPISODES_FILE, LOGS_FOLDER};
+use super::files::{CONTENTS, EPISODES_FILE, ERRORS_FILE, LOGS_FOLDER, REQUESTS_FILE};
 use super::manifest::MANIFEST_FILE;
 use super::{LogError, Manifest, system};
 
@@ -19,11 +19,11 @@ pub(super) fn lock(dir: &Path) -> Result<File, LogError> {
     }
 }
 
-/// The manifest of the run in `dir`, or none when the folder is empty; an error when it holds something else. The inner
-/// error is a manifest that cannot be read, which `--fresh` replaces.
-pub(super) fn existing(dir: &Path) -> Result<Option<Result<Manifest, LogError>>, LogError> {
-    if dir.join(MANIFEST_FILE).exists() {
-        return Ok(Some(Manifest::read(dir)));
+/// The manifest of the run in `dir`, or none when the folder is empty; an error when it holds something else, or a manifest
+/// that cannot be read: what such a folder holds is not known, and none of it is removed.
+pub(super) fn existing(dir: &Path) -> Result<Option<Manifest>, LogError> {
+    if fs::symlink_metadata(dir.join(MANIFEST_FILE)).is_ok() {
+        return Manifest::read(dir).map(Some);
     }
     for entry in fs::read_dir(dir).map_err(system("list", dir))? {
         let name = entry.map_err(system("list", dir))?.file_name();
@@ -40,24 +40,35 @@ pub(super) fn has_lines(dir: &Path, file: &str) -> bool {
     fs::metadata(dir.join(file)).is_ok_and(|file| file.len() > 0)
 }
 
-/// Removes the run in `dir` and returns a note about it.
+/// Whether the run in `dir` has neither results nor errors: it stopped before, for example because a model was missing.
+pub(super) fn is_without_results(dir: &Path) -> bool {
+    [EPISODES_FILE, REQUESTS_FILE, ERRORS_FILE].iter().all(|file| !has_lines(dir, file))
+}
+
+/// Removes the run in `dir`, whose manifest was read, and returns a note about what was removed. Nothing else in the folder is
+/// touched.
 pub(super) fn remove_run(dir: &Path) -> Result<String, LogError> {
-    let episodes = fs::read(dir.join(EPISODES_FILE)).unwrap_or_default();
+    let episodes = durable::read(&dir.join(EPISODES_FILE)).unwrap_or_default();
     let finished = episodes.iter().filter(|&&byte| byte == b'\n').count();
+    let mut removed = Vec::new();
     // The manifest goes last: what is left of a run stays recognisable as one.
     for name in CONTENTS.iter().rev() {
         let path = dir.join(name);
+        let Ok(found) = fs::symlink_metadata(&path) else { continue };
         if *name == LOGS_FOLDER {
             remove_logs(&path, |name| !is_of_external_memory(name))?;
-        } else if path.is_dir() {
+        } else if found.is_dir() {
             fs::remove_dir_all(&path).map_err(system("remove", &path))?;
-        } else if path.exists() {
+        } else {
             fs::remove_file(&path).map_err(system("remove", &path))?;
         }
+        removed.push(*name);
     }
+    removed.reverse();
     Ok(format!(
-        "--fresh: removed the earlier run in {} ({finished} finished episodes)",
-        dir.display()
+        "--fresh: removed the earlier run in {} ({finished} finished episodes): {}",
+        dir.display(),
+        removed.join(", ")
     ))
 }
 

@@ -29,7 +29,7 @@ pub const LOGS_FOLDER: &str = "logs";
 pub const REPORT_FOLDER: &str = "report";
 
 /// Everything that a run folder may hold. No other file in it is touched.
-pub(super) const CONTENTS: [&str; 24] = [
+pub(super) const CONTENTS: [&str; 26] = [
     MANIFEST_FILE,
     "manifest.json.new",
     EPISODES_FILE,
@@ -54,4 +54,6 @@ pub(super) const CONTENTS: [&str; 24] = [
     PROMPTS_FOLDER,
     LOGS_FOLDER,
     REPORT_FOLDER,
+    "report.memtransfer-draft",
+    "report.memtransfer-draft-old",
 ];

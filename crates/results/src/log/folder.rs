@@ -8,7 +8,9 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use domain::create_private_folder;
 
 use super::check::check_records;
-use super::existing::{existing, has_lines, is_of_external_memory, lock, remove_logs, remove_run};
+use super::existing::{
+    existing, has_lines, is_of_external_memory, is_without_results, lock, remove_logs, remove_run,
+};
 use super::files::{
     EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, LOGS_FOLDER, REQUESTS_FILE, SESSIONS_FILE,
     TIMINGS_FILE,
@@ -59,43 +61,30 @@ pub struct Opened {
 
 impl RunFolder {
     /// Makes the folder `dir` for the run that `manifest` describes, or opens it to resume that run.
-    /// `fresh` removes an earlier run in it first.
+    /// `fresh` removes an earlier run in it first; without it, nothing is removed.
     ///
     /// # Errors
-    /// When the folder holds another run, something else, or a broken log; when another process is
-    /// writing to it; when the system refuses.
+    /// When the folder holds another run, something else, a manifest that cannot be read, a symbolic link, or a broken log;
+    /// when another process is writing to it; when the system refuses.
     pub fn open(dir: &Path, manifest: Manifest, fresh: bool) -> Result<Opened, LogError> {
         fs::create_dir_all(dir).map_err(system("make", dir))?;
         let lock = lock(dir)?;
         let mut notes = Vec::new();
-        let manifest = match existing(dir)? {
-            // A run without an episode or a request, for example because a model was missing, is replaced.
-            Some(_) if !fresh && !Self::has_episodes(dir) && !has_lines(dir, REQUESTS_FILE) => {
-                remove_run(dir)?;
-                manifest
-            }
+        let earlier = existing(dir)?;
+        // Everything below writes into the folder by name.
+        durable::check_no_links(dir).map_err(system("write to", dir))?;
+        let manifest = match earlier {
             Some(there) if !fresh => {
-                let there = there?;
                 let differences = manifest.differences(&there);
-                if !differences.is_empty() {
+                if !differences.is_empty() && !is_without_results(dir) {
                     return Err(LogError::OtherSettings { dir: dir.to_owned(), differences });
                 }
-                if manifest.commit != there.commit {
-                    let commit = |m: &Manifest| m.commit.clone().unwrap_or("unknown".to_owned());
-                    notes.push(format!(
-                        "the run began with commit {} and continues with {}",
-                        commit(&there),
-                        commit(&manifest)
-                    ));
+                // Of a run without results, only the manifest is replaced.
+                if !differences.is_empty() {
+                    manifest
+                } else {
+                    manifest.continuing(there, &mut notes)
                 }
-                // Settings that may change have this session's values.
-                let prices = manifest.prices.or(there.prices);
-                let mut documents = there.documents;
-                documents.extend(manifest.documents);
-                let mut memories = there.memories;
-                memories.extend(manifest.memories);
-                let (processes, commit) = (there.processes, there.commit);
-                Manifest { processes, commit, prices, documents, memories, ..manifest }
             }
             Some(_) => {
                 notes.push(remove_run(dir)?);
@@ -167,6 +156,10 @@ impl RunFolder {
             return Ok(());
         }
         let _lock = lock(dir)?;
+        if existing(dir)?.is_none() {
+            return Ok(());
+        }
+        durable::check_no_links(dir).map_err(system("remove logs in", dir))?;
         remove_logs(&logs, is_of_external_memory)
     }
 

@@ -1,6 +1,6 @@
 //! An append-only file of JSON lines that survives a kill at any moment, and damage to any line.
 
-use std::fs::{self, File, Metadata, OpenOptions};
+use std::fs::{File, Metadata};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::marker::PhantomData;
 use std::os::unix::fs::MetadataExt;
@@ -11,7 +11,7 @@ use crossbeam::channel::{Receiver, Sender, bounded};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{LogError, system};
+use super::{LogError, sealed, system};
 
 /// What a journal holds.
 #[derive(Debug)]
@@ -61,13 +61,12 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
         path: &Path,
         check: impl FnMut(&T) -> Result<(), String>,
     ) -> Result<(Self, JournalContents<T>), LogError> {
-        let options = OpenOptions::new().create(true).append(true).clone();
-        let mut file = options.open(path).map_err(system("open", path))?;
+        let mut file = durable::append(path).map_err(system("open", path))?;
         let text = durable::read(path).map_err(system("read", path))?;
         let contents = parse(path, &text, check);
         if !contents.damaged.is_empty() {
             set_aside(path, &text, &contents.damaged)?;
-            file = options.open(path).map_err(system("open", path))?;
+            file = durable::append(path).map_err(system("open", path))?;
         } else if contents.torn > 0 {
             let whole = text.len() as u64 - contents.torn;
             file.set_len(whole).map_err(system("cut the torn end of", path))?;
@@ -81,9 +80,8 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
     /// # Errors
     /// When an operation of the system fails.
     pub fn append(&mut self, entry: &T) -> Result<(), LogError> {
-        let mut line = serde_json::to_vec(entry)
+        let line = sealed::line(entry)
             .map_err(|error| system("write to", &self.path)(io::Error::other(error)))?;
-        line.push(b'\n');
         let before = self.file.metadata().map_err(system("look at", &self.path))?.len();
         // One write: a kill leaves a line whole, absent or torn, never mixed with another.
         durable::write(&mut self.file, &self.path, &line).map_err(|error| {
@@ -179,7 +177,7 @@ pub fn read_journal<T: DeserializeOwned>(
     path: &Path,
     check: impl FnMut(&T) -> Result<(), String>,
 ) -> Result<JournalContents<T>, LogError> {
-    let text = match fs::read(path) {
+    let text = match durable::read(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Vec::new(),
         text => text.map_err(system("read", path))?,
     };
@@ -210,7 +208,7 @@ impl<T: DeserializeOwned> JournalTail<T> {
     /// # Errors
     /// When an operation of the system fails.
     pub fn read_new(&mut self) -> Result<Option<Vec<T>>, LogError> {
-        let mut file = match File::open(&self.path) {
+        let mut file = match durable::open(&self.path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Some(Vec::new())),
             file => file.map_err(system("read", &self.path))?,
         };
@@ -236,7 +234,7 @@ impl<T: DeserializeOwned> JournalTail<T> {
         let whole = whole_lines(&text);
         self.read += whole.len() as u64;
         let lines = whole.split_inclusive(|&byte| byte == b'\n');
-        Ok(Some(lines.filter_map(|line| serde_json::from_slice(line).ok()).collect()))
+        Ok(Some(lines.filter_map(|line| sealed::read(line).ok()).collect()))
     }
 }
 
@@ -259,17 +257,38 @@ fn parse<T: DeserializeOwned>(
 ) -> JournalContents<T> {
     let whole = whole_lines(text);
     let (mut entries, mut damaged) = (Vec::new(), Vec::new());
-    for (number, line) in (1..).zip(whole.split_inclusive(|&byte| byte == b'\n')) {
-        let entry = serde_json::from_slice(line).map_err(|error| without_names(&error.to_string()));
+    let mut set_aside = |line: usize, problem: &str, text: Vec<u8>| {
+        let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        damaged.push(DamagedLine { file, line, problem: shortened(problem), text });
+    };
+    let mut lines = 0;
+    for line in whole.split_inclusive(|&byte| byte == b'\n') {
+        lines += 1;
+        let entry = sealed::read(line).map_err(|problem| without_names(&problem));
         match entry.and_then(|entry| check(&entry).map(|()| entry)) {
             Ok(entry) => entries.push(entry),
-            Err(problem) => {
-                let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-                damaged.push(DamagedLine { file, line: number, problem, text: line.to_vec() });
-            }
+            Err(problem) => set_aside(lines, &problem, line.to_vec()),
         }
     }
-    JournalContents { entries, damaged, torn: (text.len() - whole.len()) as u64 }
+    let rest = &text[whole.len()..];
+    if !sealed::is_line_and_more(rest) {
+        return JournalContents { entries, damaged, torn: rest.len() as u64 };
+    }
+    // Not a line that was being written: that has no more than itself.
+    set_aside(lines + 1, "its line end was changed", [rest, b"\n"].concat());
+    JournalContents { entries, damaged, torn: 0 }
+}
+
+/// `problem`, which may repeat a text of any length from a line, cut in the middle.
+fn shortened(problem: &str) -> String {
+    const EACH: usize = 150;
+    if problem.chars().nth(2 * EACH).is_none() {
+        return problem.to_owned();
+    }
+    let start: String = problem.chars().take(EACH).collect();
+    let mut end: Vec<char> = problem.chars().rev().take(EACH).collect();
+    end.reverse();
+    format!("{start} ... {}", end.into_iter().collect::<String>())
 }
 
 /// Leaves out of serde's message `problem` the list of all names that it expected.
@@ -286,7 +305,7 @@ fn set_aside(path: &Path, text: &[u8], damaged: &[DamagedLine]) -> Result<(), Lo
     let aside = damaged_file(path);
     let draft = path.with_extension("jsonl.new");
     let write = || {
-        let mut file = OpenOptions::new().create(true).append(true).open(&aside)?;
+        let mut file = durable::append(&aside)?;
         let lines: Vec<u8> = damaged.iter().flat_map(|line| line.text.clone()).collect();
         durable::write(&mut file, &aside, &lines)?;
         durable::sync_path(&aside)?;
@@ -372,7 +391,10 @@ mod tests {
             contents.damaged.first().map(ToString::to_string).unwrap_or_default()
         };
         insta::assert_snapshot!(problem("\"task\"", "\"tusk\""), @"j, line 1: unknown field `tusk` at line 1 column 175");
-        insta::assert_snapshot!(problem("\"complete\"", "\"whole\""), @"j, line 1: unknown ending `whole` (known: complete, out-of-steps) at line 1 column 203");
+        insta::assert_snapshot!(problem("\"complete\"", "\"whole\""), @"j, line 1: unknown ending `whole` (known: complete, out-of-steps) at line 1 column 222");
+        let word = "x".repeat(1 << 20);
+        let long = problem("\"complete\"", &format!("\"{word}\""));
+        assert!(long.contains("unknown ending `xxx") && long.len() < 400, "{}", long.len());
     }
 
     #[test]

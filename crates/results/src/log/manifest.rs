@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 use domain::ExternalName;
@@ -12,8 +13,11 @@ use super::{LogError, system};
 use crate::cost::ModelPrices;
 use crate::settings::{FREE_KEYS, RunSettings};
 
-/// Changes when programs that read the old files cannot read the new ones.
-pub const FORMAT: u32 = 2;
+/// Changes when programs that read the old files cannot read the new ones. Since 3, the lines of journals have checksums.
+pub const FORMAT: u32 = 3;
+
+/// The formats that this program reads.
+const READABLE: RangeInclusive<u32> = 2..=FORMAT;
 
 /// The name of the hash of the other warehouse in which tasks are demonstrated.
 pub const ELSEWHERE_HASH: &str = "elsewhere";
@@ -175,11 +179,16 @@ impl Manifest {
         let value: Value = serde_json::from_slice(&text).map_err(|e| broken(e.to_string()))?;
         // The format comes first: a manifest of another format may have other fields.
         match value.get("format").and_then(Value::as_u64) {
-            Some(format) if format == u64::from(FORMAT) => {}
+            Some(format) if u32::try_from(format).is_ok_and(|one| READABLE.contains(&one)) => {}
             Some(format) => {
-                return Err(broken(format!("format {format}, this program reads {FORMAT}")));
+                let (first, last) = READABLE.into_inner();
+                return Err(broken(format!(
+                    "format {format}, this program reads {first} to {last}"
+                )));
             }
-            None => return Err(broken("it has no format".to_owned())),
+            None => {
+                return Err(broken("it is not the manifest of a run: it has no format".to_owned()));
+            }
         }
         let manifest: Self = serde_json::from_value(value).map_err(|e| broken(e.to_string()))?;
         manifest.settings.check_size().map_err(broken)?;
@@ -200,6 +209,26 @@ impl Manifest {
             durable::sync_path(dir)
         };
         write().map_err(system("write", &path))
+    }
+
+    /// The manifest of a run that this one continues, which was `there` so far. Settings that may change have this session's
+    /// values. Adds a note if the commit is another.
+    pub(super) fn continuing(self, there: Self, notes: &mut Vec<String>) -> Self {
+        if self.commit != there.commit {
+            let commit = |commit: &Option<String>| commit.clone().unwrap_or("unknown".to_owned());
+            notes.push(format!(
+                "the run began with commit {} and continues with {}",
+                commit(&there.commit),
+                commit(&self.commit)
+            ));
+        }
+        let mut documents = there.documents;
+        documents.extend(self.documents);
+        let mut memories = there.memories;
+        memories.extend(self.memories);
+        let (processes, commit, prices) =
+            (there.processes, there.commit, self.prices.or(there.prices));
+        Self { processes, commit, prices, documents, memories, ..self }
     }
 
     /// The name that the policy reported, for example a model's; `None` before it has.

@@ -18,12 +18,12 @@ use serde::de::DeserializeOwned;
 
 use super::existing::lock;
 use super::files::{
-    DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, PROMPTS_FOLDER,
-    REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE, TIMINGS_FILE,
+    CONTENTS, DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, ERRORS_FILE, LATENCY_FILE,
+    PROMPTS_FOLDER, REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE, TIMINGS_FILE,
 };
 use super::{
     EpisodeError, EpisodeRecord, EpisodeTimings, LogError, Manifest, RequestRecord, SessionRecord,
-    system,
+    sealed, system,
 };
 use crate::latency::LatencyRecord;
 
@@ -104,8 +104,8 @@ impl PlannedFacts {
         Self { task, seed, reference }
     }
 
-    /// Checks that the record of the episode `key` says these and not `recorded`.
-    fn check(self, recorded: Self, key: &str) -> Result<(), String> {
+    /// Checks that the record of the episode `key` says these, which are `source`, and not `recorded`.
+    pub(super) fn check(self, recorded: Self, key: &str, source: &str) -> Result<(), String> {
         let fields = [
             ("task", recorded.task.into(), self.task.into()),
             ("seed", recorded.seed, self.seed),
@@ -114,7 +114,7 @@ impl PlannedFacts {
         match fields.into_iter().find(|(_, recorded, planned)| recorded != planned) {
             None => Ok(()),
             Some((field, recorded, planned)) => {
-                Err(format!("\"{field}\" of {key} is {recorded}, and {planned} in the plan"))
+                Err(format!("\"{field}\" of {key} is {recorded}, and {planned} {source}"))
             }
         }
     }
@@ -137,12 +137,11 @@ pub fn merge(
     draft.push(".merging");
     let draft = PathBuf::from(draft);
     let is_ours = |entry: &fs::DirEntry| {
-        let ours =
-            [EPISODES_FILE, TIMINGS_FILE, REQUESTS_FILE, ERRORS_FILE, SESSIONS_FILE, LATENCY_FILE];
-        entry.file_name().to_str().is_some_and(|name| ours.contains(&name))
+        entry.file_name().to_str().is_some_and(|name| CONTENTS.contains(&name))
     };
-    let earlier = fs::read_dir(&draft).into_iter().flatten().flatten().collect::<Vec<_>>();
-    if !earlier.is_empty() && !earlier.iter().any(is_ours) {
+    // The rest of a merge that was interrupted is replaced.
+    let mut earlier = fs::read_dir(&draft).into_iter().flatten().flatten();
+    if !earlier.all(|entry| is_ours(&entry)) {
         return Err(MergeError::NotEmpty(draft));
     }
     fs::create_dir_all(&draft).map_err(system("make", &draft))?;
@@ -306,10 +305,11 @@ impl<'a> MergedRun<'a> {
         }
         let mut timings = BTreeMap::new();
         read_lines(dir, TIMINGS_FILE, |line| {
-            let record: EpisodeTimings = serde_json::from_slice(line)?;
+            let record: EpisodeTimings = sealed::read(line).map_err(io::Error::other)?;
             timings.insert(record.key.clone(), record);
             Ok(())
         })?;
+        durable::check_no_links(dir).map_err(system("read", dir))?;
         for name in [DOCUMENTS_FOLDER, SNAPSHOTS_FOLDER, STREAMS_FILE, ELSEWHERE_FILE] {
             copy(&dir.join(name), &self.dir.join(name))?;
         }
@@ -334,7 +334,7 @@ impl<'a> MergedRun<'a> {
         let (mut lines, mut asked) = (BTreeMap::new(), BTreeMap::new());
         let mut twice = None;
         read_lines(dir, EPISODES_FILE, |line| {
-            let record: EpisodeRecord = serde_json::from_slice(line)?;
+            let record: EpisodeRecord = sealed::read(line).map_err(io::Error::other)?;
             if line.trim_ascii().len() + 1 != line.len() {
                 // The merged log has to have the bytes of one machine's.
                 return Err(io::Error::other(
@@ -366,7 +366,7 @@ impl<'a> MergedRun<'a> {
         let broken = |problem| MergeError::Broken { dir: unit.dir.clone(), problem };
         let line =
             unit.episodes.remove(key).ok_or_else(|| broken(format!("its log lacks {key}")))?;
-        facts.check(line.facts, key).map_err(broken)?;
+        facts.check(line.facts, key, "in the plan").map_err(broken)?;
         let failed = system("write to", self.dir);
         let timings = unit.timings.remove(key).map(|mut timings| {
             timings.session = timings.session.saturating_add(unit.sessions);
@@ -399,7 +399,7 @@ fn read_lines(
     mut each: impl FnMut(&[u8]) -> io::Result<()>,
 ) -> Result<(), MergeError> {
     let path = dir.join(file);
-    let mut lines = match File::open(&path) {
+    let mut lines = match durable::open(&path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
         opened => BufReader::new(opened.map_err(system("read", &path))?),
     };
@@ -428,15 +428,14 @@ fn copy_lines<T: Serialize + DeserializeOwned>(
     mut change: impl FnMut(&mut T),
 ) -> Result<(), MergeError> {
     read_lines(dir, file, |line| {
-        let mut entry = serde_json::from_slice(line)?;
+        let mut entry = sealed::read(line).map_err(io::Error::other)?;
         change(&mut entry);
         write_line(to, &entry)
     })
 }
 
 fn write_line(to: &mut BufWriter<File>, entry: &impl Serialize) -> io::Result<()> {
-    serde_json::to_writer(&mut *to, entry)?;
-    to.write_all(b"\n")
+    to.write_all(&sealed::line(entry)?)
 }
 
 /// The sessions that have a folder in the folder `prompts`, which may be missing.

@@ -216,7 +216,7 @@ fn a_damaged_record_is_named_and_set_aside_and_its_episode_repeated() {
     assert_eq!(keys(&log.episodes), [record("t01-03", true).key]);
     let shown: Vec<String> = log.damaged.iter().map(ToString::to_string).collect();
     insta::assert_snapshot!(shown.join("\n"), @r#"
-    episodes.jsonl, line 1: "steps" is 931, and "actions" has 10
+    episodes.jsonl, line 1: it was changed after it was written: its checksum does not fit
     episodes.jsonl, line 2: control character (\u0000-\u001F) found while parsing a string at line 2 column 0
     episodes.jsonl, line 4: episodic/original/unchanged/original/run1/t01-03 occurs twice
     "#);
@@ -329,4 +329,120 @@ fn an_external_memory_is_the_same_when_a_run_goes_on() {
     drop(opened);
     RunFolder::remove_memory_logs(dir.path()).unwrap();
     assert!(!log.exists());
+}
+
+#[test]
+fn nothing_is_removed_that_no_manifest_of_a_run_describes() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    for folder in ["documents", "report", "prompts", "snapshots"] {
+        fs::create_dir(path(folder)).unwrap();
+        fs::write(path(folder).join("mine.txt"), "mine").unwrap();
+    }
+    fs::write(path("status.json"), "mine").unwrap();
+    let listed = || {
+        let mut names: Vec<PathBuf> = Vec::new();
+        let mut folders = vec![dir.path().to_owned()];
+        while let Some(folder) = folders.pop() {
+            for entry in fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                folders.extend(path.is_dir().then(|| path.clone()));
+                names.push(path);
+            }
+        }
+        names.sort();
+        names
+    };
+    let manifest_of_a_run = serde_json::to_string(&manifest()).unwrap();
+    for foreign in [
+        r#"{"name": "My pages"}"#.to_owned(),
+        "{".to_owned(),
+        String::new(),
+        // Of a version that this program does not know, and a damaged one.
+        manifest_of_a_run.replacen("\"format\":3", "\"format\":99", 1),
+        manifest_of_a_run.replacen("\"settings\"", "\"setting\"", 1),
+    ] {
+        fs::write(path(MANIFEST_FILE), &foreign).unwrap();
+        let before = listed();
+        for fresh in [false, true] {
+            let error = RunFolder::open(dir.path(), manifest(), fresh).unwrap_err();
+            assert!(matches!(error, LogError::BrokenManifest { .. }), "{error}");
+            assert!(error.to_string().contains("the files beside it are untouched"), "{error}");
+        }
+        assert!(RunFolder::remove_memory_logs(dir.path()).is_ok(), "there are none");
+        assert_eq!(listed(), before);
+        assert_eq!(fs::read_to_string(path(MANIFEST_FILE)).unwrap(), foreign);
+    }
+    assert_eq!(fs::read_to_string(path("status.json")).unwrap(), "mine");
+}
+
+#[test]
+fn only_fresh_removes_a_run_and_it_says_what() {
+    let dir = tempfile::tempdir().unwrap();
+    let open = |manifest, fresh| RunFolder::open(dir.path(), manifest, fresh);
+    let mut folder = open(manifest(), false).unwrap().folder;
+    let key = record("t01-01", true).key;
+    folder.give_up(&EpisodeError { key, session: 1, error: "overdue".to_owned() }).unwrap();
+    drop(folder);
+    fs::create_dir(dir.path().join("documents")).unwrap();
+    fs::write(dir.path().join("notes.txt"), "mine").unwrap();
+    // Without an episode, it still has errors.
+    let opened = open(manifest(), false).unwrap();
+    assert!(opened.notes.is_empty());
+    drop(opened);
+    assert_eq!(RunLog::read(dir.path()).unwrap().errors.len(), 1);
+    let mut other = manifest();
+    other.settings.seed = 9;
+    assert!(matches!(open(other.clone(), false), Err(LogError::OtherSettings { .. })));
+    assert_eq!(RunLog::read(dir.path()).unwrap().errors.len(), 1);
+
+    let notes = open(other, true).unwrap().notes;
+    let note = notes[0].replace(&dir.path().display().to_string(), "DIR");
+    insta::assert_snapshot!(note, @"--fresh: removed the earlier run in DIR (0 finished episodes): manifest.json, episodes.jsonl, timings.jsonl, requests.jsonl, errors.jsonl, sessions.jsonl, latency.jsonl, documents, logs");
+    assert_eq!(fs::read_to_string(dir.path().join("notes.txt")).unwrap(), "mine");
+}
+
+#[test]
+fn a_run_is_not_written_or_read_through_links() {
+    use std::os::unix::fs::symlink;
+
+    let dir = tempfile::tempdir().unwrap();
+    let (run, mine) = (dir.path().join("run"), dir.path().join("mine"));
+    let mut folder = RunFolder::open(&run, manifest(), false).unwrap().folder;
+    add(&mut folder, "t01-01");
+    drop(folder);
+    fs::create_dir(&mine).unwrap();
+    fs::write(mine.join("file"), "").unwrap();
+    fs::create_dir(run.join("prompts")).unwrap();
+    for (link, to) in [
+        ("timings.jsonl", "file"),
+        ("manifest.json.new", "file"),
+        ("status.json", "file"),
+        ("logs", "."),
+        ("prompts/images", "."),
+    ] {
+        let (link, kept) = (run.join(link), run.join("kept"));
+        let was_there = fs::rename(&link, &kept).is_ok();
+        symlink(mine.join(to), &link).unwrap();
+        for fresh in [false, true] {
+            let error = RunFolder::open(&run, manifest(), fresh).unwrap_err().to_string();
+            assert!(error.contains("it is a symbolic link"), "{}: {error}", link.display());
+        }
+        fs::remove_file(&link).unwrap();
+        if was_there {
+            fs::rename(&kept, &link).unwrap();
+        }
+    }
+    assert_eq!(fs::read(mine.join("file")).unwrap(), b"");
+    assert_eq!(fs::read_dir(&mine).unwrap().count(), 1);
+
+    for file in [MANIFEST_FILE, EPISODES_FILE] {
+        let (kept, path) = (mine.join(file), run.join(file));
+        fs::rename(&path, &kept).unwrap();
+        symlink(&kept, &path).unwrap();
+        let error = RunLog::read(&run).unwrap_err().to_string();
+        assert!(error.contains("it is a symbolic link"), "{error}");
+        fs::rename(&kept, &path).unwrap();
+    }
+    assert_eq!(RunLog::read(&run).unwrap().episodes.len(), 1);
 }

@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use super::*;
-use crate::log::testing::{manifest, record, timings};
+use crate::log::testing::{line, manifest, record, timings, without_checksums};
 use crate::log::{Opened, RunFolder, RunLog, SessionEvent, UnitId};
 
 const PLAN: &str = "ab";
@@ -74,11 +74,7 @@ fn units_in_several_folders_become_one_run_in_the_order_of_the_plan() {
 
     let out = dir.path().join("run");
     assert_eq!(merge(&whole, &units, planned(&cases), &out).unwrap(), 6);
-    let expected: String = cases
-        .concat()
-        .iter()
-        .map(|case| serde_json::to_string(&record(case, true)).unwrap() + "\n")
-        .collect();
+    let expected: String = cases.concat().iter().map(|case| line(&record(case, true))).collect();
     assert_eq!(fs::read_to_string(out.join(EPISODES_FILE)).unwrap(), expected);
     let log = RunLog::read(&out).unwrap();
     assert_eq!((log.episodes.len(), log.timings.len(), log.damaged.len()), (6, 6, 0));
@@ -101,7 +97,8 @@ fn what_disagrees_is_named() {
 
     let log = two.join("unit-000000").join(EPISODES_FILE);
     let text = fs::read_to_string(&log).unwrap();
-    fs::write(&log, text.replacen("\"seed\":5", "\"seed\":6", 1)).unwrap();
+    let old = without_checksums(&text);
+    fs::write(&log, old.replacen("\"images\":140", "\"images\":141", 1)).unwrap();
     insta::assert_snapshot!(refused(), @"/one/unit-000000 and /two/unit-000000 disagree about episodic/original/unchanged/original/run1/t01-00000000: find out which machine is wrong, and remove its folder of the unit");
     fs::write(&log, &text[..text.len() - 1]).unwrap();
     insta::assert_snapshot!(refused(), @"/two/unit-000000: episodes.jsonl, line 2: the line is torn; remove this folder and execute the unit again");
@@ -120,7 +117,7 @@ fn what_disagrees_is_named() {
     let asked = "\"prompt_tokens\":7,\"final_pose\"";
     for folder in &units.0 {
         let log = folder.join("unit-000000").join(EPISODES_FILE);
-        fs::write(log, text.replacen("\"final_pose\"", asked, 1)).unwrap();
+        fs::write(log, old.replacen("\"final_pose\"", asked, 1)).unwrap();
     }
     insta::assert_snapshot!(refused(), @"/one/unit-000000: requests.jsonl lacks 10 requests of episodic/original/unchanged/original/run1/t01-00000000; remove this folder and execute the unit again");
     for folder in &units.0 {
@@ -138,7 +135,7 @@ fn what_disagrees_is_named() {
     let unit = units.0[0].join("unit-000000").join("manifest.json");
     let kept = fs::read(&unit).unwrap();
     fs::write(&unit, "{}").unwrap();
-    insta::assert_snapshot!(shown(units.check(1, PLAN, &mut manifest()).unwrap_err()), @"/one/unit-000000: manifest.json: it has no format; remove this folder and execute the unit again");
+    insta::assert_snapshot!(shown(units.check(1, PLAN, &mut manifest()).unwrap_err()), @"/one/unit-000000: manifest.json: it is not the manifest of a run: it has no format; remove this folder and execute the unit again");
     fs::write(&unit, kept).unwrap();
     let mut other = manifest();
     other.hashes.insert("layout".to_owned(), "11".to_owned());
@@ -154,17 +151,25 @@ fn a_record_that_is_not_of_the_plan_and_changed_line_ends_are_refused() {
     write_unit(&units.0[0], 0, &cases[0], "a");
     let log = units.0[0].join("unit-000000").join(EPISODES_FILE);
     let text = fs::read_to_string(&log).unwrap();
+    let old = without_checksums(&text);
+    let seed = record(&cases[0][0], true).seed;
     let refused = |from: &str, to: &str| {
-        assert!(text.contains(from), "{from}");
-        fs::write(&log, text.replacen(from, to, 1)).unwrap();
+        assert!(old.contains(from), "{from}");
+        fs::write(&log, old.replacen(from, to, 1)).unwrap();
         let error = merge(&manifest(), &units, planned(&cases), &out).unwrap_err().to_string();
         error.replace(&*dir.path().to_string_lossy(), "")
     };
     insta::assert_snapshot!(refused("\"task\":1", "\"task\":2"), @r#"/units/unit-000000: "task" of episodic/original/unchanged/original/run1/t01-00000000 is 2, and 1 in the plan; remove this folder and execute the unit again"#);
-    insta::assert_snapshot!(refused("\"seed\":5", "\"seed\":6"), @r#"/units/unit-000000: "seed" of episodic/original/unchanged/original/run1/t01-00000000 is 6, and 5 in the plan; remove this folder and execute the unit again"#);
+    insta::assert_snapshot!(refused(&format!("\"seed\":{seed}"), "\"seed\":6"), @r#"/units/unit-000000: "seed" of episodic/original/unchanged/original/run1/t01-00000000 is 6, and 8985188509719532159 in the plan; remove this folder and execute the unit again"#);
     insta::assert_snapshot!(refused("\"reference\":8", "\"reference\":80"), @r#"/units/unit-000000: "reference" of episodic/original/unchanged/original/run1/t01-00000000 is 80, and 8 in the plan; remove this folder and execute the unit again"#);
     insta::assert_snapshot!(refused("\n", "\r\n"), @"/units/unit-000000: episodes.jsonl, line 1: white space around the record, such as the line ends of Windows; remove this folder and execute the unit again");
     insta::assert_snapshot!(refused("{", " {"), @"/units/unit-000000: episodes.jsonl, line 1: white space around the record, such as the line ends of Windows; remove this folder and execute the unit again");
+    fs::write(&log, text.replacen("\"images\":140", "\"images\":141", 1)).unwrap();
+    let error = merge(&manifest(), &units, planned(&cases), &out).unwrap_err().to_string();
+    assert!(
+        error.contains("episodes.jsonl, line 1: it was changed after it was written"),
+        "{error}"
+    );
     fs::write(&log, text).unwrap();
     assert_eq!(merge(&manifest(), &units, planned(&cases), &out).unwrap(), 1);
 }
@@ -187,7 +192,7 @@ fn prompts_are_merged_with_what_they_name_whatever_the_sessions_are_numbered() {
             fs::write(prompts.join(folder).join(file), "x").unwrap();
         }
         let sessions = unit.join(SESSIONS_FILE);
-        let text = fs::read_to_string(&sessions).unwrap();
+        let text = without_checksums(&fs::read_to_string(&sessions).unwrap());
         let renumbered = text.replace("\"session\":1", &format!("\"session\":{session}"));
         fs::write(&sessions, renumbered).unwrap();
     }
