@@ -1,4 +1,4 @@
-//! The program from outside: its messages about bad input, and its exit status. Needs no other process.
+//! The program from outside: its messages about bad input, and its exit status. `validate` needs the simulator beside it.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
