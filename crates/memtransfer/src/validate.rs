@@ -59,7 +59,7 @@ fn first_views(world: &WorldArgs) -> anyhow::Result<ConstraintResult> {
     let mut lines: Vec<String> = said.lines().map(str::to_owned).collect();
     let checked = lines.pop().and_then(|count| count.parse().ok());
     Ok(ConstraintResult {
-        constraint: "rendered: no pixel of a target in the first view, original and test",
+        constraint: "rendered: no pixel of a target in the first views",
         checked: checked.context("the simulator does not say how many views it rendered")?,
         violations: lines,
     })
