@@ -1,7 +1,7 @@
 //! Whether an item is in view, computed on the floor plan in integers.
 //!
-//! An item is in view from a pose if some point of the box that holds it, or of its face of the rack, where its plate and
-//! label hang, lies within the camera's 90 degrees and nothing solid is in between, at any distance. Racks are open shelves:
+//! An item is in view from a pose if some point of its outline on the shelf, or of its label, which is wider than its plate,
+//! lies within the camera's 90 degrees and nothing solid is in between, at any distance. Racks are open shelves:
 //! behind the faces of a row of bays there is one space, in which an item is visible from the side, past what stands in the
 //! bays between. Walls, closed faces, and backs and ends of rows hide everything behind them; items, the posts between two
 //! bays and barricades hide nothing. This is conservative: such an item may cover three pixels at the far end of an aisle,
