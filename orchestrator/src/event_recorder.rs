@@ -8,7 +8,6 @@ use std::collections::BTreeMap;
 
 use domain::{Cell, Pose};
 use results::events::{Requirement, Visit};
-use warehouse::layout::Layout;
 use warehouse::sight::sees;
 use warehouse::{Item, Task, Warehouse};
 
@@ -41,10 +40,10 @@ impl EventRecorder {
         self.visits.extend(before.map(|&(requirement, _)| Visit { step, requirement, cell }));
     }
 
-    /// Records that the agent is shown the view from `pose` after `step` steps.
-    pub fn looks(&mut self, layout: &Layout, step: u32, pose: Pose) {
+    /// Records that the agent is shown the view from `pose` of this warehouse after `step` steps.
+    pub fn looks(&mut self, warehouse: &Warehouse, step: u32, pose: Pose) {
         for (requirement, item) in &self.items {
-            if !self.first_seen.contains_key(requirement) && sees(layout, pose, item) {
+            if !self.first_seen.contains_key(requirement) && sees(warehouse, pose, item) {
                 self.first_seen.insert(*requirement, step);
             }
         }
@@ -84,7 +83,7 @@ mod tests {
         let mut recorder = EventRecorder::new(&warehouse, &case.task);
         for (step, pose) in (0..).zip(case.replay(&warehouse, Start::Original).poses) {
             recorder.stands(step, pose);
-            recorder.looks(&warehouse.layout, step, pose);
+            recorder.looks(&warehouse, step, pose);
         }
         let visits: Vec<String> = recorder.visits.iter().map(ToString::to_string).collect();
         (visits.join(" "), serde_json::to_string(&recorder.first_seen).unwrap())
@@ -121,10 +120,10 @@ mod tests {
         }
         assert_eq!(recorder.visits.iter().map(|visit| visit.step).collect::<Vec<_>>(), [0, 3]);
         // Its back to the item, it does not see it.
-        recorder.looks(&warehouse.layout, 3, there);
+        recorder.looks(&warehouse, 3, there);
         let turned = Pose { heading: item.viewing_heading(), ..there };
-        recorder.looks(&warehouse.layout, 4, turned);
-        recorder.looks(&warehouse.layout, 5, turned);
+        recorder.looks(&warehouse, 4, turned);
+        recorder.looks(&warehouse, 5, turned);
         assert_eq!(recorder.first_seen, BTreeMap::from([(Requirement::A, 4)]));
     }
 }

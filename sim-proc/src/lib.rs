@@ -6,8 +6,10 @@
 //!   and [`view_folder`] shares their views with other processes.
 //! - [`renderer`]: poses in, pixels out, with two backends.
 //! - [`view_source`]: single views, outside a run.
+//! - [`first_views`]: whether a case begins with a view of a target.
 //! - [`serve_command`], [`render_command`] and [`views_command`]: the command line.
 
+pub mod first_views;
 pub mod lanes;
 pub mod render_command;
 pub mod render_pool;

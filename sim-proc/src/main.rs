@@ -1,8 +1,10 @@
-//! The simulator's binary: `serve` runs the simulator of a run, `render` writes views to PNG files, `views` to stdout.
+//! The simulator's binary: `serve` runs the simulator of a run, `render` writes views to PNG files, `views` to stdout, `first-views` checks
+//! where cases begin.
 
 use std::process::ExitCode;
 
 use clap::Parser;
+use sim_proc::first_views::{self, FirstViewsArgs};
 use sim_proc::render_command::{self, RenderArgs};
 use sim_proc::serve_command::{self, ServeArgs};
 use sim_proc::views_command::{self, ViewsArgs};
@@ -23,6 +25,8 @@ enum Command {
     Render(RenderArgs),
     /// Write the views that stdin names to stdout, as pixels. Started by `memtransfer view`.
     Views(ViewsArgs),
+    /// Render the first views of cases, which must show no target. Started by `memtransfer validate`.
+    FirstViews(FirstViewsArgs),
 }
 
 fn main() -> ExitCode {
@@ -31,6 +35,7 @@ fn main() -> ExitCode {
             Command::Serve(args) => serve_command::run(args)?,
             Command::Render(args) => render_command::run(&args)?,
             Command::Views(args) => views_command::run(&args)?,
+            Command::FirstViews(args) => first_views::run(&args)?,
         }
         Ok(ExitCode::SUCCESS)
     })

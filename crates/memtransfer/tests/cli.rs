@@ -1,4 +1,4 @@
-//! The program from outside: its messages about bad input, and its exit status. Needs no other process.
+//! The program from outside: its messages about bad input, and its exit status. `validate` needs the simulator beside it.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -180,6 +180,30 @@ fn a_world_with_a_wrong_case_is_found_by_validate() {
         let line = found.lines().find(|line| line.contains(constraint)).unwrap();
         assert!(line.starts_with("FAIL"), "{found}");
     }
+}
+
+#[test]
+fn a_target_in_a_first_view_is_found_by_rule_and_by_rendering() {
+    let dir = dir();
+    assets(dir.path());
+    let path = dir.path().join("assets/cases.toml");
+    let cases = fs::read_to_string(&path).unwrap();
+    let (from, to) = ("test = \"0,2,W ", "test = \"12,26,W ");
+    let of_case = cases.find("id = \"t09-07\"").unwrap();
+    let (before, after) = cases.split_at(of_case);
+    assert!(after.contains(from));
+    fs::write(&path, before.to_owned() + &after.replacen(from, to, 1)).unwrap();
+    let output = memtransfer(dir.path(), "validate --assets assets");
+    assert_eq!(output.status.code(), Some(1));
+    let found = text(&output.stdout);
+    for constraint in ["test: no target in the first view", "rendered: no pixel of a target"] {
+        let line = found.lines().find(|line| line.contains(constraint)).unwrap();
+        assert!(line.starts_with("FAIL"), "{found}");
+    }
+    assert!(
+        found.contains("t09-07 test: 460 pixels of a target are in view from 12,26,W"),
+        "{found}"
+    );
 }
 
 #[test]

@@ -51,6 +51,25 @@ impl Shape {
         Self::GasCylinder,
         Self::CableReel,
     ];
+
+    /// The outline of the mesh on the shelf, in centimetres: half the width and half the depth of a rectangle around its middle,
+    /// and by how much each corner is cut off, as far on both sides.
+    pub const fn outline_cm(self) -> [i32; 3] {
+        match self {
+            Self::Barrel => [21, 21, 12],
+            Self::Carton => [28, 20, 0],
+            Self::Toolbox => [27, 14, 0],
+            Self::FireExtinguisher => [18, 11, 7],
+            Self::Cone => [20, 20, 0],
+            Self::Tyre => [24, 10, 0],
+            Self::Bucket => [21, 20, 13],
+            Self::Helmet => [21, 24, 12],
+            Self::Crate => [26, 18, 0],
+            Self::Jerrycan => [19, 10, 0],
+            Self::GasCylinder => [15, 16, 9],
+            Self::CableReel => [26, 26, 17],
+        }
+    }
 }
 
 /// A family of types, for example "barrels".

@@ -86,11 +86,11 @@ pub(crate) fn is_of_similar_length(original: u32, test: u32) -> bool {
 
 /// The first of `targets` that is in view from `pose`.
 pub(crate) fn target_in_view<'i>(
-    layout: &Layout,
+    warehouse: &Warehouse,
     pose: Pose,
     targets: &[&'i Item],
 ) -> Option<&'i Item> {
-    targets.iter().copied().find(|item| sees(layout, pose, item))
+    targets.iter().copied().find(|item| sees(warehouse, pose, item))
 }
 
 /// The first of `targets` whose standpoint is among `cells`.

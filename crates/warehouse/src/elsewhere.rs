@@ -237,7 +237,7 @@ mod tests {
                 let replay = shown.replay(&other.warehouse, task, &Variant::UNCHANGED);
                 assert!((10..=80).contains(&completes_task(&replay).unwrap()));
                 let targets = task.targets(&other.warehouse);
-                assert!(target_in_view(there, shown.start, &targets).is_none());
+                assert!(target_in_view(&other.warehouse, shown.start, &targets).is_none());
             }
             assert_eq!(Elsewhere::generate(&tested, &cases, seed).unwrap(), other);
             assert_eq!(Elsewhere::parse(&other.to_text(), &tested, &cases).unwrap(), other);

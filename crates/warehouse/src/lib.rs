@@ -7,7 +7,7 @@
 //! - [`demonstrations`]: which demonstrations a memory is built from; [`Demonstrated`]: one in its world; [`mixed`]: histories of other tasks.
 //! - [`Elsewhere`]: another warehouse, in which the tasks of cases are demonstrated.
 //! - [`WorldState`]: a warehouse after changes; [`stream`]: blocks of cases with events between them.
-//! - [`plan`]: expert trajectories and the fewest steps; [`sight`]: which items are in view, computed on the grid.
+//! - [`plan`]: expert trajectories and the fewest steps; [`sight`]: which items are in view, computed on the floor plan.
 //! - [`GeneratedWorld`]: a warehouse from a seed; [`CaseSet::generate`]: cases from a seed; [`validate`](mod@validate): every constraint checked by replay; [`map`]:
 //!   maps as SVG.
 //!
@@ -31,6 +31,7 @@ pub mod mixed;
 mod order;
 pub mod plan;
 pub mod progress;
+mod racks;
 mod route;
 pub mod sight;
 mod state;
@@ -56,6 +57,7 @@ pub use generate_world::{GeneratedWorld, MIN_SIDE, corridors};
 pub use layout::{Aisle, Axis, Layout, MAX_SIDE, Square};
 pub use mixed::Overlap;
 pub use progress::Progress;
+pub use racks::FaceKind;
 pub use state::{StockChange, WorldChange, WorldChangeError, WorldState};
 pub use stream::{StreamError, StreamSet};
 pub use swapped::{GREY_VARIANT, SwappedPoses, every_pose};

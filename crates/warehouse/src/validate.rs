@@ -44,8 +44,8 @@ pub(crate) fn check(warehouse: &Warehouse, cases: &CaseSet) -> ValidationReport 
     let replayed: Vec<Replayed<'_>> =
         cases.cases.iter().map(|case| Replayed::new(warehouse, case)).collect();
     trajectories(&mut report, warehouse, &replayed);
-    demonstrations(&mut report, &warehouse.layout, &replayed);
-    tests(&mut report, &warehouse.layout, &replayed);
+    demonstrations(&mut report, warehouse, &replayed);
+    tests(&mut report, warehouse, &replayed);
     histories::check(&mut report, warehouse, cases);
     report
 }
@@ -249,7 +249,8 @@ fn trajectories(report: &mut ValidationReport, warehouse: &Warehouse, cases: &[R
 }
 
 /// Constraints on the demonstrations.
-fn demonstrations(report: &mut ValidationReport, layout: &Layout, cases: &[Replayed<'_>]) {
+fn demonstrations(report: &mut ValidationReport, warehouse: &Warehouse, cases: &[Replayed<'_>]) {
+    let layout = &warehouse.layout;
     let starts = |c: &Replayed<'_>, start, is_right: &dyn Fn(Pose, Pose) -> bool| {
         let (original, other) = (c.start(Start::Original), c.start(start));
         ensure(is_right(original, other), || {
@@ -258,7 +259,7 @@ fn demonstrations(report: &mut ValidationReport, layout: &Layout, cases: &[Repla
     };
     report.push(
         "original: no target in the first view",
-        cases.iter().map(|c| unseen(layout, c, Start::Original)),
+        cases.iter().map(|c| unseen(warehouse, c, Start::Original)),
     );
     report.push(
         "opposite: the original's cell, facing the other way",
@@ -293,7 +294,8 @@ fn demonstrations(report: &mut ValidationReport, layout: &Layout, cases: &[Repla
 }
 
 /// Constraints on the test start and its blocked variant.
-fn tests(report: &mut ValidationReport, layout: &Layout, cases: &[Replayed<'_>]) {
+fn tests(report: &mut ValidationReport, warehouse: &Warehouse, cases: &[Replayed<'_>]) {
+    let layout = &warehouse.layout;
     report.push(
         "test: starts at another pose than the four demonstrations",
         cases.iter().map(|c| {
@@ -306,7 +308,7 @@ fn tests(report: &mut ValidationReport, layout: &Layout, cases: &[Replayed<'_>])
     );
     report.push(
         "test: no target in the first view",
-        cases.iter().map(|c| unseen(layout, c, Start::Test)),
+        cases.iter().map(|c| unseen(warehouse, c, Start::Test)),
     );
     report.push(
         "test: 75 to 135 % as long as the original demonstration",
@@ -376,8 +378,8 @@ fn tests(report: &mut ValidationReport, layout: &Layout, cases: &[Replayed<'_>])
     );
 }
 
-fn unseen(layout: &Layout, c: &Replayed<'_>, start: Start) -> Result<(), String> {
-    match target_in_view(layout, c.start(start), &c.targets) {
+fn unseen(warehouse: &Warehouse, c: &Replayed<'_>, start: Start) -> Result<(), String> {
+    match target_in_view(warehouse, c.start(start), &c.targets) {
         Some(item) => {
             Err(c.at(start, format!("item {} is in view from {}", item.id, c.start(start))))
         }

@@ -82,7 +82,7 @@ impl ActiveEpisode {
         let progress = Progress::new(warehouse, &case.task, start.cell);
         let mut events = EventRecorder::new(warehouse, &case.task);
         events.stands(0, start);
-        events.looks(&warehouse.layout, 0, start);
+        events.looks(warehouse, 0, start);
         let is_blocked = condition.route == Route::Blocked;
         let has_policy = !rules.expert;
         let record = EpisodeRecord {
@@ -428,7 +428,10 @@ impl ActiveEpisode {
         self.awaited = if is_over {
             Awaited::LastObservation
         } else {
-            self.events.looks(layout, record.steps, self.pose);
+            let world = record.stream.as_ref().zip(context.streams);
+            let warehouse = world
+                .map_or(context.warehouse, |(part, streams)| &streams.state(part.world).warehouse);
+            self.events.looks(warehouse, record.steps, self.pose);
             Awaited::Observation
         };
         self.stamps.logged_ns = context.now_ns;

@@ -26,12 +26,15 @@ mod visibility;
 #[cfg(test)]
 mod backend_tests;
 #[cfg(test)]
+mod sight_tests;
+#[cfg(test)]
 mod tests;
 
 use anyhow::{Context, Result, bail, ensure};
+use domain::Pose;
 use png_file::RgbaImage;
 use raster::{FOG_RGB, PackedGeometry, PreparedView, Rasterizer};
-use warehouse::{Layout, Warehouse};
+use warehouse::{Item, Layout, Warehouse};
 
 pub use contact_sheet::contact_sheet;
 use gpu::GpuBackend;
@@ -39,7 +42,7 @@ pub use job::{Destination, RenderJob, ViewSpec};
 use scene::Scene;
 pub use scene_visibility::{SceneVisibility, VisibleChanges};
 pub use settings::{Backend, FramePath, RenderReport, RenderSettings, Samples};
-use visibility::{Triangles, draw_list};
+use visibility::{Triangles, draw_list, draw_list_of};
 
 /// An open backend.
 enum OpenBackend {
@@ -181,6 +184,36 @@ impl Renderer {
     pub fn render_image(&mut self, view: ViewSpec<'_>) -> Result<RgbaImage> {
         let prepared = self.prepare(view);
         self.draw_image(prepared)
+    }
+
+    /// How many pixels of the view from `pose`, with the first stock and without barricades, `items` change with their plates and
+    /// labels: those that differ when these are left out.
+    ///
+    /// # Errors
+    /// As [`Self::render`].
+    pub fn pixels_of(&mut self, pose: Pose, items: &[&Item]) -> Result<usize> {
+        let (scene, camera, visible) = self.visibility.at_pose(0, pose);
+        let known = &scene.stocks[0].items;
+        let left_out: Vec<u32> =
+            items.iter().filter_map(|item| known.get(&(item.rack, item.face)).copied()).collect();
+        if !visible.objects.iter().any(|object| left_out.contains(object)) {
+            return Ok(0);
+        }
+        let objects = visible.objects.iter().map(|index| {
+            let object = &scene.objects[*index as usize];
+            if left_out.contains(index) { object.without_item() } else { object.clone() }
+        });
+        let objects: Vec<_> = objects.collect();
+        let clip_from_world = camera.clip_from_world().into();
+        let lists = [
+            draw_list(scene, &camera, &visible.objects, Triangles::Facing),
+            draw_list_of(scene, &camera, objects.iter(), Triangles::Facing),
+        ];
+        let [with, without] = lists.map(|list| {
+            self.draw_image(PreparedView { clip_from_world, list, barricades: Vec::new() })
+        });
+        let (with, without) = (with?, without?);
+        Ok(with.pixels().zip(without.pixels()).filter(|(with, without)| with != without).count())
     }
 
     /// Forgets the addresses of all slots that were written so far. Call this when the memory behind slots is unmapped

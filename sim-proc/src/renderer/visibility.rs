@@ -101,10 +101,20 @@ pub(super) fn draw_list(
     objects: &[u32],
     triangles: Triangles,
 ) -> DrawList {
+    let objects = objects.iter().map(|&index| &scene.objects[index as usize]);
+    draw_list_of(scene, camera, objects, triangles)
+}
+
+/// As [`draw_list`], for objects whose triangles are among those of the scene.
+pub(super) fn draw_list_of<'o>(
+    scene: &Scene,
+    camera: &Camera,
+    objects: impl Iterator<Item = &'o SceneObject>,
+    triangles: Triangles,
+) -> DrawList {
     let geometry = &scene.geometry;
     let mut list = DrawList::default();
-    for &index in objects {
-        let object = &scene.objects[index as usize];
+    for object in objects {
         let depths = footprint(object, camera).map(|corner| corner[1]);
         let nearest = depths.into_iter().fold(f32::INFINITY, f32::min);
         let solid = if nearest < FAR_M { object.near.clone() } else { object.far.clone() };

@@ -146,7 +146,7 @@ fn documents_contain_what_their_demonstrations_show_and_nothing_else() {
                 .items
                 .iter()
                 .find(|item| (item.standpoint, item.viewing_heading().letter()) == *place);
-            let in_sight = |pose: &Pose| sees(&truth.warehouse.layout, *pose, item.unwrap());
+            let in_sight = |pose: &Pose| sees(&truth.warehouse, *pose, item.unwrap());
             assert!(poses.iter().any(in_sight), "{selection}: {place:?} was in no frame");
         }
         // Passages are cells that were walked; nothing comes from the references alone.

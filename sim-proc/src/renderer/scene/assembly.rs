@@ -14,6 +14,9 @@ use crate::renderer::mesh::builder::Mesh;
 use crate::renderer::mesh::hall::barricade;
 use crate::renderer::text::{AtlasBuilder, PanelText};
 
+/// Indices of a text's panel.
+pub(super) const PANEL_INDICES: usize = 6;
+
 /// A text and its colours.
 pub(super) struct Label<'a> {
     pub(super) text: &'a str,
@@ -61,7 +64,8 @@ impl Assembly {
 
     /// All objects so far, as a stock.
     pub(super) fn stock(&self) -> StockObjects {
-        StockObjects { objects: (0..self.objects.len() as u32).collect(), occluders: Vec::new() }
+        let objects = (0..self.objects.len() as u32).collect();
+        StockObjects { objects, ..StockObjects::default() }
     }
 
     /// Makes everything that `add` adds one object, and returns its index.
@@ -83,6 +87,7 @@ impl Assembly {
             far: start[0]..end[0],
             plate: start[1]..end[1],
             text: start[2]..end[2],
+            item: [0; 3],
         });
         self.objects.len() as u32 - 1
     }
@@ -100,6 +105,11 @@ impl Assembly {
         let end = self.solid.indices.len();
         self.objects[object as usize].far = start..end;
         object
+    }
+
+    /// Notes which indices at the beginning of `object`'s are those of the item in it, as in [`SceneObject::item`].
+    pub(super) fn note_item(&mut self, object: u32, item: [usize; 3]) {
+        self.objects[object as usize].item = item;
     }
 
     /// Adds a mesh, lit.
@@ -176,7 +186,8 @@ impl Assembly {
             };
             self.text.vertices.push(PanelCorner { vertex, texel });
         }
-        self.text.indices.extend([0, 1, 2, 0, 2, 3].map(|i| first + i));
+        let panel: [u32; PANEL_INDICES] = [0, 1, 2, 0, 2, 3];
+        self.text.indices.extend(panel.map(|i| first + i));
     }
 
     /// Draws the atlas and completes the scene.

@@ -1,8 +1,10 @@
 //! The finished scene: triangles grouped into objects with bounds.
 
+use std::collections::HashMap;
 use std::ops::Range;
 use std::sync::OnceLock;
 
+use domain::{Cell, Heading};
 use raster::{Geometry, PackedGeometry, Placement};
 
 /// A part of the scene that is drawn or left out as a whole: its bounds, and ranges of each layer's indices.
@@ -16,6 +18,23 @@ pub(in crate::renderer) struct SceneObject {
     pub(in crate::renderer) far: Range<usize>,
     pub(in crate::renderer) plate: Range<usize>,
     pub(in crate::renderer) text: Range<usize>,
+    /// How many indices at the beginning of `near`, `far` and `text` are those of an item and its label.
+    pub(in crate::renderer) item: [usize; 3],
+}
+
+impl SceneObject {
+    /// The object without the item in it, its plate and its label.
+    pub(in crate::renderer) fn without_item(&self) -> Self {
+        let [near, far, text] = self.item;
+        Self {
+            near: self.near.start + near..self.near.end,
+            far: self.far.start + far..self.far.end,
+            plate: self.plate.end..self.plate.end,
+            text: self.text.start + text..self.text.end,
+            item: [0; 3],
+            ..self.clone()
+        }
+    }
 }
 
 /// An opaque upright panel from the floor to the racks' height, by its ends on the floor plan.
@@ -44,6 +63,8 @@ pub(in crate::renderer) struct StockObjects {
     /// Indices of the scene's objects.
     pub(in crate::renderer) objects: Vec<u32>,
     pub(in crate::renderer) occluders: Vec<Occluder>,
+    /// The object with the item on this side of this rack square.
+    pub(in crate::renderer) items: HashMap<(Cell, Heading), u32>,
 }
 
 impl Scene {

@@ -5,9 +5,9 @@ use std::collections::HashMap;
 use domain::{Cell, Heading};
 use nalgebra::{Isometry3, Point3};
 use plates::Plate;
-use warehouse::{Axis, Catalogue, Item, Layout, Square, Warehouse};
+use warehouse::{Axis, Catalogue, FaceKind, Item, Layout, Square, Warehouse};
 
-use super::assembly::{Assembly, Label};
+use super::assembly::{Assembly, Label, PANEL_INDICES};
 use super::frames::{side_of, world_from_face};
 use super::object::{Occluder, StockObjects};
 use crate::renderer::light::MeshPart;
@@ -36,6 +36,9 @@ pub(super) fn build(assembly: &mut Assembly, stocks: &[Warehouse]) -> Vec<StockO
                 built.len() - 1
             });
             stock.objects.push(built[at].object);
+            if faces.holds_item(rack, side) {
+                stock.items.insert((rack, side), built[at].object);
+            }
             stock.occluders.extend(&built[at].occluders);
         }
         stock
@@ -129,13 +132,14 @@ pub(super) fn stocked_bay(
 ) -> u32 {
     let kind = &catalogue.types[item_type];
     let category = &catalogue.categories[kind.category];
-    let solid = |a: &mut Assembly, detail| {
-        let item = on_shelf(item(kind.shape, kind.colour, detail), bay.depth);
-        a.solid(&item, world_from_face, MeshPart::Item);
+    let [near_item, far_item] = [Detail::Near, Detail::Far]
+        .map(|detail| on_shelf(item(kind.shape, kind.colour, detail), bay.depth));
+    let solid = |a: &mut Assembly, item: &Mesh, detail| {
+        a.solid(item, world_from_face, MeshPart::Item);
         a.solid(&bay.mesh(detail), world_from_face, MeshPart::Rack);
     };
     let near = |a: &mut Assembly| {
-        solid(a, Detail::Near);
+        solid(a, &near_item, Detail::Near);
         a.plate(world_from_face, Plate::new(&category.name, &kind.name));
         let label = Label {
             text: &kind.name,
@@ -146,7 +150,10 @@ pub(super) fn stocked_bay(
         a.text(world_from_face, LABEL_M, PANEL_OFFSET_M, &label);
         a.text(world_from_face, BAY_NUMBER_M, PANEL_OFFSET_M, &number_label(number));
     };
-    assembly.object_with_far(near, |a| solid(a, Detail::Far))
+    let object = assembly.object_with_far(near, |a| solid(a, &far_item, Detail::Far));
+    let label = if assembly.appearance().labels { PANEL_INDICES } else { 0 };
+    assembly.note_item(object, [near_item.indices.len(), far_item.indices.len(), label]);
+    object
 }
 
 fn number_label(number: &str) -> Label<'_> {
@@ -183,17 +190,6 @@ fn bay_number(layout: &Layout, standpoint: Cell) -> String {
     format!("{letter}{number}-{along:02}")
 }
 
-/// What a side of a rack square is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum FaceKind {
-    /// Not a rack, or no floor in front of it.
-    Inner,
-    /// A sheet of steel.
-    Closed,
-    /// Shelves.
-    RackBay,
-}
-
 /// Decides for every rack square which of its faces are bays.
 struct RackFaces<'a> {
     layout: &'a Layout,
@@ -214,16 +210,12 @@ impl<'a> RackFaces<'a> {
         match (self.kind(rack, face), self.items.get(&(rack, face))) {
             (FaceKind::Inner, _) => None,
             (FaceKind::Closed, _) => Some(Face::Closed),
-            (FaceKind::RackBay, None) => Some(Face::RackBay(self.bay(rack, face))),
-            (FaceKind::RackBay, Some(item)) => {
+            (FaceKind::Bay, None) => Some(Face::RackBay(self.bay(rack, face))),
+            (FaceKind::Bay, Some(item)) => {
                 let number = bay_number(self.layout, item.standpoint);
                 Some(Face::Stocked(self.bay(rack, face), item.item_type, number))
             }
         }
-    }
-
-    fn is_open(&self, rack: Cell, face: Heading) -> bool {
-        self.layout.free_neighbour(rack, face).is_some()
     }
 
     fn holds_item(&self, rack: Cell, face: Heading) -> bool {
@@ -231,17 +223,7 @@ impl<'a> RackFaces<'a> {
     }
 
     fn kind(&self, rack: Cell, face: Heading) -> FaceKind {
-        let is_rack = self.layout.square(rack) == Square::Rack;
-        if !is_rack || !self.is_open(rack, face) {
-            return FaceKind::Inner;
-        }
-        if self.holds_item(rack, face) {
-            return FaceKind::RackBay;
-        }
-        // Without an item, a face is a bay only if the square holds no other bay.
-        let first_open = Heading::ALL.into_iter().find(|&other| self.is_open(rack, other));
-        let any_item = Heading::ALL.into_iter().any(|other| self.holds_item(rack, other));
-        if !any_item && first_open == Some(face) { FaceKind::RackBay } else { FaceKind::Closed }
+        FaceKind::of(self.layout, |rack, face| self.holds_item(rack, face), rack, face)
     }
 
     fn bay(&self, rack: Cell, face: Heading) -> RackBay {
@@ -258,8 +240,7 @@ impl<'a> RackFaces<'a> {
 
     /// The depth of bays in this square: shallow where several share it, so that they do not overlap.
     fn depth(&self, rack: Cell) -> f32 {
-        let bays =
-            Heading::ALL.into_iter().filter(|&face| self.kind(rack, face) == FaceKind::RackBay);
+        let bays = Heading::ALL.into_iter().filter(|&face| self.kind(rack, face) == FaceKind::Bay);
         if bays.count() > 1 { SHALLOW_BAY_DEPTH_M } else { BAY_DEPTH_M }
     }
 
@@ -269,10 +250,10 @@ impl<'a> RackFaces<'a> {
             FaceKind::Closed => BayEdge::Closed,
             // Of two bays around a corner, the one that faces east or west keeps its width. A sheet separates
             // them, so that an item is visible through its own face only.
-            FaceKind::RackBay if matches!(face, Heading::E | Heading::W) => BayEdge::Closed,
-            FaceKind::RackBay => BayEdge::Narrowed(self.depth(rack)),
+            FaceKind::Bay if matches!(face, Heading::E | Heading::W) => BayEdge::Closed,
+            FaceKind::Bay => BayEdge::Narrowed(self.depth(rack)),
             FaceKind::Inner => match rack.step(side) {
-                Some(next) if self.kind(next, face) == FaceKind::RackBay => {
+                Some(next) if self.kind(next, face) == FaceKind::Bay => {
                     let depth = self.depth(next);
                     if depth < self.depth(rack) { BayEdge::Step(depth) } else { BayEdge::Joined }
                 }

@@ -2,7 +2,7 @@
 
 use plates::{self, Landmark, Plate};
 use sim_proc::view_control::every_pose;
-use warehouse::sight::sees;
+use warehouse::sight::shows_face;
 use warehouse::{Item, Variant, Warehouse};
 
 use super::views::Views;
@@ -43,13 +43,13 @@ fn plates_in_rendered_views_agree_with_the_catalogue() {
                 (0, _) => item.standpoint.y.abs_diff(pose.cell.y),
                 _ => item.standpoint.x.abs_diff(pose.cell.x),
             };
-            if ahead <= NEAR && sees(&warehouse.layout, pose, item) {
+            if ahead <= NEAR && shows_face(&warehouse.layout, pose, item) {
                 near += 1;
                 found += usize::from(read.contains(landmark));
             }
         }
     }
-    // `sees` also counts items of which only a sliver is visible beside a rack.
+    // `shows_face` also counts items of which only a sliver is visible beside a rack.
     assert!(near > 400, "only {near} plates to read");
     assert!(100 * found >= 95 * near, "{found} of {near} plates were read");
 }
