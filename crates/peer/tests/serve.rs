@@ -351,7 +351,7 @@ fn prompts_are_logged_and_a_log_that_cannot_be_written_stops_the_run() {
         (first.request.instruction.as_str(), &second.request.window[0].frame),
         ("Find a cone.", &hex(&[10; 16]))
     );
-    assert_eq!(first.usage.unwrap().prompt_tokens, Some(7));
+    assert_eq!(first.usage.as_ref().unwrap().prompt_tokens, Some(7));
     assert_eq!(second.usage, None);
     let answer = first.answer.as_ref().unwrap();
     assert_eq!(
