@@ -3,12 +3,14 @@
 use std::borrow::Cow;
 use std::path::Path;
 use std::process::Command;
+use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, bail, ensure};
 use clap::{Args, ValueEnum};
 use documents::DocumentName;
 use llm::Endpoint;
 use orchestrator::documents::needed;
+use orchestrator::scratch::{self, ScratchFolder};
 use results::settings::RunSettings;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -19,9 +21,13 @@ use supervise::sibling;
 
 use super::documents::{RunDocuments, listed};
 use super::{Exit, WorldArgs, print, print_json};
+use crate::signals::{self, Signals};
 
 /// The name of findings about a model's server.
 const ENDPOINT: &str = "endpoint";
+
+/// Why a check has no result.
+const STOPPED: &str = "stopped by a signal";
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -107,29 +113,11 @@ enum ProbedMark {
 }
 
 pub(super) fn run(args: &DoctorArgs) -> anyhow::Result<Exit> {
-    // One view is rendered and then embedded, as in a run.
-    let scratch = tempfile::Builder::new().prefix("memtransfer-doctor-").tempdir();
-    let scratch = scratch.context("cannot make a temporary folder")?;
-    let view = scratch.path().join("view.png");
-    let mut findings = vec![
-        DoctorFinding::of("warehouse and cases", world(&args.world)),
-        DoctorFinding::of("programs", programs()),
-        DoctorFinding::of("shared memory", shared_memory()),
-        DoctorFinding::of("rendering", rendering(&args.world, &view)),
-        DoctorFinding::of("ONNX Runtime and encoder", encoder(&args.world, &view)),
-        DoctorFinding::of("leftovers of killed runs", leftovers()),
-    ];
-    if let (Some(ModelPolicy::Openai), Some(model)) = (args.policy, &args.model) {
-        let servers = match Endpoint::from_environment(args.base_url.as_deref(), Path::new(".")) {
-            Ok((first, others)) => std::iter::once(first).chain(others).map(Ok).collect(),
-            Err(error) => vec![Err(error.into())],
-        };
-        for server in servers {
-            match server.and_then(|server| endpoint(model, &server.base())) {
-                Ok(found) => findings.extend(found),
-                Err(error) => findings.push(DoctorFinding::of(ENDPOINT, Err(error))),
-            }
-        }
+    let signals = Signals::listen().context("cannot listen to signals")?;
+    let findings = check(args, signals.stop())?;
+    if let Some(signal) = signals.received() {
+        say!("stopped by {}", signals::name(signal));
+        return Ok(Exit::Signal(signal));
     }
     if args.json {
         print_json(&findings)?;
@@ -145,6 +133,34 @@ pub(super) fn run(args: &DoctorArgs) -> anyhow::Result<Exit> {
     }
     let all = findings.iter().all(|finding| finding.ok);
     Ok(if all { Exit::Complete } else { Exit::Failed })
+}
+
+/// All findings; those of programs are failures once `stop` is set.
+fn check(args: &DoctorArgs, stop: &AtomicBool) -> anyhow::Result<Vec<DoctorFinding>> {
+    // One view is rendered and then embedded, as in a run.
+    let scratch = ScratchFolder::new().context("cannot make a temporary folder")?;
+    let view = scratch.path().join("view.png");
+    let mut findings = vec![
+        DoctorFinding::of("warehouse and cases", world(&args.world)),
+        DoctorFinding::of("programs", programs()),
+        DoctorFinding::of("shared memory", shared_memory()),
+        DoctorFinding::of("rendering", rendering(&args.world, &view, stop)),
+        DoctorFinding::of("ONNX Runtime and encoder", encoder(&args.world, &view, stop)),
+        DoctorFinding::of("leftovers of killed runs", leftovers()),
+    ];
+    if let (Some(ModelPolicy::Openai), Some(model)) = (args.policy, &args.model) {
+        let servers = match Endpoint::from_environment(args.base_url.as_deref(), Path::new(".")) {
+            Ok((first, others)) => std::iter::once(first).chain(others).map(Ok).collect(),
+            Err(error) => vec![Err(error.into())],
+        };
+        for server in servers {
+            match server.and_then(|server| endpoint(model, &server.base(), stop)) {
+                Ok(found) => findings.extend(found),
+                Err(error) => findings.push(DoctorFinding::of(ENDPOINT, Err(error))),
+            }
+        }
+    }
+    Ok(findings)
 }
 
 fn world(args: &WorldArgs) -> anyhow::Result<String> {
@@ -167,18 +183,18 @@ fn shared_memory() -> anyhow::Result<String> {
     Ok(format!("{SHARED_MEMORY} has room for a default run ({mib} MiB at most)"))
 }
 
-fn rendering(world: &WorldArgs, view: &Path) -> anyhow::Result<String> {
+fn rendering(world: &WorldArgs, view: &Path, stop: &AtomicBool) -> anyhow::Result<String> {
     let mut command = Command::new(sibling("sim-proc")?);
     command.args(["render", "--pose", &a_pose(world)?, "--out"]).arg(view);
-    succeed(with_assets(command, world))?;
+    succeed(with_assets(command, world), stop)?;
     Ok("a view was rendered".to_owned())
 }
 
-fn encoder(world: &WorldArgs, view: &Path) -> anyhow::Result<String> {
+fn encoder(world: &WorldArgs, view: &Path, stop: &AtomicBool) -> anyhow::Result<String> {
     ensure!(view.exists(), "not checked, because no view could be rendered");
     let mut command = Command::new(sibling("memory-proc")?);
     command.arg("embed").arg(view);
-    succeed(with_assets(command, world))?;
+    succeed(with_assets(command, world), stop)?;
     Ok("the view was embedded".to_owned())
 }
 
@@ -186,18 +202,21 @@ fn leftovers() -> anyhow::Result<String> {
     let runs = registry::list(&registry::default_base())?;
     let dead = runs.iter().filter(|run| !run.alive).count();
     ensure!(dead == 0, "{dead} runs hold shared memory: `memtransfer clean` removes them");
+    let folders = scratch::abandoned_folders().context("cannot search for temporary folders")?;
+    let count = folders.len();
+    ensure!(count == 0, "{count} temporary folders: `memtransfer clean` removes them");
     Ok("none".to_owned())
 }
 
 /// What the server of a model can do. The whole report is the data of the first finding.
-fn endpoint(model: &str, base_url: &str) -> anyhow::Result<Vec<DoctorFinding>> {
+fn endpoint(model: &str, base_url: &str, stop: &AtomicBool) -> anyhow::Result<Vec<DoctorFinding>> {
     let mut command = Command::new(sibling("policy-proc")?);
     command.args(["probe", "--json", "--model", model, "--base-url", base_url]);
     let flags = Layer::flags([("policy", "openai"), ("model", model)])?;
     let settings = resolve([Layer::environment(std::env::vars_os())?, flags])?.settings;
     let documents = RunDocuments::of(&settings, None, false);
     command.args(request_size(&settings, &documents));
-    let output = command.output()?;
+    let output = supervise::output(&mut command, stop)?.context(STOPPED)?;
     if output.stdout.is_empty() {
         bail!("{}", String::from_utf8_lossy(&output.stderr).trim());
     }
@@ -272,8 +291,8 @@ fn with_assets(mut command: Command, world: &WorldArgs) -> Command {
 }
 
 /// Runs `command`; what it prints on stderr is the error.
-fn succeed(mut command: Command) -> anyhow::Result<()> {
-    let output = command.output()?;
+fn succeed(mut command: Command, stop: &AtomicBool) -> anyhow::Result<()> {
+    let output = supervise::output(&mut command, stop)?.context(STOPPED)?;
     let message = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "{}", message.trim());
     Ok(())
