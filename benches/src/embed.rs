@@ -107,7 +107,7 @@ pub(crate) fn open(session: &BenchSession<'_>) -> Result<Encoder> {
     let runtime = RuntimeLibrary::from_environment(&CacheFolder::from_environment()?);
     let provider = session.hardware.provider;
     let prepared = PreparedEncoder::new(default_model()?, &runtime, threads, provider)?;
-    let mut encoder = prepared.start(SessionOpening::Eagerly, || {});
+    let mut encoder = prepared.start(SessionOpening::Eagerly, || {})?;
     let black = FramePixels(vec![0; FrameSize::DEFAULT.bytes()].into());
     // One per worker, so that every worker opens its session.
     encoder.embed_all(std::iter::repeat_n(black, threads.get()))?;

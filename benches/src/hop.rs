@@ -54,7 +54,7 @@ fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     .parameter("bytes there", bytes.0)
     .parameter("bytes back", bytes.1);
     let mut figures = vec![hop, stamping(session)];
-    figures.extend(floors(session));
+    figures.extend(floors(session)?);
     Ok(figures)
 }
 
@@ -94,9 +94,10 @@ fn stamping(session: &BenchSession<'_>) -> Measurement {
 }
 
 /// The machine's limits, as figures.
-fn floors(session: &BenchSession<'_>) -> Vec<Measurement> {
+fn floors(session: &BenchSession<'_>) -> Result<Vec<Measurement>> {
     let effort = session.size.pick(Effort::TINY, Effort::FULL);
-    let rounds: Vec<_> = (0..session.rounds()).map(|_| measure(effort)).collect();
+    let rounds = (0..session.rounds()).map(|_| measure(effort));
+    let rounds = rounds.collect::<std::io::Result<Vec<_>>>()?;
     let of = |value: fn(&orchestrator::machine::floors::Floors) -> f64| -> Vec<f64> {
         rounds.iter().map(value).collect()
     };
@@ -109,7 +110,7 @@ fn floors(session: &BenchSession<'_>) -> Vec<Measurement> {
         )
     };
     let mib = effort.bytes >> 20;
-    vec![
+    Ok(vec![
         floor("cache-line", "a cache line from one core to another", "ns", Better::Lower)
             .ours(of(|floors| floors.cache_line_ns)),
         floor("frame-copy", "a memcpy of a frame of 448 x 448", "us", Better::Lower)
@@ -120,7 +121,7 @@ fn floors(session: &BenchSession<'_>) -> Vec<Measurement> {
         floor("read-all", "reading memory with all cores", "GB/s", Better::Higher)
             .ours(of(|floors| floors.read_all_cores / 1e9))
             .parameter("MiB", mib),
-    ]
+    ])
 }
 
 /// Half of the median round-trip time, in nanoseconds. `trip` makes one round trip.

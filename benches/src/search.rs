@@ -137,7 +137,7 @@ fn measured(session: &BenchSession<'_>, size: (u32, u32), bytes: u64) -> Result<
             }
         }
         if bytes / 4 >= BEYOND_CACHES {
-            rounds.bandwidth.push(measure(Effort::FULL).read_all_cores);
+            rounds.bandwidth.push(measure(Effort::FULL)?.read_all_cores);
         }
         let Some(python) = session.python else { continue };
         let mut baseline = match kept.take() {

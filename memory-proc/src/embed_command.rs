@@ -2,7 +2,7 @@
 //! are known to a file, for other machines.
 
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{BufWriter, Write};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -41,7 +41,7 @@ pub fn run(
         Err(error) => bail!("cannot read {error}"),
     };
     let images = files.iter().map(read).collect::<anyhow::Result<Vec<_>>>()?;
-    let mut encoder = settings.prepare(manifest)?.start(SessionOpening::Eagerly, || {});
+    let mut encoder = settings.prepare(manifest)?.start(SessionOpening::Eagerly, || {})?;
     // Opening the sessions is not measured.
     encoder.embed_all(images.iter().take(1).cloned())?;
     let begun = Instant::now();
@@ -68,7 +68,7 @@ pub fn run(
         "files": files,
         "distances": distances,
     });
-    println!("{report:#}");
+    writeln!(std::io::stdout(), "{report:#}").context("cannot write to standard output")?;
     Ok(())
 }
 
@@ -90,6 +90,7 @@ pub fn ship(
         cache.ship(&facts.model_fingerprint, &mut file)
     };
     write().with_context(|| format!("cannot write {}", out.display()))?;
-    println!("{}", serde_json::to_string(&encoder.files())?);
+    let files = serde_json::to_string(&encoder.files())?;
+    writeln!(std::io::stdout(), "{files}").context("cannot write to standard output")?;
     Ok(())
 }

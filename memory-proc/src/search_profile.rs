@@ -59,7 +59,7 @@ pub fn run(
 ) -> anyhow::Result<()> {
     for &entries in &settings.entries {
         check_memory(entries, vectors.dimension())?;
-        let index = fill(entries, vectors, settings.threads).with_threads(settings.threads);
+        let index = fill(entries, vectors, settings.threads)?.with_threads(settings.threads);
         let count = settings.queries.min(QUERIES);
         let queries: Vec<Embedding> =
             (0..count).map(|number| vectors.query(number, entries)).collect();
@@ -261,7 +261,7 @@ fn check_memory(entries: u32, dimension: usize) -> anyhow::Result<()> {
 }
 
 /// A memory of `entries`, whose vectors are generated on several threads.
-fn fill(entries: u32, vectors: &SyntheticVectors, threads: NonZeroUsize) -> Index {
+fn fill(entries: u32, vectors: &SyntheticVectors, threads: NonZeroUsize) -> anyhow::Result<Index> {
     let mut builder = IndexBuilder::with_capacity(vectors.dimension(), entries as usize);
     for first in (0..entries).step_by(FILL_CHUNK) {
         let numbers: Vec<u32> = (first..entries.min(first + FILL_CHUNK as u32)).collect();
@@ -272,19 +272,22 @@ fn fill(entries: u32, vectors: &SyntheticVectors, threads: NonZeroUsize) -> Inde
             };
             let threads: Vec<_> = numbers
                 .chunks(share)
-                .map(|numbers| scope.spawn(move || generate(numbers)))
-                .collect();
+                .map(|numbers| {
+                    std::thread::Builder::new().spawn_scoped(scope, move || generate(numbers))
+                })
+                .collect::<std::io::Result<_>>()?;
             let join = |thread: std::thread::ScopedJoinHandle<'_, _>| match thread.join() {
                 Ok(generated) => generated,
                 Err(panic) => std::panic::resume_unwind(panic),
             };
-            threads.into_iter().flat_map(join).collect::<Vec<_>>()
+            Ok::<_, std::io::Error>(threads.into_iter().flat_map(join).collect::<Vec<_>>())
         });
+        let generated = generated.context("cannot start a thread")?;
         for (number, embedding) in numbers.into_iter().zip(generated) {
             let entry =
                 ViewEntry { demonstration: (number >> 16) as u16, step: number as u16, stage: 0 };
             builder.add_distinct(entry, embedding.as_slice());
         }
     }
-    builder.build()
+    Ok(builder.build())
 }

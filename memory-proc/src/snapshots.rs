@@ -77,8 +77,8 @@ impl SnapshotFolder {
             },
         };
         Err(format!(
-            "snapshot {} {what}. Delete the lines of this sequence from episodes.jsonl, or remove the folder to start over \
-             (as `run --fresh` does)",
+            "snapshot {} {what}. Its sequence cannot go on, however often the run is continued. To run the sequence \
+             again, delete its lines from episodes.jsonl; `run --fresh` runs all again",
             folder.display()
         ))
     }

@@ -65,7 +65,7 @@ fn default_model() -> Model {
 fn start(file: ModelFile, threads: usize) -> anyhow::Result<Encoder> {
     let threads = NonZeroUsize::new(threads).unwrap();
     let prepared = PreparedEncoder::new(file, &cache().runtime(), threads, Provider::Cpu)?;
-    Ok(prepared.start(SessionOpening::OnDemand, || {}))
+    prepared.start(SessionOpening::OnDemand, || {})
 }
 
 /// The default encoder.

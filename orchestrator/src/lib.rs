@@ -1,7 +1,8 @@
 //! Executes runs: plan, lanes, child processes, status.
 //!
 //! - Before a run: [`plan`] (episodes and their seeds), [`selection`] (of a world's cases and streams), [`units`] (parts
-//!   for other machines) and [`store`] (what they need, by content), [`streams`] (world states and references),
+//!   for other machines) and [`store`] (what they need, by content), [`scratch`] (what killed programs left),
+//!   [`streams`] (world states and references),
 //!   [`documents`] (built where they are missing), [`external_memory`] (started, and asked for their names), [`launch`]
 //!   (which processes, with which limits), [`frame_budget`] (room in shared memory).
 //! - During a run: [`lanes`] (episodes step by step, pure), [`event_recorder`] (what an episode's record needs beside
@@ -29,6 +30,7 @@ pub mod pipeline;
 pub mod plan;
 pub mod profile;
 pub mod progress;
+pub mod scratch;
 pub mod selection;
 pub mod session;
 pub mod status;

@@ -13,6 +13,7 @@ mod generation;
 mod queue;
 mod startup;
 mod supervision;
+mod vital_signs;
 
 use std::collections::BTreeMap;
 use std::fmt;

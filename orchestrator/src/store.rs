@@ -13,9 +13,9 @@ mod bucket;
 
 use std::fs::{self, File};
 use std::io::{self, Read};
-use std::os::unix::fs::PermissionsExt;
 use std::path::{Component, Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, ensure};
 use domain::{RUNTIME_FILE, RUNTIME_SHA256, hex};
@@ -27,6 +27,7 @@ use supervise::Launch;
 
 use self::bucket::Bucket;
 use crate::launch::encoder_flags;
+use crate::scratch::{self, ScratchFolder};
 
 /// The folder in the cache folder of embeddings that came with plans.
 const EMBEDDINGS: &str = "shipped-embeddings";
@@ -219,9 +220,10 @@ fn write_checked(
     check: impl FnOnce(&Path) -> Result<()>,
 ) -> Result<()> {
     let folder = to.parent().context("a file without a folder")?;
-    // Other users of the store and of the cache folder read it, as far as the umask lets them.
-    let permissions = fs::Permissions::from_mode(0o666);
-    let mut draft = tempfile::Builder::new().permissions(permissions).tempfile_in(folder)?;
+    for draft in scratch::abandoned_drafts(folder)? {
+        scratch::remove(&draft)?;
+    }
+    let mut draft = scratch::draft_in(folder)?;
     write(draft.as_file_mut())?;
     draft.as_file().sync_all()?;
     check(draft.path())?;
@@ -231,7 +233,7 @@ fn write_checked(
 
 impl Shipment {
     /// Puts what the workers of a run with `settings` need into `store`: `documents`, and with `encoder` what memories that
-    /// match views need. `cache` is the cache folder.
+    /// match views need. `cache` is the cache folder. `None` when `stop` was set.
     ///
     /// # Errors
     /// When something cannot be read or written.
@@ -241,7 +243,8 @@ impl Shipment {
         settings: &RunSettings,
         documents: &[PathBuf],
         encoder: bool,
-    ) -> Result<Self> {
+        stop: &AtomicBool,
+    ) -> Result<Option<Self>> {
         let mut files = Vec::new();
         // Documents of another folder than the cache's travel with that folder.
         for document in documents {
@@ -251,9 +254,15 @@ impl Shipment {
         }
         let mut embeddings = None;
         if encoder {
-            let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+            let folder = ScratchFolder::new().context("cannot make a temporary folder")?;
             let written = folder.path().join("embeddings");
-            for file in encoder_files(settings, &written)? {
+            let Some(encoder_files) = encoder_files(settings, &written, stop)? else {
+                return Ok(None);
+            };
+            for file in encoder_files {
+                if stop.load(Ordering::Relaxed) {
+                    return Ok(None);
+                }
                 // A model or runtime of the user's own is named on every machine.
                 let Ok(path) = file.strip_prefix(cache) else { continue };
                 let path = path.display().to_string();
@@ -267,7 +276,7 @@ impl Shipment {
             files.push(store.add(&written, path.clone())?);
             embeddings = Some(path);
         }
-        Ok(Self { store: store.address().to_owned(), files, embeddings })
+        Ok(Some(Self { store: store.address().to_owned(), files, embeddings }))
     }
 
     /// Copies what the cache folder `cache` lacks from the plan's store, or from `store`. Workers of one machine wait for each
@@ -305,20 +314,32 @@ impl Shipment {
     }
 }
 
-/// Writes the embeddings that are known here to the file `written`; returns the files of the encoder.
-fn encoder_files(settings: &RunSettings, written: &Path) -> Result<Vec<PathBuf>> {
+/// Writes the embeddings that are known here to the file `written`; returns the files of the encoder. `None` when `stop` was set.
+fn encoder_files(
+    settings: &RunSettings,
+    written: &Path,
+    stop: &AtomicBool,
+) -> Result<Option<Vec<PathBuf>>> {
     let launch = Launch::sibling(Role::Memory, "memory-proc", vec!["embeddings".into()])?;
     let out = [("--out", Some(written.display().to_string()))];
     let launch = launch.with_flags(encoder_flags(settings)).with_flags(out);
     let Launch { program, args, .. } = launch;
-    let output = Command::new(&program).args(args).stderr(std::process::Stdio::inherit()).output();
+    let output = supervise::output(Command::new(&program).args(args), stop);
     let output = output.with_context(|| format!("cannot start {}", program.display()))?;
-    ensure!(output.status.success(), "memory-proc could not write the embeddings that are known");
-    serde_json::from_slice(&output.stdout).context("memory-proc lists files that cannot be read")
+    let Some(output) = output else { return Ok(None) };
+    ensure!(
+        output.status.success(),
+        "memory-proc could not write the embeddings that are known: {}",
+        String::from_utf8_lossy(&output.stderr).trim()
+    );
+    let files = serde_json::from_slice(&output.stdout);
+    files.context("memory-proc lists files that cannot be read").map(Some)
 }
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
     use super::*;
 
     /// A store with one file, and an empty cache folder.

@@ -214,7 +214,8 @@ fn draw_all(
     };
     thread::scope(|scope| {
         let renderers = renderers.iter_mut().take(count);
-        let threads: Vec<_> = renderers.map(|renderer| scope.spawn(|| work(renderer))).collect();
+        let start = |renderer| thread::Builder::new().spawn_scoped(scope, move || work(renderer));
+        let threads = renderers.map(start).collect::<std::io::Result<Vec<_>>>()?;
         threads.into_iter().try_for_each(|thread| match thread.join() {
             Ok(drawn) => drawn,
             Err(panic) => std::panic::resume_unwind(panic),

@@ -331,6 +331,13 @@ impl Attach {
             let found = format!("{:?}", self.external_memories);
             return value("external_memories", &found, "ascending indices".to_owned());
         }
+        // attach.json is text.
+        for (field, path) in [("prompts", &self.prompts), ("spans", &self.spans)] {
+            if let Some(path) = path.as_ref().filter(|path| path.to_str().is_none()) {
+                let expected = "a path in UTF-8: choose another folder for the run".to_owned();
+                return value(field, &path.display(), expected);
+            }
+        }
         if self.wait.spin_us > 1_000_000 {
             return value("wait.spin_us", &self.wait.spin_us, "0 to 1000000".to_owned());
         }
@@ -447,6 +454,15 @@ mod tests {
             let error = error_with(from, to);
             assert!(error.starts_with(said) || error.contains(said), "{error}");
         }
+    }
+
+    #[test]
+    fn a_path_that_is_not_text_is_named() {
+        use std::os::unix::ffi::OsStrExt;
+        let prompts = Path::new(OsStr::from_bytes(b"caf\xe9/prompts")).to_owned();
+        let attach = Attach { prompts: Some(prompts), ..attach() };
+        let error = attach.check().unwrap_err().to_string();
+        assert!(error.starts_with("prompts is caf\u{fffd}/prompts, but must be a path in UTF-8"));
     }
 
     #[test]

@@ -1,15 +1,13 @@
-//! Reporting progress to the orchestrator, about once a second.
+//! Reporting progress to the orchestrator, about once a second: also when there is none, as a sign that the serve loop runs.
 
 use std::time::Duration;
-
-use bytemuck::Zeroable;
 
 use crate::bus::{Bus, BusError, Sender};
 use crate::clock::Instant;
 use crate::message::{Heartbeat, Role};
 
-/// Minimum time between two heartbeats.
-const INTERVAL: Duration = Duration::from_secs(1);
+/// Minimum time between two heartbeats. Serve loops sleep no longer, so it is also about the maximum.
+pub const INTERVAL: Duration = Duration::from_secs(1);
 
 /// Sends the heartbeats of a process.
 #[derive(Debug)]
@@ -17,7 +15,6 @@ pub struct Heartbeats {
     sender: Sender<Heartbeat>,
     role: Role,
     external: u32,
-    last: Heartbeat,
     sent: Instant,
 }
 
@@ -28,11 +25,11 @@ impl Heartbeats {
     /// When the service cannot be opened.
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
         let (sender, role, external) = (bus.sender()?, bus.role(), bus.index().into());
-        Ok(Self { sender, role, external, last: Zeroable::zeroed(), sent: Instant::now() })
+        Ok(Self { sender, role, external, sent: Instant::now() })
     }
 
-    /// Sends `heartbeat` (the role is filled in) if the last one was sent a second ago and it has changed since.
-    /// Returns whether it was sent; notify the orchestrator then. Call it in every iteration of the serve loop.
+    /// Sends `heartbeat` (the role is filled in) if the last one was sent a second ago.
+    /// Returns whether it was due; notify the orchestrator then. Call it in every iteration of the serve loop.
     ///
     /// Never fails and never waits: a heartbeat may be lost.
     pub fn beat(&mut self, heartbeat: impl FnOnce() -> Heartbeat) -> bool {
@@ -42,11 +39,9 @@ impl Heartbeats {
         self.sent = Instant::now();
         let (role, external) = (self.role as u32, self.external);
         let heartbeat = Heartbeat { role, external, ..heartbeat() };
-        let has_changed = heartbeat != self.last;
-        if has_changed && let Err(error) = self.sender.send(&heartbeat) {
+        if let Err(error) = self.sender.send(&heartbeat) {
             tracing::debug!(%error, "the heartbeat was not delivered");
         }
-        self.last = heartbeat;
-        has_changed
+        true
     }
 }

@@ -12,6 +12,9 @@ pub use crate::clock::monotonic_ns;
 /// The file system of shared memory.
 pub const SHARED_MEMORY: &str = "/dev/shm";
 
+/// Names in shared memory that a run can need at its start: with the built-in memories it has about 90, and files in its folder.
+const NAMES: u64 = 256;
+
 /// Makes the kernel kill this process when its parent `parent` ends.
 ///
 /// The kernel watches the *thread* that started this process: start children from a thread that outlives them.
@@ -74,19 +77,56 @@ pub enum SharedMemoryError {
         /// MiB in total.
         total: u64,
     },
+    /// Too few names are free.
+    #[error(
+        "a run can need {NAMES} names in {SHARED_MEMORY}, and {free} inodes are free of {total}: remove files there, or mount \
+         it with a larger nr_inodes"
+    )]
+    NoNames {
+        /// Inodes that are free.
+        free: u64,
+        /// Inodes in total.
+        total: u64,
+    },
     /// The system does not report how much is free.
     #[error("cannot read the free space of {SHARED_MEMORY}: {0}")]
     Unknown(io::Error),
 }
 
-/// Checks that `needed` bytes of shared memory are free: writing past the end of shared memory kills a process with
-/// SIGBUS.
+/// Checks that `needed` bytes of shared memory are free, and the names of a run: writing past the end of shared memory kills a
+/// process with SIGBUS.
 ///
 /// # Errors
 /// When too little is free, or the system does not report it.
 pub fn check_shared_memory(needed: u64) -> Result<(), SharedMemoryError> {
     let (free, total) = shared_memory_space().map_err(SharedMemoryError::Unknown)?;
-    check_space(needed, free, total)
+    check_space(needed, free, total)?;
+    let names =
+        rustix::fs::statvfs(SHARED_MEMORY).map_err(|e| SharedMemoryError::Unknown(e.into()))?;
+    check_names(names.f_favail, names.f_files)
+}
+
+/// `total` is 0 on a file system that does not count names.
+fn check_names(free: u64, total: u64) -> Result<(), SharedMemoryError> {
+    if total == 0 || free >= NAMES {
+        Ok(())
+    } else {
+        Err(SharedMemoryError::NoNames { free, total })
+    }
+}
+
+/// `error`, with the reason where a file system is full of names rather than of bytes: the system has one code for both.
+pub(crate) fn with_full_inodes(error: io::Error, path: &Path) -> io::Error {
+    let folder = path.parent().unwrap_or(path);
+    let is_full = error.raw_os_error() == Some(rustix::io::Errno::NOSPC.raw_os_error())
+        && rustix::fs::statvfs(folder).is_ok_and(|about| about.f_files > 0 && about.f_favail == 0);
+    match is_full {
+        true => io::Error::other(format!(
+            "{error}: the file system of {} has no inodes left; remove files there, or mount it with a larger nr_inodes",
+            folder.display()
+        )),
+        false => error,
+    }
 }
 
 /// Bytes of shared memory: free, and in total.
@@ -133,5 +173,11 @@ mod tests {
              --shm-size)"
         );
         assert!(check_space(1, 1, 1).is_ok());
+        let error = check_names(3, 1000).unwrap_err().to_string();
+        assert!(
+            error.contains("3 inodes are free of 1000") && error.contains("nr_inodes"),
+            "{error}"
+        );
+        assert!(check_names(NAMES, 1000).is_ok() && check_names(0, 0).is_ok());
     }
 }

@@ -10,14 +10,19 @@
 //! the two, or whose second call fails, leaves a segment without a size, and iceoryx2 waits without end for the size of a
 //! segment that it opens. A thread of the run's owner removes such segments while the run goes on; when the owner is gone, a
 //! thread of each policy and external memory does.
+//!
+//! # The counter of nodes
+//! The first node of a prefix creates a segment that counts nodes, and iceoryx2 lets every user write to that one, whatever the
+//! umask. A run's owner creates it before there is a node, for itself only; nodes open the one they find.
 
 use std::ffi::OsStr;
 use std::fs::{self, DirBuilder, File, TryLockError};
 use std::hash::{BuildHasher, Hasher, RandomState};
-use std::io;
-use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+use std::io::{self, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
@@ -26,7 +31,7 @@ use iceoryx2::prelude::{CallbackProgression, Config};
 
 use crate::attach::{Attach, MAX_ROOT_BYTES, prefix};
 use crate::clock::{self, Instant};
-use crate::process::{ProcessWatch, SHARED_MEMORY};
+use crate::process::{ProcessWatch, SHARED_MEMORY, with_full_inodes};
 use crate::transport::{Ipc, run_config};
 
 /// The file that every process of a run keeps locked.
@@ -38,6 +43,12 @@ const EXIT_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Time between two searches of a live run for segments without a size.
 const SWEEP_INTERVAL: Duration = Duration::from_millis(250);
+
+/// The name of iceoryx2's counter of nodes after the run's prefix: the SHA-1 of the type's name, and the version.
+const NODE_COUNTER: &str = "9204dd183d1c4d8e1ff592a30766ffa6765aa8b5_node.0_10_0.global_mgmt";
+
+/// A new counter of nodes: iceoryx2's version (major, minor and patch have 16 bits each), and no node yet.
+const NEW_NODE_COUNTER: [u64; 2] = [10 << 16, 0];
 
 /// How often to look whether a process has an unfinished segment open, and the time between two looks.
 const LOOKS_AT_UNFINISHED: u32 = 100;
@@ -59,9 +70,21 @@ pub enum RegistryError {
         /// The operating system's error.
         cause: io::Error,
     },
-    /// The folder of all runs belongs to another user, or other users may write to it.
-    #[error("{} is not a folder that only you can write to: remove it or choose another", path.display())]
+    /// What has the name of the folder of all runs belongs to another user, or is no folder.
+    #[error(
+        "{} {}, so your runs cannot be registered there. Name another folder in every shell that you use this program in; \
+         it is made where it is missing: export {RUN_DIR_VARIABLE}=~/.mt",
+        path.display(), if *owner == own_user() { "is no folder".to_owned() } else { format!("belongs to user {owner}") }
+    )]
     NotOurs {
+        /// The path.
+        path: PathBuf,
+        /// The id of the user it belongs to.
+        owner: u32,
+    },
+    /// Other users may write to the folder of all runs.
+    #[error("other users may write to {0}, where your runs are registered: chmod 700 {0}", path.display())]
+    OthersWrite {
         /// The folder.
         path: PathBuf,
     },
@@ -77,19 +100,54 @@ pub enum RegistryError {
 }
 
 fn system<'a>(doing: &'static str, path: &'a Path) -> impl FnOnce(io::Error) -> RegistryError + 'a {
-    move |cause| RegistryError::System { doing, path: path.to_owned(), cause }
+    move |cause| {
+        let cause = with_full_inodes(cause, path);
+        RegistryError::System { doing, path: path.to_owned(), cause }
+    }
 }
 
 /// Bytes of a slash and a run's name.
 const RUN_NAME_BYTES: usize = 9;
 
+/// The environment variable that names the folder of all runs.
+pub const RUN_DIR_VARIABLE: &str = "MEMTRANSFER_RUN_DIR";
+
 /// The folder of all runs of this user: `/dev/shm/memtransfer-<uid>`, unless `MEMTRANSFER_RUN_DIR` names one. It is in memory,
 /// as what the runs share is: iceoryx2 flushes each of the many small files that it makes there.
 pub fn default_base() -> PathBuf {
-    std::env::var_os("MEMTRANSFER_RUN_DIR").map_or_else(
-        || PathBuf::from(format!("/dev/shm/memtransfer-{}", rustix::process::getuid().as_raw())),
+    std::env::var_os(RUN_DIR_VARIABLE).filter(|folder| !folder.is_empty()).map_or_else(
+        || PathBuf::from(format!("/dev/shm/memtransfer-{}", own_user())),
         PathBuf::from,
     )
+}
+
+fn own_user() -> u32 {
+    rustix::process::getuid().as_raw()
+}
+
+/// The folders of the runs that this process owns.
+static OWN_RUNS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+fn own_runs() -> MutexGuard<'static, Vec<PathBuf>> {
+    OWN_RUNS.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Removes what the runs of this process have in shared memory, and their folders, whatever is still in use: for a program that is
+/// about to end without calling its destructors. Its child processes have to be ended before.
+///
+/// # Errors
+/// The first of the operations that failed; the others are done.
+pub fn abandon_own_runs() -> Result<(), RegistryError> {
+    let mut outcome = Ok(());
+    for run in own_runs().iter() {
+        outcome = outcome.and(remove_names(run)).and(match fs::remove_dir_all(run) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                Err(system("cannot remove", run)(error))
+            }
+            _ => Ok(()),
+        });
+    }
+    outcome
 }
 
 /// A run's folder, owned by the process that created it. Dropping it removes the run, unless a process of the run is
@@ -123,8 +181,10 @@ impl RunDir {
             let lock = File::create_new(&file)
                 .and_then(|lock| lock.lock_shared().map(|()| lock))
                 .map_err(system("cannot lock", &file))?;
+            create_node_counter(&prefix(&path))?;
             let sweeper = (!clock::is_simulated()).then(|| Sweeper::start(path.clone(), None));
             let sweeper = sweeper.transpose().map_err(system("cannot watch", &path))?;
+            own_runs().push(path.clone());
             return Ok(Self { path, lock, sweeper });
         }
     }
@@ -178,6 +238,7 @@ impl Drop for RunDir {
             ),
             Err(error) => tracing::warn!(%error, "run {} could not be removed", self.name()),
         }
+        own_runs().retain(|run| *run != self.path);
     }
 }
 
@@ -269,6 +330,18 @@ pub(crate) fn lock_shared(root: &Path) -> io::Result<File> {
     fs::metadata(root.join(LOCK_FILE)).map(|_| lock)
 }
 
+/// Creates the counter of nodes of the run with this prefix.
+fn create_node_counter(prefix: &str) -> Result<(), RegistryError> {
+    let path = Path::new(SHARED_MEMORY).join(format!("{prefix}{NODE_COUNTER}"));
+    File::options()
+        .write(true)
+        .create_new(true)
+        .mode(0o600)
+        .open(&path)
+        .and_then(|mut counter| counter.write_all(bytemuck::bytes_of(&NEW_NODE_COUNTER)))
+        .map_err(system("cannot create", &path))
+}
+
 /// Creates, checks and locks the folder of all runs: runs are created and cleaned one at a time.
 fn lock_base(base: &Path) -> Result<File, RegistryError> {
     if base.as_os_str().len() > MAX_ROOT_BYTES - RUN_NAME_BYTES {
@@ -279,9 +352,11 @@ fn lock_base(base: &Path) -> Result<File, RegistryError> {
         outcome => outcome.map_err(system("cannot make", base))?,
     }
     let about = fs::symlink_metadata(base).map_err(system("cannot look at", base))?;
-    let others_write = about.mode() & 0o022 != 0;
-    if !about.is_dir() || about.uid() != rustix::process::getuid().as_raw() || others_write {
-        return Err(RegistryError::NotOurs { path: base.to_owned() });
+    if !about.is_dir() || about.uid() != own_user() {
+        return Err(RegistryError::NotOurs { path: base.to_owned(), owner: about.uid() });
+    }
+    if about.mode() & 0o022 != 0 {
+        return Err(RegistryError::OthersWrite { path: base.to_owned() });
     }
     let lock = File::open(base).map_err(system("cannot open", base))?;
     lock.lock().map_err(system("cannot lock", base))?;
@@ -429,11 +504,15 @@ fn remove_if_dead(run: &Path) -> Result<bool, RegistryError> {
     }
     remove_unfinished(run)?;
     remove_dead_nodes(run);
-    for name in names_with_prefix(&prefix(run))? {
-        remove_segment(&Path::new(SHARED_MEMORY).join(name))?;
-    }
+    remove_names(run)?;
     fs::remove_dir_all(run).map_err(system("cannot remove", run))?;
     Ok(true)
+}
+
+/// Removes everything that the run has in shared memory.
+fn remove_names(run: &Path) -> Result<(), RegistryError> {
+    let names = names_with_prefix(&prefix(run))?;
+    names.into_iter().try_for_each(|name| remove_segment(&Path::new(SHARED_MEMORY).join(name)))
 }
 
 /// Removes dead nodes through iceoryx2, which knows their resources. The caller removes the rest by name.

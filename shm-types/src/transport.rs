@@ -12,6 +12,7 @@ use iceoryx2::prelude::{
     FileName, IceoryxSend, SemanticString, ServiceName, ZeroCopySend, ipc_threadsafe,
 };
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use rustix::process::{Resource, getrlimit};
 
 use crate::attach::{Attach, AttachError, MAX_ROOT_BYTES};
 use crate::message::Role;
@@ -104,12 +105,28 @@ pub enum BusError {
 
 impl BusError {
     pub(crate) fn open(what: impl Display, cause: impl Display) -> Self {
-        Self::Open { what: what.to_string(), cause: cause.to_string() }
+        Self::Open { what: what.to_string(), cause: with_full_file_table(&cause) }
     }
 
     pub(crate) fn transport(what: &'static str, cause: impl Display) -> Self {
-        Self::Transport { what, cause: cause.to_string() }
+        Self::Transport { what, cause: with_full_file_table(&cause) }
     }
+}
+
+/// Open files below the limit at which it is the likely cause of an error: iceoryx2 has closed some again.
+const FILE_MARGIN: u64 = 16;
+
+/// iceoryx2's error, which does not tell when this process may open no more files.
+fn with_full_file_table(cause: &dyn Display) -> String {
+    let Some(limit) = getrlimit(Resource::Nofile).current else { return cause.to_string() };
+    // When this list cannot be opened, all are in use.
+    let open = std::fs::read_dir("/proc/self/fd").map_or(limit, |files| files.count() as u64);
+    if open + FILE_MARGIN < limit {
+        return cause.to_string();
+    }
+    format!(
+        "{cause}; this process has {open} of at most {limit} files open: raise the limit, for example `ulimit -n 4096`"
+    )
 }
 
 /// Creates a receiver that fails where it cannot connect to a sender. Left to itself, iceoryx2 warns and does not try again,

@@ -131,17 +131,20 @@ impl RenderPool {
     }
 
     /// Starts a thread for each worker. The threads call `wake` whenever [`Self::take`] has something to return.
+    ///
+    /// # Errors
+    /// When the system starts no more threads.
     pub(crate) fn new(
         workers: Vec<Box<dyn RenderWorker>>,
         batch_views: usize,
         wake: impl Fn() + Clone + Send + 'static,
-    ) -> Self {
+    ) -> Result<Self> {
         let capacity = workers.len() * batch_views * (1 + WAITING_PER_WORKER);
         let (requests, queue) = unbounded::<RenderRequest>();
         let (sender, rendered) = unbounded();
         let start = |(number, mut worker): (usize, Box<dyn RenderWorker>)| {
             let (queue, sender, wake) = (queue.clone(), sender.clone(), wake.clone());
-            thread::spawn(move || {
+            thread::Builder::new().spawn(move || {
                 while let Ok(first) = queue.recv() {
                     let more = queue.try_iter().take(batch_views - 1);
                     let batch = std::iter::once(first).chain(more).collect();
@@ -152,9 +155,10 @@ impl RenderPool {
                 }
             })
         };
-        let threads = workers.into_iter().enumerate().map(start).collect();
+        let threads = workers.into_iter().enumerate().map(start).collect::<std::io::Result<_>>();
+        let threads = threads.context("cannot start a render thread")?;
         let requests = Requests::Threads(Some(requests));
-        Self { requests, rendered, threads, capacity, in_flight: 0 }
+        Ok(Self { requests, rendered, threads, capacity, in_flight: 0 })
     }
 
     /// How many requests may be sent now.

@@ -154,7 +154,7 @@ impl<'a> Simulator<'a> {
         };
         let pool = match on_serve_thread {
             true => RenderPool::on_caller(workers.swap_remove(0), wake),
-            false => RenderPool::new(workers, batch_views, wake),
+            false => RenderPool::new(workers, batch_views, wake)?,
         };
         let mut rendering = Rendering { pool, find_changes, same_as: FxHashMap::default() };
         if warm_views {

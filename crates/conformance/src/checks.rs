@@ -64,14 +64,15 @@ fn stops<R: TestedRole>(kit: &mut Kit<'_, R>) -> CheckResult<String> {
 
 fn orchestrator_ends<R: TestedRole>(kit: &mut Kit<'_, R>) -> CheckResult<String> {
     kit.kill_subject();
-    let stand_in = Command::new("sleep").arg("3600").stdin(Stdio::null()).spawn();
-    let mut stand_in = stand_in.context("cannot start `sleep`")?;
+    // Ends with this program, whose end closes the pipe.
+    let stand_in = Command::new("cat").stdin(Stdio::piped()).stdout(Stdio::null()).spawn();
+    let mut stand_in = stand_in.context("cannot start `cat`")?;
     kit.attach.orchestrator_pid = stand_in.id();
     let outcome = kit.subject().map(drop);
     let ended = stand_in.kill().and_then(|()| stand_in.wait());
     kit.attach.orchestrator_pid = std::process::id();
     outcome?;
-    ended.context("cannot end `sleep`")?;
+    ended.context("cannot end `cat`")?;
     // It may have ended already.
     let Some(mut subject) = kit.subject.take() else { return wrong("it did not start") };
     subject.wait_for_exit()?;

@@ -44,13 +44,14 @@ impl Video {
         let images = child.stdin.take();
         // Read from another thread, so that ffmpeg never waits for a reader.
         let messages = child.stderr.take().map(|mut pipe| {
-            std::thread::spawn(move || {
+            std::thread::Builder::new().spawn(move || {
                 let mut text = Vec::new();
                 // What cannot be read is missing from an error message.
                 let _ = pipe.read_to_end(&mut text);
                 String::from_utf8_lossy(&text).trim().to_owned()
             })
         });
+        let messages = messages.transpose().context("cannot start a thread")?;
         Ok(Self { child, images, messages })
     }
 

@@ -3,6 +3,7 @@
 //!
 //! This is no benchmark: apart from the request of the run's size, the questions are trivial.
 
+use std::io;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -391,14 +392,23 @@ impl ServerProbe<'_> {
             Err(error) => return self.found(WHAT, ProbeMark::Bad, error.to_string()),
         };
         let (start, client) = (Instant::now(), self.client);
-        let tokens: Result<Option<u64>, AskError> = thread::scope(|scope| {
-            let threads: Vec<_> = (1..=together)
-                .map(|number| scope.spawn(move || client.ask(&counting(number), 0)))
-                .collect();
+        let tokens: io::Result<Result<Option<u64>, AskError>> = thread::scope(|scope| {
+            let ask = |number| {
+                let ask = move || client.ask(&counting(number), 0);
+                thread::Builder::new().spawn_scoped(scope, ask)
+            };
+            let threads = (1..=together).map(ask).collect::<io::Result<Vec<_>>>()?;
             let answers = threads.into_iter().filter_map(|thread| thread.join().ok());
             let tokens = answers.map(|answer| answer.map(|answer| answer.reply.completion_tokens));
-            tokens.collect::<Result<Vec<_>, _>>().map(|tokens| tokens.into_iter().sum())
+            Ok(tokens.collect::<Result<Vec<_>, _>>().map(|tokens| tokens.into_iter().sum()))
         });
+        let tokens = match tokens {
+            Ok(tokens) => tokens,
+            Err(error) => {
+                let about = format!("cannot start {together} threads (`ulimit -u`): {error}");
+                return self.found(WHAT, ProbeMark::Doubtful, about);
+            }
+        };
         match tokens {
             Ok(tokens) => {
                 let about = format!("alone {alone}; {together} at once {}", timed(start, tokens));

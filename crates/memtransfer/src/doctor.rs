@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, anyhow, bail, ensure};
 use clap::{Args, ValueEnum};
@@ -10,6 +11,7 @@ use documents::DocumentName;
 use domain::cache_folder;
 use llm::{Endpoint, Servers, Source};
 use orchestrator::documents::needed;
+use orchestrator::scratch::{self, ScratchFolder};
 use results::settings::RunSettings;
 use rustix::fs::{Access, access};
 use rustix::io::Errno;
@@ -23,12 +25,16 @@ use supervise::sibling;
 
 use super::documents::{RunDocuments, listed};
 use super::{Exit, WorldArgs, print, print_json};
+use crate::signals::{self, Signals};
 
 /// Files that a process of a run opens, rounded up. The memory process opened most, 149, with 1 and with 1024 lanes.
 const OPEN_FILES: u64 = 256;
 
 /// The name of findings about a model's server.
 const ENDPOINT: &str = "endpoint";
+
+/// Why a check has no result.
+const STOPPED: &str = "stopped by a signal";
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -114,32 +120,11 @@ enum ProbedMark {
 }
 
 pub(super) fn run(args: &DoctorArgs) -> anyhow::Result<Exit> {
-    // One view is rendered and then embedded, as in a run.
-    let scratch = tempfile::Builder::new().prefix("memtransfer-doctor-").tempdir();
-    let scratch = scratch.context("cannot make a temporary folder")?;
-    let view = scratch.path().join("view.png");
-    let mut findings = vec![
-        DoctorFinding::of("warehouse and cases", world(&args.world)),
-        DoctorFinding::of("programs", programs()),
-        DoctorFinding::of("shared memory", shared_memory()),
-        DoctorFinding::of("open files", open_files(args)),
-        cache(),
-        DoctorFinding::of("rendering", rendering(&args.world, &view)),
-        DoctorFinding::of("ONNX Runtime and encoder", encoder(&args.world, &view)),
-        DoctorFinding::of("leftovers of killed runs", leftovers()),
-    ];
-    if let (Some(ModelPolicy::Openai), Some(model)) = (args.policy, &args.model) {
-        match servers(args) {
-            Err(error) => findings.push(DoctorFinding::of(ENDPOINT, Err(error))),
-            Ok(servers) => {
-                for server in servers.all() {
-                    match endpoint(model, server, &servers) {
-                        Ok(found) => findings.extend(found),
-                        Err(error) => findings.push(DoctorFinding::of(ENDPOINT, Err(error))),
-                    }
-                }
-            }
-        }
+    let signals = Signals::listen().context("cannot listen to signals")?;
+    let findings = check(args, signals.stop())?;
+    if let Some(signal) = signals.received() {
+        say!("stopped by {}", signals::name(signal));
+        return Ok(Exit::Signal(signal));
     }
     if args.json {
         print_json(&findings)?;
@@ -155,6 +140,37 @@ pub(super) fn run(args: &DoctorArgs) -> anyhow::Result<Exit> {
     }
     let all = findings.iter().all(|finding| finding.ok);
     Ok(if all { Exit::Complete } else { Exit::Failed })
+}
+
+/// All findings; those of programs are failures once `stop` is set.
+fn check(args: &DoctorArgs, stop: &AtomicBool) -> anyhow::Result<Vec<DoctorFinding>> {
+    // One view is rendered and then embedded, as in a run.
+    let scratch = ScratchFolder::new().context("cannot make a temporary folder")?;
+    let view = scratch.path().join("view.png");
+    let mut findings = vec![
+        DoctorFinding::of("warehouse and cases", world(&args.world)),
+        DoctorFinding::of("programs", programs()),
+        DoctorFinding::of("shared memory", shared_memory()),
+        DoctorFinding::of("open files", open_files(args)),
+        cache(),
+        DoctorFinding::of("rendering", rendering(&args.world, &view, stop)),
+        DoctorFinding::of("ONNX Runtime and encoder", encoder(&args.world, &view, stop)),
+        DoctorFinding::of("leftovers of killed runs", leftovers()),
+    ];
+    if let (Some(ModelPolicy::Openai), Some(model)) = (args.policy, &args.model) {
+        match servers(args) {
+            Err(error) => findings.push(DoctorFinding::of(ENDPOINT, Err(error))),
+            Ok(servers) => {
+                for server in servers.all() {
+                    match endpoint(model, server, &servers, stop) {
+                        Ok(found) => findings.extend(found),
+                        Err(error) => findings.push(DoctorFinding::of(ENDPOINT, Err(error))),
+                    }
+                }
+            }
+        }
+    }
+    Ok(findings)
 }
 
 fn world(args: &WorldArgs) -> anyhow::Result<String> {
@@ -257,18 +273,18 @@ fn unwritable(cache: &Path) -> Option<(PathBuf, Errno)> {
     })
 }
 
-fn rendering(world: &WorldArgs, view: &Path) -> anyhow::Result<String> {
+fn rendering(world: &WorldArgs, view: &Path, stop: &AtomicBool) -> anyhow::Result<String> {
     let mut command = Command::new(sibling("sim-proc")?);
     command.args(["render", "--pose", &a_pose(world)?, "--out"]).arg(view);
-    succeed(with_assets(command, world))?;
+    succeed(with_assets(command, world), stop)?;
     Ok("a view was rendered".to_owned())
 }
 
-fn encoder(world: &WorldArgs, view: &Path) -> anyhow::Result<String> {
+fn encoder(world: &WorldArgs, view: &Path, stop: &AtomicBool) -> anyhow::Result<String> {
     ensure!(view.exists(), "not checked, because no view could be rendered");
     let mut command = Command::new(sibling("memory-proc")?);
     command.arg("embed").arg(view);
-    succeed(with_assets(command, world))?;
+    succeed(with_assets(command, world), stop)?;
     Ok("the view was embedded".to_owned())
 }
 
@@ -276,6 +292,9 @@ fn leftovers() -> anyhow::Result<String> {
     let runs = registry::list(&registry::default_base())?;
     let dead = runs.iter().filter(|run| !run.alive).count();
     ensure!(dead == 0, "{dead} runs hold shared memory: `memtransfer clean` removes them");
+    let folders = scratch::abandoned_folders().context("cannot search for temporary folders")?;
+    let count = folders.len();
+    ensure!(count == 0, "{count} temporary folders: `memtransfer clean` removes them");
     Ok("none".to_owned())
 }
 
@@ -299,6 +318,7 @@ fn endpoint(
     model: &str,
     server: &Endpoint,
     servers: &Servers,
+    stop: &AtomicBool,
 ) -> anyhow::Result<Vec<DoctorFinding>> {
     let mut command = Command::new(sibling("policy-proc")?);
     command.args(["probe", "--json", "--model", model, "--base-url", &server.base()]);
@@ -306,7 +326,7 @@ fn endpoint(
     let settings = settings(model)?;
     let documents = RunDocuments::of(&settings, None, false);
     command.args(request_size(&settings, &documents));
-    let output = command.output()?;
+    let output = supervise::output(&mut command, stop)?.context(STOPPED)?;
     if output.stdout.is_empty() {
         bail!("{}", String::from_utf8_lossy(&output.stderr).trim());
     }
@@ -381,8 +401,8 @@ fn with_assets(mut command: Command, world: &WorldArgs) -> Command {
 }
 
 /// Runs `command`; what it prints on stderr is the error.
-fn succeed(mut command: Command) -> anyhow::Result<()> {
-    let output = command.output()?;
+fn succeed(mut command: Command, stop: &AtomicBool) -> anyhow::Result<()> {
+    let output = supervise::output(&mut command, stop)?.context(STOPPED)?;
     let message = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "{}", message.trim());
     Ok(())

@@ -147,8 +147,6 @@ enum Exit {
     UnitsMissing,
     /// A signal ended it.
     Signal(u8),
-    /// The exit status of the program that did the work.
-    Code(u8),
 }
 
 impl From<Exit> for ExitCode {
@@ -159,7 +157,6 @@ impl From<Exit> for ExitCode {
             Exit::Error => 2,
             Exit::UnitsMissing => 3,
             Exit::Signal(signal) => 128_u8.saturating_add(signal),
-            Exit::Code(code) => code,
         })
     }
 }
@@ -196,7 +193,7 @@ fn main() -> ExitCode {
         // `memtransfer ls cases | head` is not an error.
         Err(error) if program::is_closed_pipe(&error) => Exit::Complete.into(),
         Err(error) => {
-            say!("memtransfer: {}", program::printable(&in_one_line(&error)));
+            say!("memtransfer: {}", program::with_advice(&in_one_line(&error)));
             Exit::Error.into()
         }
     }
@@ -213,14 +210,13 @@ fn in_one_line(error: &anyhow::Error) -> String {
 
 /// Prints a text to stdout, with a line end, and without characters that steer a terminal.
 fn print(text: &str) -> anyhow::Result<()> {
-    let text = program::printable(text);
-    let mut stdout = io::stdout().lock();
-    stdout.write_all(text.as_bytes())?;
+    let mut text = program::printable(text);
     if !text.ends_with('\n') {
-        stdout.write_all(b"\n")?;
+        text.push('\n');
     }
-    stdout.flush()?;
-    Ok(())
+    let mut stdout = io::stdout().lock();
+    let written = stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush());
+    written.context("cannot write to standard output")
 }
 
 /// Prints a value to stdout as JSON.

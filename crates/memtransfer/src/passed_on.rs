@@ -20,16 +20,14 @@ pub(super) struct PassedOn {
 }
 
 impl PassedOn {
-    /// Runs `verb` of `program`, and ends as it ends.
+    /// Becomes `verb` of `program`. Returns only an error.
     pub(super) fn run(&self, program: &str, verb: &str) -> anyhow::Result<Exit> {
         let program = sibling(program)?;
         let mut command = Command::new(&program);
         // Help and errors name the command that was given.
         command.arg0("memtransfer").arg(verb).args(&self.arguments);
         command.env(QUIET_DRIVER.0, QUIET_DRIVER.1);
-        let status = command.status();
-        let status = status.with_context(|| format!("cannot start {}", program.display()))?;
-        let code = status.code().and_then(|code| u8::try_from(code).ok());
-        Ok(code.map_or(Exit::Error, Exit::Code))
+        let error = command.exec();
+        Err(error).with_context(|| format!("cannot start {}", program.display()))
     }
 }

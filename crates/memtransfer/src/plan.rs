@@ -15,7 +15,8 @@ use settings::{Layer, resolve};
 
 use super::run::flags::{RunOptions, SettingFlags, source_of};
 use super::run_plan::{
-    ALL, BUILDING_DOCUMENTS, Purpose, RunPlan, STARTING_MEMORIES, stopped_before_episodes,
+    ALL, BUILDING_DOCUMENTS, FILLING_STORE, Purpose, RunPlan, STARTING_MEMORIES,
+    stopped_before_episodes,
 };
 use super::{Exit, commands, make_folder_of, print};
 use crate::signals::Signals;
@@ -111,7 +112,12 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
         let paths: Vec<_> = documents.documents.iter().map(|one| one.file.clone()).collect();
         let (store, cache) = (Store::open(store)?, cache_folder()?);
         let encoder = run.matches_views();
-        plan.shipment = Some(Shipment::pack(&store, &cache, &run.settings, &paths, encoder)?);
+        let shipment =
+            Shipment::pack(&store, &cache, &run.settings, &paths, encoder, signals.stop())?;
+        if shipment.is_none() {
+            return Ok(stopped_before_episodes(&signals, FILLING_STORE));
+        }
+        plan.shipment = shipment;
     }
     make_folder_of(&path)?;
     match before {

@@ -180,7 +180,7 @@ pub(super) fn run(args: &ProfileArgs) -> Result<Exit> {
         commit: COMMIT.map(str::to_owned),
         unix_s,
         machine: Machine::here(),
-        floors: floors::measure(extent.floors),
+        floors: floors::measure(extent.floors).context("cannot start a thread")?,
         encoder: profiler.settings(RunWay::COLD)?.encoder,
         runs: Vec::new(),
         searches: Vec::new(),

@@ -3,12 +3,14 @@
 mod dry_run;
 pub(super) mod flags;
 
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use clap::Args;
 use flags::{RunOptions, SettingFlags, source_of};
-use results::log::RunLog;
+use results::log::{EpisodeError, RunLog};
 use results::score::WithoutAction;
 use settings::{Layer, resolve};
 
@@ -81,6 +83,32 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
     }
 }
 
+/// Kinds of reasons that are printed.
+const SHOWN_REASONS: usize = 3;
+
+/// Why episodes were given up: the most frequent reasons, and how many episodes each has.
+pub(super) fn reasons(errors: &[EpisodeError]) -> String {
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    for error in errors {
+        *counts.entry(&error.error).or_default() += 1;
+    }
+    let mut counts: Vec<_> = counts.into_iter().collect();
+    counts.sort_by_key(|&(_, count)| Reverse(count));
+    if counts.is_empty() {
+        return ".".to_owned();
+    }
+    let more = counts.len().saturating_sub(SHOWN_REASONS);
+    let line = |(reason, count): &(&str, usize)| {
+        let episodes = if *count == 1 { "episode" } else { "episodes" };
+        format!("\n  {count} {episodes}: {reason}")
+    };
+    let lines: String = counts.iter().take(SHOWN_REASONS).map(line).collect();
+    match more {
+        0 => format!(":{lines}"),
+        _ => format!(":{lines}\n  and {more} other reasons, in errors.jsonl"),
+    }
+}
+
 /// Prints the table, and what is to be done about episodes that are missing.
 fn conclude(out: &Path, halted: Option<String>, signals: &Signals) -> Result<Exit> {
     let log = RunLog::read(out)?;
@@ -99,9 +127,10 @@ fn conclude(out: &Path, halted: Option<String>, signals: &Signals) -> Result<Exi
         say!("stopped: {why}\nFinished episodes are kept. To resume:\n  {}", same_command());
     } else if done < planned {
         say!(
-            "{} of {planned} episodes could not be finished, and count neither as success nor as failure. To \
-             run them again:\n  {}",
+            "{} of {planned} episodes could not be finished, and count neither as success nor as failure{}\n\
+             To run them again:\n  {}",
             planned - done,
+            reasons(&log.errors),
             same_command()
         );
     }
@@ -114,4 +143,26 @@ fn conclude(out: &Path, halted: Option<String>, signals: &Signals) -> Result<Exi
         return Ok(Exit::Failed);
     }
     Ok(if done >= planned { Exit::Complete } else { Exit::Failed })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_most_frequent_reasons_are_printed_first() {
+        let error = |number: u32, error: &str| EpisodeError {
+            key: format!("working/new/unchanged/none/run1/t01-{number:02}"),
+            session: 1,
+            error: error.to_owned(),
+        };
+        assert_eq!(reasons(&[]), ".");
+        let errors: Vec<_> = ["b", "a", "b", "c", "d", "e"].into_iter().zip(1..).collect();
+        let errors: Vec<_> = errors.into_iter().map(|(text, number)| error(number, text)).collect();
+        assert_eq!(reasons(&errors[..1]), ":\n  1 episode: b");
+        assert_eq!(
+            reasons(&errors),
+            ":\n  2 episodes: b\n  1 episode: a\n  1 episode: c\n  and 2 other reasons, in errors.jsonl"
+        );
+    }
 }

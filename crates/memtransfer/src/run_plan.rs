@@ -78,6 +78,7 @@ pub(super) struct RunPlan {
 /// What a signal can interrupt before the first episode.
 pub(super) const STARTING_MEMORIES: &str = "external memories were being started";
 pub(super) const BUILDING_DOCUMENTS: &str = "documents were being built";
+pub(super) const FILLING_STORE: &str = "the store was being filled";
 
 /// How the execution of a run ended.
 pub(super) enum Executed {

@@ -1,12 +1,23 @@
-//! SIGINT and SIGTERM: the first one asks to stop, the second one ends the program at once. SIGHUP, which a closed terminal
+//! SIGINT and SIGTERM: the first one asks to stop, a second one ends the program at once. SIGHUP, which a closed terminal
 //! sends, asks to stop; it is sent more than once, so no later one ends the program.
+//!
+//! A second signal counts only some time after the first: `timeout` sends its signal to the process and to its group, and a
+//! terminal's reaches both a program and the one that started it, which may pass it on.
 
 use std::fs;
 use std::io;
+use std::process;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
 
+use shm_types::registry;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator;
+
+/// Time after the first signal in which others are the same request.
+const SAME_REQUEST: Duration = Duration::from_millis(500);
 
 /// The signals received since [`Signals::listen`].
 #[derive(Debug, Clone)]
@@ -16,25 +27,31 @@ pub(crate) struct Signals {
 }
 
 impl Signals {
-    /// Starts to listen.
+    /// Starts to listen, on a thread of its own.
     ///
     /// # Errors
     /// When the system refuses.
     pub(crate) fn listen() -> io::Result<Self> {
-        let received = Arc::new(AtomicUsize::new(0));
-        let stop = Arc::new(AtomicBool::new(false));
-        for signal in [SIGINT, SIGTERM] {
-            // In this order: the first signal finds `stop` unset and only sets it.
-            signal_hook::flag::register_conditional_default(signal, Arc::clone(&stop))?;
-            signal_hook::flag::register(signal, Arc::clone(&stop))?;
-            signal_hook::flag::register_usize(signal, Arc::clone(&received), signal as usize)?;
-        }
+        let mut listened = vec![SIGINT, SIGTERM];
         // Under nohup, the run is to go on without the terminal.
         if !is_ignored(SIGHUP) {
-            signal_hook::flag::register(SIGHUP, Arc::clone(&stop))?;
-            signal_hook::flag::register_usize(SIGHUP, Arc::clone(&received), SIGHUP as usize)?;
+            listened.push(SIGHUP);
         }
-        Ok(Self { stop, received })
+        let mut arriving = iterator::Signals::new(listened)?;
+        let signals = Self { stop: Arc::default(), received: Arc::default() };
+        let own = signals.clone();
+        thread::Builder::new().name("signals".to_owned()).spawn(move || {
+            let mut first: Option<Instant> = None;
+            for signal in arriving.forever() {
+                own.received.store(signal as usize, Ordering::Relaxed);
+                own.stop.store(true, Ordering::Relaxed);
+                let first = *first.get_or_insert_with(Instant::now);
+                if signal != SIGHUP && first.elapsed() >= SAME_REQUEST {
+                    end_at_once(signal);
+                }
+            }
+        })?;
+        Ok(signals)
     }
 
     /// Set once a signal asks to stop.
@@ -46,6 +63,18 @@ impl Signals {
     pub(crate) fn received(&self) -> Option<u8> {
         u8::try_from(self.received.load(Ordering::Relaxed)).ok().filter(|&signal| signal != 0)
     }
+}
+
+/// Ends the program: the children first, so that nothing of a run is left. Not by the signal itself, which the kernel ignores
+/// where this is the first process of a container.
+fn end_at_once(signal: i32) -> ! {
+    let signal = u8::try_from(signal).unwrap_or_default();
+    say!("ended at once by a second {}", name(signal));
+    supervise::kill_all();
+    if let Err(error) = registry::abandon_own_runs() {
+        say!("`memtransfer clean` removes the rest of the run: {error}");
+    }
+    process::exit(i32::from(128_u8.saturating_add(signal)))
 }
 
 /// The name of a signal that [`Signals`] listens to.

@@ -69,8 +69,9 @@ pub(super) fn run(args: &TopArgs) -> Result<Exit> {
         }
         let size = terminal_size::terminal_size();
         let size = size.map_or(DEFAULT_SIZE, |(w, h)| (usize::from(w.0), usize::from(h.0)));
-        print!("{CLEAR}{}", fit(&format!("{text}\n\nCtrl-C ends this view, not the run."), size));
-        std::io::stdout().flush()?;
+        let screen = fit(&format!("{text}\n\nCtrl-C ends this view, not the run."), size);
+        let mut stdout = std::io::stdout().lock();
+        write!(stdout, "{CLEAR}{screen}").and_then(|()| stdout.flush())?;
         thread::sleep(INTERVAL);
         let Some(next) = LiveStatus::read(&run)? else {
             print(&format!("\nThe run in {} has ended.", run.display()))?;

@@ -13,6 +13,7 @@ use results::log::{Manifest, RunFolder, RunLog, UnitId, finish_unit, unit_folder
 use settings::{KEYS, Key, Layer, MACHINE_KEYS, on_this_machine, variable};
 use shm_types::process::die_with_parent;
 
+use super::run;
 use super::run::flags::{MachineFlags, RunOptions};
 use super::run_plan::{
     Executed, Purpose, RunPlan, STARTING_MEMORIES, same_command, stopped_before_episodes,
@@ -100,12 +101,15 @@ pub(super) fn run(args: WorkArgs) -> Result<Exit> {
         Executed::Stopped(exit) => return Ok(exit),
         Executed::ToTheEnd { halted } => halted,
     };
-    let (done, planned) = (RunLog::read(&part)?.episodes.len(), unit.episodes.len());
+    let log = RunLog::read(&part)?;
+    let (done, planned) = (log.episodes.len(), unit.episodes.len());
     if done < planned {
         let why = match (signals.received(), &halted) {
             (Some(signal), _) => format!("stopped by {}", signals::name(signal)),
             (None, Some(why)) => format!("stopped: {why}"),
-            (None, None) => "some episodes could not be finished".to_owned(),
+            (None, None) => {
+                format!("some episodes could not be finished{}\n", run::reasons(&log.errors))
+            }
         };
         say!(
             "unit {}: {why}; {done} of {planned} episodes are finished and kept in {}. To resume:\n  {}",

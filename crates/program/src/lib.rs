@@ -6,9 +6,11 @@ mod appearance;
 use std::ffi::OsStr;
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
+use std::sync::Arc;
 
 use clap::builder::Resettable;
 use clap::{Arg, Command, Parser};
+use signal_hook::consts::SIGXFSZ;
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
@@ -19,14 +21,15 @@ pub use appearance::AppearanceArgs;
 const LEVELS_VARIABLE: &str = "RUST_LOG";
 
 /// Sends log messages to stderr, warnings and errors unless `RUST_LOG` says otherwise. An invalid `RUST_LOG` is reported
-/// and ignored.
+/// and ignored. Call it first: it also makes a file that grows beyond `ulimit -f` an error instead of the program's end.
 pub fn log_to_stderr() {
+    // A handler of any kind does; it fails only where the signal does not exist.
+    let _ = signal_hook::flag::register(SIGXFSZ, Arc::default());
     let default = Targets::new().with_default(LevelFilter::WARN);
     let levels = match std::env::var(LEVELS_VARIABLE) {
         Ok(text) if !text.is_empty() => text.parse().unwrap_or_else(|error| {
-            eprintln!(
-                "{LEVELS_VARIABLE}={text} is not valid ({error}); logging warnings and errors"
-            );
+            let message = "is not valid; logging warnings and errors";
+            let _ = writeln!(io::stderr(), "{LEVELS_VARIABLE}={text} {message}: {error}");
             default
         }),
         _ => default,
@@ -62,7 +65,8 @@ pub fn run(name: &str, main: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitC
             return ExitCode::SUCCESS;
         }
         // A terminal that was closed does not change how the program ends.
-        let _ = writeln!(io::stderr(), "{name}: {}", printable(&format!("{error:#}")));
+        let message = with_advice(&format!("{error:#}"));
+        let _ = writeln!(io::stderr(), "{name}: {}", printable(&message));
         ExitCode::from(2)
     })
 }
@@ -71,6 +75,23 @@ pub fn run(name: &str, main: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitC
 pub fn is_closed_pipe(error: &anyhow::Error) -> bool {
     let io_error = error.downcast_ref::<io::Error>();
     io_error.is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
+}
+
+/// The message of an error, with what to do about a limit of the shell that it comes from. Decided by its words, because the
+/// message may be another program's.
+pub fn with_advice(message: &str) -> String {
+    let says = |words: &[&str]| words.iter().any(|words| message.contains(words));
+    let advice = if says(&["(os error 24)", "Too many open files", "FileHandleLimit"]) {
+        "raise the limit of open files, for example `ulimit -n 4096`"
+    } else if says(&["(os error 27)", "File too large"]) {
+        "a file may not grow beyond the limit of `ulimit -f`: raise it"
+    } else if says(&["(os error 11)"]) {
+        "the limit of processes and threads of your user may be too low: see `ulimit -u`"
+    } else {
+        return message.to_owned();
+    };
+    // A message may be passed on from program to program.
+    if message.contains(advice) { message.to_owned() } else { format!("{message}\n{advice}") }
 }
 
 /// The text with a mark in place of each control character but tabs and line ends: what a model, a server or a run folder
@@ -82,6 +103,21 @@ pub fn printable(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_error_of_a_limit_says_which() {
+        let error = |code| io::Error::from_raw_os_error(code).to_string();
+        for (message, limit) in [
+            (error(24), "ulimit -n"),
+            (error(27), "ulimit -f"),
+            (format!("cannot start a thread: {}", error(11)), "ulimit -u"),
+        ] {
+            let advised = with_advice(&message);
+            assert!(advised.starts_with(&message) && advised.contains(limit), "{advised}");
+            assert_eq!(with_advice(&advised), advised);
+        }
+        assert_eq!(with_advice(&error(2)), error(2));
+    }
 
     #[test]
     fn control_characters_do_not_reach_the_terminal() {

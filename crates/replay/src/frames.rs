@@ -112,13 +112,14 @@ impl ViewRenderer {
         let mut requests = self.requests.take().ok_or_else(ended)?;
         let requests = thread::scope(|scope| {
             // Asked for from another thread, so that rendering and encoding overlap and neither pipe is stuck.
-            let asking = scope.spawn(move || {
+            let asking = thread::Builder::new().spawn_scoped(scope, move || {
                 for (variant, pose) in views {
                     writeln!(requests, "{variant} {pose}")?;
                 }
                 requests.flush()?;
                 Ok::<_, io::Error>(requests)
             });
+            let asking = asking.context("cannot start a thread")?;
             let mut rgba = vec![0; usize::from(edge) * usize::from(edge) * 4];
             let taken = views.iter().try_for_each(|&view| {
                 self.pixels.read_exact(&mut rgba).map_err(|_| ended())?;

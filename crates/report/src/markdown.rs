@@ -23,7 +23,26 @@ pub(super) fn render(document: &ReportDocument) -> askama::Result<String> {
             lines.push(line);
         }
     }
-    Ok(lines.join("\n").trim_end().to_owned() + "\n")
+    Ok(without_markup(lines.join("\n").trim_end()) + "\n")
+}
+
+/// The page without HTML, which a page in Markdown may contain, and without characters that steer a terminal. A run from
+/// elsewhere may have put both into a text.
+fn without_markup(page: &str) -> String {
+    let mut text = String::with_capacity(page.len());
+    let mut characters = page.chars().peekable();
+    while let Some(character) = characters.next() {
+        // An element, a comment or an instruction; `<0.001` is none.
+        let begins_markup =
+            |next: &char| next.is_ascii_alphabetic() || matches!(next, '/' | '!' | '?');
+        match character {
+            '<' if characters.peek().is_some_and(begins_markup) => text.push_str("&lt;"),
+            '\n' => text.push('\n'),
+            character if character.is_control() => text.push('\u{fffd}'),
+            character => text.push(character),
+        }
+    }
+    text
 }
 
 /// The table as lines of a Markdown table. A group's label stands in each of its rows.
@@ -50,5 +69,19 @@ fn cell_text(table: &Table, cell: &TableCell) -> String {
     match table.note_of(cell) {
         None => cell.text(),
         Some(note) => format!("{} ({note})", cell.text()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_text_of_a_run_is_no_markup() {
+        assert_eq!(
+            without_markup("<img src=x onerror=a()> </b> <!-- <?x ` <i> ` p <0.001 a < b"),
+            "&lt;img src=x onerror=a()> &lt;/b> &lt;!-- &lt;?x ` &lt;i> ` p <0.001 a < b"
+        );
+        assert_eq!(without_markup("a\u{1b}[2Jb\r\nü"), "a\u{fffd}[2Jb\u{fffd}\nü");
     }
 }

@@ -12,6 +12,8 @@
 //! of a vector that has been measured, `x` is farther away and its original numbers are not read. The bound holds for
 //! any data; the data decides only how many vectors it rules out.
 
+use std::sync::{Mutex, PoisonError};
+
 use crate::kernels::{self, BLOCK_ROWS, CODE_ZERO, QuantizedVector, QueryCodes, SimdLevel};
 use crate::matrix::{CodeLine, Matrix};
 use crate::pages;
@@ -89,13 +91,10 @@ impl QuantizedMatrix {
                 max_half_norm: 0.0,
             })
             .collect();
-        std::thread::scope(|scope| {
-            let mut parts = parts.iter_mut();
-            let own = parts.next();
-            for part in parts {
-                scope.spawn(|| part.fill(level, rows, &centre));
-            }
-            if let Some(part) = own {
+        let queue = Mutex::new(parts.iter_mut());
+        let next = || queue.lock().unwrap_or_else(PoisonError::into_inner).next();
+        crate::on_threads(threads, || {
+            while let Some(part) = next() {
                 part.fill(level, rows, &centre);
             }
         });

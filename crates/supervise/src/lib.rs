@@ -2,32 +2,35 @@
 //!
 //! A child is a program beside the running one, or an external command. Each has a process group of its own, so that
 //! Ctrl-C reaches the orchestrator alone; when a child has ended, its whole group is killed, including everything that
-//! it started. Children end with the orchestrator: the kernel kills them when the thread that started them ends (see
-//! `shm_types::process::die_with_parent`; external policies get that from the SDK). The output of a child goes to a log
-//! file, whose last lines are part of the message when it fails; of a long log the middle is left out.
+//! it started. Children end with the orchestrator: the kernel kills the project's own programs when the thread that started
+//! them ends (see `shm_types::process::die_with_parent`), and a shell kills the group of an external command. The output of
+//! a child goes to a log file, whose last lines are part of the message when it fails; of a long log the middle is left out.
 
 mod log_file;
+
+mod groups;
 
 use std::ffi::OsString;
 use std::fmt::Debug;
 use std::fs::{DirBuilder, File};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::os::unix::fs::DirBuilderExt;
-use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
 use rustix::io::Errno;
-use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use shm_types::ATTACH_VARIABLE;
 use shm_types::clock::{Instant, sleep};
 use shm_types::description::memory_folder;
 use shm_types::message::Role;
 
+use groups::Group;
+pub use groups::{kill_all, output};
 use log_file::{LogFile, LogLimits, LogPosition};
 
 /// Lines of the log shown when a child has ended.
@@ -120,10 +123,13 @@ impl Launch {
     /// Why the process did not start, and what to do.
     fn not_started(&self, error: &io::Error) -> String {
         let Some(command) = &self.command else {
-            return format!(
-                "cannot start {}: build all programs with `cargo build --release --workspace`",
-                self.program.display()
-            );
+            let program = self.program.display();
+            return match error.kind() {
+                io::ErrorKind::NotFound => format!(
+                    "cannot start {program}: build all programs with `cargo build --release --workspace`"
+                ),
+                _ => format!("cannot start {program}"),
+            };
         };
         let program = self.program.display();
         let advice = match error.kind() {
@@ -171,11 +177,9 @@ pub struct System;
 /// A process of the operating system.
 #[derive(Debug)]
 struct SystemProcess {
-    child: Child,
-    /// Its status, once it was waited for. From then on its process id may be another process's.
-    status: Option<ExitStatus>,
-    /// Disconnected once everything that it has printed is in its log.
-    written: Receiver<()>,
+    group: Group,
+    /// Disconnected once everything that it has printed is in its log; `None` once that was awaited.
+    written: Option<Receiver<()>>,
 }
 
 /// A child that ended without being asked to.
@@ -373,49 +377,38 @@ impl Launcher for System {
             .name("process-log".to_owned())
             .spawn(write)
             .context("cannot start a thread")?;
-        let child = Command::new(program)
+        let mut command = Command::new(program);
+        command
             .args(args)
             .envs(env.iter().map(|(name, value)| (name, value)))
             .stdin(Stdio::null())
             .stdout(output)
-            .stderr(errors)
-            .process_group(0)
-            .spawn();
-        let child = child.map_err(|error| {
+            .stderr(errors);
+        // The project's own programs ask the kernel to end with this one.
+        let group = match launch.command {
+            None => Group::start(&mut command),
+            Some(_) => Group::start_watched(&mut command),
+        };
+        let group = group.map_err(|error| {
             let why = launch.not_started(&error);
             anyhow::Error::from(error).context(why)
         })?;
-        Ok(Box::new(SystemProcess { child, status: None, written }))
-    }
-}
-
-impl SystemProcess {
-    /// Its process group, which it leads.
-    fn group(&self) -> Pid {
-        Pid::from_child(&self.child)
+        Ok(Box::new(SystemProcess { group, written: Some(written) }))
     }
 }
 
 impl Process for SystemProcess {
-    /// Does not reap it, so that its process id stays its own.
     fn is_alive(&self) -> bool {
-        if self.status.is_some() {
-            return false;
-        }
-        let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
-        matches!(waitid(WaitId::Pid(self.group()), options), Ok(None))
+        self.group.is_alive()
     }
 
     fn end(&mut self) -> io::Result<ExitStatus> {
-        if let Some(status) = self.status {
-            return Ok(status);
-        }
-        // Before the wait: until then no other group can have this id. The group may be empty.
-        let _ = kill_process_group(self.group(), Signal::KILL);
-        let status = self.child.wait()?;
+        let status = self.group.end()?;
         // A process that has left the group may keep the output open.
-        let _ = self.written.recv_timeout(LOG_WAIT);
-        Ok(*self.status.insert(status))
+        if let Some(written) = self.written.take() {
+            let _ = written.recv_timeout(LOG_WAIT);
+        }
+        Ok(status)
     }
 }
 

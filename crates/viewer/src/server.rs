@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::convert::Infallible;
 use std::fs::File as SystemFile;
-use std::io::{ErrorKind, Read};
+use std::io::{self, ErrorKind, Read, Write};
 use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::rc::Rc;
 use std::str::FromStr;
@@ -188,7 +188,8 @@ impl SiteService {
             Ok(Some(file)) => page(path, file),
             Ok(None) => status(StatusCode::NOT_FOUND, "there is no such file"),
             Err(error) => {
-                eprintln!("memtransfer: {path}: {error:#}");
+                // The terminal may be closed.
+                let _ = writeln!(io::stderr(), "memtransfer: {path}: {error:#}");
                 status(StatusCode::INTERNAL_SERVER_ERROR, &format!("{error:#}"))
             }
         }

@@ -62,6 +62,9 @@ const MOST_DETOURS: usize = 32;
 /// A placeholder until the whole set exists, from which histories are chosen.
 const NO_HISTORIES: [History; 2] = [History { case: usize::MAX, start: Start::Original }; 2];
 
+/// The most cases of a set, far more than a run needs.
+pub const MAX_CASES: usize = 1_000_000;
+
 /// Why a warehouse or a set of cases cannot be generated.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
@@ -75,8 +78,13 @@ impl CaseSet {
     /// offer too few is drawn again, at most 100 times over the whole set.
     ///
     /// # Errors
-    /// When the warehouse allows no case of some type, or there are too few cases to choose histories from.
+    /// When there are more than [`MAX_CASES`], the warehouse allows no case of some type, or there are too few cases to choose
+    /// histories from.
     pub fn generate(warehouse: &Warehouse, seed: u64, count: usize) -> Result<Self, GenerateError> {
+        if count > MAX_CASES {
+            let message = format!("{count} cases are too many: at most {MAX_CASES}");
+            return Err(GenerateError(message));
+        }
         let generator = Generator::new(warehouse, seed);
         let width = count.div_ceil(10).to_string().len().max(2);
         let mut cases: Vec<Case> = Vec::new();
@@ -446,6 +454,15 @@ mod tests {
         let numbers: Vec<u8> = more.cases.iter().map(|case| case.task.number()).collect();
         let of_type = |number| numbers.iter().filter(|&&n| n == number).count();
         assert_eq!((1..=10).map(of_type).collect::<Vec<_>>(), [6, 6, 6, 6, 6, 6, 6, 5, 5, 5]);
+    }
+
+    #[test]
+    fn more_cases_than_a_set_has_are_refused() {
+        let warehouse = Warehouse::shipped();
+        for count in [MAX_CASES + 1, usize::MAX] {
+            let error = CaseSet::generate(&warehouse, 1, count).unwrap_err().to_string();
+            assert!(error.contains("too many: at most 1000000"), "{error}");
+        }
     }
 
     #[test]

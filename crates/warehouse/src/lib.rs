@@ -52,7 +52,7 @@ pub use demonstrated::{Demonstrated, PlannedAfter, Viewpoint};
 pub use demonstrations::{Demonstrations, UnknownDemonstrations};
 pub use dynamics::{MAX_STEPS, Variant, step};
 pub use elsewhere::{ELSEWHERE_VARIANT, Elsewhere, ElsewhereError};
-pub use generate::{GenerateError, SHIPPED_COUNT, SHIPPED_SEED};
+pub use generate::{GenerateError, MAX_CASES, SHIPPED_COUNT, SHIPPED_SEED};
 pub use generate_world::{GeneratedWorld, MIN_SIDE, corridors};
 pub use layout::{Aisle, Axis, Layout, MAX_SIDE, Square};
 pub use mixed::Overlap;

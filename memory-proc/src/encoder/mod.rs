@@ -141,7 +141,14 @@ impl PreparedEncoder {
 
     /// Starts the workers. A worker calls `wake` whenever a result can be fetched with [`Encoder::poll`]. If the model
     /// cannot be opened, that error is the result for every image.
-    pub fn start(self, open: SessionOpening, wake: impl Fn() + Clone + Send + 'static) -> Encoder {
+    ///
+    /// # Errors
+    /// When the system starts no more threads.
+    pub fn start(
+        self,
+        open: SessionOpening,
+        wake: impl Fn() + Clone + Send + 'static,
+    ) -> Result<Encoder> {
         let Self { file, runtime, facts } = self;
         let threads = facts.threads;
         let (jobs, queue) = bounded(threads * (1 + WAITING_PER_WORKER));
@@ -178,8 +185,10 @@ impl PreparedEncoder {
                 }
             }
         };
-        let workers = (0..threads).map(|worker| std::thread::spawn(work_of(worker))).collect();
-        Encoder { facts, jobs: Jobs::Threads(Some(jobs)), results, workers, in_flight: 0 }
+        let start = |worker| std::thread::Builder::new().spawn(work_of(worker));
+        let workers = (0..threads).map(start).collect::<std::io::Result<Vec<_>>>();
+        let workers = workers.context("cannot start a thread of the encoder")?;
+        Ok(Encoder { facts, jobs: Jobs::Threads(Some(jobs)), results, workers, in_flight: 0 })
     }
 }
 

@@ -5,6 +5,8 @@
 //! known embeddings never reads the model.
 //! A session computes on one thread and takes one image a call, so an embedding cannot depend on other images.
 
+use std::fs::File;
+use std::io::{self, Read};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -160,6 +162,7 @@ impl Runtime {
         };
         ensure!(path.is_file(), "ONNX Runtime is not at {shown}; {next}");
         let load = || {
+            check_whole(path).map_err(|error| error.to_string())?;
             if let RuntimeLibrary::Cached(path) = library {
                 check_known(path)?;
             }
@@ -218,6 +221,30 @@ fn check_known(path: &Path) -> Result<(), String> {
         "it is not the library that set-up fetches, and was not loaded (its SHA-256 is {sha256}). A build of your own is used \
          from another folder, with {RUNTIME_VARIABLE}=FILE"
     ))
+}
+
+/// Checks that the library has all bytes that its ELF header names: to use one that was cut off ends the process on SIGBUS.
+fn check_whole(library: &Path) -> io::Result<()> {
+    let mut file = File::open(library)?;
+    let size = file.metadata()?.len();
+    let mut header = [0; 64];
+    let is_elf = file.read_exact(&mut header).is_ok() && header.starts_with(b"\x7fELF");
+    if !is_elf {
+        return Err(io::Error::other(format!(
+            "it is no library: {size} bytes without an ELF header"
+        )));
+    }
+    // The table of sections is the end of the file.
+    let [mut offset, mut entry, mut entries] = [[0; 8]; 3];
+    offset.copy_from_slice(&header[40..48]);
+    entry[..2].copy_from_slice(&header[58..60]);
+    entries[..2].copy_from_slice(&header[60..62]);
+    let [offset, entry, entries] = [offset, entry, entries].map(u64::from_le_bytes);
+    let end = offset.saturating_add(entry * entries);
+    if size < end {
+        return Err(io::Error::other(format!("it was cut off: it has {size} of {end} bytes")));
+    }
+    Ok(())
 }
 
 const FAILED: &str = "the encoder failed on an image";
@@ -334,6 +361,21 @@ fn pool(model: &Model, tokens: &[f32]) -> Option<Vec<f32>> {
 mod tests {
     use super::*;
     use crate::manifest::EncoderManifest;
+
+    #[test]
+    fn a_library_that_was_cut_off_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let library = folder.path().join("library.so");
+        let program = std::fs::read("/proc/self/exe").unwrap();
+        std::fs::write(&library, &program).unwrap();
+        check_whole(&library).unwrap();
+        for (bytes, expected) in [(program.len() - 1, "cut off"), (4096, "cut off"), (40, "no lib")]
+        {
+            std::fs::write(&library, &program[..bytes]).unwrap();
+            let error = check_whole(&library).unwrap_err().to_string();
+            assert!(error.contains(expected), "{bytes}: {error}");
+        }
+    }
 
     #[test]
     fn pooling_takes_the_first_token_or_the_mean_of_the_others() {

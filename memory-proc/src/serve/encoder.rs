@@ -61,7 +61,7 @@ pub(super) fn open_encoder(
     // Known embeddings may be all that the run needs.
     let open =
         if embeddings.is_empty() { SessionOpening::Eagerly } else { SessionOpening::OnDemand };
-    Ok((Some(encoder.start(open, move || wake())), embeddings))
+    Ok((Some(encoder.start(open, move || wake())?), embeddings))
 }
 
 fn open_cache(

@@ -3,6 +3,7 @@
 //! Each is measured without any other code of the project.
 
 use std::hint::{black_box, spin_loop};
+use std::io;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 use std::time::Instant;
@@ -45,15 +46,19 @@ impl Effort {
 }
 
 /// Measures all of them.
-pub fn measure(effort: Effort) -> Floors {
+///
+/// # Errors
+/// When the system starts no more threads.
+pub fn measure(effort: Effort) -> io::Result<Floors> {
     let cores = thread::available_parallelism().map_or(1, usize::from);
-    let [read_one_thread, read_all_cores] = read_bandwidth([1, cores], effort.bytes, effort.passes);
-    Floors {
-        cache_line_ns: cache_line_ns(effort.trips),
+    let [read_one_thread, read_all_cores] =
+        read_bandwidth([1, cores], effort.bytes, effort.passes)?;
+    Ok(Floors {
+        cache_line_ns: cache_line_ns(effort.trips)?,
         frame_copy_ns: frame_copy_ns(effort.copies),
         read_one_thread,
         read_all_cores,
-    }
+    })
 }
 
 /// A counter on a cache line of its own, and on the one beside it, which processors fetch along with it.
@@ -61,7 +66,10 @@ pub fn measure(effort: Effort) -> Floors {
 struct CacheLine(AtomicU64);
 
 /// Half the time in which a line goes to another thread and an answer comes back, over `trips` round trips.
-pub fn cache_line_ns(trips: u64) -> f64 {
+///
+/// # Errors
+/// When the system starts no more threads.
+pub fn cache_line_ns(trips: u64) -> io::Result<f64> {
     let (there, back) = (CacheLine(AtomicU64::new(0)), CacheLine(AtomicU64::new(0)));
     let await_value = |line: &CacheLine, value: u64| {
         while line.0.load(Ordering::Acquire) != value {
@@ -69,12 +77,12 @@ pub fn cache_line_ns(trips: u64) -> f64 {
         }
     };
     thread::scope(|scope| {
-        scope.spawn(|| {
+        thread::Builder::new().spawn_scoped(scope, || {
             for trip in 1..=trips {
                 await_value(&there, trip);
                 back.0.store(trip, Ordering::Release);
             }
-        });
+        })?;
         let mut began = Instant::now();
         // The first trips are not counted: the other thread has to be running.
         let warm = trips / 10;
@@ -85,7 +93,7 @@ pub fn cache_line_ns(trips: u64) -> f64 {
             there.0.store(trip, Ordering::Release);
             await_value(&back, trip);
         }
-        began.elapsed().as_nanos() as f64 / (trips - warm) as f64 / 2.0
+        Ok(began.elapsed().as_nanos() as f64 / (trips - warm) as f64 / 2.0)
     })
 }
 
@@ -107,22 +115,32 @@ pub fn frame_copy_ns(copies: u32) -> f64 {
 
 /// The bandwidth of reading with each of these numbers of threads, in bytes per second: the fastest of `passes` over
 /// `bytes`.
-pub fn read_bandwidth<const N: usize>(threads: [usize; N], bytes: usize, passes: u32) -> [f64; N] {
+///
+/// # Errors
+/// When the system starts no more threads.
+pub fn read_bandwidth<const N: usize>(
+    threads: [usize; N],
+    bytes: usize,
+    passes: u32,
+) -> io::Result<[f64; N]> {
     // Not zero, so that every page is mapped.
     let data = vec![1_u64; bytes / size_of::<u64>()];
-    threads.map(|threads| {
+    let mut fastest = [0.0_f64; N];
+    for (fastest, threads) in fastest.iter_mut().zip(threads) {
         let share = data.len().div_ceil(threads.max(1)).max(1);
-        let pass = || {
+        for _ in 0..passes.max(1) {
             let began = Instant::now();
             thread::scope(|scope| {
-                for part in data.chunks(share) {
-                    scope.spawn(move || black_box(sum(part)));
-                }
-            });
-            (data.len() * size_of::<u64>()) as f64 / began.elapsed().as_secs_f64()
-        };
-        (0..passes.max(1)).map(|_| pass()).fold(0.0, f64::max)
-    })
+                data.chunks(share).try_for_each(|part| {
+                    let sum = move || black_box(sum(part));
+                    thread::Builder::new().spawn_scoped(scope, sum).map(drop)
+                })
+            })?;
+            let bytes = size_of_val(data.as_slice()) as f64;
+            *fastest = fastest.max(bytes / began.elapsed().as_secs_f64());
+        }
+    }
+    Ok(fastest)
 }
 
 /// A sum in eight lanes, which the compiler turns into wide loads with nothing to wait for but memory.
@@ -152,7 +170,7 @@ mod tests {
     #[test]
     fn every_floor_is_a_positive_number() {
         let Floors { cache_line_ns, frame_copy_ns, read_one_thread, read_all_cores } =
-            measure(Effort::TINY);
+            measure(Effort::TINY).unwrap();
         for figure in [cache_line_ns, frame_copy_ns, read_one_thread, read_all_cores] {
             assert!(figure.is_finite() && figure > 0.0, "{figure}");
         }

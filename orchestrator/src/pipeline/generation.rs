@@ -16,6 +16,7 @@ use shm_types::process::{ProcessWatch, monotonic_ns};
 use shm_types::{Bus, BusError, Notifier, Receiver, Sender};
 use supervise::Children;
 
+use super::vital_signs::VitalSigns;
 use super::{Failure, MemoryState, Participant, PipelineOptions, PipelineRun};
 use crate::lanes::{AnswerError, Turn};
 
@@ -40,9 +41,8 @@ pub(super) struct Generation {
     pub(super) commands: Sender<StepCommand>,
     pub(super) stops: Sender<Stop>,
     pub(super) inbox: Inbox,
-    /// Images that memory has embedded, and when that was last known to grow.
-    pub(super) embedded: u64,
-    pub(super) memory_busy_ns: u64,
+    /// What the heartbeats of the simulator and of memory say.
+    pub(super) vital_signs: VitalSigns,
     /// When the policy last sent an answer that was awaited.
     pub(super) decided_ns: u64,
     /// When each external memory last answered.

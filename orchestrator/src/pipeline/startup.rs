@@ -16,6 +16,7 @@ use shm_types::{Attach, Bus, BusError, MemoryDescription};
 use supervise::{Children, Launch};
 
 use super::generation::{Generation, Inbox, TICK, role};
+use super::vital_signs::VitalSigns;
 use super::{Facts, Failure, Participant, PipelineOptions, PipelineRun};
 use crate::external_memory::ExternalMemory;
 use crate::frame_budget;
@@ -62,8 +63,7 @@ impl Generation {
             commands,
             stops,
             inbox,
-            embedded: 0,
-            memory_busy_ns: 0,
+            vital_signs: VitalSigns::new(monotonic_ns()),
             decided_ns: 0,
             recalled_ns: BTreeMap::new(),
             notifiers,
@@ -71,6 +71,7 @@ impl Generation {
         };
         let Some(facts) = generation.wait_until_ready(run)? else { return Ok(None) };
         let now = monotonic_ns();
+        generation.vital_signs = VitalSigns::new(now);
         for memory in memories(attach, run.options) {
             generation.recalled_ns.insert(memory.name, now);
         }

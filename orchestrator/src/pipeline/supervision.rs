@@ -24,11 +24,7 @@ impl Generation {
         for heartbeat in self.inbox.heartbeats.drain()? {
             let Ok(role) = role(heartbeat.role) else { continue };
             let Some(sender) = run.options.participant(role, heartbeat.external) else { continue };
-            // An encoder that hangs makes no progress.
-            if role == Role::Memory && heartbeat.done > self.embedded {
-                self.embedded = heartbeat.done;
-                self.memory_busy_ns = monotonic_ns();
-            }
+            self.vital_signs.heard(role, &heartbeat, monotonic_ns());
             run.observer.heartbeat(sender, &heartbeat);
         }
         if let Some(exit) = self.exited(run.options) {
@@ -53,7 +49,8 @@ impl Generation {
     /// Gives up episodes, or the generation, whose answers are overdue.
     fn check_overdue(&self, run: &mut PipelineRun<'_, '_>) -> Result<(), Failure> {
         let now = monotonic_ns();
-        let pending = run.lanes.pending(self.memory_busy_ns);
+        // An encoder that hangs makes no progress.
+        let pending = run.lanes.pending(self.vital_signs.memory_busy_ns());
         run.observer.pending(&pending);
         for PendingAnswer { role, lane, memory, since_ns, unusable } in pending {
             let timeout = match role {
@@ -68,6 +65,11 @@ impl Generation {
             let waited = Duration::from_nanos(now.saturating_sub(since_ns));
             if timeout.is_none_or(|timeout| waited <= timeout) {
                 continue;
+            }
+            if role == Role::Memory
+                && let Some(why) = self.vital_signs.simulator_hangs(since_ns, now)
+            {
+                return Err(Failure::Retry(why));
             }
             let (role_name, seconds) = (role.word(), waited.as_secs());
             let overdue = format!(
@@ -157,8 +159,8 @@ impl Generation {
         Ok(())
     }
 
-    /// Whether the episode with an overdue answer waited for an external memory that has not answered anything for as long as it
-    /// has time: then it hangs, and its other episodes would end the same way.
+    /// Fails if the episode with an overdue answer waited for the simulator, or for an external memory that has not answered
+    /// anything for as long as it has time: then that process hangs, and its other episodes would end the same way.
     fn check_silence(
         &self,
         run: &PipelineRun<'_, '_>,
@@ -175,7 +177,13 @@ impl Generation {
         };
         let last_ns = self.recalled_ns.get(&name).copied().unwrap_or(0).max(waits.since_ns);
         let silence = Duration::from_nanos(monotonic_ns().saturating_sub(last_ns));
-        if waits.role != Role::Memory || silence < run.options.memory_timeout {
+        if waits.role != Role::Memory {
+            return Ok(());
+        }
+        if let Some(why) = self.vital_signs.simulator_is_silent(monotonic_ns()) {
+            return Err(Failure::Retry(why));
+        }
+        if silence < run.options.memory_timeout {
             return Ok(());
         }
         let seconds = silence.as_secs();

@@ -23,7 +23,8 @@ pub fn measure(kind: &str, entries: u32, seconds: f64) -> Result<Vec<SearchMeasu
         .spawn()
         .context("cannot start memory-proc")?;
     let errors = child.stderr.take().context("memory-proc has no standard error")?;
-    let messages = std::thread::spawn(move || std::io::read_to_string(errors).unwrap_or_default());
+    let read = move || std::io::read_to_string(errors).unwrap_or_default();
+    let messages = std::thread::Builder::new().spawn(read).context("cannot start a thread")?;
     let output = BufReader::new(child.stdout.take().context("memory-proc has no output")?);
     let read: Result<Vec<SearchMeasurement>> = output
         .lines()

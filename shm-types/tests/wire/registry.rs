@@ -34,6 +34,33 @@ fn a_run_that_ends_well_leaves_nothing() {
     assert_eq!(list(base.path()).unwrap(), []);
 }
 
+/// Another user who may write to a segment can stop the run.
+#[test]
+fn no_other_user_may_open_what_a_run_has_in_shared_memory() {
+    let Run { attach, dir, .. } = &run();
+    let roles = [Role::Orchestrator, Role::Sim, Role::Memory, Role::Policy];
+    let buses = roles.map(|role| bus(attach, role));
+    let _store = FrameStore::new(&buses[2]).unwrap();
+    let _publisher = FramePublisher::new(&buses[1]).unwrap();
+    let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o777;
+    assert_eq!(mode(dir.path()), 0o700);
+    let names: Vec<_> = fs::read_dir(SHARED_MEMORY)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.file_name().unwrap().to_str().unwrap().starts_with(&dir.prefix()))
+        .collect();
+    assert!(names.len() > roles.len());
+    for name in &names {
+        assert_eq!(mode(name), 0o600, "{}", name.display());
+    }
+    // iceoryx2 uses the counter that the run's owner has made, and has made no other.
+    let is_counter = |name: &&PathBuf| name.extension().is_some_and(|it| it == "global_mgmt");
+    let counters: Vec<_> = names.iter().filter(is_counter).collect();
+    assert_eq!(counters.len(), 1);
+    let counted = fs::read(counters[0]).unwrap();
+    assert_eq!((counted.len(), usize::from(counted[8])), (16, roles.len()));
+}
+
 #[test]
 fn clean_removes_what_a_killed_run_left_and_nothing_that_lives() {
     let Run { attach, dir, base, .. } = &run();
@@ -181,7 +208,11 @@ fn a_run_outlives_its_owner_while_a_process_of_it_lives() {
 fn a_base_that_others_write_to_or_that_is_too_long_is_refused() {
     let base = tempfile::Builder::new().prefix("mt").tempdir_in("/dev/shm").unwrap();
     fs::set_permissions(base.path(), fs::Permissions::from_mode(0o777)).unwrap();
-    assert!(matches!(RunDir::create(base.path()), Err(RegistryError::NotOurs { .. })));
+    assert!(matches!(RunDir::create(base.path()), Err(RegistryError::OthersWrite { .. })));
+    let file = base.path().join("file");
+    fs::write(&file, "").unwrap();
+    let error = RunDir::create(&file).unwrap_err().to_string();
+    assert!(error.contains("is no folder") && error.contains("MEMTRANSFER_RUN_DIR="), "{error}");
     let long = Path::new("/tmp").join("x".repeat(40));
     let error = RunDir::create(&long).unwrap_err().to_string();
     assert!(error.contains("under 39 bytes"), "{error}");

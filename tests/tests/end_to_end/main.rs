@@ -17,6 +17,8 @@ mod faulty_server;
 mod grounded;
 mod instruments;
 mod keys;
+mod leftovers;
+mod limits;
 mod memories;
 mod model_builder;
 mod paper;

@@ -93,6 +93,14 @@ fn episodes_of_a_sequence_run_in_order_and_only_those_that_learn_have_snapshots(
         text.lines().filter(|line| !is_late(line)).map(|line| format!("{line}\n")).collect();
     fs::write(&log, kept).unwrap();
     fs::remove_dir_all(bench.out("run").join("snapshots")).unwrap();
+    // The reason is shown, and that the same command alone does not help, as often as it is given.
+    let quiet = [&arguments("run", "16")[..], &["--quiet"]].concat();
+    for _ in 0..2 {
+        let ended = bench.run(&quiet).expect(1);
+        let said = "cannot go on, however often the run is continued. To run the sequence again";
+        assert_eq!(ended.stderr.matches(said).count(), 2, "{}", ended.stderr);
+        assert!(ended.stderr.contains("1 episode: "), "{}", ended.stderr);
+    }
     let ended = bench.run(&arguments("run", "16")).expect(1);
     assert!(ended.stderr.contains("snapshot"), "{}", ended.stderr);
     assert_eq!(sorted_log(&bench.out("run")).len(), EPISODES - 1);

@@ -332,7 +332,7 @@ fn as_nobody(sandbox: &mut Sandbox) -> Result<(), String> {
     sandbox.in_sandbox(&mut other);
     let child = other.spawn().map_err(|error| error.to_string())?;
     let ended = Ended::of(child);
-    expect_error(&ended, &["Permission denied", "is not a folder that only you can write to"])?;
+    expect_error(&ended, &["Permission denied", "other users may write to", "belongs to user"])?;
     sandbox.check_recovery(&run, &ended, false)
 }
 

@@ -1,0 +1,130 @@
+//! What the heartbeats of the simulator and of memory say: which of the two keeps an answer waiting.
+//!
+//! Memory needs frames for its answers. So when its answer is overdue, the simulator may be the one that hangs.
+
+use std::time::Duration;
+
+use shm_types::heartbeats;
+use shm_types::message::{Heartbeat, Role};
+
+/// A serve loop that runs is heard several times in this time.
+const SILENCE: Duration = Duration::from_secs(3 * heartbeats::INTERVAL.as_secs());
+
+/// The last heartbeats of the simulator and of memory.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct VitalSigns {
+    sim: ProcessSigns,
+    memory: ProcessSigns,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct ProcessSigns {
+    /// When the last heartbeat arrived.
+    heard_ns: u64,
+    /// Frames rendered, or images embedded, and when that was last known to grow.
+    done: u64,
+    progress_ns: u64,
+    /// Views, or images, that were waiting.
+    waiting: u64,
+}
+
+impl VitalSigns {
+    /// Before the first heartbeats of processes that are ready at `now_ns`.
+    pub(super) fn new(now_ns: u64) -> Self {
+        let signs = ProcessSigns { heard_ns: now_ns, done: 0, progress_ns: 0, waiting: 0 };
+        Self { sim: signs, memory: signs }
+    }
+
+    /// A heartbeat of `role` arrived.
+    pub(super) fn heard(&mut self, role: Role, heartbeat: &Heartbeat, now_ns: u64) {
+        let signs = match role {
+            Role::Sim => &mut self.sim,
+            Role::Memory => &mut self.memory,
+            _ => return,
+        };
+        signs.heard_ns = now_ns;
+        signs.waiting = heartbeat.waiting;
+        if heartbeat.done > signs.done {
+            signs.done = heartbeat.done;
+            signs.progress_ns = now_ns;
+        }
+    }
+
+    /// When memory was last known to embed an image; 0: never.
+    pub(super) fn memory_busy_ns(&self) -> u64 {
+        self.memory.progress_ns
+    }
+
+    /// Whether the simulator is silent while memory is not, and how that shows.
+    pub(super) fn simulator_is_silent(&self, now_ns: u64) -> Option<String> {
+        let passed = |since: u64| Duration::from_nanos(now_ns.saturating_sub(since));
+        let Self { sim, memory } = self;
+        let silence = passed(sim.heard_ns);
+        let is_memory_alive = passed(memory.heard_ns) < silence / 2;
+        let seconds = silence.as_secs();
+        (silence >= SILENCE && is_memory_alive).then(|| {
+            format!(
+                "the sim process has not reported for {seconds} s and seems to hang; memory waits for its frames"
+            )
+        })
+    }
+
+    /// Whether an answer of memory that is awaited since `since_ns` is overdue because of the simulator, and how that shows. A
+    /// simulator that has no room for frames, because an external memory pins them, is not told from one that hangs.
+    pub(super) fn simulator_hangs(&self, since_ns: u64, now_ns: u64) -> Option<String> {
+        if let Some(silent) = self.simulator_is_silent(now_ns) {
+            return Some(silent);
+        }
+        let sim = self.sim;
+        let idle = Duration::from_nanos(now_ns.saturating_sub(sim.progress_ns.max(since_ns)));
+        if sim.waiting > 0 && sim.progress_ns <= since_ns && idle >= SILENCE {
+            let (views, seconds) = (sim.waiting, idle.as_secs());
+            return Some(format!(
+                "the sim process has rendered none of {views} views for {seconds} s and seems to hang; memory waits \
+                 for its frames"
+            ));
+        }
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use bytemuck::Zeroable;
+
+    use super::*;
+
+    /// The signs after heartbeats at these seconds, with frames rendered or images embedded, and what waits.
+    fn signs(beats: &[(Role, u64, u64, u64)]) -> VitalSigns {
+        let mut signs = VitalSigns::new(0);
+        for &(role, second, done, waiting) in beats {
+            let heartbeat = Heartbeat { done, waiting, ..Zeroable::zeroed() };
+            signs.heard(role, &heartbeat, second * 1_000_000_000);
+        }
+        signs
+    }
+
+    fn hangs(beats: &[(Role, u64, u64, u64)], since: u64, now: u64) -> Option<String> {
+        signs(beats).simulator_hangs(since * 1_000_000_000, now * 1_000_000_000)
+    }
+
+    #[test]
+    fn the_silent_one_of_simulator_and_memory_is_the_one_that_hangs() {
+        let (sim, memory) = (Role::Sim, Role::Memory);
+        let found = hangs(&[(sim, 10, 5, 0), (memory, 119, 3, 2)], 1, 120).unwrap();
+        assert!(found.contains("sim process has not reported for 110 s"), "{found}");
+        assert_eq!(hangs(&[(sim, 119, 5, 0), (memory, 10, 3, 2)], 1, 120), None);
+        assert_eq!(hangs(&[(sim, 119, 5, 0), (memory, 119, 3, 2)], 1, 120), None);
+        assert_eq!(hangs(&[], 1, 120), None, "both are silent");
+        assert_eq!(signs(&[(memory, 7, 1, 0), (memory, 9, 1, 0)]).memory_busy_ns(), 7_000_000_000);
+    }
+
+    #[test]
+    fn a_simulator_that_renders_nothing_of_what_waits_hangs() {
+        let alive = (Role::Memory, 119, 3, 2);
+        let found = hangs(&[(Role::Sim, 2, 5, 1), (Role::Sim, 119, 5, 4), alive], 3, 120).unwrap();
+        assert!(found.contains("rendered none of 4 views for 117 s"), "{found}");
+        assert_eq!(hangs(&[(Role::Sim, 2, 5, 1), (Role::Sim, 119, 6, 4), alive], 3, 120), None);
+        assert_eq!(hangs(&[(Role::Sim, 2, 5, 1), (Role::Sim, 119, 5, 0), alive], 3, 120), None);
+    }
+}
