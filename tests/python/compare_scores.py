@@ -12,6 +12,7 @@ import subprocess
 import sys
 
 import numpy as np
+from blake3 import blake3
 from scipy import stats
 
 PAIRS = 200
@@ -19,7 +20,13 @@ SEED = 20_260_101
 CASES = [f"t{task:02}-{number:02}" for task in range(1, 11) for number in range(1, 5)]
 
 
-def draw_condition(random, condition, cases, repetitions, kept):
+def seed_of(key, run_seed):
+    """The seed of the episode `key` in a run with the seed `run_seed`."""
+    digest = blake3(b"memtransfer episode seed v1\0" + run_seed.to_bytes(8, "little") + key.encode()).digest()
+    return int.from_bytes(digest[:8], "little")
+
+
+def draw_condition(random, condition, cases, repetitions, kept, run_seed):
     """The records of a condition: each case has its own success rate, and some episodes are missing."""
     memory, start, route, demonstrations, *variation = condition.split("/")
     records = []
@@ -39,7 +46,7 @@ def draw_condition(random, condition, cases, repetitions, kept):
                 "run": run,
                 "case": case,
                 "task": int(case[1:3]),
-                "seed": 1,
+                "seed": seed_of(f"{condition}/run{run}/{case}", run_seed),
                 "ending": "complete" if success else "out-of-steps",
                 "steps": steps,
                 "reference": reference,
@@ -218,14 +225,14 @@ def score(program, *arguments):
 
 def main(program, manifest, folder):
     manifest, folder = json.loads(pathlib.Path(manifest).read_text()), pathlib.Path(folder)
-    random = np.random.default_rng(SEED)
+    random, run_seed = np.random.default_rng(SEED), manifest["settings"]["seed"]
     sides = [{}, {}]
     for index in range(PAIRS):
         condition = f"episodic/new/unchanged/4/h{index + 7}"
         cases = CASES[: random.integers(1, len(CASES) + 1)]
         kept = random.choice([1.0, 1.0, 0.6])
         for side in sides:
-            side[condition] = draw_condition(random, condition, cases, int(random.integers(1, 6)), kept)
+            side[condition] = draw_condition(random, condition, cases, int(random.integers(1, 6)), kept, run_seed)
     runs = [folder / name for name in "ab"]
     for run, side in zip(runs, sides):
         write_run(run, manifest, [record for records in side.values() for record in records])
@@ -243,7 +250,8 @@ def main(program, manifest, folder):
         cases = CASES[: random.integers(2, len(CASES) + 1)]
         kept = random.choice([1.0, 0.7])
         conditions = [f"{name}/h{index + 7}" for name in names]
-        groups.append({name: draw_condition(random, name, cases, int(random.integers(1, 5)), kept) for name in conditions})
+        draw = lambda name: draw_condition(random, name, cases, int(random.integers(1, 5)), kept, run_seed)
+        groups.append({name: draw(name) for name in conditions})
     records = [record for group in groups for arm in group.values() for record in arm]
     write_run(folder / "blocked", manifest, records)
     scores = {}

@@ -162,9 +162,11 @@ impl Runtime {
         };
         ensure!(path.is_file(), "ONNX Runtime is not at {shown}; {next}");
         let load = || {
-            check_whole(path).map_err(|error| error.to_string())?;
-            if let RuntimeLibrary::Cached(path) = library {
-                check_known(path)?;
+            match library {
+                RuntimeLibrary::Cached(path) => check_known(path)?,
+                RuntimeLibrary::Own(path) => {
+                    check_whole(path).map_err(|error| error.to_string())?
+                }
             }
             let builder = ort::init_from(path).map_err(|error| error.to_string())?;
             let builder = builder.with_name("memtransfer").with_telemetry(false);
@@ -223,7 +225,7 @@ fn check_known(path: &Path) -> Result<(), String> {
     ))
 }
 
-/// Checks that the library has all bytes that its ELF header names: to use one that was cut off ends the process on SIGBUS.
+/// Checks that a library of the user has all bytes that its ELF header names: to use one that was cut off ends the process on SIGBUS.
 fn check_whole(library: &Path) -> io::Result<()> {
     let mut file = File::open(library)?;
     let size = file.metadata()?.len();

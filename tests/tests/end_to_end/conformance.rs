@@ -240,7 +240,7 @@ fn the_example_policy_in_rust_conforms_and_decides_in_a_run() {
     args.extend(["--memory", "working,full-context", "--max-steps", "30", "--out", "own"]);
     args.extend(["--policy-cmd", &policy]);
     let ended = bench.run(&args).expect(0);
-    assert!(ended.stdout.contains("Policy: external wanderer, started with `"), "{}", ended.stdout);
+    assert!(ended.stdout.contains("Policy: external (wanderer)."), "{}", ended.stdout);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 

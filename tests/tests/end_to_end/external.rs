@@ -41,7 +41,7 @@ fn killing_a_policy_command_changes_no_log_and_leaves_nothing_behind() {
     kill(process_of(bench.registry.path(), "policy"));
     let ended = Ended::of(child).expect(0);
     assert!(ended.stderr.contains("the policy process (`sh -c "), "{}", ended.stderr);
-    assert!(ended.stdout.contains(", started with `sh -c "), "{}", ended.stdout);
+    assert!(ended.stdout.contains("was started with `sh -c "), "{}", ended.stdout);
     assert_eq!(sorted_log(&bench.out("killed")), reference);
     assert_eq!(
         processes_with(mark.as_bytes()),

@@ -368,7 +368,7 @@ fn text_of_a_run_is_never_read_as_a_page() {
     browser.open(&url);
     browser.wait_for("document.querySelectorAll('td a.mark').length > 0");
     let page = browser.text("main");
-    assert_eq!(page.matches(TEXT).count(), 3, "{page}");
+    assert_eq!(page.matches(TEXT).count(), 4, "{page}");
     browser.click("td a.mark");
     browser.click(".prompts summary");
     browser.wait_for("document.querySelectorAll('.prompts pre').length >= 2");

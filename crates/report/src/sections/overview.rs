@@ -134,7 +134,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let facts = facts.into_iter().chain(streams);
     blocks.push(ReportBlock::Table(facts_table(view.id("facts"), "Summary of the run.", facts)));
     let task = "An agent has an instruction such as “Visit a blue barrel, then an orange cone.”, its pose and what it sees. \
-                 Every memory but working memory is built from expert demonstrations before; at every step the policy gets \
+                 Every memory except working memory is built from expert demonstrations beforehand; at every step the policy gets \
                  a part of it in addition to the last few steps.";
     blocks.push(ReportBlock::Text(task.to_owned()));
     let memory = |representation: &Representation| {

@@ -168,9 +168,15 @@ impl EpisodeRecord {
         ensure(stream.reference_actions.chars().all(is_action), || {
             "\"reference_actions\" has a letter that is no action".to_owned()
         })?;
-        let actions = stream.reference_actions.len();
-        ensure(actions == 0 || actions == self.reference as usize, || {
-            format!("\"reference\" is {}, and \"reference_actions\" has {actions}", self.reference)
+        // Standpoints are reached by moves; a final turn towards the rack does not count.
+        let is_move =
+            |letter| Action::from_letter(letter).is_some_and(|it| it.move_direction().is_some());
+        let moves = stream.reference_actions.rfind(is_move).map_or(0, |index| index + 1);
+        ensure(stream.reference_actions.is_empty() || moves == self.reference as usize, || {
+            format!(
+                "\"reference\" is {}, and the last move of \"reference_actions\" is number {moves}",
+                self.reference
+            )
         })?;
         let learned = self.arm == Arm::Learning && stream.learns();
         ensure(stream.snapshot.is_some() == learned, || {

@@ -32,6 +32,7 @@ pub(crate) fn method() -> Method<fn() -> DigestMemory> {
         deterministic: true,
         learns: true,
         sdk: "drill".to_owned(),
+        code: "drill=0".to_owned(),
         ..MemoryDescription::default()
     };
     Method::new(description, DigestMemory::default)
