@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -197,7 +198,8 @@ impl StatusFile {
         let new = self.path.with_extension("json.new");
         let written = serde_json::to_vec(status)
             .map_err(std::io::Error::from)
-            .and_then(|text| durable::write_file(&new, &text))
+            // No run is resumed from it, so no drill makes it fail: it is written when real time has passed.
+            .and_then(|text| durable::create(&new)?.write_all(&text))
             .and_then(|()| fs::rename(&new, &self.path));
         if let Err(error) = written {
             tracing::debug!(%error, "cannot write the status file");
