@@ -143,12 +143,10 @@ impl ChatReply {
             return None;
         }
         // A model that says nothing still says that it has ended, which is a token.
-        match (self.completion_tokens, finish_reason) {
-            (Some(0), _) => Some("it is empty and has no tokens".to_owned()),
-            (None, None) => {
-                Some("it is empty, and says neither why nor how many tokens it has".to_owned())
-            }
-            _ => None,
+        match self.completion_tokens {
+            Some(0) => Some("it is empty and has no tokens".to_owned()),
+            None => Some("it is empty, and does not say how many tokens it has".to_owned()),
+            Some(_) => None,
         }
     }
 
@@ -166,6 +164,17 @@ impl ChatReply {
     }
 }
 
+/// Whether a field is there and empty, as some servers send those that do not apply.
+fn says_nothing(field: &Value) -> bool {
+    match field {
+        Value::Null | Value::Bool(false) => true,
+        Value::String(text) => text.is_empty(),
+        Value::Array(items) => items.is_empty(),
+        Value::Object(fields) => fields.is_empty(),
+        _ => false,
+    }
+}
+
 /// Reads the body of a response with status 2xx.
 ///
 /// # Errors
@@ -175,7 +184,7 @@ pub fn read(body: &[u8]) -> Result<ChatReply, UnusableReply> {
         serde_json::from_slice(body).map_err(|error| format!("it is not JSON: {error}"))?;
     // Some proxies report a failure behind them with status 200, as the whole answer or inside a choice.
     let errors = [body.get("error"), body.pointer("/choices/0/error")];
-    if let Some(error) = errors.into_iter().flatten().find(|error| !error.is_null()) {
+    if let Some(error) = errors.into_iter().flatten().find(|error| !says_nothing(error)) {
         let problem = format!("it is an error: {}", message_of(error));
         let code = error.get("code").and_then(Value::as_u64).and_then(|code| code.try_into().ok());
         return Err(UnusableReply { problem, code });
@@ -318,7 +327,8 @@ mod tests {
     use super::*;
 
     fn content(choice: &str) -> ReplyContent {
-        read(format!("{{\"choices\":[{choice}]}}").as_bytes()).unwrap().content
+        let usage = r#""usage":{"completion_tokens":1}"#;
+        read(format!("{{\"choices\":[{choice}],{usage}}}").as_bytes()).unwrap().content
     }
 
     #[test]
@@ -348,6 +358,7 @@ mod tests {
                 Refusal(String::new()),
             ),
             (r#"{"message":{"content":"North","refusal":""}}"#, Text("North".into())),
+            (r#"{"message":{"content":"North"},"error":{}}"#, Text("North".into())),
             (r#"{"message":{"content":"hm\n</think>\n\nNorth"}}"#, Text("North".into())),
             (r#"{"message":{"content":"North</think>"}}"#, Text("North</think>".into())),
             (
@@ -472,9 +483,9 @@ mod tests {
                 None,
             ),
             (
-                r#"{"message":{"content":null}}"#,
+                r#"{"message":{"content":""},"finish_reason":"stop"}"#,
                 "{}",
-                "it is empty, and says neither why nor how many tokens it has",
+                "it is empty, and does not say how many tokens it has",
                 None,
             ),
         ] {

@@ -50,7 +50,7 @@ const PARTS: [SectionEntry; 15] = [
     ("overview", "What was run", overview::blocks),
     ("conditions", "All conditions", conditions::blocks),
     ("main", "Success across the three questions", main_table::blocks),
-    ("transfer", "RQ1: a start that was not demonstrated", transfer::blocks),
+    ("transfer", "RQ1: demonstrations from other starts", transfer::blocks),
     ("blocked", "RQ2: a blocked route", |view| {
         ReportBlock::tables([blocked_table(view), other_blocked_table(view)])
     }),

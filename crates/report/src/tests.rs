@@ -86,7 +86,7 @@ fn what_was_not_run_is_left_out_and_named_in_one_line() {
         ReportBlock::Text(text) if text.starts_with("Sections without a figure") => Some(text),
         _ => None,
     });
-    insta::assert_snapshot!(line.unwrap(), @"Sections without a figure of this run are left out: RQ1: a start that was not demonstrated; RQ2: a blocked route; RQ3: histories of other tasks; Design choices.");
+    insta::assert_snapshot!(line.unwrap(), @"Sections without a figure of this run are left out: RQ1: demonstrations from other starts; RQ2: a blocked route; RQ3: histories of other tasks; Design choices.");
     let cells = cells(&document);
     let found = |place: &str| {
         let cell = cells.iter().find(|(at, _)| at == place);

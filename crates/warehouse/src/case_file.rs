@@ -60,9 +60,20 @@ const HEADER: &str = "\
 # `irrelevant` and `confusable` list two demonstrations of other tasks each: the case and its start.
 ";
 
+/// The version of the rules by which cases are drawn: the same version and seed give the same cases. Since version 2 an item is
+/// in view when its volume, plate or label is ([`crate::sight`]).
+const VERSION: u32 = 2;
+
+const fn first_version() -> u32 {
+    1
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CasesFile {
+    /// Absent in files of version 1.
+    #[serde(default = "first_version")]
+    version: u32,
     seed: u64,
     case: Vec<CaseEntry>,
 }
@@ -119,6 +130,9 @@ impl CaseSet {
 
     fn parse(text: &str, warehouse: &Warehouse) -> Result<Self, Problem> {
         let file: CasesFile = toml(text)?;
+        if !(1..=VERSION).contains(&file.version) {
+            return Err(format!("version {}; this program reads 1 to {VERSION}", file.version));
+        }
         if file.case.is_empty() || file.case.len() > MAX_CASES {
             return Err(format!("{} cases; must be 1 to {MAX_CASES}", file.case.len()));
         }
@@ -144,7 +158,7 @@ impl CaseSet {
 
     /// The text of the file, from which [`load`](Self::load) reads the same set.
     pub fn to_toml(&self, catalogue: &Catalogue) -> String {
-        let mut text = format!("{HEADER}\nseed = {}\n", self.seed);
+        let mut text = format!("{HEADER}\nversion = {VERSION}\nseed = {}\n", self.seed);
         for case in &self.cases {
             write_case(&mut text, case, self, catalogue);
         }
@@ -430,6 +444,8 @@ confusable = ["t06-01 original", "t06-01 opposite"]
             ("test = ", "tset = ", "tset"),
             ("blocked = \"2,1,N f\"\n", "", "blocked"),
             ("seed = 18446744073709551615", "", "seed"),
+            ("seed = 18446744073709551615", "version = 3\nseed = 1", "version 3"),
+            ("seed = 18446744073709551615", "version = 0\nseed = 1", "version 0"),
             ("seed = 18446744073709551615", "seed = -1", "-1"),
             ("[[case]]", "[[case", "case"),
         ] {

@@ -1,6 +1,6 @@
 //! The run folder as it is written: opened, locked, extended.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -40,8 +40,8 @@ pub struct RunFolder {
     latency: Journal<LatencyRecord>,
     /// [`hash`]es of the keys of finished episodes.
     finished: HashSet<u128>,
-    /// Facts that were learned in this session: process and name.
-    learned: HashSet<(String, String)>,
+    /// Facts that were learned in this session, process and name, each with what earlier sessions have learned.
+    learned: HashMap<(String, String), Option<String>>,
     /// Dropped last, after everything else is closed.
     _lock: File,
 }
@@ -117,7 +117,7 @@ impl RunFolder {
             sessions,
             latency,
             finished: finished.iter().map(|record| hash(&record.key)).collect(),
-            learned: HashSet::new(),
+            learned: HashMap::new(),
             _lock: lock,
         };
         Ok(Opened { folder, finished, requests: asked, notes })
@@ -288,7 +288,7 @@ impl RunFolder {
     }
 
     /// Adds facts that a process has learned since it was ready to the manifest. Returns those that differ from what an
-    /// earlier session has learned. The manifest has the latest, `sessions.jsonl` all of them.
+    /// earlier session has learned. The manifest then has both, `sessions.jsonl` each with its session.
     ///
     /// # Errors
     /// When an operation of the system fails.
@@ -300,18 +300,34 @@ impl RunFolder {
         let known = self.manifest.processes.entry(role.to_owned()).or_default();
         let mut changes = Vec::new();
         for (fact, now) in facts {
-            let before = known.insert(fact.clone(), now.clone());
-            let is_first = self.learned.insert((role.to_owned(), fact.clone()));
-            if let Some(before) = before.filter(|before| is_first && before != now) {
-                changes
-                    .push(format!("{role}: {fact} was {before} in an earlier session, now {now}"));
+            let name = (role.to_owned(), fact.clone());
+            let is_first = !self.learned.contains_key(&name);
+            let before = self.learned.entry(name).or_insert_with(|| known.get(fact).cloned());
+            let mut joined = now.clone();
+            // Episodes of earlier sessions are part of the same figures.
+            if let Some(before) = before.as_ref().filter(|before| !says(before, now)) {
+                joined = format!("{before}{LATER}{now}");
+                if is_first {
+                    changes.push(format!(
+                        "{role}: {fact} was {before} in an earlier session, now {now}"
+                    ));
+                }
             }
+            known.insert(fact.clone(), joined);
         }
         self.manifest.write(&self.dir)?;
         let (process, facts) = (role.to_owned(), facts.clone());
         self.note(SessionEvent::Learned { process, facts })?;
         Ok(changes)
     }
+}
+
+/// What joins the values that a fact had in several sessions.
+const LATER: &str = "; in a later session ";
+
+/// Whether the last of the joined values `before` is `now`.
+fn says(before: &str, now: &str) -> bool {
+    before.rsplit(LATER).next() == Some(now)
 }
 
 /// The facts that a policy learns from the replies of its server ([`RunFolder::learn`]), and so does not have when it is
