@@ -58,7 +58,8 @@ fn literal(text: String) -> String {
 
 /// Whether the text is a number, or a signed figure and its interval, such as `-3.2 [-4.0, 1.5]`.
 fn is_figure(text: &str) -> bool {
-    let is_number = |part: &str| part.parse::<f64>().is_ok();
+    // Tables print the minus sign, not a hyphen.
+    let is_number = |part: &str| part.replace('−', "-").parse::<f64>().is_ok();
     let part = |part: &str| is_number(part.trim_matches(['[', ']', ',', '(', ')', '%']));
     is_number(text) || text.split(' ').all(part)
 }
@@ -74,8 +75,17 @@ mod tests {
         {
             assert_eq!(literal(text.to_owned()), format!("'{text}"));
         }
-        for text in ["-3.2", "+0.5", "-1e-9", "-3.2 [-4.0, +1.5]", "x=1", "", "a-b", "−3.2 [1, 2]"]
-        {
+        for text in [
+            "-3.2",
+            "+0.5",
+            "-1e-9",
+            "-3.2 [-4.0, +1.5]",
+            "x=1",
+            "",
+            "a-b",
+            "−3.2 [1, 2]",
+            "+0.006 [−0.062, 0.074]",
+        ] {
             assert_eq!(literal(text.to_owned()), text);
         }
     }
