@@ -302,17 +302,20 @@ impl RunFolder {
         for (fact, now) in facts {
             let name = (role.to_owned(), fact.clone());
             let is_first = !self.learned.contains_key(&name);
-            let before = self.learned.entry(name).or_insert_with(|| known.get(fact).cloned());
-            let mut joined = now.clone();
+            let before = &*self.learned.entry(name).or_insert_with(|| known.get(fact).cloned());
             // Episodes of earlier sessions are part of the same figures.
-            if let Some(before) = before.as_ref().filter(|before| !says(before, now)) {
-                joined = format!("{before}{LATER}{now}");
-                if is_first {
-                    changes.push(format!(
-                        "{role}: {fact} was {before} in an earlier session, now {now}"
-                    ));
+            let joined = match before {
+                None => now.clone(),
+                Some(before) if says(before, now) => before.clone(),
+                Some(before) => {
+                    if is_first {
+                        changes.push(format!(
+                            "{role}: {fact} was {before} in an earlier session, now {now}"
+                        ));
+                    }
+                    format!("{before}{LATER}{now}")
                 }
-            }
+            };
             known.insert(fact.clone(), joined);
         }
         self.manifest.write(&self.dir)?;

@@ -267,6 +267,32 @@ fn processes_that_changed_are_named() {
 }
 
 #[test]
+fn what_sessions_learn_of_a_server_is_kept_together() {
+    let dir = tempfile::tempdir().unwrap();
+    let session = |case: &str, learned: &[&str]| {
+        let mut folder = RunFolder::open(dir.path(), manifest(), false).unwrap().folder;
+        add(&mut folder, case);
+        let mut changes = Vec::new();
+        for value in learned {
+            let facts = [("reasoning".to_owned(), (*value).to_owned())].into();
+            changes.extend(folder.learn("policy", &facts).unwrap());
+        }
+        drop(folder);
+        let manifest = RunLog::read(dir.path()).unwrap().manifest;
+        (changes, manifest.processes["policy"]["reasoning"].clone())
+    };
+    assert_eq!(
+        session("t01-01", &["off", "on"]),
+        (Vec::new(), "on".to_owned()),
+        "the latest of a session"
+    );
+    let (changes, kept) = session("t01-02", &["off"]);
+    assert_eq!(changes, ["policy: reasoning was on in an earlier session, now off"]);
+    assert_eq!(kept, "on; in a later session off");
+    assert_eq!(session("t01-03", &["off"]), (Vec::new(), kept), "as the session before");
+}
+
+#[test]
 fn an_external_memory_is_the_same_when_a_run_goes_on() {
     use domain::MemoryKind;
 
