@@ -108,7 +108,7 @@ impl ReplyCache {
     /// as missing.
     pub(crate) fn get(&self, key: &CacheKey) -> Option<ChatReply> {
         let path = self.path(key);
-        let problem = match fs::read(&path) {
+        let problem = match durable::input::read(&path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return None,
             Err(error) => error.to_string(),
             Ok(text) => match serde_json::from_slice::<StoredReply>(&text) {
