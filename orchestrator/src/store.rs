@@ -164,14 +164,14 @@ impl Store {
 fn hash_of(file: &Path) -> Result<(String, u64)> {
     let read = || {
         let mut hasher = blake3::Hasher::new();
-        let bytes = io::copy(&mut File::open(file)?, &mut hasher)?;
+        let bytes = io::copy(&mut durable::input::open(file)?, &mut hasher)?;
         Ok::<_, io::Error>((hasher.finalize().to_hex().to_string(), bytes))
     };
     read().with_context(|| format!("cannot read {}", file.display()))
 }
 
 fn copy_file(from: &Path, draft: &mut File) -> Result<()> {
-    io::copy(&mut File::open(from)?, draft)?;
+    io::copy(&mut durable::input::open(from)?, draft)?;
     Ok(())
 }
 

@@ -10,7 +10,6 @@
 mod upkeep;
 
 use std::fmt;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -154,6 +153,8 @@ impl ReplyCache {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use crate::reply::ReplyContent;
     use crate::request::{ChatMessage, ChatRole, ContentPart, ImageUrl, MessageContent};
