@@ -153,7 +153,8 @@ impl EmbeddingCache {
         dimension: usize,
     ) -> anyhow::Result<usize> {
         let shown = file.display();
-        let bytes = std::fs::read(file).with_context(|| format!("cannot read {shown}"))?;
+        let bytes =
+            durable::input::read_large(file).with_context(|| format!("cannot read {shown}"))?;
         let rest =
             bytes.strip_prefix(SHIPPED).with_context(|| format!("{shown} has no embeddings"))?;
         let rest = rest.strip_prefix(model).with_context(|| {

@@ -132,7 +132,7 @@ impl EncoderManifest {
     /// When the file exists and cannot be read or used.
     pub fn load(assets: &Path) -> Result<Self> {
         let path = assets.join(FILE);
-        match std::fs::read_to_string(&path) {
+        match durable::input::read_text(&path) {
             Ok(text) => Self::parse(&text, &path),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Self::shipped(),
             Err(error) => bail!("cannot read the model manifest {}: {error}", path.display()),

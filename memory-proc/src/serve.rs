@@ -165,7 +165,7 @@ impl<'a> MemoryServer<'a> {
         let worlds = match &settings.streams {
             None => WorldStates::unchanging(warehouse, cases),
             Some(file) => {
-                let text = std::fs::read_to_string(file)
+                let text = durable::input::read_text(file)
                     .with_context(|| format!("cannot read {}", file.display()))?;
                 let streams = StreamSet::parse(&text, &warehouse, &cases)
                     .with_context(|| file.display().to_string())?;

@@ -128,8 +128,8 @@ impl Store {
     fn fetch(&self, file: &StoredFile, cache: &Path) -> Result<bool> {
         ensure!(
             may_come_with_a_plan(&file.path),
-            "the plan brings {:?}, and a plan may only bring {RUNTIME_FILE} and files in {} of the cache folder: write the \
-             plan again, with `memtransfer plan --store`",
+            "the plan brings {:?}, and a plan may only bring {RUNTIME_FILE} and files in {} of the cache folder, in documents \
+             only .json files: write the plan again, with `memtransfer plan --store`",
             file.path,
             FOLDERS.join(", ")
         );
@@ -148,7 +148,11 @@ impl Store {
         };
         let check = |draft: &Path| {
             check_hash(draft, hash)?;
-            if file.path == RUNTIME_FILE { check_runtime(draft) } else { Ok(()) }
+            match file.path.strip_prefix("models/") {
+                Some(model) => check_model(model, draft),
+                None if file.path == RUNTIME_FILE => check_runtime(draft),
+                None => Ok(()),
+            }
         };
         write_checked(&to, get, check).with_context(|| {
             format!(
@@ -164,14 +168,14 @@ impl Store {
 fn hash_of(file: &Path) -> Result<(String, u64)> {
     let read = || {
         let mut hasher = blake3::Hasher::new();
-        let bytes = io::copy(&mut File::open(file)?, &mut hasher)?;
+        let bytes = io::copy(&mut durable::input::open(file)?, &mut hasher)?;
         Ok::<_, io::Error>((hasher.finalize().to_hex().to_string(), bytes))
     };
     read().with_context(|| format!("cannot read {}", file.display()))
 }
 
 fn copy_file(from: &Path, draft: &mut File) -> Result<()> {
-    io::copy(&mut File::open(from)?, draft)?;
+    io::copy(&mut durable::input::open(from)?, draft)?;
     Ok(())
 }
 
@@ -182,7 +186,9 @@ fn may_come_with_a_plan(path: &str) -> bool {
         [Component::Normal(first), Component::Normal(_)] => first == folder,
         _ => false,
     };
-    path == RUNTIME_FILE || FOLDERS.into_iter().any(in_folder)
+    // The folder of documents also has the lock and the drafts of those who build them.
+    let is_of_its_kind = !in_folder("documents") || path.ends_with(".json");
+    path == RUNTIME_FILE || is_of_its_kind && FOLDERS.into_iter().any(in_folder)
 }
 
 /// Checks the hash of a file of a store.
@@ -195,6 +201,45 @@ fn check_hash(file: &Path, hash: &str) -> Result<()> {
 /// Checks that a file is a library that set-up fetches: it is code that memory loads, and the plan, which names its hash, may be
 /// another user's.
 fn check_runtime(file: &Path) -> Result<()> {
+    let sha256 = sha256_of(file)?;
+    ensure!(
+        RUNTIME_SHA256.contains(&&*sha256),
+        "it is not the ONNX Runtime that set-up fetches, and would be loaded as code (its SHA-256 is {sha256}). Run `cargo xtask \
+         setup` on this machine instead"
+    );
+    Ok(())
+}
+
+/// Checks that a file with the name of a model that set-up fetches is that model: it would stay in the cache folder, and end later
+/// runs. Other models are the user's own.
+fn check_model(name: &str, file: &Path) -> Result<()> {
+    let known: KnownModels = toml::from_str(include_str!("../../assets/models.toml"))?;
+    let named = known.models.iter().find(|model| model.file.as_deref() == Some(name));
+    let Some(expected) = named.and_then(|model| model.sha256.as_deref()) else { return Ok(()) };
+    let sha256 = sha256_of(file)?;
+    ensure!(
+        sha256 == expected,
+        "it is not the model {name} that set-up fetches (its SHA-256 is {sha256}, not {expected}). Run `cargo xtask setup` on this \
+         machine instead"
+    );
+    Ok(())
+}
+
+/// What the shipped manifest of encoders says about their files.
+#[derive(Deserialize)]
+struct KnownModels {
+    #[serde(rename = "model")]
+    models: Vec<KnownModel>,
+}
+
+#[derive(Deserialize)]
+struct KnownModel {
+    file: Option<String>,
+    sha256: Option<String>,
+}
+
+/// SHA-256 of a file, as hexadecimal digits.
+fn sha256_of(file: &Path) -> Result<String> {
     let read = || {
         let (mut file, mut hasher, mut part) = (File::open(file)?, Sha256::new(), vec![0; 1 << 16]);
         loop {
@@ -204,13 +249,7 @@ fn check_runtime(file: &Path) -> Result<()> {
             }
         }
     };
-    let sha256 = read().with_context(|| format!("cannot read {}", file.display()))?;
-    ensure!(
-        RUNTIME_SHA256.contains(&&*sha256),
-        "it is not the ONNX Runtime that set-up fetches, and would be loaded as code (its SHA-256 is {sha256}). Run `cargo xtask \
-         setup` on this machine instead"
-    );
-    Ok(())
+    read().with_context(|| format!("cannot read {}", file.display()))
 }
 
 /// Writes the file `to`, which appears only when all of it is there and `check` accepts it.
@@ -399,6 +438,8 @@ mod tests {
             "models/../x",
             "models",
             "",
+            "documents/lock",
+            "documents/summary-4.json.new",
             &inside,
             "python-tests/bin/python",
             "model-hashes/x",
@@ -427,6 +468,18 @@ mod tests {
         assert!(error.contains("is not the ONNX Runtime that set-up fetches"), "{error}");
         let left = fs::read_dir(cache.join(RUNTIME_FILE).parent().unwrap()).unwrap();
         assert_eq!(left.count(), 0, "it was not written");
+    }
+
+    #[test]
+    fn a_model_that_set_up_fetches_is_the_known_one() {
+        let (folder, store, other, cache) = stored();
+        let file = folder.path().join("planted");
+        fs::write(&file, "0123456789").unwrap();
+        let planted = store.add(&file, "models/dinov2-s14.onnx".to_owned()).unwrap();
+        let error = format!("{:#}", store.fetch(&planted, &cache).unwrap_err());
+        assert!(error.contains("is not the model dinov2-s14.onnx"), "{error}");
+        assert_eq!(fs::read_dir(cache.join("models")).unwrap().count(), 0, "it was not written");
+        assert!(store.fetch(&other, &cache).unwrap(), "a model of the user");
     }
 
     #[cfg(not(feature = "object-store"))]

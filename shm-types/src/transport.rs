@@ -105,7 +105,9 @@ pub enum BusError {
 
 impl BusError {
     pub(crate) fn open(what: impl Display, cause: impl Display) -> Self {
-        Self::Open { what: what.to_string(), cause: with_full_file_table(&cause) }
+        let cause = with_full_file_table(&cause);
+        let limit = getrlimit(Resource::Fsize).current;
+        Self::Open { what: what.to_string(), cause: with_limit_of_sizes(cause, limit) }
     }
 
     pub(crate) fn transport(what: &'static str, cause: impl Display) -> Self {
@@ -126,6 +128,17 @@ fn with_full_file_table(cause: &dyn Display) -> String {
     }
     format!(
         "{cause}; this process has {open} of at most {limit} files open: raise the limit, for example `ulimit -n 4096`"
+    )
+}
+
+/// iceoryx2's error, with the limit of the size of files in bytes, if there is one: shared memory consists of files, and the error
+/// does not tell when one may not grow.
+fn with_limit_of_sizes(cause: String, limit: Option<u64>) -> String {
+    let Some(limit) = limit else { return cause };
+    format!(
+        "{cause}; a file of this process, also one in shared memory, may have at most {} KiB: if that is too little, raise the \
+         limit, for example `ulimit -f unlimited`",
+        limit >> 10
     )
 }
 
@@ -196,5 +209,18 @@ pub(crate) fn delivered(
         Ok(_) => Ok(()),
         Err(SendError::UnableToDeliver) => Err(BusError::Full { service }),
         Err(e) => Err(BusError::transport(service, e)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_limit_of_file_sizes_is_named_where_there_is_one() {
+        let cause = || "UnableToCreateDataSegment".to_owned();
+        assert_eq!(with_limit_of_sizes(cause(), None), cause());
+        let named = with_limit_of_sizes(cause(), Some(1 << 20));
+        assert!(named.contains("at most 1024 KiB") && named.contains("`ulimit -f"), "{named}");
     }
 }

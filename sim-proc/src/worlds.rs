@@ -1,7 +1,6 @@
 //! The worlds of a run: the hall and what stands on its shelves, and which passages are closed.
 
 use std::collections::HashMap;
-use std::fs;
 use std::hash::Hash;
 use std::path::PathBuf;
 
@@ -38,7 +37,7 @@ impl WorldsArgs {
         let states = match &self.streams {
             None => Vec::new(),
             Some(file) => {
-                let text = fs::read_to_string(file)
+                let text = durable::input::read_text(file)
                     .with_context(|| format!("cannot read {}", file.display()))?;
                 let streams = StreamSet::parse(&text, &warehouse, &cases);
                 let states = streams.and_then(|streams| streams.states(&warehouse));

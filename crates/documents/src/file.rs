@@ -146,7 +146,7 @@ impl DocumentFile {
     /// When there is none, it cannot be read, or it is not usable.
     pub fn load(path: &Path) -> Result<Self, DocumentFileError> {
         let path = path.to_owned();
-        let text = match fs::read_to_string(&path) {
+        let text = match durable::input::read_text(&path) {
             Ok(text) => text,
             Err(cause) => {
                 return Err(match cause.kind() {
@@ -270,5 +270,7 @@ pub(crate) mod tests {
         fs::write(&path, [0xff, 0xfe]).unwrap();
         let error = DocumentFile::load(&path).unwrap_err();
         assert!(matches!(error, DocumentFileError::Broken { .. }), "{error}");
+        let error = DocumentFile::load(Path::new("/dev/zero")).unwrap_err().to_string();
+        assert!(error.ends_with("not a regular file"), "{error}");
     }
 }

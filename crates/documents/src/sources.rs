@@ -1,6 +1,5 @@
 //! The sources of documents: the selected demonstrations of all cases, in a world that is rendered.
 
-use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result};
@@ -39,7 +38,8 @@ impl Sources {
             None => Ok(built_in.to_owned()),
             Some(folder) => {
                 let path = folder.join(name);
-                fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
+                durable::input::read(&path)
+                    .with_context(|| format!("cannot read {}", path.display()))
             }
         };
         let files: Vec<Vec<u8>> = WORLD_FILES.into_iter().map(read).collect::<Result<_>>()?;

@@ -12,15 +12,34 @@ use rustix::fs::{CWD, Mode, OFlags};
 /// Most bytes of an input file, 256 MiB: four times what the largest set of cases takes.
 pub const INPUT_LIMIT: u64 = 256 << 20;
 
+/// Most bytes of a large input file, 16 GiB: eight times what a file of an ONNX model can hold.
+const LARGE_INPUT_LIMIT: u64 = 16 << 30;
+
 /// Reads the input file `path`.
 ///
 /// # Errors
 /// When it is no regular file, larger than [`INPUT_LIMIT`], or the system refuses.
 pub fn read(path: &Path) -> io::Result<Vec<u8>> {
+    read_at_most(open(path)?, INPUT_LIMIT)
+}
+
+/// Reads the input file `path` that may be large: a model, a library or embeddings.
+///
+/// # Errors
+/// When it is no regular file, larger than 16 GiB or than the memory, or the system refuses.
+pub fn read_large(path: &Path) -> io::Result<Vec<u8>> {
+    read_at_most(open(path)?, LARGE_INPUT_LIMIT)
+}
+
+/// Opens the input file `path` for reading.
+///
+/// # Errors
+/// When it is no regular file, or the system refuses.
+pub fn open(path: &Path) -> io::Result<File> {
     // A pipe without a writer would wait for one.
     let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let file = rustix::io::retry_on_intr(|| rustix::fs::openat(CWD, path, flags, Mode::empty()))?;
-    read_at_most(regular(file.into())?, INPUT_LIMIT)
+    regular(file.into())
 }
 
 /// Reads the input file `path` as text.
@@ -89,6 +108,8 @@ mod tests {
         assert_eq!(problem(&path("pipe")), "it is a pipe and not a regular file");
         assert_eq!(problem(Path::new("/dev/zero")), "it is a device and not a regular file");
         assert_eq!(problem(&path("large")), "it is larger than 256 MiB");
+        assert!(open(&path("large")).is_ok());
+        assert!(read_large(&path("pipe")).is_err() && read_large(Path::new("/dev/zero")).is_err());
         assert_eq!(read(folder.path()).unwrap_err().kind(), ErrorKind::IsADirectory);
         assert_eq!(read(&path("none")).unwrap_err().kind(), ErrorKind::NotFound);
         // Files of a run, too.

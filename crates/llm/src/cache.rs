@@ -10,7 +10,6 @@
 mod upkeep;
 
 use std::fmt;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -108,7 +107,7 @@ impl ReplyCache {
     /// as missing.
     pub(crate) fn get(&self, key: &CacheKey) -> Option<ChatReply> {
         let path = self.path(key);
-        let problem = match fs::read(&path) {
+        let problem = match durable::input::read(&path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return None,
             Err(error) => error.to_string(),
             Ok(text) => match serde_json::from_slice::<StoredReply>(&text) {
@@ -154,6 +153,8 @@ impl ReplyCache {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use crate::reply::ReplyContent;
     use crate::request::{ChatMessage, ChatRole, ContentPart, ImageUrl, MessageContent};

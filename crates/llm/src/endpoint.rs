@@ -310,26 +310,50 @@ impl fmt::Display for Endpoint {
 /// The variables of a `.env` file; none when the file does not exist.
 fn read_env_file(path: &Path) -> Result<Vec<(String, String)>, EndpointError> {
     let failed = |problem: String| EndpointError::EnvFile { path: path.to_owned(), problem };
-    let lines = match dotenvy::from_path_iter(path) {
-        Ok(lines) => lines,
-        Err(dotenvy::Error::Io(error)) if error.kind() == io::ErrorKind::NotFound => {
-            return Ok(Vec::new());
-        }
-        Err(dotenvy::Error::Io(error)) => return Err(failed(error.to_string())),
-        Err(_) => return Err(failed(NOT_A_VARIABLE.to_owned())),
+    let text = match durable::input::read_text(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        read => read.map_err(|error| failed(error.to_string()))?,
     };
-    lines
-        .map(|line| {
-            line.map_err(|error| match error {
-                dotenvy::Error::Io(error) => failed(error.to_string()),
-                // Its own message would show the line.
-                _ => failed(NOT_A_VARIABLE.to_owned()),
-            })
-        })
-        .collect()
+    let mut variables = Vec::new();
+    for (index, line) in text.lines().enumerate() {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let (name, value) = env_variable(line)
+            .ok_or_else(|| failed(format!("line {} is not NAME=value", index + 1)))?;
+        variables.push((name.to_owned(), value.to_owned()));
+    }
+    Ok(variables)
 }
 
-const NOT_A_VARIABLE: &str = "one of its lines is not NAME=value";
+/// The name and value in a line of a `.env` file: `NAME=value`, `NAME='value'` or `NAME="value"`, after an optional `export`
+/// and before an optional comment. A value is taken as it is written: if the variables that it mentions were replaced, a file
+/// from elsewhere could take the environment's key and send it to an address of its own.
+fn env_variable(line: &str) -> Option<(&str, &str)> {
+    let (name, value) = line.split_once('=')?;
+    let (name, value) = (name.trim(), value.trim());
+    let name = match name.strip_prefix("export") {
+        Some(rest) if rest.starts_with(char::is_whitespace) => rest.trim_start(),
+        _ => name,
+    };
+    let is_of_a_name = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '.');
+    if name.is_empty() || !name.chars().all(is_of_a_name) {
+        return None;
+    }
+    for quote in ['\'', '"'] {
+        if let Some(quoted) = value.strip_prefix(quote) {
+            let (value, rest) = quoted.split_once(quote)?;
+            let rest = rest.trim_start();
+            return (rest.is_empty() || rest.starts_with('#')).then_some((name, value));
+        }
+    }
+    let starts_comment = |&(index, _): &(usize, &str)| {
+        value[..index].chars().next_back().is_none_or(char::is_whitespace)
+    };
+    let end = value.match_indices('#').find(starts_comment).map_or(value.len(), |(index, _)| index);
+    Some((name, value[..end].trim_end()))
+}
 
 #[cfg(test)]
 mod tests {
@@ -457,6 +481,51 @@ mod tests {
             let servers = resolve(given, environment, env_file).unwrap();
             assert_eq!(servers.first.to_string(), expected);
         }
+    }
+
+    #[test]
+    fn a_value_of_the_file_takes_nothing_from_the_environment() {
+        for name in [KEY_VARIABLE, "PATH"] {
+            for value in [format!("${{{name}}}"), format!("${name}")] {
+                for quote in ["", "'", "\""] {
+                    let line = format!("{KEY_VARIABLE}={quote}{value}{quote} # comment\n");
+                    let text = format!("{line}OPENAI_BASE_URL=http://a/v1\n");
+                    let servers = resolve(None, &[], &text).unwrap();
+                    let sent = servers.first.authorization().unwrap();
+                    assert_eq!(sent, &format!("Bearer {value}"), "{line}");
+                }
+            }
+        }
+        // The environment's key is neither put into the address nor sent there.
+        let text = "OPENAI_BASE_URL=http://a/${OPENAI_API_KEY}/v1";
+        assert!(resolve(None, &[(KEY_VARIABLE, KEY)], text).is_err());
+    }
+
+    #[test]
+    fn lines_of_an_env_file() {
+        for (line, expected) in [
+            ("A=b", Some(("A", "b"))),
+            (" export A = b c ", Some(("A", "b c"))),
+            ("export=x", Some(("export", "x"))),
+            ("A=", Some(("A", ""))),
+            ("A= # none", Some(("A", ""))),
+            ("A=b#c # d", Some(("A", "b#c"))),
+            ("A=\"b # $c\" # d", Some(("A", "b # $c"))),
+            ("A='b\"=c'", Some(("A", "b\"=c"))),
+            ("A='b' c", None),
+            ("A=\"b", None),
+            ("A b=c", None),
+            ("=b", None),
+            ("A", None),
+        ] {
+            assert_eq!(env_variable(line.trim()), expected, "{line}");
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let problem = |path: &Path| read_env_file(path).unwrap_err().to_string();
+        assert!(problem(Path::new("/dev/zero")).contains("not a regular file"));
+        let path = folder.path().join(ENV_FILE);
+        std::fs::write(&path, "# comment\n\nA=b\nsecret\n").unwrap();
+        assert!(problem(&path).ends_with(".env: line 4 is not NAME=value"), "{}", problem(&path));
     }
 
     #[test]

@@ -288,13 +288,22 @@ fn encoder(world: &WorldArgs, view: &Path, stop: &AtomicBool) -> anyhow::Result<
     Ok("the view was embedded".to_owned())
 }
 
+/// How many runs that have ended hold shared memory.
+fn left_by(runs: usize) -> String {
+    match runs {
+        1 => "1 run that has ended holds shared memory".to_owned(),
+        _ => format!("{runs} runs that have ended hold shared memory"),
+    }
+}
+
 fn leftovers() -> anyhow::Result<String> {
     let runs = registry::list(&registry::default_base())?;
     let dead = runs.iter().filter(|run| !run.alive).count();
-    ensure!(dead == 0, "{dead} runs hold shared memory: `memtransfer clean` removes them");
+    ensure!(dead == 0, "{}: `memtransfer clean` removes what is left", left_by(dead));
     let folders = scratch::abandoned_folders().context("cannot search for temporary folders")?;
     let count = folders.len();
-    ensure!(count == 0, "{count} temporary folders: `memtransfer clean` removes them");
+    let noun = if count == 1 { "folder" } else { "folders" };
+    ensure!(count == 0, "{count} temporary {noun}: `memtransfer clean` removes what is left");
     Ok("none".to_owned())
 }
 

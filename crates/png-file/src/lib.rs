@@ -218,7 +218,7 @@ impl RgbaImage {
     /// # Errors
     /// When the file cannot be read or is no valid PNG image.
     pub fn read(path: &Path) -> Result<Self, PngFileError> {
-        fs::read(path)
+        durable::input::read(path)
             .map_err(PngProblem::from)
             .and_then(|bytes| Ok(Self::decode(&bytes)?))
             .map_err(|problem| PngFileError { path: path.to_owned(), problem })
@@ -292,6 +292,7 @@ mod tests {
         let short = encode(2, 2, Channels::Rgba, &[0; 15]).unwrap_err().to_string();
         assert_eq!(short, "15 bytes are not 2 x 2 pixels of 4 channels");
         assert!(encode(0, 0, Channels::Rgb, &[]).is_err());
+        assert!(RgbaImage::read(Path::new("/dev/zero")).is_err());
         let error = RgbaImage::decode(b"GIF89a").unwrap_err().to_string();
         assert!(error.starts_with("not a readable PNG image: "), "{error}");
         let mut huge = Vec::new();

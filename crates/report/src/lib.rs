@@ -44,26 +44,12 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use durable::FolderDraft;
-use results::log::RunLog;
+use results::log::{REPORT_FILES, RunLog};
 use results::score::score;
 use view::ScoredRun;
 
 /// The page.
 const PAGE: &str = "report.html";
-
-/// Everything in the folder of a report.
-const FILES: [&str; 10] = [
-    PAGE,
-    "report.md",
-    "figures",
-    "tables",
-    "conditions.csv",
-    "conditions.parquet",
-    "episodes.csv",
-    "episodes.parquet",
-    "streams.csv",
-    "streams.parquet",
-];
 
 /// Why a report could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -172,7 +158,7 @@ fn may_be_replaced(dir: &Path) -> io::Result<bool> {
     let names: Vec<OsString> =
         entries.map(|entry| entry.map(|entry| entry.file_name())).collect::<io::Result<_>>()?;
     let is_report = names.iter().any(|name| name == PAGE);
-    let is_file = |name: &OsString| FILES.iter().any(|file| name == file);
+    let is_file = |name: &OsString| REPORT_FILES.iter().any(|file| name == file);
     Ok(names.is_empty() || is_report && names.iter().all(is_file))
 }
 
@@ -242,7 +228,7 @@ mod folder_tests {
         let text = fs::read(&page).unwrap();
         for name in fs::read_dir(&dir).unwrap() {
             let name = name.unwrap().file_name();
-            assert!(FILES.iter().any(|file| name == *file), "{name:?}");
+            assert!(REPORT_FILES.iter().any(|file| name == *file), "{name:?}");
         }
         // What the page links to stays as it is, and so does what the folder links to.
         let mine = base.path().join("mine");

@@ -97,7 +97,7 @@ impl ModelFile {
         let record = hash_record(&path, cache);
         let known = record.as_ref().and_then(|record| std::fs::read_to_string(record).ok());
         let known = known.filter(|known| known.len() == 64);
-        let read = || std::fs::read(&path).map(Arc::<[u8]>::from);
+        let read = || durable::input::read_large(&path).map(Arc::<[u8]>::from);
         let bytes = known.is_none().then(read).transpose().map_err(|error| match bringing {
             Some(command) if error.kind() == std::io::ErrorKind::NotFound => anyhow!(
                 "the encoder {} needs {shown}, which is not there; run `{command}`",
@@ -132,7 +132,7 @@ impl ModelFile {
             return Ok(bytes.clone());
         }
         let path = self.path.display();
-        let read = std::fs::read(&self.path)
+        let read = durable::input::read_large(&self.path)
             .with_context(|| format!("cannot read the model file {path}"))?;
         ensure!(
             sha256_of(&read) == self.sha256,
@@ -214,7 +214,7 @@ impl Runtime {
 
 /// Checks that the library `path` is one that set-up fetches: it is code, and the cache folder also holds what others sent.
 fn check_known(path: &Path) -> Result<(), String> {
-    let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
+    let bytes = durable::input::read_large(path).map_err(|error| error.to_string())?;
     let sha256 = sha256_of(&bytes);
     if RUNTIME_SHA256.contains(&&*sha256) {
         return Ok(());
@@ -363,6 +363,17 @@ fn pool(model: &Model, tokens: &[f32]) -> Option<Vec<f32>> {
 mod tests {
     use super::*;
     use crate::manifest::EncoderManifest;
+
+    #[test]
+    fn a_model_file_that_is_a_device_is_refused() {
+        let manifest = EncoderManifest::shipped().unwrap();
+        let (folder, device) = (tempfile::tempdir().unwrap(), Path::new("/dev/zero"));
+        let cache = CacheFolder::at(folder.path());
+        for model in &manifest.models {
+            let error = ModelFile::read(model, Some(device), &cache).unwrap_err().to_string();
+            assert!(error.ends_with("it is a device and not a regular file"), "{error}");
+        }
+    }
 
     #[test]
     fn a_library_that_was_cut_off_is_refused() {

@@ -88,7 +88,7 @@ impl ReplyCache {
         let mut models = BTreeMap::<String, ModelReplies>::new();
         let (mut all, mut broken, mut failures) = (CacheSize::default(), 0, 0);
         for file in self.entries()? {
-            let text = match fs::read(&file.path) {
+            let text = match durable::input::read(&file.path) {
                 Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
                 text => text.unwrap_or_default(),
             };
@@ -152,7 +152,7 @@ impl ReplyCache {
     pub fn prune_unusable(&self, dry_run: bool) -> io::Result<Pruned> {
         let (mut removed, mut left) = (CacheSize::default(), CacheSize::default());
         for file in self.entries()? {
-            let text = fs::read(&file.path).unwrap_or_default();
+            let text = durable::input::read(&file.path).unwrap_or_default();
             let stored = serde_json::from_slice::<StoredReply>(&text);
             if stored.is_ok_and(|stored| stored.reply.judged().is_ok()) {
                 left.add(&file);

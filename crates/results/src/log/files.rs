@@ -28,6 +28,20 @@ pub const LOGS_FOLDER: &str = "logs";
 /// The reports about a single run.
 pub const REPORT_FOLDER: &str = "report";
 
+/// Everything in the folder of a report.
+pub const REPORT_FILES: [&str; 10] = [
+    "report.html",
+    "report.md",
+    "figures",
+    "tables",
+    "conditions.csv",
+    "conditions.parquet",
+    "episodes.csv",
+    "episodes.parquet",
+    "streams.csv",
+    "streams.parquet",
+];
+
 /// Everything that a run folder may hold. No other file in it is touched.
 pub(super) const CONTENTS: [&str; 26] = [
     MANIFEST_FILE,

@@ -108,7 +108,7 @@ fn is_step(path: &Path) -> bool {
 
 /// The step at `path`, if there is one. A broken file is reported and counts as none.
 fn load(path: &Path) -> anyhow::Result<Option<StepFile>> {
-    let bytes = match fs::read(path) {
+    let bytes = match durable::input::read(path) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(error).with_context(|| format!("cannot read {}", path.display())),

@@ -429,6 +429,41 @@ fn only_fresh_removes_a_run_and_it_says_what() {
 }
 
 #[test]
+fn fresh_leaves_files_of_the_user_among_logs_and_in_the_report() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    drop(RunFolder::open(dir.path(), manifest(), false).unwrap());
+    let written = [
+        "logs/sim.log",
+        "logs/memory.log",
+        "logs/policy.log",
+        "logs/policy.log.new",
+        "report/report.html",
+        "report/figures/a.svg",
+    ];
+    let mine = ["logs/external-memory-notes.txt", "logs/notes.txt", "report/notes.txt"];
+    fs::create_dir_all(path("report/figures")).unwrap();
+    for name in written.into_iter().chain(mine) {
+        fs::write(path(name), "x").unwrap();
+    }
+    let fresh = || RunFolder::open(dir.path(), manifest(), true).unwrap().notes.remove(0);
+    let note = fresh();
+    assert!(note.contains(", logs; left what a run does not write: "), "{note}");
+    for name in mine {
+        assert!(path(name).exists() && note.contains(name), "{name}: {note}");
+    }
+    for name in written {
+        assert!(!path(name).exists(), "{name}");
+    }
+    for name in mine {
+        fs::remove_file(path(name)).unwrap();
+    }
+    let note = fresh();
+    assert!(note.ends_with(", logs, report"), "{note}");
+    assert!(!path("report").exists());
+}
+
+#[test]
 fn a_run_is_not_written_or_read_through_links() {
     use std::os::unix::fs::symlink;
 
