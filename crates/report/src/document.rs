@@ -42,7 +42,7 @@ pub struct ReportSection {
     pub title: String,
     /// The content.
     pub blocks: Vec<ReportBlock>,
-    /// Whose figures it holds, see [`ReportSection::of_policy`]; `None` where they are not a policy's.
+    /// Whose figures it holds; `None` where they are not a policy's.
     pub policy: Option<String>,
 }
 
