@@ -13,7 +13,7 @@ mod bucket;
 
 use std::fs::{self, File};
 use std::io::{self, Read};
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -181,10 +181,10 @@ fn copy_file(from: &Path, draft: &mut File) -> Result<()> {
 
 /// Whether a plan may bring a file for this place in the cache folder.
 fn may_come_with_a_plan(path: &str) -> bool {
-    let parts: Vec<Component<'_>> = Path::new(path).components().collect();
-    let in_folder = |folder: &str| match parts[..] {
-        [Component::Normal(first), Component::Normal(_)] => first == folder,
-        _ => false,
+    // One spelling only: the checks of models go by the text of the path.
+    let in_folder = |folder: &str| {
+        let name = path.strip_prefix(folder).and_then(|rest| rest.strip_prefix('/'));
+        name.is_some_and(|name| !matches!(name, "" | "." | "..") && !name.contains('/'))
     };
     // The folder of documents also has the lock and the drafts of those who build them.
     let is_of_its_kind = !in_folder("documents") || path.ends_with(".json");
@@ -435,6 +435,8 @@ mod tests {
         for path in [
             "../x",
             "models/../../x",
+            "models/./dinov2-s14.onnx",
+            "models//dinov2-s14.onnx",
             "models/../x",
             "models",
             "",

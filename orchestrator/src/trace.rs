@@ -49,8 +49,9 @@ impl RunTrace {
         spans.push(".spans");
         let spans = PathBuf::from(spans);
         if spans.exists() {
-            fs::remove_dir_all(&spans)
-                .with_context(|| format!("cannot remove {}", spans.display()))?;
+            remove_spans(&spans).with_context(|| {
+                format!("cannot remove {}, where a killed run has left its spans", spans.display())
+            })?;
         }
         fs::create_dir(&spans).with_context(|| format!("cannot make {}", spans.display()))?;
         let mut file = BufWriter::new(file);
@@ -187,6 +188,17 @@ fn pid(role: Role) -> u32 {
     role as u32 + 1
 }
 
+/// Removes the files that processes recorded their spans in, and their folder, which must have no others.
+fn remove_spans(folder: &Path) -> std::io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        if role_of(&path).is_some() && path.extension().is_some_and(|end| end == "jsonl") {
+            fs::remove_file(path)?;
+        }
+    }
+    fs::remove_dir(folder)
+}
+
 /// The process whose spans are in the file, by its name.
 fn role_of(path: &Path) -> Option<Role> {
     let name = path.file_stem()?.to_str()?;
@@ -256,5 +268,19 @@ mod tests {
         let file = |index| spans_file(Path::new("spans"), Role::ExternalMemory, index, 2);
         assert_ne!(file(0), file(1));
         assert_eq!(role_of(&file(1)), Some(Role::ExternalMemory));
+    }
+
+    #[test]
+    fn only_spans_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let spans = folder.path().join("spans");
+        fs::create_dir(&spans).unwrap();
+        fs::write(spans_file(&spans, Role::Policy, 0, 1), "").unwrap();
+        remove_spans(&spans).unwrap();
+        assert!(!spans.exists());
+        fs::create_dir(&spans).unwrap();
+        fs::write(spans.join("mine.txt"), "mine").unwrap();
+        assert!(remove_spans(&spans).is_err());
+        assert_eq!(fs::read_to_string(spans.join("mine.txt")).unwrap(), "mine");
     }
 }

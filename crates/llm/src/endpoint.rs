@@ -315,7 +315,8 @@ fn read_env_file(path: &Path) -> Result<Vec<(String, String)>, EndpointError> {
         read => read.map_err(|error| failed(error.to_string()))?,
     };
     let mut variables = Vec::new();
-    for (index, line) in text.lines().enumerate() {
+    // Some editors begin a file with a byte order mark.
+    for (index, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
         let line = line.trim();
         if line.is_empty() || line.starts_with('#') {
             continue;
@@ -521,6 +522,9 @@ mod tests {
             assert_eq!(env_variable(line.trim()), expected, "{line}");
         }
         let folder = tempfile::tempdir().unwrap();
+        let marked = folder.path().join("marked");
+        std::fs::write(&marked, "\u{feff}A=b\r\n# c\r\n").unwrap();
+        assert_eq!(read_env_file(&marked).unwrap(), [("A".to_owned(), "b".to_owned())]);
         let problem = |path: &Path| read_env_file(path).unwrap_err().to_string();
         assert!(problem(Path::new("/dev/zero")).contains("not a regular file"));
         let path = folder.path().join(ENV_FILE);

@@ -95,7 +95,7 @@ impl ModelFile {
         let bringing = model.brought_by.as_ref().filter(|_| given.is_none());
         let shown = path.display();
         let record = hash_record(&path, cache);
-        let known = record.as_ref().and_then(|record| std::fs::read_to_string(record).ok());
+        let known = record.as_ref().and_then(|record| durable::input::read_text(record).ok());
         let known = known.filter(|known| known.len() == 64);
         let read = || durable::input::read_large(&path).map(Arc::<[u8]>::from);
         let bytes = known.is_none().then(read).transpose().map_err(|error| match bringing {
