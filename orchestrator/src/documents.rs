@@ -332,18 +332,23 @@ mod tests {
         assert_eq!(needed_by(&[Summary, Hybrid, Semantic]), all);
     }
 
-    #[test]
-    fn a_run_does_not_build_a_model_s_documents_and_says_how() {
-        let folder = tempfile::tempdir().unwrap();
-        let request = DocumentRequest {
-            folder: Some(folder.path().to_owned()),
+    /// A request for documents of the shipped warehouse in `folder`.
+    fn request(folder: &Path, selection: DocumentSelection) -> DocumentRequest {
+        DocumentRequest {
+            folder: Some(folder.to_owned()),
             assets: None,
             elsewhere: None,
             frame_size: 448,
             appearance: Appearance::STANDARD,
-            selection: DocumentSelection::Model(Some("m".into())),
+            selection,
             server: ModelServer::default(),
-        };
+        }
+    }
+
+    #[test]
+    fn a_run_does_not_build_a_model_s_documents_and_says_how() {
+        let folder = tempfile::tempdir().unwrap();
+        let request = request(folder.path(), DocumentSelection::Model(Some("m".into())));
         let wanted = ["summary/4".parse().unwrap()];
         let error = request.ensure(&wanted, false, &AtomicBool::new(false), &mut |_| ());
         let error = error.unwrap_err().to_string();
@@ -354,15 +359,7 @@ mod tests {
     #[test]
     fn where_nothing_is_missing_nothing_is_written() {
         let folder = tempfile::tempdir().unwrap();
-        let request = DocumentRequest {
-            folder: Some(folder.path().to_owned()),
-            assets: None,
-            elsewhere: None,
-            frame_size: 448,
-            appearance: Appearance::STANDARD,
-            selection: DocumentSelection::Recipe(Recipe::Extractive),
-            server: ModelServer::default(),
-        };
+        let request = request(folder.path(), DocumentSelection::Recipe(Recipe::Extractive));
         let name: DocumentName = "summary/4".parse().unwrap();
         let provenance = Provenance {
             kind: name.kind,

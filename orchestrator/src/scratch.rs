@@ -60,7 +60,7 @@ pub(crate) fn draft_in(folder: &Path) -> io::Result<NamedTempFile> {
     named.prefix(DRAFT).permissions(permissions);
     loop {
         let draft = named.tempfile_in(folder)?;
-        // On a file system without locks, drafts that are in use cannot be told from others, and all stay.
+        // On a file system without locks, drafts that are in use cannot be distinguished from abandoned ones, and all stay.
         if let Err(error) = draft.as_file().lock() {
             tracing::debug!(%error, folder = %folder.display(), "an unfinished copy cannot be locked");
         }

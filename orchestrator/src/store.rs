@@ -32,7 +32,7 @@ use crate::scratch::{self, ScratchFolder};
 /// The folder in the cache folder of embeddings that came with plans.
 const EMBEDDINGS: &str = "shipped-embeddings";
 
-/// The folders in the cache folder whose files a plan may bring. What else is there is nobody else's to write: programs, and
+/// The folders in the cache folder whose files a plan may bring. The others are not a plan's to write: programs, and
 /// what runs compute.
 const FOLDERS: [&str; 3] = ["documents", "models", EMBEDDINGS];
 

@@ -4,8 +4,9 @@
 //! parameter of the request, and the number of the repetition ([`CacheKey`]). The server's address is not part of the
 //! key: the same model behind another address would give the same reply. Where it does not, use another folder.
 //!
-//! Failures are never stored; those that earlier versions took for answers and stored are not used. An entry is a file that appears whole, so processes may share a folder: two that write the
-//! same entry write replies to the same request. An entry that cannot be read counts as missing and is replaced.
+//! Failures are never stored, and those that earlier versions stored as answers are not used. An entry is a file that
+//! appears whole, so processes may share a folder: two that write the same entry write replies to the same request. An
+//! entry that cannot be read counts as missing and is replaced.
 
 mod upkeep;
 

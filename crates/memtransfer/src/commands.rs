@@ -1,6 +1,6 @@
 //! Commands that come from a file: shown, and started only if the command line allows it.
 //!
-//! A suite, which may lie in downloaded assets, and a plan can name programs to start. Whoever uses one may not have read it.
+//! A suite, which may lie in downloaded assets, and a plan can name programs to start. Its user may not have read it.
 
 use anyhow::{Result, bail};
 

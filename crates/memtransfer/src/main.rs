@@ -224,7 +224,7 @@ fn print_json(value: &impl serde::Serialize) -> anyhow::Result<()> {
     print(&serde_json::to_string_pretty(value)?)
 }
 
-/// Damaged lines that are named; of more, only their number is told.
+/// Most damaged lines that a verb names; it only counts the others.
 const NAMED_DAMAGES: usize = 20;
 
 /// Names the `damaged` lines of a run, whose content is missing in what a verb prints or writes.

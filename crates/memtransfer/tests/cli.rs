@@ -760,7 +760,7 @@ fn a_dry_run_starts_no_program() {
         let output = memtransfer(dir.path(), &format!("run --dry-run {arguments}"));
         let said = text(&output.stderr);
         assert_eq!(output.status.code(), Some(0), "{arguments}: {said}");
-        // They are shown, so that whoever tries a suite sees them.
+        // They are shown, so that the user sees what a suite would start.
         for command in [&policy, &memory] {
             assert!(said.contains(&**command), "{arguments}: {said}");
         }
@@ -776,7 +776,7 @@ fn a_dry_run_starts_no_program() {
     assert!(!has_started_a_program(dir.path()) && !cache.exists());
 }
 
-/// The names that external memories told earlier are in the run's folder.
+/// A run's folder has the names that its external memories reported.
 #[test]
 fn a_dry_run_lists_the_memories_that_the_folder_names() {
     let dir = dir();
@@ -879,7 +879,7 @@ fn scripts_of_a_plan_allow_what_its_maker_gave() {
     assert!(text(&output.stdout).contains("--quiet ||"), "{}", text(&output.stderr));
 }
 
-/// Whoever a downloaded folder belongs to does not get the key of this user.
+/// The author of a downloaded folder does not get the key of the user.
 #[test]
 fn a_key_is_not_sent_to_an_address_that_a_file_names() {
     const KEY: (&str, &str) = ("OPENAI_API_KEY", "sk-very-secret");

@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io;
 
-/// Hexadecimal digits of a hash that are told.
+/// Hexadecimal digits of a hash that are reported.
 const DIGITS: usize = 16;
 
 /// The name of this program's file and the BLAKE3 hash of its content.

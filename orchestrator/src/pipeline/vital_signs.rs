@@ -70,7 +70,7 @@ impl VitalSigns {
     }
 
     /// Whether an answer of memory that is awaited since `since_ns` is overdue because of the simulator, and how that shows. A
-    /// simulator that has no room for frames, because an external memory pins them, is not told from one that hangs.
+    /// simulator that has no room for frames, because an external memory pins them, cannot be distinguished from one that hangs.
     pub(super) fn simulator_hangs(&self, since_ns: u64, now_ns: u64) -> Option<String> {
         if let Some(silent) = self.simulator_is_silent(now_ns) {
             return Some(silent);

@@ -96,7 +96,7 @@ fn the_first_process_of_a_container_ends_as_any_other() {
         println!("not tested: this machine allows no process namespaces");
         return;
     }
-    // Without a policy that runs in the namespace, which a process outside of it could not be told from.
+    // Without a policy in the namespace: seen from outside, it could not be distinguished from others.
     let command = bench.command(&endless("run"));
     let mut contained = bench.command(&[]);
     contained = {

@@ -133,7 +133,7 @@ const CODE: &str = "code";
 /// A policy as a [`Service`].
 struct PolicyService<'p, P: ?Sized> {
     policy: &'p mut P,
-    /// The hash of the program's file, if it is to be told.
+    /// The hash of the program's file, if the policy reports it.
     code: Option<String>,
 }
 

@@ -10,7 +10,7 @@ use crate::plot::{Curve, Curves, curves};
 use crate::view::{ScoredRun, plain_or, sure, title};
 
 pub(super) const NO_RECALL: Missing = Missing::NotMeasured("no recall was timed");
-pub(super) const NO_STORE: Missing = Missing::NotMeasured("the memory told no size");
+pub(super) const NO_STORE: Missing = Missing::NotMeasured("the memory reported no size");
 const NO_TYPE: Missing =
     Missing::NotMeasured("the log does not tell the type of every source's task");
 
@@ -110,7 +110,7 @@ pub(crate) fn growth_table(view: &ScoredRun<'_>) -> Option<Table> {
         caption: "The same cases by the number of demonstrations in the bank; a larger bank holds the smaller ones. Sources: \
                   percentage of the retrieved sources that are demonstrations of the episode's own case, or of a case with a \
                   task of the same type. Search and recall: means of a step; recall includes embedding the view, and the wait for the memory at the first step. Both depend on \
-                  the machine and its load. Store: the largest size that the memory told. Images and tokens: injected memory in \
+                  the machine and its load. Store: the largest size that the memory reported. Images and tokens: injected memory in \
                   a request; tokens are an estimate."
             .to_owned(),
         stubs: vec!["Memory".to_owned(), "Demonstrations".to_owned()],

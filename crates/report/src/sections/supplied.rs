@@ -40,7 +40,7 @@ pub(crate) fn supplied_table(view: &ScoredRun<'_>) -> Option<Table> {
                   mean microseconds from the observation to the recall, embedding included. Of an external memory, \
                   method: what it computed, by its own clock; wire: the messages to it and back, and waiting \
                   while it answers other lanes. Store: the largest \
-                  size that the memory told. Tokens: of its own requests to a model, mean of an answer."
+                  size that the memory reported. Tokens: of its own requests to a model, mean of an answer."
             .to_owned(),
         stubs: vec!["Memory".to_owned()],
         columns: columns.into_iter().chain(["Tokens"]).map(TableColumn::new).collect(),

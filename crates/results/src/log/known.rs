@@ -120,7 +120,7 @@ mod tests {
         "reference" of episodic/original/unchanged/original/run1/t01-01 is 9, and 16 by its run
         the run has no case t99-01
         "#);
-        // Cases that are not known: only the seed can be told.
+        // Unknown cases: only the seed can be checked.
         assert_eq!(problem(&manifest(), |record| record.reference = 9), "");
         assert_ne!(problem(&manifest(), |record| record.seed = 9), "");
         // A folder of assets has them, as long as it has not changed.

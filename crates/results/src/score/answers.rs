@@ -1,5 +1,5 @@
 //! Whether a model's answers have actions. Answers without one are scored as the model's, so a server that cuts every
-//! answer off gives a success rate of 0 %: whoever reads the figure has to be told.
+//! answer off gives a success rate of 0 %: a reader of the figure has to know.
 
 use std::collections::BTreeMap;
 
@@ -116,7 +116,7 @@ impl WithoutAction {
         self.episodes == self.of
     }
 
-    /// A sentence for whoever reads the run's figures.
+    /// A sentence for readers of the run's figures.
     pub fn described(&self, model: Option<&ModelSettings>) -> String {
         if self.is_all() {
             return self.counts.described(model);

@@ -30,7 +30,7 @@ pub struct GrowthScore {
     pub search_us: Option<f64>,
     /// Mean microseconds of a recall: embedding the view, searching, putting the answer together.
     pub recall_us: Option<f64>,
-    /// The largest size that the memory told for its store, in bytes.
+    /// The largest size that the memory reported for its store, in bytes.
     pub store_bytes: Option<u64>,
     /// Mean images of an answer.
     pub images: Option<f64>,

@@ -273,9 +273,9 @@ fn flags_replace_parts_of_the_stream_table() {
     assert!(unknown.to_string().starts_with("suite my.toml, stream: unknown field `turns`"));
 }
 
-/// Whoever starts a run has read the command line, and perhaps not the suite.
+/// The user has written the command line, and may not have read the suite.
 #[test]
-fn commands_of_a_suite_are_told_from_those_of_the_command_line() {
+fn commands_of_a_suite_are_distinguished_from_those_of_the_command_line() {
     let of_suite = suite("policy-cmd = \"p\"\nmemory-cmd = [\"a\", \"b\"]");
     let of = |layers: Vec<Layer>| {
         let resolved = merge([Layer::defaults().unwrap()].into_iter().chain(layers)).unwrap();

@@ -41,7 +41,7 @@ fn cost_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<Table> {
                   that it was given; a memory with a budget may hold fewer. Search: microseconds from the embedded view to \
                   what is supplied. Recall: from the view to the answer, embedding included. Views are embedded when \
                   they are first seen, so recall falls as views become known, whatever memory holds. Both depend on the \
-                  machine and its load. Store: KiB that the memory told. Tokens: injected \
+                  machine and its load. Store: KiB that the memory reported. Tokens: injected \
                   memory in a request, an estimate."
             .to_owned(),
         stubs: vec!["Memory, arm".to_owned(), "Blocks learned".to_owned()],
