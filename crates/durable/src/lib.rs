@@ -11,9 +11,11 @@
 mod beneath;
 mod draft;
 pub mod input;
+mod known;
 
 pub use beneath::{check_no_links, open_beneath};
 pub use draft::FolderDraft;
+pub use known::{KnownNames, Removal};
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read, Write};

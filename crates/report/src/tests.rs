@@ -405,6 +405,9 @@ fn every_file_of_a_report_names_a_policy_that_is_no_model() {
             }
             let dir = tempfile::tempdir().unwrap();
             write(&logs, dir.path()).unwrap();
+            // The names by which a report is replaced and removed are those of all its files.
+            let others = report_names().unwrap().others_in(dir.path()).unwrap();
+            assert!(others.is_empty(), "{others:?}");
             let streams_alone = |log: &RunLog| log.manifest.settings.stream.is_some();
             for (name, content) in files(dir.path()) {
                 let text = String::from_utf8_lossy(&content);

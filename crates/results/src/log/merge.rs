@@ -18,9 +18,10 @@ use serde::de::DeserializeOwned;
 
 use super::existing::lock;
 use super::files::{
-    CONTENTS, DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, ERRORS_FILE, LATENCY_FILE,
-    PROMPTS_FOLDER, REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE, TIMINGS_FILE,
+    DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, PROMPTS_FOLDER,
+    REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE, TIMINGS_FILE, run_names,
 };
+use super::manifest::MANIFEST_FILE;
 use super::{
     EpisodeError, EpisodeRecord, EpisodeTimings, LogError, Manifest, RequestRecord, SessionRecord,
     sealed, system,
@@ -136,15 +137,13 @@ pub fn merge(
     let mut draft = out.as_os_str().to_owned();
     draft.push(".merging");
     let draft = PathBuf::from(draft);
-    let is_ours = |entry: &fs::DirEntry| {
-        entry.file_name().to_str().is_some_and(|name| CONTENTS.contains(&name))
-    };
+    fs::create_dir_all(&draft).map_err(system("make", &draft))?;
     // The rest of a merge that was interrupted is replaced.
-    let mut earlier = fs::read_dir(&draft).into_iter().flatten().flatten();
-    if !earlier.all(|entry| is_ours(&entry)) {
+    let others = run_names().and_then(|names| names.others_in(&draft));
+    let mut others = others.map_err(system("list", &draft))?.into_iter();
+    if others.any(|path| path != Path::new(MANIFEST_FILE)) {
         return Err(MergeError::NotEmpty(draft));
     }
-    fs::create_dir_all(&draft).map_err(system("make", &draft))?;
     let _lock = lock(&draft)?;
     let written = write(manifest, units, episodes, &draft);
     if written.is_err() {

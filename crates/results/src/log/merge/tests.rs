@@ -126,8 +126,8 @@ fn what_disagrees_is_named() {
 
     let draft = dir.path().join("run.merging");
     assert!(!draft.exists(), "a merge that failed leaves nothing behind");
-    fs::create_dir(&draft).unwrap();
-    fs::write(draft.join("thesis.txt"), "years").unwrap();
+    fs::create_dir_all(draft.join("documents")).unwrap();
+    fs::write(draft.join("documents/thesis.txt"), "years").unwrap();
     insta::assert_snapshot!(refused(), @"/run.merging is not empty: choose another --out, or remove it");
     fs::remove_dir_all(&draft).unwrap();
 
