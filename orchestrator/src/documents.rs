@@ -288,7 +288,7 @@ fn lock(
     let path = folder.join(LOCK_FILE);
     let failed = || format!("cannot lock {}", path.display());
     fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-    let file = File::options().create(true).append(true).open(&path).with_context(failed)?;
+    let file = durable::output::open_lock(&path).with_context(failed)?;
     loop {
         match file.try_lock() {
             Ok(()) => return Ok(Some(file)),

@@ -44,7 +44,8 @@ impl RunTrace {
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder).with_context(|| format!("--trace {}", path.display()))?;
         }
-        let file = File::create(&path).with_context(|| format!("--trace {}", path.display()))?;
+        let file = durable::output::create(&path)
+            .with_context(|| format!("--trace {}", path.display()))?;
         let mut spans = path.clone().into_os_string();
         spans.push(".spans");
         let spans = PathBuf::from(spans);
@@ -117,7 +118,7 @@ impl RunTrace {
         for path in files {
             let Some(role) = role_of(&path) else { continue };
             let file =
-                File::open(&path).with_context(|| format!("cannot read {}", path.display()))?;
+                durable::open(&path).with_context(|| format!("cannot read {}", path.display()))?;
             for line in BufReader::new(file).lines() {
                 // The last line of a process that was killed may be torn.
                 let Ok(span) = serde_json::from_str::<Span>(&line?) else { continue };

@@ -34,11 +34,21 @@ pub(super) fn existing(dir: &Path) -> Result<Option<Manifest>, LogError> {
     for entry in fs::read_dir(dir).map_err(system("list", dir))? {
         let name = entry.map_err(system("list", dir))?.file_name();
         // Only a draft of the manifest: the run was killed when it had just begun. Logs: external memories start earlier.
-        if name != "manifest.json.new" && name != LOGS_FOLDER {
+        let is_of_a_run = match name == LOGS_FOLDER {
+            true => has_only_memory_logs(&dir.join(name))?,
+            false => name == "manifest.json.new",
+        };
+        if !is_of_a_run {
             return Err(LogError::NotARun(dir.to_owned()));
         }
     }
     Ok(None)
+}
+
+/// Whether the folder `logs` has nothing but logs of external memories.
+fn has_only_memory_logs(logs: &Path) -> Result<bool, LogError> {
+    let others = memory_log_names().and_then(|names| names.others_in(logs));
+    Ok(others.map_err(system("list", logs))?.is_empty())
 }
 
 /// Whether the journal `file` in `dir` has anything in it.

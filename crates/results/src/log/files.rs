@@ -43,7 +43,7 @@ const REPORT_IDS: &str = concat!(
 /// memories.
 const RUN_NAMES: [&str; 13] = [
     "(manifest|status)\\.json\\.new",
-    "status\\.json|streams\\.json|elsewhere\\.json",
+    "status\\.json|(streams|elsewhere)\\.json(\\.new)?",
     "(episodes|timings|requests|errors|sessions|latency)(\\.damaged)?\\.jsonl",
     "episodes\\.jsonl\\.new",
     "logs/((sim|memory|policy)\\.log(\\.new)?)?",

@@ -452,14 +452,16 @@ fn sessions_in(prompts: &Path) -> Result<Vec<u32>, LogError> {
     Ok(sessions)
 }
 
-/// Copies a file or folder, if it is there, and nothing that is there already: the names of equal things are equal.
+/// Copies a file or folder, if it is there, and nothing that is there already: the names of equal things are equal. What is
+/// neither, such as a symbolic link or a pipe, is refused.
 fn copy(from: &Path, to: &Path) -> Result<(), LogError> {
-    if !from.exists() {
-        return Ok(());
-    }
-    if !from.is_dir() {
-        let copied = if to.exists() { Ok(0) } else { fs::copy(from, to) };
-        return copied.map(drop).map_err(system("copy", from));
+    let Ok(kind) = fs::symlink_metadata(from) else { return Ok(()) };
+    if !kind.is_dir() {
+        if to.exists() {
+            return Ok(());
+        }
+        let copied = || io::copy(&mut durable::open(from)?, &mut durable::create(to)?);
+        return copied().map(drop).map_err(system("copy", from));
     }
     fs::create_dir_all(to).map_err(system("make", to))?;
     // Prompts stay private.
