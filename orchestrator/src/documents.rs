@@ -398,5 +398,12 @@ mod tests {
         assert_eq!(stages, [BuildStage::Waiting]);
         drop(first);
         assert!(lock(folder.path(), &stop, &mut |_| ()).unwrap().is_some());
+        // A pipe in its place is not waited for.
+        let path = folder.path().join(LOCK_FILE);
+        fs::remove_file(&path).unwrap();
+        let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
+        rustix::fs::mkfifoat(rustix::fs::CWD, &path, mode).unwrap();
+        let error = format!("{:#}", lock(folder.path(), &stop, &mut |_| ()).unwrap_err());
+        assert!(error.contains("cannot lock") && error.contains("a pipe"), "{error}");
     }
 }

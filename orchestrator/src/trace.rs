@@ -284,4 +284,14 @@ mod tests {
         assert!(remove_spans(&spans).is_err());
         assert_eq!(fs::read_to_string(spans.join("mine.txt")).unwrap(), "mine");
     }
+
+    #[test]
+    fn a_pipe_in_place_of_the_file_is_refused_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trace.json");
+        let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
+        rustix::fs::mkfifoat(rustix::fs::CWD, &path, mode).unwrap();
+        let error = format!("{:#}", RunTrace::create(&path).unwrap_err());
+        assert!(error.contains("--trace") && error.contains("a pipe"), "{error}");
+    }
 }

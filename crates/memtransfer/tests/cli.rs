@@ -940,3 +940,38 @@ fn the_commit_of_a_manifest_is_that_of_the_build() {
     assert_eq!(plan["manifest"]["commit"].as_str(), build_commit::COMMIT);
     assert!(!dir.path().join("started-git").exists());
 }
+
+/// A renamed test would leave a claim of the page without one.
+#[test]
+fn the_tests_that_the_security_page_names_exist() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let page = fs::read_to_string(root.join("docs/security.md")).unwrap();
+    let mut sources = String::new();
+    let mut folders: Vec<PathBuf> =
+        ["crates", "memory-proc", "orchestrator", "shm-types", "tests", "xtask"]
+            .map(|folder| root.join(folder))
+            .into();
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|end| end == "rs") {
+                sources += &fs::read_to_string(path).unwrap();
+            }
+        }
+    }
+    let is_test = |name: &&str| {
+        name.matches('_').count() > 2
+            && name.bytes().all(|c| c == b'_' || c.is_ascii_lowercase() || c.is_ascii_digit())
+    };
+    let named: Vec<&str> = page.split('`').filter(is_test).collect();
+    assert!(named.len() > 30, "{named:?}");
+    for name in named {
+        assert!(
+            sources.contains(&format!("#[test]\nfn {name}()"))
+                || sources.contains(&format!("#[test]\n    fn {name}()")),
+            "{name}"
+        );
+    }
+}

@@ -429,6 +429,35 @@ fn only_fresh_removes_a_run_and_it_says_what() {
 }
 
 #[test]
+fn a_folder_with_logs_of_something_else_is_no_run() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    fs::create_dir(path("logs")).unwrap();
+    RunFolder::check(dir.path()).unwrap();
+    // An external memory starts before the run.
+    fs::write(path("logs/external-memory-0.log"), "x").unwrap();
+    RunFolder::check(dir.path()).unwrap();
+    fs::write(path("logs/access.log"), "x").unwrap();
+    for fresh in [false, true] {
+        let error = RunFolder::open(dir.path(), manifest(), fresh).unwrap_err();
+        assert!(matches!(error, LogError::NotARun(_)), "{error}");
+    }
+    assert!(RunFolder::check(dir.path()).is_err());
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn an_episode_that_is_finished_is_not_logged_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut folder = RunFolder::open(dir.path(), manifest(), false).unwrap().folder;
+    add(&mut folder, "t01-01");
+    let record = record("t01-01", false);
+    let error = folder.finish(&[(record.clone(), timings(&record))]).unwrap_err();
+    assert!(matches!(&error, LogError::Twice(key) if *key == record.key), "{error}");
+    assert_eq!(RunLog::read(dir.path()).unwrap().episodes.len(), 1);
+}
+
+#[test]
 fn fresh_leaves_files_of_the_user_in_every_folder_of_a_run() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name);
