@@ -326,27 +326,29 @@ fn read_env_file(path: &Path) -> Result<Vec<(String, String)>, EndpointError> {
     // Some editors begin a file with a byte order mark.
     for (number, line) in (1..).zip(text.trim_start_matches('\u{feff}').lines()) {
         // Other lines are other programs', which may read them in another way.
-        let Some((name, value)) = own_variable(line) else { continue };
-        let value = value_of(value).ok_or_else(|| {
-            failed(format!(
-                "{name} in line {number} has a quote that is not closed, or something after it: write {name}=value"
-            ))
+        let Some((name, rest)) = own_variable(line) else { continue };
+        let value = rest.strip_prefix('=').and_then(value_of);
+        let value = value.ok_or_else(|| {
+            failed(format!("{name} in line {number} is not NAME=value, with every quote closed and nothing after it"))
         })?;
         variables.push((name.to_owned(), value.to_owned()));
     }
     Ok(variables)
 }
-/// The name and what follows the equals sign, in a line of a `.env` file that sets a variable of this module, perhaps after
-/// `export`.
-fn own_variable(line: &str) -> Option<(&str, &str)> {
-    let (name, value) = line.split_once('=')?;
-    let name = name.trim();
-    let name = match name.strip_prefix("export") {
+/// The name and what follows it, in a line of a `.env` file that is about a variable of this module, perhaps after `export`.
+fn own_variable(line: &str) -> Option<(&'static str, &str)> {
+    let line = line.trim();
+    let line = match line.strip_prefix("export") {
         Some(rest) if rest.starts_with(char::is_whitespace) => rest.trim_start(),
-        _ => name,
+        _ => line,
     };
-    let is_own = name == KEY_VARIABLE || BASE_URL_VARIABLES.contains(&name);
-    is_own.then_some((name, value))
+    let is_of_a_name = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
+    BASE_URL_VARIABLES.into_iter().chain([KEY_VARIABLE]).find_map(|name| {
+        let rest = line.strip_prefix(name)?;
+        // Without more, `export NAME` sets nothing.
+        let is_own = !rest.is_empty() && !rest.starts_with(is_of_a_name);
+        is_own.then_some((name, rest.trim_start()))
+    })
 }
 
 /// The value in what follows the equals sign: `value`, `'value'` or `"value"`, before an optional comment. It is taken as it is
@@ -546,14 +548,18 @@ mod tests {
             "X=\"a\\\"b\"",
             "CERTIFICATE=\"-----BEGIN-----\nabc=\n-----END-----\"",
             "OPENAI_API_KEYS='x",
+            "OPENAI_API_KEY-OLD='x",
+            "export OPENAI_API_KEY",
             "# OPENAI_API_KEY='x",
         ] {
             assert_eq!(read(&format!("{other}\n export OPENAI_API_KEY = b\n{other}")), Ok(key()));
         }
         for name in [KEY_VARIABLE, "OPENAI_BASE_URL", "OPENAI_API_BASE"] {
-            let problem = read(&format!("# comment\n\n{name}=\"secret\n")).unwrap_err();
-            assert!(problem.contains(&format!(".env: {name} in line 3 has")), "{problem}");
-            assert!(!problem.contains("secret"), "{problem}");
+            for malformed in ["=\"secret", " secret", ": secret", "='secret' x", "+=secret"] {
+                let problem = read(&format!("# comment\n\n{name}{malformed}\n")).unwrap_err();
+                assert!(problem.contains(&format!(".env: {name} in line 3 is not")), "{problem}");
+                assert!(!problem.contains("secret"), "{problem}");
+            }
         }
         let problem = read_env_file(Path::new("/dev/zero")).unwrap_err().to_string();
         assert!(problem.contains("not a regular file"), "{problem}");
@@ -629,7 +635,7 @@ mod tests {
                 "",
                 "a header cannot carry",
             ),
-            (flag("http://a/v1"), ("", ""), "OPENAI_API_KEY sk-very-secret", "not NAME=value"),
+            (flag("http://a/v1"), ("", ""), "OPENAI_API_KEY sk-very-secret", "is not NAME=value"),
         ] {
             let error = resolve(base_url, &[environment], env_file).unwrap_err();
             let printed = format!("{error} {error:?}");
