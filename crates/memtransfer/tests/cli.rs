@@ -650,7 +650,7 @@ fn a_report_is_written_beside_the_folder_and_follows_no_link() {
     fs::create_dir(dir.path().join("notes")).unwrap();
     fs::write(dir.path().join("notes/notes.txt"), "mine").unwrap();
     let said = refused(dir.path(), "report run --out notes");
-    assert!(said.contains("holds files that are no report"), "{said}");
+    assert!(said.contains("notes.txt is no part of a report"), "{said}");
 }
 
 #[test]
