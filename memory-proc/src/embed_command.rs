@@ -1,7 +1,6 @@
 //! `memory-proc embed` embeds images and prints their distances, to try an encoder. `memory-proc embeddings` writes those that
 //! are known to a file, for other machines.
 
-use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -86,7 +85,7 @@ pub fn ship(
     let folder = settings.cache.embeddings();
     let cache = EmbeddingCache::open(&folder, &facts.fingerprint, facts.dimension)?;
     let write = || {
-        let mut file = BufWriter::new(File::create(out)?);
+        let mut file = BufWriter::new(durable::output::create(out)?);
         cache.ship(&facts.model_fingerprint, &mut file)
     };
     write().with_context(|| format!("cannot write {}", out.display()))?;

@@ -7,7 +7,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use domain::hex;
+use domain::{SEQUENCE_ENDED, hex};
 use shm_types::message::SnapshotId;
 
 /// The folder that a snapshot is written into before it has its name.
@@ -59,7 +59,12 @@ impl SnapshotFolder {
         let kept = [hex(&id), hex(&earlier)];
         for entry in done(&folder, "read", fs::read_dir(&folder))? {
             let entry = done(&folder, "read", entry)?;
-            if !kept.iter().any(|kept| entry.file_name() == kept.as_str()) {
+            let name = entry.file_name();
+            // Files of the user stay.
+            let is_snapshot = name.to_str().is_some_and(|name| {
+                name.len() == hex(&id).len() && name.bytes().all(|byte| byte.is_ascii_hexdigit())
+            });
+            if is_snapshot && !kept.iter().any(|kept| name == kept.as_str()) {
                 remove(&entry.path())?;
             }
         }
@@ -77,8 +82,7 @@ impl SnapshotFolder {
             },
         };
         Err(format!(
-            "snapshot {} {what}. Its sequence cannot go on, however often the run is continued. To run the sequence \
-             again, delete its lines from episodes.jsonl; `run --fresh` runs all again",
+            "snapshot {} {what}. {SEQUENCE_ENDED}, delete its lines from episodes.jsonl; `run --fresh` runs all again",
             folder.display()
         ))
     }
@@ -228,6 +232,7 @@ mod tests {
             fs::write(&store, damage).unwrap();
             let error = folder.find(7, id).unwrap_err().to_string();
             assert!(error.contains("is damaged") && error.contains("--fresh"), "{error}");
+            assert!(error.contains(SEQUENCE_ENDED), "{error}");
         }
         fs::write(&store, "abc").unwrap();
         assert!(folder.find(7, id).is_ok());

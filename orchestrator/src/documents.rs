@@ -288,7 +288,7 @@ fn lock(
     let path = folder.join(LOCK_FILE);
     let failed = || format!("cannot lock {}", path.display());
     fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-    let file = File::options().create(true).append(true).open(&path).with_context(failed)?;
+    let file = durable::output::open_lock(&path).with_context(failed)?;
     loop {
         match file.try_lock() {
             Ok(()) => return Ok(Some(file)),
@@ -398,5 +398,12 @@ mod tests {
         assert_eq!(stages, [BuildStage::Waiting]);
         drop(first);
         assert!(lock(folder.path(), &stop, &mut |_| ()).unwrap().is_some());
+        // A pipe in its place is not waited for.
+        let path = folder.path().join(LOCK_FILE);
+        fs::remove_file(&path).unwrap();
+        let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
+        rustix::fs::mkfifoat(rustix::fs::CWD, &path, mode).unwrap();
+        let error = format!("{:#}", lock(folder.path(), &stop, &mut |_| ()).unwrap_err());
+        assert!(error.contains("cannot lock") && error.contains("a pipe"), "{error}");
     }
 }

@@ -111,7 +111,7 @@ impl Profile {
         fs::create_dir_all(dir).with_context(|| format!("cannot make {}", dir.display()))?;
         let save = |name: &str, content: Vec<u8>| {
             let path = dir.join(name);
-            let written = fs::write(&path, content);
+            let written = durable::output::write(&path, content);
             written.with_context(|| format!("cannot write {}", path.display())).map(|()| path)
         };
         save("profile.json", serde_json::to_vec_pretty(self)?)?;

@@ -127,7 +127,7 @@ fn abandoned(
 }
 
 fn is_unlocked(file: &Path) -> io::Result<bool> {
-    Ok(File::open(file)?.try_lock().is_ok())
+    Ok(durable::input::open(file)?.try_lock().is_ok())
 }
 
 #[cfg(test)]

@@ -18,6 +18,7 @@ use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, ensure};
+use documents::{DocumentFile, DocumentFolder, DocumentName, Provenance};
 use domain::{RUNTIME_FILE, RUNTIME_SHA256, hex};
 use results::settings::RunSettings;
 use serde::{Deserialize, Serialize};
@@ -31,6 +32,9 @@ use crate::scratch::{self, ScratchFolder};
 
 /// The folder in the cache folder of embeddings that came with plans.
 const EMBEDDINGS: &str = "shipped-embeddings";
+
+/// The first bytes of such a file, as `memory-proc embeddings` writes them.
+const EMBEDDINGS_START: &[u8] = b"memtransfer embeddings 1\n";
 
 /// The folders in the cache folder whose files a plan may bring. The others are not a plan's to write: programs, and
 /// what runs compute.
@@ -138,6 +142,8 @@ impl Store {
         ensure!(is_hash, "the plan names {hash:?}, which is no hash: write the plan again");
         let to = cache.join(&file.path);
         if to.exists() {
+            let is_damaged = is_embeddings(&file.path) && check_hash(&to, hash).is_err();
+            ensure!(!is_damaged, "{} is not what the plan brings: remove it", to.display());
             return Ok(false);
         }
         let folder = to.parent().unwrap_or(cache);
@@ -151,7 +157,7 @@ impl Store {
             match file.path.strip_prefix("models/") {
                 Some(model) => check_model(model, draft),
                 None if file.path == RUNTIME_FILE => check_runtime(draft),
-                None => Ok(()),
+                None => check_data(&file.path, hash, draft),
             }
         };
         write_checked(&to, get, check).with_context(|| {
@@ -225,6 +231,32 @@ fn check_model(name: &str, file: &Path) -> Result<()> {
     Ok(())
 }
 
+fn is_embeddings(path: &str) -> bool {
+    Path::new(path).starts_with(EMBEDDINGS)
+}
+
+/// Checks that a file for `path` with the hash `hash` is what its place in the cache folder says: it would stay there, and end later
+/// runs.
+fn check_data(path: &str, hash: &str, file: &Path) -> Result<()> {
+    if is_embeddings(path) {
+        ensure!(path == format!("{EMBEDDINGS}/{hash}"), "its name is not the hash of its bytes");
+        let mut start = Vec::new();
+        let embeddings = durable::input::open(file)?;
+        embeddings.take(EMBEDDINGS_START.len() as u64).read_to_end(&mut start)?;
+        ensure!(start == EMBEDDINGS_START, "it has no embeddings");
+        return Ok(());
+    }
+    let document = DocumentFile::load(file)?;
+    let Provenance { kind, demonstrations, .. } = document.provenance;
+    let (name, folder) = (DocumentName { kind, demonstrations }, DocumentFolder::new("documents"));
+    let names = [folder.file(name, &document.provenance.address()), folder.run_copy(name)];
+    ensure!(
+        names.iter().any(|name| name == Path::new(path)),
+        "it is the document {name}, under another name"
+    );
+    Ok(())
+}
+
 /// What the shipped manifest of encoders says about their files.
 #[derive(Deserialize)]
 struct KnownModels {
@@ -241,7 +273,8 @@ struct KnownModel {
 /// SHA-256 of a file, as hexadecimal digits.
 fn sha256_of(file: &Path) -> Result<String> {
     let read = || {
-        let (mut file, mut hasher, mut part) = (File::open(file)?, Sha256::new(), vec![0; 1 << 16]);
+        let (mut file, mut hasher, mut part) =
+            (durable::input::open(file)?, Sha256::new(), vec![0; 1 << 16]);
         loop {
             match file.read(&mut part)? {
                 0 => return Ok::<_, io::Error>(hex(&hasher.finalize())),
@@ -329,8 +362,11 @@ impl Shipment {
             self.embeddings.iter().all(is_brought),
             "the plan does not bring the embeddings that it names: write the plan again"
         );
-        let is_there =
-            |file: &StoredFile| may_come_with_a_plan(&file.path) && cache.join(&file.path).exists();
+        let is_there = |file: &StoredFile| {
+            let path = cache.join(&file.path);
+            let is_checked = !is_embeddings(&file.path) || check_hash(&path, &file.hash).is_ok();
+            may_come_with_a_plan(&file.path) && path.exists() && is_checked
+        };
         if self.files.iter().all(is_there) {
             return Ok(0);
         }
@@ -338,7 +374,7 @@ impl Shipment {
         let path = cache.join("fetch.lock");
         let failed = || format!("cannot lock {}", path.display());
         fs::create_dir_all(cache).with_context(failed)?;
-        let lock = File::options().create(true).append(true).open(&path).with_context(failed)?;
+        let lock = durable::output::open_lock(&path).with_context(failed)?;
         lock.lock().with_context(failed)?;
         let mut fetched = 0;
         for file in &self.files {
@@ -482,6 +518,77 @@ mod tests {
         assert!(error.contains("is not the model dinov2-s14.onnx"), "{error}");
         assert_eq!(fs::read_dir(cache.join("models")).unwrap().count(), 0, "it was not written");
         assert!(store.fetch(&other, &cache).unwrap(), "a model of the user");
+    }
+
+    #[test]
+    fn documents_and_embeddings_are_what_their_places_say() {
+        let (folder, store, _, cache) = stored();
+        let provenance = Provenance {
+            kind: domain::DocumentKind::Summary,
+            demonstrations: warehouse::Demonstrations::ALL,
+            builder: "extractive".to_owned(),
+            builder_version: "1".to_owned(),
+            inputs_sha256: String::new(),
+            sources_sha256: String::new(),
+            text_sha256: String::new(),
+            trajectories: 1,
+            views: 1,
+            account: documents::BuildAccount::default(),
+        };
+        let file = folder.path().join("planted");
+        let place = format!("documents/summary-4-{}.json", provenance.address());
+        DocumentFile::new(provenance, "text".to_owned()).save(&file).unwrap();
+        let document = store.add(&file, place.clone()).unwrap();
+        let refused = |planted: &StoredFile| {
+            let error = format!("{:#}", store.fetch(planted, &cache).unwrap_err());
+            assert!(!cache.join(&planted.path).exists(), "{}", planted.path);
+            error
+        };
+        for other in ["documents/semantic-4.json", "documents/lock.json", "documents/x.json"] {
+            let error = refused(&StoredFile { path: other.to_owned(), ..document.clone() });
+            assert!(error.contains("it is the document summary/4, under another name"), "{error}");
+        }
+        assert!(store.fetch(&document, &cache).unwrap());
+        fs::remove_file(cache.join(&place)).unwrap();
+        let text = fs::read_to_string(&file).unwrap();
+        for damaged in [text.replace("\"text\": \"text\"", "\"text\": \"other\""), "{".to_owned()] {
+            assert_ne!(damaged, text);
+            fs::write(&file, damaged).unwrap();
+            refused(&store.add(&file, place.clone()).unwrap());
+        }
+
+        fs::write(&file, [EMBEDDINGS_START, b"rest"].concat()).unwrap();
+        let hash = hash_of(&file).unwrap().0;
+        let embeddings = store.add(&file, format!("{EMBEDDINGS}/{hash}")).unwrap();
+        let other = StoredFile { path: format!("{EMBEDDINGS}/0"), ..embeddings.clone() };
+        assert!(refused(&other).contains("its name is not the hash"));
+        fs::write(&file, "text").unwrap();
+        let hash = hash_of(&file).unwrap().0;
+        let text = store.add(&file, format!("{EMBEDDINGS}/{hash}")).unwrap();
+        assert!(refused(&text).contains("it has no embeddings"));
+        // Those that are there are compared, too: their name is all that the memory knows of them.
+        let shipment = Shipment {
+            store: store.address().to_owned(),
+            files: vec![embeddings.clone()],
+            embeddings: Some(embeddings.path.clone()),
+        };
+        assert_eq!(shipment.fetch(None, &cache).unwrap(), 1);
+        assert_eq!(shipment.fetch(None, &cache).unwrap(), 0);
+        fs::write(cache.join(&embeddings.path), "wrong").unwrap();
+        let error = format!("{:#}", shipment.fetch(None, &cache).unwrap_err());
+        assert!(error.contains("is not what the plan brings: remove it"), "{error}");
+    }
+
+    #[test]
+    fn a_pipe_in_place_of_a_lock_is_refused() {
+        let (_folder, store, file, cache) = stored();
+        fs::create_dir(&cache).unwrap();
+        let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
+        rustix::fs::mkfifoat(rustix::fs::CWD, cache.join("fetch.lock"), mode).unwrap();
+        let shipment =
+            Shipment { store: store.address().to_owned(), files: vec![file], embeddings: None };
+        let error = format!("{:#}", shipment.fetch(None, &cache).unwrap_err());
+        assert!(error.contains("fetch.lock") && error.contains("a pipe"), "{error}");
     }
 
     #[cfg(not(feature = "object-store"))]

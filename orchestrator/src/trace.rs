@@ -44,7 +44,8 @@ impl RunTrace {
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder).with_context(|| format!("--trace {}", path.display()))?;
         }
-        let file = File::create(&path).with_context(|| format!("--trace {}", path.display()))?;
+        let file = durable::output::create(&path)
+            .with_context(|| format!("--trace {}", path.display()))?;
         let mut spans = path.clone().into_os_string();
         spans.push(".spans");
         let spans = PathBuf::from(spans);
@@ -117,7 +118,7 @@ impl RunTrace {
         for path in files {
             let Some(role) = role_of(&path) else { continue };
             let file =
-                File::open(&path).with_context(|| format!("cannot read {}", path.display()))?;
+                durable::open(&path).with_context(|| format!("cannot read {}", path.display()))?;
             for line in BufReader::new(file).lines() {
                 // The last line of a process that was killed may be torn.
                 let Ok(span) = serde_json::from_str::<Span>(&line?) else { continue };
@@ -282,5 +283,15 @@ mod tests {
         fs::write(spans.join("mine.txt"), "mine").unwrap();
         assert!(remove_spans(&spans).is_err());
         assert_eq!(fs::read_to_string(spans.join("mine.txt")).unwrap(), "mine");
+    }
+
+    #[test]
+    fn a_pipe_in_place_of_the_file_is_refused_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trace.json");
+        let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
+        rustix::fs::mkfifoat(rustix::fs::CWD, &path, mode).unwrap();
+        let error = format!("{:#}", RunTrace::create(&path).unwrap_err());
+        assert!(error.contains("--trace") && error.contains("a pipe"), "{error}");
     }
 }

@@ -154,7 +154,7 @@ impl UnitPlan {
         let mut draft = path.as_os_str().to_owned();
         draft.push(".new");
         let write = || {
-            let mut file = fs::File::create(&draft)?;
+            let mut file = durable::output::create(Path::new(&draft))?;
             serde_json::to_writer_pretty(&mut file, self)?;
             file.write_all(b"\n")?;
             file.sync_all()?;

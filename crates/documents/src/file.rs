@@ -200,7 +200,7 @@ impl DocumentFile {
             fs::create_dir_all(folder)?;
             let mut text = serde_json::to_vec_pretty(self)?;
             text.push(b'\n');
-            let mut file = File::create(&draft)?;
+            let mut file = durable::output::create(&draft)?;
             file.write_all(&text)?;
             file.sync_all()?;
             fs::rename(&draft, path)?;

@@ -23,7 +23,9 @@ pub use cache::{
 };
 pub use hex::hex;
 pub use memory_kind::{ExternalName, MemoryKind};
-pub use outcome::{Arm, DocumentKind, FeedbackLevel, Outcome, Reasoning, SegmentContent};
+pub use outcome::{
+    Arm, DocumentKind, FeedbackLevel, Outcome, Reasoning, SEQUENCE_ENDED, SegmentContent,
+};
 pub use pose::{Action, Cell, Feedback, Heading, Pose, UnknownCode};
 pub use representation::Representation;
 pub use shell::shell_word;

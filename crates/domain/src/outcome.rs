@@ -87,3 +87,8 @@ impl DocumentKind {
     /// Those that are text, in the order in which they are supplied.
     pub const TEXTS: [Self; 2] = [Self::Summary, Self::Semantic];
 }
+
+/// What the reason says of an episode whose memory's snapshot is damaged; what to delete follows it. The same command gives the
+/// episode up again.
+pub const SEQUENCE_ENDED: &str =
+    "Its sequence cannot go on, however often the run is continued. To run the sequence again";

@@ -46,7 +46,7 @@ pub(crate) fn open_at(parent: impl AsFd, path: &Path, flags: OFlags) -> io::Resu
         };
         match errno {
             Errno::LOOP | Errno::NOTDIR if is_link() => link_error(),
-            errno => errno.into(),
+            errno => refusal(errno),
         }
     })
 }
@@ -68,6 +68,17 @@ pub fn check_no_links(folder: &Path) -> io::Result<()> {
         }
     }
     Ok(())
+}
+
+/// The error of opening something for writing.
+pub(crate) fn refusal(errno: Errno) -> io::Error {
+    match errno {
+        Errno::NXIO => {
+            let problem = "it is a pipe or a socket and not a regular file";
+            io::Error::new(ErrorKind::InvalidInput, problem)
+        }
+        errno => errno.into(),
+    }
 }
 
 fn link_error() -> io::Error {

@@ -32,6 +32,11 @@ impl FolderDraft {
         if let Some(parent) = target.parent() {
             fs::create_dir_all(parent)?;
         }
+        let old = old(&draft);
+        if fs::symlink_metadata(target).is_err() && fs::symlink_metadata(&old).is_ok() {
+            // Killed between the two renames of a file system that cannot exchange names.
+            fs::rename(&old, target)?;
+        }
         remove(&draft)?;
         fs::create_dir(&draft)?;
         Ok(Self { target: target.to_owned(), draft })
@@ -40,6 +45,15 @@ impl FolderDraft {
     /// Where the files go.
     pub fn path(&self) -> &Path {
         &self.draft
+    }
+
+    /// Links what is at `others`, paths below the folder that will be replaced, into the draft, so that it stays. A file that
+    /// the draft has under the same name is the newer one.
+    ///
+    /// # Errors
+    /// When the system refuses, for example on a file system without hard links.
+    pub fn keep(&self, others: &[PathBuf]) -> io::Result<()> {
+        others.iter().try_for_each(|path| link(&self.target.join(path), &self.draft.join(path)))
     }
 
     /// Gives the draft its name, in place of what is there.
@@ -53,12 +67,11 @@ impl FolderDraft {
             Err(Errno::NOENT) => fs::rename(draft, target),
             // A file system that cannot exchange two names.
             Err(Errno::INVAL | Errno::NOSYS | Errno::OPNOTSUPP) => {
-                let mut old = OsString::from(draft);
-                old.push("-old");
-                remove(Path::new(&old))?;
+                let old = old(draft);
+                remove(&old)?;
                 fs::rename(target, &old)?;
                 fs::rename(draft, target)?;
-                remove(Path::new(&old))
+                remove(&old)
             }
             Err(errno) => Err(errno.into()),
         }
@@ -71,6 +84,32 @@ impl Drop for FolderDraft {
         // The next draft removes what is left.
         let _ = remove(&self.draft);
     }
+}
+
+/// The name that the folder of before has for a moment.
+fn old(draft: &Path) -> PathBuf {
+    let mut old = OsString::from(draft);
+    old.push("-old");
+    old.into()
+}
+
+/// Gives the file `from`, or everything in the folder `from`, a second name in the place `to`.
+fn link(from: &Path, to: &Path) -> io::Result<()> {
+    if let Some(parent) = to.parent() {
+        fs::create_dir_all(parent)?;
+    }
+    if !fs::symlink_metadata(from)?.is_dir() {
+        return match fs::hard_link(from, to) {
+            Err(error) if error.kind() == ErrorKind::AlreadyExists && to.is_file() => Ok(()),
+            outcome => outcome,
+        };
+    }
+    fs::create_dir_all(to)?;
+    for entry in fs::read_dir(from)? {
+        let name = entry?.file_name();
+        link(&from.join(&name), &to.join(name))?;
+    }
+    Ok(())
 }
 
 /// Removes a folder, or a file or link in its place, if there is one.
@@ -118,6 +157,24 @@ mod tests {
         assert_eq!(
             (names(parent), names(&target)),
             (vec!["pages".to_owned()], vec!["b".to_owned()])
+        );
+
+        // What is not part of the new folder is kept where that is asked for, at every depth.
+        let draft = FolderDraft::new(&target).unwrap();
+        fs::create_dir_all(target.join("mine/deep")).unwrap();
+        fs::write(target.join("mine/deep/file"), "mine").unwrap();
+        fs::write(draft.path().join("b"), "new").unwrap();
+        draft.keep(&["mine".into(), "b".into()]).unwrap();
+        draft.finish().unwrap();
+        assert_eq!(names(&target), ["b", "mine"]);
+        assert_eq!(fs::read(target.join("mine/deep/file")).unwrap(), b"mine");
+        assert_eq!(fs::read(target.join("b")).unwrap(), b"new");
+        // After a kill between two renames, the folder of before has its name again.
+        fs::rename(&target, parent.join("pages.memtransfer-draft-old")).unwrap();
+        drop(FolderDraft::new(&target).unwrap());
+        assert_eq!(
+            (names(parent), names(&target)),
+            (vec!["pages".into()], vec!["b".into(), "mine".into()])
         );
 
         // A link is replaced, and not what it points to.

@@ -4,16 +4,19 @@
 //! the program read and write nothing outside of it. In a drill ([`inject`]) they also fail as a disk does that is full,
 //! broken or slow, or as the program does that is killed in the middle of a write.
 //!
-//! [`input`] reads files that a user names.
+//! [`input`] reads files that a user names, [`output`] writes them.
 
 #![deny(unsafe_code)]
 
 mod beneath;
 mod draft;
 pub mod input;
+mod known;
+pub mod output;
 
 pub use beneath::{check_no_links, open_beneath};
 pub use draft::FolderDraft;
+pub use known::{KnownNames, Removal};
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read, Write};
@@ -102,12 +105,12 @@ pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     }
 }
 
-/// Opens the file `path` for appending, and creates it if it is missing; `path` itself must not be a symbolic link.
+/// Opens the file `path` for appending and reading, and creates it if it is missing; `path` itself must not be a symbolic link.
 ///
 /// # Errors
 /// When it is something else than a regular file, or the system refuses.
 pub fn append(path: &Path) -> io::Result<File> {
-    let flags = OFlags::WRONLY | OFlags::APPEND | OFlags::CREATE;
+    let flags = OFlags::RDWR | OFlags::APPEND | OFlags::CREATE;
     input::regular(beneath::open_at(rustix::fs::CWD, path, flags)?)
 }
 

@@ -27,7 +27,8 @@ pub(crate) fn write_whole(path: &Path, write: impl FnOnce(&Path) -> Result<()>) 
 /// Writes a text in the same way.
 pub(crate) fn write_text(path: &Path, text: &str) -> Result<()> {
     write_whole(path, |draft| {
-        fs::write(draft, text).with_context(|| format!("cannot write {}", path.display()))
+        durable::output::write(draft, text)
+            .with_context(|| format!("cannot write {}", path.display()))
     })
 }
 

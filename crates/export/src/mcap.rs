@@ -90,8 +90,8 @@ struct McapEpisode<'a> {
 impl McapRecording {
     /// A file at `path` of episodes of `log`.
     pub(crate) fn create(path: &Path, log: &RunLog, timing: Timing) -> Result<Self> {
-        let file =
-            File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
+        let file = durable::output::create(path)
+            .with_context(|| format!("cannot write {}", path.display()))?;
         let mut file = McapFile::new(BufWriter::new(file))?;
         let mut foxglove = |topic: &str, message: &str| {
             let schema = foxglove::descriptor_set();

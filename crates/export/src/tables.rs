@@ -1,6 +1,5 @@
 //! Tables of episodes and steps.
 
-use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -35,7 +34,7 @@ pub fn write_tables(log: &RunLog, format: TableFormat, dir: &Path) -> Result<Vec
         let path = dir.join(format!("{name}.{extension}"));
         write_whole(&path, |draft| {
             let write = || {
-                let mut file = BufWriter::new(File::create(draft)?);
+                let mut file = BufWriter::new(durable::output::create(draft)?);
                 match format {
                     TableFormat::Csv => frame.write_csv(&mut file)?,
                     TableFormat::Parquet => frame.write_parquet(&mut file)?,

@@ -272,6 +272,14 @@ impl Servers {
                 }
             },
         };
+        if let Some((key, Source::EnvFile)) = &key
+            && key.expose().contains("${")
+        {
+            tracing::warn!(
+                "{KEY_VARIABLE} in {} contains ${{...}}, and is sent as it is written: variables are not replaced",
+                env_file.display()
+            );
+        }
         let (key, key_source) = key.unzip();
         let mut all = base_urls.split(',').map(|base_url| Endpoint::new(base_url, key.clone()));
         let first = all.next().ok_or(EndpointError::NoBaseUrl)??;
@@ -316,44 +324,50 @@ fn read_env_file(path: &Path) -> Result<Vec<(String, String)>, EndpointError> {
     };
     let mut variables = Vec::new();
     // Some editors begin a file with a byte order mark.
-    for (index, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
-        let line = line.trim();
-        if line.is_empty() || line.starts_with('#') {
-            continue;
-        }
-        let (name, value) = env_variable(line)
-            .ok_or_else(|| failed(format!("line {} is not NAME=value", index + 1)))?;
+    for (number, line) in (1..).zip(text.trim_start_matches('\u{feff}').lines()) {
+        // Other lines are other programs', which may read them in another way.
+        let Some((name, rest)) = own_variable(line) else { continue };
+        let value = rest.strip_prefix('=').and_then(value_of);
+        let value = value.ok_or_else(|| {
+            failed(format!("{name} in line {number} is not NAME=value, with every quote closed and nothing after it"))
+        })?;
         variables.push((name.to_owned(), value.to_owned()));
     }
     Ok(variables)
 }
-
-/// The name and value in a line of a `.env` file: `NAME=value`, `NAME='value'` or `NAME="value"`, after an optional `export`
-/// and before an optional comment. A value is taken as it is written: if the variables that it mentions were replaced, a file
-/// from elsewhere could take the environment's key and send it to an address of its own.
-fn env_variable(line: &str) -> Option<(&str, &str)> {
-    let (name, value) = line.split_once('=')?;
-    let (name, value) = (name.trim(), value.trim());
-    let name = match name.strip_prefix("export") {
+/// The name and what follows it, in a line of a `.env` file that is about a variable of this module, perhaps after `export`.
+fn own_variable(line: &str) -> Option<(&'static str, &str)> {
+    let line = line.trim();
+    let line = match line.strip_prefix("export") {
         Some(rest) if rest.starts_with(char::is_whitespace) => rest.trim_start(),
-        _ => name,
+        _ => line,
     };
-    let is_of_a_name = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '.');
-    if name.is_empty() || !name.chars().all(is_of_a_name) {
-        return None;
-    }
+    let is_of_a_name = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
+    BASE_URL_VARIABLES.into_iter().chain([KEY_VARIABLE]).find_map(|name| {
+        let rest = line.strip_prefix(name)?;
+        // Without more, `export NAME` sets nothing.
+        let is_own = !rest.is_empty() && !rest.starts_with(is_of_a_name);
+        is_own.then_some((name, rest.trim_start()))
+    })
+}
+
+/// The value in what follows the equals sign: `value`, `'value'` or `"value"`, before an optional comment. It is taken as it is
+/// written: if the variables that it mentions were replaced, a file from elsewhere could take the environment's key and send it
+/// to an address of its own.
+fn value_of(text: &str) -> Option<&str> {
+    let text = text.trim();
     for quote in ['\'', '"'] {
-        if let Some(quoted) = value.strip_prefix(quote) {
+        if let Some(quoted) = text.strip_prefix(quote) {
             let (value, rest) = quoted.split_once(quote)?;
             let rest = rest.trim_start();
-            return (rest.is_empty() || rest.starts_with('#')).then_some((name, value));
+            return (rest.is_empty() || rest.starts_with('#')).then_some(value);
         }
     }
     let starts_comment = |&(index, _): &(usize, &str)| {
-        value[..index].chars().next_back().is_none_or(char::is_whitespace)
+        text[..index].chars().next_back().is_none_or(char::is_whitespace)
     };
-    let end = value.match_indices('#').find(starts_comment).map_or(value.len(), |(index, _)| index);
-    Some((name, value[..end].trim_end()))
+    let end = text.match_indices('#').find(starts_comment).map_or(text.len(), |(index, _)| index);
+    Some(text[..end].trim_end())
 }
 
 #[cfg(test)]
@@ -504,32 +518,51 @@ mod tests {
 
     #[test]
     fn lines_of_an_env_file() {
-        for (line, expected) in [
-            ("A=b", Some(("A", "b"))),
-            (" export A = b c ", Some(("A", "b c"))),
-            ("export=x", Some(("export", "x"))),
-            ("A=", Some(("A", ""))),
-            ("A= # none", Some(("A", ""))),
-            ("A=b#c # d", Some(("A", "b#c"))),
-            ("A=\"b # $c\" # d", Some(("A", "b # $c"))),
-            ("A='b\"=c'", Some(("A", "b\"=c"))),
-            ("A='b' c", None),
-            ("A=\"b", None),
-            ("A b=c", None),
-            ("=b", None),
-            ("A", None),
+        for (text, expected) in [
+            ("b", Some("b")),
+            (" b c ", Some("b c")),
+            ("", Some("")),
+            (" # none", Some("")),
+            ("b#c # d", Some("b#c")),
+            ("\"b # $c\" # d", Some("b # $c")),
+            ("'b\"=c'", Some("b\"=c")),
+            ("'b' c", None),
+            ("\"b", None),
         ] {
-            assert_eq!(env_variable(line.trim()), expected, "{line}");
+            assert_eq!(value_of(text), expected, "{text}");
         }
         let folder = tempfile::tempdir().unwrap();
-        let marked = folder.path().join("marked");
-        std::fs::write(&marked, "\u{feff}A=b\r\n# c\r\n").unwrap();
-        assert_eq!(read_env_file(&marked).unwrap(), [("A".to_owned(), "b".to_owned())]);
-        let problem = |path: &Path| read_env_file(path).unwrap_err().to_string();
-        assert!(problem(Path::new("/dev/zero")).contains("not a regular file"));
         let path = folder.path().join(ENV_FILE);
-        std::fs::write(&path, "# comment\n\nA=b\nsecret\n").unwrap();
-        assert!(problem(&path).ends_with(".env: line 4 is not NAME=value"), "{}", problem(&path));
+        let read = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            read_env_file(&path).map_err(|error| error.to_string())
+        };
+        let key = || vec![(KEY_VARIABLE.to_owned(), "b".to_owned())];
+        assert_eq!(read("\u{feff}OPENAI_API_KEY=b\r\n# c\r\n"), Ok(key()));
+        for other in [
+            "export",
+            "export OTHER",
+            "FOO-BAR=1",
+            "=b",
+            "secret",
+            "X=\"a\\\"b\"",
+            "CERTIFICATE=\"-----BEGIN-----\nabc=\n-----END-----\"",
+            "OPENAI_API_KEYS='x",
+            "OPENAI_API_KEY-OLD='x",
+            "export OPENAI_API_KEY",
+            "# OPENAI_API_KEY='x",
+        ] {
+            assert_eq!(read(&format!("{other}\n export OPENAI_API_KEY = b\n{other}")), Ok(key()));
+        }
+        for name in [KEY_VARIABLE, "OPENAI_BASE_URL", "OPENAI_API_BASE"] {
+            for malformed in ["=\"secret", " secret", ": secret", "='secret' x", "+=secret"] {
+                let problem = read(&format!("# comment\n\n{name}{malformed}\n")).unwrap_err();
+                assert!(problem.contains(&format!(".env: {name} in line 3 is not")), "{problem}");
+                assert!(!problem.contains("secret"), "{problem}");
+            }
+        }
+        let problem = read_env_file(Path::new("/dev/zero")).unwrap_err().to_string();
+        assert!(problem.contains("not a regular file"), "{problem}");
     }
 
     #[test]
@@ -602,7 +635,7 @@ mod tests {
                 "",
                 "a header cannot carry",
             ),
-            (flag("http://a/v1"), ("", ""), "OPENAI_API_KEY sk-very-secret", "not NAME=value"),
+            (flag("http://a/v1"), ("", ""), "OPENAI_API_KEY sk-very-secret", "is not NAME=value"),
         ] {
             let error = resolve(base_url, &[environment], env_file).unwrap_err();
             let printed = format!("{error} {error:?}");

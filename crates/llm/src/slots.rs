@@ -44,7 +44,7 @@ impl Slots {
         fs::create_dir_all(&self.folder)?;
         for number in 0..self.most {
             let path = self.folder.join(number.to_string());
-            let file = File::options().create(true).truncate(false).write(true).open(path)?;
+            let file = durable::output::open_lock(&path)?;
             match file.try_lock() {
                 Ok(()) => return Ok(Some(Slot(file))),
                 Err(TryLockError::WouldBlock) => {}

@@ -125,7 +125,7 @@ enum MemtransferVerb {
 /// Writes a file that a user has named, and makes its folder.
 fn write_file(path: &Path, text: &str) -> anyhow::Result<()> {
     make_folder_of(path)?;
-    std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))
+    durable::output::write(path, text).with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// Makes the folder of the file `path`, if it is missing.

@@ -1,6 +1,5 @@
 //! `memtransfer merge`: joins finished units into one run folder.
 
-use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
@@ -115,7 +114,7 @@ fn is_merged(out: &Path, manifest: &Manifest) -> Result<bool> {
         return Ok(false);
     }
     let path = out.join(EPISODES_FILE);
-    let file = File::open(&path).with_context(|| format!("cannot open {}", path.display()))?;
+    let file = durable::open(&path).with_context(|| format!("cannot open {}", path.display()))?;
     let lines = BufReader::new(file).split(b'\n').count();
     Ok(lines == manifest.episodes as usize)
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::bail;
 use clap::Args;
 use results::compare::tell_apart;
-use results::log::{REPORT_FOLDER, RunLog};
+use results::log::RunLog;
 
 use super::{Exit, print};
 
@@ -31,12 +31,17 @@ pub(super) fn run(args: &ReportArgs) -> anyhow::Result<Exit> {
     let logs = args.runs.iter().map(|dir| RunLog::read(dir));
     let mut logs = logs.collect::<Result<Vec<_>, _>>()?;
     tell_apart(&mut logs);
-    let out = match (&args.out, &args.runs[..]) {
-        (Some(out), _) => out.clone(),
-        (None, [run]) => run.join(REPORT_FOLDER),
+    let page = match (&args.out, &logs[..]) {
+        (Some(out), _) => report::write(&logs, out)?,
+        (None, [log]) => {
+            let (page, others) = report::write_in_place(log)?;
+            for other in others {
+                say!("kept {}, which is no part of a report", other.display());
+            }
+            page
+        }
         (None, _) => bail!("a report about several runs needs a folder of its own: give --out DIR"),
     };
-    let page = report::write(&logs, &out)?;
     print(&page.display().to_string())?;
     let given_up = logs.iter().any(|log| !log.errors.is_empty());
     Ok(if given_up { Exit::Failed } else { Exit::Complete })

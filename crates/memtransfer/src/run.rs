@@ -88,17 +88,18 @@ const SHOWN_REASONS: usize = 3;
 
 /// Why episodes were given up: the most frequent reasons, and how many episodes each has.
 pub(super) fn reasons(errors: &[EpisodeError]) -> String {
-    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    let mut counts: BTreeMap<(bool, &str), usize> = BTreeMap::new();
     for error in errors {
-        *counts.entry(&error.error).or_default() += 1;
+        *counts.entry((error.is_final(), &error.error)).or_default() += 1;
     }
     let mut counts: Vec<_> = counts.into_iter().collect();
-    counts.sort_by_key(|&(_, count)| Reverse(count));
+    // First those that say what to do.
+    counts.sort_by_key(|&((is_final, _), count)| Reverse((is_final, count)));
     if counts.is_empty() {
         return ".".to_owned();
     }
     let more = counts.len().saturating_sub(SHOWN_REASONS);
-    let line = |(reason, count): &(&str, usize)| {
+    let line = |((_, reason), count): &((bool, &str), usize)| {
         let episodes = if *count == 1 { "episode" } else { "episodes" };
         format!("\n  {count} {episodes}: {reason}")
     };
@@ -126,9 +127,15 @@ fn conclude(out: &Path, halted: Option<String>, signals: &Signals) -> Result<Exi
     if let Some(why) = halted {
         say!("stopped: {why}\nFinished episodes are kept. To resume:\n  {}", same_command());
     } else if done < planned {
+        let first = match log.errors.iter().any(EpisodeError::is_final) {
+            true => {
+                "The same command runs no sequence again that cannot go on. Do first what is said above about it. Then, or \
+                     for the others:"
+            }
+            false => "To run them again:",
+        };
         say!(
-            "{} of {planned} episodes could not be finished, and count neither as success nor as failure{}\n\
-             To run them again:\n  {}",
+            "{} of {planned} episodes could not be finished, and count neither as success nor as failure{}\n{first}\n  {}",
             planned - done,
             reasons(&log.errors),
             same_command()

@@ -5,7 +5,7 @@ use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, anyhow, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use build_commit::COMMIT;
 use domain::prompt_log::session_folder;
 use domain::representation::Trajectories;
@@ -42,7 +42,7 @@ use supervise::Children;
 
 use super::documents::RunDocuments;
 use super::run::flags::RunOptions;
-use super::{Exit, in_one_line, write_file};
+use super::{Exit, in_one_line};
 use crate::signals::{self, Signals};
 
 /// What a plan of a run is made for.
@@ -274,10 +274,10 @@ impl RunPlan {
         documents.copy_to(&folder.dir().join(DOCUMENTS_FOLDER))?;
         drop(documents);
         if let Some(streams) = &self.streams {
-            write_file(&folder.dir().join(STREAMS_FILE), &streams.set.to_text())?;
+            replace(&folder.dir().join(STREAMS_FILE), &streams.set.to_text())?;
         }
         if let Some(elsewhere) = &self.world.cases.elsewhere {
-            write_file(&folder.dir().join(ELSEWHERE_FILE), &elsewhere.to_text())?;
+            replace(&folder.dir().join(ELSEWHERE_FILE), &elsewhere.to_text())?;
         }
         let remaining = Remaining::of(&self.episodes, &finished)?;
         let missing = &remaining.missing;
@@ -518,6 +518,12 @@ pub(super) fn stopped_before_episodes(signals: &Signals, meanwhile: &str) -> Exi
 pub(super) fn same_command() -> String {
     let arguments = std::env::args_os().filter(|argument| argument != "--fresh");
     arguments.map(shell_word).collect::<Vec<_>>().join(" ")
+}
+
+/// Writes a text file of the run: beside the earlier one, which may have another name elsewhere, and renamed.
+fn replace(path: &Path, text: &str) -> Result<()> {
+    let replaced = durable::replace(path, &path.with_extension("json.new"), text.as_bytes());
+    replaced.with_context(|| format!("cannot write {}", path.display()))
 }
 
 #[cfg(test)]

@@ -217,7 +217,8 @@ fn write_images(folder: &Path, run: &Path, prompt: &RecordedPrompt) -> Result<()
         let target = folder.join(format!("{name}.png"));
         let (bytes, _) = logged_image(run, source)?
             .with_context(|| format!("{} is missing", source.display()))?;
-        fs::write(&target, bytes).with_context(|| format!("cannot write {}", target.display()))?;
+        durable::output::write(&target, bytes)
+            .with_context(|| format!("cannot write {}", target.display()))?;
     }
     say!("wrote {} images to {}", named.len(), folder.display());
     Ok(())

@@ -4,7 +4,7 @@
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use orchestrator::units::UnitPlan;
@@ -650,7 +650,7 @@ fn a_report_is_written_beside_the_folder_and_follows_no_link() {
     fs::create_dir(dir.path().join("notes")).unwrap();
     fs::write(dir.path().join("notes/notes.txt"), "mine").unwrap();
     let said = refused(dir.path(), "report run --out notes");
-    assert!(said.contains("holds files that are no report"), "{said}");
+    assert!(said.contains("notes.txt is no part of a report"), "{said}");
 }
 
 #[test]
@@ -939,4 +939,35 @@ fn the_commit_of_a_manifest_is_that_of_the_build() {
     let plan: serde_json::Value = serde_json::from_slice(&plan).unwrap();
     assert_eq!(plan["manifest"]["commit"].as_str(), build_commit::COMMIT);
     assert!(!dir.path().join("started-git").exists());
+}
+
+/// A renamed test would leave a claim of the page without one.
+#[test]
+fn the_tests_that_the_security_page_names_exist() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let page = fs::read_to_string(root.join("docs/security.md")).unwrap();
+    let mut sources = String::new();
+    let mut folders: Vec<PathBuf> =
+        ["crates", "memory-proc", "orchestrator", "shm-types", "tests", "xtask"]
+            .map(|folder| root.join(folder))
+            .into();
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|end| end == "rs") {
+                sources += &fs::read_to_string(path).unwrap();
+            }
+        }
+    }
+    let is_test = |name: &&str| {
+        name.matches('_').count() > 2
+            && name.bytes().all(|c| c == b'_' || c.is_ascii_lowercase() || c.is_ascii_digit())
+    };
+    let named: Vec<&str> = page.split('`').filter(is_test).collect();
+    assert!(named.len() > 30, "{named:?}");
+    for name in named {
+        assert!(sources.contains(&format!("fn {name}()")), "{name}");
+    }
 }

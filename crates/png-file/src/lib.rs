@@ -1,7 +1,6 @@
 //! Reads and writes PNG images with 8 bits per channel. Knows no other format and nothing about colour profiles.
 
 use std::fmt;
-use std::fs;
 use std::io::{self, Cursor};
 use std::path::{Path, PathBuf};
 
@@ -231,7 +230,7 @@ impl RgbaImage {
     pub fn write(&self, path: &Path) -> Result<(), PngFileError> {
         encode(self.width, self.height, Channels::Rgba, &self.pixels)
             .map_err(PngProblem::from)
-            .and_then(|bytes| Ok(fs::write(path, bytes)?))
+            .and_then(|bytes| Ok(durable::output::write(path, bytes)?))
             .map_err(|problem| PngFileError { path: path.to_owned(), problem })
     }
 }

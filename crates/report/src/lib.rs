@@ -38,13 +38,12 @@ pub use published::{Published, PublishedCondition, PublishedSpread};
 pub use steps::steps_frame;
 pub use terminal::{compared_runs, comparison, summary};
 
-use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use durable::FolderDraft;
-use results::log::{REPORT_FILES, RunLog};
+use durable::{FolderDraft, KnownNames};
+use results::log::{REPORT_FOLDER, RunLog, report_names};
 use results::score::score;
 use view::ScoredRun;
 
@@ -63,7 +62,7 @@ pub enum ReportError {
         source: io::Error,
     },
     /// The folder holds something else.
-    #[error("{} holds files that are no report: choose another --out", .0.display())]
+    #[error("{} is no part of a report, and is not removed: choose another --out", .0.display())]
     NotAReport(PathBuf),
     /// A page could not be rendered from its template.
     #[error("cannot make {page}: {source}; this is a mistake in the program, please report it")]
@@ -137,29 +136,47 @@ fn arrange(views: &[ScoredRun<'_>]) -> ReportDocument {
 /// # Errors
 /// When the folder holds something else, or an operation of the system fails.
 pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
-    let failed = |source| ReportError::Write { path: dir.to_owned(), source };
-    if !may_be_replaced(dir).map_err(failed)? {
-        return Err(ReportError::NotAReport(dir.to_owned()));
+    // Without the page, the files are someone else's, whatever their names are.
+    let has_page = fs::symlink_metadata(dir.join(PAGE)).is_ok();
+    let names = if has_page { report_names() } else { KnownNames::new([]) };
+    let others = names.and_then(|names| others_in(dir, &names)).map_err(failed(dir))?;
+    if let Some(other) = others.first() {
+        return Err(ReportError::NotAReport(dir.join(other)));
     }
-    let draft = FolderDraft::new(dir).map_err(failed)?;
+    replace(logs, dir, &[])
+}
+
+/// Writes the report about the run `log` into the run's folder, as [`write`]. Returns the page to open, and what is in the report's
+/// folder and no part of a report, which stays there.
+///
+/// # Errors
+/// When an operation of the system fails.
+pub fn write_in_place(log: &RunLog) -> Result<(PathBuf, Vec<PathBuf>), ReportError> {
+    let dir = log.dir.join(REPORT_FOLDER);
+    let names = report_names().map_err(failed(&dir))?;
+    let others = others_in(&dir, &names).map_err(failed(&dir))?;
+    let page = replace(std::slice::from_ref(log), &dir, &others)?;
+    Ok((page, others.iter().map(|path| dir.join(path)).collect()))
+}
+
+fn replace(logs: &[RunLog], dir: &Path, others: &[PathBuf]) -> Result<PathBuf, ReportError> {
+    let draft = FolderDraft::new(dir).map_err(failed(dir))?;
     write_files(logs, draft.path())?;
-    draft.finish().map_err(failed)?;
+    draft.keep(others).and_then(|()| draft.finish()).map_err(failed(dir))?;
     Ok(dir.join(PAGE))
 }
 
-/// Whether the folder `dir` is missing or empty, or holds a report and nothing else. A symbolic link is replaced, not what it
-/// points to.
-fn may_be_replaced(dir: &Path) -> io::Result<bool> {
-    let entries = match fs::symlink_metadata(dir) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(true),
-        Ok(found) if found.is_symlink() => return Ok(true),
-        _ => fs::read_dir(dir)?,
-    };
-    let names: Vec<OsString> =
-        entries.map(|entry| entry.map(|entry| entry.file_name())).collect::<io::Result<_>>()?;
-    let is_report = names.iter().any(|name| name == PAGE);
-    let is_file = |name: &OsString| REPORT_FILES.iter().any(|file| name == file);
-    Ok(names.is_empty() || is_report && names.iter().all(is_file))
+fn failed(dir: &Path) -> impl Fn(io::Error) -> ReportError {
+    move |source| ReportError::Write { path: dir.to_owned(), source }
+}
+
+/// What is in the folder `dir` and has none of the `names`. A symbolic link is replaced, not what it points to.
+fn others_in(dir: &Path, names: &KnownNames) -> io::Result<Vec<PathBuf>> {
+    match fs::symlink_metadata(dir) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
+        Ok(found) if found.is_symlink() => Ok(Vec::new()),
+        _ => names.others_in(dir),
+    }
 }
 
 /// Writes the files of the report into the folder `dir`.
@@ -226,10 +243,6 @@ mod folder_tests {
         let dir = base.path().join("report");
         let page = write(&logs, &dir).unwrap();
         let text = fs::read(&page).unwrap();
-        for name in fs::read_dir(&dir).unwrap() {
-            let name = name.unwrap().file_name();
-            assert!(REPORT_FILES.iter().any(|file| name == *file), "{name:?}");
-        }
         // What the page links to stays as it is, and so does what the folder links to.
         let mine = base.path().join("mine");
         fs::create_dir(&mine).unwrap();
@@ -249,9 +262,47 @@ mod folder_tests {
         assert_eq!(fs::read(mine.join("report.html")).unwrap(), b"mine");
         assert_eq!(fs::read_dir(&mine).unwrap().count(), 1);
 
-        fs::write(mine.join("notes.txt"), "mine").unwrap();
-        assert!(matches!(write(&logs, &mine), Err(ReportError::NotAReport(_))));
-        assert_eq!(fs::read(mine.join("report.html")).unwrap(), b"mine");
+        for (file, is_page) in [("notes.txt", true), ("conditions.csv", false)] {
+            fs::write(mine.join(file), "mine").unwrap();
+            let problem = write(&logs, &mine).unwrap_err().to_string();
+            assert!(problem.contains(&format!("{file} is no part of a report")), "{problem}");
+            assert_eq!(mine.join("report.html").exists(), is_page);
+            fs::remove_file(mine.join(file)).unwrap();
+            let _ = fs::remove_file(mine.join("report.html"));
+        }
+        // Neither in the folders of a report.
+        fs::write(dir.join("figures/mine.svg"), "mine").unwrap();
+        let problem = write(&logs, &dir).unwrap_err().to_string();
+        assert!(problem.contains("report/figures/mine.svg is no part of a report"), "{problem}");
         assert_eq!(fs::read_dir(base.path()).unwrap().count(), 2, "no draft is left");
+    }
+
+    #[test]
+    fn a_report_in_place_keeps_files_of_the_user() {
+        let base = tempfile::tempdir().unwrap();
+        let log = RunLog { dir: base.path().to_owned(), ..log(vec![record("t01-01", true)]) };
+        let (page, others) = write_in_place(&log).unwrap();
+        assert!(page.is_file() && others.is_empty());
+        let dir = base.path().join("report");
+        let mine = ["figures/main-figure.png", "my.html", "notes/a/b.txt", "tables/mine.csv"];
+        fs::create_dir_all(dir.join("notes/a")).unwrap();
+        for name in mine {
+            fs::write(dir.join(name), name).unwrap();
+        }
+        // Not of this run.
+        let earlier = dir.join("tables/stream-cost.csv");
+        fs::write(&earlier, "").unwrap();
+        fs::write(&page, "").unwrap();
+        let (page, others) = write_in_place(&log).unwrap();
+        assert_ne!(fs::read(page).unwrap(), b"");
+        assert!(!earlier.exists());
+        for name in mine {
+            assert_eq!(fs::read_to_string(dir.join(name)).unwrap(), name);
+        }
+        let said = ["figures/main-figure.png", "my.html", "notes", "tables/mine.csv"];
+        assert_eq!(others, said.map(|name| dir.join(name)));
+        // Where there is no report yet.
+        fs::remove_file(dir.join("report.html")).unwrap();
+        assert!(write_in_place(&log).unwrap().0.is_file());
     }
 }

@@ -1,7 +1,7 @@
 //! The report of a made-up run, and that it is complete.
 
 use results::conditions::{Condition, PolicyKind};
-use results::log::{BlockedRecord, EpisodeRecord};
+use results::log::{BlockedRecord, EpisodeError, EpisodeRecord};
 
 use super::testing::{made_up, made_up_streams, paper_conditions};
 use super::view::THEIRS;
@@ -405,6 +405,9 @@ fn every_file_of_a_report_names_a_policy_that_is_no_model() {
             }
             let dir = tempfile::tempdir().unwrap();
             write(&logs, dir.path()).unwrap();
+            // The names by which a report is replaced and removed are those of all its files.
+            let others = report_names().unwrap().others_in(dir.path()).unwrap();
+            assert!(others.is_empty(), "{others:?}");
             let streams_alone = |log: &RunLog| log.manifest.settings.stream.is_some();
             for (name, content) in files(dir.path()) {
                 let text = String::from_utf8_lossy(&content);
@@ -481,6 +484,16 @@ fn a_run_of_streams_has_its_own_sections_and_no_row_in_the_others() {
     let notice = document.sections[1].blocks.first();
     let expected = "Streams: 1 of 96 sequences are not complete and enter no figure; the same command continues the run.";
     assert_eq!(notice, Some(&ReportBlock::Notice(expected.to_owned())));
+    // Where that does not help, the report does not say it.
+    let ended = EpisodeError {
+        key: lost.key.clone(),
+        session: 1,
+        error: format!("snapshot s is missing. {}, delete its lines", domain::SEQUENCE_ENDED),
+    };
+    let damaged = RunLog { errors: vec![ended], ..log.clone() };
+    let text = markdown::render(&super::document(&[damaged], &published())).unwrap();
+    assert!(!text.contains("; the same command"), "{text}");
+    assert_eq!(text.matches("errors.jsonl says what to delete before the same command").count(), 2);
     let summary = summary(&log);
     insta::assert_snapshot!("summary_of_streams", summary);
     let wide = summary.lines().find(|line| line.chars().count() > 100);

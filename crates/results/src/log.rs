@@ -30,8 +30,8 @@ mod run_log;
 mod sealed;
 
 pub use files::{
-    DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, LOGS_FOLDER, PROMPTS_FOLDER, REPORT_FILES,
-    REPORT_FOLDER, REQUESTS_FILE, SNAPSHOTS_FOLDER, STATUS_FILE, STREAMS_FILE, TIMINGS_FILE,
+    DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, LOGS_FOLDER, PROMPTS_FOLDER, REPORT_FOLDER,
+    REQUESTS_FILE, SNAPSHOTS_FOLDER, STATUS_FILE, STREAMS_FILE, TIMINGS_FILE, report_names,
 };
 pub use folder::{Opened, RunFolder};
 pub use journal::{DamagedLine, Journal, JournalContents, JournalTail, damaged_file, read_journal};
@@ -118,6 +118,9 @@ pub enum LogError {
         "another memtransfer is writing to {}: wait until it is done, or choose another --out", .0.display()
     )]
     Locked(PathBuf),
+    /// An episode that is finished was run again.
+    #[error("{0} was run twice: this is a mistake in the program, please report it")]
+    Twice(String),
 }
 
 fn system<'a>(doing: &'static str, path: &'a Path) -> impl FnOnce(io::Error) -> LogError + 'a {

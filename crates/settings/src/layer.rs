@@ -3,7 +3,7 @@
 use std::ffi::OsString;
 use std::fmt;
 
-use anyhow::{Result, anyhow};
+use anyhow::{Result, anyhow, ensure};
 use results::names::{UnknownName, nearest};
 use results::settings::StreamSettings;
 use serde_json::{Map, Value};
@@ -91,6 +91,11 @@ impl Layer {
             if OTHER_VARIABLES.contains(&word) || word.starts_with(TEST_VARIABLES) {
                 continue;
             }
+            ensure!(
+                word != "ALLOW_COMMANDS",
+                "{variable}: no variable allows the commands of a file, since it would hold for every file: give \
+                 --allow-commands"
+            );
             let Some(key) = KEYS.iter().find(|key| key.variable() == variable) else {
                 let known: Vec<String> = KEYS.iter().map(Key::variable).collect();
                 return Err(UnknownName::new("environment variable", variable, known).into());
@@ -201,6 +206,7 @@ mod tests {
             ),
             "{unknown}"
         );
+        insta::assert_snapshot!(environment("MEMTRANSFER_ALLOW_COMMANDS", "1").unwrap_err(), @"MEMTRANSFER_ALLOW_COMMANDS: no variable allows the commands of a file, since it would hold for every file: give --allow-commands");
         for (other, value) in
             [("MEMTRANSFER_CACHE", "x"), ("LANES", "abc"), ("MEMTRANSFER_LANES", "")]
         {

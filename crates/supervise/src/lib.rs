@@ -12,7 +12,7 @@ mod groups;
 
 use std::ffi::OsString;
 use std::fmt::Debug;
-use std::fs::{DirBuilder, File};
+use std::fs::DirBuilder;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::os::unix::fs::DirBuilderExt;
 use std::os::unix::process::ExitStatusExt;
@@ -423,7 +423,7 @@ fn log_name(role: Role, index: u8) -> String {
 /// The end of `log`, of which the process wrote from `start` on: from its final error message (`sim-proc: ...`) if
 /// there is one, otherwise the last lines.
 fn log_tail(log: &Path, start: LogPosition, role: Role) -> io::Result<String> {
-    let text = end_of(log, start.offset_in(&File::open(log)?)?)?;
+    let text = end_of(log, start.offset_in(&durable::open(log)?)?)?;
     let lines: Vec<&str> = text.lines().collect();
     let message = format!("{}-proc: ", role.word());
     let from = lines.iter().rposition(|line| line.starts_with(&message));
@@ -433,7 +433,7 @@ fn log_tail(log: &Path, start: LogPosition, role: Role) -> io::Result<String> {
 
 /// The end of the file `log` from byte `start` on, at most [`TAIL_BYTES`]: a process may have printed any amount.
 fn end_of(log: &Path, start: u64) -> io::Result<String> {
-    let mut file = File::open(log)?;
+    let mut file = durable::open(log)?;
     let length = file.metadata()?.len();
     // A part of it may have been left out since.
     let start = if start > length { 0 } else { start };

@@ -61,7 +61,7 @@ impl LogFile {
     /// # Errors
     /// When the system refuses.
     pub(crate) fn open(path: &Path, limits: LogLimits) -> io::Result<Self> {
-        let file = File::options().create(true).read(true).append(true).open(path)?;
+        let file = durable::append(path)?;
         let length = file.metadata()?.len();
         let mut log = Self { path: path.to_owned(), file, length, limits };
         // 100: the line about what was left out.
@@ -107,11 +107,11 @@ impl LogFile {
         let (earlier, note_length) = self.left_out_before()?;
         let left_out = (earlier + middle).saturating_sub(note_length);
         let draft = self.path.with_extension("log.new");
-        let mut file = File::options().create(true).truncate(true).write(true).open(&draft)?;
+        let mut file = durable::create(&draft)?;
         let note = format!("{}{left_out}{}", NOTE.0, NOTE.1);
         file.write_all(&[&start, note.as_bytes(), &end].concat())?;
         fs::rename(&draft, &self.path)?;
-        self.file = File::options().read(true).append(true).open(&self.path)?;
+        self.file = durable::append(&self.path)?;
         self.length = self.file.metadata()?.len();
         Ok(())
     }

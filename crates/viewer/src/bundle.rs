@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use domain::Pose;
-use durable::FolderDraft;
+use durable::{FolderDraft, KnownNames};
 use replay::Selection;
 use replay::frames::ViewKey;
 use results::step_view::PromptLog;
@@ -44,8 +44,12 @@ const MARK: &str = "runs.js";
 /// When the folder holds something else, a run cannot be read, the renderer fails, or the system refuses.
 pub fn write_bundle(site: &mut Site, dir: &Path, selection: Selection) -> Result<Bundle> {
     let cannot = || format!("cannot write {}", dir.display());
-    if !may_be_replaced(dir).with_context(cannot)? {
-        bail!("{} holds files and no earlier pages of a run: choose another --out", dir.display());
+    if let Some(other) = others_in(dir).with_context(cannot)?.first() {
+        let other = dir.join(other);
+        bail!(
+            "{} is no part of a run's pages, and is not removed: choose another --out",
+            other.display()
+        );
     }
     let draft = FolderDraft::new(dir).with_context(cannot)?;
     let mut folder = BundleFolder { dir: draft.path(), bundle: Bundle::default() };
@@ -64,26 +68,32 @@ pub fn write_bundle(site: &mut Site, dir: &Path, selection: Selection) -> Result
     Ok(bundle)
 }
 
-/// Whether the folder `dir` is missing or empty, or holds a bundle and nothing else. A symbolic link is replaced, not what it
-/// points to.
-fn may_be_replaced(dir: &Path) -> io::Result<bool> {
-    let entries = match fs::symlink_metadata(dir) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(true),
-        Ok(found) if found.is_symlink() => return Ok(true),
-        _ => fs::read_dir(dir)?,
-    };
-    let mut names = Vec::new();
-    for entry in entries {
-        names.push(entry?.file_name().to_string_lossy().into_owned());
+/// The names in the folder of a bundle, as regular expressions.
+const PAGES: [&str; 7] = [
+    "(index\\.html|style\\.css|(app|run-page|episode-page|map|runs)\\.js)",
+    "run[0-9]+/(run\\.js|report\\.html)?",
+    "run[0-9]+/(prompts|episodes|images|maps|views)/",
+    "run[0-9]+/(prompts|episodes)/[0-9]+\\.js",
+    "run[0-9]+/images/[0-9a-fA-F]{32}\\.jpg",
+    "run[0-9]+/maps/[0-9]+\\.svg",
+    "run[0-9]+/views/[0-9]+-[0-9]+-[0-9]+-[NESW](-small)?\\.jpg",
+];
+
+/// What is in the folder `dir` and no part of a bundle. A symbolic link is replaced, not what it points to.
+fn others_in(dir: &Path) -> io::Result<Vec<PathBuf>> {
+    match fs::symlink_metadata(dir) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Ok(found) if found.is_symlink() => return Ok(Vec::new()),
+        _ => {}
     }
-    let is_ours = |name: &String| {
-        let is_front_end = FRONT_END.iter().any(|(file, _)| name == file);
-        is_front_end || name == MARK || (1..=2).any(|place| *name == folder_of(place))
+    let is_bundle =
+        durable::read(&dir.join(MARK)).is_ok_and(|mark| mark.starts_with(b"memtransfer.receive("));
+    // Without the mark, the files are someone else's, whatever their names are.
+    let names = match is_bundle {
+        true => KnownNames::new(PAGES),
+        false => KnownNames::new([]),
     };
-    let is_bundle = || {
-        durable::read(&dir.join(MARK)).is_ok_and(|mark| mark.starts_with(b"memtransfer.receive("))
-    };
-    Ok(names.is_empty() || names.iter().all(is_ours) && is_bundle())
+    names?.others_in(dir)
 }
 
 /// The most thumbnails of demonstrations that an episode has, so that one of 40 steps stays below 1 MB.
@@ -209,10 +219,28 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_files_of_a_bundle_have_known_names() {
+        use domain::{Cell, Heading};
+
+        let names = KnownNames::new(PAGES).unwrap();
+        for (name, _) in FRONT_END.into_iter().chain([(MARK, &[][..])]) {
+            assert!(names.has(Path::new(name)), "{name}");
+        }
+        for heading in Heading::ALL {
+            let pose = Pose { cell: Cell { x: 12, y: 0 }, heading };
+            for (is_small, variant) in [(true, GREY_VARIANT), (false, ELSEWHERE_VARIANT)] {
+                let name =
+                    format!("run2/views/{}", ViewFile { view: (variant, pose), is_small }.name());
+                assert!(names.has(Path::new(&name)), "{name}");
+            }
+        }
+    }
+
+    #[test]
     fn pages_replace_pages_and_nothing_else() {
         let base = tempfile::tempdir().unwrap();
         let dir = base.path().join("pages");
-        let may = || may_be_replaced(&dir).unwrap();
+        let may = || others_in(&dir).unwrap().is_empty();
         assert!(may(), "it is missing");
         fs::create_dir(&dir).unwrap();
         assert!(may(), "it is empty");
@@ -222,8 +250,11 @@ mod tests {
         fs::create_dir(dir.join("run1")).unwrap();
         fs::write(dir.join("index.html"), "").unwrap();
         assert!(may());
-        fs::write(dir.join("notes.txt"), "").unwrap();
-        assert!(!may(), "another file");
+        for other in ["notes.txt", "run1/notes.txt"] {
+            fs::write(dir.join(other), "").unwrap();
+            assert_eq!(others_in(&dir).unwrap(), [Path::new(other)]);
+            fs::remove_file(dir.join(other)).unwrap();
+        }
         fs::remove_dir_all(&dir).unwrap();
         std::os::unix::fs::symlink("/etc", &dir).unwrap();
         assert!(may(), "the link is replaced");

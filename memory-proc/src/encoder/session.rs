@@ -5,7 +5,6 @@
 //! known embeddings never reads the model.
 //! A session computes on one thread and takes one image a call, so an embedding cannot depend on other images.
 
-use std::fs::File;
 use std::io::{self, Read};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -70,7 +69,7 @@ fn keep_record(record: &Path, sha256: &str) {
     let write = || {
         std::fs::create_dir_all(record.parent().unwrap_or(record))?;
         let draft = record.with_extension(std::process::id().to_string());
-        std::fs::write(&draft, sha256)?;
+        durable::output::write(&draft, sha256)?;
         std::fs::rename(draft, record)
     };
     if let Err(error) = write() {
@@ -227,7 +226,7 @@ fn check_known(path: &Path) -> Result<(), String> {
 
 /// Checks that a library of the user has all bytes that its ELF header names: to use one that was cut off ends the process on SIGBUS.
 fn check_whole(library: &Path) -> io::Result<()> {
-    let mut file = File::open(library)?;
+    let mut file = durable::input::open(library)?;
     let size = file.metadata()?.len();
     let mut header = [0; 64];
     let is_elf = file.read_exact(&mut header).is_ok() && header.starts_with(b"\x7fELF");

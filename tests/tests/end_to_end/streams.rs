@@ -100,6 +100,8 @@ fn episodes_of_a_sequence_run_in_order_and_only_those_that_learn_have_snapshots(
         let said = "cannot go on, however often the run is continued. To run the sequence again";
         assert_eq!(ended.stderr.matches(said).count(), 2, "{}", ended.stderr);
         assert!(ended.stderr.contains("1 episode: "), "{}", ended.stderr);
+        assert!(!ended.stderr.contains("To run them again"), "{}", ended.stderr);
+        assert!(ended.stderr.contains("Do first what is said above"), "{}", ended.stderr);
     }
     let ended = bench.run(&arguments("run", "16")).expect(1);
     assert!(ended.stderr.contains("snapshot"), "{}", ended.stderr);

@@ -1,8 +1,8 @@
 //! Writes the prompt log ([`domain::prompt_log`]). Images and long texts are stored once.
 
 use std::collections::HashSet;
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::fs::{self, File};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use domain::create_private_folder;
@@ -168,7 +168,7 @@ impl PromptLogWriter {
         if !path.exists() {
             let draft = path.with_extension(format!("new-{}", std::process::id()));
             let write = || {
-                let mut file = fs::File::create(&draft)?;
+                let mut file = durable::create(&draft)?;
                 file.write_all(&content()?)?;
                 // What has its name is never written again: it must be whole after a crash of the machine, too.
                 file.sync_data()?;
@@ -193,15 +193,12 @@ fn json(value: &impl Serialize, path: &Path) -> Result<Vec<u8>, PromptLogError> 
 
 /// Opens a file of lines for appending, and removes an incomplete last line.
 fn open_lines(path: &Path) -> io::Result<File> {
-    let mut file =
-        OpenOptions::new().create(true).truncate(false).read(true).write(true).open(path)?;
-    let mut text = Vec::new();
-    file.read_to_end(&mut text)?;
+    let file = durable::append(path)?;
+    let text = durable::read(path)?;
     let whole = text.iter().rposition(|&byte| byte == b'\n').map_or(0, |last| last + 1);
     if whole < text.len() {
         file.set_len(whole as u64)?;
     }
-    file.seek(SeekFrom::Start(whole as u64))?;
     Ok(file)
 }
 

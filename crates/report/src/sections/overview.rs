@@ -5,12 +5,23 @@ use std::collections::BTreeSet;
 use domain::representation::RepresentationInfo;
 use domain::{Appearance, Representation};
 use results::conditions::{Condition, Frames};
-use results::log::{EpisodeRecord, ExternalMemoryFacts, Manifest};
+use results::log::{EpisodeError, EpisodeRecord, ExternalMemoryFacts, Manifest};
 use results::score::{RequestScore, WithoutAction};
 use results::usage::UsageTotals;
 
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, title};
+
+/// What gets the missing episodes, as the rest of a sentence.
+pub(super) fn how_to_continue(view: &ScoredRun<'_>) -> &'static str {
+    match view.log.errors.iter().any(EpisodeError::is_final) {
+        true => {
+            "a sequence whose snapshot is damaged cannot go on: errors.jsonl says what to delete before the same command \
+             continues the run"
+        }
+        false => "the same command continues the run",
+    }
+}
 
 /// Notices for the reader of the figures: the policy, controls, missing episodes, damaged lines.
 pub(crate) fn notices(view: &ScoredRun<'_>) -> Vec<String> {
@@ -19,10 +30,11 @@ pub(crate) fn notices(view: &ScoredRun<'_>) -> Vec<String> {
     if scores.missing() > 0 {
         notices.push(format!(
             "Incomplete: {} of {} episodes are missing, {} of them given up after a fault (errors.jsonl). Figures are \
-             over finished episodes; the same command continues the run.",
+             over finished episodes; {}.",
             scores.missing(),
             scores.planned,
-            scores.errored
+            scores.errored,
+            how_to_continue(view)
         ));
     }
     notices.extend(answers(view));

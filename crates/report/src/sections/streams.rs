@@ -16,6 +16,7 @@ use results::score::{Estimate, StreamScore, StreamScores};
 use retention::matrix_table;
 
 use crate::document::{Missing, ReportBlock, ReportSection, RowGroup, TableCell, TableRow};
+use crate::sections::overview::how_to_continue;
 use crate::view::{ScoredRun, title, with_interval};
 
 pub(super) const NOTHING_RETRIEVED: Missing = Missing::Undefined("nothing was retrieved");
@@ -61,8 +62,8 @@ pub(crate) fn incomplete(view: &ScoredRun<'_>) -> Option<String> {
     let missing = planned.saturating_sub(*sequences);
     (missing > 0).then(|| {
         format!(
-            "Streams: {missing} of {planned} sequences are not complete and enter no figure; the same command continues \
-             the run."
+            "Streams: {missing} of {planned} sequences are not complete and enter no figure; {}.",
+            how_to_continue(view)
         )
     })
 }

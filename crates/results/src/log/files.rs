@@ -1,6 +1,8 @@
 //! The names of the files and folders in a run folder.
 
-use super::manifest::MANIFEST_FILE;
+use std::io;
+
+use durable::KnownNames;
 
 /// The live status of a session.
 pub const STATUS_FILE: &str = "status.json";
@@ -28,46 +30,60 @@ pub const LOGS_FOLDER: &str = "logs";
 /// The reports about a single run.
 pub const REPORT_FOLDER: &str = "report";
 
-/// Everything in the folder of a report.
-pub const REPORT_FILES: [&str; 10] = [
-    "report.html",
-    "report.md",
-    "figures",
-    "tables",
-    "conditions.csv",
-    "conditions.parquet",
-    "episodes.csv",
-    "episodes.parquet",
-    "streams.csv",
-    "streams.parquet",
+/// The names of tables and figures in a report, as a regular expression. Those of memories' figures end with the memory's name.
+const REPORT_IDS: &str = concat!(
+    "(side-by-side|compare-run[0-9]+-run[0-9]+|(run[0-9]+-)?(",
+    "blocked|blocked-others|conditions|conflict|cost|design|design-figure|elsewhere|external-pairs|facts|failures|",
+    "failures-figure|groups|growth|growth-(figure|search|store)|main|main-figure|mixed|mixed-figure|necessity|pairs|",
+    "provenance|requests|runs|supplied|time|time-figure|transfer|transfer-figure|worst-cases|",
+    "stream-(adaptation|cost|cost-figure|differences|matrix|orders|rounds-[a-z0-9-]+|success|success-figure|transfer)))",
+);
+
+/// The names in a run folder, as regular expressions, except those of the manifest, of the report, and of the logs of external
+/// memories.
+const RUN_NAMES: [&str; 13] = [
+    "(manifest|status)\\.json\\.new",
+    "status\\.json|(streams|elsewhere)\\.json(\\.new)?",
+    "(episodes|timings|requests|errors|sessions|latency)(\\.damaged)?\\.jsonl",
+    "episodes\\.jsonl\\.new",
+    "logs/((sim|memory|policy)\\.log(\\.new)?)?",
+    // What is in a snapshot has the names that its memory gives.
+    "snapshots/([0-9a-f]{16}/(([0-9a-f]{32}|unfinished)/.*)?)?",
+    "documents/((semantic|summary)-[a-z0-9+-]+\\.json(\\.new)?)?",
+    "prompts/",
+    "prompts/session-[0-9]+/(generation-[0-9]+\\.jsonl)?",
+    "prompts/images/([0-9a-f]{32}\\.(png|new-[0-9]+))?",
+    "prompts/documents/([0-9a-f]{32}\\.(txt|json|new-[0-9]+))?",
+    "report\\.memtransfer-draft(-old)?/.*",
+    "report/",
 ];
 
-/// Everything that a run folder may hold. No other file in it is touched.
-pub(super) const CONTENTS: [&str; 26] = [
-    MANIFEST_FILE,
-    "manifest.json.new",
-    EPISODES_FILE,
-    TIMINGS_FILE,
-    REQUESTS_FILE,
-    ERRORS_FILE,
-    SESSIONS_FILE,
-    LATENCY_FILE,
-    STATUS_FILE,
-    "status.json.new",
-    "episodes.jsonl.new",
-    "episodes.damaged.jsonl",
-    "timings.damaged.jsonl",
-    "requests.damaged.jsonl",
-    "errors.damaged.jsonl",
-    "sessions.damaged.jsonl",
-    "latency.damaged.jsonl",
-    STREAMS_FILE,
-    ELSEWHERE_FILE,
-    SNAPSHOTS_FOLDER,
-    DOCUMENTS_FOLDER,
-    PROMPTS_FOLDER,
-    LOGS_FOLDER,
-    REPORT_FOLDER,
-    "report.memtransfer-draft",
-    "report.memtransfer-draft-old",
-];
+/// The names in the folder of a report.
+///
+/// # Errors
+/// Never: the patterns are tested.
+pub fn report_names() -> io::Result<KnownNames> {
+    KnownNames::new(report_patterns("").iter().map(String::as_str))
+}
+
+/// The names of the logs of external memories, in the folder of logs.
+pub(super) fn memory_log_names() -> io::Result<KnownNames> {
+    KnownNames::new(["external-memory-[0-9]+\\.log(\\.new)?"])
+}
+
+/// The names in a run folder but the manifest, which is replaced, and the logs of external memories: these start before the
+/// run's folder is opened, and write to theirs already when an earlier run is removed.
+pub(super) fn run_names() -> io::Result<KnownNames> {
+    let of_report = report_patterns("report/");
+    KnownNames::new(RUN_NAMES.into_iter().chain(of_report.iter().map(String::as_str)))
+}
+
+/// The names in the folder of a report, each after `folder`.
+fn report_patterns(folder: &str) -> [String; 4] {
+    [
+        format!("{folder}report\\.(html|md)"),
+        format!("{folder}(conditions|episodes|streams)\\.(csv|parquet)"),
+        format!("{folder}figures/({REPORT_IDS}\\.svg)?"),
+        format!("{folder}tables/({REPORT_IDS}\\.csv)?"),
+    ]
+}

@@ -8,12 +8,10 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use domain::create_private_folder;
 
 use super::check::check_records;
-use super::existing::{
-    existing, has_lines, is_of_external_memory, is_without_results, lock, remove_logs, remove_run,
-};
+use super::existing::{existing, has_lines, is_without_results, lock, remove_run};
 use super::files::{
     EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, LOGS_FOLDER, REQUESTS_FILE, SESSIONS_FILE,
-    TIMINGS_FILE,
+    TIMINGS_FILE, memory_log_names,
 };
 use super::journal::unchecked;
 use super::manifest::{CODE, CODE_OF_POLICY, POLICY};
@@ -160,7 +158,8 @@ impl RunFolder {
             return Ok(());
         }
         durable::check_no_links(dir).map_err(system("remove logs in", dir))?;
-        remove_logs(&logs, is_of_external_memory)
+        let remove = || memory_log_names()?.remove_in(&logs).map(drop);
+        remove().map_err(system("remove logs in", &logs))
     }
 
     /// Whether the run folder at `dir` has finished episodes.
@@ -177,7 +176,7 @@ impl RunFolder {
     /// one, requests and episodes are on the disk when this returns, otherwise some milliseconds later.
     ///
     /// # Errors
-    /// When an operation of the system fails.
+    /// When an episode is finished already; when an operation of the system fails.
     pub fn finish(&mut self, episodes: &[(EpisodeRecord, EpisodeTimings)]) -> Result<(), LogError> {
         if episodes.is_empty() {
             return Ok(());
@@ -194,7 +193,9 @@ impl RunFolder {
             record.stream.as_ref().is_some_and(|stream| stream.snapshot.is_some())
         });
         for (record, _) in episodes {
-            assert!(self.finished.insert(hash(&record.key)), "{} was run twice", record.key);
+            if !self.finished.insert(hash(&record.key)) {
+                return Err(LogError::Twice(record.key.clone()));
+            }
             self.episodes.append(record)?;
         }
         if cost || learned {

@@ -18,9 +18,10 @@ use serde::de::DeserializeOwned;
 
 use super::existing::lock;
 use super::files::{
-    CONTENTS, DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, ERRORS_FILE, LATENCY_FILE,
-    PROMPTS_FOLDER, REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE, TIMINGS_FILE,
+    DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, PROMPTS_FOLDER,
+    REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE, TIMINGS_FILE, run_names,
 };
+use super::manifest::MANIFEST_FILE;
 use super::{
     EpisodeError, EpisodeRecord, EpisodeTimings, LogError, Manifest, RequestRecord, SessionRecord,
     sealed, system,
@@ -136,15 +137,13 @@ pub fn merge(
     let mut draft = out.as_os_str().to_owned();
     draft.push(".merging");
     let draft = PathBuf::from(draft);
-    let is_ours = |entry: &fs::DirEntry| {
-        entry.file_name().to_str().is_some_and(|name| CONTENTS.contains(&name))
-    };
+    fs::create_dir_all(&draft).map_err(system("make", &draft))?;
     // The rest of a merge that was interrupted is replaced.
-    let mut earlier = fs::read_dir(&draft).into_iter().flatten().flatten();
-    if !earlier.all(|entry| is_ours(&entry)) {
+    let others = run_names().and_then(|names| names.others_in(&draft));
+    let mut others = others.map_err(system("list", &draft))?.into_iter();
+    if others.any(|path| path != Path::new(MANIFEST_FILE)) {
         return Err(MergeError::NotEmpty(draft));
     }
-    fs::create_dir_all(&draft).map_err(system("make", &draft))?;
     let _lock = lock(&draft)?;
     let written = write(manifest, units, episodes, &draft);
     if written.is_err() {
@@ -453,14 +452,16 @@ fn sessions_in(prompts: &Path) -> Result<Vec<u32>, LogError> {
     Ok(sessions)
 }
 
-/// Copies a file or folder, if it is there, and nothing that is there already: the names of equal things are equal.
+/// Copies a file or folder, if it is there, and nothing that is there already: the names of equal things are equal. What is
+/// neither, such as a symbolic link or a pipe, is refused.
 fn copy(from: &Path, to: &Path) -> Result<(), LogError> {
-    if !from.exists() {
-        return Ok(());
-    }
-    if !from.is_dir() {
-        let copied = if to.exists() { Ok(0) } else { fs::copy(from, to) };
-        return copied.map(drop).map_err(system("copy", from));
+    let Ok(kind) = fs::symlink_metadata(from) else { return Ok(()) };
+    if !kind.is_dir() {
+        if to.exists() {
+            return Ok(());
+        }
+        let copied = || io::copy(&mut durable::open(from)?, &mut durable::create(to)?);
+        return copied().map(drop).map_err(system("copy", from));
     }
     fs::create_dir_all(to).map_err(system("make", to))?;
     // Prompts stay private.

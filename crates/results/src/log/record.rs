@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use domain::{Arm, ExternalName, FeedbackLevel, MemoryKind, Outcome, Pose};
+use domain::{Arm, ExternalName, FeedbackLevel, MemoryKind, Outcome, Pose, SEQUENCE_ENDED};
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{
@@ -517,6 +517,13 @@ pub struct EpisodeError {
     pub session: u32,
     /// What happened.
     pub error: String,
+}
+
+impl EpisodeError {
+    /// Whether the same command does not help: the reason says what to do first.
+    pub fn is_final(&self) -> bool {
+        self.error.contains(SEQUENCE_ENDED)
+    }
 }
 
 /// An event of a session.

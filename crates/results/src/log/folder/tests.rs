@@ -424,33 +424,94 @@ fn only_fresh_removes_a_run_and_it_says_what() {
 
     let notes = open(other, true).unwrap().notes;
     let note = notes[0].replace(&dir.path().display().to_string(), "DIR");
-    insta::assert_snapshot!(note, @"--fresh: removed the earlier run in DIR (0 finished episodes): manifest.json, episodes.jsonl, timings.jsonl, requests.jsonl, errors.jsonl, sessions.jsonl, latency.jsonl, documents, logs");
+    insta::assert_snapshot!(note, @"--fresh: removed the earlier run in DIR (0 finished episodes): documents, episodes.jsonl, errors.jsonl, latency.jsonl, logs, manifest.json, requests.jsonl, sessions.jsonl, timings.jsonl; left what a run does not write: notes.txt");
     assert_eq!(fs::read_to_string(dir.path().join("notes.txt")).unwrap(), "mine");
 }
 
 #[test]
-fn fresh_leaves_files_of_the_user_among_logs_and_in_the_report() {
+fn a_folder_with_logs_of_something_else_is_no_run() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    fs::create_dir(path("logs")).unwrap();
+    RunFolder::check(dir.path()).unwrap();
+    // An external memory starts before the run.
+    fs::write(path("logs/external-memory-0.log"), "x").unwrap();
+    RunFolder::check(dir.path()).unwrap();
+    fs::write(path("logs/access.log"), "x").unwrap();
+    for fresh in [false, true] {
+        let error = RunFolder::open(dir.path(), manifest(), fresh).unwrap_err();
+        assert!(matches!(error, LogError::NotARun(_)), "{error}");
+    }
+    assert!(RunFolder::check(dir.path()).is_err());
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn an_episode_that_is_finished_is_not_logged_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut folder = RunFolder::open(dir.path(), manifest(), false).unwrap().folder;
+    add(&mut folder, "t01-01");
+    let record = record("t01-01", false);
+    let error = folder.finish(&[(record.clone(), timings(&record))]).unwrap_err();
+    assert!(matches!(&error, LogError::Twice(key) if *key == record.key), "{error}");
+    assert_eq!(RunLog::read(dir.path()).unwrap().episodes.len(), 1);
+}
+
+#[test]
+fn fresh_leaves_files_of_the_user_in_every_folder_of_a_run() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name);
     drop(RunFolder::open(dir.path(), manifest(), false).unwrap());
+    let hash = "0123456789abcdef".repeat(2);
     let written = [
         "logs/sim.log",
         "logs/memory.log",
         "logs/policy.log",
         "logs/policy.log.new",
         "report/report.html",
-        "report/figures/a.svg",
+        "report/figures/main-figure.svg",
+        "report/tables/run2-stream-cost.csv",
+        "report.memtransfer-draft/figures/half",
+        "documents/summary-4.json",
+        "documents/semantic-bank-16.json.new",
+        "prompts/session-1/generation-2.jsonl",
+        &format!("prompts/images/{hash}.png"),
+        &format!("prompts/documents/{hash}.new-17"),
+        &format!("snapshots/0123456789abcdef/{hash}/memory/store"),
+        "snapshots/0123456789abcdef/unfinished/list",
+        "status.json.new",
     ];
-    let mine = ["logs/external-memory-notes.txt", "logs/notes.txt", "report/notes.txt"];
-    fs::create_dir_all(path("report/figures")).unwrap();
-    for name in written.into_iter().chain(mine) {
-        fs::write(path(name), "x").unwrap();
-    }
+    let mine = [
+        "documents/summary of mine.json",
+        "logs/external-memory-notes.txt",
+        "logs/notes.txt",
+        "notes.txt",
+        "prompts/documents/mine.txt",
+        "prompts/images/mine.png",
+        "prompts/mine.txt",
+        "prompts/session-1/mine.txt",
+        "report/figures/mine.svg",
+        "report/notes.txt",
+        "report/tables/mine.csv",
+        "snapshots/0123456789abcdef/mine.txt",
+        "snapshots/mine.txt",
+    ];
+    let write = |names: &[&str]| {
+        for name in names {
+            fs::create_dir_all(path(name).parent().unwrap()).unwrap();
+            fs::write(path(name), "x").unwrap();
+        }
+    };
     let fresh = || RunFolder::open(dir.path(), manifest(), true).unwrap().notes.remove(0);
+    write(&written);
+    write(&mine);
+    let external = "logs/external-memory-0.log";
+    write(&[external]);
     let note = fresh();
-    assert!(note.contains(", logs; left what a run does not write: "), "{note}");
-    for name in mine {
-        assert!(path(name).exists() && note.contains(name), "{name}: {note}");
+    let left = format!("; left what a run does not write: {}", mine.join(", "));
+    assert!(note.ends_with(&left), "{note}");
+    for name in mine.into_iter().chain([external]) {
+        assert!(path(name).exists(), "{name}");
     }
     for name in written {
         assert!(!path(name).exists(), "{name}");
@@ -458,9 +519,15 @@ fn fresh_leaves_files_of_the_user_among_logs_and_in_the_report() {
     for name in mine {
         fs::remove_file(path(name)).unwrap();
     }
-    let note = fresh();
-    assert!(note.ends_with(", logs, report"), "{note}");
-    assert!(!path("report").exists());
+    write(&written);
+    assert!(!fresh().contains("left"));
+    for folder in ["report", "documents", "prompts", "snapshots", "report.memtransfer-draft"] {
+        assert!(!path(folder).exists(), "{folder}");
+    }
+    // Of many, some are named.
+    let many: Vec<String> = (0..30).map(|index| format!("mine-{index:02}")).collect();
+    write(&many.iter().map(String::as_str).collect::<Vec<_>>());
+    assert!(fresh().ends_with(", mine-18, mine-19, and 10 more"));
 }
 
 #[test]

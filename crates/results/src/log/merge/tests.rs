@@ -126,8 +126,8 @@ fn what_disagrees_is_named() {
 
     let draft = dir.path().join("run.merging");
     assert!(!draft.exists(), "a merge that failed leaves nothing behind");
-    fs::create_dir(&draft).unwrap();
-    fs::write(draft.join("thesis.txt"), "years").unwrap();
+    fs::create_dir_all(draft.join("documents")).unwrap();
+    fs::write(draft.join("documents/thesis.txt"), "years").unwrap();
     insta::assert_snapshot!(refused(), @"/run.merging is not empty: choose another --out, or remove it");
     fs::remove_dir_all(&draft).unwrap();
 
@@ -197,6 +197,14 @@ fn prompts_are_merged_with_what_they_name_whatever_the_sessions_are_numbered() {
         fs::write(&sessions, renumbered).unwrap();
     }
     let out = dir.path().join("run");
+    // A unit may come from elsewhere.
+    let (secret, link) =
+        (dir.path().join("secret"), units.0[0].join("unit-000001/prompts/images/x"));
+    fs::write(&secret, "secret").unwrap();
+    std::os::unix::fs::symlink(&secret, &link).unwrap();
+    let error = merge(&manifest(), &units, planned(&cases), &out).unwrap_err().to_string();
+    assert!(error.contains("it is a symbolic link"), "{error}");
+    fs::remove_file(&link).unwrap();
     merge(&manifest(), &units, planned(&cases), &out).unwrap();
     let prompts = out.join(PROMPTS_FOLDER);
     for file in ["session-1/generation-1.jsonl", "session-4294967295/generation-1.jsonl"] {
