@@ -12,7 +12,7 @@ use super::{Exit, print};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Reads the runs' folders and nothing else. Writes report.html (one page, everything inside),
-report.md with its figures, every table as CSV, and conditions and episodes as CSV and Parquet;
+its figures as SVG, every table as CSV, and conditions and episodes as CSV and Parquet;
 prints the path of the page. Exit status 1 when episodes were given up.
 
 Examples:

@@ -1,4 +1,4 @@
-//! The document model: sections of text, tables and figures, rendered as HTML, Markdown, CSV and in a terminal.
+//! The document model: sections of text, tables and figures, rendered as HTML, CSV and in a terminal.
 //!
 //! A [`TableCell`] cannot be empty: where there is no figure, it gives the reason.
 

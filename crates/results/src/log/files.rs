@@ -28,7 +28,7 @@ pub const LOGS_FOLDER: &str = "logs";
 /// The reports about a single run.
 pub const REPORT_FOLDER: &str = "report";
 
-/// Everything in the folder of a report.
+/// Everything in the folder of a report. `report.md` is of earlier versions.
 pub const REPORT_FILES: [&str; 10] = [
     "report.html",
     "report.md",
