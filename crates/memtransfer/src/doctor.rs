@@ -341,7 +341,6 @@ fn endpoint(
     }
     let report: Value = serde_json::from_slice(&output.stdout).context("cannot read the probe")?;
     let Probed { endpoint, model, findings } = Probed::deserialize(&report)?;
-    let fingerprint = report["fingerprint"].to_string();
     let whole = DoctorFinding {
         data: Some(report),
         ..DoctorFinding::of(ENDPOINT, Ok(format!("{model} at {endpoint} ({})", servers.places())))
@@ -353,9 +352,8 @@ fn endpoint(
         about,
         data: None,
     });
-    let who = DoctorFinding::of("endpoint, fingerprint", Ok(fingerprint));
     let too_small = size_without(&documents.missing()).into_iter();
-    Ok(std::iter::once(whole).chain(parts).chain(too_small).chain([who]).collect())
+    Ok(std::iter::once(whole).chain(parts).chain(too_small).collect())
 }
 
 /// That the request of the run's size had no documents, if they are not built yet.
