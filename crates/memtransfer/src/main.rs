@@ -8,6 +8,7 @@ macro_rules! say {
     ($($text:tt)*) => { orchestrator::progress::say(&format!($($text)*)) };
 }
 
+mod access_profile;
 mod clean;
 mod commands;
 mod conformance;
