@@ -274,7 +274,8 @@ fn unwritable(cache: &Path) -> Option<(PathBuf, Errno)> {
 }
 
 fn rendering(world: &WorldArgs, view: &Path, stop: &AtomicBool) -> anyhow::Result<String> {
-    let mut command = Command::new(sibling("sim-proc")?);
+    // Another process, because this one must notice when it is asked to stop.
+    let mut command = Command::new(sibling("memtransfer")?);
     command.args(["render", "--pose", &a_pose(world)?, "--out"]).arg(view);
     succeed(with_assets(command, world), stop)?;
     Ok("a view was rendered".to_owned())

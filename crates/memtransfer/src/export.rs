@@ -67,7 +67,7 @@ pub(super) struct ExportArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=60))]
     fps: Option<u32>,
     /// With mcap and mp4: width and height of a view in pixels, a multiple of 64 [default: 448]
-    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u16).range(64..=2048).try_map(renderable))]
+    #[arg(long, value_name = "PIXELS", value_parser = view_edge())]
     size: Option<u16>,
     /// With hugging-face: the id of the benchmark's data set on the Hub
     #[arg(long, value_name = "TEAM/NAME", required_if_eq("format", "hugging-face"))]
@@ -99,6 +99,11 @@ impl Format {
             Self::HuggingFace => "yaml",
         }
     }
+}
+
+/// Reads the width and height of a view.
+pub(super) fn view_edge() -> impl TypedValueParser<Value = u16> {
+    clap::value_parser!(u16).range(64..=2048).try_map(renderable)
 }
 
 /// The simulator renders rows of whole blocks of 64 pixels.

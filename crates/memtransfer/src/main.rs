@@ -9,6 +9,7 @@ macro_rules! say {
 }
 
 mod access_profile;
+mod cache;
 mod clean;
 mod commands;
 mod conformance;
@@ -22,9 +23,9 @@ mod list;
 mod map;
 mod memory;
 mod merge;
-mod passed_on;
 mod plan;
 mod profile;
+mod render;
 mod report;
 mod run;
 mod run_plan;
@@ -94,7 +95,7 @@ enum MemtransferVerb {
     /// Draw the warehouse, or a case, from above as SVG
     Map(map::MapArgs),
     /// Render views of an agent as PNG
-    Render(passed_on::PassedOn),
+    Render(render::RenderArgs),
     /// Build, list and show the documents of summary, semantic and hybrid memory
     Memory(memory::MemoryArgs),
     /// Print a run's tables from its log, or compare conditions and runs
@@ -116,7 +117,7 @@ enum MemtransferVerb {
     /// Remove what killed runs left in shared memory and temporary folders
     Clean(clean::CleanArgs),
     /// List or remove the cached replies of models
-    Cache(passed_on::PassedOn),
+    Cache(cache::CacheArgs),
     /// Generate a case file, or a warehouse with its cases, from a seed
     Generate(generate::GenerateArgs),
     /// Check what a run needs on this machine, and say how to get what is missing
@@ -174,7 +175,7 @@ fn main() -> ExitCode {
         MemtransferVerb::Ls(args) => list::run(&args),
         MemtransferVerb::Validate(args) => validate::run(&args),
         MemtransferVerb::Map(args) => map::run(&args),
-        MemtransferVerb::Render(args) => args.run("sim-proc", "render"),
+        MemtransferVerb::Render(args) => render::run(&args),
         MemtransferVerb::Memory(args) => memory::run(args),
         MemtransferVerb::Score(args) => score::run(&args),
         MemtransferVerb::Report(args) => report::run(&args),
@@ -185,7 +186,7 @@ fn main() -> ExitCode {
         MemtransferVerb::Profile(args) => profile::run(&args),
         MemtransferVerb::Conformance(args) => conformance::run(&args),
         MemtransferVerb::Clean(args) => clean::run(&args),
-        MemtransferVerb::Cache(args) => args.run("policy-proc", "cache"),
+        MemtransferVerb::Cache(args) => cache::run(&args),
         MemtransferVerb::Generate(args) => generate::run(&args),
         MemtransferVerb::Doctor(args) => doctor::run(&args),
     };
@@ -277,7 +278,7 @@ mod tests {
         command.build();
         for verb in command.get_subcommands_mut() {
             let name = verb.get_name().to_owned();
-            if ["help", "render", "cache"].contains(&name.as_str()) {
+            if ["help", "cache"].contains(&name.as_str()) {
                 continue;
             }
             let help = verb.clone().term_width(100).render_long_help().to_string();
