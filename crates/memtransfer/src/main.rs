@@ -18,7 +18,6 @@ mod documents;
 mod estimate;
 mod export;
 mod generate;
-mod leaderboard;
 mod list;
 mod map;
 mod memory;
@@ -100,14 +99,12 @@ enum MemtransferVerb {
     Memory(memory::MemoryArgs),
     /// Print a run's tables from its log, or compare conditions and runs
     Score(score::ScoreArgs),
-    /// Write a run's report from its log: the paper's tables, figures and data files
+    /// Write the report of a run or several: the paper's tables, figures, data files, a ranking
     Report(report::ReportArgs),
     /// Show a run in a browser: every episode step by step, two side by side
     View(view::ViewArgs),
-    /// Write a run for other programs: MCAP, MP4, CSV, Parquet, leaderboard, Hugging Face
+    /// Write a run for other programs: MCAP, MP4, CSV, Parquet, Hugging Face
     Export(export::ExportArgs),
-    /// Compare many runs in one table and one page
-    Leaderboard(leaderboard::LeaderboardArgs),
     /// Print one step: what the policy received, and what it answered
     Show(show::ShowArgs),
     /// Measure how long an access to memory takes, part by part
@@ -181,7 +178,6 @@ fn main() -> ExitCode {
         MemtransferVerb::Report(args) => report::run(&args),
         MemtransferVerb::View(args) => view::run(&args),
         MemtransferVerb::Export(args) => export::run(&args),
-        MemtransferVerb::Leaderboard(args) => leaderboard::run(&args),
         MemtransferVerb::Show(args) => show::run(&args),
         MemtransferVerb::Profile(args) => profile::run(&args),
         MemtransferVerb::Conformance(args) => conformance::run(&args),

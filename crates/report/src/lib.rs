@@ -111,7 +111,8 @@ fn arrange(views: &[ScoredRun<'_>]) -> ReportDocument {
         }
         _ => {
             let policies = views.iter().map(|view| (view.log.name.as_str(), policy(view)));
-            sections.push(sections::runs(views).of_policies(policies));
+            sections.push(sections::runs(views).of_policies(policies.clone()));
+            sections.push(sections::ranking(views).of_policies(policies));
         }
     }
     sections.push(sections::method());

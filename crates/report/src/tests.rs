@@ -315,7 +315,13 @@ fn two_runs_stand_beside_each_other_and_are_paired() {
     let document = document(&[first, second], &published());
     assert_eq!(
         titles(&document),
-        ["The runs side by side", "Definitions", "Provenance of made-up", "Provenance of other"]
+        [
+            "The runs side by side",
+            "The runs ranked",
+            "Definitions",
+            "Provenance of made-up",
+            "Provenance of other"
+        ]
     );
     let beside = table(&document, "side-by-side");
     assert_eq!((beside.columns.len(), beside.groups.len()), (4, 2));
