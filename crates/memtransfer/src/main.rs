@@ -99,7 +99,7 @@ enum MemtransferVerb {
     Memory(memory::MemoryArgs),
     /// Print a run's tables from its log, or compare conditions and runs
     Score(score::ScoreArgs),
-    /// Write the report of a run or several: the paper's tables, figures, data files, a ranking
+    /// Write a report of one run or several: the paper's tables, figures and data files
     Report(report::ReportArgs),
     /// Show a run in a browser: every episode step by step, two side by side
     View(view::ViewArgs),
