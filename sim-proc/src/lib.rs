@@ -7,14 +7,14 @@
 //! - [`renderer`]: poses in, pixels out, with two backends.
 //! - [`view_source`]: single views, outside a run.
 //! - [`first_views`]: whether a case begins with a view of a target.
-//! - [`serve_command`], [`render_command`] and [`views_command`]: the command line.
+//! - [`serve_command`] and [`views_command`]: the command line.
 
 pub mod first_views;
 pub mod lanes;
-pub mod render_command;
 pub mod render_pool;
 pub mod render_workers;
 pub mod renderer;
+mod renderer_args;
 pub mod serve;
 pub mod serve_command;
 pub mod view_cache;

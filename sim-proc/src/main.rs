@@ -1,11 +1,10 @@
-//! The simulator's binary: `serve` runs the simulator of a run, `render` writes views to PNG files, `views` to stdout, `first-views` checks
-//! where cases begin.
+//! The simulator's binary: `serve` runs the simulator of a run, `views` writes views to stdout, `first-views` checks where
+//! cases begin.
 
 use std::process::ExitCode;
 
 use clap::Parser;
 use sim_proc::first_views::{self, FirstViewsArgs};
-use sim_proc::render_command::{self, RenderArgs};
 use sim_proc::serve_command::{self, ServeArgs};
 use sim_proc::views_command::{self, ViewsArgs};
 
@@ -21,9 +20,7 @@ struct SimulatorCli {
 enum Command {
     /// Take part in a run until it stops. Started by `memtransfer run`.
     Serve(ServeArgs),
-    /// Write views of the warehouse as PNG files.
-    Render(RenderArgs),
-    /// Write the views that stdin names to stdout, as pixels. Started by `memtransfer view`.
+    /// Write the views that stdin names to stdout, as pixels. Started by `memtransfer render` and `memtransfer view`.
     Views(ViewsArgs),
     /// Render the first views of cases, which must show no target. Started by `memtransfer validate`.
     FirstViews(FirstViewsArgs),
@@ -33,7 +30,6 @@ fn main() -> ExitCode {
     program::run("sim-proc", || {
         match program::parse::<SimulatorCli>().command {
             Command::Serve(args) => serve_command::run(args)?,
-            Command::Render(args) => render_command::run(&args)?,
             Command::Views(args) => views_command::run(&args)?,
             Command::FirstViews(args) => first_views::run(&args)?,
         }

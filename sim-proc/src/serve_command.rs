@@ -9,9 +9,9 @@ use shm_types::message::Role;
 use shm_types::process::{check_shared_memory, die_with_parent};
 use shm_types::{Attach, Bus};
 
-use crate::render_command::RendererArgs;
 use crate::render_pool::RenderSetup;
 use crate::renderer::RenderSettings;
+use crate::renderer_args::RendererArgs;
 use crate::serve::serve;
 use crate::worlds::WorldsArgs;
 

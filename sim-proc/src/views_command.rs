@@ -5,8 +5,8 @@ use std::io::{BufRead, Write};
 use anyhow::{Context, Result};
 use domain::Pose;
 
-use crate::render_command::{RendererArgs, parse_size};
 use crate::renderer::RenderSettings;
+use crate::renderer_args::RendererArgs;
 use crate::view_source::ViewSource;
 use crate::worlds::WorldsArgs;
 
@@ -24,6 +24,11 @@ pub struct ViewsArgs {
 
     #[command(flatten)]
     renderer: RendererArgs,
+}
+
+fn parse_size(text: &str) -> Result<(u32, u32), String> {
+    let sides = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    sides.ok_or_else(|| "expected width x height, for example 448x448".to_owned())
 }
 
 /// Answers until stdin ends.

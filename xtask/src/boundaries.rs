@@ -24,6 +24,16 @@ const MUST_NOT_LINK: &[(&[&str], &[&str], &str)] = &[
         &["memory-proc", "orchestrator", "policy-proc", "results", "sim-proc"],
         "processes share the wire, not each other's code",
     ),
+    (
+        &["orchestrator", "results"],
+        &["export", "report", "viewer"],
+        "recording and scoring are done before a report is rendered, and know nothing of it",
+    ),
+    (
+        &["export", "report", "results", "viewer"],
+        &["orchestrator"],
+        "a run is scored and rendered from its folder alone, not by what executes it",
+    ),
 ];
 
 /// Packages from elsewhere, and the only crates that may name them in their dependencies.
@@ -141,6 +151,10 @@ mod tests {
         check(
             &[("results", &["shm-types"]), ("shm-types", &["iceoryx2"])],
             &["results links iceoryx2"],
+        );
+        check(
+            &[("orchestrator", &["results", "report"])],
+            &["orchestrator links report and must not"],
         );
         check(&[("orchestrator", &["ureq"])], &["orchestrator depends on ureq, which only llm"]);
     }

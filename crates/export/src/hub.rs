@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::{Result, bail};
-use results::conditions::Frames;
+use results::conditions::{Condition, Frames};
 use results::date::date;
 use results::log::RunLog;
+use results::score::{ConditionScore, Interval, Scores, StreamScore, score};
 
 use crate::files::{is_file, write_text};
-use crate::leaderboard::{Board, Entry, Score};
 
 /// The id of the benchmark's data set on the Hub: `ORGANISATION/NAME`.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -37,82 +37,101 @@ impl FromStr for HubDataset {
 /// Writes the success rate of every condition of `log` to the file `out`, or into the folder `out`. Returns the file.
 ///
 /// # Errors
-/// When the run is not complete, or the system refuses.
+/// When the run is a unit of a plan or not complete, or the system refuses.
 pub fn write_results(
     log: &RunLog,
     dataset: &HubDataset,
     source: Option<&str>,
     out: &Path,
 ) -> Result<PathBuf> {
-    let entry = Entry::of(log)?;
     let run = log.dir.display();
-    if entry.is_incomplete() {
+    if let Some(unit) = &log.manifest.unit {
+        bail!(
+            "{run} is unit {} of a plan, a part of a run: use what `memtransfer merge` makes of all units",
+            unit.number
+        );
+    }
+    let scores = score(log);
+    if scores.finished < scores.planned {
         bail!(
             "{run} has {} of {} episodes, and results are published of complete runs only: the run's command \
              resumes it",
-            entry.finished,
-            entry.planned
+            scores.finished,
+            scores.planned
         );
     }
     let path = match is_file(out, "yaml") {
         true => out.to_owned(),
-        false => out.join(format!("memtransfer-{}.yaml", entry.suite())),
+        false => out.join(format!("memtransfer-{}.yaml", log.manifest.settings.suite.word())),
     };
-    let frames = log.manifest.settings.frames;
-    let text = yaml(&entry, frames, log.began_unix_s(), dataset, source)?;
-    write_text(&path, &text)?;
+    write_text(&path, &yaml(log, &success_rates(&scores), dataset, source)?)?;
     Ok(path)
 }
 
-/// The id of a task: the suite and the condition, `rq1_episodic_new_unchanged_original`; in a control run the kind of its frames
-/// follows.
-fn task_id(entry: &Entry, score: &Score, frames: Frames) -> String {
-    let id = format!("{}_{}", entry.suite(), score.condition.replace('/', "_"));
-    match frames {
-        Frames::Rendered => id,
-        control => format!("{id}_frames-{control}"),
-    }
+/// The success rate of a condition, in percent.
+struct SuccessRate {
+    condition: Condition,
+    /// Episodes or sequences, in words.
+    count: String,
+    mean: f64,
+    interval: Option<Interval>,
+}
+
+fn success_rates(scores: &Scores) -> Vec<SuccessRate> {
+    let of_episodes = |score: &ConditionScore| SuccessRate {
+        condition: score.condition,
+        count: format!("{} episodes", score.episodes),
+        mean: score.sr.mean,
+        interval: score.sr.interval,
+    };
+    let of_streams = |score: &StreamScore| {
+        let success = score.success?;
+        Some(SuccessRate {
+            condition: score.condition,
+            count: format!("{} sequences", score.sequences),
+            mean: success.mean,
+            interval: success.interval,
+        })
+    };
+    let streams = scores.streams.iter().flat_map(|streams| &streams.conditions);
+    scores.conditions.iter().map(of_episodes).chain(streams.filter_map(of_streams)).collect()
 }
 
 fn yaml(
-    entry: &Entry,
-    frames: Frames,
-    began: Option<u64>,
+    log: &RunLog,
+    rates: &[SuccessRate],
     dataset: &HubDataset,
     source: Option<&str>,
 ) -> Result<String> {
     // A JSON string is a YAML string.
     let quoted = |text: &str| serde_json::to_string(text);
-    let board = Board::new(std::slice::from_ref(entry));
-    let protocol = board.sections.first().map_or("", |section| section.id.as_str());
-    let version = entry.protocol.get("version").and_then(|version| version.as_str());
+    let manifest = &log.manifest;
+    let frames = manifest.settings.frames;
+    let began = log.began_unix_s().map(date);
     let mut text = String::new();
-    for score in &entry.scores {
-        let figure = |name: &str, of| Some((score.figures.get(name)?, of));
-        let figure = figure("sr", "episodes").or_else(|| figure("success", "sequences"));
-        let Some((figure, counted)) = figure else { continue };
+    for SuccessRate { condition, count, mean, interval } in rates {
+        // The suite and the condition; in a control run the kind of its frames follows.
+        let mut task_id =
+            format!("{}/{condition}", manifest.settings.suite.word()).replace('/', "_");
         let mut notes = format!(
-            "success rate in percent, n = {} {counted}; MemTransfer {}, protocol {protocol}; policy {}",
-            score.count,
-            version.unwrap_or("of unknown version"),
-            entry.policy.label()
+            "success rate in percent, n = {count}; MemTransfer {}, protocol {}; policy {}",
+            manifest.version,
+            manifest.protocol_id(),
+            manifest.policy_label()
         );
         if frames != Frames::Rendered {
+            write!(task_id, "_frames-{frames}")?;
             write!(notes, "; a control: frames {frames}")?;
         }
-        if let Some((low, high)) = figure.low.zip(figure.high) {
+        if let Some(Interval { low, high }) = interval {
             write!(notes, "; 95 % interval {low:.1} to {high:.1}")?;
         }
         writeln!(text, "- dataset:")?;
         writeln!(text, "    id: {}", quoted(&dataset.0)?)?;
-        writeln!(text, "    task_id: {}", quoted(&task_id(entry, score, frames))?)?;
-        writeln!(text, "  value: {:.2}", figure.mean)?;
-        if let Some(began) = began {
-            writeln!(
-                text,
-                "  date: {}",
-                quoted(date(began).split(' ').next().unwrap_or_default())?
-            )?;
+        writeln!(text, "    task_id: {}", quoted(&task_id)?)?;
+        writeln!(text, "  value: {mean:.2}")?;
+        if let Some(day) = began.as_ref().and_then(|began| began.split(' ').next()) {
+            writeln!(text, "  date: {}", quoted(day)?)?;
         }
         if let Some(source) = source {
             writeln!(text, "  source:\n    url: {}", quoted(source)?)?;

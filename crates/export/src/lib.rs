@@ -5,7 +5,6 @@
 //! | MCAP | Foxglove, Rerun | `mcap.rs` |
 //! | MP4 | any player | `video.rs` |
 //! | CSV, Parquet | pandas, DuckDB, spreadsheets | `tables.rs` |
-//! | an entry of a leaderboard, and its page | a browser | `leaderboard.rs` |
 //! | YAML of results | a hub of models | `hub.rs` |
 //!
 //! The first two show episodes with their views, which `sim-proc views`, a child process, renders again. The others are
@@ -14,7 +13,6 @@
 mod episodes;
 mod files;
 mod hub;
-pub mod leaderboard;
 mod mcap;
 mod tables;
 mod video;

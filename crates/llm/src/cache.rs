@@ -176,7 +176,6 @@ mod tests {
             cached_tokens: Some(4),
             image_tokens: None,
             finish_reason: Some("stop".into()),
-            system_fingerprint: None,
             reasoned: false,
         }
     }

@@ -183,12 +183,6 @@ impl Endpoint {
         format!("{}{path}", self.base())
     }
 
-    /// A page of the server outside `/v1`.
-    pub(crate) fn server_page(&self, path: &str) -> String {
-        let base = self.base();
-        format!("{}{path}", base.strip_suffix("/v1").unwrap_or(&base))
-    }
-
     /// The base URL.
     pub fn base(&self) -> String {
         let completions = self.completions.to_string();
@@ -580,15 +574,12 @@ mod tests {
     }
 
     #[test]
-    fn pages_beside_and_above() {
-        for (base_url, page, server_page) in [
-            ("http://a:1/v1/", "http://a:1/v1/models", "http://a:1/version"),
-            ("https://x/api/v1", "https://x/api/v1/models", "https://x/api/version"),
-            ("https://x/openai", "https://x/openai/models", "https://x/openai/version"),
+    fn the_other_pages_are_beside_chat_completions() {
+        for (base_url, page) in [
+            ("http://a:1/v1/", "http://a:1/v1/models"),
+            ("https://x/openai", "https://x/openai/models"),
         ] {
-            let endpoint = Endpoint::new(base_url, None).unwrap();
-            assert_eq!(endpoint.page("/models"), page);
-            assert_eq!(endpoint.server_page("/version"), server_page);
+            assert_eq!(Endpoint::new(base_url, None).unwrap().page("/models"), page);
         }
     }
 

@@ -86,10 +86,6 @@ impl HttpClient {
         Self { agent, endpoint, settings, dialect: AtomicU32::new(Dialect::default().0) }
     }
 
-    pub(crate) fn settings(&self) -> &ChatSettings {
-        &self.settings
-    }
-
     pub(crate) fn endpoint(&self) -> &Endpoint {
         &self.endpoint
     }

@@ -7,7 +7,7 @@
 //!   request learns about a server holds for all, and several servers of one model share the requests;
 //! - [`EndpointLimit`]: a limit on requests in flight that holds for all processes;
 //! - [`ReplyCache`]: replies on disk;
-//! - [`probe`] and [`fingerprint`]: what a server can do, and what it tells about itself.
+//! - [`probe`]: what a server can do.
 //!
 //! The wording of requests is left to the crates that link this one.
 
@@ -16,7 +16,6 @@ mod cache;
 mod client;
 mod endpoint;
 mod error;
-pub mod fingerprint;
 #[doc(hidden)]
 pub mod fuzzing;
 mod http;
@@ -35,7 +34,6 @@ pub use endpoint::{
     BASE_URL_VARIABLES, ENV_FILE, Endpoint, EndpointError, KEY_VARIABLE, Servers, Source,
 };
 pub use error::{AskError, RequestError, Transient};
-pub use fingerprint::Fingerprint;
 pub use reply::{ChatReply, ReplyContent};
 pub use request::{
     CONSTRAINTS, ChatMessage, ChatRequest, ChatRole, ContentPart, ImageUrl, MessageContent,

@@ -8,11 +8,12 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
+use serde_json::Value;
 
 use crate::client::ChatClient;
 use crate::error::{AskError, AttemptError, RequestError, Transient};
-use crate::fingerprint::{self, Fingerprint, ModelList};
-use crate::reply::{ChatReply, ReplyContent};
+use crate::http::HttpClient;
+use crate::reply::{self, ChatReply, ReplyContent};
 use crate::request::{ChatMessage, ChatRequest, ChatRole, ContentPart, ImageUrl, MessageContent};
 
 /// Maximum number of tokens of a short answer, as in a run.
@@ -20,6 +21,9 @@ const ANSWER_TOKENS: u32 = 30;
 
 /// Maximum number of tokens of an answer whose time is measured.
 const TIMED_TOKENS: u32 = 64;
+
+/// Time limit for the list of models.
+const LIST_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Edge of the coloured squares, in pixels: above the patch size of every model known.
 const SQUARE: u32 = 56;
@@ -69,12 +73,8 @@ pub struct ProbeReport {
     pub findings: Vec<ProbeFinding>,
     /// The largest request of a run that the server accepts; `None` when none was accepted.
     pub run_sized: Option<RunSized>,
-    /// The server.
-    pub fingerprint: Fingerprint,
     /// The model's name in the server's answers.
     pub reported_model: Option<String>,
-    /// The server's name for the configuration that answered.
-    pub system_fingerprint: Option<String>,
 }
 
 impl ProbeReport {
@@ -102,9 +102,7 @@ pub fn run(client: &ChatClient, together: u32, run: &RunRequest<'_>) -> ProbeRep
             model: client.settings().model.clone(),
             findings: Vec::new(),
             run_sized: None,
-            fingerprint: Fingerprint::default(),
             reported_model: None,
-            system_fingerprint: None,
         },
     };
     if probe.reach() && probe.answer() {
@@ -114,7 +112,6 @@ pub fn run(client: &ChatClient, together: u32, run: &RunRequest<'_>) -> ProbeRep
         }
         probe.temperature();
         probe.speed(together.max(1));
-        fingerprint::read_pages(client.http(), &mut probe.report.fingerprint);
     }
     probe.report
 }
@@ -167,8 +164,8 @@ impl ServerProbe<'_> {
     /// Whether a server is there, and knows the model.
     fn reach(&mut self) -> bool {
         let start = Instant::now();
-        let (fingerprint, models) = match fingerprint::models(self.client.http()) {
-            Ok(found) => found,
+        let (server, models) = match models(self.client.http()) {
+            Ok(answer) => answer,
             Err(problem) => {
                 let about = format!(
                     "no answer from {}: {problem} Start the server, or correct --base-url.",
@@ -179,8 +176,7 @@ impl ServerProbe<'_> {
             }
         };
         let elapsed = start.elapsed().as_secs_f64();
-        let server = fingerprint.server.clone().unwrap_or_else(|| "no name".to_owned());
-        self.report.fingerprint = fingerprint;
+        let server = server.unwrap_or_else(|| "no name".to_owned());
         let about = format!("the list of models came after {elapsed:.2} s (server: {server})");
         self.found("reachable", ProbeMark::Ok, about);
         let model = &self.report.model;
@@ -262,7 +258,6 @@ impl ServerProbe<'_> {
         };
         self.found("reasoning off", mark, about);
         self.report.reported_model = reply.model;
-        self.report.system_fingerprint = reply.system_fingerprint;
         true
     }
 
@@ -422,6 +417,35 @@ impl ServerProbe<'_> {
             }
         }
     }
+}
+
+/// The answer to a request for the list of models.
+#[derive(Debug, PartialEq)]
+enum ModelList {
+    /// The names.
+    Listed(Vec<String>),
+    /// The server refuses: status and message.
+    Refused(u16, String),
+    /// The answer is no list.
+    Unreadable,
+}
+
+/// The `Server` header, and the list of models.
+fn models(client: &HttpClient) -> Result<(Option<String>, ModelList), Transient> {
+    let page = client.get(&client.endpoint().page("/models"), LIST_TIMEOUT)?;
+    if page.status != 200 {
+        let message = reply::error_message(&page.body, |text| client.endpoint().masked(text));
+        return Ok((page.server, ModelList::Refused(page.status, message)));
+    }
+    let list: Value = serde_json::from_slice(&page.body).unwrap_or_default();
+    let list = match list["data"].as_array() {
+        Some(models) => {
+            let names = models.iter().filter_map(|model| model["id"].as_str());
+            ModelList::Listed(names.map(str::to_owned).collect())
+        }
+        None => ModelList::Unreadable,
+    };
+    Ok((page.server, list))
 }
 
 /// The finding about a request of the run's size with `images` images.

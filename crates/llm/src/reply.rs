@@ -21,8 +21,6 @@ pub struct ChatReply {
     pub image_tokens: Option<u64>,
     /// Why the answer ended, in the server's terms.
     pub finish_reason: Option<String>,
-    /// The server's name for the configuration that answered.
-    pub system_fingerprint: Option<String>,
     /// Whether the model reasoned before it answered, although reasoning was turned off.
     pub reasoned: bool,
 }
@@ -157,7 +155,7 @@ impl ChatReply {
         {
             *text = masked(text);
         }
-        let words = [&mut self.model, &mut self.finish_reason, &mut self.system_fingerprint];
+        let words = [&mut self.model, &mut self.finish_reason];
         for word in words.into_iter().flatten() {
             *word = masked(word);
         }
@@ -216,7 +214,6 @@ pub fn read(body: &[u8]) -> Result<ChatReply, UnusableReply> {
         cached_tokens: CACHED_TOKENS.into_iter().find_map(count),
         image_tokens: IMAGE_TOKENS.into_iter().find_map(count),
         finish_reason,
-        system_fingerprint: word("/system_fingerprint"),
         reasoned,
     };
     match reply.failure() {

@@ -274,7 +274,8 @@ fn unwritable(cache: &Path) -> Option<(PathBuf, Errno)> {
 }
 
 fn rendering(world: &WorldArgs, view: &Path, stop: &AtomicBool) -> anyhow::Result<String> {
-    let mut command = Command::new(sibling("sim-proc")?);
+    // Another process, because this one must notice when it is asked to stop.
+    let mut command = Command::new(sibling("memtransfer")?);
     command.args(["render", "--pose", &a_pose(world)?, "--out"]).arg(view);
     succeed(with_assets(command, world), stop)?;
     Ok("a view was rendered".to_owned())
@@ -341,7 +342,6 @@ fn endpoint(
     }
     let report: Value = serde_json::from_slice(&output.stdout).context("cannot read the probe")?;
     let Probed { endpoint, model, findings } = Probed::deserialize(&report)?;
-    let fingerprint = report["fingerprint"].to_string();
     let whole = DoctorFinding {
         data: Some(report),
         ..DoctorFinding::of(ENDPOINT, Ok(format!("{model} at {endpoint} ({})", servers.places())))
@@ -353,9 +353,8 @@ fn endpoint(
         about,
         data: None,
     });
-    let who = DoctorFinding::of("endpoint, fingerprint", Ok(fingerprint));
     let too_small = size_without(&documents.missing()).into_iter();
-    Ok(std::iter::once(whole).chain(parts).chain(too_small).chain([who]).collect())
+    Ok(std::iter::once(whole).chain(parts).chain(too_small).collect())
 }
 
 /// That the request of the run's size had no documents, if they are not built yet.

@@ -8,8 +8,7 @@ use clap::builder::TypedValueParser;
 use clap::{Args, ValueEnum};
 use domain::shell_word;
 use export::{
-    EpisodeFormat, Episodes, HubDataset, TableFormat, Timing, leaderboard, write_results,
-    write_tables,
+    EpisodeFormat, Episodes, HubDataset, TableFormat, Timing, write_results, write_tables,
 };
 use replay::{RecordedRun, Selection, World};
 use results::key::EpisodeKey;
@@ -29,7 +28,6 @@ Formats:
   mcap          views, poses, events, decisions and what memory supplied, for Foxglove and Rerun
   mp4           the views as a video; needs ffmpeg
   csv, parquet  two tables, `episodes` and `steps`, for pandas, DuckDB or a spreadsheet
-  leaderboard   one JSON file with all that a comparison needs, for `memtransfer leaderboard`
   hugging-face  the success rates as `.eval_results` YAML for a model's page on the Hub
 
 With mcap and mp4, --out is a file for all chosen episodes, one after the other, or a folder with a
@@ -41,7 +39,6 @@ Examples:
   memtransfer export runs/quick-grounded --format mp4 --cases t01-01 --condition episodic,new \\
       --out t01-01.mp4
   memtransfer export runs/quick-grounded --format parquet --out tables
-  memtransfer export runs/quick-grounded --format leaderboard --out board
   memtransfer export runs/quick-grounded --format hugging-face --dataset my-team/memtransfer \\
       --out .eval_results")]
 pub(super) struct ExportArgs {
@@ -67,7 +64,7 @@ pub(super) struct ExportArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=60))]
     fps: Option<u32>,
     /// With mcap and mp4: width and height of a view in pixels, a multiple of 64 [default: 448]
-    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u16).range(64..=2048).try_map(renderable))]
+    #[arg(long, value_name = "PIXELS", value_parser = view_edge())]
     size: Option<u16>,
     /// With hugging-face: the id of the benchmark's data set on the Hub
     #[arg(long, value_name = "TEAM/NAME", required_if_eq("format", "hugging-face"))]
@@ -83,7 +80,6 @@ enum Format {
     Mp4,
     Csv,
     Parquet,
-    Leaderboard,
     HuggingFace,
 }
 
@@ -95,10 +91,14 @@ impl Format {
             Self::Mp4 => "mp4",
             Self::Csv => "csv",
             Self::Parquet => "parquet",
-            Self::Leaderboard => "json",
             Self::HuggingFace => "yaml",
         }
     }
+}
+
+/// Reads the width and height of a view.
+pub(super) fn view_edge() -> impl TypedValueParser<Value = u16> {
+    clap::value_parser!(u16).range(64..=2048).try_map(renderable)
 }
 
 /// The simulator renders rows of whole blocks of 64 pixels.
@@ -113,9 +113,6 @@ pub(super) fn run(args: &ExportArgs) -> Result<Exit> {
         Format::Mp4 => args.write_episodes(EpisodeFormat::Mp4)?,
         Format::Csv => args.write_tables(TableFormat::Csv)?,
         Format::Parquet => args.write_tables(TableFormat::Parquet)?,
-        Format::Leaderboard => {
-            vec![leaderboard::write_entry(&args.read_log()?, &args.out)?]
-        }
         Format::HuggingFace => {
             let dataset = args.dataset.as_ref().context("--format hugging-face needs --dataset")?;
             let log = args.read_log()?;
@@ -133,7 +130,7 @@ impl ExportArgs {
         let (shows, chooses) = match self.format {
             Format::Mcap | Format::Mp4 => (true, true),
             Format::Csv | Format::Parquet => (false, true),
-            Format::Leaderboard | Format::HuggingFace => (false, false),
+            Format::HuggingFace => (false, false),
         };
         let is_hub = self.format == Format::HuggingFace;
         let given = [

@@ -8,6 +8,8 @@ macro_rules! say {
     ($($text:tt)*) => { orchestrator::progress::say(&format!($($text)*)) };
 }
 
+mod access_profile;
+mod cache;
 mod clean;
 mod commands;
 mod conformance;
@@ -16,14 +18,13 @@ mod documents;
 mod estimate;
 mod export;
 mod generate;
-mod leaderboard;
 mod list;
 mod map;
 mod memory;
 mod merge;
-mod passed_on;
 mod plan;
 mod profile;
+mod render;
 mod report;
 mod run;
 mod run_plan;
@@ -93,19 +94,17 @@ enum MemtransferVerb {
     /// Draw the warehouse, or a case, from above as SVG
     Map(map::MapArgs),
     /// Render views of an agent as PNG
-    Render(passed_on::PassedOn),
+    Render(render::RenderArgs),
     /// Build, list and show the documents of summary, semantic and hybrid memory
     Memory(memory::MemoryArgs),
     /// Print a run's tables from its log, or compare conditions and runs
     Score(score::ScoreArgs),
-    /// Write a run's report from its log: the paper's tables, figures and data files
+    /// Write a report of one run or several: the paper's tables, figures and data files
     Report(report::ReportArgs),
     /// Show a run in a browser: every episode step by step, two side by side
     View(view::ViewArgs),
-    /// Write a run for other programs: MCAP, MP4, CSV, Parquet, leaderboard, Hugging Face
+    /// Write a run for other programs: MCAP, MP4, CSV, Parquet, Hugging Face
     Export(export::ExportArgs),
-    /// Compare many runs in one table and one page
-    Leaderboard(leaderboard::LeaderboardArgs),
     /// Print one step: what the policy received, and what it answered
     Show(show::ShowArgs),
     /// Measure how long an access to memory takes, part by part
@@ -115,7 +114,7 @@ enum MemtransferVerb {
     /// Remove what killed runs left in shared memory and temporary folders
     Clean(clean::CleanArgs),
     /// List or remove the cached replies of models
-    Cache(passed_on::PassedOn),
+    Cache(cache::CacheArgs),
     /// Generate a case file, or a warehouse with its cases, from a seed
     Generate(generate::GenerateArgs),
     /// Check what a run needs on this machine, and say how to get what is missing
@@ -173,18 +172,17 @@ fn main() -> ExitCode {
         MemtransferVerb::Ls(args) => list::run(&args),
         MemtransferVerb::Validate(args) => validate::run(&args),
         MemtransferVerb::Map(args) => map::run(&args),
-        MemtransferVerb::Render(args) => args.run("sim-proc", "render"),
+        MemtransferVerb::Render(args) => render::run(&args),
         MemtransferVerb::Memory(args) => memory::run(args),
         MemtransferVerb::Score(args) => score::run(&args),
         MemtransferVerb::Report(args) => report::run(&args),
         MemtransferVerb::View(args) => view::run(&args),
         MemtransferVerb::Export(args) => export::run(&args),
-        MemtransferVerb::Leaderboard(args) => leaderboard::run(&args),
         MemtransferVerb::Show(args) => show::run(&args),
         MemtransferVerb::Profile(args) => profile::run(&args),
         MemtransferVerb::Conformance(args) => conformance::run(&args),
         MemtransferVerb::Clean(args) => clean::run(&args),
-        MemtransferVerb::Cache(args) => args.run("policy-proc", "cache"),
+        MemtransferVerb::Cache(args) => cache::run(&args),
         MemtransferVerb::Generate(args) => generate::run(&args),
         MemtransferVerb::Doctor(args) => doctor::run(&args),
     };
@@ -276,7 +274,7 @@ mod tests {
         command.build();
         for verb in command.get_subcommands_mut() {
             let name = verb.get_name().to_owned();
-            if ["help", "render", "cache"].contains(&name.as_str()) {
+            if ["help", "cache"].contains(&name.as_str()) {
                 continue;
             }
             let help = verb.clone().term_width(100).render_long_help().to_string();

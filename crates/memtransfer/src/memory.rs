@@ -94,7 +94,7 @@ struct ModelArgs {
     #[arg(long, value_name = "N", requires = "model")]
     max_tokens: Option<u32>,
     /// Time limit of one attempt [default: 300]
-    #[arg(long = "request-timeout", alias = "timeout", value_name = "SECONDS", requires = "model")]
+    #[arg(long = "request-timeout", value_name = "SECONDS", requires = "model")]
     timeout: Option<u32>,
     /// How often a request is sent again after a transient failure [default: 5]
     #[arg(long, value_name = "N", requires = "model")]

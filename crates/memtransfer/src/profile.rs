@@ -15,8 +15,7 @@ use orchestrator::machine::{Machine, floors};
 use orchestrator::pipeline;
 use orchestrator::plan::plan;
 use orchestrator::profile::recorder::AccessRecorder;
-use orchestrator::profile::summary::summary;
-use orchestrator::profile::{AccessRun, CacheState, Profile, SCHEMA, search};
+use orchestrator::profile::search;
 use replay::World;
 use results::conditions::representation;
 use results::log::DOCUMENTS_FOLDER;
@@ -28,6 +27,8 @@ use supervise::Children;
 
 use super::documents::RunDocuments;
 use super::{Exit, print};
+use crate::access_profile::summary::summary;
+use crate::access_profile::{AccessRun, CacheState, Profile, SCHEMA};
 use crate::signals::Signals;
 
 /// The folder of temporary files.

@@ -12,14 +12,16 @@ use super::{Exit, print};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Reads the runs' folders and nothing else. Writes report.html (one page, everything inside),
-report.md with its figures, every table as CSV, and conditions and episodes as CSV and Parquet;
+its figures as SVG, every table as CSV, and conditions and episodes as CSV and Parquet;
 prints the path of the page. Exit status 1 when episodes were given up.
+Of several runs the page ranks the conditions, and compares every two runs pair by pair.
 
 Examples:
   memtransfer report runs/paper-grounded
-  memtransfer report runs/paper-grounded runs/paper-random --out reports/both")]
+  memtransfer report runs/paper-grounded runs/paper-random --out reports/both
+  memtransfer report runs/* --out reports/all")]
 pub(super) struct ReportArgs {
-    /// The runs' folders; conditions of several runs are compared
+    /// The runs' folders; several are ranked and compared
     #[arg(value_name = "RUN", required = true)]
     runs: Vec<PathBuf>,
     /// Write into DIR [default: `report` in the folder of a single run]

@@ -101,7 +101,7 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
             "export r --format mcap --out y.mp4",
             "y.mp4 has the extension of another format: this one writes .mcap",
         ),
-        ("export r --format csv --out y.JSON", "another format: this one writes .csv files"),
+        ("export r --format csv --out y.YAML", "another format: this one writes .csv files"),
         ("run --suite stream --arms learning --memory episodic", "no memory is left that learns"),
         ("run --arms learning", "--arms is for a suite of streams"),
         ("run --provider gpu", "unknown execution provider `gpu`"),
@@ -444,11 +444,9 @@ fn every_output_with_figures_of_a_run_names_a_policy_that_is_no_model() {
             &[
                 "export RUN --out made/tables --format csv",
                 "export RUN --out made/tables --format parquet",
-                "export RUN --out made/entries --format leaderboard",
                 "export RUN --out made/hub --dataset a/b --format hugging-face",
             ],
         ),
-        ("leaderboard", &["leaderboard RUN --out made/board.html", "leaderboard RUN --json"]),
         (
             "show",
             &["show RUN t01-01 --condition working", "show RUN t01-01 --condition working --json"],
@@ -475,10 +473,7 @@ fn every_output_with_figures_of_a_run_names_a_policy_that_is_no_model() {
         assert_eq!(listed(&help, "Commands:"), verbs, "a verb that this test does not know");
         let help = text(&memtransfer(dir.path(), "export --help").stdout);
         let formats = listed(&help, "Formats:").join(" ");
-        assert_eq!(
-            formats, "mcap mp4 csv, leaderboard hugging-face",
-            "a format that it does not know"
-        );
+        assert_eq!(formats, "mcap mp4 csv, hugging-face", "a format that it does not know");
         for command in SHOWN.iter().flat_map(|(_, commands)| *commands) {
             let arguments: Vec<&str> = command
                 .split(' ')
@@ -503,9 +498,7 @@ fn every_output_with_figures_of_a_run_names_a_policy_that_is_no_model() {
             "tables/steps.csv",
             "tables/episodes.parquet",
             "tables/steps.parquet",
-            "entries/one.json",
             "hub/memtransfer-quick.yaml",
-            "board.html",
         ] {
             let content = text(&fs::read(made.join(file)).unwrap());
             assert!(content.contains(role), "{file} does not say {role}");
@@ -538,8 +531,6 @@ fn damaged_lines_are_named_by_all_that_leave_them_out() {
         &format!("score a --compare {condition} {condition}"),
         &format!("score a --compare {condition} {condition} --json"),
         &format!("score b a --compare {condition} {condition}"),
-        "leaderboard a",
-        "export a --format leaderboard --out board",
         "export a --format csv --out tables",
     ] {
         let output = memtransfer(dir.path(), arguments);
@@ -614,7 +605,6 @@ fn what_is_no_regular_file_is_refused_at_once() {
         "run --dry-run --assets assets",
         "run --dry-run --policy openai --model m --base-url http://127.0.0.1:9 --prices /dev/zero",
         "work --plan /dev/zero --unit 0 --out units",
-        "leaderboard /dev/zero",
         "score runs/pipe",
         "score runs/episodes",
         "report runs/pipe",

@@ -1,4 +1,4 @@
-//! The document model: sections of text, tables and figures, rendered as HTML, Markdown, CSV and in a terminal.
+//! The document model: sections of text, tables and figures, rendered as HTML, CSV and in a terminal.
 //!
 //! A [`TableCell`] cannot be empty: where there is no figure, it gives the reason.
 
@@ -371,7 +371,7 @@ fn keep<T>(list: &mut Vec<T>, kept: &[bool]) {
 
 impl TableCell {
     /// Whether it is a figure, or would be one if it had been measured or defined.
-    fn is_figure(&self) -> bool {
+    pub(super) fn is_figure(&self) -> bool {
         !matches!(self, Self::Missing(Missing::NotRun | Missing::NotApplicable(_)))
     }
 

@@ -1,7 +1,7 @@
 //! Reports about runs, from their logs alone.
 //!
 //! Three steps: [`score`](results::score) computes, `sections/` arranges figures into a [`ReportDocument`] of sections, tables
-//! and plots, and one file for each format writes it: `html.rs`, `markdown.rs`, `csv.rs`, `parquet.rs`, `terminal.rs`.
+//! and plots, and one file for each format writes it: `html.rs`, `csv.rs`, `parquet.rs`, `terminal.rs`.
 //! The published figures are data ([`Published`], `assets/published.toml`).
 //!
 //! The same logs give the same files, byte for byte.
@@ -11,7 +11,6 @@ mod data;
 mod document;
 mod frame;
 mod html;
-mod markdown;
 mod parquet;
 mod plot;
 mod published;
@@ -111,7 +110,8 @@ fn arrange(views: &[ScoredRun<'_>]) -> ReportDocument {
         }
         _ => {
             let policies = views.iter().map(|view| (view.log.name.as_str(), policy(view)));
-            sections.push(sections::runs(views).of_policies(policies));
+            sections.push(sections::runs(views).of_policies(policies.clone()));
+            sections.push(sections::ranking(views).of_policies(policies));
         }
     }
     sections.push(sections::method());
@@ -127,7 +127,7 @@ fn arrange(views: &[ScoredRun<'_>]) -> ReportDocument {
 /// | file | holds |
 /// |---|---|
 /// | `report.html` | everything, in one page |
-/// | `report.md`, `figures/` | the same as Markdown, with its figures |
+/// | `figures/` | its figures, as SVG |
 /// | `tables/` | each table as it is printed, as CSV |
 /// | `conditions.csv`, `conditions.parquet` | a row for each condition with every figure, in full |
 /// | `episodes.csv`, `episodes.parquet` | a row for each episode |
@@ -184,11 +184,9 @@ fn write_files(logs: &[RunLog], dir: &Path) -> Result<(), ReportError> {
     let published = Published::load()?;
     let views = views(logs, &published);
     let document = arrange(&views);
-    let template = |page| move |source| ReportError::Template { page, source };
     let text =
         |name: &str, text: &str| write_file(dir.join(name), |file| file.write_all(text.as_bytes()));
-    text(PAGE, &html::render(&document).map_err(template("report.html"))?)?;
-    text("report.md", &markdown::render(&document).map_err(template("report.md"))?)?;
+    text(PAGE, &page(&document)?)?;
     for figure in document.figures() {
         text(&format!("figures/{}.svg", figure.id), &figure.svg())?;
     }

@@ -15,6 +15,7 @@ mod mixed;
 mod overview;
 mod pairs;
 mod provenance;
+mod ranking;
 mod runs;
 mod streams;
 mod supplied;
@@ -22,6 +23,7 @@ mod time;
 mod transfer;
 
 pub(super) use method::method;
+pub(super) use ranking::ranking;
 pub(super) use runs::runs;
 
 use blocked::{blocked_table, other_blocked_table};

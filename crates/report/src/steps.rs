@@ -20,14 +20,9 @@ struct StepRow<'a> {
     sources: Option<&'a str>,
     /// Empty where none is known.
     distances: Option<&'a str>,
-    request: Option<&'a RequestRecord>,
-}
-
-impl StepRow<'_> {
     /// What the agent did next; `None` at the end and for an answer without an action.
-    fn action(&self) -> Option<Action> {
-        Action::from_letter(self.record.actions.chars().nth(self.step as usize)?)
-    }
+    action: Option<Action>,
+    request: Option<&'a RequestRecord>,
 }
 
 /// The words of a column by request, without end; `None` for `-` and after the last.
@@ -53,8 +48,9 @@ pub fn steps_frame(log: &RunLog) -> DataFrame {
         .flat_map(|record| {
             let told = words(&record.retrieved).zip(words(&record.distances));
             let requests = &requests;
-            (0..).zip(record.replay()).zip(told).map(
-                move |((step, (pose, feedback)), (sources, distances))| StepRow {
+            let actions = record.actions.chars().map(Action::from_letter).chain(repeat(None));
+            (0..).zip(record.replay()).zip(actions).zip(told).map(
+                move |(((step, (pose, feedback)), action), (sources, distances))| StepRow {
                     log,
                     record,
                     step,
@@ -62,6 +58,7 @@ pub fn steps_frame(log: &RunLog) -> DataFrame {
                     feedback,
                     sources,
                     distances,
+                    action,
                     request: requests.get(&(record.key.as_str(), step)).copied(),
                 },
             )
@@ -78,7 +75,7 @@ pub fn steps_frame(log: &RunLog) -> DataFrame {
     frame.whole("y", |row| Some(row.pose.cell.y));
     frame.text("heading", |row| Some(row.pose.heading.letter().to_string()));
     frame.text("feedback", |row| Some(row.feedback.words().to_owned()));
-    frame.text("action", |row| Some(row.action()?.words().to_owned()));
+    frame.text("action", |row| Some(row.action?.words().to_owned()));
     frame.flag("is_last", |row| Some(row.step == row.record.steps));
     frame.whole("sub_goals_met", |row| {
         Some(row.record.sub_goals.iter().filter(|met| **met <= row.step).count())

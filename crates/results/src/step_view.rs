@@ -10,6 +10,7 @@ pub use words::{facts, title};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
@@ -133,23 +134,34 @@ pub fn logged_steps(record: &EpisodeRecord) -> Vec<LoggedStep> {
         .collect()
 }
 
-/// Where the entries of a prompt log's file are, by episode id and step: offset and length of the line.
-type EntryPlaces = BTreeMap<(u64, u32), (u64, usize)>;
-
-/// The prompt log of a run. Each of its files is searched once, however many steps are read.
+/// The prompt log of a run. Each of its files is searched once, and after that only what was added to it.
 #[derive(Debug)]
 pub struct PromptLog {
     /// The run's folder.
     run: PathBuf,
     folder: PathBuf,
-    files: BTreeMap<PathBuf, EntryPlaces>,
+    files: BTreeMap<PathBuf, FileIndex>,
+}
+
+/// Where the entries of a prompt log's file are.
+#[derive(Debug, Default)]
+struct FileIndex {
+    /// The file's number in its file system: another one is another file.
+    inode: u64,
+    /// The length of the whole lines that were searched.
+    searched: u64,
+    /// Offset and length of the line, by episode id and step.
+    lines: BTreeMap<(u64, u32), (u64, usize)>,
 }
 
 impl PromptLog {
     /// The prompt log of `log`, which may have none.
     pub fn of(log: &RunLog) -> Self {
-        let (run, folder) = (log.dir.clone(), log.dir.join(PROMPTS_FOLDER));
-        Self { run, folder, files: BTreeMap::new() }
+        Self::in_run(&log.dir)
+    }
+
+    fn in_run(run: &Path) -> Self {
+        Self { run: run.to_owned(), folder: run.join(PROMPTS_FOLDER), files: BTreeMap::new() }
     }
 
     /// Whether the run has one.
@@ -166,21 +178,10 @@ impl PromptLog {
         if !file.exists() {
             return Ok(None);
         }
-        let unreadable = || format!("cannot read {}", file.display());
-        if !self.files.contains_key(&file) {
-            let opened = open_beneath(&self.run, &file).with_context(unreadable)?;
-            self.files.insert(file.clone(), entry_places(opened).with_context(unreadable)?);
-        }
-        let places = self.files.get(&file);
-        let place = places.and_then(|places| places.get(&(timings.episode, step)));
-        let Some(&(offset, length)) = place else { return Ok(None) };
-        let mut line = vec![0; length];
-        open_beneath(&self.run, &file)
-            .and_then(|mut opened| {
-                opened.seek(SeekFrom::Start(offset))?;
-                opened.read_exact(&mut line)
-            })
-            .with_context(unreadable)?;
+        let line = self.line(&file, (timings.episode, step));
+        let Some(line) = line.with_context(|| format!("cannot read {}", file.display()))? else {
+            return Ok(None);
+        };
         let entry = serde_json::from_slice(&line).with_context(|| {
             format!(
                 "step {step} in {} cannot be read: another version of MemTransfer wrote it",
@@ -189,23 +190,44 @@ impl PromptLog {
         })?;
         resolve(&self.run, entry).map(Some)
     }
+
+    /// The line of `file` about an episode's step, if there is one.
+    fn line(&mut self, file: &Path, key: (u64, u32)) -> io::Result<Option<Vec<u8>>> {
+        let mut opened = open_beneath(&self.run, file)?;
+        let index = self.files.entry(file.to_owned()).or_default();
+        index.search(&mut opened)?;
+        let Some(&(offset, length)) = index.lines.get(&key) else { return Ok(None) };
+        let mut line = vec![0; length];
+        opened.seek(SeekFrom::Start(offset))?;
+        opened.read_exact(&mut line)?;
+        Ok(Some(line))
+    }
 }
 
-/// Of several entries about the same step, the last counts.
-fn entry_places(file: File) -> io::Result<EntryPlaces> {
-    let mut places = EntryPlaces::new();
-    let mut lines = BufReader::new(file);
-    let (mut offset, mut line) = (0, Vec::new());
-    while lines.read_until(b'\n', &mut line)? > 0 {
-        let start = String::from_utf8_lossy(&line[..line.len().min(64)]);
-        // A last line without an end is still being written.
-        if let Some(key) = line_key(&start).filter(|_| line.ends_with(b"\n")) {
-            places.insert(key, (offset, line.len()));
+impl FileIndex {
+    /// Enters the lines of `file` that were added since the last search. Of several lines about the same step, the last
+    /// counts.
+    fn search(&mut self, file: &mut File) -> io::Result<()> {
+        let metadata = file.metadata()?;
+        if metadata.ino() != self.inode || metadata.len() < self.searched {
+            *self = Self { inode: metadata.ino(), ..Self::default() };
         }
-        offset += line.len() as u64;
-        line.clear();
+        if metadata.len() == self.searched {
+            return Ok(());
+        }
+        file.seek(SeekFrom::Start(self.searched))?;
+        let (mut lines, mut line) = (BufReader::new(file), Vec::new());
+        // A last line without an end is still being written.
+        while lines.read_until(b'\n', &mut line)? > 0 && line.ends_with(b"\n") {
+            let start = String::from_utf8_lossy(&line[..line.len().min(64)]);
+            if let Some(key) = line_key(&start) {
+                self.lines.insert(key, (self.searched, line.len()));
+            }
+            self.searched += line.len() as u64;
+            line.clear();
+        }
+        Ok(())
     }
-    Ok(places)
 }
 
 /// The hash, if it is one. A run may come from elsewhere, and must not name files outside of its folder.
@@ -286,6 +308,35 @@ mod tests {
     use serde_json::json;
 
     use super::*;
+
+    #[test]
+    fn a_file_is_searched_once_and_then_only_what_was_added() {
+        let run = tempfile::tempdir().unwrap();
+        let file = run.path().join("entries.jsonl");
+        let mut log = PromptLog::in_run(run.path());
+        let mut found = |step| {
+            let line = log.line(&file, (7, step)).unwrap()?;
+            Some(String::from_utf8(line).unwrap())
+        };
+        let line = |step: u32, word: &str| {
+            format!("{{\"episode\":7,\"step\":{step},\"word\":\"{word}\"}}\n")
+        };
+        std::fs::write(&file, line(0, "a") + &line(1, "b") + &line(2, "c")[..30]).unwrap();
+        assert_eq!(found(1), Some(line(1, "b")));
+        assert_eq!(found(2), None, "half a line");
+        // What was searched is not searched again: step 4 in place of step 0 is not noticed, step 2 at the end is.
+        std::fs::write(&file, line(4, "a") + &line(1, "b") + &line(2, "c") + &line(1, "d"))
+            .unwrap();
+        assert_eq!((found(2), found(1)), (Some(line(2, "c")), Some(line(1, "d"))));
+        assert_eq!(found(4), None);
+        // Another file, or one that was begun again, is searched from its start.
+        std::fs::write(&file, line(4, "e")).unwrap();
+        assert_eq!((found(4), found(1)), (Some(line(4, "e")), None));
+        let other = run.path().join("other.jsonl");
+        std::fs::write(&other, line(5, "f") + &line(6, "g")).unwrap();
+        std::fs::rename(&other, &file).unwrap();
+        assert_eq!((found(5), found(4)), (Some(line(5, "f")), None));
+    }
 
     #[test]
     fn a_prompt_log_names_no_file_outside_of_its_folder() {

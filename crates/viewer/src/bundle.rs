@@ -10,7 +10,6 @@ use domain::Pose;
 use durable::{FolderDraft, KnownNames};
 use replay::Selection;
 use replay::frames::ViewKey;
-use results::step_view::PromptLog;
 use warehouse::{ELSEWHERE_VARIANT, GREY_VARIANT};
 
 use crate::data::image_hashes;
@@ -123,7 +122,6 @@ impl BundleFolder<'_> {
         self.write(&format!("{name}/run.js"), &run.run(name, |index| chosen.contains(&index))?)?;
         self.write(&format!("{name}/report.html"), &run.report()?)?;
         let looks = self.views(name, run, chosen)?;
-        let mut prompt_log = PromptLog::of(&run.log);
         let (mut images, mut grounds) = (BTreeMap::new(), BTreeSet::new());
         for index in 0..run.log.episodes.len() {
             let is_chosen = chosen.contains(&index);
@@ -132,8 +130,8 @@ impl BundleFolder<'_> {
             data.rename_views(|view| {
                 is_chosen.then(|| looks.get(view).cloned().unwrap_or_else(|| view.to_owned()))
             });
-            if is_chosen && prompt_log.exists() {
-                let prompts = run.prompts(index, &mut prompt_log)?;
+            if is_chosen && run.has_prompts() {
+                let prompts = run.prompts(index)?;
                 images.extend(image_hashes(&prompts));
                 let file = RunPages::prompts_file(name, index, &prompts)?;
                 self.write(&format!("{name}/prompts/{index}.js"), &file)?;

@@ -141,6 +141,7 @@ pub(crate) struct RunPages {
     /// Episodes of streams, by sequence and position.
     sequences: BTreeMap<(String, u32), usize>,
     growth: Option<Growth>,
+    prompt_log: PromptLog,
     renderer: LazyRenderer,
 }
 
@@ -189,6 +190,7 @@ impl RunPages {
         let settings = &log.manifest.settings;
         let arguments = world_arguments(&log);
         let growth = is_served.then(|| Growth::new(&log));
+        let prompt_log = PromptLog::of(&log);
         let renderer = LazyRenderer { program: program.clone(), arguments, running: None };
         let mut conditions = settings.conditions();
         for record in &log.episodes {
@@ -205,6 +207,7 @@ impl RunPages {
             requests: BTreeMap::new(),
             sequences: BTreeMap::new(),
             growth,
+            prompt_log,
             renderer,
         };
         pages.index((0, 0, 0));
@@ -250,7 +253,7 @@ impl RunPages {
                 if kind == "episodes" {
                     return Self::episode_file(folder, index, &self.episode(index)?).map(Some);
                 }
-                let prompts = self.prompts(index, &mut PromptLog::of(&self.log))?;
+                let prompts = self.prompts(index)?;
                 Self::prompts_file(folder, index, &prompts).map(Some)
             }
             "maps" => {
@@ -292,7 +295,7 @@ impl RunPages {
             timings,
             requests: requests.into_iter().flatten().map(|&at| &self.log.requests[at]).collect(),
             horizon: self.log.manifest.settings.horizon,
-            prompts: timings.is_some() && PromptLog::of(&self.log).exists(),
+            prompts: timings.is_some() && self.has_prompts(),
         };
         let sequence = EpisodeKey::read(&record.key).and_then(|key| key.sequence());
         let experience = |position: u32| {
@@ -311,10 +314,16 @@ impl RunPages {
         File::script(&format!("{folder}/episodes/{index}"), data)
     }
 
+    /// Whether prompts were logged.
+    pub(crate) fn has_prompts(&self) -> bool {
+        self.prompt_log.exists()
+    }
+
     /// The logged prompts of episode number `index`.
-    pub(crate) fn prompts(&self, index: usize, log: &mut PromptLog) -> Result<Vec<PromptData>> {
+    pub(crate) fn prompts(&mut self, index: usize) -> Result<Vec<PromptData>> {
         let record = &self.log.episodes[index];
-        let timings = self.timings_of(record);
+        let timings = self.timings.get(&record.key).and_then(|&at| self.log.timings.get(at));
+        let log = &mut self.prompt_log;
         timings.map_or(Ok(Vec::new()), |timings| prompts(log, timings, record.steps))
     }
 

@@ -82,11 +82,11 @@ pub(crate) fn run(arguments: &ProbeArguments) -> anyhow::Result<ExitCode> {
     let images = largest.images().min(arguments.image_budget);
     let with = |budget| largest.chat_request(budget);
     let report = probe::run(&client, arguments.together, &RunRequest { images, with: &with });
-    print(&if arguments.json { serde_json::to_string_pretty(&report)? } else { plain(&report)? })?;
+    print(&if arguments.json { serde_json::to_string_pretty(&report)? } else { plain(&report) })?;
     Ok(ExitCode::from(u8::from(report.worst() == ProbeMark::Bad)))
 }
 
-fn plain(report: &ProbeReport) -> anyhow::Result<String> {
+fn plain(report: &ProbeReport) -> String {
     let mut lines = format!("{} at {}\n", report.model, report.endpoint);
     for ProbeFinding { what, mark, about } in &report.findings {
         let mark = match mark {
@@ -96,6 +96,5 @@ fn plain(report: &ProbeReport) -> anyhow::Result<String> {
         };
         lines += &format!("{mark} {what}: {about}\n");
     }
-    let fingerprint = serde_json::to_string(&report.fingerprint)?;
-    Ok(lines + "fingerprint: " + &fingerprint)
+    lines.trim_end().to_owned()
 }

@@ -97,7 +97,6 @@ mod tests {
             cached_tokens: None,
             image_tokens: None,
             finish_reason: None,
-            system_fingerprint: None,
             reasoned,
         }
     }

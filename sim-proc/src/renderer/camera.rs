@@ -40,13 +40,6 @@ impl Camera {
         }
     }
 
-    /// A camera like the agent's at any place (x, y) of the floor plan.
-    pub(super) fn at([x, y]: [f32; 2], heading: Heading, width_px: u32, height_px: u32) -> Self {
-        let mut camera = Self::new(Pose::new(0, 0, heading), width_px, height_px);
-        (camera.position.x, camera.position.y) = (x, y);
-        camera
-    }
-
     /// The rigid transform from world to camera space.
     pub(super) fn camera_from_world(&self) -> Matrix4<f32> {
         let rows = [self.right, Vector3::z(), self.ahead];

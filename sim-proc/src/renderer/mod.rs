@@ -7,7 +7,6 @@
 //! batch it is in.
 
 mod camera;
-mod contact_sheet;
 #[cfg(feature = "wgpu")]
 mod gpu;
 #[cfg(not(feature = "wgpu"))]
@@ -34,9 +33,8 @@ use anyhow::{Context, Result, bail, ensure};
 use domain::Pose;
 use png_file::RgbaImage;
 use raster::{FOG_RGB, PackedGeometry, PreparedView, Rasterizer};
-use warehouse::{Item, Layout, Warehouse};
+use warehouse::{Item, Warehouse};
 
-pub use contact_sheet::contact_sheet;
 use gpu::GpuBackend;
 pub use job::{Destination, RenderJob, ViewSpec};
 use scene::Scene;
@@ -99,7 +97,9 @@ impl Renderer {
     pub fn with_stocks(stocks: &[Warehouse], settings: RenderSettings) -> Result<Self> {
         let first = stocks.first().context("a renderer needs a warehouse")?;
         let scene = Scene::new(stocks, settings.appearance);
-        Self::of_scene(scene, first.layout.clone(), settings)
+        let size_px = [settings.width_px, settings.height_px];
+        let visibility = SceneVisibility::new(scene, first.layout.clone(), size_px);
+        Self::with_visibility(visibility, settings)
     }
 
     /// Opens another renderer of the same scene.
@@ -108,11 +108,6 @@ impl Renderer {
     /// As [`Renderer::new`].
     pub fn try_clone(&self) -> Result<Self> {
         Self::with_visibility(self.visibility.clone(), self.settings.clone())
-    }
-
-    fn of_scene(scene: Scene, layout: Layout, settings: RenderSettings) -> Result<Self> {
-        let size_px = [settings.width_px, settings.height_px];
-        Self::with_visibility(SceneVisibility::new(scene, layout, size_px), settings)
     }
 
     fn with_visibility(visibility: SceneVisibility, settings: RenderSettings) -> Result<Self> {

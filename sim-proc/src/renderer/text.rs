@@ -88,7 +88,7 @@ impl AtlasBuilder {
 }
 
 /// The coverage values of a text, row by row: as large as its panel allows, centred, with thickened strokes.
-pub(super) fn coverage(text: &PanelText) -> Vec<u8> {
+fn coverage(text: &PanelText) -> Vec<u8> {
     let Ok(font) = FontRef::try_from_slice(epaint_default_fonts::UBUNTU_LIGHT) else {
         unreachable!("the font is compiled in and valid");
     };

@@ -5,7 +5,6 @@ use std::path::Path;
 use std::process::Command;
 
 use domain::prompt_log::RecordedItem;
-use memtransfer_tests::browser::Browser;
 use memtransfer_tests::{Bench, Ended, needs, program, repository};
 use png_file::RgbaImage;
 use replay::RecordedRun;
@@ -102,8 +101,8 @@ fn what_an_export_cannot_do_is_said_with_what_to_do_instead() {
     for (format, more, words) in [
         ("csv", &["--fps", "4"][..], "--fps is for the formats mcap and mp4"),
         (
-            "leaderboard",
-            &["--cases", "t01"],
+            "hugging-face",
+            &["--dataset", "a/b", "--cases", "t01"],
             "--cases is for the formats mcap, mp4, csv and parquet",
         ),
         ("mcap", &["--condition", "summary"], "none of them was chosen"),
@@ -121,62 +120,6 @@ fn what_an_export_cannot_do_is_said_with_what_to_do_instead() {
     let ended = export(&bench, "hugging-face", "x", &["--dataset", "a/b"]).expect(2);
     assert!(ended.stderr.contains("complete runs only"), "{}", ended.stderr);
     assert!(!bench.out("x").exists());
-}
-
-#[test]
-fn a_leaderboard_is_sorted_and_filtered_in_a_browser_and_keeps_protocols_apart() {
-    let bench = Bench::new();
-    small(&bench, "r", "grounded", MEMORIES, "40");
-    small(&bench, "random", "random", MEMORIES, "40");
-    small(&bench, "longer", "grounded", MEMORIES, "50");
-    fs::create_dir(bench.out("board")).unwrap();
-    for run in ["r", "random", "longer"] {
-        bench.run(&["export", run, "--format", "leaderboard", "--out", "board"]).expect(0);
-    }
-    fs::write(bench.out("board/notes.json"), "{}").unwrap();
-    let ended = bench.run(&["leaderboard", "board", "r", "--out", "board.html"]).expect(0);
-    assert!(ended.stderr.contains("left out: board/notes.json"), "{}", ended.stderr);
-    assert!(ended.stdout.contains("not comparable: max-steps is"), "{}", ended.stdout);
-    assert!(ended.stdout.lines().all(|line| line.chars().count() <= 110), "{}", ended.stdout);
-
-    let mut browser = Browser::start(1300, 1000);
-    browser.open(&format!("file://{}", bench.out("board.html").display()));
-    // Two sections, in each a table for each route, in each a row for each run and memory.
-    browser.wait_for("document.querySelectorAll('section').length === 2");
-    assert_eq!(browser.text("output"), "12 results");
-    assert_eq!(browser.value("document.querySelectorAll('.notice li').length"), 1);
-    let first = "document.querySelector('table')";
-    let column = |column: usize| {
-        format!("[...{first}.tBodies[0].rows].map((row) => row.cells[{column}].textContent)")
-    };
-    let policies: Vec<String> = serde_json::from_value(browser.value(&column(1))).unwrap();
-    assert_eq!(policies.len(), 4);
-    let memories = |browser: &mut Browser| -> Vec<String> {
-        serde_json::from_value(browser.value(&column(2))).unwrap()
-    };
-    browser.click("thead th:nth-child(3) button");
-    assert_eq!(memories(&mut browser), ["episodic", "episodic", "working", "working"]);
-    browser.click("thead th:nth-child(3) button");
-    assert_eq!(memories(&mut browser), ["working", "working", "episodic", "episodic"]);
-    let order = format!("{first}.querySelector('th:nth-child(3)').getAttribute('aria-sort')");
-    assert_eq!(browser.value(&order), "descending");
-    // By key, too.
-    browser.value("document.querySelector('thead th:nth-child(8) button').focus()");
-    browser.press("Enter");
-    let numbers =
-        format!("[...{first}.tBodies[0].rows].map((row) => Number(row.cells[7].dataset.value))");
-    let shown: Vec<f64> = serde_json::from_value(browser.value(&numbers)).unwrap();
-    assert!(shown.is_sorted_by(|a, b| a >= b), "{shown:?}");
-    browser.value(
-        "(() => { const e = document.querySelector('input[type=search]'); e.value = 'random work'; \
-         e.dispatchEvent(new Event('input', {bubbles: true})); })()",
-    );
-    assert_eq!(browser.text("output"), "2 results");
-    browser.resize(390, 800);
-    assert_eq!(browser.value("document.documentElement.scrollWidth <= 390"), true);
-    assert_eq!(browser.problems(), [""; 0]);
-    let nothing = bench.run(&["leaderboard", "x"]).expect(2);
-    assert!(nothing.stderr.contains("cannot read x"), "{}", nothing.stderr);
 }
 
 /// What the prompt log has of every step of a short run with this control: the view that the policy was shown, and the view that

@@ -38,7 +38,6 @@ fn repeating(seen: &Arc<Seen>) -> Server {
             _ => {
                 let mut reply = completion(&format!("move forward, {KEY}"));
                 reply["model"] = KEY.into();
-                reply["system_fingerprint"] = KEY.into();
                 Reaction::json(200, &reply).with(&format!("Server: {KEY}"))
             }
         }

@@ -159,8 +159,6 @@ fn doctor_finds_out_what_a_real_server_can_do() {
     let report = &of("endpoint")["data"];
     assert_eq!(report["run_sized"], Value::Null);
     assert_eq!(report["reported_model"], MODEL);
-    assert_eq!(report["fingerprint"]["server"], "llama.cpp");
-    assert_eq!(report["fingerprint"]["model"]["meta"]["n_params"], 134_515_008);
 }
 
 /// Arguments of a run of one case into the folder `out`, with and without a summary, two steps each. No images: the

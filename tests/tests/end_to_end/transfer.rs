@@ -47,7 +47,7 @@ fn tasks_demonstrated_elsewhere_are_tested_here_and_nothing_changes_the_log() {
     let manifest: Value = serde_json::from_str(&manifest).unwrap();
     assert!(manifest["hashes"]["elsewhere"].is_string(), "{manifest}");
     bench.run(&["report", "one"]).expect(0);
-    let page = fs::read_to_string(bench.out("one/report/report.md")).unwrap();
+    let page = fs::read_to_string(bench.out("one/report/report.html")).unwrap();
     assert!(page.contains("Demonstrations in another warehouse"), "{page}");
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }

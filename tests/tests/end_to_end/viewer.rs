@@ -491,8 +491,7 @@ fn every_text_of_a_run_that_is_read_at_all_is_shown_as_text() {
     let url = bundle(&bench, &[&run], &[]);
     // The run lacks the episode that was given up.
     bench.run(&["report", folder]).expect(1);
-    bench.run(&["export", folder, "--format", "leaderboard", "--out", "entry.json"]).expect(0);
-    bench.run(&["leaderboard", "entry.json", "--out", "board.html"]).expect(0);
+    bench.run(&["report", folder, folder, "--out", "both"]).expect(1);
     let shown = bench.run(&["show", folder, "t01-01", "0"]);
     assert!(shown.status.is_some_and(|status| status < 3), "{}", shown.stderr);
 
@@ -517,7 +516,7 @@ fn every_text_of_a_run_that_is_read_at_all_is_shown_as_text() {
     for page in [
         bench.out("pages/run1/report.html"),
         run.join("report/report.html"),
-        bench.out("board.html"),
+        bench.out("both/report.html"),
     ] {
         let text = fs::read_to_string(&page).unwrap();
         assert!(text.contains("window.hacked=1"), "{} shows no text of the run", page.display());

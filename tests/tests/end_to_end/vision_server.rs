@@ -116,7 +116,7 @@ fn the_log_has_what_the_server_got_and_said() {
         .map(|request| (request["pose"].as_str().unwrap(), request["frame"].as_str().unwrap()))
         .collect();
     for (pose, hash) in views.into_iter().take(2) {
-        bench.run(&["render", "--pose", pose, "--size", "256x256", "--out", "view.png"]).expect(0);
+        bench.run(&["render", "--pose", pose, "--size", "256", "--out", "view.png"]).expect(0);
         let rendered = RgbaImage::read(&bench.out("view.png")).unwrap();
         assert_eq!(hash_of(&rendered), hash, "{pose}");
     }

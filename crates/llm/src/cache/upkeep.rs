@@ -257,7 +257,7 @@ mod tests {
             (Some(DAY / 2), None, 1),
             (None, Some(0), 0),
             (None, Some(1 << 20), 4),
-            (Some(DAY * 5 / 2), Some(900), 2),
+            (Some(DAY * 5 / 2), Some(700), 2),
         ] {
             let folder = tempfile::tempdir().unwrap();
             let cache = cache(folder.path(), now);

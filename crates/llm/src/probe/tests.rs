@@ -198,3 +198,23 @@ fn a_server_that_cannot_be_asked() {
     assert_eq!(report.worst(), ProbeMark::Bad);
     insta::assert_snapshot!(story(&report), @"Bad reachable: no answer from E: there is no connection: Connection refused (os error 111); is the server running? Start the server, or correct --base-url.");
 }
+
+#[test]
+fn an_answer_that_is_no_list_of_models_is_told_apart() {
+    for (answer, expected) in [
+        (
+            Reaction::json(404, &json!({"detail": "Not Found"})),
+            ModelList::Refused(404, "Not Found".into()),
+        ),
+        (Reaction::json(200, &json!([])), ModelList::Unreadable),
+        (
+            Reaction::Answer { status: 200, headers: vec![], body: "<html>".into() },
+            ModelList::Unreadable,
+        ),
+    ] {
+        let server = Server::start(move |_| answer.clone()).unwrap();
+        let endpoint = Endpoint::new(&server.base_url(), None).unwrap();
+        let client = HttpClient::new(endpoint, ChatSettings::new("m"));
+        assert_eq!(models(&client).unwrap(), (None, expected));
+    }
+}

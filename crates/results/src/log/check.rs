@@ -88,10 +88,11 @@ impl EpisodeRecord {
     }
 
     fn check_path(&self) -> Result<(), String> {
-        let is_move = |step: u32| {
-            let letter = self.actions.chars().nth((step as usize).wrapping_sub(1));
-            letter.and_then(Action::from_letter).is_some_and(|a| a.move_direction().is_some())
-        };
+        let actions = self.actions.chars().map(Action::from_letter);
+        let moves: Vec<bool> =
+            actions.map(|action| action.is_some_and(|a| a.move_direction().is_some())).collect();
+        let is_move =
+            |step: u32| (step as usize).checked_sub(1).and_then(|at| moves.get(at)) == Some(&true);
         let blocked = &self.blocked_moves;
         let in_order = blocked.is_sorted_by(|a, b| a < b);
         ensure(in_order && blocked.iter().all(|&step| is_move(step)), || {

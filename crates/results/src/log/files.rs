@@ -35,7 +35,7 @@ const REPORT_IDS: &str = concat!(
     "(side-by-side|compare-run[0-9]+-run[0-9]+|(run[0-9]+-)?(",
     "blocked|blocked-others|conditions|conflict|cost|design|design-figure|elsewhere|external-pairs|facts|failures|",
     "failures-figure|groups|growth|growth-(figure|search|store)|main|main-figure|mixed|mixed-figure|necessity|pairs|",
-    "provenance|requests|runs|supplied|time|time-figure|transfer|transfer-figure|worst-cases|",
+    "provenance|ranking-[0-9]+|requests|runs|supplied|time|time-figure|transfer|transfer-figure|worst-cases|",
     "stream-(adaptation|cost|cost-figure|differences|matrix|orders|rounds-[a-z0-9-]+|success|success-figure|transfer)))",
 );
 

@@ -342,6 +342,12 @@ impl Manifest {
         protocol
     }
 
+    /// The first eight digits of the hash of the [protocol](Self::protocol), which stand for it.
+    pub fn protocol_id(&self) -> String {
+        let protocol = serde_json::Value::from_iter(self.protocol()).to_string();
+        blake3::hash(protocol.as_bytes()).to_hex()[..8].to_owned()
+    }
+
     fn settings_by_key(&self) -> Map<String, Value> {
         match serde_json::to_value(&self.settings) {
             Ok(Value::Object(settings)) => settings,

@@ -18,7 +18,6 @@ pub(super) fn reply(content: ReplyContent) -> ChatReply {
         cached_tokens: None,
         image_tokens: None,
         finish_reason: None,
-        system_fingerprint: None,
         reasoned: false,
     }
 }

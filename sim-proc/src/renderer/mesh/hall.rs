@@ -41,15 +41,6 @@ pub(crate) fn floor(layout: &Layout, cell: Cell) -> Mesh {
     b.finish()
 }
 
-/// Plain floor south of (x, y): `half` metres to both sides and twice as far to the south.
-pub(crate) fn open_floor([x, y]: [f32; 2], half: f32) -> Mesh {
-    let mut b = MeshBuilder::new(Detail::Near);
-    b.material(CONCRETE);
-    let (l, r, f) = (x - half, x + half, y - 2.0 * half);
-    b.polygon(&[[l, f, 0.0], [r, f, 0.0], [r, y, 0.0], [l, y, 0.0]]);
-    b.finish()
-}
-
 /// The south-west corners of all cells around `cell` that are not free.
 fn solid_around(layout: &Layout, cell: Cell) -> Vec<[f32; 2]> {
     let mut solid = Vec::new();

@@ -1,10 +1,9 @@
 //! The warehouse as geometry: every mesh placed and lit, and grouped into objects with bounds.
 //!
 //! A scene is a pure value, built once; nothing here knows a backend. `assembly` collects meshes, `racks` and `hall`
-//! place those of a warehouse, `catalogue` those of the contact sheet.
+//! place them.
 
 mod assembly;
-mod catalogue;
 mod frames;
 mod hall;
 mod object;
@@ -15,7 +14,6 @@ use warehouse::Warehouse;
 
 use assembly::Assembly;
 
-pub(super) use catalogue::{ItemStand, catalogue_scene};
 pub(super) use frames::barricade_sides;
 pub(super) use object::{Occluder, Scene, SceneObject, StockObjects};
 

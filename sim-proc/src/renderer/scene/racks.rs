@@ -122,7 +122,7 @@ impl Face {
 }
 
 /// Adds one object: a bay with its item, the plate above it, the label below it and the bay's number.
-pub(super) fn stocked_bay(
+fn stocked_bay(
     assembly: &mut Assembly,
     world_from_face: &Isometry3<f32>,
     bay: &RackBay,

@@ -6,7 +6,6 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::Path;
 use std::sync::OnceLock;
 
-use export::leaderboard;
 use orchestrator::status::LiveStatus;
 use orchestrator::units::UnitPlan;
 use replay::RecordedRun;
@@ -152,20 +151,6 @@ pub(super) fn merged(input: &[u8]) {
             let log = RunLog::read(&out).unwrap();
             assert!(log.episodes.len() as u64 <= count);
         }
-    });
-}
-
-/// Entries are refused or shown, without an element that a text has made.
-pub(super) fn leaderboard(input: &[u8]) {
-    with_files(&[], &["a.json", "b.json"], input, |folder| {
-        let Ok(found) = leaderboard::read(&[folder.to_owned()]) else { return };
-        let page = folder.join("board.html");
-        // The page has a script of its own, and no text of an entry adds another.
-        let scripts = |entries: &[leaderboard::Entry]| {
-            leaderboard::write_page(&leaderboard::Board::new(entries), &page).unwrap();
-            fs::read_to_string(&page).unwrap().to_lowercase().matches("<script").count()
-        };
-        assert_eq!(scripts(&found.entries), scripts(&[]));
     });
 }
 

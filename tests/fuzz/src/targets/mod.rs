@@ -38,7 +38,6 @@ pub(crate) const ALL: &[Target] = targets! {
     "run-folder" folders::run: "run folders, up to scores, tables and report",
     "plan" folders::plan: "plans of units",
     "merge" folders::merged: "folders of units, merged",
-    "leaderboard" folders::leaderboard: "entries of leaderboards",
     "viewer-run" folders::viewer_run: "run folders with prompts, up to the pages of the viewer",
     "viewer-path" folders::viewer_path: "paths of requests to the viewer",
 };

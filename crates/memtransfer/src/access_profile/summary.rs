@@ -1,13 +1,13 @@
 //! A profile as tables for a terminal.
 
+use orchestrator::profile::recorder::{AccessPart, StepClass};
 use report::table::table;
 
 use super::page::{find, ns, us};
-use super::recorder::{AccessPart, StepClass};
 use super::{AccessRun, CacheState, Profile};
 
 /// The tables: accesses by memory, searches by size, and the floors in a line.
-pub fn summary(profile: &Profile) -> String {
+pub(crate) fn summary(profile: &Profile) -> String {
     let mut text = String::new();
     text += "Accesses to memory, from observation to recall (later steps): medians of the parts, then the whole\n";
     let header =
@@ -84,7 +84,7 @@ mod tests {
 
     #[test]
     fn the_summary_has_every_memory_every_search_and_every_problem() {
-        let text = summary(&crate::profile::tests::profile());
+        let text = summary(&super::super::tests::profile());
         assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
         let lines = |part: &str| text.lines().filter(|line| line.contains(part)).count();
         assert_eq!(lines("full-context"), 4, "{text}");

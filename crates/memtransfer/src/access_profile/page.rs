@@ -4,17 +4,17 @@ use std::collections::BTreeSet;
 
 use anyhow::Result;
 use domain::MemoryKind;
+use orchestrator::profile::recorder::{AccessLatency, AccessPart, StepClass};
 use report::{
     Curve, Curves, ReportBlock, ReportDocument, ReportFigure, ReportSection, RowGroup, Stack,
     StackRow, Table, TableCell, TableColumn, TableRow, curves, stack,
 };
 use results::latency::LatencySummary;
 
-use super::recorder::{AccessLatency, AccessPart, StepClass};
 use super::{AccessRun, CacheState, Profile};
 
 /// The page, before it has a form.
-pub(super) fn document(profile: &Profile) -> Result<ReportDocument> {
+pub(crate) fn document(profile: &Profile) -> Result<ReportDocument> {
     let mut sections = vec![about(profile), floors(profile)];
     sections.push(memories(profile)?);
     sections.extend(waiting(profile));
@@ -324,7 +324,7 @@ fn cells(times: &LatencySummary) -> Vec<TableCell> {
 }
 
 /// The latency of a part of the accesses to a memory, if there were any.
-pub(super) fn find(
+pub(crate) fn find(
     run: &AccessRun,
     memory: MemoryKind,
     step: StepClass,
@@ -336,12 +336,12 @@ pub(super) fn find(
 }
 
 /// A time in microseconds, in a suitable unit.
-pub(super) fn us(time: f64) -> String {
+pub(crate) fn us(time: f64) -> String {
     ns(time * 1e3)
 }
 
 /// A time in nanoseconds, in a suitable unit.
-pub(super) fn ns(time: f64) -> String {
+pub(crate) fn ns(time: f64) -> String {
     match time {
         time if time >= 1e9 => format!("{:.2} s", time / 1e9),
         time if time >= 1e6 => format!("{:.2} ms", time / 1e6),
@@ -365,7 +365,7 @@ mod tests {
 
     #[test]
     fn a_small_profile_has_a_page() {
-        let mut little = crate::profile::tests::profile();
+        let mut little = super::super::tests::profile();
         little.runs.truncate(1);
         little.searches.clear();
         let page = document(&little).unwrap();

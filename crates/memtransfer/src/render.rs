@@ -1,0 +1,138 @@
+//! `memtransfer render`: views of an agent as PNG files.
+
+use std::ffi::OsString;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::Args;
+use domain::{Appearance, Pose};
+use png_file::{Channels, encode};
+use program::AppearanceArgs;
+use replay::frames::{ViewFormat, ViewKey, ViewRenderer};
+use warehouse::Start;
+
+use super::export::view_edge;
+use super::view::view_program;
+use super::{Exit, WorldArgs, print};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  memtransfer render --pose 3,12,N                         one view, as view-3-12-N.png
+  memtransfer render --case t01-01 --trajectory blocked    a folder of numbered views
+  memtransfer render --pose 3,12,N --backend cpu --size 256 --out view.png")]
+pub(super) struct RenderArgs {
+    #[command(flatten)]
+    subject: RenderSubject,
+    /// Which of the case's trajectories: original, opposite, nearby, distant, test or blocked
+    #[arg(long, value_name = "NAME", default_value = "original", requires = "case", value_parser = parse_start)]
+    trajectory: Start,
+    /// The PNG file, or for a trajectory the folder of its numbered PNG files
+    #[arg(long, value_name = "PATH")]
+    out: Option<PathBuf>,
+    /// Width and height of a view in pixels, a multiple of 64
+    #[arg(long, value_name = "PIXELS", default_value_t = 448, value_parser = view_edge())]
+    size: u16,
+    /// Render on the CPU, or on a Vulkan device (wgpu) [default: a graphics card if there is one]
+    #[arg(long, value_name = "cpu|wgpu")]
+    backend: Option<String>,
+    /// Render on the best Vulkan adapter whose name contains this
+    #[arg(long, value_name = "NAME")]
+    adapter: Option<String>,
+    #[command(flatten)]
+    appearance: AppearanceArgs,
+    #[command(flatten)]
+    world: WorldArgs,
+}
+
+#[derive(Debug, Args)]
+#[group(required = true, multiple = false)]
+struct RenderSubject {
+    /// One view, from this pose: column,row,heading; for example 3,12,N
+    #[arg(long, value_name = "X,Y,H")]
+    pose: Option<Pose>,
+    /// Every view of a trajectory of this case; `memtransfer ls cases` lists them
+    #[arg(long, value_name = "ID")]
+    case: Option<String>,
+}
+
+fn parse_start(text: &str) -> Result<Start, String> {
+    let names = Start::ALL.map(Start::name);
+    let start = Start::ALL.into_iter().find(|start| start.name() == text);
+    start.ok_or_else(|| format!("expected one of {}", names.join(", ")))
+}
+
+pub(super) fn run(args: &RenderArgs) -> Result<Exit> {
+    let world = args.world.load()?;
+    let (views, files) = match (args.subject.pose, &args.subject.case) {
+        (Some(pose), _) => {
+            ensure!(
+                world.warehouse.layout.is_free(pose.cell),
+                "the cell of pose {pose} is not free floor; `memtransfer map` shows the floor plan"
+            );
+            let name = format!("view-{}-{}-{}.png", pose.cell.x, pose.cell.y, pose.heading);
+            (vec![(0, pose)], vec![args.out.clone().unwrap_or_else(|| name.into())])
+        }
+        (None, Some(id)) => {
+            let Some(index) = world.cases.index(id) else {
+                bail!("there is no case {id:?}; `memtransfer ls cases` lists the cases");
+            };
+            let poses = world.cases.cases[index].replay(&world.warehouse, args.trajectory).poses;
+            // The barricade of each case is a world variant, after the unchanged world.
+            let variant = match args.trajectory {
+                Start::Blocked => 1 + index as u32,
+                _ => 0,
+            };
+            let folder = args.out.clone().unwrap_or_else(|| args.trajectory_folder(id));
+            fs::create_dir_all(&folder)
+                .with_context(|| format!("cannot create the folder {}", folder.display()))?;
+            let files = (0..poses.len()).map(|step| folder.join(format!("{step:03}.png")));
+            let files = files.collect();
+            (poses.into_iter().map(|pose| (variant, pose)).collect(), files)
+        }
+        (None, None) => bail!("give --pose or --case"),
+    };
+    args.render(&views, &files)?;
+    Ok(Exit::Complete)
+}
+
+impl RenderArgs {
+    fn trajectory_folder(&self, id: &str) -> PathBuf {
+        format!("{id}-{}", self.trajectory.name()).into()
+    }
+
+    /// Writes each of `views` to the file of the same place in `files`, and prints the paths.
+    fn render(&self, views: &[ViewKey], files: &[PathBuf]) -> Result<()> {
+        // The quality is that of JPEG files, which are not made here.
+        let format = ViewFormat { edge: self.size, quality: 100 };
+        let mut renderer = ViewRenderer::start(&view_program()?, &self.flags(), format)?;
+        let mut files = files.iter();
+        renderer.render_pixels(views, |_, rgba| {
+            let file: &Path = files.next().context("a view without a file")?;
+            let edge = u32::from(self.size);
+            let written = encode(edge, edge, Channels::Rgba, rgba)?;
+            durable::output::write(file, &written).with_context(|| format!("cannot write {}", file.display()))?;
+            print(&file.display().to_string())
+        })
+    }
+
+    /// The flags of the renderer.
+    fn flags(&self) -> Vec<OsString> {
+        let mut flags: Vec<OsString> = Vec::new();
+        let mut flag = |name: &str, value: OsString| flags.extend([name.into(), value]);
+        if let Some(assets) = &self.world.assets {
+            flag("--assets", assets.into());
+        }
+        if let Some(backend) = &self.backend {
+            flag("--backend", backend.into());
+        }
+        if let Some(adapter) = &self.adapter {
+            flag("--adapter", adapter.into());
+        }
+        for (name, value) in Appearance::from(self.appearance.clone()).flags() {
+            flag(name, value.into());
+        }
+        flags
+    }
+}
