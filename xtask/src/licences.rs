@@ -61,7 +61,7 @@ pub(crate) fn packages_built_for(
     let output = workspace
         .cargo(&["tree", "--workspace", "--locked", "--target", &platform])
         .args(["--edges", kinds, "--prefix", "none", "--format", "{p}"])
-        .args(["--features", "memtransfer-fuzz/libfuzzer,orchestrator/object-store"])
+        .args(["--features", "memtransfer-fuzz/libfuzzer"])
         .output()
         .context("cannot start cargo tree")?;
     if !output.status.success() {
