@@ -17,8 +17,15 @@ const UV: &str = "xtask/python/uv.txt";
 const NOTE: &str = "made-from.txt";
 
 /// Variables of pip that uv has under other names: where packages come from instead of PyPI.
-const SOURCES: [(&str, &str); 2] =
-    [("PIP_INDEX_URL", "UV_DEFAULT_INDEX"), ("PIP_FIND_LINKS", "UV_FIND_LINKS")];
+const SOURCES: [(&str, &str); 3] = [
+    ("PIP_INDEX_URL", "UV_DEFAULT_INDEX"),
+    ("PIP_FIND_LINKS", "UV_FIND_LINKS"),
+    ("PIP_NO_INDEX", "UV_OFFLINE"),
+];
+
+/// What helps where nothing can be downloaded.
+const WITHOUT_NETWORK: &str =
+    "Without a network, name a folder with the wheels in PIP_FIND_LINKS, and set PIP_NO_INDEX=1";
 
 /// First line of `-m MODULE --version`; `None` when it fails.
 pub(crate) fn module_version(module: &str) -> Option<String> {
@@ -96,9 +103,7 @@ fn uv(
     // stdout carries data; set-up has none.
     command.stdin(Stdio::null()).stdout(Stdio::null());
     if !succeeds(&mut command)? {
-        bail!(
-            "uv failed; its messages are above. Without a network, name a folder with the wheels in PIP_FIND_LINKS"
-        );
+        bail!("uv failed; its messages are above. {WITHOUT_NETWORK}");
     }
     Ok(())
 }
@@ -118,8 +123,7 @@ fn install_uv(folder: &Path, requirements: &Path) -> anyhow::Result<()> {
         .stdout(Stdio::null());
     if !succeeds(&mut command)? {
         bail!(
-            "pip could not install {}; its messages are above. Without a network, name a folder with the wheel in \
-             PIP_FIND_LINKS",
+            "pip could not install {}; its messages are above. {WITHOUT_NETWORK}",
             requirements.display()
         );
     }
