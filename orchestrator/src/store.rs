@@ -1,15 +1,9 @@
 //! What the workers of a plan need beside the programs, in a store that all of them reach: the encoder and its runtime,
 //! documents, and embeddings that are known.
 //!
-//! A store is a folder, given as a path or as file://PATH, or, with the feature `object-store`, the address of a bucket. Each file
-//! in it is named by the BLAKE3 hash of its bytes, so several plans share it and nothing in it ever changes. The plan lists what
-//! it needs. A worker copies what its cache folder lacks, checks it against the hash, and gives it its name only then.
-
-#[cfg(feature = "object-store")]
-mod bucket;
-#[cfg(not(feature = "object-store"))]
-#[path = "store/no_bucket.rs"]
-mod bucket;
+//! A store is a folder, given as a path or as file://PATH. Each file in it is named by the BLAKE3 hash of its bytes, so several
+//! plans share it and nothing in it ever changes. The plan lists what it needs. A worker copies what its cache folder lacks,
+//! checks it against the hash, and gives it its name only then.
 
 use std::fs::{self, File};
 use std::io::{self, Read};
@@ -17,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use documents::{DocumentFile, DocumentFolder, DocumentName, Provenance};
 use domain::{RUNTIME_FILE, RUNTIME_SHA256, hex};
 use results::settings::RunSettings;
@@ -26,7 +20,6 @@ use sha2::{Digest, Sha256};
 use shm_types::message::Role;
 use supervise::Launch;
 
-use self::bucket::Bucket;
 use crate::launch::encoder_flags;
 use crate::scratch::{self, ScratchFolder};
 
@@ -66,66 +59,45 @@ pub struct Shipment {
 /// Files by their hash.
 #[derive(Debug)]
 pub struct Store {
-    address: String,
-    files: Files,
-}
-
-/// Where the files of a store are.
-#[derive(Debug)]
-enum Files {
-    Folder(PathBuf),
-    Bucket(Bucket),
+    folder: PathBuf,
 }
 
 impl Store {
-    /// The store `place`: a folder, its file:// address, or the address of a bucket.
+    /// The store `place`: a folder or its file:// address.
     ///
     /// # Errors
-    /// When it is an address of another kind, or this program was built without a client for it.
+    /// When it is an address of another kind.
     pub fn open(place: &str) -> Result<Self> {
         let folder = match place.split_once("://") {
             None => std::path::absolute(place).with_context(|| place.to_owned())?,
             Some(("file", path)) if path.starts_with('/') => path.into(),
-            Some(_) => {
-                let files = Files::Bucket(Bucket::open(place)?);
-                return Ok(Self { address: place.to_owned(), files });
-            }
+            Some(_) => bail!(
+                "the store {place} is neither a folder nor file:///PATH: mount a bucket as a folder (rclone mount, s3fs, gcsfuse)"
+            ),
         };
-        let address = format!("file://{}", folder.display());
-        Ok(Self { address, files: Files::Folder(folder) })
+        Ok(Self { folder })
     }
 
     /// Its address.
-    pub fn address(&self) -> &str {
-        &self.address
+    pub fn address(&self) -> String {
+        format!("file://{}", self.folder.display())
     }
 
     /// Copies `file` into the store, unless it is there. `path` is its place in the cache folder.
     fn add(&self, file: &Path, path: String) -> Result<StoredFile> {
         let (hash, bytes) = hash_of(file)?;
-        self.put(file, &hash, bytes)
-            .with_context(|| format!("cannot write {}/{hash}", self.address))?;
+        self.put(file, &hash).with_context(|| format!("cannot write {}/{hash}", self.address()))?;
         Ok(StoredFile { path, hash, bytes })
     }
 
-    /// Copies `file`, of which hash and size are known, unless a file with both is there.
-    fn put(&self, file: &Path, hash: &str, bytes: u64) -> Result<()> {
-        match &self.files {
-            Files::Folder(folder) => {
-                let object = folder.join(hash);
-                if hash_of(&object).is_ok_and(|(found, _)| found == hash) {
-                    return Ok(());
-                }
-                fs::create_dir_all(folder)?;
-                write_checked(
-                    &object,
-                    |draft| copy_file(file, draft),
-                    |draft| check_hash(draft, hash),
-                )
-            }
-            Files::Bucket(bucket) if bucket.size(hash)? == Some(bytes) => Ok(()),
-            Files::Bucket(bucket) => bucket.put(hash, file),
+    /// Copies `file`, whose hash is known, unless a file with that hash is there.
+    fn put(&self, file: &Path, hash: &str) -> Result<()> {
+        let stored = self.folder.join(hash);
+        if hash_of(&stored).is_ok_and(|(found, _)| found == hash) {
+            return Ok(());
         }
+        fs::create_dir_all(&self.folder)?;
+        write_checked(&stored, |draft| copy_file(file, draft), |draft| check_hash(draft, hash))
     }
 
     /// Copies `file` to its place in the folder `cache`, unless there is one. Returns whether it was copied.
@@ -148,10 +120,6 @@ impl Store {
         }
         let folder = to.parent().unwrap_or(cache);
         fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-        let get = |draft: &mut File| match &self.files {
-            Files::Folder(folder) => copy_file(&folder.join(hash), draft),
-            Files::Bucket(bucket) => bucket.get(hash, draft),
-        };
         let check = |draft: &Path| {
             check_hash(draft, hash)?;
             match file.path.strip_prefix("models/") {
@@ -160,12 +128,15 @@ impl Store {
                 None => check_data(&file.path, hash, draft),
             }
         };
-        write_checked(&to, get, check).with_context(|| {
-            format!(
-                "cannot get {} from {}/{hash}; `memtransfer plan --store` puts it there",
-                file.path, self.address
-            )
-        })?;
+        write_checked(&to, |draft| copy_file(&self.folder.join(hash), draft), check).with_context(
+            || {
+                format!(
+                    "cannot get {} from {}/{hash}; `memtransfer plan --store` puts it there",
+                    file.path,
+                    self.address()
+                )
+            },
+        )?;
         Ok(true)
     }
 }
@@ -348,7 +319,7 @@ impl Shipment {
             files.push(store.add(&written, path.clone())?);
             embeddings = Some(path);
         }
-        Ok(Some(Self { store: store.address().to_owned(), files, embeddings }))
+        Ok(Some(Self { store: store.address(), files, embeddings }))
     }
 
     /// Copies what the cache folder `cache` lacks from the plan's store, or from `store`. Workers of one machine wait for each
@@ -432,8 +403,7 @@ mod tests {
     #[test]
     fn a_file_is_fetched_once_and_only_whole() {
         let (folder, store, file, cache) = stored();
-        let shipment =
-            Shipment { store: store.address().to_owned(), files: vec![file], embeddings: None };
+        let shipment = Shipment { store: store.address(), files: vec![file], embeddings: None };
         assert_eq!(shipment.fetch(None, &cache).unwrap(), 1);
         assert_eq!(fs::read_to_string(cache.join("models/model")).unwrap(), "weights");
         fs::remove_file(cache.join("fetch.lock")).unwrap();
@@ -488,7 +458,7 @@ mod tests {
             let error = store.fetch(&file, &cache).unwrap_err().to_string();
             assert!(error.contains("a plan may only bring"), "{error}");
             let files = vec![file];
-            let shipment = Shipment { store: store.address().to_owned(), files, embeddings: None };
+            let shipment = Shipment { store: store.address(), files, embeddings: None };
             let error = shipment.fetch(None, &cache).unwrap_err().to_string();
             assert!(error.contains("a plan may only bring"), "{error}");
         }
@@ -568,7 +538,7 @@ mod tests {
         assert!(refused(&text).contains("it has no embeddings"));
         // Those that are there are compared, too: their name is all that the memory knows of them.
         let shipment = Shipment {
-            store: store.address().to_owned(),
+            store: store.address(),
             files: vec![embeddings.clone()],
             embeddings: Some(embeddings.path.clone()),
         };
@@ -586,25 +556,14 @@ mod tests {
         let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
         rustix::fs::mkfifoat(rustix::fs::CWD, cache.join("fetch.lock"), mode).unwrap();
         let shipment =
-            Shipment { store: store.address().to_owned(), files: vec![file], embeddings: None };
+            Shipment { store: store.address(), files: vec![file], embeddings: None };
         let error = format!("{:#}", shipment.fetch(None, &cache).unwrap_err());
         assert!(error.contains("fetch.lock") && error.contains("a pipe"), "{error}");
     }
 
-    #[cfg(not(feature = "object-store"))]
     #[test]
-    fn a_program_without_a_client_of_buckets_names_the_feature() {
+    fn an_address_of_another_kind_is_refused() {
         let error = Store::open("s3://bucket").unwrap_err().to_string();
-        assert!(
-            error.contains("--features orchestrator/object-store") && error.contains("mount"),
-            "{error}"
-        );
-    }
-
-    #[cfg(feature = "object-store")]
-    #[test]
-    fn an_address_of_no_known_kind_is_refused() {
-        let error = format!("{:#}", Store::open("sftp://host/folder").unwrap_err());
-        assert!(error.contains("s3://BUCKET/FOLDER"), "{error}");
+        assert!(error.contains("s3://bucket is neither a folder"), "{error}");
     }
 }

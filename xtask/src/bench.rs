@@ -8,11 +8,10 @@ use anyhow::Context;
 use clap::Args;
 
 use crate::cache::Cache;
-use crate::pins::Pins;
 use crate::workspace::Workspace;
 
-/// Name of the environment with the baselines' packages.
-const BASELINES: &str = "Python of the benches";
+/// The interpreter with the baselines' packages, in the cache folder.
+const BASELINES: &str = "python-bench/bin/python";
 
 /// Flags passed on to `memtransfer-bench`.
 #[derive(Args)]
@@ -40,7 +39,6 @@ pub(crate) struct BenchArguments {
 /// Builds the programs, then replaces this process with `memtransfer-bench`.
 pub(crate) fn run(
     arguments: &BenchArguments,
-    pins: &Pins,
     cache: &Cache,
     workspace: &Workspace,
 ) -> anyhow::Result<bool> {
@@ -53,8 +51,7 @@ pub(crate) fn run(
     let out = workspace.target_folder()?.join("bench");
     let mut flags: Vec<OsString> = vec!["--out".into(), out.into()];
     if !arguments.no_baselines {
-        let place = cache.root().join(&pins.environment(BASELINES)?.place);
-        flags.extend(["--python".into(), place.join("bin/python").into()]);
+        flags.extend(["--python".into(), cache.root().join(BASELINES).into()]);
     }
     if let Some(only) = &arguments.only {
         flags.extend(["--only".into(), only.into()]);
@@ -73,17 +70,4 @@ pub(crate) fn run(
     // `exec` returns only on failure.
     Err(workspace.at_root(&program, &[]).args(flags).exec())
         .with_context(|| format!("cannot start {}", program.display()))
-}
-
-#[cfg(test)]
-mod tests {
-    use std::path::Path;
-
-    use super::*;
-
-    #[test]
-    fn the_list_has_the_baselines() {
-        let pins = Pins::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("setup.toml")).unwrap();
-        assert!(pins.environment(BASELINES).is_ok());
-    }
 }

@@ -39,10 +39,8 @@ const MUST_NOT_LINK: &[(&[&str], &[&str], &str)] = &[
 /// Packages from elsewhere, and the only crates that may name them in their dependencies.
 const ONLY_IN: &[(&str, &[&str])] = &[
     ("iceoryx2", &["benches", "shm-types"]),
-    ("object_store", &["orchestrator"]),
     ("ort", &["memory-proc"]),
     ("pyo3", &["memtransfer-python"]),
-    ("reqwest", &["orchestrator"]),
     ("ureq", &["llm"]),
     ("usearch", &["search"]),
     ("wgpu", &["sim-proc"]),

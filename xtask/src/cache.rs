@@ -1,7 +1,7 @@
 //! The cache folder, where set-up installs the files that the programs need.
 //!
-//! `$MEMTRANSFER_CACHE`, else `$XDG_CACHE_HOME/memtransfer`, else `~/.cache/memtransfer`. `tmp/` holds unfinished files
-//! and `wheels/` downloads; everything else is complete and verified, because it was moved into place.
+//! `$MEMTRANSFER_CACHE`, else `$XDG_CACHE_HOME/memtransfer`, else `~/.cache/memtransfer`. `tmp/` holds unfinished files and
+//! is emptied by every set-up.
 
 use std::ffi::OsString;
 use std::fs::{self, File, TryLockError};
@@ -31,8 +31,8 @@ impl Cache {
         &self.root
     }
 
-    /// Locks the cache until the value is dropped, and empties `tmp/` of the remains of an interrupted set-up.
-    pub(crate) fn lock(&self) -> anyhow::Result<LockedCache<'_>> {
+    /// Locks the cache until the file is dropped, and empties `tmp/` of the remains of an interrupted set-up.
+    pub(crate) fn lock(&self) -> anyhow::Result<File> {
         let open = || -> io::Result<File> {
             fs::create_dir_all(&self.root)?;
             File::options().create(true).truncate(false).write(true).open(self.root.join(".lock"))
@@ -53,77 +53,30 @@ impl Cache {
                 return Err(error).context("cannot lock the cache folder");
             }
         }
-        let locked = LockedCache { cache: self, _lock: file };
-        locked.empty_tmp()?;
-        Ok(locked)
-    }
-}
-
-/// The cache folder, locked by this process.
-pub(crate) struct LockedCache<'a> {
-    cache: &'a Cache,
-    _lock: File,
-}
-
-impl LockedCache<'_> {
-    /// The absolute path of a path relative to the folder.
-    pub(crate) fn place(&self, relative: &Path) -> PathBuf {
-        self.cache.root.join(relative)
-    }
-
-    /// The folder for unfinished files, emptied when a set-up starts.
-    pub(crate) fn tmp(&self) -> anyhow::Result<PathBuf> {
-        self.folder("tmp")
-    }
-
-    /// The folder for downloaded wheels. A wheel placed here by hand is not downloaded.
-    pub(crate) fn wheels(&self) -> anyhow::Result<PathBuf> {
-        self.folder("wheels")
-    }
-
-    /// Moves a finished file into place atomically.
-    pub(crate) fn finish(&self, from: &Path, to: &Path) -> anyhow::Result<()> {
-        let rename = || -> io::Result<()> {
-            if let Some(parent) = to.parent() {
-                fs::create_dir_all(parent)?;
-            }
-            // After a power failure the name must not exist without its bytes.
-            File::open(from)?.sync_all()?;
-            fs::rename(from, to)
-        };
-        rename().with_context(|| format!("cannot move {} to {}", from.display(), to.display()))
-    }
-
-    /// Empties `tmp/` and removes `wheels/` when it is empty.
-    pub(crate) fn tidy(&self) -> anyhow::Result<()> {
         self.empty_tmp()?;
-        match fs::remove_dir(self.cache.root.join("wheels")) {
-            Err(error)
-                if !matches!(
-                    error.kind(),
-                    io::ErrorKind::NotFound | io::ErrorKind::DirectoryNotEmpty
-                ) =>
-            {
-                Err(error).context("cannot remove the empty wheels folder")
-            }
-            _ => Ok(()),
-        }
+        Ok(file)
     }
 
-    fn empty_tmp(&self) -> anyhow::Result<()> {
-        let tmp = self.cache.root.join("tmp");
-        match fs::remove_dir_all(&tmp) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                Err(error).with_context(|| format!("cannot empty {}", tmp.display()))
-            }
-            _ => Ok(()),
-        }
+    /// The folder for unfinished files, which exists afterwards.
+    pub(crate) fn tmp(&self) -> anyhow::Result<PathBuf> {
+        let tmp = self.root.join("tmp");
+        fs::create_dir_all(&tmp).with_context(|| format!("cannot create {}", tmp.display()))?;
+        Ok(tmp)
     }
 
-    fn folder(&self, name: &str) -> anyhow::Result<PathBuf> {
-        let path = self.cache.root.join(name);
-        fs::create_dir_all(&path).with_context(|| format!("cannot create {}", path.display()))?;
-        Ok(path)
+    /// Removes `tmp/`.
+    pub(crate) fn empty_tmp(&self) -> anyhow::Result<()> {
+        remove_folder(&self.root.join("tmp"))
+    }
+}
+
+/// Removes a folder with all that is in it, if it exists.
+pub(crate) fn remove_folder(path: &Path) -> anyhow::Result<()> {
+    match fs::remove_dir_all(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            Err(error).with_context(|| format!("cannot remove {}", path.display()))
+        }
+        _ => Ok(()),
     }
 }
 
@@ -156,15 +109,5 @@ mod tests {
         check(&all[1..], Some("/b/memtransfer"));
         check(&all[2..], Some("/c/.cache/memtransfer"));
         check(&[], None);
-    }
-
-    #[test]
-    fn locking_removes_what_an_interrupted_set_up_left() {
-        let folder = tempfile::tempdir().unwrap();
-        let cache = Cache { root: folder.path().join("cache") };
-        let half = cache.lock().unwrap().tmp().unwrap().join("half.whl");
-        fs::write(&half, "half").unwrap();
-        drop(cache.lock().unwrap());
-        assert!(!half.exists());
     }
 }

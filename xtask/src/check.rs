@@ -1,9 +1,9 @@
 //! `check`: every check that runs no test.
 
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use crate::workspace::{Workspace, succeeds};
-use crate::{boundaries, citations, features, licences};
+use crate::{boundaries, citations, features};
 
 /// Runs all checks, also after one has failed. Returns whether all passed.
 pub(crate) fn run(workspace: &Workspace) -> anyhow::Result<bool> {
@@ -21,21 +21,6 @@ pub(crate) fn run(workspace: &Workspace) -> anyhow::Result<bool> {
     check("format", succeeds(&mut workspace.cargo(&["fmt", "--all", "--check"]))?);
     check("lints", succeeds(&mut lints(workspace))?);
     check("docs", succeeds(&mut docs(workspace))?);
-    if cargo_deny_is_there(workspace) {
-        check(
-            "licences, bans, sources",
-            succeeds(&mut workspace.cargo(&["deny", "check", "licenses", "bans", "sources"]))?,
-        );
-        match advisories(workspace) {
-            Some(mut advisories) => check("advisories", succeeds(&mut advisories)?),
-            None => eprintln!(
-                "check: advisories: skipped, cargo-deny's database is not on this machine"
-            ),
-        }
-    } else {
-        check("licences, sources", licences::are_allowed(workspace)?);
-        eprintln!("check: bans, advisories: skipped, cargo-deny is not installed");
-    }
 
     if failed.is_empty() {
         eprintln!("check: all passed");
@@ -63,25 +48,4 @@ fn docs(workspace: &Workspace) -> Command {
         workspace.cargo(&["doc", "--release", "--workspace", "--no-deps", "--keep-going"]);
     command.env("RUSTDOCFLAGS", "--deny warnings");
     command
-}
-
-fn cargo_deny_is_there(workspace: &Workspace) -> bool {
-    let mut command = workspace.cargo(&["deny", "--version"]);
-    command
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .status()
-        .is_ok_and(|status| status.success())
-}
-
-/// The check for known vulnerabilities, if their database has been fetched; CI cannot fetch it.
-fn advisories(workspace: &Workspace) -> Option<Command> {
-    let home = std::env::var_os("CARGO_HOME").map(Into::into).or_else(|| {
-        let home = std::env::home_dir()?;
-        Some(home.join(".cargo"))
-    })?;
-    let databases = std::path::Path::join(&home, "advisory-dbs");
-    let fetched = std::fs::read_dir(databases).is_ok_and(|mut entries| entries.next().is_some());
-    fetched
-        .then(|| workspace.cargo(&["deny", "--offline", "check", "--disable-fetch", "advisories"]))
 }

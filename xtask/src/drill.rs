@@ -9,18 +9,15 @@ use anyhow::{Context, ensure};
 use clap::Args;
 use serde::Deserialize;
 
-use crate::fuzz;
 use crate::workspace::{Workspace, succeeds};
 
 /// How a drill is run.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy)]
 enum DrillKind {
     /// By the program `drill-sim`.
     Simulation,
     /// By the program `drill-processes`.
     Processes,
-    /// By [`fuzz`], whose programs take minutes to build: never quick. `cargo test` runs its targets on their corpora.
-    Fuzz,
 }
 
 /// The crate of the programs.
@@ -29,7 +26,6 @@ const PROGRAMS: &str = "memtransfer-tests";
 /// All drills, in the order in which they run.
 const DRILLS: &[(&str, DrillKind)] = &[
     ("sim", DrillKind::Simulation),
-    ("fuzz", DrillKind::Fuzz),
     ("grid", DrillKind::Processes),
     ("kills", DrillKind::Processes),
     ("disk", DrillKind::Processes),
@@ -49,7 +45,7 @@ pub(crate) struct DrillArguments {
     /// The drills to run [default: all]
     #[arg(value_parser = names())]
     drills: Vec<String>,
-    /// A small part of each drill but fuzzing
+    /// A small part of each drill
     #[arg(long)]
     quick: bool,
     /// Write the results into docs/reliability.md, also those of drills that ran before
@@ -81,15 +77,8 @@ struct DrillResults {
     command: String,
     text: String,
     faults: BTreeMap<String, u64>,
-    /// What `faults` counts, and the heading of the numbers.
-    #[serde(default = "faults_and_times")]
-    columns: [String; 2],
     figures: BTreeMap<String, f64>,
     violations: Vec<String>,
-}
-
-fn faults_and_times() -> [String; 2] {
-    ["fault", "times"].map(str::to_owned)
 }
 
 /// Runs the drills. Returns whether none found a violation.
@@ -116,8 +105,8 @@ fn run_drills(
 ) -> anyhow::Result<bool> {
     let chosen: Vec<_> = DRILLS
         .iter()
-        .filter(|(name, kind)| match &*arguments.drills {
-            [] => !(arguments.quick && *kind == DrillKind::Fuzz),
+        .filter(|(name, _)| match &*arguments.drills {
+            [] => true,
             names => names.iter().any(|chosen| chosen == name),
         })
         .collect();
@@ -129,22 +118,17 @@ fn run_drills(
     for (name, kind) in chosen {
         eprintln!("drill {name}");
         let json = folder.join(name).with_extension("json");
-        let passed = if *kind == DrillKind::Fuzz {
-            fuzz::run(&arguments.flags, &json, workspace)?
-        } else {
-            if !workspace.build_programs(&[PROGRAMS])? {
-                return Ok(false);
-            }
-            let (program, first, quick): (_, &[&str], &[&str]) = match kind {
-                DrillKind::Simulation => ("drill-sim", &[], &QUICK_SIMULATION),
-                _ => ("drill-processes", &[*name], &["--quick"]),
-            };
-            let mut command = workspace.at_root(&workspace.program(program)?, first);
-            command.args(if arguments.quick { quick } else { &[] });
-            command.args(&arguments.flags).arg("--json").arg(json);
-            succeeds(&mut command)?
+        if !workspace.build_programs(&[PROGRAMS])? {
+            return Ok(false);
+        }
+        let (program, first, quick): (_, &[&str], &[&str]) = match kind {
+            DrillKind::Simulation => ("drill-sim", &[], &QUICK_SIMULATION),
+            DrillKind::Processes => ("drill-processes", &[*name], &["--quick"]),
         };
-        if !passed {
+        let mut command = workspace.at_root(&workspace.program(program)?, first);
+        command.args(if arguments.quick { quick } else { &[] });
+        command.args(&arguments.flags).arg("--json").arg(json);
+        if !succeeds(&mut command)? {
             failed.push(*name);
         }
     }
@@ -204,14 +188,14 @@ fn with_results(page: &str, results: &[DrillResults]) -> anyhow::Result<String> 
 }
 
 fn write_result(text: &mut String, result: &DrillResults) -> std::fmt::Result {
-    let DrillResults { title, command, text: about, faults, columns, figures, violations } = result;
+    let DrillResults { title, command, text: about, faults, figures, violations } = result;
     writeln!(text, "### {title}\n\n{about}\n\n    {command}\n")?;
     writeln!(text, "| figure | |\n|---|---:|")?;
     for (name, value) in figures {
         writeln!(text, "| {name} | {} |", number(*value))?;
     }
     if !faults.is_empty() {
-        writeln!(text, "\n| {} | {} |\n|---|---:|", columns[0], columns[1])?;
+        writeln!(text, "\n| fault | times |\n|---|---:|")?;
         for (class, count) in faults {
             writeln!(text, "| {class} | {} |", number(*count as f64))?;
         }

@@ -1,11 +1,10 @@
 //! `cargo xtask VERB`: everything between a fresh clone and a result.
 //!
 //! Only these verbs install or download anything; the programs name the verb to run when something is missing. xtask knows
-//! cargo, pip, apt-get and `xtask/setup.toml`. It links no other crate of the workspace, so that it builds in seconds.
+//! cargo, pip, uv, apt-get and `xtask/setup.toml`. It links no other crate of the workspace, so that it builds in seconds.
 //!
 //! Exit status: 0 success, 1 a check or a test failed, 2 error.
 
-mod apt;
 mod bench;
 mod boundaries;
 mod cache;
@@ -13,17 +12,11 @@ mod check;
 mod citations;
 mod demo;
 mod drill;
-mod environments;
 mod features;
-mod files;
-mod fuzz;
-mod licences;
 mod pins;
-mod probe;
 mod python;
-mod sbom;
 mod setup;
-mod sha256;
+mod system;
 mod test;
 mod workspace;
 
@@ -79,10 +72,8 @@ enum Verb {
     Drill(drill::DrillArguments),
     /// Build a wheel of the Python package into target/wheels
     Wheel,
-    /// Check links between crates, citations, format, lints, docs and licences
+    /// Check links between crates, features, citations, format, lints and docs
     Check,
-    /// Write the software bill of materials in CycloneDX 1.5, target/sbom/memtransfer.cdx.json
-    Sbom,
     /// What CI runs: `check`, `test`, `drill --quick`
     Ci,
     /// Write an untrained ViT-B/16 with seeded weights, for tests and timing
@@ -114,7 +105,7 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
             let purpose = if *tests { Purpose::Tests } else { Purpose::Use };
             setup::install_missing(purpose, &pins, &cache, &workspace)?;
             if *lerobot {
-                let python = Purpose::Only("Python of LeRobot");
+                let python = Purpose::Only("python-lerobot");
                 setup::install_missing(python, &pins, &cache, &workspace)?;
             }
             Ok(true)
@@ -127,14 +118,13 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
         Verb::Bench(arguments) => {
             let purpose = if arguments.no_baselines { Purpose::Use } else { Purpose::Benches };
             setup::install_missing(purpose, &pins, &cache, &workspace)?;
-            bench::run(arguments, &pins, &cache, &workspace)
+            bench::run(arguments, &cache, &workspace)
         }
         Verb::Drill(arguments) => {
             setup::install_missing(Purpose::Use, &pins, &cache, &workspace)?;
             drill::run(arguments, &workspace)
         }
         Verb::Wheel => python::build_wheel(&workspace),
-        Verb::Sbom => sbom::write(&pins, &workspace).map(|()| true),
         Verb::Check => check::run(&workspace),
         Verb::Ci => {
             let checked = check::run(&workspace)?;
@@ -142,7 +132,7 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
             Ok(drill::run(&drill::DrillArguments::of_ci(), &workspace)? && tested && checked)
         }
         Verb::VitB16Untrained => {
-            let encoder = Purpose::Only("vit-b16-untrained");
+            let encoder = Purpose::Only("models/vit-b16-untrained.onnx");
             setup::install_missing(encoder, &pins, &cache, &workspace).map(|()| true)
         }
     }

@@ -1,12 +1,9 @@
 //! `setup.toml` as typed values: everything that set-up may install.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use serde::Deserialize;
-
-use crate::sha256::Sum;
 
 /// The file.
 #[derive(Deserialize)]
@@ -47,7 +44,7 @@ pub(crate) enum Purpose {
     Tests,
     /// Running it and its benches.
     Benches,
-    /// What needs the item of this name, and nothing else.
+    /// What needs the file or environment at this place, and nothing else.
     Only(&'static str),
 }
 
@@ -78,60 +75,34 @@ pub(crate) enum Probe {
     VulkanManifests(Vec<PathBuf>),
 }
 
-/// A file in the cache folder, made by a script.
+/// A file in the cache folder.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct FilePin {
-    pub(crate) name: String,
-    pub(crate) why: String,
     /// Relative to the cache folder.
     pub(crate) place: PathBuf,
-    /// Relative to the workspace; called as `python3 SCRIPT [WHEEL] [FROM] OUTPUT ARGUMENTS...`.
-    pub(crate) script: PathBuf,
-    /// An earlier file of the list that it is made from, relative to the cache folder.
-    pub(crate) from: Option<PathBuf>,
+    pub(crate) why: String,
+    /// SHA-256 of the file, one for each platform that has its own.
+    pub(crate) sha256: Vec<String>,
+    /// The wheel that it is in, as a line of a requirements file with hashes.
+    pub(crate) wheel: Option<String>,
+    /// What it is copied or made from, relative to the unpacked wheel or, without one, to the cache folder.
+    pub(crate) source: Option<PathBuf>,
+    /// What makes it, relative to the workspace; called as `python3 SCRIPT [SOURCE] OUTPUT ARGUMENTS...`.
+    pub(crate) script: Option<PathBuf>,
     #[serde(default)]
     pub(crate) arguments: Vec<String>,
     #[serde(default)]
     pub(crate) wanted: Wanted,
-    /// By platform (`linux-x86_64`), or `any`.
-    pub(crate) platform: BTreeMap<String, PlatformPin>,
 }
 
-/// A [`FilePin`] on one platform.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct PlatformPin {
-    /// Hash of the finished file.
-    pub(crate) sha256: Sum,
-    /// The wheel it is made from; absent when the script needs none.
-    pub(crate) wheel: Option<WheelPin>,
-}
-
-/// One particular wheel.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct WheelPin {
-    /// `name==version`, as pip reads it.
-    pub(crate) package: String,
-    /// The wheel's file name.
-    pub(crate) file: String,
-    pub(crate) sha256: Sum,
-    /// Flags with which pip selects this wheel on any Python version.
-    #[serde(default)]
-    pub(crate) pip: Vec<String>,
-}
-
-/// A Python environment, created by a script.
+/// A Python environment.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct EnvironmentPin {
-    pub(crate) name: String,
-    pub(crate) why: String,
     /// A folder, relative to the cache folder.
     pub(crate) place: PathBuf,
-    /// Relative to the workspace; called as `python3 SCRIPT OUTPUT REQUIREMENTS WHEELS`.
-    pub(crate) script: PathBuf,
+    pub(crate) why: String,
     /// Requirements file with versions and hashes; relative to the workspace.
     pub(crate) requirements: PathBuf,
     #[serde(default)]
@@ -139,53 +110,24 @@ pub(crate) struct EnvironmentPin {
 }
 
 impl Wanted {
-    /// Whether a set-up for `purpose` installs the item `name`, which has this entry.
-    pub(crate) fn now(self, purpose: Purpose, name: &str) -> bool {
-        if let Purpose::Only(only) = purpose {
-            return name == only;
-        }
-        match self {
-            Self::Always => true,
-            Self::ForTests => purpose == Purpose::Tests,
-            Self::ForBenches => purpose == Purpose::Benches,
-            Self::OnDemand => false,
+    /// Whether a set-up for `purpose` installs the item at `place`, which has this entry.
+    pub(crate) fn now(self, purpose: Purpose, place: &Path) -> bool {
+        match (purpose, self) {
+            (Purpose::Only(only), _) => place == Path::new(only),
+            (_, Self::Always)
+            | (Purpose::Tests, Self::ForTests)
+            | (Purpose::Benches, Self::ForBenches) => true,
+            _ => false,
         }
     }
 }
 
 impl Pins {
-    /// The environment of this name.
-    pub(crate) fn environment(&self, name: &str) -> anyhow::Result<&EnvironmentPin> {
-        self.environment
-            .iter()
-            .find(|environment| environment.name == name)
-            .with_context(|| format!("xtask/setup.toml has no environment {name:?}"))
-    }
-
     /// Reads the file; an unknown key is an error.
     pub(crate) fn load(path: &Path) -> anyhow::Result<Self> {
         let text = std::fs::read_to_string(path)
             .with_context(|| format!("cannot read {}", path.display()))?;
         toml::from_str(&text).with_context(|| format!("cannot use {}", path.display()))
-    }
-}
-
-impl FilePin {
-    /// The pin for this machine.
-    pub(crate) fn here(&self) -> anyhow::Result<&PlatformPin> {
-        self.on(&format!("{}-{}", std::env::consts::OS, std::env::consts::ARCH))
-    }
-
-    fn on(&self, platform: &str) -> anyhow::Result<&PlatformPin> {
-        match self.platform.get("any").or_else(|| self.platform.get(platform)) {
-            Some(pin) => Ok(pin),
-            None => bail!(
-                "{} is not pinned for {platform} (only for {}); add [file.platform.{platform}] to \
-                 xtask/setup.toml, whose head says how",
-                self.name,
-                self.platform.keys().map(String::as_str).collect::<Vec<_>>().join(", "),
-            ),
-        }
     }
 }
 
@@ -198,29 +140,11 @@ mod tests {
     }
 
     #[test]
-    fn every_shipped_file_is_pinned_for_linux() {
-        for file in shipped().file {
-            assert!(file.on("linux-x86_64").is_ok(), "{}", file.name);
-        }
-    }
-
-    #[test]
-    fn the_error_for_an_unpinned_platform_names_how_to_add_a_pin() {
-        let pins = shipped();
-        let runtime = pins.file.iter().find(|file| file.name.starts_with("ONNX Runtime")).unwrap();
-        let Err(error) = runtime.on("plan9-mips") else { panic!("there is no such wheel") };
-        let message = error.to_string();
-        assert!(
-            message.contains("plan9-mips") && message.contains("xtask/setup.toml"),
-            "{message}"
-        );
-    }
-
-    #[test]
     fn only_tests_need_vulkan_and_a_browser() {
         let pins = shipped();
         let wanted = |purpose| -> Vec<&str> {
-            let needs = pins.system.iter().filter(|need| need.wanted.now(purpose, &need.name));
+            let needs =
+                pins.system.iter().filter(|need| need.wanted.now(purpose, need.name.as_ref()));
             needs.map(|need| need.name.as_str()).collect()
         };
         for purpose in [Purpose::Use, Purpose::Benches] {
@@ -229,17 +153,21 @@ mod tests {
         let of_tests =
             ["Python 3 with pip", "Vulkan loader", "Vulkan driver", "Chromium", "ffmpeg"];
         assert_eq!(wanted(Purpose::Tests), of_tests);
-        assert_eq!(wanted(Purpose::Only("Chromium")), ["Chromium"]);
     }
 
     #[test]
-    fn scripts_of_the_list_exist() {
+    fn scripts_and_lock_files_exist_and_have_hashes() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
         let pins = shipped();
-        let of_files = pins.file.iter().map(|file| &file.script);
-        let of_environments = pins.environment.iter().flat_map(|it| [&it.script, &it.requirements]);
-        for script in of_files.chain(of_environments) {
+        for script in pins.file.iter().filter_map(|file| file.script.as_ref()) {
             assert!(root.join(script).is_file(), "{}", script.display());
+        }
+        for requirements in pins.environment.iter().map(|environment| &environment.requirements) {
+            let text = std::fs::read_to_string(root.join(requirements)).unwrap();
+            assert!(text.contains("--hash=sha256:"), "{}", requirements.display());
+        }
+        for wheel in pins.file.iter().filter_map(|file| file.wheel.as_ref()) {
+            assert!(wheel.contains(" --hash=sha256:"), "{wheel}");
         }
     }
 
@@ -251,33 +179,15 @@ mod tests {
         let text = |model: &toml::Value, key: &str| {
             model.get(key).and_then(toml::Value::as_str).map(str::to_owned)
         };
-        let expected: Vec<_> = manifest["model"]
-            .as_array()
-            .unwrap()
-            .iter()
+        let models = manifest["model"].as_array().unwrap().iter();
+        let expected: Vec<_> = models
             .filter_map(|model| {
-                Some((format!("models/{}", text(model, "file")?), text(model, "sha256").unwrap()))
+                Some((format!("models/{}", text(model, "file")?), vec![text(model, "sha256")?]))
             })
             .collect();
-        let pinned: Vec<_> = shipped()
-            .file
-            .iter()
-            .filter(|file| file.place.starts_with("models"))
-            .map(|file| {
-                (
-                    file.place.display().to_string(),
-                    file.on("linux-x86_64").unwrap().sha256.to_string(),
-                )
-            })
-            .collect();
+        let files = shipped().file.into_iter().filter(|file| file.place.starts_with("models"));
+        let pinned: Vec<_> =
+            files.map(|file| (file.place.display().to_string(), file.sha256)).collect();
         assert_eq!(pinned, expected);
-    }
-
-    #[test]
-    fn an_unknown_key_is_refused() {
-        let result = toml::from_str::<Pins>(
-            "[[system]]\nname = 'x'\nwhy = 'y'\nprobe = { library = 'z' }\npackage = []",
-        );
-        assert!(result.is_err());
     }
 }

@@ -310,7 +310,10 @@ impl fmt::Display for Endpoint {
 }
 
 /// The variables of a `.env` file; none when the file does not exist.
-fn read_env_file(path: &Path) -> Result<Vec<(String, String)>, EndpointError> {
+///
+/// # Errors
+/// When the file cannot be read, or a line is not `NAME=value`.
+pub fn read_env_file(path: &Path) -> Result<Vec<(String, String)>, EndpointError> {
     let failed = |problem: String| EndpointError::EnvFile { path: path.to_owned(), problem };
     let text = match durable::input::read_text(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),

@@ -1,4 +1,4 @@
-//! `memtransfer plan`: divides a run into units, and prints scripts that execute them.
+//! `memtransfer plan`: divides a run into units, and prints a script that executes them.
 
 mod scripts;
 
@@ -32,8 +32,7 @@ Examples:
   memtransfer work --plan plan.json --unit 0 --out units
   memtransfer merge --plan plan.json units --out runs/paper
   memtransfer plan --suite paper --out plan.json --store /mnt/shared/memtransfer
-  memtransfer plan --suite paper --out plan.json --slurm > paper.sbatch
-  memtransfer plan --suite paper --out plan.json --kubernetes > paper.yaml")]
+  memtransfer plan --suite paper --out plan.json --slurm > paper.sbatch")]
 pub(super) struct PlanArgs {
     #[command(flatten)]
     flags: SettingFlags,
@@ -42,30 +41,17 @@ pub(super) struct PlanArgs {
     #[arg(long, value_name = "N", default_value_t = UNIT_EPISODES, value_parser = clap::value_parser!(u32).range(1..))]
     unit_episodes: u32,
 
-    /// Put what workers need beside the programs into this folder or bucket, which they reach too:
-    /// encoder, documents, known embeddings
-    #[arg(long, value_name = "DIR|URL")]
+    /// Put what workers need beside the programs into this folder, which they reach too: encoder,
+    /// documents, known embeddings
+    #[arg(long, value_name = "DIR")]
     store: Option<String>,
 
     /// Print a Slurm array script that executes the units and merges them
-    #[arg(long, group = "script")]
+    #[arg(long)]
     slurm: bool,
 
-    /// Print a Kubernetes manifest that executes the units
-    #[arg(long, group = "script")]
-    kubernetes: bool,
-
-    /// The container image of --kubernetes
-    #[arg(
-        long,
-        value_name = "NAME",
-        default_value = "memtransfer:latest",
-        requires = "kubernetes"
-    )]
-    image: String,
-
-    /// Workers that --slurm and --kubernetes start, each for several units
-    #[arg(long, value_name = "N", default_value_t = 100, requires = "script", value_parser = clap::value_parser!(u32).range(1..))]
+    /// Workers that --slurm starts, each for several units
+    #[arg(long, value_name = "N", default_value_t = 100, requires = "slurm", value_parser = clap::value_parser!(u32).range(1..))]
     workers: u32,
 
     /// Show no progress, only problems
@@ -134,13 +120,11 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
         let (units, episodes) = (plan.units, plan.manifest.episodes);
         say!("{}: {episodes} episodes in {units} units", path.display());
     }
-    let path = std::path::absolute(&path)?;
-    let workers = args.workers.min(plan.units);
-    let flags = scripts::work_flags(&plan.manifest.settings, base_url_source)?;
     if args.slurm {
+        let path = std::path::absolute(&path)?;
+        let workers = args.workers.min(plan.units);
+        let flags = scripts::work_flags(&plan.manifest.settings, base_url_source)?;
         print(&scripts::slurm(&path, plan.units, workers, &flags)?)?;
-    } else if args.kubernetes {
-        print(&scripts::kubernetes(&args.image, plan.units, workers, &flags))?;
     }
     Ok(Exit::Complete)
 }

@@ -47,7 +47,7 @@ pub(super) struct WorkArgs {
     out: PathBuf,
 
     /// The plan's store, if it is elsewhere on this machine
-    #[arg(long, value_name = "DIR|URL")]
+    #[arg(long, value_name = "DIR")]
     store: Option<String>,
 
     /// End with the process PID, which started this one

@@ -95,7 +95,7 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
         ("run --frame-budget 4000000000 --dry-run", "not a whole number from 1 to 1048576"),
         ("run --elsewhere w --dry-run", "--elsewhere is the warehouse of --demos elsewhere"),
         ("run --policy openai --model m --max-cost 3 --dry-run", "--max-cost needs prices"),
-        ("plan --out p.json --workers 5", "<--slurm|--kubernetes>"),
+        ("plan --out p.json --workers 5", "--slurm"),
         ("top --json --memory nope", "cannot be used with"),
         (
             "export r --format mcap --out y.mp4",
@@ -835,24 +835,18 @@ fn assets_do_not_replace_the_default_suite() {
     assert!(!has_started_a_program(dir.path()));
 }
 
-/// Scripts for clusters are made by the user who gave the commands, or allowed them.
+/// The script for a cluster is made by the user who gave the commands, or allowed them.
 #[test]
-fn scripts_of_a_plan_allow_what_its_maker_gave() {
+fn the_script_of_a_plan_allows_what_its_maker_gave() {
     let dir = dir();
     let with = "--policy openai --model m --memory working --limit 1 --base-url http://a/v1";
-    for (verb, suffix) in [
-        ("--slurm", "--quiet --base-url http://a/v1 ||"),
-        ("--kubernetes", "--quiet --base-url http://a/v1 ||"),
-    ] {
-        let arguments = format!("plan {with} --out plan{verb}.json {verb}");
-        let output = memtransfer(dir.path(), &arguments);
-        assert!(
-            text(&output.stdout).contains(suffix),
-            "{}{}",
-            text(&output.stdout),
-            text(&output.stderr)
-        );
-    }
+    let output = memtransfer(dir.path(), &format!("plan {with} --out plan.json --slurm"));
+    let script = text(&output.stdout);
+    assert!(
+        script.contains("--quiet --base-url http://a/v1 ||"),
+        "{script}{}",
+        text(&output.stderr)
+    );
     let with = "--policy-cmd ./mine --memory working --limit 1";
     let output = memtransfer(dir.path(), &format!("plan {with} --out own.json --slurm"));
     assert!(

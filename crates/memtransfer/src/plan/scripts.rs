@@ -1,4 +1,4 @@
-//! Scripts that execute the units of a plan on a cluster.
+//! A script that executes the units of a plan on a cluster.
 //!
 //! Worker `i` of `n` executes the units i, i + n, i + 2n, ...: a cluster limits the length of an array, and a plan does not
 //! limit its units.
@@ -58,57 +58,4 @@ done
 exit "$failed"
 "#
     ))
-}
-
-/// An indexed Job for `kubectl apply`. Needs a volume claim `memtransfer` that holds `plan.json`.
-pub(super) fn kubernetes(image: &str, units: u32, workers: u32, flags: &str) -> String {
-    format!(
-        r#"# Executes the {units} units of /work/plan.json on the volume claim "memtransfer", which all workers share.
-# Then: memtransfer merge --plan plan.json units --out RUN
-apiVersion: batch/v1
-kind: Job
-metadata:
-  name: memtransfer
-spec:
-  completionMode: Indexed
-  completions: {workers}
-  parallelism: {workers}
-  backoffLimitPerIndex: 20
-  podReplacementPolicy: Failed
-  template:
-    spec:
-      restartPolicy: Never
-      containers:
-        - name: worker
-          image: {image}
-          command:
-            - /bin/bash
-            - -c
-            - |
-              failed=0
-              for ((unit = JOB_COMPLETION_INDEX; unit < {units}; unit += {workers})); do
-                memtransfer work --plan /work/plan.json --unit "$unit" --out /work/units --quiet{flags} || failed=1
-              done
-              exit "$failed"
-          resources:
-            requests:
-              cpu: "4"
-              memory: 8Gi
-            limits:
-              memory: 8Gi
-          volumeMounts:
-            - name: work
-              mountPath: /work
-            - name: shared-memory
-              mountPath: /dev/shm
-      volumes:
-        - name: work
-          persistentVolumeClaim:
-            claimName: memtransfer
-        - name: shared-memory
-          emptyDir:
-            medium: Memory
-            sizeLimit: 4Gi
-"#
-    )
 }

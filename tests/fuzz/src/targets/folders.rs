@@ -56,7 +56,7 @@ fn is_shown(input: &[u8]) -> bool {
 }
 
 /// A run is refused, or scored; its report has no element that a text of the run has made.
-pub(super) fn run(input: &[u8]) {
+pub(crate) fn run(input: &[u8]) {
     with_files(given(), &JOURNALS, input, |folder| {
         let _ = LiveStatus::read(folder).map(|status| status.map(|status| status.line()));
         let _ = read_journal::<LatencyRecord>(&folder.join("latency.jsonl"), |_| Ok(()));
@@ -100,7 +100,7 @@ fn is_harmless(page: &str) {
 }
 
 /// A plan is refused, or its units are within it, and it is written and read back equal.
-pub(super) fn plan(input: &[u8]) {
+pub(crate) fn plan(input: &[u8]) {
     let path = Path::new("plan.json");
     let Ok(read) = UnitPlan::parse(input, path) else { return };
     for number in [0, 1, read.plan.units - 1, read.plan.units, u32::MAX] {
@@ -115,7 +115,7 @@ pub(super) fn plan(input: &[u8]) {
 }
 
 /// Two units, each a run folder. They are refused, or merged into a run that is read without damage.
-pub(super) fn merged(input: &[u8]) {
+pub(crate) fn merged(input: &[u8]) {
     let units = [unit_folder(0), unit_folder(1)];
     let names: Vec<String> = units
         .iter()
@@ -167,7 +167,7 @@ fn site(folder: &Path) -> Option<Site> {
 const SECRET: &str = "a secret beside the run";
 
 /// A run is refused, or every page of it is data that the front end can read, and shows nothing from outside of the run.
-pub(super) fn viewer_run(input: &[u8]) {
+pub(crate) fn viewer_run(input: &[u8]) {
     let names =
         [&JOURNALS[..], &["streams.json", "prompts/session-1/", "prompts/documents/"]].concat();
     with_files(given(), &names, input, |folder| {
@@ -218,7 +218,7 @@ fn is_data(script: &str) {
 }
 
 /// A path is that of a file of the site or of none, and never one outside of it.
-pub(super) fn viewer_path(input: &[u8]) {
+pub(crate) fn viewer_path(input: &[u8]) {
     thread_local! {
         static SITE: RefCell<Option<(Site, tempfile::TempDir)>> = const { RefCell::new(None) };
     }

@@ -1,11 +1,11 @@
-//! What models and servers answer, images, documents and caches.
+//! What models and servers answer, images, documents and embeddings.
 
 use std::fs;
 use std::sync::{Arc, OnceLock};
 
 use documents::DocumentFile;
 use domain::{Action, Feedback, Heading, Pose, Representation, SegmentContent};
-use llm::{ChatRequest, ReplyCache, fuzzing};
+use llm::fuzzing;
 use memory_proc::bank::ReplayedBank;
 use memory_proc::embedding_cache::{EmbeddingCache, stored};
 use memory_proc::representation::{MemorySettings, built_in};
@@ -18,7 +18,7 @@ use warehouse::{CaseSet, Warehouse};
 use crate::files::{with_files, with_folder};
 
 /// A reply that is read is stored and read back equal; a server's message is one short line.
-pub(super) fn reply(input: &[u8]) {
+pub(crate) fn reply(input: &[u8]) {
     let message = fuzzing::error_message(input, str::to_owned);
     assert!(!message.is_empty() && message.chars().count() <= 403);
     assert!(!message.chars().any(char::is_control), "{message:?}");
@@ -28,27 +28,8 @@ pub(super) fn reply(input: &[u8]) {
     assert_eq!(serde_json::from_str::<llm::ChatReply>(&text).unwrap().judged(), Ok(reply));
 }
 
-/// An entry of the cache is used or counts as missing; what is stored is read back.
-pub(super) fn reply_cache(input: &[u8]) {
-    with_folder(|folder| {
-        let cache = ReplyCache::at(folder);
-        let request = ChatRequest::text("Where?", 30);
-        let file = fuzzing::stored_file(&cache, "m", &request).unwrap();
-        fs::create_dir_all(file.parent().unwrap()).unwrap();
-        // The key at the place where an input cannot guess it.
-        let key = file.file_stem().unwrap().to_str().unwrap().to_owned();
-        let text = String::from_utf8_lossy(input).replace("KEY", &key);
-        fs::write(&file, text).unwrap();
-        if let Some(reply) = fuzzing::stored(&cache, "m", &request) {
-            fuzzing::store(&cache, "m", &request, &reply).unwrap();
-            assert_eq!(fuzzing::stored(&cache, "m", &request), Some(reply));
-        }
-        let _ = cache.list();
-    });
-}
-
 /// An answer is one action or none; a name of an action alone is that action.
-pub(super) fn answer(input: &[u8]) {
+pub(crate) fn answer(input: &[u8]) {
     let Ok(text) = str::from_utf8(input) else { return };
     let _: Result<Action, UnreadAnswer> = read_answer(text);
     for action in Action::ALL {
@@ -57,7 +38,7 @@ pub(super) fn answer(input: &[u8]) {
 }
 
 /// An image that is read is written and read back equal.
-pub(super) fn png(input: &[u8]) {
+pub(crate) fn png(input: &[u8]) {
     let Ok(image) = RgbaImage::decode(input) else { return };
     assert_eq!(image.pixels().len() as u64, u64::from(image.width()) * u64::from(image.height()));
     if image.as_bytes().len() > 1 << 20 {
@@ -68,7 +49,7 @@ pub(super) fn png(input: &[u8]) {
 }
 
 /// A damaged database is set aside, and the cache works.
-pub(super) fn embedding_cache(input: &[u8]) {
+pub(crate) fn embedding_cache(input: &[u8]) {
     const FINGERPRINT: [u8; 32] = [7; 32];
     with_folder(|folder| {
         // The first byte says where the rest goes into a database that the cache has written.
@@ -113,7 +94,7 @@ fn database() -> &'static Vec<u8> {
 }
 
 /// A document that is read is written and read back equal.
-pub(super) fn document(input: &[u8]) {
+pub(crate) fn document(input: &[u8]) {
     let Ok(text) = str::from_utf8(input) else { return };
     let Ok(document) = DocumentFile::parse(text) else { return };
     assert!(!document.text.trim().is_empty());
@@ -122,7 +103,7 @@ pub(super) fn document(input: &[u8]) {
 }
 
 /// A snapshot is refused, or the memory goes on from it: it saves what it has loaded, and answers.
-pub(super) fn snapshot(input: &[u8]) {
+pub(crate) fn snapshot(input: &[u8]) {
     with_files(&[], &["adaptive.json", "views.f32", "experience.json"], input, |folder| {
         if let Ok(text) = fs::read(folder.join("experience.json")) {
             let replayed = memory_proc::fuzzing::experiences(&text, worlds());

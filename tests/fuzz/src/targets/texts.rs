@@ -1,4 +1,4 @@
-//! Small text files and words.
+//! Settings: small text files and words.
 
 use std::fs;
 use std::path::Path;
@@ -18,7 +18,7 @@ use shm_types::{Attach, MemoryDescription};
 use crate::files::{with_files, with_folder};
 
 /// What is read is valid, and is written and read back equal.
-pub(super) fn attach(input: &[u8]) {
+pub(crate) fn attach(input: &[u8]) {
     const ATTACH_FILE: &str = "attach.json";
     with_files(&[], &[ATTACH_FILE, DESCRIPTION_FILE], input, |folder| {
         if let Ok(attach) = Attach::read(folder) {
@@ -36,7 +36,7 @@ pub(super) fn attach(input: &[u8]) {
 }
 
 /// A word that is read is written as a word that is read as the same.
-pub(super) fn names(input: &[u8]) {
+pub(crate) fn names(input: &[u8]) {
     fn round_trip<T: std::str::FromStr + ToString + PartialEq + std::fmt::Debug>(text: &str) {
         if let Ok(value) = text.parse::<T>() {
             assert_eq!(value.to_string().parse().ok(), Some(value), "{text:?}");
@@ -63,7 +63,7 @@ pub(super) fn names(input: &[u8]) {
 }
 
 /// A suite is refused, or resolved to settings that are read back equal and plan episodes.
-pub(super) fn suite(input: &[u8]) {
+pub(crate) fn suite(input: &[u8]) {
     with_folder(|folder| {
         let file = folder.join("suite.toml");
         fs::write(&file, input).unwrap();
@@ -80,14 +80,27 @@ pub(super) fn suite(input: &[u8]) {
     });
 }
 
-pub(super) fn encoders(input: &[u8]) {
+pub(crate) fn encoders(input: &[u8]) {
     let Ok(text) = str::from_utf8(input) else { return };
     if let Ok(manifest) = EncoderManifest::parse(text, Path::new("models.toml")) {
         manifest.model(&manifest.default).unwrap();
     }
 }
 
-pub(super) fn prices(input: &[u8]) {
+/// The variables of a file are words of it.
+pub(crate) fn env_file(input: &[u8]) {
+    with_folder(|folder| {
+        let file = folder.join(".env");
+        fs::write(&file, input).unwrap();
+        let Ok(variables) = llm::fuzzing::env_file(&file) else { return };
+        let text = str::from_utf8(input).unwrap();
+        for (name, value) in variables {
+            assert!(!name.is_empty() && text.contains(&name) && text.contains(&value));
+        }
+    });
+}
+
+pub(crate) fn prices(input: &[u8]) {
     let Ok(text) = str::from_utf8(input) else { return };
     if let Ok(prices) = ModelPrices::parse(text, "m") {
         let text = serde_json::to_string(&prices).unwrap();

@@ -21,7 +21,6 @@ use shm_types::message::{
     MAX_STEPS, NO_FRAME, Observation, RequestId, Role, StepCommand, StepKind, WirePose, read_text,
     write_text,
 };
-use sim_proc::worlds::Worlds;
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
 use crate::input::Input;
@@ -103,7 +102,7 @@ fn request(&Observation { lane, episode, step, .. }: &Observation) -> RequestId 
 
 /// The orchestrator's lanes between honest answers and changed ones. A finished episode has a record without
 /// contradictions, whatever was answered.
-pub(super) fn orchestrator(input: &[u8]) {
+pub(crate) fn orchestrator(input: &[u8]) {
     const LANES: usize = 2;
     let mut input = Input(input);
     let World { warehouse, cases } = world();
@@ -167,84 +166,6 @@ pub(super) fn orchestrator(input: &[u8]) {
     assert_eq!(lanes.busy(), 0);
 }
 
-/// The simulator's lanes. An agent always stands on free floor.
-pub(super) fn sim(input: &[u8]) {
-    static WORLDS: OnceLock<Worlds> = OnceLock::new();
-    let worlds = WORLDS.get_or_init(|| Worlds::new(&world().warehouse, &world().cases, Vec::new()));
-    let mut lanes = sim_proc::lanes::SimulatedLanes::new(worlds.clone(), 2);
-    let start = world().warehouse.layout.free_cells().next().unwrap();
-    let mut input = Input(input);
-    let mut next = [0_u32; 2];
-    while !input.is_empty() {
-        let choice = input.byte();
-        let lane = u32::from(choice & 1);
-        let id = RequestId { lane, episode: 7, step: next[lane as usize] };
-        let action = Action::ALL[usize::from(choice / 4) % Action::ALL.len()];
-        let command = match choice & 2 {
-            0 => {
-                let start = Pose { cell: start, heading: Heading::N };
-                messages::reset(lane, 7, u32::from(choice / 4), start)
-            }
-            _ => messages::act(id, action),
-        };
-        let command = input.changed(command);
-        if let Ok(stepped) = lanes.apply(&command) {
-            assert!(worlds.layout_of(stepped.world).is_free(stepped.pose.cell));
-            assert!(!worlds.closed(stepped.world).is_closed(stepped.pose.cell));
-            next[stepped.lane] = if stepped.ends { 0 } else { command.step + 1 };
-        }
-    }
-}
-
-/// The policy's side. A request is complete, belongs to a lane of the run, and its texts are whole characters.
-pub(super) fn policy(input: &[u8]) {
-    const LANES: u32 = 2;
-    let note = |id, content| Arc::new(Document { id, episode: 0, lane: 0, content });
-    let step = shm_types::message::TrajectoryStep { frame: 3, ..Zeroable::zeroed() };
-    let documents = [
-        note(1, Content::Note("Größe: 7".to_owned())),
-        note(2, Content::Trajectories(vec![step; 5])),
-    ];
-    let mut input = Input(input);
-    let mut next = [0_u32; LANES as usize];
-    let mut incoming = Vec::new();
-    while !input.is_empty() {
-        let choice = input.byte();
-        let lane = u32::from(choice & 1);
-        let step = &mut next[lane as usize];
-        let id = RequestId { lane, episode: 5, step: *step };
-        incoming.push(match choice % 8 / 2 {
-            0 => {
-                *step = 0;
-                let config = messages::config(lane, 5, "Find a cone.");
-                Incoming::Config(Box::new(input.changed(config)))
-            }
-            1 => {
-                let observation = messages::observation(id, 10 + u64::from(*step));
-                Incoming::Observation(Box::new(input.changed(observation)))
-            }
-            2 => {
-                let recall = messages::recall(id, &[4, 5, 6]);
-                *step = step.wrapping_add(1);
-                Incoming::Recall(Box::new(input.changed(recall)))
-            }
-            _ => {
-                let mut recall = messages::recall(id, &[]);
-                messages::supply(&mut recall, messages::text(1, usize::from(choice >> 4)), &[]);
-                let item = messages::item(shm_types::message::ItemKind::Trajectory);
-                messages::supply(&mut recall, item, &[]);
-                (recall.items[1].document, recall.items[1].steps) = (2, u32::from(choice >> 5));
-                *step = step.wrapping_add(1);
-                Incoming::Recall(Box::new(input.changed(recall)))
-            }
-        });
-    }
-    let given = incoming.len();
-    let (complete, refused) = requests(LANES, &documents, incoming);
-    assert!(complete.len() + refused <= 2 * given);
-    assert!(complete.iter().all(|step| step.id().lane < LANES));
-}
-
 /// Documents that are counted and forgotten.
 #[derive(Default)]
 struct Published {
@@ -286,7 +207,7 @@ fn bank() -> &'static ReplayedBank {
 }
 
 /// An external memory's answer, up to the recall: within the budgets, and every part of it exists.
-pub(super) fn memory(input: &[u8]) {
+pub(crate) fn memory(input: &[u8]) {
     const BUDGETS: Budgets = Budgets { images: 20, text: 64 };
     let mut input = Input(input);
     let mut answer: ExternalAnswer = Zeroable::zeroed();
@@ -339,7 +260,7 @@ pub(super) fn memory(input: &[u8]) {
 }
 
 /// What travels beside messages, and texts in them.
-pub(super) fn blocks(input: &[u8]) {
+pub(crate) fn blocks(input: &[u8]) {
     let mut input = Input(input);
     let choice = input.byte();
     match choice % 4 {

@@ -18,7 +18,7 @@ fn world() -> &'static (Warehouse, CaseSet) {
 }
 
 /// Assets are refused, or every item stands in the hall, and cases are written and read back equal.
-pub(super) fn assets(input: &[u8]) {
+pub(crate) fn assets(input: &[u8]) {
     let given = [(LAYOUT_FILE, LAYOUT), (CATALOGUE_FILE, CATALOGUE)];
     let names = [LAYOUT_FILE, CATALOGUE_FILE, CASES_FILE];
     with_files(&given, &names, input, |folder| {
@@ -35,7 +35,7 @@ pub(super) fn assets(input: &[u8]) {
 }
 
 /// Streams are refused, or every block has a world, and they are written and read back equal.
-pub(super) fn streams(input: &[u8]) {
+pub(crate) fn streams(input: &[u8]) {
     let Ok(text) = str::from_utf8(input) else { return };
     let (warehouse, cases) = world();
     let Ok(set) = StreamSet::parse(text, warehouse, cases) else { return };
@@ -55,7 +55,7 @@ pub(super) fn streams(input: &[u8]) {
 }
 
 /// Another warehouse is refused, or it demonstrates every case, and is written and read back equal.
-pub(super) fn elsewhere(input: &[u8]) {
+pub(crate) fn elsewhere(input: &[u8]) {
     // The catalogue and the layout are those of a drawn warehouse where the input says so, and demonstrations too.
     static DRAWN: OnceLock<String> = OnceLock::new();
     let (warehouse, cases) = world();

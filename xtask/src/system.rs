@@ -1,11 +1,14 @@
-//! Detects whether the machine already meets a [`SystemNeed`](crate::pins::SystemNeed).
+//! System packages: whether the machine already meets a [`SystemNeed`], and their installation by root.
 
 use std::ffi::OsStr;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 
+use anyhow::{Context, bail};
 use serde::Deserialize;
 
-use crate::pins::Probe;
+use crate::pins::{Probe, SystemNeed};
 use crate::python;
 
 impl Probe {
@@ -20,6 +23,56 @@ impl Probe {
             }
         }
     }
+}
+
+/// Installs the packages of all needs with apt-get, then looks for what they bring.
+///
+/// # Errors
+/// When this process is not root (the message has the command line to run), the machine has no apt-get, or apt-get
+/// fails.
+pub(crate) fn install(needs: &[&SystemNeed]) -> anyhow::Result<()> {
+    let mut packages: Vec<&str> =
+        needs.iter().flat_map(|need| &need.packages).map(String::as_str).collect();
+    packages.sort_unstable();
+    packages.dedup();
+    if !std::fs::metadata("/proc/self").is_ok_and(|process| process.uid() == 0) {
+        bail!(
+            "system packages are missing. On Debian or Ubuntu run this line, elsewhere install the same packages \
+             with the system's package manager; then run the same command again:\n\n    \
+             sudo apt-get update && sudo apt-get install --yes --no-install-recommends {}\n",
+            packages.join(" ")
+        );
+    }
+    apt_get(&["update"])?;
+    apt_get(&[&["install", "--yes", "--no-install-recommends"], &*packages].concat())?;
+    for need in needs {
+        if need.probe.look().is_none() {
+            bail!(
+                "{} is still not found after its packages were installed: {}",
+                need.name,
+                need.packages.join(" ")
+            );
+        }
+    }
+    Ok(())
+}
+
+fn apt_get(arguments: &[&str]) -> anyhow::Result<()> {
+    let line = format!("apt-get {}", arguments.join(" "));
+    eprintln!("set-up: {line}");
+    let status = Command::new("apt-get")
+        .args(["--quiet=2", "--option", "DPkg::Lock::Timeout=120"])
+        .args(arguments)
+        .env("DEBIAN_FRONTEND", "noninteractive")
+        .stdin(Stdio::null())
+        // stdout carries data; set-up has none.
+        .stdout(std::io::stderr())
+        .status()
+        .with_context(|| format!("cannot start {line}"))?;
+    if !status.success() {
+        bail!("{line} failed ({status}); its messages are above. Is there a network?");
+    }
+    Ok(())
 }
 
 fn find_program(names: &[String]) -> Option<PathBuf> {
