@@ -36,15 +36,3 @@ def median_seconds(ask, queries, batch, seconds):
         ask(batch)
         times.append(time.perf_counter() - begun)
     return sorted(times)[len(times) // 2]
-
-
-def nearest(vectors, queries, count):
-    """Returns the indices of the nearest vectors of every query, by brute force."""
-    best = numpy.argpartition(-(queries @ vectors.T), count, axis=1)
-    return best[:, :count]
-
-
-def recall(found, truth):
-    """Returns the share of the true neighbours that were found."""
-    hits = [len(set(a) & set(b)) for a, b in zip(found.tolist(), truth.tolist())]
-    return sum(hits) / truth.size

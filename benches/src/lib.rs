@@ -19,7 +19,6 @@ pub mod results;
 pub mod runs;
 pub mod session;
 
-pub mod approximate;
 pub mod chain;
 pub mod curves;
 pub mod embed;
@@ -53,7 +52,6 @@ pub const BENCHES: &[Bench] = &[
     embed::BENCH,
     overlap::BENCH,
     search::BENCH,
-    approximate::BENCH,
     growth::BENCH,
     curves::BENCH,
     suite::BENCH,

@@ -133,7 +133,7 @@ fn measured(session: &BenchSession<'_>, size: (u32, u32), bytes: u64) -> Result<
                 rounds.batch.push(line.seconds());
             } else {
                 rounds.one.push(line.seconds());
-                rounds.read.extend(line.bytes_per_s.filter(|_| bytes / 4 >= BEYOND_CACHES));
+                rounds.read.extend((bytes / 4 >= BEYOND_CACHES).then_some(line.bytes_per_s));
             }
         }
         if bytes / 4 >= BEYOND_CACHES {

@@ -50,4 +50,4 @@ macro_rules! tests {
     };
 }
 
-tests! { hop chain render embed overlap search approximate growth curves suite }
+tests! { hop chain render embed overlap search growth curves suite }

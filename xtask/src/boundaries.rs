@@ -34,7 +34,6 @@ const ONLY_IN: &[(&str, &[&str])] = &[
     ("pyo3", &["memtransfer-python"]),
     ("reqwest", &["orchestrator"]),
     ("ureq", &["llm"]),
-    ("usearch", &["search"]),
     ("wgpu", &["sim-proc"]),
 ];
 
