@@ -1,58 +1,70 @@
-"""FAISS: the flat index and the HNSW graph."""
+"""FAISS: the flat index, which searches exactly.
+
+    {"do": "load", "command": [...], "entries": 1000, "dimension": 384, "queries": 1024, "threads": 2}
+                                                 ->    {"version": "..."}
+    {"do": "time", "batch": 64, "seconds": 2}    ->    {"seconds": 0.001}
+
+"load" fills the index with the vectors that a program writes: those of the memory, then the queries.
+"""
+
+import subprocess
+import time
 
 import faiss
 import numpy
 
 from _serve import serve
-from _vectors import median_seconds, nearest, read, recall
 
 state = {}
 
 
-def load(command, entries, dimension, queries, threads, graph=None):
-    """Fills an index with what `command` writes; with `graph`, an HNSW graph of that many neighbours."""
+def read(command, entries, dimension, queries):
+    """Yields the memory's vectors in blocks, then the queries, as arrays with one vector per row."""
+    with subprocess.Popen(command, stdout=subprocess.PIPE, bufsize=1 << 20) as program:
+        for count in [*blocks(entries), queries]:
+            wanted = count * dimension * 4
+            data = program.stdout.read(wanted)
+            if len(data) != wanted:
+                raise RuntimeError(f"{command[0]} ended early")
+            yield numpy.frombuffer(data, dtype=numpy.float32).reshape(count, dimension)
+
+
+def blocks(entries, size=65536):
+    """Returns the sizes of the blocks for this number of entries."""
+    return [min(size, entries - first) for first in range(0, entries, size)]
+
+
+def load(command, entries, dimension, queries, threads):
+    """Fills an index with the vectors that `command` writes."""
     faiss.omp_set_num_threads(threads)
-    if graph is None:
-        index = faiss.IndexFlatIP(dimension)
-        # Reserves room for all entries; otherwise growing the index would need memory for two copies.
-        index.codes.resize(4 * dimension * entries)
-        index.codes.resize(0)
-    else:
-        index = faiss.IndexHNSWFlat(dimension, graph["connectivity"], faiss.METRIC_INNER_PRODUCT)
-        index.hnsw.efConstruction = graph["building"]
-    *blocks, state["queries"] = keep(read(command, entries, dimension, queries), index, graph)
-    if graph is not None:
-        vectors = numpy.concatenate(blocks)
-        index.add(vectors)
-        state["truth"] = nearest(vectors, state["queries"], 10)
+    index = faiss.IndexFlatIP(dimension)
+    # Reserves room for all entries; otherwise growing the index would need memory for two copies.
+    index.codes.resize(4 * dimension * entries)
+    index.codes.resize(0)
+    for block in read(command, entries, dimension, queries):
+        if index.ntotal < entries:
+            index.add(block)
+        else:
+            state["queries"] = block
     state["index"] = index
-    return {"entries": index.ntotal, "version": faiss.__version__}
+    return {"version": faiss.__version__}
 
 
-def keep(blocks, index, graph):
-    """Adds each block at once where no graph needs all of them, so that memory holds one copy."""
-    held = None
-    for block in blocks:
-        if held is not None:
-            if graph is None:
-                index.add(held)
-            else:
-                yield held
-        held = block
-    yield held
-
-
-def time(batch, seconds):
-    """Measures the time of a batch."""
+def median_time(batch, seconds):
+    """Returns the median time of a batch of queries, measured for `seconds`, at least once."""
     index, queries = state["index"], state["queries"]
-    return {"seconds": median_seconds(lambda q: index.search(q, 1), queries, batch, seconds)}
+    batches = [queries[i : i + batch] for i in range(0, len(queries) - batch + 1, batch)]
+    begun = time.perf_counter()
+    index.search(batches[0], 1)
+    first = time.perf_counter() - begun
+    times = [first] if first > seconds else []
+    end = time.perf_counter() + seconds - first
+    while time.perf_counter() < end or not times:
+        asked = batches[len(times) % len(batches)]
+        begun = time.perf_counter()
+        index.search(asked, 1)
+        times.append(time.perf_counter() - begun)
+    return {"seconds": sorted(times)[len(times) // 2]}
 
 
-def query(searching, batch, seconds):
-    """Measures time and recall of a batch with efSearch = `searching`."""
-    state["index"].hnsw.efSearch = searching
-    _, found = state["index"].search(state["queries"], 10)
-    return {"recall_at_10": recall(found, state["truth"]), **time(batch, seconds)}
-
-
-serve(load=load, time=time, query=query)
+serve(load=load, time=median_time)

@@ -14,8 +14,8 @@ use shm_types::message::{
 };
 use shm_types::{Attach, Bus, RunDir};
 
+use crate::BenchSession;
 use crate::processes::BenchProcess;
-use crate::session::BenchSession;
 
 /// Longest wait for a notification.
 const LONGEST_SLEEP: Duration = Duration::from_millis(50);

@@ -18,11 +18,8 @@ use sim_proc::renderer::{RenderSettings, Renderer, ViewSpec};
 use sim_proc::view_control::every_pose;
 use warehouse::{Variant, Warehouse};
 
-use crate::Bench;
-use crate::baselines::Baseline;
-use crate::figure::{Better, FigureBound, Measurement};
-use crate::search::threads;
-use crate::session::BenchSession;
+use crate::session::threads;
+use crate::{Baseline, Bench, BenchSession, Measurement, Target};
 
 /// The bench.
 pub const BENCH: Bench =
@@ -33,7 +30,7 @@ const IMAGES: usize = 128;
 
 /// A frame's pixels.
 #[derive(Clone)]
-pub(crate) struct FramePixels(Arc<[u8]>);
+struct FramePixels(Arc<[u8]>);
 
 impl ImageSource for FramePixels {
     fn image(&self) -> Image<'_> {
@@ -42,14 +39,14 @@ impl ImageSource for FramePixels {
     }
 }
 
-fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
+fn run(session: &BenchSession<'_>) -> Result<Vec<Measurement>> {
     let warehouse = Warehouse::shipped();
     let all: Vec<Pose> = every_pose(&warehouse.layout).collect();
     // Spread over the hall.
     let count = session.size.pick(4, IMAGES);
     let poses: Vec<Pose> =
         all.iter().step_by((all.len() / count).max(1)).take(count).copied().collect();
-    session.say(format_args!("rendering {} views", poses.len()));
+    session.progress(format_args!("rendering {} views", poses.len()));
     let frames = drawn(session, &warehouse, &poses)?;
     let mut encoder = open(session)?;
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
@@ -67,8 +64,8 @@ fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
         }
         None => json!({}),
     };
-    for round in 1..=session.rounds() {
-        session.say(format_args!("round {round}"));
+    for round in 1..=session.rounds {
+        session.progress(format_args!("round {round}"));
         ours.push(rate(&mut encoder, &frames)?);
         if let Some(baseline) = &mut baseline {
             let request = json!({"do": "time", "images": IMAGES});
@@ -77,21 +74,17 @@ fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     }
     drop(baseline);
 
-    let facts = encoder.facts();
-    let mut figure = Measurement::new("embed.cold", "embedding, cold", "images/s", Better::Higher)
-        .ours(ours)
+    let (facts, version) = (encoder.facts(), opened["version"].as_str().unwrap_or_default());
+    let mut measurement = Measurement::new("embed.cold", "embedding images", "images/s", ours)
+        .beside(format!("ONNX Runtime {version} from Python"), theirs)
+        .target(Target::RatioAtLeast(1.0))
         .parameter("encoder", &facts.model)
         .parameter("provider", facts.provider.word())
-        .parameter("threads", facts.threads)
-        .note("ours starts from a frame's bytes; the baseline gets prepared tensors");
-    if !theirs.is_empty() {
-        let said = |key: &str| opened[key].as_str().unwrap_or_default();
-        figure = figure
-            .baseline("ONNX Runtime from Python", said("version"), theirs)
-            .parameter("baseline's setting", said("setting"))
-            .target(FigureBound::Ratio(1.0), "no slower");
+        .parameter("threads", facts.threads);
+    if let Some(setting) = opened["setting"].as_str() {
+        measurement = measurement.parameter("baseline's setting", setting);
     }
-    Ok(vec![figure])
+    Ok(vec![measurement])
 }
 
 /// The file of the default model.
@@ -102,7 +95,7 @@ fn default_model() -> Result<ModelFile> {
 }
 
 /// The default encoder, with a worker for each core; its sessions are open.
-pub(crate) fn open(session: &BenchSession<'_>) -> Result<Encoder> {
+fn open(session: &BenchSession<'_>) -> Result<Encoder> {
     let threads = NonZeroUsize::new(threads()).context("no thread")?;
     let runtime = RuntimeLibrary::from_environment(&CacheFolder::from_environment()?);
     let provider = session.hardware.provider;
@@ -115,14 +108,14 @@ pub(crate) fn open(session: &BenchSession<'_>) -> Result<Encoder> {
 }
 
 /// Images per second while all of these are embedded.
-pub(crate) fn rate(encoder: &mut Encoder, frames: &[FramePixels]) -> Result<f64> {
+fn rate(encoder: &mut Encoder, frames: &[FramePixels]) -> Result<f64> {
     let began = Instant::now();
     encoder.embed_all(frames.iter().cloned())?;
     Ok(frames.len() as f64 / began.elapsed().as_secs_f64())
 }
 
 /// Views of the unchanged world, rendered with the settings of a run.
-pub(crate) fn drawn(
+fn drawn(
     session: &BenchSession<'_>,
     warehouse: &Warehouse,
     poses: &[Pose],

@@ -1,35 +1,26 @@
 //! A polled round trip between two processes: through our wire types, and through iceoryx2's interface as iceoryx2's
-//! benchmark uses it. Also the machine's own limits.
+//! benchmark uses it.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use bytemuck::Zeroable;
-use domain::Representation;
 use iceoryx2::config::Config;
 use iceoryx2::node::{Node, NodeBuilder};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{FileName, PortFactory as _, SemanticString, SignalHandlingMode, ipc};
-use orchestrator::lanes::Stamps;
-use orchestrator::latency::StepLatencies;
-use orchestrator::machine::floors::{Effort, measure};
 use shm_types::message::{Observation, Role, StepCommand};
-use shm_types::process::{SHARED_MEMORY, monotonic_ns};
+use shm_types::process::SHARED_MEMORY;
 use shm_types::{Attach, Bus, Receiver, RunDir, Sender};
 
-use crate::Bench;
-use crate::figure::{Better, FigureBound, Measurement};
 use crate::processes::BenchProcess;
-use crate::session::BenchSession;
+use crate::{Bench, BenchSession, Measurement, Target};
 
 /// The bench.
-pub const BENCH: Bench = Bench {
-    name: "hop",
-    about: "a polled hop between two processes, and the machine's floors",
-    run,
-};
+pub const BENCH: Bench =
+    Bench { name: "hop", about: "a polled hop between two processes, beside iceoryx2 alone", run };
 
 /// Round trips in a batch. The figure is the median of batch means, so that a preemption does not show.
 const BATCH: u32 = 100;
@@ -37,90 +28,19 @@ const BATCH: u32 = 100;
 /// Longest wait for an answer before the other process counts as gone.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
+fn run(session: &BenchSession<'_>) -> Result<Vec<Measurement>> {
     let batches = session.size.pick(2, 3000);
-    let (ours, theirs) =
-        session.in_turns(|session| wire(session, batches), |session| iceoryx2(session, batches))?;
-    let bytes = (size_of::<StepCommand>(), size_of::<Observation>());
-    let hop = Measurement::new(
-        "hop.one-way",
-        "a polled hop through the wire types: half a round trip",
-        "ns",
-        Better::Lower,
-    )
-    .ours(ours)
-    .baseline("iceoryx2", "0.10", theirs)
-    .target(FigureBound::Ratio(1.5), "within 1.5 x")
-    .parameter("bytes there", bytes.0)
-    .parameter("bytes back", bytes.1);
-    let mut figures = vec![hop, stamping(session)];
-    figures.extend(floors(session)?);
-    Ok(figures)
-}
-
-/// Cost of profiling a step, in all processes together: time stamps and histograms.
-fn stamping(session: &BenchSession<'_>) -> Measurement {
-    let steps = session.size.pick(1_000, 1_000_000);
-    let mut latency = StepLatencies::default();
-    let mut round = || {
-        let began = Instant::now();
-        for step in 0..steps {
-            let stamps = Stamps {
-                step,
-                commanded_ns: monotonic_ns(),
-                woken_ns: monotonic_ns(),
-                stepped_ns: monotonic_ns(),
-                rendered_ns: monotonic_ns(),
-                published_ns: monotonic_ns(),
-                received_ns: monotonic_ns(),
-                embedded_ns: monotonic_ns(),
-                searched_ns: monotonic_ns(),
-                assembled_ns: monotonic_ns(),
-                recalled_ns: monotonic_ns(),
-                joined_ns: monotonic_ns(),
-                started_ns: monotonic_ns(),
-                decided_ns: monotonic_ns(),
-                logged_ns: monotonic_ns(),
-                ..Stamps::new(1, 0, Representation::Episodic.into())
-            };
-            latency.record(&stamps);
-        }
-        began.elapsed().as_nanos() as f64 / f64::from(steps)
-    };
-    let what = "profiling a step: 14 time stamps, 13 histograms";
-    Measurement::new("hop.stamping", what, "ns", Better::Lower)
-        .ours((0..session.rounds()).map(|_| round()).collect::<Vec<_>>())
-        .note("all processes together; a run reads the clock once per batch where it can")
-}
-
-/// The machine's limits, as figures.
-fn floors(session: &BenchSession<'_>) -> Result<Vec<Measurement>> {
-    let effort = session.size.pick(Effort::TINY, Effort::FULL);
-    let rounds = (0..session.rounds()).map(|_| measure(effort));
-    let rounds = rounds.collect::<std::io::Result<Vec<_>>>()?;
-    let of = |value: fn(&orchestrator::machine::floors::Floors) -> f64| -> Vec<f64> {
-        rounds.iter().map(value).collect()
-    };
-    let floor = |id: &str, what: &str, unit: &str, better| {
-        Measurement::new(
-            format!("hop.floor.{id}"),
-            format!("the machine's floor: {what}"),
-            unit,
-            better,
-        )
-    };
-    let mib = effort.bytes >> 20;
+    let (mut ours, mut theirs) = (Vec::new(), Vec::new());
+    for _ in 0..session.rounds {
+        ours.push(wire(session, batches)?);
+        theirs.push(iceoryx2(session, batches)?);
+    }
     Ok(vec![
-        floor("cache-line", "a cache line from one core to another", "ns", Better::Lower)
-            .ours(of(|floors| floors.cache_line_ns)),
-        floor("frame-copy", "a memcpy of a frame of 448 x 448", "us", Better::Lower)
-            .ours(of(|floors| floors.frame_copy_ns / 1e3)),
-        floor("read-1", "reading memory with one thread", "GB/s", Better::Higher)
-            .ours(of(|floors| floors.read_one_thread / 1e9))
-            .parameter("MiB", mib),
-        floor("read-all", "reading memory with all cores", "GB/s", Better::Higher)
-            .ours(of(|floors| floors.read_all_cores / 1e9))
-            .parameter("MiB", mib),
+        Measurement::new("hop.one-way", "a polled hop: half a round trip", "ns", ours)
+            .beside("iceoryx2 0.10", theirs)
+            .target(Target::RatioAtMost(1.5))
+            .parameter("bytes there", size_of::<StepCommand>())
+            .parameter("bytes back", size_of::<Observation>()),
     ])
 }
 

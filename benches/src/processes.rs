@@ -5,7 +5,7 @@ use std::process::{Child, Command, Stdio};
 use anyhow::{Context, Result, bail};
 use shm_types::process::die_with_parent;
 
-use crate::session::BenchSession;
+use crate::BenchSession;
 
 /// The main function of a helper process.
 type Main = fn(&[String]) -> Result<()>;
@@ -34,18 +34,12 @@ pub fn run(name: &str, arguments: &[String]) -> Result<()> {
     main(arguments)
 }
 
-/// Runs the helper process `name` to its end with these environment variables, and returns its standard output.
+/// Runs the helper process `name` to its end and returns its standard output.
 ///
 /// # Errors
 /// When the program is not built, does not start, or fails.
-pub fn output_of(
-    session: &BenchSession<'_>,
-    name: &str,
-    arguments: &[String],
-    variables: &[(&str, &str)],
-) -> Result<String> {
+pub fn output_of(session: &BenchSession<'_>, name: &str, arguments: &[String]) -> Result<String> {
     let output = command(session, name, arguments)?
-        .envs(variables.iter().copied())
         .output()
         .with_context(|| format!("cannot start the helper process {name}"))?;
     if !output.status.success() {

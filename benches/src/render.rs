@@ -1,84 +1,74 @@
-//! Rendering views for the first time, beside MiniWorld and ViZDoom, and the cost of a view that is already resident,
-//! beside a memcpy of a frame.
+//! Rendering views for the first time, beside MiniWorld and ViZDoom.
 //!
 //! Ours renders every view of the unchanged warehouse once, with the renderers of a run ([`open_renderers`]) into plain
 //! memory, as the baselines render into arrays; hashing and publishing are not measured. A baseline runs with one
 //! process and with one per core, and the better figure counts. Work done once for the first view is not timed on
 //! either side.
 
-use std::hint::black_box;
 use std::panic::resume_unwind;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, bail};
 use domain::Pose;
-use orchestrator::machine::floors::frame_copy_ns;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use shm_types::attach::{DEFAULT_WINDOW, FrameSize, PAGE_BYTES};
+use shm_types::attach::{FrameSize, PAGE_BYTES};
 use sim_proc::render_workers::open_renderers;
 use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, Samples, ViewSpec};
-use sim_proc::view_cache::{FrameKey, ViewCache};
 use sim_proc::view_control::every_pose;
-use sim_proc::worlds::WorldParts;
 use warehouse::{Variant, Warehouse};
 
-use crate::Bench;
-use crate::baselines::Baseline;
-use crate::figure::{Better, FigureBound, Measurement, MeasurementSummary};
-use crate::processes;
-use crate::search::threads;
-use crate::session::BenchSession;
+use crate::results::median;
+use crate::session::threads;
+use crate::{Baseline, Bench, BenchSession, Measurement, Target, processes};
 
 /// The bench.
 pub const BENCH: Bench = Bench {
     name: "render",
-    about: "views rendered for the first time, beside MiniWorld and ViZDoom; resident views, beside a memcpy of a frame",
+    about: "views rendered for the first time, beside ViZDoom and MiniWorld",
     run,
 };
 
 /// Views in a renderer's batch.
 const VIEWS_AT_ONCE: usize = 8;
 
-/// Lanes of the resident-view figure.
-const LANES: usize = 64;
-
 static UNCHANGED: Variant = Variant::UNCHANGED;
 
-/// A figure of cold rendering and its baseline.
-struct Cold {
+/// A measurement of ours and its baseline.
+struct Comparison {
     id: &'static str,
-    what: &'static str,
+    description: &'static str,
     samples: Samples,
-    target: (f64, &'static str),
+    /// Least ratio to the baseline.
+    target: f64,
     baseline: &'static str,
     script: &'static str,
     /// Width and height of the baseline's images.
     size_px: (u32, u32),
-    /// Images per round of each baseline process.
+    /// Images of each baseline process in a round.
     views: u32,
 }
 
-const COLD: [Cold; 2] = [
-    Cold {
+const COMPARISONS: [Comparison; 2] = [
+    Comparison {
         id: "render.1-sample",
-        what: "views rendered for the first time, without anti-aliasing",
+        description: "views, not anti-aliased",
         samples: Samples::One,
-        target: (1.0, "faster than ViZDoom"),
+        target: 1.0,
         baseline: "ViZDoom",
         script: "render_vizdoom.py",
         // Its size that is nearest to ours: 2 % fewer pixels.
         size_px: (512, 384),
         views: 2000,
     },
-    Cold {
+    Comparison {
         id: "render.4-samples",
-        what: "views rendered for the first time, with 4x MSAA",
+        description: "views, 4x MSAA",
         samples: Samples::Four,
-        target: (10.0, "ten times MiniWorld"),
+        target: 10.0,
         baseline: "MiniWorld",
         script: "render_miniworld.py",
         size_px: (FrameSize::DEFAULT.width, FrameSize::DEFAULT.height),
@@ -86,66 +76,60 @@ const COLD: [Cold; 2] = [
     },
 ];
 
-fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
-    let mut figures = Vec::new();
-    for cold in &COLD {
-        figures.push(measured(session, cold)?);
-    }
-    figures.push(repeated(session)?);
-    Ok(figures)
+fn run(session: &BenchSession<'_>) -> Result<Vec<Measurement>> {
+    COMPARISONS.iter().map(|comparison| compare(session, comparison)).collect()
 }
 
-fn measured(session: &BenchSession<'_>, cold: &Cold) -> Result<Measurement> {
-    let mut rival = match session.python {
-        Some(python) => Some(Rival::start(session, python, cold)?),
+fn compare(session: &BenchSession<'_>, comparison: &Comparison) -> Result<Measurement> {
+    let mut baseline = match session.python {
+        Some(python) => Some(BaselineProcesses::start(session, python, comparison)?),
         None => None,
     };
-    let mut drawn = Vec::new();
-    for round in 1..=session.rounds() {
-        session.say(format_args!("{}, round {round}", cold.id));
-        drawn.push(ours(session, cold.samples)?);
-        if let Some(rival) = &mut rival {
-            rival.measure(cold.views)?;
+    let mut rounds = Vec::new();
+    for round in 1..=session.rounds {
+        session.progress(format_args!("{}, round {round}", comparison.id));
+        rounds.push(ours(session, comparison.samples)?);
+        if let Some(baseline) = &mut baseline {
+            baseline.measure(comparison.views)?;
         }
     }
-    let Drawn { backend, renderers, views, .. } = drawn.first().context("no round")?;
-    let rates: Vec<f64> = drawn.iter().map(|drawn| drawn.views_per_second).collect();
-    let FrameSize { width, height } = FrameSize::DEFAULT;
-    let figure = Measurement::new(cold.id, cold.what, "views/s", Better::Higher)
-        .ours(rates)
-        .target(FigureBound::Ratio(cold.target.0), cold.target.1)
-        .parameter("size", format_args!("{width} x {height}"))
+    let rates = rounds.iter().map(|round| round.views_per_second).collect();
+    let Drawn { backend, renderers, views, .. } = rounds.first().context("no round")?;
+    let measurement = Measurement::new(comparison.id, comparison.description, "views/s", rates)
+        .target(Target::RatioAtLeast(comparison.target))
         .parameter("views", views)
         .parameter("backend", backend)
         .parameter("renderers", renderers);
-    Ok(match rival {
-        Some(rival) => rival.beside(figure, cold),
-        None => figure,
+    Ok(match baseline {
+        Some(baseline) => baseline.beside(measurement, comparison),
+        None => measurement,
     })
 }
 
 /// One baseline process per core, with rates per round.
-struct Rival {
+struct BaselineProcesses {
     processes: Vec<Baseline>,
     /// What they reported about themselves.
-    said: Value,
+    facts: Value,
+    /// Rates of one process.
     alone: Vec<f64>,
+    /// Rates of all processes.
     together: Vec<f64>,
 }
 
-impl Rival {
-    fn start(session: &BenchSession<'_>, python: &Path, cold: &Cold) -> Result<Self> {
-        let (mut processes, mut said) = (Vec::new(), Value::Null);
-        let (width, height) = cold.size_px;
+impl BaselineProcesses {
+    fn start(session: &BenchSession<'_>, python: &Path, comparison: &Comparison) -> Result<Self> {
+        let (mut processes, mut facts) = (Vec::new(), Value::Null);
+        let (width, height) = comparison.size_px;
         for number in 1..=threads() {
-            let logs = session.scratch().join(format!("{}-{number}", cold.baseline));
+            let logs = session.scratch().join(format!("{}-{number}", comparison.baseline));
             std::fs::create_dir(&logs)
                 .with_context(|| format!("cannot make {}", logs.display()))?;
-            let mut baseline = Baseline::start(python, cold.script, &logs)?;
-            said = baseline.ask(&json!({"do": "start", "width": width, "height": height}))?;
+            let mut baseline = Baseline::start(python, comparison.script, &logs)?;
+            facts = baseline.ask(&json!({"do": "start", "width": width, "height": height}))?;
             processes.push(baseline);
         }
-        Ok(Self { processes, said, alone: Vec::new(), together: Vec::new() })
+        Ok(Self { processes, facts, alone: Vec::new(), together: Vec::new() })
     }
 
     fn measure(&mut self, views: u32) -> Result<()> {
@@ -154,27 +138,18 @@ impl Rival {
         Ok(())
     }
 
-    /// The figure with the best rate of this baseline.
-    fn beside(self, figure: Measurement, cold: &Cold) -> Measurement {
-        let median = |rates: &[f64]| MeasurementSummary::of(rates).map(|summary| summary.median);
+    /// The measurement with the better rate of this baseline.
+    fn beside(self, measurement: Measurement, comparison: &Comparison) -> Measurement {
         let (processes, rates) = if median(&self.alone) >= median(&self.together) {
             (1, self.alone)
         } else {
             (self.processes.len(), self.together)
         };
-        let (width, height) = cold.size_px;
-        let figure = figure
-            .baseline(cold.baseline, self.said["version"].as_str().unwrap_or_default(), rates)
-            .parameter("baseline's size", format_args!("{width} x {height}"))
-            .parameter("baseline's processes", processes);
-        let told = [
-            ("renderer", self.said["renderer"].as_str().map(str::to_owned)),
-            ("samples", self.said["samples"].as_u64().map(|count| count.to_string())),
-        ];
-        let told = told.into_iter().filter_map(|(name, value)| Some((name, value?)));
-        told.fold(figure, |figure, (name, value)| {
-            figure.parameter(format!("baseline's {name}"), value)
-        })
+        let version = self.facts["version"].as_str().unwrap_or_default();
+        measurement
+            .beside(format!("{} {version}", comparison.baseline), rates)
+            .parameter("baseline's processes", processes)
+            .parameter("baseline", self.facts)
     }
 }
 
@@ -196,21 +171,21 @@ fn rate(processes: &mut [Baseline], views: u32) -> Result<f64> {
 
 /// Result of the render process.
 #[derive(Serialize, Deserialize)]
-pub(crate) struct Drawn {
-    pub(crate) views_per_second: f64,
+struct Drawn {
+    views_per_second: f64,
     views: usize,
     renderers: usize,
     backend: String,
 }
 
 /// Measures ours in a new process without any resident view.
-pub(crate) fn ours(session: &BenchSession<'_>, samples: Samples) -> Result<Drawn> {
+fn ours(session: &BenchSession<'_>, samples: Samples) -> Result<Drawn> {
     let arguments = [
         samples.count().to_string(),
         session.size.pick(8, usize::MAX).to_string(),
         session.hardware.backend.to_string(),
     ];
-    let printed = processes::output_of(session, "render", &arguments, &[])?;
+    let printed = processes::output_of(session, "render", &arguments)?;
     serde_json::from_str(&printed)
         .with_context(|| format!("the helper process render printed {printed:?}"))
 }
@@ -280,45 +255,4 @@ pub(crate) fn render_process(arguments: &[String]) -> Result<()> {
     };
     println!("{}", serde_json::to_string(&drawn)?);
     Ok(())
-}
-
-/// A step to a resident view: the simulator's bookkeeping alone.
-fn repeated(session: &mut BenchSession<'_>) -> Result<Measurement> {
-    let layout = Warehouse::shipped().layout;
-    let keys: Vec<FrameKey> = every_pose(&layout)
-        .map(|pose| FrameKey::WorldParts { world: WorldParts::UNCHANGED, pose })
-        .collect();
-    let mut views = ViewCache::new(keys.len(), LANES, DEFAULT_WINDOW as usize);
-    for (frame, &view) in (1..).zip(&keys) {
-        views.pin_for_memory(view);
-        views.start_rendering(view);
-        views.insert(view, frame);
-        views.release(frame)?;
-    }
-    let (steps, copies) = (session.size.pick(1000, 2_000_000), session.size.pick(3, 500));
-    let (ours, copy) = session
-        .in_turns(|_| look_up_ns(&mut views, &keys, steps), |_| Ok(frame_copy_ns(copies)))?;
-    ensure!(views.missing() == 0, "a resident view was to be rendered");
-    let what = "a step to a resident view: noted as shown, looked up, room checked";
-    Ok(Measurement::new("render.repeated", what, "ns", Better::Lower)
-        .ours(ours)
-        .baseline("a memcpy of the frame", "", copy)
-        .target(FigureBound::Ratio(1.0), "no work on pixels")
-        .parameter("lanes", LANES)
-        .parameter("views", keys.len())
-        .note("only the bookkeeping of views; pixels are not touched"))
-}
-
-/// Mean duration of a step in nanoseconds: lanes take turns, each step far from the last view.
-fn look_up_ns(views: &mut ViewCache, keys: &[FrameKey], steps: usize) -> Result<f64> {
-    /// A prime, so that every view is visited.
-    const STRIDE: usize = 367;
-    let began = Instant::now();
-    for step in 0..steps {
-        let view = keys[step * STRIDE % keys.len()];
-        views.show(step % LANES, view);
-        ensure!(views.make_room()?.is_empty(), "a view was evicted");
-        black_box(views.frame(view).context("a view is not resident")?);
-    }
-    Ok(began.elapsed().as_nanos() as f64 / steps as f64)
 }

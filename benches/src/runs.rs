@@ -8,12 +8,11 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, Result, bail};
 use domain::cache_folder;
 use serde::Deserialize;
-use serde::de::DeserializeOwned;
 
-use crate::session::BenchSession;
+use crate::BenchSession;
 
 /// Folders that a run adds to the cache folder; everything else comes from set-up.
-const MADE_BY_RUNS: [&str; 4] = ["embeddings", "documents", "responses", "views"];
+const WRITTEN_BY_RUNS: [&str; 4] = ["embeddings", "documents", "responses", "views"];
 
 /// A run to execute.
 #[derive(Debug, Clone)]
@@ -35,12 +34,11 @@ impl BenchRun {
         Self { flags, lanes, runs, env: Vec::new() }
     }
 
-    /// The command, with `out` in the session's scratch folder as the run folder.
+    /// Executes the run, with `out` in the session's scratch folder as the run folder, and returns its path.
     ///
     /// # Errors
-    /// When `memtransfer` is not built.
-    pub fn command(&self, session: &BenchSession<'_>, out: &str) -> Result<(Command, PathBuf)> {
-        let folder = session.scratch().join(out);
+    /// When it cannot be started or fails; the message quotes its output.
+    pub fn execute(&self, session: &BenchSession<'_>, out: &str) -> Result<PathBuf> {
         let mut command = session.run_command()?;
         command
             .args(["--quiet", "--fresh", "--lanes", &self.lanes.to_string()])
@@ -48,17 +46,8 @@ impl BenchRun {
             .args(&self.flags)
             .envs(self.env.iter().map(|(name, value)| (name, value)))
             .stdout(Stdio::null());
-        Ok((command, folder))
-    }
-
-    /// Executes the run and returns its folder.
-    ///
-    /// # Errors
-    /// When it cannot be started or fails; the message quotes its output.
-    pub fn make(&self, session: &BenchSession<'_>, out: &str) -> Result<PathBuf> {
-        let (mut command, folder) = self.command(session, out)?;
-        ended_well(&mut command, &session.scratch().join("run.log"))?;
-        Ok(folder)
+        run_to_end(&mut command, &session.scratch().join("run.log"))?;
+        Ok(session.scratch().join(out))
     }
 }
 
@@ -66,12 +55,12 @@ impl BenchRun {
 ///
 /// # Errors
 /// When it does not start or fails; the message quotes the end of the log.
-pub fn ended_well(command: &mut Command, log: &Path) -> Result<()> {
+pub fn run_to_end(command: &mut Command, log: &Path) -> Result<()> {
     let file = File::create(log).with_context(|| format!("cannot create {}", log.display()))?;
     let status = command.stderr(file).status().context("cannot start memtransfer")?;
     if !status.success() {
-        let said = std::fs::read_to_string(log).unwrap_or_default();
-        let lines: Vec<&str> = said.lines().collect();
+        let messages = std::fs::read_to_string(log).unwrap_or_default();
+        let lines: Vec<&str> = messages.lines().collect();
         bail!(
             "{command:?} failed ({status}):\n{}",
             lines[lines.len().saturating_sub(12)..].join("\n")
@@ -89,7 +78,7 @@ pub fn new_cache(folder: &Path) -> Result<()> {
     let Ok(entries) = std::path::absolute(cache_folder()?)?.read_dir() else { return Ok(()) };
     for entry in entries {
         let entry = entry?;
-        if !MADE_BY_RUNS.iter().any(|made| entry.file_name() == *made) {
+        if !WRITTEN_BY_RUNS.iter().any(|name| entry.file_name() == *name) {
             symlink(entry.path(), folder.join(entry.file_name()))?;
         }
     }
@@ -98,9 +87,9 @@ pub fn new_cache(folder: &Path) -> Result<()> {
 
 /// A line of `timings.jsonl`, reduced to what is used here.
 #[derive(Debug, Clone, Copy, Deserialize)]
-pub(crate) struct TimingLine {
-    pub(crate) started_ns: u64,
-    pub(crate) ended_ns: u64,
+struct TimingLine {
+    started_ns: u64,
+    ended_ns: u64,
     steps: u32,
 }
 
@@ -110,17 +99,13 @@ pub(crate) struct TimingLine {
 /// # Errors
 /// When the folder cannot be read, or the run is too short to have a steady state.
 pub fn steady_rate(folder: &Path) -> Result<f64> {
-    rate(&lines::<TimingLine>(&folder.join("timings.jsonl"))?)
-        .with_context(|| format!("{} is too short to have a steady state", folder.display()))
-}
-
-/// Parses every line of a JSON Lines file.
-pub(crate) fn lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> {
-    let text =
-        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let line =
+    let path = folder.join("timings.jsonl");
+    let text = std::fs::read_to_string(&path)
+        .with_context(|| format!("cannot read {}", path.display()))?;
+    let timing =
         |line| serde_json::from_str(line).with_context(|| format!("{}: {line}", path.display()));
-    text.lines().map(line).collect()
+    rate(&text.lines().map(timing).collect::<Result<Vec<_>>>()?)
+        .with_context(|| format!("{} is too short to have a steady state", folder.display()))
 }
 
 /// The rate between the start of the episode at the first quartile and the start of the last one. The steps of an

@@ -27,6 +27,11 @@ impl Size {
     }
 }
 
+/// Threads that each side may use: the number of cores.
+pub fn threads() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
 /// What renders and embeds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Hardware {
@@ -52,7 +57,8 @@ pub struct BenchSession<'a> {
     pub python: Option<&'a Path>,
     /// The folder of the built programs.
     pub programs: &'a Path,
-    rounds: u32,
+    /// Rounds to measure, at least one.
+    pub rounds: u32,
     bench: &'static str,
     scratch: TempDir,
     /// Registry folder of the runs of `memtransfer`. Its path is short because sockets are created below it.
@@ -60,35 +66,31 @@ pub struct BenchSession<'a> {
 }
 
 impl<'a> BenchSession<'a> {
-    /// A session for the bench called `bench`.
+    /// A session for the bench called `bench`: one round, on the processor, without baselines.
     ///
     /// # Errors
     /// When a scratch folder cannot be created.
-    pub fn new(
-        bench: &'static str,
-        size: Size,
-        hardware: Hardware,
-        rounds: u32,
-        programs: &'a Path,
-        python: Option<&'a Path>,
-    ) -> Result<Self> {
+    pub fn new(bench: &'static str, size: Size, programs: &'a Path) -> Result<Self> {
         let scratch = tempfile::Builder::new().prefix("memtransfer-bench-").tempdir();
         let registry = tempfile::Builder::new().prefix("mtb").tempdir_in("/dev/shm");
         let scratch = scratch.context("cannot create a scratch folder")?;
         let registry = registry.context("cannot create a registry folder for runs")?;
-        let rounds = rounds.max(1);
-        Ok(Self { size, hardware, python, programs, rounds, bench, scratch, registry })
-    }
-
-    /// Number of rounds, at least one.
-    pub fn rounds(&self) -> u32 {
-        self.size.pick(1, self.rounds)
+        Ok(Self {
+            size,
+            hardware: Hardware::CPU,
+            python: None,
+            programs,
+            rounds: 1,
+            bench,
+            scratch,
+            registry,
+        })
     }
 
     /// Prints progress on stderr.
-    pub fn say(&self, what: impl std::fmt::Display) {
+    pub fn progress(&self, message: impl std::fmt::Display) {
         if self.size == Size::Full {
-            eprintln!("{}: {what}", self.bench);
+            eprintln!("{}: {message}", self.bench);
         }
     }
 
@@ -123,19 +125,9 @@ impl<'a> BenchSession<'a> {
     /// # Errors
     /// When it is not built.
     pub fn run_command(&self) -> Result<Command> {
-        let mut command = self.memtransfer()?;
+        let mut command = Command::new(self.program("memtransfer")?);
         let Hardware { backend, provider } = self.hardware;
         command.args(["run", "--backend", &backend.to_string(), "--provider", provider.word()]);
-        Ok(command)
-    }
-
-    /// A command for `memtransfer` in the scratch folder, with a registry of its own and no settings from the
-    /// environment.
-    ///
-    /// # Errors
-    /// When it is not built.
-    pub fn memtransfer(&self) -> Result<Command> {
-        let mut command = Command::new(self.program("memtransfer")?);
         // The cache folder belongs to the machine, not to the run.
         let settings = std::env::vars_os().map(|(name, _)| name).filter(|name| {
             let name = name.to_string_lossy();
@@ -149,23 +141,5 @@ impl<'a> BenchSession<'a> {
             .env("MEMTRANSFER_RUN_DIR", self.registry())
             .stdin(Stdio::null());
         Ok(command)
-    }
-
-    /// Measures this project and the baseline alternately, one value each per round, so that both see the same
-    /// machine.
-    ///
-    /// # Errors
-    /// The first error of either measurement.
-    pub fn in_turns(
-        &mut self,
-        mut ours: impl FnMut(&mut Self) -> Result<f64>,
-        mut theirs: impl FnMut(&mut Self) -> Result<f64>,
-    ) -> Result<(Vec<f64>, Vec<f64>)> {
-        let mut values = (Vec::new(), Vec::new());
-        for _ in 0..self.rounds() {
-            values.0.push(ours(self)?);
-            values.1.push(theirs(self)?);
-        }
-        Ok(values)
     }
 }

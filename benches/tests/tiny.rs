@@ -1,4 +1,4 @@
-//! Runs every bench at its smallest size and without baselines, and checks that its figures have unique ids.
+//! Runs every bench at its smallest size and without baselines, and checks that its measurements have unique ids.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-use benches::{BENCHES, BenchSession, Hardware, Size};
+use benches::{BENCHES, BenchSession, Size};
 
 /// One at a time: benches start processes.
 static MACHINE: Mutex<()> = Mutex::new(());
@@ -15,25 +15,15 @@ fn tiny(name: &str) {
     let _alone = MACHINE.lock().unwrap_or_else(PoisonError::into_inner);
     let programs = Path::new(env!("CARGO_BIN_EXE_memtransfer-bench")).parent().unwrap();
     let bench = BENCHES.iter().find(|bench| bench.name == name).unwrap();
-    let mut session =
-        BenchSession::new(bench.name, Size::Tiny, Hardware::CPU, 1, programs, None).unwrap();
-    let figures = (bench.run)(&mut session).unwrap();
-    assert!(!figures.is_empty(), "{name} returned no figure");
+    let session = BenchSession::new(bench.name, Size::Tiny, programs).unwrap();
+    let measurements = (bench.run)(&session).unwrap();
+    assert!(!measurements.is_empty(), "{name} measured nothing");
     let mut ids = BTreeSet::new();
-    for figure in &figures {
-        assert!(
-            figure.id.starts_with(&format!("{name}.")),
-            "{}: the id does not start with its bench",
-            figure.id
-        );
-        assert!(ids.insert(&figure.id), "{}: twice", figure.id);
-        assert!(!figure.ours.is_empty(), "{}: it has no value", figure.id);
-        assert!(
-            figure.ours.iter().all(|value| value.is_finite()),
-            "{}: {:?}",
-            figure.id,
-            figure.ours
-        );
+    for measurement in &measurements {
+        let (id, ours) = (&measurement.id, &measurement.ours);
+        assert!(id.starts_with(&format!("{name}.")), "{id} does not start with its bench");
+        assert!(ids.insert(id), "{id}: twice");
+        assert!(!ours.is_empty() && ours.iter().all(|value| value.is_finite()), "{id}: {ours:?}");
     }
 }
 
@@ -50,4 +40,4 @@ macro_rules! tests {
     };
 }
 
-tests! { hop chain render embed overlap search approximate growth curves suite }
+tests! { hop chain render embed search suite }

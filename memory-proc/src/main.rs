@@ -19,7 +19,6 @@ use memory_proc::paths::CacheFolder;
 use memory_proc::search_profile::{self, ProfileSettings};
 use memory_proc::serve::{EncoderSettings, ServeSettings, serve};
 use program::AppearanceArgs;
-use search::GraphOptions;
 use search::synthetic::SyntheticVectors;
 
 /// The memory of MemTransfer: embeds frames, builds the representations, retrieves.
@@ -130,18 +129,6 @@ struct ProfileArguments {
     /// Sizes of the memory
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1,10,100,1000,10000")]
     entries: Vec<NonZeroU32>,
-    /// Kind of search
-    #[arg(long, value_name = "NAME", value_enum, default_value_t = SearchKind::Exact)]
-    search: SearchKind,
-    /// Approximate search: neighbours of a node (M)
-    #[arg(long, default_value_t = GraphOptions::default().connectivity, value_name = "N")]
-    connectivity: usize,
-    /// Approximate search: candidates considered while a node is inserted (efConstruction)
-    #[arg(long, default_value_t = GraphOptions::default().building, value_name = "N")]
-    building: usize,
-    /// Approximate search: candidates considered by a query (efSearch); one measurement each
-    #[arg(long, default_value = "64", value_name = "LIST", value_delimiter = ',')]
-    searching: Vec<usize>,
     /// Maximum number of queries in a measurement
     #[arg(long, default_value = "10000", value_name = "N")]
     queries: NonZeroUsize,
@@ -173,16 +160,6 @@ impl VectorArguments {
         let embeddings = memory_proc::embedding_cache::stored(&cache.embeddings(), dimension);
         Ok(SyntheticVectors::new(embeddings, dimension, self.seed))
     }
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum SearchKind {
-    /// Exact search
-    Exact,
-    /// Approximate search, through a graph
-    Approximate,
-    /// Exact search, then approximate search
-    Both,
 }
 
 #[derive(Args)]
@@ -358,14 +335,6 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
 fn profile(arguments: ProfileArguments) -> anyhow::Result<()> {
     let settings = ProfileSettings {
         entries: arguments.entries.into_iter().map(NonZeroU32::get).collect(),
-        exact: !matches!(arguments.search, SearchKind::Approximate),
-        approximate: !matches!(arguments.search, SearchKind::Exact),
-        graph: GraphOptions {
-            connectivity: arguments.connectivity,
-            building: arguments.building,
-            ..GraphOptions::default()
-        },
-        searching: arguments.searching,
         queries: arguments.queries.get(),
         seconds: arguments.seconds,
         threads: arguments.threads.unwrap_or_else(cores),

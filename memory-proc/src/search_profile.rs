@@ -1,6 +1,6 @@
 //! `memory-proc profile`: how long a search takes, by the size of the memory.
 //!
-//! Prints one measurement per line: a kind of search, a size, and a number of queries in one call.
+//! Prints one measurement per line: a size of the memory, and a number of queries in one call.
 
 use std::io::Write;
 use std::num::NonZeroUsize;
@@ -10,19 +10,13 @@ use anyhow::{Context, bail};
 use domain::search_profile::{SearchLatency, SearchMeasurement};
 use hdrhistogram::Histogram;
 use search::synthetic::SyntheticVectors;
-use search::{
-    ApproximateIndex, Embedding, GraphOptions, Index, IndexBuilder, Neighbour, SearchQuery,
-    ViewEntry,
-};
+use search::{Embedding, Index, IndexBuilder, SearchQuery, ViewEntry};
 
 /// Queries in one call, for the two measurements of each size.
 const BATCHES: [usize; 2] = [1, 64];
 
 /// Distinct queries of a measurement; they are repeated.
 const QUERIES: usize = 4096;
-
-/// Queries that recall is measured with.
-const RECALL_QUERIES: usize = 1000;
 
 /// Vectors generated together while a memory is filled.
 const FILL_CHUNK: usize = 16_384;
@@ -32,14 +26,6 @@ const FILL_CHUNK: usize = 16_384;
 pub struct ProfileSettings {
     /// Sizes of the memory.
     pub entries: Vec<u32>,
-    /// Whether to measure the exact search.
-    pub exact: bool,
-    /// Whether to measure the approximate search.
-    pub approximate: bool,
-    /// How the graph of the approximate search is built.
-    pub graph: GraphOptions,
-    /// Candidates that the approximate search considers; one measurement each.
-    pub searching: Vec<usize>,
     /// Maximum number of queries in a measurement.
     pub queries: usize,
     /// Maximum duration of a measurement, in seconds.
@@ -63,160 +49,76 @@ pub fn run(
         let count = settings.queries.min(QUERIES);
         let queries: Vec<Embedding> =
             (0..count).map(|number| vectors.query(number, entries)).collect();
-        let bench = SearchBench { settings, vectors, entries, index: &index, queries: &queries };
-        if settings.exact {
-            bench.exact(out)?;
-        }
-        if settings.approximate {
-            bench.approximate(out)?;
+        let begun = Instant::now();
+        index.prepare();
+        let build_s = begun.elapsed().as_secs_f64();
+        for batch in BATCHES {
+            let (times, seconds) = time(settings, &index, &queries, batch)?;
+            let calls = times.len() as f64;
+            let at = |quantile| times.value_at_quantile(quantile);
+            let measured = SearchMeasurement {
+                entries,
+                dimension: vectors.dimension(),
+                real: vectors.real(entries),
+                batch,
+                threads: index.threads(batch),
+                build_s,
+                bytes: index.bytes(),
+                queries: times.len() as usize * batch,
+                latency_ns: SearchLatency {
+                    p50: at(0.5),
+                    p90: at(0.9),
+                    p99: at(0.99),
+                    p999: at(0.999),
+                    max: times.max(),
+                },
+                queries_per_s: calls * batch as f64 / seconds,
+                bytes_per_s: calls * index.scanned_bytes(batch) as f64 / seconds,
+            };
+            serde_json::to_writer(&mut *out, &measured)?;
+            writeln!(out)?;
+            out.flush().context("cannot write to standard output")?;
         }
     }
     Ok(())
 }
 
-/// A memory of one size, with queries for it.
-struct SearchBench<'a> {
-    settings: &'a ProfileSettings,
-    vectors: &'a SyntheticVectors,
-    entries: u32,
-    index: &'a Index,
-    queries: &'a [Embedding],
-}
-
-impl SearchBench<'_> {
-    fn exact(&self, out: &mut impl Write) -> anyhow::Result<()> {
+/// Times searches of `batch` queries in one call: the times in nanoseconds, and their sum in seconds.
+fn time(
+    settings: &ProfileSettings,
+    index: &Index,
+    queries: &[Embedding],
+    batch: usize,
+) -> anyhow::Result<(Histogram<u64>, f64)> {
+    let query = |embedding| SearchQuery { embedding, stage: 0, elapsed: 0 };
+    let embeddings = queries.iter().map(Embedding::as_slice).cycle();
+    let queries: Vec<SearchQuery<'_>> =
+        embeddings.take(queries.len().max(batch)).map(query).collect();
+    let batches = queries.chunks_exact(batch);
+    let search = |batch| std::hint::black_box(index.nearest_of_many(batch, 1));
+    let warm_up = Instant::now();
+    for batch in batches.clone().take(100) {
+        search(batch);
+        if warm_up.elapsed().as_secs_f64() > settings.seconds / 10.0 {
+            break;
+        }
+    }
+    let mut times = Histogram::<u64>::new(3).context("cannot make a histogram")?;
+    times.auto(true);
+    let mut sum = Duration::ZERO;
+    for batch in batches.cycle().take(settings.queries.div_ceil(batch)) {
         let begun = Instant::now();
-        self.index.prepare();
-        let build_s = begun.elapsed().as_secs_f64();
-        for batch in BATCHES {
-            let mut measured = self.measure(batch, |queries| {
-                std::hint::black_box(self.index.nearest_of_many(queries, 1));
-                Ok(())
-            })?;
-            let calls_per_s = measured.queries_per_s / batch as f64;
-            measured.bytes_per_s = Some(self.index.scanned_bytes(batch) as f64 * calls_per_s);
-            measured.threads = self.index.threads(batch);
-            (measured.build_s, measured.bytes) = (build_s, self.index.bytes());
-            print(&measured, out)?;
+        search(batch);
+        let time = begun.elapsed();
+        times
+            .record(time.as_nanos() as u64)
+            .context("a search took longer than the histogram can record")?;
+        sum += time;
+        if sum.as_secs_f64() > settings.seconds {
+            break;
         }
-        Ok(())
     }
-
-    fn approximate(&self, out: &mut impl Write) -> anyhow::Result<()> {
-        let threads = self.settings.threads;
-        let begun = Instant::now();
-        let mut graph = ApproximateIndex::new(self.index, self.settings.graph, threads)?;
-        let build_s = begun.elapsed().as_secs_f64();
-        for &searching in &self.settings.searching {
-            graph.set_searching(searching);
-            let (recall_at_1, recall_at_10) = self.recall(&graph)?;
-            for batch in BATCHES {
-                let measured = self.measure(batch, |queries| {
-                    std::hint::black_box(graph.nearest_of_many(queries, 1)?);
-                    Ok(())
-                })?;
-                let measured = SearchMeasurement {
-                    search: "approximate".to_owned(),
-                    searching: Some(searching),
-                    threads: if batch == 1 { 1 } else { threads.get() },
-                    build_s,
-                    bytes: self.index.bytes() + graph.bytes(),
-                    recall_at_1,
-                    recall_at_10,
-                    ..measured
-                };
-                print(&measured, out)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// Measures calls of `batch` queries each. The caller sets the fields that only it knows.
-    fn measure(
-        &self,
-        batch: usize,
-        mut search: impl FnMut(&[SearchQuery<'_>]) -> anyhow::Result<()>,
-    ) -> anyhow::Result<SearchMeasurement> {
-        let count = self.queries.len().max(batch);
-        let queries: Vec<SearchQuery<'_>> =
-            self.queries.iter().cycle().take(count).map(query).collect();
-        let batches = queries.chunks_exact(batch);
-        let warm_up = Instant::now();
-        for batch in batches.clone().take(100) {
-            search(batch)?;
-            if warm_up.elapsed().as_secs_f64() > self.settings.seconds / 10.0 {
-                break;
-            }
-        }
-        let mut times = Histogram::<u64>::new(3).context("cannot make a histogram")?;
-        times.auto(true);
-        let mut sum = Duration::ZERO;
-        for batch in batches.cycle().take(self.settings.queries.div_ceil(batch)) {
-            let begun = Instant::now();
-            search(batch)?;
-            let time = begun.elapsed();
-            times
-                .record(time.as_nanos() as u64)
-                .context("a search took longer than the histogram can record")?;
-            sum += time;
-            if sum.as_secs_f64() > self.settings.seconds {
-                break;
-            }
-        }
-        let queries = times.len() as usize * batch;
-        let at = |quantile| times.value_at_quantile(quantile);
-        Ok(SearchMeasurement {
-            entries: self.entries,
-            dimension: self.vectors.dimension(),
-            real: self.vectors.real(self.entries),
-            search: "exact".to_owned(),
-            searching: None,
-            batch,
-            threads: 1,
-            build_s: 0.0,
-            bytes: 0,
-            queries,
-            latency_ns: SearchLatency {
-                p50: at(0.5),
-                p90: at(0.9),
-                p99: at(0.99),
-                p999: at(0.999),
-                max: times.max(),
-            },
-            queries_per_s: queries as f64 / sum.as_secs_f64().max(f64::MIN_POSITIVE),
-            bytes_per_s: None,
-            recall_at_1: 1.0,
-            recall_at_10: 1.0,
-        })
-    }
-
-    /// The shares of the nearest view and of the ten nearest views that a graph finds.
-    fn recall(&self, graph: &ApproximateIndex<'_>) -> anyhow::Result<(f64, f64)> {
-        let queries: Vec<SearchQuery<'_>> =
-            self.queries.iter().take(RECALL_QUERIES).map(query).collect();
-        let exact = self.index.nearest_of_many(&queries, 10);
-        let share = |wanted: usize| -> anyhow::Result<f64> {
-            let approximate = graph.nearest_of_many(&queries, wanted)?;
-            let found = |(exact, approximate): (&Vec<Neighbour>, &Vec<Neighbour>)| {
-                let exact = &exact[..exact.len().min(wanted)];
-                let found = exact.iter().filter(|neighbour| approximate.contains(neighbour));
-                found.count() as f64 / exact.len().max(1) as f64
-            };
-            let sum: f64 = exact.iter().zip(&approximate).map(found).sum();
-            Ok(sum / queries.len().max(1) as f64)
-        };
-        Ok((share(1)?, share(10)?))
-    }
-}
-
-fn print(measured: &SearchMeasurement, out: &mut impl Write) -> anyhow::Result<()> {
-    serde_json::to_writer(&mut *out, measured)?;
-    writeln!(out)?;
-    out.flush().context("cannot write to standard output")
-}
-
-fn query(embedding: &Embedding) -> SearchQuery<'_> {
-    SearchQuery { embedding: embedding.as_slice(), stage: 0, elapsed: 0 }
+    Ok((times, sum.as_secs_f64().max(f64::MIN_POSITIVE)))
 }
 
 /// Writes the vectors of a memory of `entries`, then those of some queries, as little-endian numbers.

@@ -2,7 +2,6 @@
 
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
-use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
@@ -19,19 +18,10 @@ pub(crate) struct BenchArguments {
     /// Measure only these benches, separated by commas (`-- --help` lists them)
     #[arg(long, value_name = "NAMES")]
     only: Option<String>,
-    /// Number of rounds
-    #[arg(long, value_name = "N")]
-    rounds: Option<u32>,
-    /// Compare with earlier results (a bench.json)
-    #[arg(long, value_name = "FILE")]
-    compare: Option<PathBuf>,
-    /// Keep earlier results of benches that are not measured now
-    #[arg(long)]
-    keep: bool,
     /// Measure only this project, without installing the baselines
     #[arg(long)]
     pub(crate) no_baselines: bool,
-    /// Further flags for `memtransfer-bench`, for example `-- --backend wgpu --provider cuda`
+    /// Further flags for `memtransfer-bench`, for example `-- --rounds 3 --backend wgpu`
     #[arg(last = true)]
     flags: Vec<OsString>,
 }
@@ -48,23 +38,12 @@ pub(crate) fn run(
         return Ok(false);
     }
     let program = workspace.program("memtransfer-bench")?;
-    let out = workspace.target_folder()?.join("bench");
-    let mut flags: Vec<OsString> = vec!["--out".into(), out.into()];
+    let mut flags = Vec::<OsString>::new();
     if !arguments.no_baselines {
         flags.extend(["--python".into(), cache.root().join(BASELINES).into()]);
     }
     if let Some(only) = &arguments.only {
         flags.extend(["--only".into(), only.into()]);
-    }
-    if let Some(rounds) = arguments.rounds {
-        flags.extend(["--rounds".into(), rounds.to_string().into()]);
-    }
-    if let Some(earlier) = &arguments.compare {
-        let earlier = std::path::absolute(earlier).context("--compare")?;
-        flags.extend(["--compare".into(), earlier.into()]);
-    }
-    if arguments.keep {
-        flags.push("--keep".into());
     }
     flags.extend(arguments.flags.iter().cloned());
     // `exec` returns only on failure.

@@ -42,7 +42,6 @@ const ONLY_IN: &[(&str, &[&str])] = &[
     ("ort", &["memory-proc"]),
     ("pyo3", &["memtransfer-python"]),
     ("ureq", &["llm"]),
-    ("usearch", &["search"]),
     ("wgpu", &["sim-proc"]),
 ];
 

@@ -66,7 +66,7 @@ enum Verb {
         #[arg(last = true)]
         test_arguments: Vec<String>,
     },
-    /// Set up with the baselines' packages, build, measure, write target/bench
+    /// Set up with the baselines' packages, build, measure, print a table, write target/bench.json
     Bench(bench::BenchArguments),
     /// Build, disturb runs on purpose, write target/drill (docs/reliability.md)
     Drill(drill::DrillArguments),

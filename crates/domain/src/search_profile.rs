@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A measurement of one kind of search, in a memory of one size.
+/// A measurement of the search in a memory of one size.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SearchMeasurement {
     /// Size of the memory.
@@ -11,16 +11,11 @@ pub struct SearchMeasurement {
     pub dimension: usize,
     /// Entries that are embeddings of images.
     pub real: u32,
-    /// `exact` or `approximate`.
-    pub search: String,
-    /// Candidates considered in the graph; absent for exact search.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub searching: Option<usize>,
     /// Queries in one call.
     pub batch: usize,
     /// Threads of the search.
     pub threads: usize,
-    /// Seconds that preparing the search took, without generating the vectors.
+    /// Seconds that quantizing the vectors took, without generating them.
     pub build_s: f64,
     /// Size of the memory in bytes.
     pub bytes: usize,
@@ -30,12 +25,8 @@ pub struct SearchMeasurement {
     pub latency_ns: SearchLatency,
     /// Queries answered per second.
     pub queries_per_s: f64,
-    /// Bytes read per second; absent for approximate search.
-    pub bytes_per_s: Option<f64>,
-    /// Share of queries whose nearest entry was found.
-    pub recall_at_1: f64,
-    /// Share of the queries' ten nearest entries that were found.
-    pub recall_at_10: f64,
+    /// Bytes read per second.
+    pub bytes_per_s: f64,
 }
 
 /// Percentiles, in nanoseconds.

@@ -18,7 +18,7 @@ use results::named;
 use serde::{Deserialize, Serialize};
 
 /// The version of the format.
-pub(crate) const SCHEMA: u32 = 3;
+pub(crate) const SCHEMA: u32 = 4;
 
 named! {
     /// Whether the caches know the views.
@@ -131,8 +131,6 @@ impl Profile {
             "p99_us",
             "p999_us",
             "max_us",
-            "recall_at_1",
-            "recall_at_10",
         ])?;
         for run in &self.runs {
             for AccessLatency { memory, step, part, times } in &run.latencies {
@@ -142,7 +140,6 @@ impl Profile {
                     (None::<u32>, None::<u32>, None::<u32>),
                     (times.count, times.mean_us, times.p50_us, times.p90_us),
                     (times.p99_us, times.p999_us, times.max_us),
-                    (None::<f64>, None::<f64>),
                 ))?;
             }
         }
@@ -151,11 +148,10 @@ impl Profile {
             let us = |ns: u64| ns as f64 / 1e3;
             csv.serialize((
                 ("search", None::<String>, None::<u32>, None::<u32>),
-                (search.search.as_str(), None::<String>, None::<String>),
+                ("search", None::<String>, None::<String>),
                 (search.entries, search.batch, search.threads),
                 (search.queries, None::<f64>, us(times.p50), us(times.p90)),
                 (us(times.p99), us(times.p999), us(times.max)),
-                (search.recall_at_1, search.recall_at_10),
             ))?;
         }
         csv.into_inner().map_err(|error| io::Error::other(error.to_string()).into())
@@ -202,16 +198,10 @@ pub(crate) mod tests {
             seconds: 0.5,
             latencies: Representation::ALL.iter().flat_map(latencies).collect(),
         };
-        let search = "{\"entries\": 10, \"dimension\": 4, \"real\": 5, \"search\": \"exact\", \"batch\": 1, \
+        let search = "{\"entries\": 10, \"dimension\": 4, \"real\": 5, \"batch\": 1, \
                       \"threads\": 2, \"build_s\": 0.1, \"bytes\": 160, \"queries\": 7, \"latency_ns\": {\"p50\": 1, \
-                      \"p90\": 2, \"p99\": 3, \"p999\": 4, \"max\": 5}, \"queries_per_s\": 9.0, \"bytes_per_s\": null, \
-                      \"recall_at_1\": 1.0, \"recall_at_10\": 1.0}";
+                      \"p90\": 2, \"p99\": 3, \"p999\": 4, \"max\": 5}, \"queries_per_s\": 9.0, \"bytes_per_s\": 1e9}";
         let search: SearchMeasurement = serde_json::from_str(search).unwrap();
-        let approximate = SearchMeasurement {
-            search: "approximate".to_owned(),
-            recall_at_10: 0.97,
-            ..search.clone()
-        };
         Profile {
             schema: SCHEMA,
             version: "0".to_owned(),
@@ -231,7 +221,7 @@ pub(crate) mod tests {
                 run(CacheState::Warm, 1, 200),
                 run(CacheState::Warm, 16, 0),
             ],
-            searches: vec![search, approximate],
+            searches: vec![search],
             problems: vec!["something & nothing".to_owned()],
         }
     }
@@ -247,9 +237,9 @@ pub(crate) mod tests {
         let columns = lines.next().unwrap().split(',').count();
         assert!(csv.lines().all(|line| line.split(',').count() == columns), "{csv}");
         let latencies: usize = profile().runs.iter().map(|run| run.latencies.len()).sum();
-        assert_eq!(lines.count(), latencies + 2);
+        assert_eq!(lines.count(), latencies + 1);
         let page = fs::read_to_string(page).unwrap();
-        for said in ["something &#38; nothing", "<svg", "episodic", "exact"] {
+        for said in ["something &#38; nothing", "<svg", "episodic", "1.0"] {
             assert!(page.contains(said), "{said}");
         }
     }

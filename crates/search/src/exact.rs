@@ -78,28 +78,6 @@ pub(crate) fn scan(level: SimdLevel, rows: &Matrix, query: &[f32], wanted: usize
     nearest
 }
 
-/// Measures only `some` rows, given in ascending order of their estimated distances. `bound` turns the greatest distance that
-/// still counts into the greatest estimate that a row so near can have; the scan stops at the first estimate above it.
-pub(crate) fn scan_some(
-    level: SimdLevel,
-    rows: &Matrix,
-    some: impl Iterator<Item = (usize, f32)>,
-    (query, wanted): (&[f32], usize),
-    bound: impl Fn(f32) -> f32,
-) -> NearestRows {
-    let query = padded(query);
-    let mut nearest = NearestRows::new(wanted);
-    for (row, estimate) in some {
-        if estimate > bound(nearest.limit()) {
-            break;
-        }
-        let mut distance = [0.0];
-        kernels::distances(level, &query, rows.row(row), &mut distance);
-        nearest.offer(distance[0], row as u32);
-    }
-    nearest
-}
-
 /// Finds the nearest rows of several queries in one pass over the quantized rows, on `threads` threads.
 pub(crate) fn scan_quantized(
     level: SimdLevel,
@@ -346,7 +324,6 @@ mod tests {
     use super::*;
     use crate::Embedding;
     use crate::embedding::distance;
-    use crate::quantized::record_distance;
     use proptest::prelude::*;
 
     /// Every row measured by itself, in order of distance; those as far as the last that is wanted.
@@ -365,21 +342,6 @@ mod tests {
         let mut rows: Vec<(u32, u32)> = rows.map(|(far, row)| (far.to_bits(), row)).collect();
         rows.sort_unstable();
         rows
-    }
-
-    /// The distance of each row by the records.
-    fn record_distances(
-        level: SimdLevel,
-        quantized: &QuantizedMatrix,
-        query: &QuantizedQuery,
-        rows: usize,
-    ) -> impl Iterator<Item = f32> {
-        let query = quantized.query_record(query);
-        (0..rows).map(move |row| {
-            let mut record = Vec::new();
-            quantized.record(row, &mut record);
-            record_distance(level, &query, &record)
-        })
     }
 
     fn embedding(dimension: usize) -> impl Strategy<Value = Embedding> {
@@ -434,16 +396,6 @@ mod tests {
                     let found: Vec<_> = best.into_iter().map(sorted_bits).collect();
                     prop_assert_eq!(&found[..], &expected[..many], "{:?}, quantized vectors", level);
                 }
-                for (query, expected) in queries.iter().zip(&expected) {
-                    let quantized = codes.query(query.as_slice());
-                    let mut some: Vec<_> =
-                        record_distances(level, &codes, &quantized, rows.len()).enumerate().collect();
-                    some.sort_by(|a, b| a.1.total_cmp(&b.1));
-                    let bound = |limit| codes.record_limit(&quantized, limit);
-                    let query = (query.as_slice(), wanted);
-                    let best = scan_some(level, &store, some.into_iter(), query, bound);
-                    prop_assert_eq!(&sorted_bits(best), expected, "{:?}, records", level);
-                }
             }
         }
 
@@ -461,8 +413,7 @@ mod tests {
                     block.multiply(level, [&query], &mut products);
                     block.estimates(&query, &products[0]).collect::<Vec<_>>()
                 });
-                let records = record_distances(level, &quantized, &query, store.len());
-                all.take(store.len()).chain(records).map(f32::to_bits).collect::<Vec<_>>()
+                all.take(store.len()).map(f32::to_bits).collect::<Vec<_>>()
             };
             let all: Vec<_> = SimdLevel::all().into_iter().map(estimates).collect();
             prop_assert!(all.windows(2).all(|pair| pair[0] == pair[1]));

@@ -187,11 +187,7 @@ impl Index {
         if self.uses_quantized(queries) { self.quantized_threads(queries) } else { 1 }
     }
 
-    pub(crate) fn rows(&self) -> &Matrix {
-        &self.rows
-    }
-
-    pub(crate) fn quantized(&self) -> &QuantizedMatrix {
+    fn quantized(&self) -> &QuantizedMatrix {
         let quantize =
             || QuantizedMatrix::new(SimdLevel::best(), &self.rows, self.quantized_threads(1));
         self.quantized.get_or_init(quantize)
@@ -224,7 +220,7 @@ impl Index {
     }
 
     /// The first `wanted` views of the nearest rows.
-    pub(crate) fn in_order(
+    fn in_order(
         &self,
         nearest: NearestRows,
         query: &SearchQuery<'_>,

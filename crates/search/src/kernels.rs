@@ -143,17 +143,6 @@ pub(crate) fn dot_products<const QUERIES: usize>(
     );
 }
 
-/// The product of two vectors of stored codes, less what [`CODE_ZERO`] adds to them. Their length is a multiple of 64, and no
-/// stored code is 0, which would be -128.
-pub(crate) fn dot_product(level: SimdLevel, a: &[u8], b: &[u8]) -> i32 {
-    dispatch!(
-        level,
-        portable::dot_product(a, b),
-        x86::dot_product_avx2(a, b),
-        x86::dot_product_avx512(a, b),
-    )
-}
-
 /// Which rows of a block reach the threshold, one bit each: `product * scale * query_scale + threshold >= half_norm`.
 pub(crate) fn candidates(
     level: SimdLevel,

@@ -4,12 +4,10 @@
 //! - [`Index`]: exact search. Its order is total, so an answer depends on nothing but the query: cosine distance, then
 //!   task stage, then elapsed steps (specification, section 5), then demonstration, then step. Views of equal content
 //!   have equal embeddings and so equal distances, to the last bit: these are the ties;
-//! - [`ApproximateIndex`]: search through a graph, which runs do not use;
 //! - [`synthetic`]: vectors to measure a search with.
 //!
 //! Inside, `index` -> `exact` -> `quantized` -> `kernels` -> `matrix`. Only `kernels` knows vector instructions.
 
-mod approximate;
 pub mod embedding;
 mod exact;
 mod index;
@@ -21,7 +19,6 @@ pub mod synthetic;
 
 use std::sync::LazyLock;
 
-pub use approximate::{ApproximateIndex, GraphError, GraphOptions};
 pub use embedding::{ContentHash, Embedding, distance};
 pub use index::{Index, IndexBuilder, Neighbour, SearchQuery, ViewEntry};
 

@@ -21,9 +21,6 @@ use crate::pages;
 /// Maximum number of rows whose mean is the centre. Any centre is correct; a good one makes errors small.
 const CENTRE_SAMPLE: usize = 4096;
 
-/// Bytes behind the codes of a record: scale and half norm.
-const RECORD_TAIL: usize = 8;
-
 /// Quantized rows, in blocks of [`BLOCK_ROWS`].
 pub(crate) struct QuantizedMatrix {
     level: SimdLevel,
@@ -161,54 +158,6 @@ impl QuantizedMatrix {
         let slack = (product + threshold.abs() + self.max_half_norm) * 2.0_f64.powi(-20);
         ((threshold + slack) as f32).next_up()
     }
-
-    /// Size of a [record](Self::record): a multiple of 64 codes and the tail.
-    pub(crate) fn record_bytes(&self) -> usize {
-        (self.steps * 4).next_multiple_of(64) + RECORD_TAIL
-    }
-
-    /// Writes a row's record: its stored codes, scale and half norm.
-    pub(crate) fn record(&self, row: usize, record: &mut Vec<u8>) {
-        record.clear();
-        let (block, place) = (self.block(row / BLOCK_ROWS), row % BLOCK_ROWS);
-        for lines in block.lines.chunks_exact(4) {
-            record.extend_from_slice(&lines[place / 16].0[place % 16 * 4..][..4]);
-        }
-        record.resize(self.record_bytes() - RECORD_TAIL, CODE_ZERO);
-        record.extend(block.scales[place].to_ne_bytes());
-        record.extend(block.half_norms[place].to_ne_bytes());
-    }
-
-    /// The record of a query.
-    pub(crate) fn query_record(&self, query: &QuantizedQuery) -> Vec<u8> {
-        let stored = |code: &u8| code.wrapping_add(CODE_ZERO);
-        let mut record: Vec<u8> = query.codes.iter().map(stored).collect();
-        record.resize(self.record_bytes() - RECORD_TAIL, CODE_ZERO);
-        record.extend(query.scale.to_ne_bytes());
-        record.extend((query.half_norm as f32).to_ne_bytes());
-        record
-    }
-
-    /// The greatest [`record_distance`] from a query of a row of original distance `limit` or less. The slack is for the
-    /// rounding of the half norms, which [`Self::threshold`] does not add up.
-    pub(crate) fn record_limit(&self, query: &QuantizedQuery, limit: f32) -> f32 {
-        let half_norms = query.half_norm + self.max_half_norm;
-        let threshold = f64::from(self.threshold(query, limit));
-        ((query.half_norm + threshold + half_norms * 2.0_f64.powi(-20)) as f32).next_up()
-    }
-}
-
-/// Half the squared distance between the quantized vectors of two records, up to rounding.
-pub(crate) fn record_distance(level: SimdLevel, a: &[u8], b: &[u8]) -> f32 {
-    let split = |record: &[u8]| {
-        let (codes, tail) = record.split_at(record.len() - RECORD_TAIL);
-        let number =
-            |at: usize| f32::from_ne_bytes([tail[at], tail[at + 1], tail[at + 2], tail[at + 3]]);
-        (codes.len(), number(0), number(4))
-    };
-    let ((length, a_scale, a_half_norm), (_, b_scale, b_half_norm)) = (split(a), split(b));
-    let product = kernels::dot_product(level, &a[..length], &b[..length]) as f32;
-    a_half_norm + b_half_norm - a_scale * b_scale * product
 }
 
 impl RowBlock<'_> {

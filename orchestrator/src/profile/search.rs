@@ -9,13 +9,13 @@ use domain::search_profile::SearchMeasurement;
 
 use supervise::sibling;
 
-/// Measures one kind of search in a memory of `entries`, for about `seconds` per measurement.
+/// Measures searches in a memory of `entries`, for about `seconds` per measurement.
 ///
 /// # Errors
 /// When the process cannot be started, fails, or prints something else.
-pub fn measure(kind: &str, entries: u32, seconds: f64) -> Result<Vec<SearchMeasurement>> {
+pub fn measure(entries: u32, seconds: f64) -> Result<Vec<SearchMeasurement>> {
     let mut child = Command::new(sibling("memory-proc")?)
-        .args(["profile", "--search", kind, "--entries", &entries.to_string()])
+        .args(["profile", "--entries", &entries.to_string()])
         .args(["--seconds", &seconds.to_string()])
         .stdin(Stdio::null())
         .stdout(Stdio::piped())

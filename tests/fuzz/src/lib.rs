@@ -23,7 +23,6 @@ pub const TARGETS: &[Target] = &[
     ("run-folder", &[folders::run, folders::viewer_run]),
     // Shipped plans, and folders of units, merged.
     ("units", &[folders::plan, folders::merged]),
-    ("leaderboard", &[folders::leaderboard]),
     // Paths of requests to the viewer.
     ("viewer-path", &[folders::viewer_path]),
     // Suites, prices, models.toml, .env, and the words in them.

@@ -235,27 +235,25 @@ fn sizes(profile: &Profile) -> Result<Option<ReportSection>> {
     if profile.searches.is_empty() {
         return Ok(None);
     }
-    let kinds: BTreeSet<(usize, &str)> =
-        profile.searches.iter().map(|search| (search.batch, search.search.as_str())).collect();
-    let mut shown: Vec<Curve> = kinds
+    let batches: BTreeSet<usize> = profile.searches.iter().map(|search| search.batch).collect();
+    let mut shown: Vec<Curve> = batches
         .into_iter()
-        .map(|(batch, kind)| Curve {
-            name: if batch == 1 { kind.to_owned() } else { format!("{kind}, {batch} at once") },
+        .map(|batch| Curve {
+            name: if batch == 1 { "one query".to_owned() } else { format!("{batch} at once") },
             is_bound: false,
             points: profile
                 .searches
                 .iter()
-                .filter(|search| search.batch == batch && search.search == kind)
+                .filter(|search| search.batch == batch)
                 .map(|search| (f64::from(search.entries), search.seconds() * 1e6))
                 .collect(),
         })
         .collect();
-    let exact =
-        profile.searches.iter().filter(|search| search.search == "exact" && search.batch == 1);
+    let single = profile.searches.iter().filter(|search| search.batch == 1);
     shown.push(Curve {
         name: "reading all vectors once, at the floor".to_owned(),
         is_bound: true,
-        points: exact
+        points: single
             .map(|search| {
                 let bytes = f64::from(search.entries) * search.dimension as f64 * 4.0;
                 (f64::from(search.entries), bytes / profile.floors.read_all_cores * 1e6)
@@ -277,16 +275,10 @@ fn sizes(profile: &Profile) -> Result<Option<ReportSection>> {
             [times.p50, times.p90, times.p99, times.p999, times.max].map(|time| ns(time as f64)),
         );
         cells.push(format!("{:.0}", search.queries_per_s));
-        cells.push(
-            search
-                .bytes_per_s
-                .map_or_else(|| "n/a".to_owned(), |rate| format!("{:.1}", rate / 1e9)),
-        );
+        cells.push(format!("{:.1}", search.bytes_per_s / 1e9));
         cells.push(format!("{:.1}", search.bytes as f64 / f64::from(1 << 20)));
         cells.push(format!("{:.2}", search.build_s));
-        cells
-            .extend([search.recall_at_1, search.recall_at_10].map(|recall| format!("{recall:.4}")));
-        (format!("{} {}", search.search, search.entries), cells)
+        (search.entries.to_string(), cells)
     });
     let columns = [
         "at once",
@@ -301,12 +293,10 @@ fn sizes(profile: &Profile) -> Result<Option<ReportSection>> {
         "GB/s read",
         "MiB",
         "build s",
-        "recall@1",
-        "recall@10",
     ];
-    let caption = "Searches alone, among real embeddings and seeded neighbours of them. A run searches exactly; recall is the \
-                   share of that which an approximate search finds. GB/s: what an exact search reads.";
-    let table = Table::of_text("t-sizes", caption, (&["Search and entries"], &columns), rows);
+    let caption = "Searches alone, among real embeddings and seeded neighbours of them. GB/s: what a search \
+                   reads.";
+    let table = Table::of_text("t-sizes", caption, (&["Entries"], &columns), rows);
     Ok(Some(ReportSection::new(
         "s-sizes",
         "Against the size of the memory",

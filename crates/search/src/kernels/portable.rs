@@ -47,12 +47,6 @@ pub(super) fn dot_products<const QUERIES: usize>(
     }
 }
 
-/// The product of two vectors of stored codes.
-pub(super) fn dot_product(a: &[u8], b: &[u8]) -> i32 {
-    let signed = |code: u8| i32::from(code) - i32::from(CODE_ZERO);
-    a.iter().zip(b).map(|(&a, &b)| signed(a) * signed(b)).fold(0, i32::wrapping_add)
-}
-
 /// Which rows of a block reach the threshold, one bit each.
 pub(super) fn candidates(
     products: &[i32; BLOCK_ROWS],

@@ -31,32 +31,6 @@ pub(super) fn quantize_avx512(vector: &[f32], centre: &[f32], codes: &mut [u8]) 
 }
 
 #[target_feature(enable = "avx2")]
-pub(super) fn dot_product_avx2(a: &[u8], b: &[u8]) -> i32 {
-    let (zero, ones) = (_mm256_set1_epi8(i8::MIN), _mm256_set1_epi16(1));
-    let mut sums = [_mm256_setzero_si256(); 2];
-    for (a, b) in a.as_chunks::<64>().0.iter().zip(b.as_chunks::<64>().0) {
-        let halves = a.as_chunks::<32>().0.iter().zip(b.as_chunks::<32>().0);
-        for (sum, (a, b)) in sums.iter_mut().zip(halves) {
-            let (a, b) = (_mm256_xor_si256(load(a), zero), _mm256_xor_si256(load(b), zero));
-            // One side has to be unsigned, so the sign of `a` moves to `b`. Codes are at least -127, so two products fit
-            // into 16 bits.
-            let products = _mm256_maddubs_epi16(_mm256_abs_epi8(a), _mm256_sign_epi8(b, a));
-            *sum = _mm256_add_epi32(*sum, _mm256_madd_epi16(products, ones));
-        }
-    }
-    let eight = _mm256_add_epi32(sums[0], sums[1]);
-    let four = _mm_add_epi32(_mm256_castsi256_si128(eight), _mm256_extracti128_si256::<1>(eight));
-    let two = _mm_add_epi32(four, _mm_shuffle_epi32::<0b11_10>(four));
-    _mm_cvtsi128_si32(_mm_add_epi32(two, _mm_shuffle_epi32::<1>(two)))
-}
-
-#[target_feature(enable = "avx2")]
-fn load(codes: &[u8; 32]) -> __m256i {
-    // SAFETY: 32 codes are 32 bytes; this load asks for no alignment.
-    unsafe { _mm256_loadu_si256(codes.as_ptr().cast()) }
-}
-
-#[target_feature(enable = "avx2")]
 pub(super) fn candidates_avx2(
     products: &[i32; BLOCK_ROWS],
     scales: &[f32; BLOCK_ROWS],
@@ -274,23 +248,6 @@ pub(super) fn dot_products_avx512<const QUERIES: usize>(
             unsafe { _mm512_storeu_si512(products.as_mut_ptr().cast(), sum) };
         }
     }
-}
-
-#[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
-pub(super) fn dot_product_avx512(a: &[u8], b: &[u8]) -> i32 {
-    let zero = _mm512_set1_epi8(i8::MIN);
-    let (mut product, mut excess) = (_mm512_setzero_si512(), _mm512_setzero_si512());
-    for (a, b) in a.as_chunks::<64>().0.iter().zip(b.as_chunks::<64>().0) {
-        // SAFETY: both are 64 bytes; these loads ask for no alignment.
-        let (a, b) = unsafe {
-            (_mm512_loadu_si512(a.as_ptr().cast()), _mm512_loadu_si512(b.as_ptr().cast()))
-        };
-        // One side stays unsigned, which adds 128 times the other side's codes.
-        let signed = _mm512_xor_si512(b, zero);
-        product = _mm512_dpbusd_epi32(product, a, signed);
-        excess = _mm512_dpbusd_epi32(excess, zero, signed);
-    }
-    _mm512_reduce_add_epi32(_mm512_sub_epi32(product, excess))
 }
 
 #[target_feature(enable = "avx512f")]
