@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use domain::MemoryKind;
+use domain::names::named;
 use domain::search_profile::SearchMeasurement;
-use results::named;
 use serde::{Deserialize, Serialize};
 
 use crate::machine::Machine;

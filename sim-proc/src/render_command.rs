@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use domain::Pose;
 use png_file::RgbaImage;
 use program::AppearanceArgs;
-use warehouse::{CaseSet, Start, Variant, Warehouse};
+use warehouse::{CaseSet, TrajectoryKind, Variant, Warehouse};
 
 use crate::renderer::{Backend, RenderSettings, Renderer, Samples, ViewSpec, contact_sheet};
 
@@ -46,8 +46,8 @@ pub struct RenderArgs {
     subject: RenderSubject,
 
     /// Which of the case's trajectories: original, opposite, nearby, distant, test or blocked.
-    #[arg(long, value_name = "NAME", default_value = "original", requires = "case", value_parser = parse_start)]
-    trajectory: Start,
+    #[arg(long, value_name = "NAME", default_value = "original", requires = "case", value_parser = parse_trajectory)]
+    trajectory: TrajectoryKind,
 
     /// The PNG file, or for a trajectory the folder of its numbered PNG files, which is created if missing.
     #[arg(long, value_name = "PATH")]
@@ -90,11 +90,11 @@ pub(crate) fn parse_size(text: &str) -> Result<(u32, u32), String> {
     sides.ok_or_else(|| "expected width x height, for example 448x448".to_owned())
 }
 
-fn parse_start(text: &str) -> Result<Start, String> {
-    let names = Start::ALL.map(Start::name);
-    Start::ALL
+fn parse_trajectory(text: &str) -> Result<TrajectoryKind, String> {
+    let names = TrajectoryKind::ALL.map(TrajectoryKind::name);
+    TrajectoryKind::ALL
         .into_iter()
-        .find(|start| start.name() == text)
+        .find(|kind| kind.name() == text)
         .ok_or_else(|| format!("expected one of {}", names.join(", ")))
 }
 

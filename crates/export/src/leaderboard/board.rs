@@ -305,7 +305,7 @@ fn row(entry: &Entry, score: &Score, columns: &[&'static BoardColumn]) -> BoardR
 
 #[cfg(test)]
 mod tests {
-    use results::key::Order;
+    use domain::StreamOrder;
     use results::log::EpisodeRecord;
     use results::log::testing::{keyed, log, record, stream_log, stream_record};
 
@@ -382,12 +382,12 @@ mod tests {
 
     #[test]
     fn of_stream_settings_those_that_differ_are_named() {
-        let entry = |blocks, orders: &[Order]| {
+        let entry = |blocks, orders: &[StreamOrder]| {
             let mut log = stream_log(vec![stream_record("t01-01", true)], [blocks, 1, 2]);
             log.manifest.settings.stream.as_mut().unwrap().orders = orders.to_vec();
             Entry::of(&log).unwrap()
         };
-        let board = Board::new(&[entry(2, &Order::ALL), entry(3, &[Order::Drawn])]);
+        let board = Board::new(&[entry(2, &StreamOrder::ALL), entry(3, &[StreamOrder::Drawn])]);
         let text = board.text();
         let text = text.replace(&board.sections[0].id, "FIRST");
         let lines: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("  ")).collect();
