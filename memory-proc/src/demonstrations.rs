@@ -3,14 +3,14 @@
 //! A demonstration is stored as actions and replayed here with the warehouse's dynamics, in the world where it takes place.
 //! Its views are named by pose and world variant.
 //!
-//! Memories are built from demonstrations only. [`CaseSet::demonstrated`] knows none that is a test reference: those never
-//! get into a memory, whatever a set of cases contains. A memory that learns also has the episodes that it learned from, in
-//! the form of demonstrations.
+//! Memories are built from demonstrations only. No [`DemonstrationKind`](domain::DemonstrationKind) is a test reference: those
+//! never get into a memory, whatever a set of cases contains. A memory that learns also has the episodes that it learned
+//! from, in the form of demonstrations.
 
 use std::collections::HashSet;
 
-use domain::{Action, Feedback, Pose};
-use warehouse::{CaseSet, Demonstrations, History, Warehouse};
+use domain::{Action, Demonstrations, Feedback, Pose};
+use warehouse::{CaseSet, History, Warehouse};
 
 use crate::bank::Viewpoint;
 
@@ -19,7 +19,7 @@ use crate::bank::Viewpoint;
 pub struct ReplayedDemonstration {
     /// Its case's index; of an episode, its position in its sequence.
     pub case: u32,
-    /// Its [number](warehouse::Start::demonstration) in that case; [`EXPERIENCE`](shm_types::message::EXPERIENCE) for an episode.
+    /// Its [code](domain::DemonstrationKind); [`EXPERIENCE`](shm_types::message::EXPERIENCE) for an episode.
     pub number: u16,
     /// The world variant in which it takes place.
     pub variant: u32,
@@ -52,7 +52,7 @@ impl ReplayedDemonstration {
 
 /// Replays the demonstrations of a set, given as [`Demonstrations::bits`], for the case at `index`. A mixed set includes
 /// demonstrations of other cases, each with its own case's task. `None` when there is no such case or set, or one of the
-/// demonstrations is a test reference.
+/// demonstrations does not exist.
 pub fn selected(
     warehouse: &Warehouse,
     cases: &CaseSet,
@@ -75,7 +75,7 @@ pub fn of_all_cases(
     histories(warehouse, cases, cases.histories_of_all(selection).into_iter())
 }
 
-/// Replays these demonstrations, each once. `None` when one of them is a test reference.
+/// Replays these demonstrations, each once. `None` when one of them does not exist.
 pub(crate) fn histories(
     warehouse: &Warehouse,
     cases: &CaseSet,
@@ -86,7 +86,7 @@ pub(crate) fn histories(
     each_once.map(|history| replayed(warehouse, cases, history)).collect()
 }
 
-/// Replays a demonstration. `None` when it is a test reference.
+/// Replays a demonstration. `None` when it does not exist.
 pub(crate) fn replayed(
     warehouse: &Warehouse,
     cases: &CaseSet,
@@ -96,7 +96,7 @@ pub(crate) fn replayed(
     let replay = of.replay();
     Some(ReplayedDemonstration {
         case: history.case as u32,
-        number: history.start as u16,
+        number: history.kind as u16,
         variant: of.variant,
         instruction: of.instruction(),
         poses: replay.poses,
@@ -108,8 +108,10 @@ pub(crate) fn replayed(
 
 #[cfg(test)]
 mod tests {
+    use domain::{DemonstrationKind, Mixture};
+    use warehouse::{ELSEWHERE_VARIANT, Elsewhere};
+
     use super::*;
-    use warehouse::{ELSEWHERE_VARIANT, Elsewhere, Mixture, Start};
 
     #[test]
     fn a_demonstration_of_another_case_completes_that_case_s_task() {
@@ -121,26 +123,27 @@ mod tests {
             for index in 0..cases.cases.len() {
                 let chosen = selected(&warehouse, &cases, index as u32, set.bits()).unwrap();
                 assert_eq!(chosen.len(), 4);
-                for (demonstration, start) in chosen.iter().zip([Start::Original, Start::Opposite])
+                for (demonstration, kind) in
+                    chosen.iter().zip([DemonstrationKind::Original, DemonstrationKind::Opposite])
                 {
                     assert_eq!(
                         (demonstration.case, demonstration.number),
-                        (index as u32, start as u16)
+                        (index as u32, kind as u16)
                     );
                 }
                 for (demonstration, history) in
                     chosen[2..].iter().zip(cases.cases[index].mixed(mixture))
                 {
-                    let of = &cases.cases[history.case];
                     assert_eq!(
                         (demonstration.case, demonstration.number),
-                        (history.case as u32, history.start as u16)
+                        (history.case as u32, history.kind as u16)
                     );
-                    let replay = of.replay(&warehouse, history.start);
+                    let of = cases.demonstrated(&warehouse, history).unwrap();
+                    let replay = of.replay();
                     assert!(replay.length.is_some() && demonstration.stages == replay.stages);
                     assert_eq!(demonstration.poses, replay.poses);
                     let actions: Vec<_> = demonstration.actions.iter().copied().flatten().collect();
-                    assert_eq!(actions, of.trajectory(history.start).actions);
+                    assert_eq!(actions, of.trajectory.actions);
                 }
             }
         }
@@ -158,7 +161,7 @@ mod tests {
         for (index, demonstration) in all.iter().enumerate() {
             let task = &cases.cases[index].task;
             assert_eq!(demonstration.instruction, task.instruction(&warehouse.catalogue));
-            assert_eq!(demonstration.number, Start::Elsewhere as u16);
+            assert_eq!(demonstration.number, DemonstrationKind::Elsewhere as u16);
             assert!(demonstration.viewpoints().all(|of| of.variant == ELSEWHERE_VARIANT));
             assert!(demonstration.poses.iter().all(|pose| other.layout.is_free(pose.cell)));
             let chosen = selected(&warehouse, &cases, index as u32, set);
@@ -176,16 +179,5 @@ mod tests {
         assert_eq!(selected(&warehouse, &cases, 100, all), None);
         assert_eq!(selected(&warehouse, &cases, 0, 1 << 4), None);
         assert_eq!(selected(&warehouse, &cases, 0, 0), Some(Vec::new()));
-    }
-
-    #[test]
-    fn a_test_reference_is_refused_whatever_the_cases_say() {
-        let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
-        let irrelevant = Demonstrations::IRRELEVANT.bits();
-        assert!(selected(&warehouse, &cases, 0, irrelevant).is_some());
-        for start in [Start::Test, Start::Blocked] {
-            cases.cases[0].irrelevant[1].start = start;
-            assert_eq!(selected(&warehouse, &cases, 0, irrelevant), None);
-        }
     }
 }

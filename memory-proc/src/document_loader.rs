@@ -9,11 +9,10 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use documents::{DocumentFolder, DocumentName};
-use domain::DocumentKind;
+use domain::{Demonstrations, DocumentKind};
 use shm_types::DocumentPublisher;
 use shm_types::documents::Content;
 use shm_types::message::DocumentId;
-use warehouse::Demonstrations;
 
 use crate::items::DocumentSupplier;
 

@@ -5,14 +5,16 @@ use std::sync::Arc;
 
 use anyhow::{Context, anyhow, bail};
 use bytemuck::Zeroable;
-use domain::{Action, Arm, Feedback, FeedbackLevel, Pose, Representation, SegmentContent};
+use domain::{
+    Action, Arm, Demonstrations, Feedback, FeedbackLevel, Pose, Representation, SegmentContent,
+};
 use peer::memory::{Memory, MemoryItem, Query, Step};
 use search::{ContentHash, Embedding};
 use shm_types::message::{
     EXPERIENCE, EXTERNAL, FrameId, MAX_ITEMS, MAX_SEGMENT, MemoryEpisodeConfig, NO_ACTION,
     NO_FRAME, NOT_MEASURED, Observation, Recall, RecallTrace,
 };
-use warehouse::{Demonstrations, Progress};
+use warehouse::Progress;
 
 use crate::bank::{BankSteps, KnownView, ReplayedBank, Viewpoint};
 use crate::demonstrations::{self, ReplayedDemonstration};

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytemuck::Zeroable;
+use domain::Demonstrations;
 use peer::memory::{EpisodeEnd, MemoryItem};
 use search::Embedding;
 use shm_types::description::Scope;
@@ -18,7 +19,7 @@ use shm_types::message::{
     shortened_reason, write_text,
 };
 use shm_types::{BankContent, MemoryDescription, Note, NoteTooLong};
-use warehouse::{CaseSet, Demonstrations, Warehouse};
+use warehouse::{CaseSet, Warehouse};
 
 use crate::bank::{BankSteps, Collecting, KnownView, ReplayedBank, Viewpoint};
 use crate::demonstrations;

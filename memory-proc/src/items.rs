@@ -33,7 +33,7 @@ pub trait DocumentSupplier {
     fn consolidated(
         &mut self,
         kind: domain::DocumentKind,
-        set: warehouse::Demonstrations,
+        set: domain::Demonstrations,
     ) -> anyhow::Result<Arc<str>>;
 
     /// The document that [`Self::consolidated`] published for this text; `None` for any other text.

@@ -4,11 +4,11 @@ use std::cell::RefCell;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use domain::Arm;
+use domain::{Arm, DemonstrationKind, Demonstrations, Mixture};
 use warehouse::plan::{Planner, Prices};
 use warehouse::{
-    CaseSet, Demonstrations, History, Mixture, StreamError, StreamSet, Trajectory, Variant,
-    Warehouse, WorldState,
+    CaseSet, History, StreamError, StreamSet, Trajectory, TrajectoryKind, Variant, Warehouse,
+    WorldState,
 };
 
 use crate::demonstrations::{ReplayedDemonstration, histories, replayed};
@@ -172,10 +172,10 @@ impl WorldStates {
         let number = self.streams.variant(block.world, self.cases.cases.len());
         let (warehouse, variant) = self.state(number)?;
         let planner = Planner::new(warehouse, variant.clone(), Prices::EXPERT);
-        let starts = cases.iter().flat_map(|&case| set.own().map(move |start| (case, start)));
-        let plan = |(index, start)| {
+        let own = cases.iter().flat_map(|&case| set.own().map(move |kind| (case, kind)));
+        let plan = |(index, kind): (u32, DemonstrationKind)| {
             let case = self.cases.cases.get(index as usize)?;
-            let begin = case.trajectory(start).start;
+            let begin = case.trajectory(TrajectoryKind::demonstration(kind)?).start;
             if variant.is_closed(begin.cell) {
                 return None;
             }
@@ -183,7 +183,7 @@ impl WorldStates {
             let replay = trajectory.replay(warehouse, &case.task, &variant);
             Some(ReplayedDemonstration {
                 case: index,
-                number: start as u16,
+                number: kind as u16,
                 variant: number,
                 instruction: case.task.instruction(&self.warehouse.catalogue),
                 poses: replay.poses,
@@ -192,6 +192,6 @@ impl WorldStates {
                 actions: trajectory.actions.into_iter().map(Some).collect(),
             })
         };
-        Some(starts.filter_map(plan).collect())
+        Some(own.filter_map(plan).collect())
     }
 }

@@ -13,7 +13,7 @@ use std::time::Duration;
 use bytemuck::Zeroable;
 use conformance::testing::MemoryRig;
 use documents::{BuildAccount, DocumentFile, DocumentFolder, Provenance};
-use domain::{DocumentKind, Representation, SegmentContent};
+use domain::{Demonstrations, DocumentKind, Representation, SegmentContent};
 use memory_proc::embedding_cache::stored;
 use memory_proc::paths::CacheFolder;
 use peer::memory::{
@@ -27,7 +27,7 @@ use shm_types::message::{
     Role,
 };
 use tempfile::TempDir;
-use warehouse::{Case, CaseSet, Demonstrations, Replay, Start, Warehouse};
+use warehouse::{Case, CaseSet, Replay, TrajectoryKind, Warehouse};
 
 /// The index of the external memory.
 const INDEX: u8 = 1;
@@ -82,9 +82,9 @@ fn memory_with(arguments: &[&OsStr]) -> MemoryRig {
     })
 }
 
-/// The observation at `step` of a case's trajectory from `start`.
-fn observation(replay: &Replay, case: &Case, start: Start, step: usize) -> Observation {
-    let actions = &case.trajectory(start).actions;
+/// The observation at `step` of a case's trajectory of this kind.
+fn observation(replay: &Replay, case: &Case, kind: TrajectoryKind, step: usize) -> Observation {
+    let actions = &case.trajectory(kind).actions;
     Observation {
         step: step as u32,
         pose: replay.poses[step].into(),
@@ -116,7 +116,7 @@ fn a_run_is_answered_with_reports_of_unusable_messages() {
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped().cases);
     let length = |case: &Case| case.original.actions.len();
     let index = (0..cases.len()).min_by_key(|&index| length(&cases[index])).unwrap();
-    let (case, replay) = (&cases[index], cases[index].replay(&warehouse, Start::Original));
+    let (case, replay) = (&cases[index], cases[index].replay(&warehouse, TrajectoryKind::Original));
     let config = MemoryEpisodeConfig {
         case: index as u32,
         horizon: 3,
@@ -129,7 +129,7 @@ fn a_run_is_answered_with_reports_of_unusable_messages() {
         representation: Representation::Working as u8,
         ..config
     });
-    let seen = |step| observation(&replay, case, Start::Original, step);
+    let seen = |step| observation(&replay, case, TrajectoryKind::Original, step);
     for step in 0..4 {
         rig.observe(Observation { episode: 11, ..seen(step) });
         let (recall, trace) = rig.recall();
@@ -239,8 +239,8 @@ fn without_an_encoder_every_memory_but_episodic_is_served() {
     assert_eq!(rig.handshake().facts(), Ok(BTreeMap::new()));
 
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped().cases);
-    let replay = cases[0].replay(&warehouse, Start::Original);
-    let seen = |step| observation(&replay, &cases[0], Start::Original, step);
+    let replay = cases[0].replay(&warehouse, TrajectoryKind::Original);
+    let seen = |step| observation(&replay, &cases[0], TrajectoryKind::Original, step);
     let summary = Content::Summary("# summary of original".to_owned());
     let semantic = Content::Semantic("# semantic of original".to_owned());
     let mut ids = BTreeSet::new();
@@ -275,7 +275,8 @@ fn without_an_encoder_every_memory_but_episodic_is_served() {
         };
         assert_eq!((*owner, recall.items_len, recall.items[0].whole), (episode, 1, 1));
         let mut rest = &steps[..];
-        for start in Start::DEMONSTRATIONS.into_iter().take(if lane == 0 { 1 } else { 4 }) {
+        for start in TrajectoryKind::DEMONSTRATIONS.into_iter().take(if lane == 0 { 1 } else { 4 })
+        {
             let walk = cases[0].replay(&warehouse, start);
             let (these, others) = rest.split_at(walk.poses.len());
             let actions = cases[0].trajectory(start).actions.iter().map(|&action| action as u8);
@@ -302,8 +303,8 @@ fn without_an_encoder_every_memory_but_episodic_is_served() {
 #[test]
 fn a_missing_document_ends_the_run_and_is_reported_with_the_command_that_builds_it() {
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped().cases);
-    let replay = cases[0].replay(&warehouse, Start::Original);
-    let seen = observation(&replay, &cases[0], Start::Original, 0);
+    let replay = cases[0].replay(&warehouse, TrajectoryKind::Original);
+    let seen = observation(&replay, &cases[0], TrajectoryKind::Original, 0);
     let folder = tempfile::tempdir().unwrap();
     // The document of another set does not count.
     write_document(folder.path(), DocumentKind::Summary, Demonstrations::ORIGINAL);
@@ -353,8 +354,8 @@ fn an_external_memory_supplies_what_it_names_and_fails_its_own_episodes_only() {
     assert!(facts.iter().any(|facts| facts.get("memory").is_some_and(|name| name == "scripted")));
 
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped().cases);
-    let replay = cases[0].replay(&warehouse, Start::Original);
-    let seen = |step| observation(&replay, &cases[0], Start::Original, step);
+    let replay = cases[0].replay(&warehouse, TrajectoryKind::Original);
+    let seen = |step| observation(&replay, &cases[0], TrajectoryKind::Original, step);
     let external = |lane, episode| MemoryEpisodeConfig {
         representation: EXTERNAL,
         external: INDEX,

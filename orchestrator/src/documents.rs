@@ -305,9 +305,9 @@ fn lock(
 #[cfg(test)]
 mod tests {
     use documents::{BuildAccount, DocumentFile, Provenance};
+    use domain::Demonstrations;
     use domain::Representation;
     use results::conditions::{Route, Start, Variation};
-    use warehouse::Demonstrations;
 
     use super::*;
 

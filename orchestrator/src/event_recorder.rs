@@ -74,14 +74,14 @@ fn requirement(task: &Task, item: &Item) -> Requirement {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use warehouse::{CaseSet, Start};
+    use warehouse::{CaseSet, TrajectoryKind};
 
     /// What is recorded of a case's original demonstration.
     fn recorded(id: &str) -> (String, String) {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
         let case = cases.case(id).unwrap();
         let mut recorder = EventRecorder::new(&warehouse, &case.task);
-        for (step, pose) in (0..).zip(case.replay(&warehouse, Start::Original).poses) {
+        for (step, pose) in (0..).zip(case.replay(&warehouse, TrajectoryKind::Original).poses) {
             recorder.stands(step, pose);
             recorder.looks(&warehouse, step, pose);
         }
@@ -95,7 +95,7 @@ mod tests {
         let warehouse = Warehouse::shipped();
         let told = ["t01-01", "t02-01", "t06-01", "t09-01", "t10-01"].map(|id| {
             let case = cases.case(id).unwrap();
-            let goals = case.replay(&warehouse, Start::Original).goal_steps;
+            let goals = case.replay(&warehouse, TrajectoryKind::Original).goal_steps;
             let (visits, seen) = recorded(id);
             format!("{id} {goals:?}: visits {visits}; seen {seen}")
         });

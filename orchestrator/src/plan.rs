@@ -4,12 +4,12 @@
 //! Pure: the same settings and cases give the same list on every machine. Which of them are finished is in the
 //! run folder ([`results::log`]).
 
-use domain::{Arm, FeedbackLevel};
+use domain::{Arm, FeedbackLevel, StreamOrder};
 use results::conditions::Condition;
-use results::key::{EpisodeKey, Order, StreamPlace};
+use results::key::{EpisodeKey, StreamPlace};
 use results::settings::StreamSettings;
 use shm_types::message::SnapshotId;
-use warehouse::{CaseSet, StreamSet, Warehouse};
+use warehouse::{CaseSet, StreamSet, TrajectoryKind, Warehouse};
 
 use crate::streams::Streams;
 
@@ -65,7 +65,8 @@ impl PlannedEpisode {
             return streams.case(part.world, self.case_index).length;
         }
         let Condition { start, route, .. } = self.key.condition;
-        let replay = cases.cases[self.case_index].replay(warehouse, start.reference(route));
+        let reference = TrajectoryKind::reference(start, route);
+        let replay = cases.cases[self.case_index].replay(warehouse, reference);
         replay.length.unwrap_or(0)
     }
 
@@ -115,7 +116,7 @@ pub fn plan_streams<'a>(
     master_seed: u64,
 ) -> impl Iterator<Item = PlannedEpisode> + 'a {
     let most_runs = conditions.iter().map(|(_, runs)| *runs).max().unwrap_or(0);
-    let mut orders: Vec<Order> = Vec::new();
+    let mut orders: Vec<StreamOrder> = Vec::new();
     for &order in &settings.orders {
         if !orders.contains(&order) {
             orders.push(order);
@@ -151,7 +152,7 @@ fn steps(
     set: &StreamSet,
     settings: &StreamSettings,
     stream: u32,
-    order: Order,
+    order: StreamOrder,
 ) -> Vec<(u32, StreamPart)> {
     let blocks = &set.streams[stream as usize].blocks;
     let order = set.order(stream, order);
@@ -246,7 +247,11 @@ mod tests {
         StreamSet { seed: 1, worlds, streams }
     }
 
-    fn in_streams(conditions: &[&str], orders: &[Order], evaluate: bool) -> Vec<PlannedEpisode> {
+    fn in_streams(
+        conditions: &[&str],
+        orders: &[StreamOrder],
+        evaluate: bool,
+    ) -> Vec<PlannedEpisode> {
         let settings = StreamSettings {
             streams: 1,
             blocks: 2,
@@ -269,7 +274,7 @@ mod tests {
     fn a_sequence_evaluates_and_learns_in_turn() {
         let episodes = in_streams(
             &["adaptive/new/unchanged/original/learning"],
-            &[Order::Drawn, Order::Reversed, Order::Drawn],
+            &[StreamOrder::Drawn, StreamOrder::Reversed, StreamOrder::Drawn],
             true,
         );
         let shown = episodes.iter().map(|episode| {
@@ -306,7 +311,7 @@ mod tests {
     #[test]
     fn sequences_have_ids_of_their_own_and_equal_positions() {
         let conditions = ["working/new/unchanged/none", "episodic/new/unchanged/original/wrong"];
-        let episodes = in_streams(&conditions, &[Order::Drawn], false);
+        let episodes = in_streams(&conditions, &[StreamOrder::Drawn], false);
         let (one, other) = episodes.split_at(4);
         assert_eq!(
             one[0].sequence(),

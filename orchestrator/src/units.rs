@@ -194,7 +194,7 @@ impl UnitPlan {
             key: episode.key.to_string(),
             unit: number / size,
             facts: PlannedFacts {
-                task: cases.cases[episode.case_index].task.number(),
+                task: cases.cases[episode.case_index].task.task_type().number(),
                 seed: episode.seed,
                 reference: length(&episode),
             },

@@ -16,7 +16,7 @@ use replay::World;
 use sim_proc::renderer::{
     Backend, Destination, RenderJob, RenderSettings, Renderer, Samples, ViewSpec,
 };
-use warehouse::{CaseSet, Progress, Start, Variant, Warehouse, step};
+use warehouse::{CaseSet, Progress, TrajectoryKind, Variant, Warehouse, step};
 
 /// Maximum number of renderers, as in the simulator.
 const MAX_RENDERERS: usize = 8;
@@ -153,7 +153,7 @@ impl Lanes {
     fn begin(&mut self, lane: usize, case: &str, reference: &str) -> PyResult<(String, PoseTuple)> {
         let case = self.cases.case(case);
         let case = case.ok_or_else(|| invalid("there is no such case"))?;
-        let start = Start::ALL.into_iter().find(|start| start.name() == reference);
+        let start = TrajectoryKind::ALL.into_iter().find(|start| start.name() == reference);
         let start = start.ok_or_else(|| invalid("there is no such reference"))?;
         let pose = case.trajectory(start).start;
         let episode = EnvironmentEpisode {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use domain::Pose;
-use warehouse::{CaseSet, Item, Start, Warehouse};
+use warehouse::{CaseSet, Item, TrajectoryKind, Warehouse};
 
 use crate::renderer::{Backend, RenderSettings, Renderer};
 
@@ -31,7 +31,7 @@ pub struct FirstView<'w> {
 /// The first views of the original and the test start of all cases.
 pub fn first_views<'w>(warehouse: &'w Warehouse, cases: &'w CaseSet) -> Vec<FirstView<'w>> {
     let of_case = |case: &'w warehouse::Case| {
-        [Start::Original, Start::Test].map(|start| FirstView {
+        [TrajectoryKind::Original, TrajectoryKind::Test].map(|start| FirstView {
             of: format!("{} {}", case.id, start.name()),
             pose: case.trajectory(start).start,
             targets: case.task.targets(warehouse),

@@ -4,9 +4,8 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use domain::DocumentKind;
+use domain::{Demonstrations, DocumentKind};
 use serde::{Deserialize, Serialize};
-use warehouse::Demonstrations;
 
 use crate::recipe::address;
 use crate::{DocumentName, sha256_of};

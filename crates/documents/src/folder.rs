@@ -291,7 +291,7 @@ fn summarized<S: Serializer>(document: &Option<DocumentFile>, to: S) -> Result<S
 
 #[cfg(test)]
 mod tests {
-    use warehouse::Demonstrations;
+    use domain::Demonstrations;
 
     use super::*;
     use crate::ModelRecipe;

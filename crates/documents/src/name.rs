@@ -3,9 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
-use domain::DocumentKind;
+use domain::{Demonstrations, DocumentKind};
 use serde::{Deserialize, Serialize};
-use warehouse::Demonstrations;
 
 /// Names a document by its kind and the demonstrations of every case that it is built from. Written `summary/4`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -52,7 +51,7 @@ impl FromStr for DocumentName {
         })?;
         let demonstrations = demonstrations.parse();
         let demonstrations = demonstrations
-            .map_err(|error: warehouse::UnknownDemonstrations| unknown(error.to_string()))?;
+            .map_err(|error: domain::UnknownDemonstrations| unknown(error.to_string()))?;
         Ok(Self { kind: kind(word)?, demonstrations })
     }
 }

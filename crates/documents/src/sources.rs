@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use domain::{Appearance, hex};
+use domain::{Appearance, Demonstrations, hex};
 use sha2::{Digest, Sha256};
-use warehouse::{CaseSet, Demonstrated, Demonstrations, Elsewhere, Viewpoint, Warehouse};
+use warehouse::{CaseSet, Demonstrated, Elsewhere, Viewpoint, Warehouse};
 
 use crate::sha256_of_parts;
 

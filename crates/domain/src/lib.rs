@@ -1,27 +1,34 @@
 //! The vocabulary of the benchmark: poses, actions and feedback, memory representations, outcomes of decisions, and the
 //! formats of the prompt log and of measured searches.
 //!
-//! Does not link iceoryx2. Knows neither the map nor the tasks nor messages.
+//! Does not link iceoryx2. Knows neither the map nor what a task asks for nor messages.
 
 mod appearance;
 mod cache;
 pub mod camera;
 pub mod codes;
+mod demonstrations;
 mod hex;
+mod labels;
 pub mod memory_kind;
+pub mod names;
 pub mod outcome;
 pub mod pose;
 pub mod prompt_log;
 pub mod representation;
 pub mod search_profile;
 mod shell;
+mod stream;
+mod task;
 
 pub use appearance::Appearance;
 pub use cache::{
     NoCacheFolder, RUNTIME_FILE, RUNTIME_SHA256, RUNTIME_VARIABLE, cache_folder,
     create_private_folder,
 };
+pub use demonstrations::{DemonstrationKind, Demonstrations, Mixture, UnknownDemonstrations};
 pub use hex::hex;
+pub use labels::{Route, Start};
 pub use memory_kind::{ExternalName, MemoryKind};
 pub use outcome::{
     Arm, DocumentKind, FeedbackLevel, Outcome, Reasoning, SEQUENCE_ENDED, SegmentContent,
@@ -29,3 +36,8 @@ pub use outcome::{
 pub use pose::{Action, Cell, Feedback, Heading, Pose, UnknownCode};
 pub use representation::Representation;
 pub use shell::shell_word;
+pub use stream::{EventKind, StreamOrder, StreamRules};
+pub use task::{TaskGroup, TaskType, UnknownTaskType};
+
+/// The step limit of an episode, T_max in the paper.
+pub const MAX_STEPS: u32 = 200;

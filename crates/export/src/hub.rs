@@ -146,7 +146,7 @@ fn yaml(
 
 #[cfg(test)]
 mod tests {
-    use results::key::Order;
+    use domain::StreamOrder;
     use results::log::testing::{log, record, sequence, stream_log};
 
     use super::*;
@@ -183,7 +183,7 @@ mod tests {
         assert!(text.contains("; a control: frames blank; 95 %"), "{text}");
         let condition = ("episodic/new/unchanged/original/learning".parse().unwrap(), 1);
         let streams = stream_log(
-            sequence(condition, (0, Order::Drawn), &[(0, &["t01-01"])], 1, |_, _| true),
+            sequence(condition, (0, StreamOrder::Drawn), &[(0, &["t01-01"])], 1, |_, _| true),
             [1, 1, 1],
         );
         let path = write_results(&streams, &dataset, None, dir.path()).unwrap();

@@ -19,6 +19,7 @@ use results::cost::Money;
 use results::log::EpisodeRecord;
 use results::settings::{ModelSettings, RunSettings};
 use results::usage::UsageTotals;
+use warehouse::TrajectoryKind;
 
 /// Characters of a prompt that are always there: rules, task, the current pose and feedback.
 const ALWAYS: u64 = 2420;
@@ -113,7 +114,7 @@ impl Basis<'_> {
         let World { warehouse, cases, .. } = self.world;
         let max_steps = self.settings.max_steps;
         let reference = |episode: &&PlannedEpisode| {
-            let from = condition.start.reference(condition.route);
+            let from = TrajectoryKind::reference(condition.start, condition.route);
             let length = cases.cases[episode.case_index].replay(warehouse, from).length;
             u64::from(length.unwrap_or(max_steps).min(max_steps))
         };

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::{Args, Subcommand};
+use domain::{Mixture, TaskType};
 use orchestrator::streams::Streams;
 use replay::World;
 use report::table::table;
@@ -14,7 +15,7 @@ use results::score::score;
 use results::settings::{RunSettings, StreamSettings};
 use serde_json::{Value, json};
 use settings::{Layer, SHIPPED_SUITES, resolve, select_cases};
-use warehouse::{Mixture, Overlap, Start, Task};
+use warehouse::{Overlap, TrajectoryKind};
 
 use super::{Exit, WorldArgs, print, print_json};
 
@@ -149,9 +150,9 @@ fn cases(world: &World, selected: impl IntoIterator<Item = usize>) -> Listing {
             json!(case.task.instruction(&world.warehouse.catalogue)),
             json!(case.original.start.to_string()),
             json!(case.test.start.to_string()),
-            length(Start::Original),
-            length(Start::Test),
-            length(Start::Blocked),
+            length(TrajectoryKind::Original),
+            length(TrajectoryKind::Test),
+            length(TrajectoryKind::Blocked),
         ]
     });
     Listing {
@@ -179,7 +180,7 @@ fn histories(world: &World) -> Listing {
             vec![
                 json!(case.id),
                 json!(mixture.name()),
-                json!(source.map(|source| format!("{} {}", source.id, history.start.name()))),
+                json!(source.map(|source| format!("{} {}", source.id, history.kind.name()))),
                 json!(source.map(|source| source.task.instruction(&warehouse.catalogue))),
                 json!(overlap.map(|overlap| overlap.shared_poses)),
                 json!(overlap.map(|overlap| overlap.conflicts)),
@@ -195,13 +196,13 @@ fn histories(world: &World) -> Listing {
 
 fn tasks(world: &World) -> Listing {
     let cases = &world.cases.cases;
-    let rows = (1..=10).map(|number| {
-        let of_type = || cases.iter().filter(|case| case.task.number() == number);
+    let rows = TaskType::ALL.into_iter().map(|task_type| {
+        let of_type = || cases.iter().filter(|case| case.task.task_type() == task_type);
         let example = of_type().next();
         vec![
-            json!(format!("t{number:02}")),
-            json!(Task::type_name(number)),
-            json!(example.map(|case| case.task.group().name())),
+            json!(format!("t{:02}", task_type.number())),
+            json!(task_type.name()),
+            json!(task_type.group().name()),
             json!(example.map(|case| case.task.instruction(&world.warehouse.catalogue))),
             json!(of_type().count()),
         ]

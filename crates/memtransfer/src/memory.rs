@@ -8,7 +8,7 @@ use documents::{
     DocumentFile, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe,
     StoredDocument, kind,
 };
-use domain::{Appearance, DocumentKind};
+use domain::{Appearance, Demonstrations, DocumentKind};
 use llm::{Servers, Source};
 use orchestrator::documents::{DocumentRequest, ModelServer};
 use orchestrator::progress::BuildProgress;
@@ -18,7 +18,6 @@ use results::settings::Drawn;
 use serde_json::json;
 use settings::{Layer, variable};
 use shm_types::FrameSize;
-use warehouse::Demonstrations;
 
 use super::{Exit, WorldArgs, print, print_json};
 use crate::signals::Signals;

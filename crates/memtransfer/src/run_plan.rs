@@ -195,7 +195,7 @@ impl RunPlan {
             return BTreeMap::new();
         }
         let cases = self.world.cases.cases.iter();
-        cases.map(|case| (case.id.clone(), case.task.number())).collect()
+        cases.map(|case| (case.id.clone(), case.task.task_type().number())).collect()
     }
 
     /// The run's manifest.

@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
+use domain::names::UnknownName;
 use domain::prompt_log::RecordedItem;
 use replay::World;
 use results::log::{EpisodeRecord, RunLog};
-use results::names::UnknownName;
 use results::policy::PolicyLabel;
 use results::step_view::{LoggedStep, RecordedPrompt, logged_steps, look_up};
 use results::timeline::{EpisodeEvent, timeline};

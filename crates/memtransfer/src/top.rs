@@ -8,12 +8,12 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use domain::names::UnknownName;
 use domain::{MemoryKind, Representation, shell_word};
 use orchestrator::pipeline::Participant;
 use orchestrator::status::{LiveStatus, MemoryStatus, StageLatency};
 use report::table::table;
 use results::latency::LatencySummary;
-use results::names::UnknownName;
 use shm_types::message::Role;
 
 use super::{Exit, print, print_json};

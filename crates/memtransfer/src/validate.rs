@@ -34,7 +34,7 @@ pub(super) fn run(args: &ValidateArgs) -> anyhow::Result<Exit> {
         print_json(&report)?;
     } else {
         let cases = world.cases.cases.len();
-        let trajectories = cases * warehouse::Start::ALL.len();
+        let trajectories = cases * warehouse::TrajectoryKind::ALL.len();
         print(&format!(
             "{report}{cases} cases, {trajectories} trajectories, {} violations",
             report.violations()

@@ -10,7 +10,7 @@ use results::conditions::{Frames, Route};
 use results::log::{ELSEWHERE_FILE, ELSEWHERE_HASH, EpisodeRecord, RunLog, STREAMS_FILE};
 use warehouse::{
     Case, CaseSet, ELSEWHERE_VARIANT, Elsewhere, GREY_VARIANT, Layout, StreamSet, SwappedPoses,
-    Trajectory, Variant, Warehouse, WorldState,
+    Trajectory, TrajectoryKind, Variant, Warehouse, WorldState,
 };
 
 use crate::changes::changes;
@@ -184,7 +184,9 @@ impl RunWorld {
     pub fn reference(&self, record: &EpisodeRecord, case: usize) -> Option<Trajectory> {
         let found = self.cases.cases.get(case)?;
         let Some(stream) = &record.stream else {
-            return Some(found.trajectory(record.start.reference(record.route)).clone());
+            return Some(
+                found.trajectory(TrajectoryKind::reference(record.start, record.route)).clone(),
+            );
         };
         let state = self.states.get(stream.world as usize)?;
         let mut known = self.references.borrow_mut();

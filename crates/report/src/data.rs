@@ -7,7 +7,7 @@ use results::score::{
     ConditionScore, Derived, Estimate, Failure, Spread, StreamScore, path_weight,
 };
 
-use warehouse::TaskGroup;
+use domain::TaskGroup;
 
 use super::frame::{DataFrame, FrameBuilder};
 use super::view::ScoredRun;
@@ -54,7 +54,7 @@ pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
     frame.whole("run", |row| Some(row.parts.as_ref()?.run));
     frame.text("case", |row| Some(row.parts.as_ref()?.case.clone()));
     frame.whole("task", |row| Some(row.record?.task));
-    frame.text("group", |row| Some(TaskGroup::of_type(row.record?.task)?.name().to_owned()));
+    frame.text("group", |row| Some(row.record?.task_type()?.group().name().to_owned()));
     frame.text("seed", |row| Some(row.record?.seed.to_string()));
     frame.text("ending", |row| {
         Some(row.record.map_or("given-up".to_owned(), |record| record.ending.to_string()))

@@ -1,9 +1,11 @@
 //! Made-up runs of the whole paper suite and of streams, as plausible as a hash of names can make them.
 
-use domain::{Action, Arm, Heading, MemoryKind, Pose, Representation};
+use domain::{
+    Action, Arm, Heading, MemoryKind, Pose, Representation, StreamOrder, TaskGroup, TaskType,
+};
 use results::conditions::{Condition, Demonstrations, Route, SegmentContent, Start};
 use results::events::{Requirement, Visit};
-use results::key::{EpisodeKey, Order};
+use results::key::EpisodeKey;
 use results::log::testing::{external_memory, log, record, sequence, settings, stream_log, under};
 use results::log::{Ending, EpisodeRecord, RecallTotals, RunLog, StreamRecord, Unread};
 use results::settings::{Group, RunSettings};
@@ -74,11 +76,14 @@ fn episode(key: EpisodeKey, task: u8) -> EpisodeRecord {
     let luck = hash(&key, |key| key.condition.memory = Representation::Working.into()) % 60;
     let chance = (luck + hash(&key, |_| {}) % 40) as i64;
     let condition = key.condition;
-    let success = chance < likely(&condition) - if task == 9 { 20 } else { 0 };
+    let task_type = TaskType::try_from(task).unwrap();
+    let less = if task_type == TaskType::Revisit { 20 } else { 0 };
+    let success = chance < likely(&condition) - less;
     let record = EpisodeRecord { run: key.run, task, ..record(&key.case, success) };
     let mut record = under(condition, record);
     record.steps = if success { 20 + chance as u32 } else { 200 };
-    (record.reference, record.required) = (18, if task < 3 { 1 } else { 3 });
+    (record.reference, record.required) =
+        (18, if task_type.group() == TaskGroup::Basic { 1 } else { 3 });
     record.requests = Some(record.steps);
     record.images = Some(u64::from(record.steps) * u64::from(settings().images(&condition)));
     record.start_pose = Pose::new(8, 0, Heading::N);
@@ -108,7 +113,7 @@ fn fail(record: &mut EpisodeRecord, chance: i64) {
     match chance % 4 {
         0 => record.actions = "L".repeat(200),
         1 => drop(record.first_seen.insert(Requirement::A, 12)),
-        2 if record.task >= 3 => {
+        2 if record.task_type().map(TaskType::group) != Some(TaskGroup::Basic) => {
             let cell = record.start_pose.cell;
             record.visits = vec![
                 Visit { step: 3, requirement: Requirement::B, cell },
@@ -159,9 +164,9 @@ pub(crate) fn made_up_streams() -> RunLog {
     const CASES: [&str; 4] = ["t01-01", "t02-03", "t03-07", "t09-02"];
     let blocks: Vec<(u32, &[&str])> = (0..4).map(|block| (block, &CASES[..])).collect();
     let order = |order| match order {
-        Order::Drawn => blocks.clone(),
-        Order::Reversed => blocks.iter().rev().copied().collect(),
-        Order::Shuffled => [2, 0, 3, 1].map(|block| blocks[block]).to_vec(),
+        StreamOrder::Drawn => blocks.clone(),
+        StreamOrder::Reversed => blocks.iter().rev().copied().collect(),
+        StreamOrder::Shuffled => [2, 0, 3, 1].map(|block| blocks[block]).to_vec(),
     };
     let mut conditions = vec!["working/new/unchanged/none".to_owned()];
     for memory in ["episodic", "adaptive"] {
@@ -174,7 +179,7 @@ pub(crate) fn made_up_streams() -> RunLog {
     let mut episodes = Vec::new();
     for name in conditions {
         let condition = Condition::logged(&name).unwrap();
-        for (stream, of) in (0..4).flat_map(|stream| Order::ALL.map(|of| (stream, of))) {
+        for (stream, of) in (0..4).flat_map(|stream| StreamOrder::ALL.map(|of| (stream, of))) {
             let succeeds = |at: &StreamRecord, case: &str| {
                 let place = format!("{stream} {} {case}", at.block);
                 let luck = blake3::hash(place.as_bytes()).as_bytes()[0] % 60;

@@ -10,11 +10,10 @@
 
 use std::fmt::Write;
 
-use domain::Arm;
+use domain::{Arm, StreamOrder};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use results::conditions::Condition;
-use results::key::Order;
 use results::log::testing::{log, record, sequence, stream_log, under};
 use results::log::{Ending, EpisodeRecord, RunLog};
 use results::score::{Comparison, Derived, Interval, Trials, compare, score};
@@ -380,7 +379,7 @@ fn streams(streams: usize) -> RunLog {
     let condition =
         Condition { arm: Arm::Learning, ..condition("episodic/new/unchanged/original") };
     let of_stream =
-        |stream| sequence((condition, 1), (stream, Order::Drawn), &blocks, 2, |_, _| true);
+        |stream| sequence((condition, 1), (stream, StreamOrder::Drawn), &blocks, 2, |_, _| true);
     let episodes = (0..streams as u32).flat_map(of_stream).collect();
     let mut log = stream_log(episodes, [2, cases.len() as u32, 2]);
     log.timings.clear();

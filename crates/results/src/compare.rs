@@ -4,10 +4,10 @@
 
 use std::path::PathBuf;
 
+use domain::names::UnknownName;
 use domain::shell_word;
 
 use crate::log::{Difference, RunLog, last_parts};
-use crate::names::UnknownName;
 use crate::score::{Comparison, Trials, compare};
 
 /// Why two configurations cannot be compared.

@@ -4,36 +4,19 @@
 
 mod variation;
 
+pub use domain::{Demonstrations, Route, Start, UnknownDemonstrations};
 pub use variation::{Hint, MAX_WINDOW, SegmentContent, Variation};
 pub(crate) use variation::{is_default, is_standard_window, standard_window};
 
 use std::fmt;
 use std::str::FromStr;
 
+use domain::names::{UnknownName, named};
 use domain::representation::{RepresentationInfo, Trajectories};
 use domain::{Arm, MemoryKind, Representation};
 use serde::{Deserialize, Serialize};
-pub use warehouse::{Demonstrations, UnknownDemonstrations};
-
-use crate::names::{UnknownName, named};
 
 named! {
-    /// Where the episode starts.
-    Start, "start" {
-        /// Where the case's original demonstration starts.
-        Original = "original",
-        /// The case's test pose, which no demonstration starts from.
-        New = "new",
-    }
-
-    /// Whether the warehouse is the one that was demonstrated.
-    Route, "route" {
-        /// As demonstrated.
-        Unchanged = "unchanged",
-        /// A passage that a demonstration used is closed by a barricade.
-        Blocked = "blocked",
-    }
-
     /// The kind of policy.
     PolicyKind, "policy" {
         /// A scripted stand-in that looks at the pixels and at the recall it is given.
@@ -87,19 +70,6 @@ impl PolicyKind {
         match self {
             Self::Grounded | Self::Openai | Self::External | Self::Random => true,
             Self::Expert => false,
-        }
-    }
-}
-
-impl Start {
-    /// The case's trajectory whose length is the reference l_i for an episode from here on `route`.
-    ///
-    /// A blocked route is defined from the new start only (specification, section 4).
-    pub const fn reference(self, route: Route) -> warehouse::Start {
-        match (self, route) {
-            (_, Route::Blocked) => warehouse::Start::Blocked,
-            (Self::Original, Route::Unchanged) => warehouse::Start::Original,
-            (Self::New, Route::Unchanged) => warehouse::Start::Test,
         }
     }
 }

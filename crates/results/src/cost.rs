@@ -10,7 +10,7 @@ use std::str::FromStr;
 use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 
-use crate::names::UnknownName;
+use domain::names::UnknownName;
 
 /// The file of `--prices`.
 #[derive(Debug, Deserialize)]

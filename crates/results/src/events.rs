@@ -6,7 +6,7 @@ use std::str::FromStr;
 use domain::Cell;
 use serde::{Deserialize, Serialize};
 
-use crate::names::{named, serde_as_text};
+use domain::names::{named, serde_as_text};
 
 named! {
     /// The part of a task that an item fulfils (specification, section 3).

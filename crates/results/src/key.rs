@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-pub use warehouse::stream::Order;
+use domain::StreamOrder;
 
 use crate::conditions::Condition;
 
@@ -12,7 +12,7 @@ pub struct StreamPlace {
     /// The stream.
     pub stream: u32,
     /// The order of its blocks.
-    pub order: Order,
+    pub order: StreamOrder,
     /// The position of the episode in its sequence, from 0.
     pub position: u32,
 }
@@ -29,7 +29,7 @@ impl StreamPlace {
     fn read(text: &str) -> Option<Self> {
         let (stream, rest) = text.strip_prefix('s')?.split_once('-')?;
         let (order, position) = rest.split_once('-')?;
-        let order = *Order::ALL.iter().find(|known| known.word() == order)?;
+        let order = *StreamOrder::ALL.iter().find(|known| known.word() == order)?;
         let place = Self { stream: stream.parse().ok()?, order, position: position.parse().ok()? };
         (place.to_string() == text).then_some(place)
     }

@@ -12,7 +12,6 @@ pub mod events;
 pub mod key;
 pub mod latency;
 pub mod log;
-pub mod names;
 pub mod policy;
 pub mod score;
 pub mod settings;

@@ -5,11 +5,11 @@
 
 use std::fmt;
 
+use domain::names::named;
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::PolicyKind;
 use crate::log::Manifest;
-use crate::names::named;
 
 /// The fact with which a policy declares that it is a scripted stand-in.
 const STAND_IN_FACT: &str = "stand_in";

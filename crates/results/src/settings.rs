@@ -20,11 +20,11 @@ pub use suite::SuiteName;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
+use domain::names::named;
 use domain::{Appearance, ExternalName, MemoryKind};
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{Condition, Frames, PolicyKind};
-use crate::names::named;
 
 named! {
     /// Whether something that a person might not find in a warehouse is drawn: `--plates` and `--labels`.

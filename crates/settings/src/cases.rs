@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use results::names::UnknownName;
+use domain::names::UnknownName;
 use results::settings::CaseSelector;
 
 /// The indices into `ids` that `selectors` and `limit` choose, ascending, each once.

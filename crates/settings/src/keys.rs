@@ -5,13 +5,12 @@ use std::fmt;
 use std::str::FromStr;
 
 use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
-use domain::{Arm, FeedbackLevel};
+use domain::names::UnknownName;
+use domain::{Arm, FeedbackLevel, StreamOrder};
 use results::conditions::{
     Demonstrations, Frames, Hint, ImageFormat, PolicyKind, Route, SegmentContent, Start,
     representation,
 };
-use results::key::Order;
-use results::names::UnknownName;
 use results::settings::{CaseSelector, DocumentSource, Drawn, ResponseCache};
 use serde_json::Value;
 use shm_types::attach::MAX_FRAMES;
@@ -87,7 +86,7 @@ fn is_arm(text: &str) -> Result<(), String> {
 }
 
 fn is_order(text: &str) -> Result<(), String> {
-    is_one_of("order", text, Order::ALL.map(Order::word))
+    is_one_of("order", text, StreamOrder::ALL.map(StreamOrder::word))
 }
 
 fn is_feedback(text: &str) -> Result<(), String> {

@@ -4,7 +4,7 @@ use std::ffi::OsString;
 use std::fmt;
 
 use anyhow::{Result, anyhow, ensure};
-use results::names::{UnknownName, nearest};
+use domain::names::{UnknownName, nearest};
 use results::settings::StreamSettings;
 use serde_json::{Map, Value};
 
@@ -233,7 +233,7 @@ mod tests {
         for (name, value) in &defaults.values {
             Key::find(name).unwrap().check(value).unwrap();
         }
-        assert_eq!(defaults.values["max-steps"], warehouse::MAX_STEPS);
+        assert_eq!(defaults.values["max-steps"], domain::MAX_STEPS);
         assert_eq!(defaults.values["image-budget"], super::super::keys::MAX_IMAGES);
     }
 

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Result, anyhow, ensure};
-use results::names::UnknownName;
+use domain::names::UnknownName;
 use results::settings::SuiteName;
 
 use super::Layer;

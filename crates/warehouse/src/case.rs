@@ -1,6 +1,6 @@
 //! A case: one task with its six reference trajectories and the barricade of its blocked variant.
 
-use domain::{Action, Cell, Feedback, Pose};
+use domain::{Action, Cell, DemonstrationKind, Feedback, Mixture, Pose, Route, Start};
 
 use crate::demonstrated::PlannedAfter;
 use crate::dynamics::{Variant, step};
@@ -9,9 +9,9 @@ use crate::progress::Progress;
 use crate::task::Task;
 use crate::world::Warehouse;
 
-/// One of a case's six trajectories (specification, section 4), or a demonstration beside them.
+/// One of a case's six trajectories (specification, section 4).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Start {
+pub enum TrajectoryKind {
     /// The case's start.
     Original,
     /// The same cell, facing the other way.
@@ -24,28 +24,37 @@ pub enum Start {
     Test,
     /// The test start with a passage closed. Never part of a memory.
     Blocked,
-    /// The case's start with that passage closed: a demonstration by an expert who knows.
-    After,
-    /// The same task in another warehouse.
-    Elsewhere,
 }
 
-impl Start {
-    /// The six that a case has, demonstrations first.
+impl TrajectoryKind {
+    /// All six, demonstrations first.
     pub const ALL: [Self; 6] =
         [Self::Original, Self::Opposite, Self::Nearby, Self::Distant, Self::Test, Self::Blocked];
 
-    /// The four demonstrations that a case has.
+    /// The four demonstrations.
     pub const DEMONSTRATIONS: [Self; 4] =
         [Self::Original, Self::Opposite, Self::Nearby, Self::Distant];
 
-    /// All that a memory can be built from.
-    pub const REMEMBERED: [Self; 6] =
-        [Self::Original, Self::Opposite, Self::Nearby, Self::Distant, Self::After, Self::Elsewhere];
+    /// The one whose length is the reference l_i for an episode from `start` on `route`.
+    ///
+    /// A blocked route is defined from the new start only (specification, section 4).
+    pub const fn reference(start: Start, route: Route) -> Self {
+        match (start, route) {
+            (_, Route::Blocked) => Self::Blocked,
+            (Start::Original, Route::Unchanged) => Self::Original,
+            (Start::New, Route::Unchanged) => Self::Test,
+        }
+    }
 
-    /// The kind of demonstration with this number on the wire, if there is one.
-    pub fn demonstration(number: u16) -> Option<Self> {
-        Self::REMEMBERED.into_iter().find(|&start| start as u16 == number)
+    /// The case's own demonstration of this kind; `None` for one that is not among its six trajectories.
+    pub const fn demonstration(kind: DemonstrationKind) -> Option<Self> {
+        match kind {
+            DemonstrationKind::Original => Some(Self::Original),
+            DemonstrationKind::Opposite => Some(Self::Opposite),
+            DemonstrationKind::Nearby => Some(Self::Nearby),
+            DemonstrationKind::Distant => Some(Self::Distant),
+            DemonstrationKind::After | DemonstrationKind::Elsewhere => None,
+        }
     }
 
     /// The name in files and tables.
@@ -57,44 +66,6 @@ impl Start {
             Self::Distant => "distant",
             Self::Test => "test",
             Self::Blocked => "blocked",
-            Self::After => "after",
-            Self::Elsewhere => "elsewhere",
-        }
-    }
-
-    /// The letter in the log's provenance column.
-    pub const fn letter(self) -> char {
-        match self {
-            Self::Original => 'o',
-            Self::Opposite => 'p',
-            Self::Nearby => 'n',
-            Self::Distant => 'd',
-            Self::Test => 't',
-            Self::Blocked => 'b',
-            Self::After => 'a',
-            Self::Elsewhere => 'w',
-        }
-    }
-}
-
-/// The kind of histories of other tasks that a case is tested with (specification, section 6).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Mixture {
-    /// They share no pose with the test reference.
-    Irrelevant,
-    /// They share poses with it and continue differently from there.
-    Confusable,
-}
-
-impl Mixture {
-    /// Both kinds.
-    pub const ALL: [Self; 2] = [Self::Irrelevant, Self::Confusable];
-
-    /// The name in files and tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Irrelevant => "irrelevant",
-            Self::Confusable => "confusable",
         }
     }
 }
@@ -158,7 +129,7 @@ pub struct History {
     /// Index of the case in its set.
     pub case: usize,
     /// Which of its demonstrations.
-    pub start: Start,
+    pub kind: DemonstrationKind,
 }
 
 /// A task, its six trajectories, the passage that its blocked variant closes, and the demonstrations of other tasks that it
@@ -192,16 +163,15 @@ pub struct Case {
 }
 
 impl Case {
-    /// The trajectory from `start`. Not for demonstrations beside the case's own ([`CaseSet::demonstrated`] has those): the
-    /// original stands for them here.
-    pub fn trajectory(&self, start: Start) -> &Trajectory {
+    /// The trajectory from `start`.
+    pub fn trajectory(&self, start: TrajectoryKind) -> &Trajectory {
         match start {
-            Start::Original | Start::After | Start::Elsewhere => &self.original,
-            Start::Opposite => &self.opposite,
-            Start::Nearby => &self.nearby,
-            Start::Distant => &self.distant,
-            Start::Test => &self.test,
-            Start::Blocked => &self.blocked,
+            TrajectoryKind::Original => &self.original,
+            TrajectoryKind::Opposite => &self.opposite,
+            TrajectoryKind::Nearby => &self.nearby,
+            TrajectoryKind::Distant => &self.distant,
+            TrajectoryKind::Test => &self.test,
+            TrajectoryKind::Blocked => &self.blocked,
         }
     }
 
@@ -214,15 +184,15 @@ impl Case {
     }
 
     /// The world variant of the trajectory from `start`.
-    pub fn variant(&self, start: Start) -> Variant {
+    pub fn variant(&self, start: TrajectoryKind) -> Variant {
         match start {
-            Start::Blocked => Variant::closing(self.barricade.iter().copied()),
+            TrajectoryKind::Blocked => Variant::closing(self.barricade.iter().copied()),
             _ => Variant::UNCHANGED,
         }
     }
 
     /// Replays the trajectory from `start` in its world variant.
-    pub fn replay(&self, warehouse: &Warehouse, start: Start) -> Replay {
+    pub fn replay(&self, warehouse: &Warehouse, start: TrajectoryKind) -> Replay {
         self.trajectory(start).replay(warehouse, &self.task, &self.variant(start))
     }
 }

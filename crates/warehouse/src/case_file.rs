@@ -10,14 +10,13 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use domain::{Action, Cell, Pose};
+use domain::{Action, Cell, DemonstrationKind, MAX_STEPS, Mixture, Pose, TaskType};
 use serde::Deserialize;
 
 use crate::asset::{AssetError, Problem, invalid, read, toml};
-use crate::case::{Case, CaseSet, History, Mixture, Start, Trajectory};
+use crate::case::{Case, CaseSet, History, Trajectory, TrajectoryKind};
 use crate::catalogue::Catalogue;
 use crate::demonstrated::PlannedAfter;
-use crate::dynamics::MAX_STEPS;
 use crate::task::{Task, TaskSubject};
 use crate::world::{CATALOGUE_FILE, LAYOUT_FILE, SHIPPED_CATALOGUE, SHIPPED_LAYOUT, Warehouse};
 
@@ -178,10 +177,10 @@ fn write_case(text: &mut String, case: &Case, set: &CaseSet, catalogue: &Catalog
     let mut lines = vec![
         format!("\n# {}\n[[case]]", case.task.instruction(catalogue)),
         format!("id = {:?}", case.id),
-        format!("type = {}", case.task.number()),
+        format!("type = {}", case.task.task_type().number()),
     ];
     lines.append(&mut names);
-    for start in Start::ALL {
+    for start in TrajectoryKind::ALL {
         lines.push(format!("{} = \"{}\"", start.name(), trajectory_text(case.trajectory(start))));
     }
     let cells: Vec<String> =
@@ -198,9 +197,9 @@ fn write_case(text: &mut String, case: &Case, set: &CaseSet, catalogue: &Catalog
 }
 
 /// A history in the file: the case's id and the demonstration's name.
-fn history_text(set: &CaseSet, History { case, start }: History) -> String {
+fn history_text(set: &CaseSet, History { case, kind }: History) -> String {
     let id = set.cases.get(case).map_or("?", |case| &case.id);
-    format!("{id} {}", start.name())
+    format!("{id} {}", kind.name())
 }
 
 impl CaseEntry {
@@ -210,7 +209,7 @@ impl CaseEntry {
         indices: &BTreeMap<String, usize>,
     ) -> Result<Case, Problem> {
         let task = self.task(&warehouse.catalogue)?;
-        let trajectory = |start: Start, text: &str| {
+        let trajectory = |start: TrajectoryKind, text: &str| {
             parse_trajectory(text, warehouse)
                 .map_err(|problem| format!("{}: {problem}", start.name()))
         };
@@ -228,12 +227,12 @@ impl CaseEntry {
             confusable: histories(Mixture::Confusable, &self.confusable)?,
             after: PlannedAfter::default(),
             task,
-            original: trajectory(Start::Original, &self.original)?,
-            opposite: trajectory(Start::Opposite, &self.opposite)?,
-            nearby: trajectory(Start::Nearby, &self.nearby)?,
-            distant: trajectory(Start::Distant, &self.distant)?,
-            test: trajectory(Start::Test, &self.test)?,
-            blocked: trajectory(Start::Blocked, &self.blocked)?,
+            original: trajectory(TrajectoryKind::Original, &self.original)?,
+            opposite: trajectory(TrajectoryKind::Opposite, &self.opposite)?,
+            nearby: trajectory(TrajectoryKind::Nearby, &self.nearby)?,
+            distant: trajectory(TrajectoryKind::Distant, &self.distant)?,
+            test: trajectory(TrajectoryKind::Test, &self.test)?,
+            blocked: trajectory(TrajectoryKind::Blocked, &self.blocked)?,
             barricade: self.barricade,
             id: self.id,
         })
@@ -252,18 +251,19 @@ impl CaseEntry {
             let names = catalogue.categories.iter().map(|category| category.name.as_str());
             catalogue.category_named(name).ok_or_else(|| unknown("c", name, "category", names))
         };
-        let task = match self.number {
-            1 => Task::FindType { a: a()? },
-            2 => Task::FindCategory { c: c()? },
-            3 => Task::EveryOfType { a: a()? },
-            4 => Task::EveryOfCategory { c: c()? },
-            5 => Task::BothTypes { a: a()?, b: b()? },
-            6 => Task::InOrder { a: a()?, b: b()? },
-            7 => Task::FindAndReturn { a: a()? },
-            8 => Task::EveryAndReturn { a: a()? },
-            9 => Task::Revisit { a: a()?, b: b()? },
-            10 => Task::InOrderAndReturn { a: a()?, b: b()? },
-            number => return Err(format!("type: {number} is not a task type; 1 to 10 are")),
+        let task_type =
+            TaskType::try_from(self.number).map_err(|error| format!("type: {error}"))?;
+        let task = match task_type {
+            TaskType::FindType => Task::FindType { a: a()? },
+            TaskType::FindCategory => Task::FindCategory { c: c()? },
+            TaskType::EveryOfType => Task::EveryOfType { a: a()? },
+            TaskType::EveryOfCategory => Task::EveryOfCategory { c: c()? },
+            TaskType::BothTypes => Task::BothTypes { a: a()?, b: b()? },
+            TaskType::InOrder => Task::InOrder { a: a()?, b: b()? },
+            TaskType::FindAndReturn => Task::FindAndReturn { a: a()? },
+            TaskType::EveryAndReturn => Task::EveryAndReturn { a: a()? },
+            TaskType::Revisit => Task::Revisit { a: a()?, b: b()? },
+            TaskType::InOrderAndReturn => Task::InOrderAndReturn { a: a()?, b: b()? },
         };
         let (wants_a, wants_b) = match task.subject() {
             TaskSubject::Category(_) => (false, false),
@@ -334,12 +334,12 @@ fn parse_history(text: &str, indices: &BTreeMap<String, usize>) -> Result<Histor
     let (id, name) = text.split_once(' ').unwrap_or((text, ""));
     let case = indices.get(id).copied();
     let case = case.ok_or_else(|| format!("{text:?}: there is no case {id:?} in this file"))?;
-    let start = Start::DEMONSTRATIONS.into_iter().find(|start| start.name() == name);
-    let start = start.ok_or_else(|| {
-        let known = Start::DEMONSTRATIONS.map(Start::name).join(", ");
+    let kind = DemonstrationKind::OWN.into_iter().find(|kind| kind.name() == name);
+    let kind = kind.ok_or_else(|| {
+        let known = DemonstrationKind::OWN.map(DemonstrationKind::name).join(", ");
         format!("{text:?}: {name:?} is not a demonstration; a case has {known}")
     })?;
-    Ok(History { case, start })
+    Ok(History { case, kind })
 }
 
 fn check_barricade(cells: &[Cell], warehouse: &Warehouse) -> Result<(), Problem> {

@@ -2,10 +2,9 @@
 //!
 //! The generator searches for cases that satisfy them, and the validator reports cases that do not.
 
-use domain::{Cell, Feedback, Pose};
+use domain::{Cell, Feedback, MAX_STEPS, Pose};
 
 use crate::case::Replay;
-use crate::dynamics::MAX_STEPS;
 use crate::layout::{Axis, Layout};
 use crate::sight::sees;
 use crate::task::Task;

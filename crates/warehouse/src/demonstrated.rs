@@ -3,9 +3,9 @@
 
 use std::sync::OnceLock;
 
-use domain::{Cell, Pose};
+use domain::{Cell, DemonstrationKind, Pose};
 
-use crate::case::{Case, CaseSet, History, Replay, Start, Trajectory};
+use crate::case::{Case, CaseSet, History, Replay, Trajectory, TrajectoryKind};
 use crate::dynamics::Variant;
 use crate::elsewhere::ELSEWHERE_VARIANT;
 use crate::plan::{Planner, Prices};
@@ -56,12 +56,12 @@ impl Demonstrated<'_> {
 }
 
 impl CaseSet {
-    /// The demonstration `history` of one of these cases, which are in `warehouse`. `None` if there is no such case, or it is
-    /// a test reference, or an expert who knows the closed passage has no way to complete the task, or there is no other warehouse.
+    /// The demonstration `history` of one of these cases, which are in `warehouse`. `None` if there is no such case, or
+    /// an expert who knows the closed passage has no way to complete the task, or there is no other warehouse.
     pub fn demonstrated<'a>(
         &'a self,
         warehouse: &'a Warehouse,
-        History { case: index, start }: History,
+        History { case: index, kind }: History,
     ) -> Option<Demonstrated<'a>> {
         let case = self.cases.get(index)?;
         let unchanged = Demonstrated {
@@ -71,18 +71,21 @@ impl CaseSet {
             task: &case.task,
             trajectory: &case.original,
         };
-        match start {
-            Start::Original | Start::Opposite | Start::Nearby | Start::Distant => {
-                Some(Demonstrated { trajectory: case.trajectory(start), ..unchanged })
+        match kind {
+            DemonstrationKind::Original
+            | DemonstrationKind::Opposite
+            | DemonstrationKind::Nearby
+            | DemonstrationKind::Distant => {
+                let trajectory = case.trajectory(TrajectoryKind::demonstration(kind)?);
+                Some(Demonstrated { trajectory, ..unchanged })
             }
-            Start::Test | Start::Blocked => None,
-            Start::Elsewhere => {
+            DemonstrationKind::Elsewhere => {
                 let elsewhere = self.elsewhere.as_ref()?;
                 let (task, trajectory) = elsewhere.demonstration(index)?;
                 let (warehouse, variant) = (elsewhere.warehouse(), ELSEWHERE_VARIANT);
                 Some(Demonstrated { warehouse, variant, closed: &[], task, trajectory })
             }
-            Start::After => Some(Demonstrated {
+            DemonstrationKind::After => Some(Demonstrated {
                 variant: 1 + index as u32,
                 closed: &case.barricade,
                 trajectory: case.after.get(warehouse, case)?,
@@ -92,7 +95,7 @@ impl CaseSet {
     }
 }
 
-/// The demonstration of [`Start::After`], which is planned when it is asked for first. No part of a case's value.
+/// The demonstration [`DemonstrationKind::After`], which is planned when it is asked for first. No part of a case's value.
 #[derive(Debug, Clone, Default)]
 pub struct PlannedAfter(OnceLock<Option<Trajectory>>);
 
@@ -102,7 +105,7 @@ impl PlannedAfter {
         let planned = self.0.get_or_init(|| {
             let variant = Variant::closing(case.barricade.iter().copied());
             let planner = Planner::new(warehouse, variant.clone(), Prices::EXPERT);
-            let starts = Start::DEMONSTRATIONS.map(|start| case.trajectory(start).start);
+            let starts = TrajectoryKind::DEMONSTRATIONS.map(|start| case.trajectory(start).start);
             let mut open = starts.into_iter().filter(|start| !variant.is_closed(start.cell));
             planner.plan(open.next()?, &case.task)
         });
@@ -127,20 +130,18 @@ mod tests {
         let (warehouse, set) = (Warehouse::shipped(), CaseSet::shipped());
         let (mut moved, mut broken) = (0, 0);
         for (index, case) in set.cases.iter().enumerate() {
-            let of = |start| set.demonstrated(&warehouse, History { case: index, start });
-            let after = of(Start::After).unwrap();
+            let of = |kind| set.demonstrated(&warehouse, History { case: index, kind });
+            let after = of(DemonstrationKind::After).unwrap();
             assert_eq!((after.variant, after.closed), (1 + index as u32, &*case.barricade));
             assert!(after.replay().length.is_some(), "{}", case.id);
-            let original = of(Start::Original).unwrap();
+            let original = of(DemonstrationKind::Original).unwrap();
             assert_eq!((original.variant, original.trajectory), (0, &case.original));
             let closed = Demonstrated { closed: &case.barricade, ..original };
             broken += usize::from(closed.replay().length.is_none());
             moved += usize::from(after.trajectory.start != case.original.start);
-            assert!(of(Start::Test).is_none() && of(Start::Blocked).is_none());
         }
         assert_eq!((moved, broken), (0, 68));
-        assert!(
-            set.demonstrated(&warehouse, History { case: 100, start: Start::Original }).is_none()
-        );
+        let unknown = History { case: 100, kind: DemonstrationKind::Original };
+        assert!(set.demonstrated(&warehouse, unknown).is_none());
     }
 }

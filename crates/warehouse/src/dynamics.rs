@@ -4,9 +4,6 @@ use domain::{Action, Cell, Feedback, Pose};
 
 use crate::layout::Layout;
 
-/// The step limit of an episode, T_max in the paper.
-pub const MAX_STEPS: u32 = 200;
-
 /// A variant of the world: the cells closed by a barricade.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
 pub struct Variant {

@@ -9,9 +9,9 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
-use domain::{Cell, Heading, Pose};
+use domain::{Cell, DemonstrationKind, Heading, Pose, TaskType};
 
-use crate::case::{Case, CaseSet, History, Replay, Start, Trajectory};
+use crate::case::{Case, CaseSet, History, Replay, Trajectory};
 use crate::constraints::{
     FloorEdge, completes_task, edges, enters, faces_targets, is_distant, is_near_optimal,
     is_nearby, is_of_similar_length, shares_at_least_half, shares_at_most_half, target_in_view,
@@ -60,7 +60,8 @@ const REDRAWN: usize = 100;
 const MOST_DETOURS: usize = 32;
 
 /// A placeholder until the whole set exists, from which histories are chosen.
-const NO_HISTORIES: [History; 2] = [History { case: usize::MAX, start: Start::Original }; 2];
+const NO_HISTORIES: [History; 2] =
+    [History { case: usize::MAX, kind: DemonstrationKind::Original }; 2];
 
 /// The most cases of a set, far more than a run needs.
 pub const MAX_CASES: usize = 1_000_000;
@@ -88,12 +89,13 @@ impl CaseSet {
         let generator = Generator::new(warehouse, seed);
         let width = count.div_ceil(10).to_string().len().max(2);
         let mut cases: Vec<Case> = Vec::new();
-        for number in 1..=10_u8 {
+        for task_type in TaskType::ALL {
+            let number = task_type.number();
             let of_type = (count + 10 - usize::from(number)) / 10;
-            let choices = generator.target_choices(number);
+            let choices = generator.target_choices(task_type);
             let first = cases.len();
             for index in 0..of_type {
-                let mut case = generator.case(number, index, 0, &choices, &cases[first..])?;
+                let mut case = generator.case(task_type, index, 0, &choices, &cases[first..])?;
                 case.id = format!("t{number:02}-{:0width$}", index + 1);
                 cases.push(case);
             }
@@ -113,13 +115,13 @@ impl CaseSet {
                     count - 1
                 )));
             }
-            let number = set.cases[at].task.number();
-            let is_of_type = |case: &Case| case.task.number() == number;
+            let task_type = set.cases[at].task.task_type();
+            let is_of_type = |case: &Case| case.task.task_type() == task_type;
             let first = set.cases.iter().position(is_of_type).unwrap_or(at);
             let last = set.cases.iter().rposition(is_of_type).unwrap_or(at);
-            let choices = generator.target_choices(number);
+            let choices = generator.target_choices(task_type);
             let taken = &set.cases[first..=last];
-            let case = generator.case(number, at - first, redrawn + 1, &choices, taken)?;
+            let case = generator.case(task_type, at - first, redrawn + 1, &choices, taken)?;
             set.cases[at] = Case { id: std::mem::take(&mut set.cases[at].id), ..case };
         }
         Ok(set)
@@ -173,33 +175,43 @@ impl<'w> Generator<'w> {
         }
     }
 
-    /// The possible targets of tasks of type `number`, in the order in which cases use them: types with at least two
+    /// The possible targets of tasks of `task_type`, in the order in which cases use them: types with at least two
     /// instances if every one must be visited, categories, or any types.
-    fn target_choices(&self, number: u8) -> Vec<usize> {
+    fn target_choices(&self, task_type: TaskType) -> Vec<usize> {
         let types = 0..self.warehouse.catalogue.types.len();
-        let choices = match number {
-            2 | 4 => (0..self.warehouse.catalogue.categories.len()).collect(),
-            3 | 8 => types.filter(|&a| self.warehouse.instances(a).count() >= 2).collect(),
-            _ => types.collect(),
+        let choices = match task_type {
+            TaskType::FindCategory | TaskType::EveryOfCategory => {
+                (0..self.warehouse.catalogue.categories.len()).collect()
+            }
+            TaskType::EveryOfType | TaskType::EveryAndReturn => {
+                types.filter(|&a| self.warehouse.instances(a).count() >= 2).collect()
+            }
+            TaskType::FindType
+            | TaskType::BothTypes
+            | TaskType::InOrder
+            | TaskType::FindAndReturn
+            | TaskType::Revisit
+            | TaskType::InOrderAndReturn => types.collect(),
         };
-        Draw::new(self.seed, u64::from(number) << 32).shuffled(choices)
+        Draw::new(self.seed, u64::from(task_type.number()) << 32).shuffled(choices)
     }
 
-    /// Case `index` of type `number`, different from those in `taken`; another one for each value of `redrawn`.
+    /// Case `index` of `task_type`, different from those in `taken`; another one for each value of `redrawn`.
     fn case(
         &self,
-        number: u8,
+        task_type: TaskType,
         index: usize,
         redrawn: usize,
         choices: &[usize],
         taken: &[Case],
     ) -> Result<Case, GenerateError> {
-        let stream = (redrawn as u64) << 40 | u64::from(number) << 32 | (index as u64 + 1);
+        let stream =
+            (redrawn as u64) << 40 | u64::from(task_type.number()) << 32 | (index as u64 + 1);
         let mut draw = Draw::new(self.seed, stream);
         let turns = if choices.is_empty() { 0 } else { TARGETS_TRIED };
         for turn in 0..turns {
             let choice = choices[(index + redrawn + turn) % choices.len()];
-            let task = self.task(number, choice, &mut draw);
+            let task = self.task(task_type, choice, &mut draw);
             let Some(task) = task else { continue };
             for _ in 0..STARTS_TRIED {
                 let start = draw.pick(&self.poses);
@@ -212,7 +224,7 @@ impl<'w> Generator<'w> {
                 }
             }
         }
-        let name = Task::type_name(number).unwrap_or_default();
+        let (number, name) = (task_type.number(), task_type.name());
         Err(GenerateError(format!(
             "no case of type {number} ({name}) found for seed {} after {TARGETS_TRIED} choices of targets with \
              {STARTS_TRIED} starts each; the warehouse has too few items, aisles or passages for it",
@@ -220,25 +232,24 @@ impl<'w> Generator<'w> {
         )))
     }
 
-    /// A task of type `number` for `a`. A second type is drawn.
-    fn task(&self, number: u8, a: usize, draw: &mut Draw) -> Option<Task> {
+    /// A task of `task_type` for `a`. A second type is drawn.
+    fn task(&self, task_type: TaskType, a: usize, draw: &mut Draw) -> Option<Task> {
         let others =
             (0..self.warehouse.catalogue.types.len()).filter(|&b| b != a).collect::<Vec<_>>();
         if others.is_empty() {
             return None;
         }
-        Some(match number {
-            1 => Task::FindType { a },
-            2 => Task::FindCategory { c: a },
-            3 => Task::EveryOfType { a },
-            4 => Task::EveryOfCategory { c: a },
-            5 => Task::BothTypes { a, b: draw.pick(&others) },
-            6 => Task::InOrder { a, b: draw.pick(&others) },
-            7 => Task::FindAndReturn { a },
-            8 => Task::EveryAndReturn { a },
-            9 => Task::Revisit { a, b: draw.pick(&others) },
-            10 => Task::InOrderAndReturn { a, b: draw.pick(&others) },
-            _ => return None,
+        Some(match task_type {
+            TaskType::FindType => Task::FindType { a },
+            TaskType::FindCategory => Task::FindCategory { c: a },
+            TaskType::EveryOfType => Task::EveryOfType { a },
+            TaskType::EveryOfCategory => Task::EveryOfCategory { c: a },
+            TaskType::BothTypes => Task::BothTypes { a, b: draw.pick(&others) },
+            TaskType::InOrder => Task::InOrder { a, b: draw.pick(&others) },
+            TaskType::FindAndReturn => Task::FindAndReturn { a },
+            TaskType::EveryAndReturn => Task::EveryAndReturn { a },
+            TaskType::Revisit => Task::Revisit { a, b: draw.pick(&others) },
+            TaskType::InOrderAndReturn => Task::InOrderAndReturn { a, b: draw.pick(&others) },
         })
     }
 
@@ -451,9 +462,9 @@ mod tests {
             });
             assert_eq!(same.as_ref(), Some(case));
         }
-        let numbers: Vec<u8> = more.cases.iter().map(|case| case.task.number()).collect();
-        let of_type = |number| numbers.iter().filter(|&&n| n == number).count();
-        assert_eq!((1..=10).map(of_type).collect::<Vec<_>>(), [6, 6, 6, 6, 6, 6, 6, 5, 5, 5]);
+        let of_type =
+            |task_type| more.cases.iter().filter(|case| case.task.task_type() == task_type).count();
+        assert_eq!(TaskType::ALL.map(of_type), [6, 6, 6, 6, 6, 6, 6, 5, 5, 5]);
     }
 
     #[test]

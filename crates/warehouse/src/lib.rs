@@ -4,7 +4,7 @@
 //! - [`dynamics`]: one function from pose, action and variant to pose and feedback.
 //! - [`task`]: the ten task types; [`progress`]: the checker that decides which sub-goals a trajectory completes.
 //! - [`case`]: a task with its six trajectories; [`case_file`]: a set of cases as a text file.
-//! - [`demonstrations`]: which demonstrations a memory is built from; [`Demonstrated`]: one in its world; [`mixed`]: histories of other tasks.
+//! - [`History`]: a demonstration of a case; [`Demonstrated`]: it in its world; [`mixed`]: histories of other tasks.
 //! - [`Elsewhere`]: another warehouse, in which the tasks of cases are demonstrated.
 //! - [`WorldState`]: a warehouse after changes; [`stream`]: blocks of cases with events between them.
 //! - [`plan`]: expert trajectories and the fewest steps; [`sight`]: which items are in view, computed on the floor plan.
@@ -19,7 +19,7 @@ pub mod case_file;
 pub mod catalogue;
 mod constraints;
 mod demonstrated;
-pub mod demonstrations;
+mod demonstrations;
 mod draw;
 pub mod dynamics;
 mod elsewhere;
@@ -44,13 +44,12 @@ pub mod validate;
 mod world;
 
 pub use asset::AssetError;
-pub use case::{Case, CaseSet, History, Mixture, Replay, Start, Trajectory};
+pub use case::{Case, CaseSet, History, Replay, Trajectory, TrajectoryKind};
 pub use case_file::file_texts;
 pub use catalogue::{Catalogue, Category, ItemType, Shape};
 pub use constraints::MAX_DETOUR_PERCENT;
 pub use demonstrated::{Demonstrated, PlannedAfter, Viewpoint};
-pub use demonstrations::{Demonstrations, UnknownDemonstrations};
-pub use dynamics::{MAX_STEPS, Variant, step};
+pub use dynamics::{Variant, step};
 pub use elsewhere::{ELSEWHERE_VARIANT, Elsewhere, ElsewhereError};
 pub use generate::{GenerateError, MAX_CASES, SHIPPED_COUNT, SHIPPED_SEED};
 pub use generate_world::{GeneratedWorld, MIN_SIDE, corridors};
@@ -61,6 +60,6 @@ pub use racks::FaceKind;
 pub use state::{StockChange, WorldChange, WorldChangeError, WorldState};
 pub use stream::{StreamError, StreamSet};
 pub use swapped::{GREY_VARIANT, SwappedPoses, every_pose};
-pub use task::{Phase, Task, TaskGroup};
+pub use task::{Phase, Task};
 pub use validate::validate;
 pub use world::{CATALOGUE_FILE, Item, LAYOUT_FILE, Warehouse};

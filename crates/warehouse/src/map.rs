@@ -47,7 +47,7 @@ pub fn floor_svg(warehouse: &Warehouse) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::case::{CaseSet, Start};
+    use crate::case::{CaseSet, TrajectoryKind};
 
     /// Checks that elements are nested and closed.
     fn check_nesting(svg: &str) {
@@ -79,7 +79,7 @@ mod tests {
             let map = svg(&warehouse, case);
             check_nesting(&map);
             assert!(map.contains(&format!("Case {}", case.id)));
-            for start in Start::ALL {
+            for start in TrajectoryKind::ALL {
                 let length = case.replay(&warehouse, start).length.unwrap();
                 assert!(map.contains(&format!(">{length} steps<")), "{} {}", case.id, start.name());
             }

@@ -5,9 +5,7 @@
 
 mod drawing;
 
-pub use drawing::StreamRules;
-
-use domain::Cell;
+use domain::{Cell, StreamOrder};
 use serde::{Deserialize, Serialize};
 
 use crate::asset::Problem;
@@ -32,7 +30,7 @@ pub struct StreamSet {
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stream {
-    /// The blocks, in the order in which they are drawn. A sequence may visit them in another [`Order`].
+    /// The blocks, in the order in which they are drawn. A sequence may visit them in another [`StreamOrder`].
     pub blocks: Vec<Block>,
 }
 
@@ -85,34 +83,6 @@ pub enum Event {
         /// Its standpoint.
         at: Cell,
     },
-}
-
-/// The kind of an [`Event`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum EventKind {
-    /// [`Event::Close`].
-    Close,
-    /// [`Event::Open`].
-    Open,
-    /// [`Event::Move`].
-    Move,
-    /// [`Event::Swap`].
-    Swap,
-    /// [`Event::Add`].
-    Add,
-}
-
-/// The order in which a sequence visits the blocks of its stream.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Order {
-    /// As drawn.
-    Drawn,
-    /// From the last block to the first.
-    Reversed,
-    /// In random order, different from both others if there are three blocks or more.
-    Shuffled,
 }
 
 /// Why a set of streams cannot be used.
@@ -191,14 +161,14 @@ impl StreamSet {
     }
 
     /// The indices of the blocks of stream `stream` in `order`.
-    pub fn order(&self, stream: u32, order: Order) -> Vec<u32> {
+    pub fn order(&self, stream: u32, order: StreamOrder) -> Vec<u32> {
         let blocks = self.streams.get(stream as usize).map_or(0, |stream| stream.blocks.len());
         let drawn: Vec<u32> = (0..blocks as u32).collect();
         let reversed: Vec<u32> = drawn.iter().rev().copied().collect();
         match order {
-            Order::Drawn => drawn,
-            Order::Reversed => reversed,
-            Order::Shuffled => {
+            StreamOrder::Drawn => drawn,
+            StreamOrder::Reversed => reversed,
+            StreamOrder::Shuffled => {
                 let mut draw = Draw::new(self.seed, SHUFFLE | u64::from(stream));
                 loop {
                     let shuffled = draw.shuffled(drawn.clone());
@@ -244,36 +214,6 @@ impl Event {
             }
             Self::Swap { a, b } => format!("swap {} and {}", name(*a), name(*b)),
             Self::Add { item_type, at } => format!("add {} at {at}", name(*item_type)),
-        }
-    }
-}
-
-impl EventKind {
-    /// All kinds.
-    pub const ALL: [Self; 5] = [Self::Close, Self::Open, Self::Move, Self::Swap, Self::Add];
-
-    /// The word in files and tables.
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::Close => "close",
-            Self::Open => "open",
-            Self::Move => "move",
-            Self::Swap => "swap",
-            Self::Add => "add",
-        }
-    }
-}
-
-impl Order {
-    /// All orders.
-    pub const ALL: [Self; 3] = [Self::Drawn, Self::Reversed, Self::Shuffled];
-
-    /// The word in files, on the command line and in tables.
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::Drawn => "drawn",
-            Self::Reversed => "reversed",
-            Self::Shuffled => "shuffled",
         }
     }
 }
@@ -326,7 +266,7 @@ mod tests {
     fn orders_are_permutations_and_differ() {
         for blocks in 1..8 {
             let set = set(blocks);
-            let orders = Order::ALL.map(|order| set.order(0, order));
+            let orders = StreamOrder::ALL.map(|order| set.order(0, order));
             for order in &orders {
                 let mut sorted = order.clone();
                 sorted.sort_unstable();
@@ -336,7 +276,7 @@ mod tests {
                 assert!(orders[2] != orders[0] && orders[2] != orders[1]);
             }
         }
-        assert_eq!(set(4).order(0, Order::Reversed), [3, 2, 1, 0]);
-        assert_eq!(set(2).order(7, Order::Shuffled), [0_u32; 0]);
+        assert_eq!(set(4).order(0, StreamOrder::Reversed), [3, 2, 1, 0]);
+        assert_eq!(set(2).order(7, StreamOrder::Shuffled), [0_u32; 0]);
     }
 }

@@ -3,6 +3,8 @@
 //! Types and categories are indices into the [`Catalogue`]. [`Progress`](crate::Progress) and the planner both work on the
 //! [`Phase`]s of a task.
 
+use domain::{TaskGroup, TaskType};
+
 use crate::catalogue::Catalogue;
 use crate::world::{Item, Warehouse};
 
@@ -69,19 +71,6 @@ pub enum Task {
     },
 }
 
-/// Groups of task types in results.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum TaskGroup {
-    /// Types 1 and 2.
-    Basic,
-    /// Types 3 to 6.
-    MultiObject,
-    /// Types 7, 8 and 10.
-    ReturnLoop,
-    /// Type 9.
-    Revisit,
-}
-
 /// A part of a task that must be complete before the next begins.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Phase {
@@ -94,51 +83,19 @@ pub enum Phase {
 }
 
 impl Task {
-    /// The paper's number of this type, 1 to 10.
-    pub const fn number(&self) -> u8 {
+    /// Its type.
+    pub const fn task_type(&self) -> TaskType {
         match self {
-            Self::FindType { .. } => 1,
-            Self::FindCategory { .. } => 2,
-            Self::EveryOfType { .. } => 3,
-            Self::EveryOfCategory { .. } => 4,
-            Self::BothTypes { .. } => 5,
-            Self::InOrder { .. } => 6,
-            Self::FindAndReturn { .. } => 7,
-            Self::EveryAndReturn { .. } => 8,
-            Self::Revisit { .. } => 9,
-            Self::InOrderAndReturn { .. } => 10,
-        }
-    }
-
-    /// The paper's name of the type with this number; `None` outside 1 to 10.
-    pub fn type_name(number: u8) -> Option<&'static str> {
-        const NAMES: [&str; 10] = [
-            "single object search",
-            "category search",
-            "exhaustive object search",
-            "exhaustive category search",
-            "unordered search",
-            "ordered search",
-            "search with return",
-            "exhaustive with return",
-            "revisit",
-            "two with return",
-        ];
-        NAMES.get(usize::from(number).checked_sub(1)?).copied()
-    }
-
-    /// The group of its type.
-    pub const fn group(&self) -> TaskGroup {
-        match self {
-            Self::FindType { .. } | Self::FindCategory { .. } => TaskGroup::Basic,
-            Self::EveryOfType { .. }
-            | Self::EveryOfCategory { .. }
-            | Self::BothTypes { .. }
-            | Self::InOrder { .. } => TaskGroup::MultiObject,
-            Self::FindAndReturn { .. }
-            | Self::EveryAndReturn { .. }
-            | Self::InOrderAndReturn { .. } => TaskGroup::ReturnLoop,
-            Self::Revisit { .. } => TaskGroup::Revisit,
+            Self::FindType { .. } => TaskType::FindType,
+            Self::FindCategory { .. } => TaskType::FindCategory,
+            Self::EveryOfType { .. } => TaskType::EveryOfType,
+            Self::EveryOfCategory { .. } => TaskType::EveryOfCategory,
+            Self::BothTypes { .. } => TaskType::BothTypes,
+            Self::InOrder { .. } => TaskType::InOrder,
+            Self::FindAndReturn { .. } => TaskType::FindAndReturn,
+            Self::EveryAndReturn { .. } => TaskType::EveryAndReturn,
+            Self::Revisit { .. } => TaskType::Revisit,
+            Self::InOrderAndReturn { .. } => TaskType::InOrderAndReturn,
         }
     }
 
@@ -181,7 +138,7 @@ impl Task {
 
     /// Whether the task ends at the cell where the episode began.
     pub const fn returns_to_origin(&self) -> bool {
-        matches!(self.group(), TaskGroup::ReturnLoop)
+        matches!(self.task_type().group(), TaskGroup::ReturnLoop)
     }
 
     /// The phases, in order. A return is always the last.
@@ -278,32 +235,6 @@ pub(crate) enum TaskSubject {
     Category(usize),
 }
 
-impl TaskGroup {
-    /// All groups, in the order of the paper's table.
-    pub const ALL: [Self; 4] = [Self::Basic, Self::MultiObject, Self::ReturnLoop, Self::Revisit];
-
-    /// The group of the type of tasks with this number; `None` outside 1 to 10 (specification, section 3).
-    pub const fn of_type(number: u8) -> Option<Self> {
-        match number {
-            1 | 2 => Some(Self::Basic),
-            3..=6 => Some(Self::MultiObject),
-            7 | 8 | 10 => Some(Self::ReturnLoop),
-            9 => Some(Self::Revisit),
-            _ => None,
-        }
-    }
-
-    /// The heading of the group's column.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Basic => "basic",
-            Self::MultiObject => "multi-object",
-            Self::ReturnLoop => "return loops",
-            Self::Revisit => "revisit",
-        }
-    }
-}
-
 fn ids<'a>(items: impl Iterator<Item = &'a Item>) -> Vec<u16> {
     items.map(|item| item.id).collect()
 }
@@ -317,16 +248,6 @@ fn with_article(noun: &str) -> String {
 mod tests {
     use super::*;
     use crate::testing::{BLUE_BARREL, CONES, ORANGE_CONE, all_tasks, tiny};
-
-    #[test]
-    fn the_group_of_a_type_is_that_of_its_tasks_and_other_numbers_have_none() {
-        for task in all_tasks(&tiny()) {
-            assert_eq!(TaskGroup::of_type(task.number()), Some(task.group()), "{task:?}");
-        }
-        for number in (0..=u8::MAX).filter(|number| !(1..=10).contains(number)) {
-            assert_eq!(TaskGroup::of_type(number), None, "{number}");
-        }
-    }
 
     #[test]
     fn instructions_read_well() {
@@ -344,8 +265,9 @@ mod tests {
             Task::InOrderAndReturn { a, b },
         ];
         let catalogue = tiny().catalogue;
-        let lines: Vec<String> =
-            tasks.map(|task| format!("{} {}", task.number(), task.instruction(&catalogue))).into();
+        let lines: Vec<String> = tasks
+            .map(|task| format!("{} {}", task.task_type().number(), task.instruction(&catalogue)))
+            .into();
         insta::assert_snapshot!(lines.join("\n"), @"
         1 Find an orange cone.
         2 Find any item of the category cones.
@@ -369,7 +291,7 @@ mod tests {
                 match phase {
                     Phase::OneOfEach(sets) => in_phases.extend(sets.into_iter().flatten()),
                     Phase::Origin => assert!(task.returns_to_origin()),
-                    Phase::FirstAgain => assert_eq!(task.group(), TaskGroup::Revisit),
+                    Phase::FirstAgain => assert_eq!(task.task_type(), TaskType::Revisit),
                 }
             }
             in_phases.sort_unstable();

@@ -8,16 +8,16 @@ mod report;
 use std::collections::BTreeSet;
 use std::fmt;
 
-use domain::{Cell, Pose};
+use domain::{Cell, MAX_STEPS, Pose, TaskType};
 use plates::Plate;
 
-use crate::case::{Case, CaseSet, Replay, Start};
+use crate::case::{Case, CaseSet, Replay, TrajectoryKind};
 use crate::constraints::{
     FloorEdge, MAX_DETOUR_PERCENT, completes_task, edges, enters, faces_targets, is_distant,
     is_near_optimal, is_nearby, is_of_similar_length, is_opposite, shares_at_least_half,
     shares_at_most_half, target_in_view, target_on,
 };
-use crate::dynamics::{MAX_STEPS, Variant};
+use crate::dynamics::Variant;
 use crate::layout::{Axis, Layout, Square};
 use crate::plan::{Planner, Prices};
 use crate::world::{Item, Warehouse, groups};
@@ -146,8 +146,9 @@ fn items(report: &mut ValidationReport, warehouse: &Warehouse) {
 fn set(report: &mut ValidationReport, CaseSet { cases, .. }: &CaseSet) {
     report.push(
         "all ten types have equally many cases, or the first ones one more",
-        (1..=10_u8).map(|number| {
-            let found = cases.iter().filter(|case| case.task.number() == number).count();
+        TaskType::ALL.into_iter().map(|task_type| {
+            let number = task_type.number();
+            let found = cases.iter().filter(|case| case.task.task_type() == task_type).count();
             let due = (cases.len() + 10 - usize::from(number)) / 10;
             equal(&format!("cases of type {number}"), found, due)
         }),
@@ -176,30 +177,32 @@ fn set(report: &mut ValidationReport, CaseSet { cases, .. }: &CaseSet) {
 struct Replayed<'a> {
     case: &'a Case,
     targets: Vec<&'a Item>,
-    replays: Vec<(Start, Replay)>,
+    replays: Vec<(TrajectoryKind, Replay)>,
 }
 
 impl<'a> Replayed<'a> {
     fn new(warehouse: &'a Warehouse, case: &'a Case) -> Self {
-        let replays =
-            Start::ALL.into_iter().map(|start| (start, case.replay(warehouse, start))).collect();
+        let replays = TrajectoryKind::ALL
+            .into_iter()
+            .map(|start| (start, case.replay(warehouse, start)))
+            .collect();
         Self { case, targets: case.task.targets(warehouse), replays }
     }
 
-    fn replay(&self, start: Start) -> &Replay {
+    fn replay(&self, start: TrajectoryKind) -> &Replay {
         &self.replays[start as usize].1
     }
 
-    fn edges(&self, start: Start) -> Vec<FloorEdge> {
+    fn edges(&self, start: TrajectoryKind) -> Vec<FloorEdge> {
         edges(&self.replay(start).poses)
     }
 
-    fn start(&self, start: Start) -> domain::Pose {
+    fn start(&self, start: TrajectoryKind) -> domain::Pose {
         self.case.trajectory(start).start
     }
 
     /// A violation by one of the case's trajectories.
-    fn at(&self, start: Start, violation: impl fmt::Display) -> String {
+    fn at(&self, start: TrajectoryKind, violation: impl fmt::Display) -> String {
         format!("{} {}: {violation}", self.case.id, start.name())
     }
 }
@@ -227,7 +230,7 @@ fn trajectories(report: &mut ValidationReport, warehouse: &Warehouse, cases: &[R
         all().map(|(c, start, replay)| {
             let (from, task) = (c.start(start), &c.case.task);
             let fewest = match start {
-                Start::Blocked => {
+                TrajectoryKind::Blocked => {
                     Planner::new(warehouse, c.case.variant(start), Prices::STEPS).cost(from, task)
                 }
                 _ => unchanged.cost(from, task),
@@ -252,42 +255,44 @@ fn trajectories(report: &mut ValidationReport, warehouse: &Warehouse, cases: &[R
 fn demonstrations(report: &mut ValidationReport, warehouse: &Warehouse, cases: &[Replayed<'_>]) {
     let layout = &warehouse.layout;
     let starts = |c: &Replayed<'_>, start, is_right: &dyn Fn(Pose, Pose) -> bool| {
-        let (original, other) = (c.start(Start::Original), c.start(start));
+        let (original, other) = (c.start(TrajectoryKind::Original), c.start(start));
         ensure(is_right(original, other), || {
             c.at(start, format!("starts at {other}, the original at {original}"))
         })
     };
     report.push(
         "original: no target in the first view",
-        cases.iter().map(|c| unseen(warehouse, c, Start::Original)),
+        cases.iter().map(|c| unseen(warehouse, c, TrajectoryKind::Original)),
     );
     report.push(
         "opposite: the original's cell, facing the other way",
-        cases.iter().map(|c| starts(c, Start::Opposite, &is_opposite)),
+        cases.iter().map(|c| starts(c, TrajectoryKind::Opposite, &is_opposite)),
     );
     report.push(
         "nearby: 2 to 4 cells along the same aisle, same heading",
-        cases.iter().map(|c| starts(c, Start::Nearby, &|a, b| is_nearby(layout, a, b))),
+        cases.iter().map(|c| starts(c, TrajectoryKind::Nearby, &|a, b| is_nearby(layout, a, b))),
     );
     report.push(
         "nearby: at least half of the original's edges are shared",
         cases.iter().map(|c| {
-            let (original, nearby) = (c.edges(Start::Original), c.edges(Start::Nearby));
+            let (original, nearby) =
+                (c.edges(TrajectoryKind::Original), c.edges(TrajectoryKind::Nearby));
             ensure(shares_at_least_half(&original, &nearby), || {
-                c.at(Start::Nearby, "shares less than half")
+                c.at(TrajectoryKind::Nearby, "shares less than half")
             })
         }),
     );
     report.push(
         "distant: 6 or more cells away, another aisle, turned by 90 degrees",
-        cases.iter().map(|c| starts(c, Start::Distant, &|a, b| is_distant(layout, a, b))),
+        cases.iter().map(|c| starts(c, TrajectoryKind::Distant, &|a, b| is_distant(layout, a, b))),
     );
     report.push(
         "distant: at most half of the original's edges are shared",
         cases.iter().map(|c| {
-            let (original, distant) = (c.edges(Start::Original), c.edges(Start::Distant));
+            let (original, distant) =
+                (c.edges(TrajectoryKind::Original), c.edges(TrajectoryKind::Distant));
             ensure(shares_at_most_half(&original, &distant), || {
-                c.at(Start::Distant, "shares more than half")
+                c.at(TrajectoryKind::Distant, "shares more than half")
             })
         }),
     );
@@ -299,25 +304,30 @@ fn tests(report: &mut ValidationReport, warehouse: &Warehouse, cases: &[Replayed
     report.push(
         "test: starts at another pose than the four demonstrations",
         cases.iter().map(|c| {
-            let test = c.start(Start::Test);
-            let same = Start::DEMONSTRATIONS.into_iter().find(|&start| c.start(start) == test);
+            let test = c.start(TrajectoryKind::Test);
+            let same =
+                TrajectoryKind::DEMONSTRATIONS.into_iter().find(|&start| c.start(start) == test);
             ensure(same.is_none(), || {
-                c.at(Start::Test, format!("starts like {}", same.map_or("", Start::name)))
+                c.at(
+                    TrajectoryKind::Test,
+                    format!("starts like {}", same.map_or("", TrajectoryKind::name)),
+                )
             })
         }),
     );
     report.push(
         "test: no target in the first view",
-        cases.iter().map(|c| unseen(warehouse, c, Start::Test)),
+        cases.iter().map(|c| unseen(warehouse, c, TrajectoryKind::Test)),
     );
     report.push(
         "test: 75 to 135 % as long as the original demonstration",
         cases.iter().map(|c| {
-            let lengths = (c.replay(Start::Original).length, c.replay(Start::Test).length);
+            let lengths =
+                (c.replay(TrajectoryKind::Original).length, c.replay(TrajectoryKind::Test).length);
             let similar = lengths.0.zip(lengths.1).is_some_and(|(o, t)| is_of_similar_length(o, t));
             ensure(similar, || {
                 c.at(
-                    Start::Test,
+                    TrajectoryKind::Test,
                     format!(
                         "{} steps, the original {}",
                         steps_text(lengths.1),
@@ -330,7 +340,11 @@ fn tests(report: &mut ValidationReport, warehouse: &Warehouse, cases: &[Replayed
     report.push(
         "blocked: starts where the test starts",
         cases.iter().map(|c| {
-            equal(&c.at(Start::Blocked, "start"), c.start(Start::Blocked), c.start(Start::Test))
+            equal(
+                &c.at(TrajectoryKind::Blocked, "start"),
+                c.start(TrajectoryKind::Blocked),
+                c.start(TrajectoryKind::Test),
+            )
         }),
     );
     let passages = layout.passages();
@@ -339,7 +353,7 @@ fn tests(report: &mut ValidationReport, warehouse: &Warehouse, cases: &[Replayed
         cases.iter().map(|c| {
             let closed = &c.case.barricade;
             ensure(passages.contains(closed), || {
-                c.at(Start::Blocked, format!("{} is not a passage", list(closed)))
+                c.at(TrajectoryKind::Blocked, format!("{} is not a passage", list(closed)))
             })
         }),
     );
@@ -347,30 +361,37 @@ fn tests(report: &mut ValidationReport, warehouse: &Warehouse, cases: &[Replayed
         "blocked: the test reference and a demonstration use that passage",
         cases.iter().map(|c| {
             let used = |start| enters(&c.replay(start).poses, &c.case.barricade);
-            ensure(used(Start::Test) && Start::DEMONSTRATIONS.into_iter().any(used), || {
-                c.at(Start::Blocked, format!("{} is not used by both", list(&c.case.barricade)))
-            })
+            ensure(
+                used(TrajectoryKind::Test) && TrajectoryKind::DEMONSTRATIONS.into_iter().any(used),
+                || {
+                    c.at(
+                        TrajectoryKind::Blocked,
+                        format!("{} is not used by both", list(&c.case.barricade)),
+                    )
+                },
+            )
         }),
     );
     report.push(
         "blocked: neither the start nor a target's standpoint is closed",
         cases.iter().map(|c| {
             let closed = &c.case.barricade;
-            let start = c.start(Start::Blocked).cell;
+            let start = c.start(TrajectoryKind::Blocked).cell;
             ensure(!closed.contains(&start) && target_on(closed, &c.targets).is_none(), || {
-                c.at(Start::Blocked, format!("{} closes one", list(closed)))
+                c.at(TrajectoryKind::Blocked, format!("{} closes one", list(closed)))
             })
         }),
     );
     report.push(
         "blocked: another route leads to every target",
         cases.iter().map(|c| {
-            let reached = layout.reachable(c.start(Start::Blocked).cell, &c.case.barricade);
+            let reached =
+                layout.reachable(c.start(TrajectoryKind::Blocked).cell, &c.case.barricade);
             let cut_off =
                 c.targets.iter().find(|item| reached.binary_search(&item.standpoint).is_err());
             ensure(cut_off.is_none(), || {
                 c.at(
-                    Start::Blocked,
+                    TrajectoryKind::Blocked,
                     format!("item {} is cut off", cut_off.map_or(0, |item| item.id)),
                 )
             })
@@ -378,7 +399,7 @@ fn tests(report: &mut ValidationReport, warehouse: &Warehouse, cases: &[Replayed
     );
 }
 
-fn unseen(warehouse: &Warehouse, c: &Replayed<'_>, start: Start) -> Result<(), String> {
+fn unseen(warehouse: &Warehouse, c: &Replayed<'_>, start: TrajectoryKind) -> Result<(), String> {
     match target_in_view(warehouse, c.start(start), &c.targets) {
         Some(item) => {
             Err(c.at(start, format!("item {} is in view from {}", item.id, c.start(start))))

@@ -11,12 +11,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use bytemuck::Zeroable;
-use domain::{Appearance, Pose};
+use domain::{Appearance, Demonstrations, Pose};
 use shm_types::message::{
     Handshake, Heartbeat, NO_FRAME, Role, ShutdownReport, Stop, View, ViewRequest, ViewRequestKind,
 };
 use shm_types::{Bus, ErrorReporter, Frame, FrameError, FrameStore, Notifier, Receiver, Sender};
-use warehouse::{Demonstrations, Elsewhere, Viewpoint};
+use warehouse::{Elsewhere, Viewpoint};
 
 use documents::{DocumentFile, DocumentFolder, DocumentName, Provenance, Recipe, Sources};
 

@@ -7,12 +7,11 @@
 use std::sync::Arc;
 
 use documents::Sources;
-use domain::hex;
-use domain::{Action, Feedback, Pose};
+use domain::{Action, Demonstrations, Feedback, Pose, hex};
 use plates::Landmark;
 use search::ContentHash;
 use sha2::{Digest, Sha256};
-use warehouse::{Demonstrated, Demonstrations, Viewpoint};
+use warehouse::{Demonstrated, Viewpoint};
 
 /// One demonstration.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -1,10 +1,10 @@
 //! The engine against a scripted simulator, orchestrator and encoder, in every order of events.
 
 use domain::Representation::{Episodic, FullContext, Working};
-use domain::{Feedback, Heading, Pose, Representation};
+use domain::{Demonstrations, Feedback, Heading, Pose, Representation};
 use proptest::prelude::*;
 use shm_types::message::{EXTERNAL, NO_ACTION, NO_FRAME};
-use warehouse::{Demonstrations, Start};
+use warehouse::TrajectoryKind;
 
 use self::rig::{Answer, Rig, Script, content, replay_set};
 use super::*;
@@ -17,7 +17,7 @@ mod supplied;
 #[test]
 fn on_a_demonstrated_route_the_segment_is_the_experts_continuation() {
     let mut rig = Rig::new(1, 1000);
-    let script = rig.script(0, 7, 3, Start::Original, Episodic);
+    let script = rig.script(0, 7, 3, TrajectoryKind::Original, Episodic);
     rig.play(std::slice::from_ref(&script), std::iter::empty());
     let steps = script.poses.len() - 1;
     assert_eq!(rig.answers.len(), steps);
@@ -44,8 +44,9 @@ fn on_a_demonstrated_route_the_segment_is_the_experts_continuation() {
 #[test]
 fn every_view_is_pinned_once_embedded_once_and_released() {
     let mut rig = Rig::new(3, 1000);
-    let scripts: Vec<Script> =
-        (0..3).map(|lane| rig.script(lane, lane.into(), 5, Start::Nearby, Episodic)).collect();
+    let scripts: Vec<Script> = (0..3)
+        .map(|lane| rig.script(lane, lane.into(), 5, TrajectoryKind::Nearby, Episodic))
+        .collect();
     let demonstrations = demonstrations(&rig, 5);
     rig.play(&scripts, [0; 6].into_iter());
     assert_eq!((rig.pins, rig.releases), (demonstrations, demonstrations));
@@ -53,7 +54,7 @@ fn every_view_is_pinned_once_embedded_once_and_released() {
     assert!(rig.engine.pending.is_empty() && rig.engine.admission.is_empty());
 
     // Another episode of the same case pins its views again and embeds nothing.
-    let again = rig.script(1, 9, 5, Start::Opposite, Episodic);
+    let again = rig.script(1, 9, 5, TrajectoryKind::Opposite, Episodic);
     rig.play(&[again], std::iter::empty());
     assert_eq!((rig.pins, rig.embedded), (2 * demonstrations, demonstrations));
 }
@@ -69,7 +70,7 @@ fn demonstrations(rig: &Rig, case: usize) -> usize {
 #[test]
 fn views_pinned_for_their_pixels_are_embedded_when_a_memory_matches_views() {
     let mut rig = Rig::new(2, 1000);
-    let whole = rig.script(0, 1, 5, Start::Original, FullContext);
+    let whole = rig.script(0, 1, 5, TrajectoryKind::Original, FullContext);
     rig.engine.config(&whole.config).unwrap();
     rig.observe(whole.observations[0]).unwrap();
     assert!(rig.collect().is_empty(), "its views are requested when it has named them");
@@ -77,7 +78,7 @@ fn views_pinned_for_their_pixels_are_embedded_when_a_memory_matches_views() {
     assert_eq!(rig.collect(), [0]);
     let keyframes = rig.pins;
     assert!((1..=40).contains(&keyframes) && rig.embedded == 0);
-    let compared = rig.script(1, 2, 5, Start::Original, Episodic);
+    let compared = rig.script(1, 2, 5, TrajectoryKind::Original, Episodic);
     rig.play(&[compared], std::iter::empty());
     assert_eq!((rig.pins, rig.embedded), (demonstrations(&rig, 5), rig.pins));
     assert_eq!(rig.releases, rig.pins - keyframes, "the first lane still shows its keyframes");
@@ -89,8 +90,8 @@ fn views_pinned_for_their_pixels_are_embedded_when_a_memory_matches_views() {
 #[test]
 fn a_waiting_lane_does_not_delay_others() {
     let mut rig = Rig::new(2, 1000);
-    let slow = rig.script(0, 1, 0, Start::Original, Episodic);
-    let quick = rig.script(1, 2, 1, Start::Original, Working);
+    let slow = rig.script(0, 1, 0, TrajectoryKind::Original, Episodic);
+    let quick = rig.script(1, 2, 1, TrajectoryKind::Original, Working);
     rig.engine.config(&slow.config).unwrap();
     rig.engine.config(&quick.config).unwrap();
     rig.observe(slow.observations[0]).unwrap();
@@ -112,8 +113,8 @@ fn lanes_whose_views_do_not_fit_together_take_turns() {
     let mut rig = Rig::new(2, 0);
     let room = demonstrations(&rig, 0).max(demonstrations(&rig, 60));
     rig = Rig::new(2, room);
-    let first = rig.script(0, 1, 0, Start::Original, Episodic);
-    let second = rig.script(1, 2, 60, Start::Original, Episodic);
+    let first = rig.script(0, 1, 0, TrajectoryKind::Original, Episodic);
+    let second = rig.script(1, 2, 60, TrajectoryKind::Original, Episodic);
     rig.play(&[first.clone(), second.clone()], std::iter::empty());
     assert_eq!(rig.answers.len(), first.poses.len() + second.poses.len() - 2);
 
@@ -128,11 +129,11 @@ fn lanes_whose_views_do_not_fit_together_take_turns() {
 fn an_episode_that_never_began_is_dropped() {
     let mut rig = Rig::new(1, 1000);
     for id in 1..4 {
-        let script = rig.script(0, id, id as u32, Start::Original, Episodic);
+        let script = rig.script(0, id, id as u32, TrajectoryKind::Original, Episodic);
         rig.engine.config(&script.config).unwrap();
         rig.work(0);
     }
-    let last = rig.script(0, 4, 2, Start::Original, Episodic);
+    let last = rig.script(0, 4, 2, TrajectoryKind::Original, Episodic);
     rig.play(&[last], std::iter::empty());
     while rig.work(0) {}
     assert_eq!(rig.pins, rig.releases);
@@ -141,7 +142,7 @@ fn an_episode_that_never_began_is_dropped() {
 #[test]
 fn unusable_messages_are_refused_with_a_reason() {
     let mut rig = Rig::new(2, 1000);
-    let script = rig.script(0, 1, 0, Start::Original, Episodic);
+    let script = rig.script(0, 1, 0, TrajectoryKind::Original, Episodic);
     let config = script.config;
     for (bad, expected) in [
         (MemoryEpisodeConfig { lane: 2, ..config }, "lane 2 of 2"),
@@ -211,7 +212,8 @@ const SETS: [Demonstrations; 5] = [
 fn episodes_with_one_bank_share_its_memory_and_pin_few_of_its_views() {
     let mut rig = Rig::new(2, 100);
     let scripts = [0, 1].map(|lane| {
-        let script = rig.script(lane, lane.into(), 7 * lane, Start::Test, Representation::Episodic);
+        let script =
+            rig.script(lane, lane.into(), 7 * lane, TrajectoryKind::Test, Representation::Episodic);
         script.remembering(Demonstrations::bank(400))
     });
     rig.play(&scripts, 0..);
@@ -239,7 +241,7 @@ proptest! {
         let scripts = |rig: &Rig, lanes: u32| -> Vec<Script> {
             (0..).zip(&episodes).map(|(id, &(case, start, memory, set, segment, keyframes))| {
                 let (lane, memory) = (id as u32 % lanes, Representation::ALL[memory]);
-                let mut script = rig.script(lane, id, case, Start::ALL[start], memory);
+                let mut script = rig.script(lane, id, case, TrajectoryKind::ALL[start], memory);
                 script.config.demonstrations = SETS[set].bits();
                 (script.config.segment, script.config.keyframes) = (segment, keyframes);
                 script
@@ -305,7 +307,7 @@ proptest! {
             let _ = rig.engine.answers(|| 5, &mut rig.documents);
         }
         for (lane, id) in [(0, 90), (1, 91)] {
-            let script = rig.script(lane, id, 3, Start::Original, Working);
+            let script = rig.script(lane, id, 3, TrajectoryKind::Original, Working);
             rig.engine.config(&script.config).unwrap();
             rig.observe(script.observations[0]).unwrap();
         }

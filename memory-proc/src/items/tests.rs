@@ -191,9 +191,8 @@ fn long_items_and_keyframes_become_documents_and_neighbours_one_item() {
 #[test]
 fn a_text_is_published_once_in_an_episode() {
     let (mut texts, mut documents) = (PublishedTexts::default(), TestDocuments::default());
-    let known = documents
-        .consolidated(domain::DocumentKind::Summary, warehouse::Demonstrations::ALL)
-        .unwrap();
+    let known =
+        documents.consolidated(domain::DocumentKind::Summary, domain::Demonstrations::ALL).unwrap();
     let items = vec![
         MemoryItem::text("a cone"),
         MemoryItem::text("a bärrel"),

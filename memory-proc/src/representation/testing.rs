@@ -3,11 +3,10 @@
 use std::sync::Arc;
 
 use anyhow::bail;
-use domain::{Action, DocumentKind, Feedback, Heading, Pose, SegmentContent};
+use domain::{Action, Demonstrations, DocumentKind, Feedback, Heading, Pose, SegmentContent};
 use peer::memory::{Memory, MemoryError, MemoryItem, Query, Step};
 use shm_types::documents::Content;
 use shm_types::message::DocumentId;
-use warehouse::Demonstrations;
 
 use super::MemorySettings;
 use crate::bank::{BankSteps, KnownView, ReplayedBank};

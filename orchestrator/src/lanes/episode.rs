@@ -3,8 +3,7 @@
 use std::collections::BTreeMap;
 
 use bytemuck::Zeroable;
-use domain::hex;
-use domain::{Action, Cell, Feedback, MemoryKind, Outcome, Pose};
+use domain::{Action, Cell, Feedback, MemoryKind, Outcome, Pose, hex};
 use results::conditions::Route;
 use results::log::{
     BlockedRecord, Ending, EpisodeRecord, RecallTotals, Stages, StreamRecord, Unread,
@@ -14,7 +13,7 @@ use shm_types::message::{
     Observation, PolicyEpisodeConfig, RecallTrace, Role, SnapshotReport, StepCommand, StepKind,
     WirePose, write_text,
 };
-use warehouse::{Progress, Variant, step};
+use warehouse::{Progress, TrajectoryKind, Variant, step};
 
 use super::retrieved::Retrieved;
 use super::{
@@ -72,7 +71,7 @@ impl ActiveEpisode {
         let warehouse = state.map_or(context.warehouse, |state| &state.warehouse);
         let case = &cases.cases[episode.case_index];
         let condition = episode.key.condition;
-        let from = condition.start.reference(condition.route);
+        let from = TrajectoryKind::reference(condition.start, condition.route);
         let in_world = episode
             .part
             .zip(context.streams)
@@ -97,7 +96,7 @@ impl ActiveEpisode {
             arm: condition.arm,
             run: episode.key.run,
             case: episode.key.case.clone(),
-            task: case.task.number(),
+            task: case.task.task_type().number(),
             seed: episode.seed,
             ending: Ending::OutOfSteps,
             steps: 0,

@@ -6,9 +6,9 @@ use std::collections::BTreeMap;
 
 use anyhow::Result;
 use domain::MemoryKind;
+use domain::names::named;
 use hdrhistogram::Histogram;
 use results::latency::LatencySummary;
-use results::named;
 use serde::{Deserialize, Serialize};
 
 use crate::lanes::{FinishedEpisode, Stamps};

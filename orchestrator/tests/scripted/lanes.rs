@@ -3,19 +3,21 @@
 use bytemuck::Zeroable;
 use conformance::messages::{self, recall_trace};
 use conformance::scripted::{ScriptedSim, request};
-use domain::{Action, Arm, Feedback, FeedbackLevel, Outcome, Pose, Representation};
+use domain::{
+    Action, Arm, Feedback, FeedbackLevel, Mixture, Outcome, Pose, Representation, StreamOrder,
+};
 use orchestrator::lanes::{AnswerError, EpisodeOpening, FinishedEpisode, Lanes, Rules, Turn};
 use orchestrator::plan::{PlannedEpisode, StreamPart, sequence_id};
 use orchestrator::streams::{Remaining, Streams};
 use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
-use results::key::{EpisodeKey, Order, StreamPlace};
+use results::key::{EpisodeKey, StreamPlace};
 use results::log::Ending;
 use shm_types::message::{
     Decision, EXPERIENCE, MemoryEpisodeConfig, NOT_MEASURED, Observation, RecallTrace,
     RecalledSource, Role, SnapshotReport,
 };
 use warehouse::stream::{Block, Stream};
-use warehouse::{CaseSet, History, Mixture, StreamSet, Variant, Warehouse, WorldChange, step};
+use warehouse::{CaseSet, History, StreamSet, Variant, Warehouse, WorldChange, step};
 
 use crate::common;
 
@@ -162,12 +164,12 @@ fn the_log_says_whose_demonstration_each_match_is_of() {
         episode.key.condition.demonstrations = demonstrations;
         let histories = cases.histories(20, demonstrations);
         let recall = |of: &Observation| match histories.get(of.step as usize) {
-            Some(&History { case, start }) => {
+            Some(&History { case, kind }) => {
                 let mut trace = trace(of);
                 trace.sources_len = 1;
                 trace.sources[0] = RecalledSource {
                     case: case as u32,
-                    demonstration: start as u16,
+                    demonstration: kind as u16,
                     distance: if of.step == 2 { f32::NAN } else { 0.25 * of.step as f32 },
                     first: 7,
                     steps: 1,
@@ -182,7 +184,7 @@ fn the_log_says_whose_demonstration_each_match_is_of() {
         let record = run_with_recall(rules, episode.clone(), turning, recall).record;
         let [one, two] = cases.cases[20]
             .mixed(mixture)
-            .map(|History { case, start }| format!("{}:{}7", cases.cases[case].id, start.letter()));
+            .map(|History { case, kind }| format!("{}:{}7", cases.cases[case].id, kind.letter()));
         assert_eq!(record.retrieved, Some(format!("o7 p7 {one} {two} -")));
         assert_eq!(record.distances.as_deref(), Some("0 0.25 - 0.75 -"));
         assert_eq!(record.distance, Some(0.333_333));
@@ -413,7 +415,7 @@ fn learning(cases: &CaseSet, case_index: usize, position: u32) -> PlannedEpisode
     let mut episode = episode(cases, case_index, Start::New, Route::Unchanged);
     episode.key.condition.memory = Representation::Adaptive.into();
     episode.key.condition.arm = Arm::Learning;
-    episode.key.place = Some(StreamPlace { stream: 0, order: Order::Drawn, position });
+    episode.key.place = Some(StreamPlace { stream: 0, order: StreamOrder::Drawn, position });
     let part = StreamPart {
         sequence: sequence_id(&episode.key.sequence().unwrap()),
         block: position,

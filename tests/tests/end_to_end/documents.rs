@@ -5,13 +5,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
-use domain::{Cell, Pose};
+use domain::{Cell, Demonstrations, Pose};
 use memtransfer_tests::{Bench, Ended, eventually};
 use plates::Plate;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use warehouse::sight::sees;
-use warehouse::{CaseSet, Demonstrations, Warehouse};
+use warehouse::{CaseSet, TrajectoryKind, Warehouse};
 
 use crate::real_server::stored;
 
@@ -44,9 +44,8 @@ impl Truth {
         let histories = (0..self.cases.cases.len())
             .flat_map(|case| self.cases.histories(case, selection))
             .collect::<BTreeSet<_>>();
-        let replay =
-            |case: usize, start| self.cases.cases[case].replay(&self.warehouse, start).poses;
-        histories.into_iter().flat_map(|history| replay(history.case, history.start)).collect()
+        let demonstrated = |of| self.cases.demonstrated(&self.warehouse, of).unwrap();
+        histories.into_iter().flat_map(|of| demonstrated(of).replay().poses).collect()
     }
 
     /// Where the experts of `selection` reached items that were asked for.
@@ -54,8 +53,8 @@ impl Truth {
         let mut targets = BTreeSet::new();
         for case in &self.cases.cases {
             let wanted = case.task.targets(&self.warehouse);
-            for start in selection.own() {
-                let replay = case.replay(&self.warehouse, start);
+            for kind in selection.own().filter_map(TrajectoryKind::demonstration) {
+                let replay = case.replay(&self.warehouse, kind);
                 let cells = replay.goal_steps.iter().map(|&step| replay.poses[step as usize].cell);
                 let is_target = |cell: &Cell| wanted.iter().any(|item| item.standpoint == *cell);
                 targets.extend(cells.filter(is_target));
@@ -169,8 +168,8 @@ fn documents_contain_what_their_demonstrations_show_and_nothing_else() {
             .cases
             .iter()
             .flat_map(|case| {
-                selection.own().map(|start| {
-                    let Pose { cell, heading } = case.trajectory(start).start;
+                selection.own().filter_map(TrajectoryKind::demonstration).map(|kind| {
+                    let Pose { cell, heading } = case.trajectory(kind).start;
                     format!("from {cell} facing {}:", heading.letter())
                 })
             })

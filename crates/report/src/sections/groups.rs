@@ -1,6 +1,6 @@
 //! Table `tab:tasks`: success rate by task group, unchanged and blocked.
 
-use warehouse::TaskGroup;
+use domain::TaskGroup;
 
 use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
 use crate::view::{ScoredRun, name, pair_stubs, plain_or};

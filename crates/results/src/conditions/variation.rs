@@ -6,7 +6,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::names::named;
+use domain::names::named;
 
 named! {
     /// The content of a retrieved segment.

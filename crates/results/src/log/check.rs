@@ -51,7 +51,7 @@ impl EpisodeRecord {
     }
 
     fn check_key(&self) -> Result<(), String> {
-        ensure((1..=10).contains(&self.task), || {
+        ensure(self.task_type().is_some(), || {
             format!("\"task\" is {}, and there are the types 1 to 10", self.task)
         })?;
         ensure(self.run > 0, || "\"run\" is counted from 1".to_owned())?;
@@ -199,11 +199,10 @@ fn ensure(holds: bool, problem: impl FnOnce() -> String) -> Result<(), String> {
 
 #[cfg(test)]
 mod tests {
-    use domain::{Heading, Pose};
+    use domain::{Heading, Pose, StreamOrder};
 
     use super::*;
     use crate::events::{Requirement, Visit};
-    use crate::key::Order;
     use crate::log::testing::{keyed, record, stream_record};
 
     #[test]
@@ -250,7 +249,7 @@ mod tests {
         let edits: [fn(&mut EpisodeRecord, &mut StreamRecord); 11] = [
             |record, _| record.arm = Arm::Frozen,
             |_, stream| stream.stream = 3,
-            |_, stream| stream.order = Order::Drawn,
+            |_, stream| stream.order = StreamOrder::Drawn,
             |_, stream| stream.position = 18,
             |_, stream| stream.round = Some(0),
             |_, stream| stream.round = None,

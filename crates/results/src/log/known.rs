@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use warehouse::{CaseSet, Warehouse, file_texts};
+use warehouse::{CaseSet, TrajectoryKind, Warehouse, file_texts};
 
 use super::{EpisodeRecord, Manifest, PlannedFacts};
 use crate::conditions::{Route, Start};
@@ -65,10 +65,11 @@ impl KnownCases {
             return Err(format!("the run has no case {}", record.case));
         };
         let Some(case) = self.cases.cases.get(index) else { return Ok(()) };
-        facts.task = case.task.number();
+        facts.task = case.task.task_type().number();
         if record.stream.is_none() {
             let reference = || {
-                let replay = case.replay(&self.warehouse, record.start.reference(record.route));
+                let replay = case
+                    .replay(&self.warehouse, TrajectoryKind::reference(record.start, record.route));
                 replay.length.unwrap_or(0)
             };
             let known = self.references.entry((index, record.start, record.route));
@@ -95,11 +96,8 @@ mod tests {
             .collect();
         let case = &CaseSet::shipped().cases[0];
         let sound = EpisodeRecord {
-            task: case.task.number(),
-            reference: case
-                .replay(&Warehouse::shipped(), warehouse::Start::Original)
-                .length
-                .unwrap(),
+            task: case.task.task_type().number(),
+            reference: case.replay(&Warehouse::shipped(), TrajectoryKind::Original).length.unwrap(),
             ..record(&case.id, true)
         };
         let problem = |manifest: &Manifest, edit: fn(&mut EpisodeRecord)| {

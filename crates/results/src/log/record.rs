@@ -6,7 +6,10 @@
 
 use std::collections::BTreeMap;
 
-use domain::{Arm, ExternalName, FeedbackLevel, MemoryKind, Outcome, Pose, SEQUENCE_ENDED};
+use domain::names::named;
+use domain::{
+    Arm, ExternalName, FeedbackLevel, MemoryKind, Outcome, Pose, SEQUENCE_ENDED, StreamOrder, TaskType,
+};
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{
@@ -14,8 +17,7 @@ use crate::conditions::{
     is_standard_window, standard_window,
 };
 use crate::events::{Requirement, Visit};
-use crate::key::{EpisodeKey, Order, StreamPlace};
-use crate::names::named;
+use crate::key::{EpisodeKey, StreamPlace};
 
 named! {
     /// How an episode ended.
@@ -77,8 +79,7 @@ pub struct EpisodeRecord {
     /// steps before an A, on the cell in column 3 and row 7.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub visits: Vec<Visit>,
-    /// For A, B or C: the first step whose view showed one (by
-    /// [`warehouse::sight`], whatever the distance). Absent for what was never in view.
+    /// For A, B or C: the first step whose view showed one, whatever the distance. Absent for what was never in view.
     #[serde(skip_serializing_if = "BTreeMap::is_empty", default)]
     pub first_seen: BTreeMap<Requirement, u32>,
     /// The steps, from 1, whose move was blocked and left the agent in place. With `start_pose` and `actions`, they
@@ -167,7 +168,7 @@ pub struct StreamRecord {
     /// The stream.
     pub stream: u32,
     /// The order of its blocks.
-    pub order: Order,
+    pub order: StreamOrder,
     /// The position of the episode in its sequence, from 0.
     pub position: u32,
     /// The block whose case it is, as drawn, from 0. Block 0 is the unchanged world.
@@ -226,6 +227,11 @@ impl EpisodeRecord {
             variation: Variation { window: self.window, segment: self.segment, hint: self.hint },
             arm: self.arm,
         }
+    }
+
+    /// The type of its task; `None` if there is none of that number.
+    pub fn task_type(&self) -> Option<TaskType> {
+        TaskType::try_from(self.task).ok()
     }
 
     /// The key that its fields make.

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use domain::{Arm, FeedbackLevel, Heading, Outcome, Pose, Representation};
+use domain::{Arm, FeedbackLevel, Heading, Outcome, Pose, Representation, StreamOrder};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -14,7 +14,6 @@ use super::{
     RequestRecord, RunLog, Stages, StreamRecord,
 };
 use crate::conditions::{Condition, Demonstrations, Start, Variation};
-use crate::key::Order;
 use crate::settings::{RunSettings, StreamSettings};
 
 /// The manifest of a run with every setting at its default.
@@ -141,7 +140,7 @@ pub fn under(condition: Condition, record: EpisodeRecord) -> EpisodeRecord {
 pub fn stream_record(case: &str, success: bool) -> EpisodeRecord {
     let stream = StreamRecord {
         stream: 2,
-        order: Order::Reversed,
+        order: StreamOrder::Reversed,
         position: 17,
         block: 3,
         place: 1,
@@ -168,7 +167,7 @@ pub fn stream_record(case: &str, success: bool) -> EpisodeRecord {
 /// its number as drawn and its cases. `outcome` says which episodes succeed.
 pub fn sequence(
     (condition, run): (Condition, u32),
-    (stream, order): (u32, Order),
+    (stream, order): (u32, StreamOrder),
     blocks: &[(u32, &[&str])],
     rounds: u32,
     outcome: impl Fn(&StreamRecord, &str) -> bool,
@@ -216,7 +215,7 @@ pub fn stream_log(episodes: Vec<EpisodeRecord>, [blocks, cases, rounds]: [u32; 3
         cases_per_block: cases,
         rounds,
         events: Vec::new(),
-        orders: Order::ALL.to_vec(),
+        orders: StreamOrder::ALL.to_vec(),
         feedback: FeedbackLevel::Success,
         evaluate: true,
     };

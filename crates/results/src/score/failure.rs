@@ -6,12 +6,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use domain::Pose;
+use domain::names::named;
+use domain::{Pose, TaskType};
 use serde::Serialize;
 
 use crate::events::Requirement;
 use crate::log::EpisodeRecord;
-use crate::names::named;
 
 named! {
     /// Why an episode failed: the first of these that applies, in this order.
@@ -101,7 +101,12 @@ impl Failure {
     }
 
     fn applies(self, record: &EpisodeRecord) -> bool {
+        use TaskType::{
+            EveryAndReturn, EveryOfCategory, EveryOfType, FindAndReturn, InOrder, InOrderAndReturn,
+            Revisit,
+        };
         let left = record.required.saturating_sub(record.sub_goals.len() as u32);
+        let task = record.task_type();
         match self {
             Self::Unreadable => {
                 record.requests.is_some_and(|asked| asked > 0 && record.unread.total() * 2 >= asked)
@@ -109,14 +114,17 @@ impl Failure {
             Self::Blocked => record.tried_closed_at.is_some_and(|step| gave_up(record, step)),
             Self::Looped => looped_at(record).is_some(),
             Self::WrongOrder => {
-                matches!(record.task, 6 | 9 | 10)
+                matches!(task, Some(InOrder | Revisit | InOrderAndReturn))
                     && record.sub_goals.len() == 1
                     && has_visited(record, Requirement::B)
             }
-            Self::NoReturn => matches!(record.task, 7 | 8 | 10) && left == 1,
-            Self::NoRevisit => record.task == 9 && left == 1,
+            Self::NoReturn => {
+                matches!(task, Some(FindAndReturn | EveryAndReturn | InOrderAndReturn)) && left == 1
+            }
+            Self::NoRevisit => task == Some(Revisit) && left == 1,
             Self::MissedInstance => {
-                matches!(record.task, 3 | 4 | 8) && !record.sub_goals.is_empty()
+                matches!(task, Some(EveryOfType | EveryOfCategory | EveryAndReturn))
+                    && !record.sub_goals.is_empty()
             }
             Self::NeverSaw => next(record).is_some_and(|open| !has_seen(record, &open)),
             Self::SawAndLeft => next(record).is_some_and(|open| has_seen(record, &open)),
@@ -128,10 +136,12 @@ impl Failure {
 /// The requirements that could be met next; `None` when none is left.
 fn next(record: &EpisodeRecord) -> Option<Vec<Requirement>> {
     use Requirement::{A, B, C};
-    let open = match (record.task, record.sub_goals.len()) {
-        (2 | 4, _) => vec![C],
-        (5, _) => [A, B].into_iter().filter(|one| !has_visited(record, *one)).collect(),
-        (6 | 9 | 10, 1) => vec![B],
+    let open = match (record.task_type(), record.sub_goals.len()) {
+        (Some(TaskType::FindCategory | TaskType::EveryOfCategory), _) => vec![C],
+        (Some(TaskType::BothTypes), _) => {
+            [A, B].into_iter().filter(|one| !has_visited(record, *one)).collect()
+        }
+        (Some(TaskType::InOrder | TaskType::Revisit | TaskType::InOrderAndReturn), 1) => vec![B],
         _ => vec![A],
     };
     let left = record.sub_goals.len() < record.required as usize;

@@ -30,14 +30,13 @@ pub use necessity::{Necessity, NecessitySuccess};
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use domain::{Arm, FeedbackLevel, Representation};
+use domain::{Arm, FeedbackLevel, Representation, StreamOrder};
 use serde::Serialize;
 
 use super::compare::FigureDifference;
 use super::interval::Interval;
 use super::spread::mean;
 use crate::conditions::{Condition, Demonstrations};
-use crate::key::Order;
 use crate::log::{EpisodeTimings, RunLog};
 use estimate::{by_stream, difference};
 use matrix::ResultMatrix;
@@ -119,7 +118,7 @@ pub struct StreamScore {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct OrderScore {
     /// The order.
-    pub order: Order,
+    pub order: StreamOrder,
     /// Success over all learning episodes.
     pub success: Option<f64>,
     /// Average success, ACC.
@@ -246,13 +245,13 @@ fn score_condition(
 }
 
 /// The sequences in `order`.
-fn in_order<'a>(sequences: &CompleteSequences<'a>, order: Order) -> CompleteSequences<'a> {
+fn in_order<'a>(sequences: &CompleteSequences<'a>, order: StreamOrder) -> CompleteSequences<'a> {
     let of_order = sequences.complete.iter().filter(|(id, _)| id.order == order);
     CompleteSequences { complete: of_order.map(|(id, s)| (*id, s.clone())).collect(), planned: 0 }
 }
 
 fn orders(sequences: &CompleteSequences<'_>) -> Vec<OrderScore> {
-    let of = |order: Order| {
+    let of = |order: StreamOrder| {
         let sequences = in_order(sequences, order);
         let over_streams = |figure: &dyn Fn(&Sequence<'_>) -> Option<f64>| {
             mean(by_stream(&sequences, |_, s| figure(s)).into_values())
@@ -261,10 +260,10 @@ fn orders(sequences: &CompleteSequences<'_>) -> Vec<OrderScore> {
         let average = over_streams(&|s| ResultMatrix::of(s).average());
         (!sequences.complete.is_empty()).then_some(OrderScore { order, success, average })
     };
-    Order::ALL.into_iter().filter_map(of).collect()
+    StreamOrder::ALL.into_iter().filter_map(of).collect()
 }
 
-/// Order robustness: the largest minus the smallest of `figure` over the orders of a stream, each a mean over its
+/// StreamOrder robustness: the largest minus the smallest of `figure` over the orders of a stream, each a mean over its
 /// repetitions. Only of streams that have it in at least three orders (at least three, one of them reversed: as Evo-Memory,
 /// arXiv 2511.20857, varies the order of tasks).
 fn order_spread(
@@ -272,7 +271,7 @@ fn order_spread(
     figure: &dyn Fn(&Sequence<'_>) -> Option<f64>,
 ) -> Option<Estimate> {
     let mut streams: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
-    for order in Order::ALL {
+    for order in StreamOrder::ALL {
         for (stream, value) in by_stream(&in_order(sequences, order), |_, s| figure(s)) {
             streams.entry(stream).or_default().push(value);
         }
@@ -295,7 +294,7 @@ fn mean_matrix(sequences: &CompleteSequences<'_>) -> Vec<Vec<Option<f64>>> {
 }
 
 fn rounds(sequences: &CompleteSequences<'_>) -> Vec<RoundScore> {
-    let drawn = in_order(sequences, Order::Drawn);
+    let drawn = in_order(sequences, StreamOrder::Drawn);
     let found: BTreeSet<(u32, u32)> =
         drawn.complete.values().flat_map(|s| online::rounds(s).into_keys()).collect();
     let score = |at: (u32, u32)| {

@@ -1,8 +1,8 @@
 //! Success rate and success weighted by path length (specification, section 7; paper, equation `eq:sr_spl`), over
 //! all tasks and for each group of them.
 
+use domain::{TaskGroup, TaskType};
 use serde::Serialize;
-use warehouse::TaskGroup;
 
 use super::spread::{Spread, mean, percentage};
 use super::trial::{Trials, path_weight};
@@ -41,7 +41,7 @@ pub(super) fn groups(trials: &Trials<'_>) -> Vec<GroupScore> {
     let rate = |group: TaskGroup| {
         trials.over_runs(|run| {
             let of_group =
-                run.iter().filter(|record| TaskGroup::of_type(record.task) == Some(group));
+                run.iter().filter(|record| record.task_type().map(TaskType::group) == Some(group));
             percentage(of_group.map(|record| record.is_success()))
         })
     };

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::names::serde_as_text;
+use domain::names::serde_as_text;
 
 /// One entry of `--cases`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]

@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::names::{UnknownName, serde_as_text};
+use domain::names::{UnknownName, serde_as_text};
 
 /// Where documents come from. Written `extractive`, `model`, `model:NAME`, or as a path, which has a slash.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]

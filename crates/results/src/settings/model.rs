@@ -4,11 +4,11 @@ use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use domain::names::{UnknownName, serde_as_text};
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::ImageFormat;
 use crate::cost::Money;
-use crate::names::{UnknownName, serde_as_text};
 
 /// How the model is asked. `memtransfer run --help` describes each field under the same name.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

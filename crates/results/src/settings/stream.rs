@@ -2,11 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use domain::FeedbackLevel;
+use domain::{EventKind, FeedbackLevel, StreamOrder, StreamRules};
 use serde::{Deserialize, Serialize};
-use warehouse::stream::{EventKind, StreamRules};
-
-use crate::key::Order;
 
 /// What streams a run consists of (specification, section 9).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -24,7 +21,7 @@ pub struct StreamSettings {
     #[serde(default)]
     pub events: Vec<EventKind>,
     /// The orders in which sequences visit the blocks.
-    pub orders: Vec<Order>,
+    pub orders: Vec<StreamOrder>,
     /// What a memory that learns is told at the end of an episode.
     pub feedback: FeedbackLevel,
     /// Whether the cases of every block are evaluated before the first block and after each.
@@ -62,7 +59,7 @@ impl StreamSettings {
 
     /// The sequences of one condition in one repetition.
     pub fn sequences(&self) -> usize {
-        let orders: BTreeSet<Order> = self.orders.iter().copied().collect();
+        let orders: BTreeSet<StreamOrder> = self.orders.iter().copied().collect();
         self.streams as usize * orders.len()
     }
 }

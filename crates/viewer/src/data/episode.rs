@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::iter::{repeat, repeat_with};
 
 use anyhow::Result;
-use domain::{Arm, Cell, Pose};
+use domain::{Arm, Cell, DemonstrationKind, Pose};
 use replay::RunWorld;
 use results::events::Requirement;
 use results::key::EpisodeKey;
@@ -12,7 +12,7 @@ use results::log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
 use results::score::Failure;
 use results::source::{SourceStep, distances, sources};
 use serde::Serialize;
-use warehouse::{History, Start, Trajectory, WorldState, sight};
+use warehouse::{History, Trajectory, TrajectoryKind, WorldState, sight};
 
 use super::{PoseData, cell_data, pose_data};
 use crate::view_file::ViewFile;
@@ -163,7 +163,7 @@ const FILM: u32 = 6;
 /// What makes a demonstration one of several.
 #[derive(PartialEq, Eq, PartialOrd, Ord)]
 enum DemonstrationOrigin {
-    Demonstration(usize, Start),
+    Demonstration(usize, DemonstrationKind),
     Episode(u32),
 }
 
@@ -329,7 +329,7 @@ impl DemonstrationCollector<'_> {
     ) -> Vec<Vec<Supplied>> {
         if self.record.stream.is_none() {
             for history in self.world.cases.histories(case, self.record.demonstrations) {
-                self.demonstration(history.case, history.start, case);
+                self.demonstration(history.case, history.kind, case);
             }
         }
         let record = self.record;
@@ -340,12 +340,12 @@ impl DemonstrationCollector<'_> {
             let told = told.into_iter().chain(repeat(None));
             let found = sources(word).into_iter().zip(told).filter_map(|(source, told)| {
                 let (found, step) = match source {
-                    SourceStep::Demonstration { case: other, start, step } => {
+                    SourceStep::Demonstration { case: other, kind, step } => {
                         let index = match other {
                             Some(id) => self.world.cases.index(&id)?,
                             None => case,
                         };
-                        (self.demonstration(index, start, case), step)
+                        (self.demonstration(index, kind, case), step)
                     }
                     SourceStep::Experience { position, step } => {
                         (self.episode(position, experience(position)?), step)
@@ -370,34 +370,36 @@ impl DemonstrationCollector<'_> {
     }
 
     /// The index of a demonstration of case number `of`; `own` is the episode's case.
-    fn demonstration(&mut self, of: usize, start: Start, own: usize) -> usize {
+    fn demonstration(&mut self, of: usize, kind: DemonstrationKind, own: usize) -> usize {
         let (world, state, record) = (self.world, self.state, self.record);
-        self.find(DemonstrationOrigin::Demonstration(of, start), || {
+        self.find(DemonstrationOrigin::Demonstration(of, kind), || {
             let case = &world.cases.cases[of];
             let is_planned = record.arm == Arm::Oracle;
-            let from = case.trajectory(start);
+            // The original one stands for those that are not in the file of cases.
+            let in_file = TrajectoryKind::demonstration(kind).unwrap_or(TrajectoryKind::Original);
+            let from = case.trajectory(in_file);
             // The oracle's demonstrations take place in the world of the episode.
             let planned = is_planned
                 .then(|| state.reference(&state.expert(), &case.task, from.start))
                 .flatten();
             let demonstrated =
-                world.cases.demonstrated(&world.warehouse, History { case: of, start });
+                world.cases.demonstrated(&world.warehouse, History { case: of, kind });
             let (trajectory, replay, variant) = match (planned, demonstrated) {
                 (Some((planned, _)), _) => {
                     let replay = planned.replay(&state.warehouse, &case.task, &state.variant);
                     (planned, replay, world.variant(record, own))
                 }
                 (None, Some(found)) => (found.trajectory.clone(), found.replay(), found.variant),
-                (None, None) => (from.clone(), case.replay(&world.warehouse, start), 0),
+                (None, None) => (from.clone(), case.replay(&world.warehouse, in_file), 0),
             };
             let other = if of == own { String::new() } else { format!(" of {}", case.id) };
             let planned = if is_planned { ", planned in this world" } else { "" };
-            let can_be_stale = !is_planned && start != Start::Elsewhere;
+            let can_be_stale = !is_planned && kind != DemonstrationKind::Elsewhere;
             DemonstrationData {
-                title: format!("{} demonstration{other}{planned}", start.name()),
+                title: format!("{} demonstration{other}{planned}", kind.name()),
                 episode: None,
                 stale: can_be_stale && !state.completes(&trajectory, &case.task),
-                elsewhere: start == Start::Elsewhere,
+                elsewhere: kind == DemonstrationKind::Elsewhere,
                 poses: replay.poses.iter().map(pose_data).collect(),
                 actions: trajectory.actions.iter().map(|action| action.letter()).collect(),
                 views: Vec::new(),

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use domain::{Action, Feedback};
+use domain::{Action, Feedback, TaskGroup};
 use replay::RunWorld;
 use results::conditions::Condition;
 use results::log::{EpisodeRecord, RunLog};
 use results::score::{Failure, WithoutAction};
 use serde::Serialize;
+use warehouse::Case;
 use warehouse::map::MEASURES;
-use warehouse::{Case, Task, TaskGroup};
 
 /// The data of a run.
 #[derive(Debug, Serialize)]
@@ -103,11 +103,11 @@ impl RunData {
 }
 
 fn case_data(world: &RunWorld, case: &Case) -> CaseData {
-    let group = TaskGroup::ALL.iter().position(|group| *group == case.task.group());
+    let group = TaskGroup::ALL.iter().position(|group| *group == case.task.task_type().group());
     CaseData {
         id: case.id.clone(),
         group: group.unwrap_or(0),
-        task: Task::type_name(case.task.number()).unwrap_or_default(),
+        task: case.task.task_type().name(),
         instruction: case.task.instruction(&world.warehouse.catalogue),
     }
 }

@@ -4,8 +4,7 @@ use super::canvas::{CELL, INK, LEGEND, MARGIN, MUTED, PAPER, SvgCanvas};
 use super::floor::Map;
 use super::glyph;
 use super::marks::{Style, badge, barricade, start_disc, style};
-use crate::case::{Case, Start};
-use crate::task::Task;
+use crate::case::{Case, TrajectoryKind};
 use crate::world::{Item, Warehouse};
 
 /// Maximum number of characters in a line of the instruction.
@@ -110,9 +109,9 @@ impl Map<'_> {
 
     pub(super) fn case_legend(&mut self, warehouse: &Warehouse, case: &Case) {
         let mut column = self.column();
-        let number = case.task.number();
-        let name = Task::type_name(number).unwrap_or_default();
-        column.title(&format!("Case {}", case.id), &format!("type {number}, {name}"));
+        let task_type = case.task.task_type();
+        let kind = format!("type {}, {}", task_type.number(), task_type.name());
+        column.title(&format!("Case {}", case.id), &kind);
         column.y += 12.0;
         for line in wrapped(&case.task.instruction(&warehouse.catalogue), LINE) {
             column.y += 23.0;
@@ -121,11 +120,11 @@ impl Map<'_> {
         column.heading("TARGETS");
         targets(&mut column, warehouse, case);
         column.heading("DEMONSTRATIONS");
-        for start in Start::DEMONSTRATIONS {
+        for start in TrajectoryKind::DEMONSTRATIONS {
             route(&mut column, warehouse, case, start);
         }
         column.heading("TEST REFERENCES");
-        for start in [Start::Test, Start::Blocked] {
+        for start in [TrajectoryKind::Test, TrajectoryKind::Blocked] {
             route(&mut column, warehouse, case, start);
         }
         column.y += 32.0;
@@ -163,7 +162,7 @@ fn targets(column: &mut LegendColumn<'_>, warehouse: &Warehouse, case: &Case) {
 }
 
 /// A route's line style, start and length.
-fn route(column: &mut LegendColumn<'_>, warehouse: &Warehouse, case: &Case, start: Start) {
+fn route(column: &mut LegendColumn<'_>, warehouse: &Warehouse, case: &Case, start: TrajectoryKind) {
     column.y += 29.0;
     let (x, y) = (column.x, column.y - 5.0);
     let Style { colour, dashes, width, .. } = style(start);

@@ -3,7 +3,7 @@
 use domain::Heading;
 
 use super::canvas::{DrawingPoint, INK, PAPER, SvgCanvas};
-use crate::case::Start;
+use crate::case::TrajectoryKind;
 
 /// The unit vector of `heading` on the drawing, where y grows downwards.
 pub(super) fn direction(heading: Heading) -> DrawingPoint {
@@ -31,23 +31,27 @@ pub(super) struct Style {
     pub(super) lane: f64,
 }
 
-pub(super) const fn style(start: Start) -> Style {
+pub(super) const fn style(start: TrajectoryKind) -> Style {
     let (colour, dashes, width, lane) = match start {
-        Start::Original => ("#0b5fa5", "", 2.6, -2.5),
-        Start::Opposite => ("#3fa9dc", "", 2.6, -1.5),
-        Start::Nearby => ("#2a9d5c", "", 2.6, -0.5),
-        Start::Distant => ("#8250c4", "", 2.6, 0.5),
-        Start::Test => ("#e8780c", "", 3.2, 1.5),
-        Start::Blocked => ("#c81e3a", "7 3.5", 3.2, 2.5),
-        Start::After | Start::Elsewhere => ("#0b5fa5", "7 3.5", 2.6, -2.5),
+        TrajectoryKind::Original => ("#0b5fa5", "", 2.6, -2.5),
+        TrajectoryKind::Opposite => ("#3fa9dc", "", 2.6, -1.5),
+        TrajectoryKind::Nearby => ("#2a9d5c", "", 2.6, -0.5),
+        TrajectoryKind::Distant => ("#8250c4", "", 2.6, 0.5),
+        TrajectoryKind::Test => ("#e8780c", "", 3.2, 1.5),
+        TrajectoryKind::Blocked => ("#c81e3a", "7 3.5", 3.2, 2.5),
     };
     Style { colour, dashes, width, lane }
 }
 
 /// The mark of a start at `at`.
-pub(super) fn start_disc(canvas: &mut SvgCanvas, at: DrawingPoint, start: Start, heading: Heading) {
+pub(super) fn start_disc(
+    canvas: &mut SvgCanvas,
+    at: DrawingPoint,
+    start: TrajectoryKind,
+    heading: Heading,
+) {
     let Style { colour, dashes, .. } = style(start);
-    if start == Start::Blocked {
+    if start == TrajectoryKind::Blocked {
         let rim =
             format!("fill='none' stroke='{colour}' stroke-width='2.6' stroke-dasharray='5 2.5'");
         canvas.circle(at, 13.5, &rim);

@@ -5,7 +5,7 @@ use domain::{Cell, Pose};
 use super::canvas::{CELL, DrawingPoint, PAPER};
 use super::floor::Map;
 use super::marks::{Style, barricade, chevron, direction, start_disc, style};
-use crate::case::{Case, Start};
+use crate::case::{Case, TrajectoryKind};
 use crate::world::Warehouse;
 
 /// Distance between neighbouring routes in one cell.
@@ -20,7 +20,7 @@ impl Map<'_> {
             let (x, y) = self.corner(cell);
             barricade(&mut self.canvas, (x, y), CELL);
         }
-        for start in Start::ALL {
+        for start in TrajectoryKind::ALL {
             let replay = case.replay(warehouse, start);
             self.route(start, &replay.poses);
             let goals = replay.goal_steps.iter().map(|&at| replay.poses[at as usize].cell);
@@ -28,20 +28,20 @@ impl Map<'_> {
                 self.goal(start, cell);
             }
         }
-        for start in Start::ALL {
+        for start in TrajectoryKind::ALL {
             self.start_mark(start, case.trajectory(start).start);
         }
     }
 
     /// The middle of `cell` in the lane of `start`. A whole route is shifted along both axes, so routes neither cover each
     /// other nor break at corners.
-    fn in_lane(&self, start: Start, cell: Cell) -> DrawingPoint {
+    fn in_lane(&self, start: TrajectoryKind, cell: Cell) -> DrawingPoint {
         let (x, y) = self.centre(cell);
         let shift = style(start).lane * LANE;
         (x + shift, y + shift)
     }
 
-    fn route(&mut self, start: Start, poses: &[Pose]) {
+    fn route(&mut self, start: TrajectoryKind, poses: &[Pose]) {
         let mut cells: Vec<Cell> = poses.iter().map(|pose| pose.cell).collect();
         cells.dedup();
         let points: Vec<DrawingPoint> =
@@ -69,7 +69,7 @@ impl Map<'_> {
     }
 
     /// A dot where a sub-goal is completed.
-    fn goal(&mut self, start: Start, cell: Cell) {
+    fn goal(&mut self, start: TrajectoryKind, cell: Cell) {
         let colour = style(start).colour;
         let at = self.in_lane(start, cell);
         self.canvas.circle(
@@ -81,12 +81,15 @@ impl Map<'_> {
 
     /// A disc with an arrow in the direction of the start's heading. Original and opposite share a cell and are moved apart;
     /// test and blocked share a pose, and the blocked one is a ring around the other.
-    fn start_mark(&mut self, start: Start, pose: Pose) {
+    fn start_mark(&mut self, start: TrajectoryKind, pose: Pose) {
         let (x, y) = self.centre(pose.cell);
         let (dx, dy) = direction(pose.heading);
         let pushed = match start {
-            Start::Original | Start::Opposite | Start::After | Start::Elsewhere => 10.0,
-            Start::Nearby | Start::Distant | Start::Test | Start::Blocked => 0.0,
+            TrajectoryKind::Original | TrajectoryKind::Opposite => 10.0,
+            TrajectoryKind::Nearby
+            | TrajectoryKind::Distant
+            | TrajectoryKind::Test
+            | TrajectoryKind::Blocked => 0.0,
         };
         start_disc(&mut self.canvas, (x + dx * pushed, y + dy * pushed), start, pose.heading);
     }

@@ -9,7 +9,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::progress::Progress;
 use crate::testing::{all_tasks, cells, tiny};
-use crate::{CaseSet, Start};
+use crate::{CaseSet, TrajectoryKind};
 
 /// Dijkstra over (pose, progress): no orders, no fields, only the world's own dynamics and the checker.
 fn brute_force(
@@ -174,7 +174,8 @@ fn the_expert_turns_towards_where_it_goes_and_sidesteps_by_one_cell_only() {
 #[test]
 fn most_moves_of_the_shipped_trajectories_are_forward() {
     let cases = CaseSet::shipped();
-    let trajectories = cases.cases.iter().flat_map(|case| Start::ALL.map(|s| case.trajectory(s)));
+    let trajectories =
+        cases.cases.iter().flat_map(|case| TrajectoryKind::ALL.map(|s| case.trajectory(s)));
     let moves: Vec<Action> = trajectories
         .flat_map(|trajectory| &trajectory.actions)
         .copied()

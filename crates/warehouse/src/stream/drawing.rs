@@ -6,9 +6,9 @@
 
 use std::collections::BTreeMap;
 
-use domain::{Cell, Pose};
+use domain::{Cell, EventKind, Pose, StreamRules};
 
-use super::{Block, Event, EventKind, Stream, StreamError, StreamSet};
+use super::{Block, Event, Stream, StreamError, StreamSet};
 use crate::asset::Problem;
 use crate::case::{Case, CaseSet, Replay, Trajectory};
 use crate::constraints::{DISTANT_CELLS, enters, target_on};
@@ -24,19 +24,6 @@ const TRIES: u64 = 200;
 
 /// Types tried for the second of two that swap, and bays tried for an item.
 const CHOICES: usize = 8;
-
-/// What streams are drawn.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct StreamRules {
-    /// Number of streams.
-    pub streams: u32,
-    /// Blocks of each, the unchanged one included.
-    pub blocks: u32,
-    /// Cases of each block.
-    pub cases_per_block: u32,
-    /// The kind of events before the second block, the third, and so on; after the last it begins again.
-    pub events: Vec<EventKind>,
-}
 
 impl StreamSet {
     /// Draws streams from the cases of `set` with the indices `among`. The rules:

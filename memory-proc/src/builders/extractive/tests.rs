@@ -2,10 +2,10 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
-use domain::{Action, Cell, Feedback, Pose};
+use domain::{Action, Cell, Demonstrations, Feedback, Pose};
 use plates::painter::PlateAisle;
 use proptest::prelude::*;
-use warehouse::{CaseSet, Demonstrations, Start, Warehouse};
+use warehouse::{CaseSet, TrajectoryKind, Warehouse};
 
 use super::*;
 use crate::builders::{FrameReading, TranscriptStep, transcripts};
@@ -210,15 +210,20 @@ proptest! {
 fn cells_of_test_references_do_not_occur() {
     let sources = Sources::load(None).unwrap();
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-    let cells = |starts: &[Start]| -> BTreeSet<Cell> {
+    let cells = |kinds: &[TrajectoryKind]| -> BTreeSet<Cell> {
         let replays = cases
             .cases
             .iter()
-            .flat_map(|case| starts.iter().flat_map(|&start| case.replay(&warehouse, start).poses));
+            .flat_map(|case| kinds.iter().flat_map(|&kind| case.replay(&warehouse, kind).poses));
         replays.map(|pose| pose.cell).collect()
     };
-    let own = cells(&[Start::Original]);
-    let elsewhere = cells(&[Start::Test, Start::Blocked, Start::Nearby, Start::Distant]);
+    let own = cells(&[TrajectoryKind::Original]);
+    let elsewhere = cells(&[
+        TrajectoryKind::Test,
+        TrajectoryKind::Blocked,
+        TrajectoryKind::Nearby,
+        TrajectoryKind::Distant,
+    ]);
     assert!(elsewhere.difference(&own).count() > 0, "the test needs such cells");
     let transcripts =
         transcripts(&sources, Demonstrations::ORIGINAL, |_| Some(Arc::default())).unwrap();

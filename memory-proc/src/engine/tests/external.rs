@@ -5,8 +5,8 @@ mod learning;
 use std::time::Duration;
 
 use bytemuck::Zeroable;
-use domain::Pose;
 use domain::Representation::Working;
+use domain::{Demonstrations, Pose};
 use shm_types::MemoryDescription;
 use shm_types::description::Scope;
 use shm_types::message::{
@@ -15,7 +15,7 @@ use shm_types::message::{
 };
 use shm_types::notes::NoteHeader;
 use shm_types::{BankContent, Note};
-use warehouse::{Demonstrations, Start};
+use warehouse::TrajectoryKind;
 
 use super::super::*;
 use super::rig::{Rig, Script};
@@ -61,7 +61,7 @@ impl ExternalRig {
     }
 
     fn script(&self, lane: u32, id: u64, case: u32) -> Script {
-        let mut script = self.rig.script(lane, id, case, Start::Test, Working);
+        let mut script = self.rig.script(lane, id, case, TrajectoryKind::Test, Working);
         script.config.representation = EXTERNAL;
         script.config.external = 2;
         script
@@ -402,7 +402,7 @@ fn spoilt(spoil: &dyn Fn(&mut ExternalRig, &mut ExternalAnswer)) -> String {
     let mut rig = ExternalRig::new(3, 1000, description(Scope::Case, true, false));
     rig.begin(0, 7, 3);
     rig.begin(1, 8, 4);
-    let other = rig.rig.script(2, 9, 5, Start::Test, Working);
+    let other = rig.rig.script(2, 9, 5, TrajectoryKind::Test, Working);
     rig.rig.engine.config(&other.config).unwrap();
     let queries = rig.queries();
     let mut bad = steps_answer(&queries[0]);

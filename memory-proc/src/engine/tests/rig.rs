@@ -2,12 +2,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use domain::{Pose, Representation};
+use domain::{Demonstrations, Pose, Representation};
 use shm_types::documents::Content;
 use shm_types::message::{
     ItemKind, NO_ACTION, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, ViewRequestKind,
 };
-use warehouse::{CaseSet, Demonstrations, History, Start, Warehouse};
+use warehouse::{CaseSet, History, TrajectoryKind, Warehouse};
 
 use super::super::*;
 use crate::external::{ExternalLimits, ExternalMemories};
@@ -105,16 +105,16 @@ impl Rig {
         lane: u32,
         id: u64,
         case: u32,
-        start: Start,
+        kind: TrajectoryKind,
         representation: Representation,
     ) -> Script {
         let (case_index, case) = (case, &self.engine.worlds.cases.cases[case as usize]);
-        let replay = case.trajectory(start).replay(
+        let replay = case.trajectory(kind).replay(
             &self.engine.worlds.warehouse,
             &case.task,
             &warehouse::Variant::UNCHANGED,
         );
-        let actions = &case.trajectory(start).actions;
+        let actions = &case.trajectory(kind).actions;
         let last = replay.poses.len() - 1;
         let observation = |step: usize| Observation {
             episode: id,
@@ -323,9 +323,9 @@ pub(super) fn replay_set(
 ) -> Vec<ReplayedDemonstration> {
     let cases = &rig.engine.worlds.cases;
     let demonstration = |of: History| {
-        let case = &cases.cases[of.case];
-        let actions = case.trajectory(of.start).actions.iter();
-        let poses = case.replay(&rig.engine.worlds.warehouse, of.start).poses;
+        let found = cases.demonstrated(&rig.engine.worlds.warehouse, of).expect("a demonstration");
+        let actions = found.trajectory.actions.iter();
+        let poses = found.replay().poses;
         let actions = actions.map(|&action| action as u8).chain([NO_ACTION]).collect();
         ReplayedDemonstration { of, poses, actions }
     };

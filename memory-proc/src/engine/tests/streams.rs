@@ -5,11 +5,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use domain::Representation::{self, Adaptive, Episodic, Working};
-use domain::{Action, Arm, Cell, Feedback, FeedbackLevel, Pose};
+use domain::{Action, Arm, Cell, Demonstrations, Feedback, FeedbackLevel, Mixture, Pose};
 use shm_types::message::{EXPERIENCE, SnapshotId};
 use tempfile::TempDir;
 use warehouse::stream::{Block, Stream, StreamSet};
-use warehouse::{CaseSet, Demonstrations, Mixture, Start, Variant, Warehouse, WorldChange};
+use warehouse::{CaseSet, TrajectoryKind, Variant, Warehouse, WorldChange};
 
 use super::super::*;
 use super::rig::{Rig, Script};
@@ -61,7 +61,7 @@ impl StreamRig {
     /// An episode of the sequence, from the test start of a case.
     fn script(&mut self, case: u32, arm: Arm, memory: Representation) -> Script {
         self.next_id += 1;
-        let mut script = self.rig.script(0, self.next_id, case, Start::Test, memory);
+        let mut script = self.rig.script(0, self.next_id, case, TrajectoryKind::Test, memory);
         script.config.demonstrations = Demonstrations::ORIGINAL.bits();
         script.config.sequence = 77;
         script.config.snapshot = self.last;
@@ -155,7 +155,7 @@ fn an_arm_decides_what_the_memory_is_built_from() {
         let irrelevant = CASES
             .iter()
             .flat_map(|&case| all.cases.cases[case as usize].mixed(Mixture::Irrelevant));
-        let names = |of: warehouse::History| (of.case as u32, of.start as u16);
+        let names = |of: warehouse::History| (of.case as u32, of.kind as u16);
         assert!(irrelevant.map(names).any(|of| of == (made.case, made.number)));
     }
     let unknown = crate::worlds::BankOrigin::new(Arm::Frozen, 1, 0, Demonstrations::ORIGINAL);

@@ -3,10 +3,9 @@
 use std::collections::BTreeSet;
 
 use domain::Representation::{Adaptive, Episodic, FullContext, Hybrid, Semantic, Summary, Working};
-use domain::SegmentContent;
-use domain::{Pose, Representation};
+use domain::{Demonstrations, Pose, Representation, SegmentContent};
 use shm_types::message::NO_ACTION;
-use warehouse::{Demonstrations, Start};
+use warehouse::TrajectoryKind;
 
 use super::SETS;
 use super::rig::{Answer, ReplayedDemonstration, Rig, replay_set};
@@ -31,7 +30,7 @@ fn check(
     if let Some(((last_view, last_action), before)) = segment.split_last() {
         let (case, number, step) = source.expect("a match");
         let is_source = |demonstration: &&ReplayedDemonstration| {
-            (demonstration.of.case as u32, demonstration.of.start as u16) == (case, number)
+            (demonstration.of.case as u32, demonstration.of.kind as u16) == (case, number)
         };
         let demonstration =
             demonstrations.iter().find(is_source).expect("a demonstration of the set");
@@ -81,7 +80,8 @@ fn nothing_is_supplied_but_the_selected_demonstrations() {
                 .flat_map(|demonstration| demonstration.poses.iter().copied())
                 .collect();
             for (id, representation) in (1..).zip(Representation::ALL) {
-                let start = if case % 2 == 0 { Start::Test } else { Start::Blocked };
+                let start =
+                    if case % 2 == 0 { TrajectoryKind::Test } else { TrajectoryKind::Blocked };
                 let script = rig.script(0, id, case as u32, start, representation);
                 let script = script.remembering(set);
                 rig.asked.clear();
@@ -105,7 +105,7 @@ fn images_of_a_request_are_those_of_the_paper() {
     let case = (0..100).find(|&case| steps(&rig, case) > 50).expect("a long demonstration");
     for set in [Demonstrations::ORIGINAL, Demonstrations::ALL] {
         let most = Representation::ALL.iter().map(|&representation| {
-            let script = rig.script(0, 1, case as u32, Start::Test, representation);
+            let script = rig.script(0, 1, case as u32, TrajectoryKind::Test, representation);
             rig.play(&[script.remembering(set)], std::iter::empty());
             let answers = std::mem::take(&mut rig.answers);
             let full = answers.iter().filter(|((_, step), _)| *step >= 6);
@@ -126,7 +126,7 @@ fn a_segment_of_images_alone_names_the_same_views_without_actions() {
     let mut rig = Rig::new(1, 2000);
     let mut answers = Vec::new();
     for segment in [SegmentContent::Actions, SegmentContent::Images] {
-        let mut script = rig.script(0, 1, 12, Start::Original, Episodic);
+        let mut script = rig.script(0, 1, 12, TrajectoryKind::Original, Episodic);
         script.config.segment = segment as u8;
         rig.play(&[script], std::iter::empty());
         answers.push(std::mem::take(&mut rig.answers));

@@ -181,7 +181,7 @@ impl DocumentSupplier for Published {
     fn consolidated(
         &mut self,
         _: DocumentKind,
-        _: warehouse::Demonstrations,
+        _: domain::Demonstrations,
     ) -> anyhow::Result<Arc<str>> {
         anyhow::bail!("there is none")
     }

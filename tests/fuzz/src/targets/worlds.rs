@@ -3,8 +3,8 @@
 use std::fs;
 use std::sync::OnceLock;
 
+use domain::StreamOrder;
 use warehouse::case_file::CASES_FILE;
-use warehouse::stream::Order;
 use warehouse::{CATALOGUE_FILE, CaseSet, Elsewhere, LAYOUT_FILE, StreamSet, Warehouse};
 
 use crate::files::with_files;
@@ -45,7 +45,7 @@ pub(crate) fn streams(input: &[u8]) {
         for event in stream.blocks.iter().flat_map(|block| &block.events) {
             assert!(!event.describe(warehouse).is_empty());
         }
-        for order in [Order::Drawn, Order::Reversed, Order::Shuffled] {
+        for order in StreamOrder::ALL {
             let mut blocks = set.order(number, order);
             blocks.sort_unstable();
             assert!(blocks.into_iter().eq(0..stream.blocks.len() as u32));

@@ -5,9 +5,9 @@ use std::path::Path;
 use std::sync::Arc;
 
 use documents::Sources;
-use domain::{DocumentKind, Pose};
+use domain::{Demonstrations, DocumentKind, Pose};
 use memory_proc::builders::{DocumentBuilder, Extractive, FrameReading, transcripts};
-use warehouse::{Demonstrations, Variant, Viewpoint};
+use warehouse::{Variant, Viewpoint};
 
 use super::views::Views;
 

@@ -1,7 +1,7 @@
 //! Cases run with each representation, and under controls.
 
 use domain::Representation;
-use warehouse::Start;
+use warehouse::TrajectoryKind;
 
 use super::runner::{Condition, Frames, Runner};
 
@@ -30,7 +30,11 @@ fn every_representation_helps_as_far_as_its_content_allows() {
     use Representation::{Episodic, FullContext, Hybrid, Semantic, Summary, Working};
     let mut runner = Runner::new();
     let blank = |memory| Condition { frames: Frames::Blank, ..Condition::of(memory) };
-    let new = |memory| Condition { start: Start::Test, demonstrations: 4, ..Condition::of(memory) };
+    let new = |memory| Condition {
+        start: TrajectoryKind::Test,
+        demonstrations: 4,
+        ..Condition::of(memory)
+    };
     let rows = [
         ("no window, no memory", Condition { window: 0, ..Condition::of(Working) }, 0..=4),
         ("a whole demonstration", Condition::of(FullContext), 9..=10),
@@ -47,7 +51,7 @@ fn every_representation_helps_as_far_as_its_content_allows() {
         ("a summary, new start", new(Summary), 5..=9),
         (
             "a summary, on a blocked route",
-            Condition { start: Start::Blocked, ..new(Summary) },
+            Condition { start: TrajectoryKind::Blocked, ..new(Summary) },
             1..=8,
         ),
         ("a whole demonstration, blank frames", blank(FullContext), 0..=2),

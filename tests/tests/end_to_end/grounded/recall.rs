@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use domain::Action;
 use peer::StepView;
-use warehouse::{Case, Start, Variant, Warehouse};
+use warehouse::{Case, TrajectoryKind, Variant, Warehouse};
 
 use super::views::{Image, Views};
 
@@ -23,17 +23,17 @@ pub(crate) struct DemonstrationStep {
 /// A demonstration from start to end.
 pub(crate) type Demonstration = Vec<DemonstrationStep>;
 
-/// The demonstrations of `case` from `starts`.
+/// The demonstrations of `case` of these `kinds`.
 pub(crate) fn demonstrations(
     warehouse: &Warehouse,
     views: &mut Views,
     case: &Case,
-    starts: &[Start],
+    kinds: &[TrajectoryKind],
 ) -> Vec<Demonstration> {
-    let record = |&start: &Start| {
-        let replay = case.replay(warehouse, start);
-        let actions = &case.trajectory(start).actions;
-        let keyframes = keyframes(actions, &replay.goal_steps, KEYFRAMES / starts.len());
+    let record = |&kind: &TrajectoryKind| {
+        let replay = case.replay(warehouse, kind);
+        let actions = &case.trajectory(kind).actions;
+        let keyframes = keyframes(actions, &replay.goal_steps, KEYFRAMES / kinds.len());
         let steps = replay.poses.iter().zip(&replay.stages).enumerate();
         let step = |(at, (&pose, &stage))| DemonstrationStep {
             image: views.of(pose, &Variant::UNCHANGED),
@@ -43,7 +43,7 @@ pub(crate) fn demonstrations(
         };
         steps.map(step).collect()
     };
-    starts.iter().map(record).collect()
+    kinds.iter().map(record).collect()
 }
 
 /// Start, sub-goal completions, end, moments before turns, then evenly sampled.

@@ -3,13 +3,11 @@
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
-use domain::{Action, DocumentKind, Feedback, Pose, Representation};
+use domain::{Action, Demonstrations, DocumentKind, Feedback, MAX_STEPS, Pose, Representation};
 use peer::{Item, PastView, Policy, Request, StepsView, TextView};
 use policy_proc::grounded::Grounded;
 use sim_proc::view_control::every_pose;
-use warehouse::{
-    Case, CaseSet, Demonstrations, MAX_STEPS, Progress, Start, Variant, Warehouse, step,
-};
+use warehouse::{Case, CaseSet, Progress, TrajectoryKind, Variant, Warehouse, step};
 
 use super::documents;
 use super::recall;
@@ -27,7 +25,7 @@ pub(crate) enum Frames {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Condition {
     pub(crate) memory: Representation,
-    pub(crate) start: Start,
+    pub(crate) start: TrajectoryKind,
     /// 1 or 4.
     pub(crate) demonstrations: usize,
     pub(crate) window: usize,
@@ -41,7 +39,7 @@ impl Condition {
     pub(crate) fn of(memory: Representation) -> Self {
         Self {
             memory,
-            start: Start::Original,
+            start: TrajectoryKind::Original,
             demonstrations: 1,
             window: 6,
             frames: Frames::Rendered,
@@ -84,7 +82,7 @@ impl Runner {
     }
 
     fn succeeds(&mut self, case: &Case, condition: Condition) -> bool {
-        let starts = &Start::DEMONSTRATIONS[..condition.demonstrations];
+        let starts = &TrajectoryKind::DEMONSTRATIONS[..condition.demonstrations];
         let uses_demonstrations =
             matches!(condition.memory, Representation::Episodic | Representation::FullContext);
         let memory = if uses_demonstrations {

@@ -1,6 +1,6 @@
 //! Adaptation lag, stale reuse, robustness against the order of blocks.
 
-use results::key::Order;
+use domain::StreamOrder;
 use results::score::{OrderScore, StreamScore};
 
 use super::{NOTHING_RETRIEVED, by_condition, memory_and_arm, sure};
@@ -47,13 +47,13 @@ pub(crate) fn adaptation_table(view: &ScoredRun<'_>) -> Option<Table> {
 /// Success in each order, and its range.
 pub(crate) fn orders_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = view.scores.streams.as_ref()?;
-    let names = || Order::ALL.iter().map(|order| order.word()).chain(["range"]);
+    let names = || StreamOrder::ALL.iter().map(|order| order.word()).chain(["range"]);
     let columns = ["Success %", "ACC"]
         .into_iter()
         .flat_map(|over| names().map(move |name| TableColumn::under(over, name)));
     let row = |score: &StreamScore| {
         let of = |figure: fn(&OrderScore) -> Option<f64>| {
-            Order::ALL.map(|order| match score.orders.iter().find(|one| one.order == order) {
+            StreamOrder::ALL.map(|order| match score.orders.iter().find(|one| one.order == order) {
                 Some(found) => plain_or(figure(found), 1, TWO_ORDERS),
                 None => TableCell::Missing(Missing::NotRun),
             })

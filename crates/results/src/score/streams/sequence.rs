@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use domain::StreamOrder;
+
 use crate::conditions::Condition;
-use crate::key::Order;
 use crate::log::{EpisodeRecord, RunLog, StreamRecord};
 use crate::score::spread::percentage;
 
@@ -11,7 +12,7 @@ use crate::score::spread::percentage;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct SequenceId {
     pub(super) stream: u32,
-    pub(super) order: Order,
+    pub(super) order: StreamOrder,
     pub(super) run: u32,
 }
 

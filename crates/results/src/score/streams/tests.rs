@@ -5,6 +5,7 @@ use crate::conditions::Start;
 use crate::log::testing::{log, sequence, stream_log};
 use crate::log::{EpisodeRecord, StreamRecord};
 use crate::score::{Interval, Scores, score};
+use domain::StreamOrder;
 
 const BLOCKS: [(u32, &[&str]); 3] = [(0, &["a", "b"]), (1, &["a", "b"]), (2, &["a", "b"])];
 
@@ -25,7 +26,7 @@ fn drawn(
     condition: Condition,
     outcome: impl Fn(&StreamRecord, &str) -> bool,
 ) -> Vec<EpisodeRecord> {
-    sequence((condition, 1), (0, Order::Drawn), &BLOCKS, 1, outcome)
+    sequence((condition, 1), (0, StreamOrder::Drawn), &BLOCKS, 1, outcome)
 }
 
 /// Whether case a or b succeeds where half of the cases, all or none do.
@@ -90,7 +91,8 @@ fn the_matrix_and_what_follows_from_it() {
 
 #[test]
 fn one_block_has_no_transfer_and_no_forgetting() {
-    let one = |condition| sequence((condition, 1), (0, Order::Drawn), &BLOCKS[..1], 1, as_in_r);
+    let one =
+        |condition| sequence((condition, 1), (0, StreamOrder::Drawn), &BLOCKS[..1], 1, as_in_r);
     let episodes = [one(episodic(Arm::Learning)), one(none())].concat();
     let scores = score(&stream_log(episodes, [1, 2, 1])).streams.unwrap();
     let score = of(&scores, episodic(Arm::Learning));
@@ -167,7 +169,8 @@ fn a_success_of_a_case_that_is_not_invalidated_is_no_adaptation() {
 #[test]
 fn an_incomplete_sequence_is_counted_and_enters_no_figure() {
     let whole = || drawn(episodic(Arm::Learning), as_in_r);
-    let other = || sequence((episodic(Arm::Learning), 2), (0, Order::Drawn), &BLOCKS, 1, as_in_r);
+    let other =
+        || sequence((episodic(Arm::Learning), 2), (0, StreamOrder::Drawn), &BLOCKS, 1, as_in_r);
     let expected = streams([whole()]);
     for left_out in [0, 3, 15, 29] {
         let mut cut = other();
@@ -212,10 +215,10 @@ fn without_evaluations_there_is_no_matrix() {
 }
 
 /// Stream `stream` in `order`; the first `successes` of its six learning episodes succeed.
-fn first(arm: Arm, (stream, order): (u32, Order), successes: usize) -> Vec<EpisodeRecord> {
+fn first(arm: Arm, (stream, order): (u32, StreamOrder), successes: usize) -> Vec<EpisodeRecord> {
     let blocks: Vec<_> = match order {
-        Order::Reversed => BLOCKS.iter().rev().copied().collect(),
-        Order::Drawn | Order::Shuffled => BLOCKS.to_vec(),
+        StreamOrder::Reversed => BLOCKS.iter().rev().copied().collect(),
+        StreamOrder::Drawn | StreamOrder::Shuffled => BLOCKS.to_vec(),
     };
     sequence((episodic(arm), 1), (stream, order), &blocks, 1, |at, case| {
         at.round.is_some() && 2 * at.place as usize + usize::from(case == "b") < successes
@@ -224,7 +227,7 @@ fn first(arm: Arm, (stream, order): (u32, Order), successes: usize) -> Vec<Episo
 
 #[test]
 fn order_robustness_needs_three_orders() {
-    let orders = [(Order::Drawn, 6), (Order::Reversed, 3), (Order::Shuffled, 0)];
+    let orders = [(StreamOrder::Drawn, 6), (StreamOrder::Reversed, 3), (StreamOrder::Shuffled, 0)];
     let all = orders.map(|(order, successes)| first(Arm::Frozen, (0, order), successes));
     let scores = streams(all.clone());
     let score = &scores.conditions[0];
@@ -234,7 +237,11 @@ fn order_robustness_needs_three_orders() {
     let found: Vec<_> = score.orders.iter().map(|one| (one.order, one.success)).collect();
     assert_eq!(
         found,
-        [(Order::Drawn, Some(100.0)), (Order::Reversed, Some(50.0)), (Order::Shuffled, Some(0.0))]
+        [
+            (StreamOrder::Drawn, Some(100.0)),
+            (StreamOrder::Reversed, Some(50.0)),
+            (StreamOrder::Shuffled, Some(0.0))
+        ]
     );
     // Reversed, block 0 is the last: no success before events, three of four after.
     let scores = streams([all[1].clone()]);
@@ -247,13 +254,13 @@ fn order_robustness_needs_three_orders() {
 fn differences_are_paired_by_stream_and_all_orders_stay_together() {
     // Stream 0: 6 and 2 more successes of 6 in its two orders; stream 1: 1 more; stream 2 has no pair.
     let episodes = [
-        first(Arm::Learning, (0, Order::Drawn), 6),
-        first(Arm::Frozen, (0, Order::Drawn), 0),
-        first(Arm::Learning, (0, Order::Reversed), 6),
-        first(Arm::Frozen, (0, Order::Reversed), 4),
-        first(Arm::Learning, (1, Order::Drawn), 3),
-        first(Arm::Frozen, (1, Order::Drawn), 2),
-        first(Arm::Learning, (2, Order::Drawn), 6),
+        first(Arm::Learning, (0, StreamOrder::Drawn), 6),
+        first(Arm::Frozen, (0, StreamOrder::Drawn), 0),
+        first(Arm::Learning, (0, StreamOrder::Reversed), 6),
+        first(Arm::Frozen, (0, StreamOrder::Reversed), 4),
+        first(Arm::Learning, (1, StreamOrder::Drawn), 3),
+        first(Arm::Frozen, (1, StreamOrder::Drawn), 2),
+        first(Arm::Learning, (2, StreamOrder::Drawn), 6),
     ];
     let scores = streams(episodes);
     let found = &scores.differences[0];

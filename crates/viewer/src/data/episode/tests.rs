@@ -42,7 +42,7 @@ fn entered() -> u64 {
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
     let case = &cases.cases[0];
     let closed = Variant::closing(case.barricade.iter().copied());
-    let poses = case.replay(&warehouse, Start::Original).poses;
+    let poses = case.replay(&warehouse, TrajectoryKind::Original).poses;
     poses.iter().position(|pose| closed.is_closed(pose.cell)).unwrap() as u64
 }
 

@@ -1,11 +1,11 @@
 //! An external memory that learns in a stream.
 
 use bytemuck::Zeroable;
+use domain::Demonstrations;
 use shm_types::description::Scope;
 use shm_types::message::{
     EXPERIENCE, ExternalQuery, ExternalStored, Learning, NOT_MEASURED, read_text,
 };
-use warehouse::Demonstrations;
 
 use super::{ExternalRig, description, steps_answer};
 use crate::embedding_cache::EmbeddingCache;

@@ -100,7 +100,7 @@ macro_rules! named {
     )*};
 }
 
-pub use domain::serde_as_text;
+pub use crate::serde_as_text;
 pub use named;
 
 #[cfg(test)]
