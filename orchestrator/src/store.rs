@@ -495,7 +495,7 @@ mod tests {
         let (folder, store, _, cache) = stored();
         let provenance = Provenance {
             kind: domain::DocumentKind::Summary,
-            demonstrations: warehouse::Demonstrations::ALL,
+            demonstrations: domain::Demonstrations::ALL,
             builder: "extractive".to_owned(),
             builder_version: "1".to_owned(),
             inputs_sha256: String::new(),
@@ -555,8 +555,7 @@ mod tests {
         fs::create_dir(&cache).unwrap();
         let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
         rustix::fs::mkfifoat(rustix::fs::CWD, cache.join("fetch.lock"), mode).unwrap();
-        let shipment =
-            Shipment { store: store.address(), files: vec![file], embeddings: None };
+        let shipment = Shipment { store: store.address(), files: vec![file], embeddings: None };
         let error = format!("{:#}", shipment.fetch(None, &cache).unwrap_err());
         assert!(error.contains("fetch.lock") && error.contains("a pipe"), "{error}");
     }

@@ -10,11 +10,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use domain::MemoryKind;
+use domain::names::named;
 use domain::search_profile::SearchMeasurement;
 use orchestrator::machine::Machine;
 use orchestrator::machine::floors::Floors;
 use orchestrator::profile::recorder::AccessLatency;
-use results::named;
 use serde::{Deserialize, Serialize};
 
 /// The version of the format.

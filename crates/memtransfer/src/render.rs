@@ -10,7 +10,7 @@ use domain::{Appearance, Pose};
 use png_file::{Channels, encode};
 use program::AppearanceArgs;
 use replay::frames::{ViewFormat, ViewKey, ViewRenderer};
-use warehouse::Start;
+use warehouse::TrajectoryKind;
 
 use super::export::view_edge;
 use super::view::view_program;
@@ -27,7 +27,7 @@ pub(super) struct RenderArgs {
     subject: RenderSubject,
     /// Which of the case's trajectories: original, opposite, nearby, distant, test or blocked
     #[arg(long, value_name = "NAME", default_value = "original", requires = "case", value_parser = parse_start)]
-    trajectory: Start,
+    trajectory: TrajectoryKind,
     /// The PNG file, or for a trajectory the folder of its numbered PNG files
     #[arg(long, value_name = "PATH")]
     out: Option<PathBuf>,
@@ -57,9 +57,9 @@ struct RenderSubject {
     case: Option<String>,
 }
 
-fn parse_start(text: &str) -> Result<Start, String> {
-    let names = Start::ALL.map(Start::name);
-    let start = Start::ALL.into_iter().find(|start| start.name() == text);
+fn parse_start(text: &str) -> Result<TrajectoryKind, String> {
+    let names = TrajectoryKind::ALL.map(TrajectoryKind::name);
+    let start = TrajectoryKind::ALL.into_iter().find(|start| start.name() == text);
     start.ok_or_else(|| format!("expected one of {}", names.join(", ")))
 }
 
@@ -81,7 +81,7 @@ pub(super) fn run(args: &RenderArgs) -> Result<Exit> {
             let poses = world.cases.cases[index].replay(&world.warehouse, args.trajectory).poses;
             // The barricade of each case is a world variant, after the unchanged world.
             let variant = match args.trajectory {
-                Start::Blocked => 1 + index as u32,
+                TrajectoryKind::Blocked => 1 + index as u32,
                 _ => 0,
             };
             let folder = args.out.clone().unwrap_or_else(|| args.trajectory_folder(id));
@@ -112,7 +112,8 @@ impl RenderArgs {
             let file: &Path = files.next().context("a view without a file")?;
             let edge = u32::from(self.size);
             let written = encode(edge, edge, Channels::Rgba, rgba)?;
-            durable::output::write(file, &written).with_context(|| format!("cannot write {}", file.display()))?;
+            durable::output::write(file, &written)
+                .with_context(|| format!("cannot write {}", file.display()))?;
             print(&file.display().to_string())
         })
     }

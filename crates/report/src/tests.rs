@@ -520,7 +520,7 @@ fn a_run_of_streams_has_its_own_sections_and_no_row_in_the_others() {
         error: format!("snapshot s is missing. {}, delete its lines", domain::SEQUENCE_ENDED),
     };
     let damaged = RunLog { errors: vec![ended], ..log.clone() };
-    let text = markdown::render(&super::document(&[damaged], &published())).unwrap();
+    let text = html::render(&super::document(&[damaged], &published())).unwrap();
     assert!(!text.contains("; the same command"), "{text}");
     assert_eq!(text.matches("errors.jsonl says what to delete before the same command").count(), 2);
     let summary = summary(&log);

@@ -249,7 +249,7 @@ fn stream_cells(score: &StreamScore) -> Vec<TableCell> {
 
 #[cfg(test)]
 mod tests {
-    use results::key::Order;
+    use domain::StreamOrder;
     use results::log::testing::{keyed, log, record, stream_log, stream_record};
     use results::log::{EpisodeRecord, RunLog, UnitId};
 
@@ -323,7 +323,8 @@ mod tests {
             log.manifest.settings.stream.as_mut().unwrap().orders = orders.to_vec();
             named(name, log)
         };
-        let (tables, notices) = ranked(&[run("a", 2, &Order::ALL), run("b", 3, &[Order::Drawn])]);
+        let (tables, notices) =
+            ranked(&[run("a", 2, &StreamOrder::ALL), run("b", 3, &[StreamOrder::Drawn])]);
         assert_eq!(tables.len(), 0, "no sequence is complete");
         let is_named = |part: &str| notices.iter().any(|notice| notice.contains(part));
         assert!(is_named("stream.blocks is ") && is_named("stream.orders is "), "{notices:?}");

@@ -8,7 +8,8 @@ use std::collections::BTreeMap;
 
 use domain::names::named;
 use domain::{
-    Arm, ExternalName, FeedbackLevel, MemoryKind, Outcome, Pose, SEQUENCE_ENDED, StreamOrder, TaskType,
+    Arm, ExternalName, FeedbackLevel, MemoryKind, Outcome, Pose, SEQUENCE_ENDED, StreamOrder,
+    TaskType,
 };
 use serde::{Deserialize, Serialize};
 
