@@ -318,7 +318,7 @@ mod tests {
 
     #[test]
     fn of_stream_settings_those_that_differ_are_named() {
-        let run = |name: &str, blocks, orders: &[Order]| {
+        let run = |name: &str, blocks, orders: &[StreamOrder]| {
             let mut log = stream_log(vec![stream_record("t01-01", true)], [blocks, 1, 2]);
             log.manifest.settings.stream.as_mut().unwrap().orders = orders.to_vec();
             named(name, log)
