@@ -12,9 +12,9 @@ use std::sync::Arc;
 use domain::pose::UnknownCode;
 use domain::{Action, Feedback, Pose};
 use shm_types::message::{
-    DocumentId, EpisodeId, FrameId, ItemKind, MAX_ITEMS, MAX_STEPS, MAX_WINDOW, NO_ACTION,
-    NO_DOCUMENT, NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecalledItem, RequestId,
-    SegmentStep, read_text,
+    DocumentId, EpisodeId, FrameId, ItemKind, MAX_ITEMS, MAX_STEPS, MAX_WINDOW, NO_DOCUMENT,
+    NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecalledItem, RequestId, SegmentStep,
+    read_action, read_text,
 };
 
 const RECALL: &str = "recall";
@@ -109,7 +109,7 @@ impl Recalled {
         };
         let items = &message.items[..count("items", message.items_len, MAX_ITEMS)?];
         let steps = &message.steps[..count("steps", message.steps_len, MAX_STEPS)?];
-        let supplied = |supplied: &SegmentStep| Ok((supplied.frame, action(supplied.action)?));
+        let supplied = |supplied: &SegmentStep| Ok((supplied.frame, read_action(supplied.action)?));
         let steps = steps.iter().map(supplied).collect::<Result<Vec<_>, UnknownCode>>();
         let steps = steps.map_err(|problem| bad(RECALL, lane, step, problem))?;
         let items = items.iter().enumerate().map(|(item, content)| {
@@ -250,7 +250,7 @@ impl Join {
         let bad_value = |problem| bad(MESSAGE, number, step, problem);
         let pose = message.pose.try_into().map_err(bad_value)?;
         let feedback = message.feedback.try_into().map_err(bad_value)?;
-        let action = action(message.action).map_err(bad_value)?;
+        let action = read_action(message.action).map_err(bad_value)?;
         let expected = lane.current.map_or(0, |current| current.step + 1);
         if step != expected {
             let problem = format_args!("step {expected} is next");
@@ -318,10 +318,6 @@ impl Join {
     }
 }
 
-fn action(code: u8) -> Result<Option<Action>, UnknownCode> {
-    if code == NO_ACTION { Ok(None) } else { Action::try_from(code).map(Some) }
-}
-
 /// Why a message cannot be used.
 fn bad(message: &str, lane: u32, step: u32, problem: impl Display) -> String {
     format!("{message} for lane {lane}, step {step}: {problem}")
@@ -344,7 +340,7 @@ pub(super) fn bad_item(lane: u32, step: u32, item: usize, problem: &str) -> Stri
 #[cfg(test)]
 mod tests {
     use bytemuck::Zeroable;
-    use shm_types::message::write_text;
+    use shm_types::message::{NO_ACTION, write_text};
 
     use super::*;
 
