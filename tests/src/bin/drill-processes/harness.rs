@@ -33,8 +33,11 @@ pub(crate) struct Trial {
     /// The kind of disturbance, as the report counts them.
     pub(crate) class: String,
     /// Disturbs a run, and checks that it recovers. Returns whether the disturbance took place before the run was over.
-    pub(crate) disturb: Box<dyn FnOnce(&mut Sandbox) -> Result<bool, String> + Send>,
+    pub(crate) disturb: Disturb,
 }
+
+/// Disturbs a run, and checks that it recovers. Returns whether the disturbance took place.
+type Disturb = Box<dyn FnOnce(&mut Sandbox) -> Result<bool, String> + Send>;
 
 impl Trial {
     pub(crate) fn new(
