@@ -19,7 +19,7 @@ use crate::bank::Viewpoint;
 pub struct ReplayedDemonstration {
     /// Its case's index; of an episode, its position in its sequence.
     pub case: u32,
-    /// Its [number](warehouse::DemonstrationKind) in that case; [`EXPERIENCE`](shm_types::message::EXPERIENCE) for an episode.
+    /// Its [number](warehouse::Start::demonstration) in that case; [`EXPERIENCE`](shm_types::message::EXPERIENCE) for an episode.
     pub number: u16,
     /// The world variant in which it takes place.
     pub variant: u32,
@@ -86,7 +86,7 @@ pub(crate) fn histories(
     each_once.map(|history| replayed(warehouse, cases, history)).collect()
 }
 
-/// Replays a demonstration. `None` when the case has no such demonstration.
+/// Replays a demonstration. `None` when it is a test reference.
 pub(crate) fn replayed(
     warehouse: &Warehouse,
     cases: &CaseSet,
@@ -96,7 +96,7 @@ pub(crate) fn replayed(
     let replay = of.replay();
     Some(ReplayedDemonstration {
         case: history.case as u32,
-        number: history.kind as u16,
+        number: history.start as u16,
         variant: of.variant,
         instruction: of.instruction(),
         poses: replay.poses,
@@ -109,7 +109,7 @@ pub(crate) fn replayed(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use warehouse::{DemonstrationKind, ELSEWHERE_VARIANT, Elsewhere, Mixture};
+    use warehouse::{ELSEWHERE_VARIANT, Elsewhere, Mixture, Start};
 
     #[test]
     fn a_demonstration_of_another_case_completes_that_case_s_task() {
@@ -121,11 +121,11 @@ mod tests {
             for index in 0..cases.cases.len() {
                 let chosen = selected(&warehouse, &cases, index as u32, set.bits()).unwrap();
                 assert_eq!(chosen.len(), 4);
-                let own = [DemonstrationKind::Original, DemonstrationKind::Opposite];
-                for (demonstration, kind) in chosen.iter().zip(own) {
+                for (demonstration, start) in chosen.iter().zip([Start::Original, Start::Opposite])
+                {
                     assert_eq!(
                         (demonstration.case, demonstration.number),
-                        (index as u32, kind as u16)
+                        (index as u32, start as u16)
                     );
                 }
                 for (demonstration, history) in
@@ -134,14 +134,13 @@ mod tests {
                     let of = &cases.cases[history.case];
                     assert_eq!(
                         (demonstration.case, demonstration.number),
-                        (history.case as u32, history.kind as u16)
+                        (history.case as u32, history.start as u16)
                     );
-                    let start = history.kind.own_start().unwrap();
-                    let replay = of.replay(&warehouse, start);
+                    let replay = of.replay(&warehouse, history.start);
                     assert!(replay.length.is_some() && demonstration.stages == replay.stages);
                     assert_eq!(demonstration.poses, replay.poses);
                     let actions: Vec<_> = demonstration.actions.iter().copied().flatten().collect();
-                    assert_eq!(actions, of.trajectory(start).actions);
+                    assert_eq!(actions, of.trajectory(history.start).actions);
                 }
             }
         }
@@ -159,7 +158,7 @@ mod tests {
         for (index, demonstration) in all.iter().enumerate() {
             let task = &cases.cases[index].task;
             assert_eq!(demonstration.instruction, task.instruction(&warehouse.catalogue));
-            assert_eq!(demonstration.number, DemonstrationKind::Elsewhere as u16);
+            assert_eq!(demonstration.number, Start::Elsewhere as u16);
             assert!(demonstration.viewpoints().all(|of| of.variant == ELSEWHERE_VARIANT));
             assert!(demonstration.poses.iter().all(|pose| other.layout.is_free(pose.cell)));
             let chosen = selected(&warehouse, &cases, index as u32, set);
@@ -177,5 +176,16 @@ mod tests {
         assert_eq!(selected(&warehouse, &cases, 100, all), None);
         assert_eq!(selected(&warehouse, &cases, 0, 1 << 4), None);
         assert_eq!(selected(&warehouse, &cases, 0, 0), Some(Vec::new()));
+    }
+
+    #[test]
+    fn a_test_reference_is_refused_whatever_the_cases_say() {
+        let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let irrelevant = Demonstrations::IRRELEVANT.bits();
+        assert!(selected(&warehouse, &cases, 0, irrelevant).is_some());
+        for start in [Start::Test, Start::Blocked] {
+            cases.cases[0].irrelevant[1].start = start;
+            assert_eq!(selected(&warehouse, &cases, 0, irrelevant), None);
+        }
     }
 }

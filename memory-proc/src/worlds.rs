@@ -7,8 +7,8 @@ use std::sync::Arc;
 use domain::Arm;
 use warehouse::plan::{Planner, Prices};
 use warehouse::{
-    CaseSet, DemonstrationKind, Demonstrations, History, Mixture, StreamError, StreamSet,
-    Trajectory, Variant, Warehouse, WorldState,
+    CaseSet, Demonstrations, History, Mixture, StreamError, StreamSet, Trajectory, Variant,
+    Warehouse, WorldState,
 };
 
 use crate::demonstrations::{ReplayedDemonstration, histories, replayed};
@@ -172,10 +172,10 @@ impl WorldStates {
         let number = self.streams.variant(block.world, self.cases.cases.len());
         let (warehouse, variant) = self.state(number)?;
         let planner = Planner::new(warehouse, variant.clone(), Prices::EXPERT);
-        let starts = cases.iter().flat_map(|&case| set.own().map(move |kind| (case, kind)));
-        let plan = |(index, kind): (u32, DemonstrationKind)| {
+        let starts = cases.iter().flat_map(|&case| set.own().map(move |start| (case, start)));
+        let plan = |(index, start)| {
             let case = self.cases.cases.get(index as usize)?;
-            let begin = case.trajectory(kind.own_start()?).start;
+            let begin = case.trajectory(start).start;
             if variant.is_closed(begin.cell) {
                 return None;
             }
@@ -183,7 +183,7 @@ impl WorldStates {
             let replay = trajectory.replay(warehouse, &case.task, &variant);
             Some(ReplayedDemonstration {
                 case: index,
-                number: kind as u16,
+                number: start as u16,
                 variant: number,
                 instruction: case.task.instruction(&self.warehouse.catalogue),
                 poses: replay.poses,

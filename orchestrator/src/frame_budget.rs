@@ -274,7 +274,7 @@ mod tests {
             let episodes: Vec<_> = plan(&conditions, &[0], &["t01-01"], 1).collect();
             Demand::of(&attach(), (&warehouse, &cases, None), &episodes, (40, 40))
         };
-        let of = History { case: 0, kind: warehouse::DemonstrationKind::Elsewhere };
+        let of = History { case: 0, start: warehouse::Start::Elsewhere };
         let elsewhere = demand("episodic/new/unchanged/elsewhere");
         let views: BTreeSet<Viewpoint> =
             cases.demonstrated(&warehouse, of).unwrap().viewpoints().collect();

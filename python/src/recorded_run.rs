@@ -248,11 +248,11 @@ fn demonstration<'a>(
     let poses: Vec<Pose> = replay.poses.into_iter().take(length + 1).collect();
     let feedback = replay.feedback.into_iter().take(length + 1);
     TrajectoryData {
-        id: format!("demonstration/{}/{case}", history.kind.name()),
+        id: format!("demonstration/{}/{case}", history.start.name()),
         case,
         task: task.number(),
         instruction: demonstrated.instruction(),
-        start: history.kind.name(),
+        start: history.start.name(),
         variant,
         feedback: feedback.map(|feedback: Feedback| feedback as u8).collect(),
         actions: trajectory.actions.iter().take(length).map(|action| Some(*action as u8)).collect(),

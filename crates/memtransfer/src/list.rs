@@ -179,7 +179,7 @@ fn histories(world: &World) -> Listing {
             vec![
                 json!(case.id),
                 json!(mixture.name()),
-                json!(source.map(|source| format!("{} {}", source.id, history.kind.name()))),
+                json!(source.map(|source| format!("{} {}", source.id, history.start.name()))),
                 json!(source.map(|source| source.task.instruction(&warehouse.catalogue))),
                 json!(overlap.map(|overlap| overlap.shared_poses)),
                 json!(overlap.map(|overlap| overlap.conflicts)),

@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use warehouse::DemonstrationKind;
+use warehouse::Start;
 
 /// A step of a demonstration, or of an earlier episode of the same sequence.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -12,7 +12,7 @@ pub enum SourceStep {
         /// The id of the other case.
         case: Option<String>,
         /// The demonstration.
-        kind: DemonstrationKind,
+        start: Start,
         /// The step: how many were taken before.
         step: u32,
     },
@@ -62,9 +62,9 @@ impl FromStr for SourceStep {
                 return Some(Self::Experience { position, step });
             }
             let letter = view.chars().next()?;
-            let kind = DemonstrationKind::ALL.into_iter().find(|kind| kind.letter() == letter)?;
+            let start = Start::REMEMBERED.into_iter().find(|one| one.letter() == letter)?;
             let step = view.get(1..)?.parse().ok()?;
-            Some(Self::Demonstration { case: before.map(str::to_owned), kind, step })
+            Some(Self::Demonstration { case: before.map(str::to_owned), start, step })
         };
         read().ok_or_else(|| BadSource(text.to_owned()))
     }
@@ -74,9 +74,9 @@ impl SourceStep {
     /// It in words.
     pub fn in_words(&self) -> String {
         match self {
-            Self::Demonstration { case, kind, step } => {
+            Self::Demonstration { case, start, step } => {
                 let of = case.as_ref().map(|case| format!(" of {case}, another task"));
-                let name = kind.name();
+                let name = start.name();
                 format!("view {step} of the demonstration `{name}`{}", of.unwrap_or_default())
             }
             Self::Experience { position, step } => {

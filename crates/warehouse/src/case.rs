@@ -9,7 +9,7 @@ use crate::progress::Progress;
 use crate::task::Task;
 use crate::world::Warehouse;
 
-/// One of a case's six trajectories (specification, section 4).
+/// One of a case's six trajectories (specification, section 4), or a demonstration beside them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Start {
     /// The case's start.
@@ -24,6 +24,10 @@ pub enum Start {
     Test,
     /// The test start with a passage closed. Never part of a memory.
     Blocked,
+    /// The case's start with that passage closed: a demonstration by an expert who knows.
+    After,
+    /// The same task in another warehouse.
+    Elsewhere,
 }
 
 impl Start {
@@ -31,9 +35,18 @@ impl Start {
     pub const ALL: [Self; 6] =
         [Self::Original, Self::Opposite, Self::Nearby, Self::Distant, Self::Test, Self::Blocked];
 
-    /// Where the case's own four demonstrations start.
+    /// The four demonstrations that a case has.
     pub const DEMONSTRATIONS: [Self; 4] =
         [Self::Original, Self::Opposite, Self::Nearby, Self::Distant];
+
+    /// All that a memory can be built from.
+    pub const REMEMBERED: [Self; 6] =
+        [Self::Original, Self::Opposite, Self::Nearby, Self::Distant, Self::After, Self::Elsewhere];
+
+    /// The kind of demonstration with this number on the wire, if there is one.
+    pub fn demonstration(number: u16) -> Option<Self> {
+        Self::REMEMBERED.into_iter().find(|&start| start as u16 == number)
+    }
 
     /// The name in files and tables.
     pub const fn name(self) -> &'static str {
@@ -44,59 +57,6 @@ impl Start {
             Self::Distant => "distant",
             Self::Test => "test",
             Self::Blocked => "blocked",
-        }
-    }
-}
-
-/// A kind of demonstration that a memory can be built from. Its discriminant is its number on the wire.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum DemonstrationKind {
-    /// The case's own, from [`Start::Original`].
-    Original = 0,
-    /// The case's own, from [`Start::Opposite`].
-    Opposite = 1,
-    /// The case's own, from [`Start::Nearby`].
-    Nearby = 2,
-    /// The case's own, from [`Start::Distant`].
-    Distant = 3,
-    /// From the case's start with its passage closed, by an expert who knows.
-    After = 6,
-    /// The same task in another warehouse.
-    Elsewhere = 7,
-}
-
-impl DemonstrationKind {
-    /// All kinds.
-    pub const ALL: [Self; 6] =
-        [Self::Original, Self::Opposite, Self::Nearby, Self::Distant, Self::After, Self::Elsewhere];
-
-    /// Those of the case's own four trajectories.
-    pub const OWN: [Self; 4] = [Self::Original, Self::Opposite, Self::Nearby, Self::Distant];
-
-    /// The kind with this number on the wire, if there is one.
-    pub fn from_number(number: u16) -> Option<Self> {
-        Self::ALL.into_iter().find(|&kind| kind as u16 == number)
-    }
-
-    /// The start of the case's own trajectory of this kind; `None` if the demonstration is not one of the case's own
-    /// ([`CaseSet::demonstrated`] has it).
-    pub const fn own_start(self) -> Option<Start> {
-        match self {
-            Self::Original => Some(Start::Original),
-            Self::Opposite => Some(Start::Opposite),
-            Self::Nearby => Some(Start::Nearby),
-            Self::Distant => Some(Start::Distant),
-            Self::After | Self::Elsewhere => None,
-        }
-    }
-
-    /// The name in files and tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Original => Start::Original.name(),
-            Self::Opposite => Start::Opposite.name(),
-            Self::Nearby => Start::Nearby.name(),
-            Self::Distant => Start::Distant.name(),
             Self::After => "after",
             Self::Elsewhere => "elsewhere",
         }
@@ -109,6 +69,8 @@ impl DemonstrationKind {
             Self::Opposite => 'p',
             Self::Nearby => 'n',
             Self::Distant => 'd',
+            Self::Test => 't',
+            Self::Blocked => 'b',
             Self::After => 'a',
             Self::Elsewhere => 'w',
         }
@@ -196,7 +158,7 @@ pub struct History {
     /// Index of the case in its set.
     pub case: usize,
     /// Which of its demonstrations.
-    pub kind: DemonstrationKind,
+    pub start: Start,
 }
 
 /// A task, its six trajectories, the passage that its blocked variant closes, and the demonstrations of other tasks that it
@@ -230,10 +192,11 @@ pub struct Case {
 }
 
 impl Case {
-    /// The trajectory from `start`.
-    pub const fn trajectory(&self, start: Start) -> &Trajectory {
+    /// The trajectory from `start`. Not for demonstrations beside the case's own ([`CaseSet::demonstrated`] has those): the
+    /// original stands for them here.
+    pub fn trajectory(&self, start: Start) -> &Trajectory {
         match start {
-            Start::Original => &self.original,
+            Start::Original | Start::After | Start::Elsewhere => &self.original,
             Start::Opposite => &self.opposite,
             Start::Nearby => &self.nearby,
             Start::Distant => &self.distant,
@@ -254,9 +217,7 @@ impl Case {
     pub fn variant(&self, start: Start) -> Variant {
         match start {
             Start::Blocked => Variant::closing(self.barricade.iter().copied()),
-            Start::Original | Start::Opposite | Start::Nearby | Start::Distant | Start::Test => {
-                Variant::UNCHANGED
-            }
+            _ => Variant::UNCHANGED,
         }
     }
 

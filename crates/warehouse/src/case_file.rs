@@ -14,7 +14,7 @@ use domain::{Action, Cell, Pose};
 use serde::Deserialize;
 
 use crate::asset::{AssetError, Problem, invalid, read, toml};
-use crate::case::{Case, CaseSet, DemonstrationKind, History, Mixture, Start, Trajectory};
+use crate::case::{Case, CaseSet, History, Mixture, Start, Trajectory};
 use crate::catalogue::Catalogue;
 use crate::demonstrated::PlannedAfter;
 use crate::dynamics::MAX_STEPS;
@@ -198,9 +198,9 @@ fn write_case(text: &mut String, case: &Case, set: &CaseSet, catalogue: &Catalog
 }
 
 /// A history in the file: the case's id and the demonstration's name.
-fn history_text(set: &CaseSet, History { case, kind }: History) -> String {
+fn history_text(set: &CaseSet, History { case, start }: History) -> String {
     let id = set.cases.get(case).map_or("?", |case| &case.id);
-    format!("{id} {}", kind.name())
+    format!("{id} {}", start.name())
 }
 
 impl CaseEntry {
@@ -334,12 +334,12 @@ fn parse_history(text: &str, indices: &BTreeMap<String, usize>) -> Result<Histor
     let (id, name) = text.split_once(' ').unwrap_or((text, ""));
     let case = indices.get(id).copied();
     let case = case.ok_or_else(|| format!("{text:?}: there is no case {id:?} in this file"))?;
-    let kind = DemonstrationKind::OWN.into_iter().find(|kind| kind.name() == name);
-    let kind = kind.ok_or_else(|| {
-        let known = DemonstrationKind::OWN.map(DemonstrationKind::name).join(", ");
+    let start = Start::DEMONSTRATIONS.into_iter().find(|start| start.name() == name);
+    let start = start.ok_or_else(|| {
+        let known = Start::DEMONSTRATIONS.map(Start::name).join(", ");
         format!("{text:?}: {name:?} is not a demonstration; a case has {known}")
     })?;
-    Ok(History { case, kind })
+    Ok(History { case, start })
 }
 
 fn check_barricade(cells: &[Cell], warehouse: &Warehouse) -> Result<(), Problem> {

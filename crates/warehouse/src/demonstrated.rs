@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 
 use domain::{Cell, Pose};
 
-use crate::case::{Case, CaseSet, DemonstrationKind, History, Replay, Start, Trajectory};
+use crate::case::{Case, CaseSet, History, Replay, Start, Trajectory};
 use crate::dynamics::Variant;
 use crate::elsewhere::ELSEWHERE_VARIANT;
 use crate::plan::{Planner, Prices};
@@ -56,12 +56,12 @@ impl Demonstrated<'_> {
 }
 
 impl CaseSet {
-    /// The demonstration `history` of one of these cases, which are in `warehouse`. `None` if there is no such case, or
-    /// an expert who knows the closed passage has no way to complete the task, or there is no other warehouse.
+    /// The demonstration `history` of one of these cases, which are in `warehouse`. `None` if there is no such case, or it is
+    /// a test reference, or an expert who knows the closed passage has no way to complete the task, or there is no other warehouse.
     pub fn demonstrated<'a>(
         &'a self,
         warehouse: &'a Warehouse,
-        History { case: index, kind }: History,
+        History { case: index, start }: History,
     ) -> Option<Demonstrated<'a>> {
         let case = self.cases.get(index)?;
         let unchanged = Demonstrated {
@@ -71,24 +71,18 @@ impl CaseSet {
             task: &case.task,
             trajectory: &case.original,
         };
-        match kind {
-            DemonstrationKind::Original => Some(unchanged),
-            DemonstrationKind::Opposite => {
-                Some(Demonstrated { trajectory: &case.opposite, ..unchanged })
+        match start {
+            Start::Original | Start::Opposite | Start::Nearby | Start::Distant => {
+                Some(Demonstrated { trajectory: case.trajectory(start), ..unchanged })
             }
-            DemonstrationKind::Nearby => {
-                Some(Demonstrated { trajectory: &case.nearby, ..unchanged })
-            }
-            DemonstrationKind::Distant => {
-                Some(Demonstrated { trajectory: &case.distant, ..unchanged })
-            }
-            DemonstrationKind::Elsewhere => {
+            Start::Test | Start::Blocked => None,
+            Start::Elsewhere => {
                 let elsewhere = self.elsewhere.as_ref()?;
                 let (task, trajectory) = elsewhere.demonstration(index)?;
                 let (warehouse, variant) = (elsewhere.warehouse(), ELSEWHERE_VARIANT);
                 Some(Demonstrated { warehouse, variant, closed: &[], task, trajectory })
             }
-            DemonstrationKind::After => Some(Demonstrated {
+            Start::After => Some(Demonstrated {
                 variant: 1 + index as u32,
                 closed: &case.barricade,
                 trajectory: case.after.get(warehouse, case)?,
@@ -98,7 +92,7 @@ impl CaseSet {
     }
 }
 
-/// The demonstration of [`DemonstrationKind::After`], which is planned when it is asked for first. No part of a case's value.
+/// The demonstration of [`Start::After`], which is planned when it is asked for first. No part of a case's value.
 #[derive(Debug, Clone, Default)]
 pub struct PlannedAfter(OnceLock<Option<Trajectory>>);
 
@@ -133,19 +127,20 @@ mod tests {
         let (warehouse, set) = (Warehouse::shipped(), CaseSet::shipped());
         let (mut moved, mut broken) = (0, 0);
         for (index, case) in set.cases.iter().enumerate() {
-            let of = |kind| set.demonstrated(&warehouse, History { case: index, kind });
-            let after = of(DemonstrationKind::After).unwrap();
+            let of = |start| set.demonstrated(&warehouse, History { case: index, start });
+            let after = of(Start::After).unwrap();
             assert_eq!((after.variant, after.closed), (1 + index as u32, &*case.barricade));
             assert!(after.replay().length.is_some(), "{}", case.id);
-            let original = of(DemonstrationKind::Original).unwrap();
+            let original = of(Start::Original).unwrap();
             assert_eq!((original.variant, original.trajectory), (0, &case.original));
             let closed = Demonstrated { closed: &case.barricade, ..original };
             broken += usize::from(closed.replay().length.is_none());
             moved += usize::from(after.trajectory.start != case.original.start);
-            assert!(of(DemonstrationKind::Elsewhere).is_none(), "there is no other warehouse");
+            assert!(of(Start::Test).is_none() && of(Start::Blocked).is_none());
         }
         assert_eq!((moved, broken), (0, 68));
-        let beyond = History { case: 100, kind: DemonstrationKind::Original };
-        assert!(set.demonstrated(&warehouse, beyond).is_none());
+        assert!(
+            set.demonstrated(&warehouse, History { case: 100, start: Start::Original }).is_none()
+        );
     }
 }

@@ -7,7 +7,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::case::{CaseSet, DemonstrationKind, History, Mixture};
+use crate::case::{CaseSet, History, Mixture, Start};
 use crate::draw::Draw;
 
 /// Some of the case's own four demonstrations; two of them and two of other cases (specification, section 6); one from before
@@ -30,7 +30,7 @@ pub struct Demonstrations(u32);
     "unknown demonstrations `{given}`: did you mean `{nearest}`? (known: 4 for a case's own four, some of \
      {own} joined by +, 1 for the first of them, irrelevant, confusable, after, before-after, after-before, elsewhere, \
      bank-N, none)",
-    own = OWN.map(DemonstrationKind::name).join(", ")
+    own = OWN.map(Start::name).join(", ")
 )]
 pub struct UnknownDemonstrations {
     /// The unknown word.
@@ -39,7 +39,7 @@ pub struct UnknownDemonstrations {
     pub nearest: &'static str,
 }
 
-const OWN: [DemonstrationKind; 4] = DemonstrationKind::OWN;
+const OWN: [Start; 4] = Start::DEMONSTRATIONS;
 
 /// The bits of the case's own four.
 const OWN_BITS: u32 = 0b1111;
@@ -52,9 +52,9 @@ const WORDS: [(&str, Demonstrations); 13] = [
     ("none", Demonstrations::NONE),
     ("original", Demonstrations::ORIGINAL),
     ("1", Demonstrations::ORIGINAL),
-    ("opposite", Demonstrations(1 << DemonstrationKind::Opposite as u32)),
-    ("nearby", Demonstrations(1 << DemonstrationKind::Nearby as u32)),
-    ("distant", Demonstrations(1 << DemonstrationKind::Distant as u32)),
+    ("opposite", Demonstrations(1 << Start::Opposite as u32)),
+    ("nearby", Demonstrations(1 << Start::Nearby as u32)),
+    ("distant", Demonstrations(1 << Start::Distant as u32)),
     ("4", Demonstrations::ALL),
     ("irrelevant", Demonstrations::IRRELEVANT),
     ("confusable", Demonstrations::CONFUSABLE),
@@ -114,8 +114,8 @@ impl Demonstrations {
     }
 
     /// The case's own demonstrations in the set, in order.
-    pub fn own(self) -> impl Iterator<Item = DemonstrationKind> {
-        OWN.into_iter().filter(move |&kind| self.0 & (1 << kind as u32) != 0)
+    pub fn own(self) -> impl Iterator<Item = Start> {
+        OWN.into_iter().filter(move |&start| self.0 & (1 << start as u32) != 0)
     }
 
     /// Whether the demonstration after the event is in the set.
@@ -139,8 +139,8 @@ impl Demonstrations {
 }
 
 impl CaseSet {
-    /// The `demonstrations` of case number `case`: its own in the order of [`DemonstrationKind`], then its histories of other
-    /// cases. Empty if there is no such case, and for a bank of more than [`largest_bank`](Self::largest_bank).
+    /// The `demonstrations` of case number `case`: its own in the order of [`Start`], then its histories of other cases. Empty if
+    /// there is no such case, and for a bank of more than [`largest_bank`](Self::largest_bank).
     ///
     /// A bank of N demonstrations holds the first N - 1 of an order of all demonstrations of all cases, which is drawn from the
     /// seed, and the case's original one; the N-th if that is among them. So a larger bank holds the smaller ones, and cases
@@ -148,21 +148,20 @@ impl CaseSet {
     pub fn histories(&self, case: usize, demonstrations: Demonstrations) -> Vec<History> {
         let Some(listed) = self.cases.get(case) else { return Vec::new() };
         if let Some(size) = demonstrations.bank_size() {
-            let own = History { case, kind: DemonstrationKind::Original };
+            let own = History { case, start: Start::Original };
             let mut bank = self.common_bank(size);
             if let (false, Some(last)) = (bank.contains(&own), bank.last_mut()) {
                 *last = own;
             }
             return if usize::from(size) > self.largest_bank() { Vec::new() } else { bank };
         }
-        let own = demonstrations.own().map(|kind| History { case, kind });
+        let own = demonstrations.own().map(|start| History { case, start });
         let others = demonstrations.mixture().map(|mixture| listed.mixed(mixture));
         if demonstrations.take_place_elsewhere() {
-            return vec![History { case, kind: DemonstrationKind::Elsewhere }];
+            return vec![History { case, start: Start::Elsewhere }];
         }
-        let after = demonstrations
-            .take_place_after()
-            .then_some(History { case, kind: DemonstrationKind::After });
+        let after =
+            demonstrations.take_place_after().then_some(History { case, start: Start::After });
         let mut found: Vec<History> =
             own.chain(others.into_iter().flatten()).chain(after).collect();
         if demonstrations == Demonstrations::AFTER_BEFORE {
@@ -187,12 +186,12 @@ impl CaseSet {
 
     /// The size of the largest bank: all demonstrations that the cases have.
     pub fn largest_bank(&self) -> usize {
-        DemonstrationKind::OWN.len() * self.cases.len()
+        Start::DEMONSTRATIONS.len() * self.cases.len()
     }
 
     /// The demonstrations of all cases in the order in which they join banks, drawn from the seed.
     fn bank_order(&self) -> Vec<History> {
-        let of = |case| DemonstrationKind::OWN.map(|kind| History { case, kind });
+        let of = |case| Start::DEMONSTRATIONS.map(|start| History { case, start });
         let all = (0..self.cases.len()).flat_map(of).collect();
         Draw::new(self.seed, BANK_STREAM).shuffled(all)
     }
@@ -206,7 +205,7 @@ impl fmt::Display for Demonstrations {
         match WORDS.iter().find(|(_, set)| set == self) {
             Some((word, _)) => f.pad(word),
             None if self.bank_size().is_some() => f.pad(&format!("bank-{}", self.0 >> BANK_SHIFT)),
-            None => f.pad(&self.own().map(DemonstrationKind::name).collect::<Vec<_>>().join("+")),
+            None => f.pad(&self.own().map(Start::name).collect::<Vec<_>>().join("+")),
         }
     }
 }
@@ -223,11 +222,11 @@ impl FromStr for Demonstrations {
         {
             return Ok(Self::bank(size));
         }
-        let own = |word: &str| OWN.into_iter().find(|kind| kind.name() == word);
+        let own = |word: &str| OWN.into_iter().find(|start| start.name() == word);
         let mut bits = 0;
         for word in text.split('+') {
-            let kind = own(word).ok_or_else(|| UnknownDemonstrations::new(word))?;
-            bits |= 1 << kind as u32;
+            let start = own(word).ok_or_else(|| UnknownDemonstrations::new(word))?;
+            bits |= 1 << start as u32;
         }
         Ok(Self(bits))
     }
@@ -315,32 +314,26 @@ mod tests {
     #[test]
     fn a_mixed_set_keeps_original_and_opposite() {
         let set = CaseSet::shipped();
-        let own = |kind| History { case: 7, kind };
+        let own = |start| History { case: 7, start };
         let histories = |demonstrations| set.histories(7, demonstrations);
         assert_eq!(histories(Demonstrations::NONE), []);
-        assert_eq!(histories(Demonstrations::ALL), DemonstrationKind::OWN.map(own));
+        assert_eq!(histories(Demonstrations::ALL), Start::DEMONSTRATIONS.map(own));
         let [first, second] = set.cases[7].irrelevant;
         assert_eq!(
             histories(Demonstrations::IRRELEVANT),
-            [own(DemonstrationKind::Original), own(DemonstrationKind::Opposite), first, second]
+            [own(Start::Original), own(Start::Opposite), first, second]
         );
         let [first, second] = set.cases[7].confusable;
         assert_eq!(
             histories(Demonstrations::CONFUSABLE),
-            [own(DemonstrationKind::Original), own(DemonstrationKind::Opposite), first, second]
+            [own(Start::Original), own(Start::Opposite), first, second]
         );
         assert_eq!(set.histories(set.cases.len(), Demonstrations::ALL), []);
-        let after = own(DemonstrationKind::After);
+        let after = own(Start::After);
         assert_eq!(histories(Demonstrations::AFTER), [after]);
-        assert_eq!(histories(Demonstrations::ELSEWHERE), [own(DemonstrationKind::Elsewhere)]);
-        assert_eq!(
-            histories(Demonstrations::BEFORE_AFTER),
-            [own(DemonstrationKind::Original), after]
-        );
-        assert_eq!(
-            histories(Demonstrations::AFTER_BEFORE),
-            [after, own(DemonstrationKind::Original)]
-        );
+        assert_eq!(histories(Demonstrations::ELSEWHERE), [own(Start::Elsewhere)]);
+        assert_eq!(histories(Demonstrations::BEFORE_AFTER), [own(Start::Original), after]);
+        assert_eq!(histories(Demonstrations::AFTER_BEFORE), [after, own(Start::Original)]);
     }
 
     #[test]
@@ -356,7 +349,7 @@ mod tests {
             for size in [1, 4, 16, 64, 256, 400] {
                 let of: HashSet<History> = bank(case, size).into_iter().collect();
                 assert_eq!(of.len(), usize::from(size));
-                assert!(of.contains(&History { case, kind: DemonstrationKind::Original }));
+                assert!(of.contains(&History { case, start: Start::Original }));
                 assert!(smaller.is_subset(&of) && of.is_subset(&all));
                 assert_eq!(bank(case, size)[..usize::from(size) - 1], set.common_bank(size - 1));
                 smaller = of;

@@ -11,7 +11,7 @@ use std::rc::Rc;
 
 use domain::{Cell, Heading, Pose};
 
-use crate::case::{Case, CaseSet, DemonstrationKind, History, Replay, Trajectory};
+use crate::case::{Case, CaseSet, History, Replay, Start, Trajectory};
 use crate::constraints::{
     FloorEdge, completes_task, edges, enters, faces_targets, is_distant, is_near_optimal,
     is_nearby, is_of_similar_length, shares_at_least_half, shares_at_most_half, target_in_view,
@@ -60,8 +60,7 @@ const REDRAWN: usize = 100;
 const MOST_DETOURS: usize = 32;
 
 /// A placeholder until the whole set exists, from which histories are chosen.
-const NO_HISTORIES: [History; 2] =
-    [History { case: usize::MAX, kind: DemonstrationKind::Original }; 2];
+const NO_HISTORIES: [History; 2] = [History { case: usize::MAX, start: Start::Original }; 2];
 
 /// The most cases of a set, far more than a run needs.
 pub const MAX_CASES: usize = 1_000_000;

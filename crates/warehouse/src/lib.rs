@@ -44,7 +44,7 @@ pub mod validate;
 mod world;
 
 pub use asset::AssetError;
-pub use case::{Case, CaseSet, DemonstrationKind, History, Mixture, Replay, Start, Trajectory};
+pub use case::{Case, CaseSet, History, Mixture, Replay, Start, Trajectory};
 pub use case_file::file_texts;
 pub use catalogue::{Catalogue, Category, ItemType, Shape};
 pub use constraints::MAX_DETOUR_PERCENT;

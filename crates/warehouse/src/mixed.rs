@@ -18,7 +18,7 @@ use std::collections::BTreeMap;
 
 use domain::{Action, Pose};
 
-use crate::case::{Case, CaseSet, DemonstrationKind, History, Mixture, Start};
+use crate::case::{Case, CaseSet, History, Mixture, Start};
 use crate::draw::Draw;
 use crate::task::Task;
 use crate::world::Warehouse;
@@ -39,8 +39,7 @@ impl Overlap {
     /// The overlap of `history` with the test reference of case number `case`. `None` if the set lacks one of them.
     pub fn of(warehouse: &Warehouse, set: &CaseSet, case: usize, history: History) -> Option<Self> {
         let reference = DenseActions::of_reference(warehouse, set.cases.get(case)?);
-        let history =
-            Actions::of_history(warehouse, set.cases.get(history.case)?, history.kind.own_start()?);
+        let history = Actions::of_history(warehouse, set.cases.get(history.case)?, history.start);
         Some(reference.overlap(&history))
     }
 
@@ -156,14 +155,14 @@ pub(crate) fn assign(warehouse: &Warehouse, set: &mut CaseSet) -> Result<(), Too
         let candidates: Vec<(History, Overlap)> = (0..actions.len())
             .filter(is_foreign)
             .flat_map(|case| {
-                let histories = DemonstrationKind::OWN.map(|kind| History { case, kind });
+                let histories = Start::DEMONSTRATIONS.map(|start| History { case, start });
                 histories.into_iter().zip(&actions[case])
             })
             .map(|(history, actions)| (history, reference.overlap(actions)))
             .collect();
         for mixture in Mixture::ALL {
             let served = &mut served[mixture as usize];
-            let place = |history: &History| all * history.case + history.kind as usize;
+            let place = |history: &History| all * history.case + history.start as usize;
             let fits = |(history, overlap): &&(History, Overlap)| {
                 overlap.is(mixture) && served[place(history)] < MOST_SERVED
             };
@@ -212,7 +211,7 @@ mod tests {
             actions: letters.chars().filter_map(Action::from_letter).collect(),
         };
         let (test, original) = (trajectory(test), trajectory(original));
-        let own = [History { case: 0, kind: DemonstrationKind::Original }; 2];
+        let own = [History { case: 0, start: Start::Original }; 2];
         let case = Case {
             id: "t01-01".into(),
             task: Task::FindType { a: BLUE_BARREL },
@@ -271,8 +270,8 @@ mod tests {
     #[test]
     fn the_second_history_is_from_another_case_where_there_is_one() {
         let histories = |cases: &[usize]| -> Vec<History> {
-            let kinds = DemonstrationKind::OWN.into_iter().cycle();
-            cases.iter().zip(kinds).map(|(&case, kind)| History { case, kind }).collect()
+            let starts = Start::DEMONSTRATIONS.into_iter().cycle();
+            cases.iter().zip(starts).map(|(&case, start)| History { case, start }).collect()
         };
         for (cases, expected) in [
             (&[3, 3, 5, 4][..], Some([0, 2])),
@@ -307,7 +306,7 @@ mod tests {
                 .filter(|&other| {
                     in_common(&own, &target_ids(&warehouse, &set.cases[other].task)).is_none()
                 })
-                .flat_map(|case| DemonstrationKind::OWN.map(|kind| History { case, kind }))
+                .flat_map(|case| Start::DEMONSTRATIONS.map(|start| History { case, start }))
                 .filter(|history| served.get(history).is_none_or(|&times| times < MOST_SERVED))
                 .filter_map(|history| Overlap::of(&warehouse, &set, index, history))
                 .map(|overlap| overlap.conflicts)

@@ -7,7 +7,7 @@ use domain::Arm;
 use results::log::EpisodeRecord;
 use results::source::distance_word;
 use shm_types::message::{EXPERIENCE, RecalledSource};
-use warehouse::{DemonstrationKind, History, Trajectory, Variant};
+use warehouse::{History, Start, Trajectory, Variant};
 
 use super::Context;
 use crate::plan::PlannedEpisode;
@@ -52,15 +52,15 @@ impl Retrieved {
                 continue;
             }
             let found = context.cases.cases.get(case as usize);
-            let kind = DemonstrationKind::from_number(demonstration);
-            let Some((found, kind)) = found.zip(kind) else {
+            let start = Start::demonstration(demonstration);
+            let Some((found, start)) = found.zip(start) else {
                 return Err(format!("case {case}, demonstration {demonstration}"));
             };
             if case as usize != episode.case_index {
                 words.push_str(&found.id);
                 words.push(':');
             }
-            words.push(kind.letter());
+            words.push(start.letter());
             // Writing to a string cannot fail.
             let _ = write!(words, "{first}");
         }
@@ -118,7 +118,7 @@ impl Retrieved {
         let own = episode.part.and_then(|part| context.experience.get(&part.sequence));
         for &RecalledSource { case, demonstration, .. } in sources {
             // What took place in another warehouse was never true of this one.
-            if demonstration == DemonstrationKind::Elsewhere as u16 {
+            if demonstration == Start::Elsewhere as u16 {
                 continue;
             }
             let known = self.stale.get(&(case, demonstration)).copied();
@@ -131,8 +131,8 @@ impl Retrieved {
                     source.is_complete && !completes(&source.trajectory, task)
                 }
                 None => {
-                    let kind = DemonstrationKind::from_number(demonstration);
-                    let of = kind.map(|kind| History { case: case as usize, kind });
+                    let start = Start::demonstration(demonstration);
+                    let of = start.map(|start| History { case: case as usize, start });
                     let of = of.and_then(|of| context.cases.demonstrated(context.warehouse, of));
                     let of =
                         of.ok_or_else(|| format!("case {case}, demonstration {demonstration}"))?;

@@ -162,12 +162,12 @@ fn the_log_says_whose_demonstration_each_match_is_of() {
         episode.key.condition.demonstrations = demonstrations;
         let histories = cases.histories(20, demonstrations);
         let recall = |of: &Observation| match histories.get(of.step as usize) {
-            Some(&History { case, kind }) => {
+            Some(&History { case, start }) => {
                 let mut trace = trace(of);
                 trace.sources_len = 1;
                 trace.sources[0] = RecalledSource {
                     case: case as u32,
-                    demonstration: kind as u16,
+                    demonstration: start as u16,
                     distance: if of.step == 2 { f32::NAN } else { 0.25 * of.step as f32 },
                     first: 7,
                     steps: 1,
@@ -182,7 +182,7 @@ fn the_log_says_whose_demonstration_each_match_is_of() {
         let record = run_with_recall(rules, episode.clone(), turning, recall).record;
         let [one, two] = cases.cases[20]
             .mixed(mixture)
-            .map(|History { case, kind }| format!("{}:{}7", cases.cases[case].id, kind.letter()));
+            .map(|History { case, start }| format!("{}:{}7", cases.cases[case].id, start.letter()));
         assert_eq!(record.retrieved, Some(format!("o7 p7 {one} {two} -")));
         assert_eq!(record.distances.as_deref(), Some("0 0.25 - 0.75 -"));
         assert_eq!(record.distance, Some(0.333_333));

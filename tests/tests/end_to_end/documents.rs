@@ -11,7 +11,7 @@ use plates::Plate;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use warehouse::sight::sees;
-use warehouse::{CaseSet, DemonstrationKind, Demonstrations, Warehouse};
+use warehouse::{CaseSet, Demonstrations, Warehouse};
 
 use crate::real_server::stored;
 
@@ -44,11 +44,9 @@ impl Truth {
         let histories = (0..self.cases.cases.len())
             .flat_map(|case| self.cases.histories(case, selection))
             .collect::<BTreeSet<_>>();
-        histories
-            .into_iter()
-            .filter_map(|history| self.cases.demonstrated(&self.warehouse, history))
-            .flat_map(|demonstrated| demonstrated.replay().poses)
-            .collect()
+        let replay =
+            |case: usize, start| self.cases.cases[case].replay(&self.warehouse, start).poses;
+        histories.into_iter().flat_map(|history| replay(history.case, history.start)).collect()
     }
 
     /// Where the experts of `selection` reached items that were asked for.
@@ -56,7 +54,7 @@ impl Truth {
         let mut targets = BTreeSet::new();
         for case in &self.cases.cases {
             let wanted = case.task.targets(&self.warehouse);
-            for start in selection.own().filter_map(DemonstrationKind::own_start) {
+            for start in selection.own() {
                 let replay = case.replay(&self.warehouse, start);
                 let cells = replay.goal_steps.iter().map(|&step| replay.poses[step as usize].cell);
                 let is_target = |cell: &Cell| wanted.iter().any(|item| item.standpoint == *cell);
@@ -171,7 +169,7 @@ fn documents_contain_what_their_demonstrations_show_and_nothing_else() {
             .cases
             .iter()
             .flat_map(|case| {
-                selection.own().filter_map(DemonstrationKind::own_start).map(|start| {
+                selection.own().map(|start| {
                     let Pose { cell, heading } = case.trajectory(start).start;
                     format!("from {cell} facing {}:", heading.letter())
                 })

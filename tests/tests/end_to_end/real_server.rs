@@ -10,7 +10,7 @@ use llm::{ChatClient, ChatMessage, ChatRequest, ChatRole, ChatSettings, Endpoint
 use memtransfer_tests::llama::{LlamaServer, MODEL};
 use memtransfer_tests::{Bench, records, sorted_log};
 use serde_json::{Value, json};
-use warehouse::{CaseSet, DemonstrationKind, History, Warehouse};
+use warehouse::{CaseSet, History, Start, Warehouse};
 
 /// Tokens of a request with its answer.
 const CONTEXT: u32 = 4096;
@@ -29,8 +29,8 @@ fn two_cases(folder: &Path) {
     set.cases.retain(|case| ["t01-07", "t02-03"].contains(&&*case.id));
     for (index, case) in set.cases.iter_mut().enumerate() {
         // Only the start poses of these cases remain.
-        let of_the_other = [DemonstrationKind::Original, DemonstrationKind::Nearby]
-            .map(|kind| History { case: 1 - index, kind });
+        let of_the_other =
+            [Start::Original, Start::Nearby].map(|start| History { case: 1 - index, start });
         (case.irrelevant, case.confusable) = (of_the_other, of_the_other);
     }
     let text = set.to_toml(&Warehouse::shipped().catalogue);

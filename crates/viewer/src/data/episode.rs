@@ -12,7 +12,7 @@ use results::log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
 use results::score::Failure;
 use results::source::{SourceStep, distances, sources};
 use serde::Serialize;
-use warehouse::{DemonstrationKind, History, Trajectory, WorldState, sight};
+use warehouse::{History, Start, Trajectory, WorldState, sight};
 
 use super::{PoseData, cell_data, pose_data};
 use crate::view_file::ViewFile;
@@ -163,7 +163,7 @@ const FILM: u32 = 6;
 /// What makes a demonstration one of several.
 #[derive(PartialEq, Eq, PartialOrd, Ord)]
 enum DemonstrationOrigin {
-    Demonstration(usize, DemonstrationKind),
+    Demonstration(usize, Start),
     Episode(u32),
 }
 
@@ -329,7 +329,7 @@ impl DemonstrationCollector<'_> {
     ) -> Vec<Vec<Supplied>> {
         if self.record.stream.is_none() {
             for history in self.world.cases.histories(case, self.record.demonstrations) {
-                self.demonstration(history, case);
+                self.demonstration(history.case, history.start, case);
             }
         }
         let record = self.record;
@@ -340,15 +340,15 @@ impl DemonstrationCollector<'_> {
             let told = told.into_iter().chain(repeat(None));
             let found = sources(word).into_iter().zip(told).filter_map(|(source, told)| {
                 let (found, step) = match source {
-                    SourceStep::Demonstration { case: other, kind, step } => {
+                    SourceStep::Demonstration { case: other, start, step } => {
                         let index = match other {
                             Some(id) => self.world.cases.index(&id)?,
                             None => case,
                         };
-                        (self.demonstration(History { case: index, kind }, case)?, step)
+                        (self.demonstration(index, start, case), step)
                     }
                     SourceStep::Experience { position, step } => {
-                        (self.episode(position, experience(position)?)?, step)
+                        (self.episode(position, experience(position)?), step)
                     }
                 };
                 Some((found, step, told))
@@ -361,63 +361,63 @@ impl DemonstrationCollector<'_> {
     fn find(
         &mut self,
         origin: DemonstrationOrigin,
-        make: impl FnOnce() -> Option<DemonstrationData>,
-    ) -> Option<usize> {
-        if let Some(index) = self.found.iter().position(|(known, _)| *known == origin) {
-            return Some(index);
-        }
-        self.found.push((origin, make()?));
-        Some(self.found.len() - 1)
+        make: impl FnOnce() -> DemonstrationData,
+    ) -> usize {
+        self.found.iter().position(|(known, _)| *known == origin).unwrap_or_else(|| {
+            self.found.push((origin, make()));
+            self.found.len() - 1
+        })
     }
 
-    /// The index of a demonstration; `own` is the episode's case. `None` if its case has none of this kind.
-    fn demonstration(&mut self, history: History, own: usize) -> Option<usize> {
+    /// The index of a demonstration of case number `of`; `own` is the episode's case.
+    fn demonstration(&mut self, of: usize, start: Start, own: usize) -> usize {
         let (world, state, record) = (self.world, self.state, self.record);
-        let History { case: of, kind } = history;
-        self.find(DemonstrationOrigin::Demonstration(of, kind), || {
-            let case = world.cases.cases.get(of)?;
+        self.find(DemonstrationOrigin::Demonstration(of, start), || {
+            let case = &world.cases.cases[of];
             let is_planned = record.arm == Arm::Oracle;
+            let from = case.trajectory(start);
             // The oracle's demonstrations take place in the world of the episode.
-            let planned = kind.own_start().filter(|_| is_planned).and_then(|start| {
-                state.reference(&state.expert(), &case.task, case.trajectory(start).start)
-            });
-            let (trajectory, replay, variant) = match planned {
-                Some((planned, _)) => {
+            let planned = is_planned
+                .then(|| state.reference(&state.expert(), &case.task, from.start))
+                .flatten();
+            let demonstrated =
+                world.cases.demonstrated(&world.warehouse, History { case: of, start });
+            let (trajectory, replay, variant) = match (planned, demonstrated) {
+                (Some((planned, _)), _) => {
                     let replay = planned.replay(&state.warehouse, &case.task, &state.variant);
                     (planned, replay, world.variant(record, own))
                 }
-                None => {
-                    let found = world.cases.demonstrated(&world.warehouse, history)?;
-                    (found.trajectory.clone(), found.replay(), found.variant)
-                }
+                (None, Some(found)) => (found.trajectory.clone(), found.replay(), found.variant),
+                (None, None) => (from.clone(), case.replay(&world.warehouse, start), 0),
             };
             let other = if of == own { String::new() } else { format!(" of {}", case.id) };
             let planned = if is_planned { ", planned in this world" } else { "" };
-            let can_be_stale = !is_planned && kind != DemonstrationKind::Elsewhere;
-            Some(DemonstrationData {
-                title: format!("{} demonstration{other}{planned}", kind.name()),
+            let can_be_stale = !is_planned && start != Start::Elsewhere;
+            DemonstrationData {
+                title: format!("{} demonstration{other}{planned}", start.name()),
                 episode: None,
                 stale: can_be_stale && !state.completes(&trajectory, &case.task),
-                elsewhere: kind == DemonstrationKind::Elsewhere,
+                elsewhere: start == Start::Elsewhere,
                 poses: replay.poses.iter().map(pose_data).collect(),
                 actions: trajectory.actions.iter().map(|action| action.letter()).collect(),
                 views: Vec::new(),
                 variant,
                 at: replay.poses,
-            })
+            }
         })
     }
 
-    /// The index of the episode at `position` of the sequence, whose record is `past`. `None` if there is no such case.
-    fn episode(&mut self, position: u32, past: &EpisodeRecord) -> Option<usize> {
+    /// The index of the episode at `position` of the sequence, whose record is `past`.
+    fn episode(&mut self, position: u32, past: &EpisodeRecord) -> usize {
         let (world, state) = (self.world, self.state);
         self.find(DemonstrationOrigin::Episode(position), || {
             let at = past.poses();
             let actions = past.actions.chars().filter_map(domain::Action::from_letter);
             let trajectory = Trajectory { start: past.start_pose, actions: actions.collect() };
-            let (index, case) = world.case(past).ok()?;
-            let stale = past.is_success() && !state.completes(&trajectory, &case.task);
-            Some(DemonstrationData {
+            let case = world.case(past).ok();
+            let stale = past.is_success()
+                && case.is_some_and(|(_, case)| !state.completes(&trajectory, &case.task));
+            DemonstrationData {
                 title: format!("episode at position {position}, {}", past.case),
                 episode: Some(past.key.clone()),
                 stale,
@@ -425,9 +425,9 @@ impl DemonstrationCollector<'_> {
                 poses: at.iter().map(pose_data).collect(),
                 actions: past.actions.clone(),
                 views: Vec::new(),
-                variant: world.variant(past, index),
+                variant: case.map_or(0, |(index, _)| world.variant(past, index)),
                 at,
-            })
+            }
         })
     }
 }

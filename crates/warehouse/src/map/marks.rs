@@ -39,6 +39,7 @@ pub(super) const fn style(start: Start) -> Style {
         Start::Distant => ("#8250c4", "", 2.6, 0.5),
         Start::Test => ("#e8780c", "", 3.2, 1.5),
         Start::Blocked => ("#c81e3a", "7 3.5", 3.2, 2.5),
+        Start::After | Start::Elsewhere => ("#0b5fa5", "7 3.5", 2.6, -2.5),
     };
     Style { colour, dashes, width, lane }
 }

@@ -85,7 +85,7 @@ impl Map<'_> {
         let (x, y) = self.centre(pose.cell);
         let (dx, dy) = direction(pose.heading);
         let pushed = match start {
-            Start::Original | Start::Opposite => 10.0,
+            Start::Original | Start::Opposite | Start::After | Start::Elsewhere => 10.0,
             Start::Nearby | Start::Distant | Start::Test | Start::Blocked => 0.0,
         };
         start_disc(&mut self.canvas, (x + dx * pushed, y + dy * pushed), start, pose.heading);

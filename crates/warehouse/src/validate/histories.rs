@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use super::report::{CountRange, HistoryStatistics, ValidationReport, ensure};
-use crate::case::{Case, CaseSet, DemonstrationKind, History, Mixture};
+use crate::case::{Case, CaseSet, History, Mixture, Start};
 use crate::mixed::{MOST_SERVED, Overlap, in_common, target_ids};
 use crate::world::Warehouse;
 
@@ -29,7 +29,7 @@ impl Listed<'_> {
     /// A violation by this history.
     fn at(&self, violation: impl fmt::Display) -> String {
         let source = self.source.map_or("a case that is not in the set", |source| &source.id);
-        let (id, kind, start) = (&self.case.id, self.mixture.name(), self.history.kind.name());
+        let (id, kind, start) = (&self.case.id, self.mixture.name(), self.history.start.name());
         format!("{id} {kind}, {source} {start}: {violation}")
     }
 }
@@ -51,7 +51,7 @@ pub(super) fn check(report: &mut ValidationReport, warehouse: &Warehouse, set: &
     report.push(
         "mixed: two different histories of each kind, of other cases",
         listed.iter().map(|l| {
-            let is_demonstration = DemonstrationKind::OWN.contains(&l.history.kind);
+            let is_demonstration = Start::DEMONSTRATIONS.contains(&l.history.start);
             let is_foreign = l.source.is_some() && l.history.case != l.index;
             let [one, other] = l.case.mixed(l.mixture);
             ensure(is_demonstration && is_foreign && one != other, || {
@@ -150,10 +150,7 @@ mod tests {
         let table: [(Corruption, &str); 9] = [
             (|cases| cases[8].irrelevant[0].case = 8, "mixed: two different"),
             (|cases| cases[8].confusable[1].case = 100, "mixed: two different"),
-            (
-                |cases| cases[8].irrelevant[1].kind = DemonstrationKind::After,
-                "mixed: two different",
-            ),
+            (|cases| cases[8].irrelevant[1].start = Start::Test, "mixed: two different"),
             (|cases| cases[8].confusable[0] = cases[8].confusable[1], "mixed: two different"),
             (
                 |cases| cases[cases[8].irrelevant[0].case].task = cases[8].task,
@@ -164,7 +161,7 @@ mod tests {
             (
                 |cases| {
                     cases[cases[8].confusable[0].case].distant = cases[8].test.clone();
-                    cases[8].confusable[0].kind = DemonstrationKind::Distant;
+                    cases[8].confusable[0].start = Start::Distant;
                 },
                 "confusable: at a shared pose",
             ),

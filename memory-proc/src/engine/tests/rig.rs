@@ -324,9 +324,8 @@ pub(super) fn replay_set(
     let cases = &rig.engine.worlds.cases;
     let demonstration = |of: History| {
         let case = &cases.cases[of.case];
-        let start = of.kind.own_start().unwrap();
-        let actions = case.trajectory(start).actions.iter();
-        let poses = case.replay(&rig.engine.worlds.warehouse, start).poses;
+        let actions = case.trajectory(of.start).actions.iter();
+        let poses = case.replay(&rig.engine.worlds.warehouse, of.start).poses;
         let actions = actions.map(|&action| action as u8).chain([NO_ACTION]).collect();
         ReplayedDemonstration { of, poses, actions }
     };

@@ -155,7 +155,7 @@ fn an_arm_decides_what_the_memory_is_built_from() {
         let irrelevant = CASES
             .iter()
             .flat_map(|&case| all.cases.cases[case as usize].mixed(Mixture::Irrelevant));
-        let names = |of: warehouse::History| (of.case as u32, of.kind as u16);
+        let names = |of: warehouse::History| (of.case as u32, of.start as u16);
         assert!(irrelevant.map(names).any(|of| of == (made.case, made.number)));
     }
     let unknown = crate::worlds::BankOrigin::new(Arm::Frozen, 1, 0, Demonstrations::ORIGINAL);

@@ -31,7 +31,7 @@ fn check(
     if let Some(((last_view, last_action), before)) = segment.split_last() {
         let (case, number, step) = source.expect("a match");
         let is_source = |demonstration: &&ReplayedDemonstration| {
-            (demonstration.of.case as u32, demonstration.of.kind as u16) == (case, number)
+            (demonstration.of.case as u32, demonstration.of.start as u16) == (case, number)
         };
         let demonstration =
             demonstrations.iter().find(is_source).expect("a demonstration of the set");
