@@ -14,9 +14,9 @@ use peer::memory::{EpisodeEnd, MemoryItem};
 use search::Embedding;
 use shm_types::description::Scope;
 use shm_types::message::{
-    DocumentId, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore,
-    ExternalStored, MAX_FOLDER, MAX_SUB_GOALS, MemoryEpisodeConfig, NO_DOCUMENT, NOT_MEASURED,
-    shortened_reason, write_text,
+    DocumentId, EpisodeOutcome, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery,
+    ExternalStore, ExternalStored, MAX_FOLDER, MAX_SUB_GOALS, MemoryEpisodeConfig, NO_DOCUMENT,
+    NOT_MEASURED, shortened_reason, write_text,
 };
 use shm_types::{BankContent, MemoryDescription, Note, NoteTooLong};
 use warehouse::{CaseSet, Warehouse};
@@ -370,7 +370,7 @@ impl ExternalMemories {
             self.outbox.push((index, ToExternal::Episode(episode_message(episode, bank))));
         }
         let mut message = query_message(episode, now, None, true);
-        message.outcome = end.success.map_or(0, |success| 1 + u8::from(success));
+        message.outcome = EpisodeOutcome::of(end.success) as u8;
         message.demonstration = end.demonstration.unwrap_or_default();
         message.sub_goals_len = NOT_MEASURED;
         if let Some(steps) = end.sub_goals.filter(|steps| steps.len() <= MAX_SUB_GOALS) {

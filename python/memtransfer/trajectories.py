@@ -128,7 +128,8 @@ class Recording:
         return _trajectories(self._run.demonstrations())
 
     def floor(self, variant: int) -> NDArray[np.bool_]:
-        """Returns which cells of a world are free floor, as (rows, columns), row 0 in the south."""
+        """Returns which cells of a world are free floor, as (rows, columns), row 0 in the south. Cells of a closed passage
+        are not."""
         return np.array([[square == "." for square in row] for row in self._run.floor(variant)])
 
     def views(self, trajectory: Trajectory) -> NDArray[np.uint8]:

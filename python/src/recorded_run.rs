@@ -151,12 +151,12 @@ impl RecordedRun {
     }
 
     /// The floor of world variant `variant`: a text for each row from row 0, the most southern, with `.` for free floor
-    /// and `#` for anything else. Barricades are not among it.
+    /// and `#` for anything else: racks, walls, and the barricades of a closed passage.
     fn floor(&self, variant: u32) -> PyResult<Vec<String>> {
         let layout = self.world.layout(variant);
         let layout = layout.ok_or_else(|| PyValueError::new_err("there is no such world"))?;
-        let square = |x, y| if layout.is_free(Cell { x, y }) { '.' } else { '#' };
-        let row = |y| (0..layout.width()).map(|x| square(x, y)).collect();
+        let is_free = |x, y| self.world.is_free(variant, Cell { x, y }) == Some(true);
+        let row = |y| (0..layout.width()).map(|x| if is_free(x, y) { '.' } else { '#' }).collect();
         Ok((0..layout.height()).map(row).collect())
     }
 

@@ -67,8 +67,9 @@ for action, reward in zip(demonstration.actions, demonstration.rewards):
 # Rerun
 verified = subprocess.run([sys.executable, "-m", "rerun", "rrd", "verify", rrd])
 assert verified.returncode == 0
+reader = rerun.chunk.RrdReader(rrd)
 columns = {}
-for chunk in rerun.chunk.RrdReader(rrd).stream():
+for chunk in reader.stream():
     assert set(chunk.timeline_names) <= {"step"}
     table = chunk.to_record_batch()
     for name in table.schema.names:
@@ -88,6 +89,19 @@ for trajectory in trajectories:
     assert len(columns[f"{entity}/map/path", "LineStrips2D:strips"]) == len(views)
     words = [text for [text] in columns[f"{entity}/events", "TextLog:text"].values()]
     assert words
+
+# The views of the layout, each over something that was logged.
+[layout] = reader.blueprints()
+tables = [chunk.to_record_batch() for chunk in reader.stream(store=layout)]
+origins = [
+    origin
+    for table in tables
+    if "ViewBlueprint:space_origin" in table.schema.names
+    for [origin] in table.column("ViewBlueprint:space_origin").to_pylist()
+]
+views = ["camera", "map", "events", "pose"]
+wanted = ["/".join([trajectory.id, view]) for trajectory in trajectories for view in views]
+assert sorted(origin.lstrip("/") for origin in origins) == sorted(wanted)
 
 # Croissant
 validated = subprocess.run(

@@ -72,6 +72,9 @@ def test_a_run_is_read_and_its_views_are_rendered() -> None:
     assert recording.policy_label == "grounded, scripted stand-in"
     floor = recording.floor(episode.variant)
     assert all(floor[row, column] for column, row, _ in episode.poses.tolist())
+    blocked = next(one for one in recording.episodes() if one.closed)
+    assert not any(recording.floor(blocked.variant)[row, column] for column, row in blocked.closed)
+    assert all(recording.floor(0)[row, column] for column, row in blocked.closed)
     demonstration = recording.demonstrations()[0]
     assert demonstration.record is None and demonstration.success
     assert demonstration.sub_goals[-1] == len(demonstration.actions)

@@ -12,12 +12,13 @@
 //! # Leaving
 //! Messages outlive the [`Bus`] that sent them only for receivers that are connected, that is, that have looked at
 //! their queue since the sender was created. So that the last messages of a process always arrive, it creates the
-//! senders for them when it joins, and the receiver of a [`Handshake`] connects all its own receivers.
+//! senders for them when it joins, and the process that gets its [`Handshake`] connects all its own receivers
+//! ([`HandshakeReceiver`]).
 //!
 //! Everything here is thread-safe. A process normally keeps it on one thread and passes
 //! [`Frame`](crate::frames::Frame)s to others.
 
-use std::any::{Any, TypeId};
+use std::any::Any;
 use std::collections::HashMap;
 use std::fmt::Debug;
 use std::fs::File;
@@ -213,7 +214,15 @@ impl Bus {
         self.receivers.add(port.clone());
         let senders = if is_private::<M>() { 1 } else { self.attach.places(M::FROM) };
         let most = self.attach.queue_len(M::TRAFFIC) * senders;
-        Ok(Receiver { port, most, all: self.receivers.clone() })
+        Ok(Receiver { port, most })
+    }
+
+    /// The receiver of handshakes.
+    ///
+    /// # Errors
+    /// As [`Self::receiver`].
+    pub fn handshake_receiver(&self) -> Result<HandshakeReceiver, BusError> {
+        Ok(HandshakeReceiver { receiver: self.receiver()?, all: self.receivers.clone() })
     }
 
     /// Checks that this process has one of `roles`, which may `verb` on the service.
@@ -295,7 +304,6 @@ pub struct Receiver<M: Message> {
     port: Arc<dyn ReceiverPort<M>>,
     /// Maximum number of messages that can wait at the same time: a queue for each sender.
     most: usize,
-    all: Arc<AllReceivers>,
 }
 
 impl Receiver<Stop> {
@@ -314,12 +322,7 @@ impl<M: Message> Receiver<M> {
     /// # Errors
     /// When the transport fails.
     pub fn next(&self) -> Result<Option<M>, BusError> {
-        let message = self.next_with(|message| *message)?;
-        // Decided at compile time.
-        if message.is_some() && TypeId::of::<M>() == TypeId::of::<Handshake>() {
-            self.all.connect()?;
-        }
-        Ok(message)
+        self.next_with(|message| *message)
     }
 
     /// All waiting messages, in order. At most as many as the queue holds, so that a sender that never stops cannot
@@ -348,6 +351,40 @@ impl<M: Message> Receiver<M> {
         let (mut look, mut result) = (Some(look), None);
         self.port.receive(&mut |message| result = look.take().map(|look| look(message)))?;
         Ok(result)
+    }
+}
+
+/// Receives handshakes, and connects all receivers of this process to a process that sent one, so that the last messages of
+/// that process arrive.
+#[derive(Debug)]
+pub struct HandshakeReceiver {
+    receiver: Receiver<Handshake>,
+    all: Arc<AllReceivers>,
+}
+
+impl HandshakeReceiver {
+    /// The next waiting handshake, if there is one. Never blocks.
+    ///
+    /// # Errors
+    /// When the transport fails, or a receiver of this process cannot connect.
+    pub fn next(&self) -> Result<Option<Handshake>, BusError> {
+        let handshake = self.receiver.next()?;
+        if handshake.is_some() {
+            self.all.connect()?;
+        }
+        Ok(handshake)
+    }
+
+    /// All waiting handshakes, in order.
+    ///
+    /// # Errors
+    /// As [`HandshakeReceiver::next`].
+    pub fn drain(&self) -> Result<Vec<Handshake>, BusError> {
+        let handshakes = self.receiver.drain()?;
+        if !handshakes.is_empty() {
+            self.all.connect()?;
+        }
+        Ok(handshakes)
     }
 }
 

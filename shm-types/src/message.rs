@@ -23,7 +23,10 @@ mod pose;
 mod route;
 mod text;
 
-pub use codes::{CODE_SETS, ErrorReportKind, ItemKind, Learning, Role, StepKind, ViewRequestKind};
+pub use codes::{
+    CODE_SETS, EpisodeOutcome, ErrorReportKind, ItemKind, Learning, Role, StepKind,
+    ViewRequestKind, read_action, read_flag,
+};
 pub use counts::DecisionCounts;
 pub use parts::*;
 pub use pose::WirePose;
@@ -214,8 +217,10 @@ messages! {
         lane: u32,
         /// Index of the case.
         case: u32,
-        /// The demonstrations in memory: bits 0 to 3 the case's own (original, opposite, nearby, distant), bit 4 its
-        /// irrelevant histories, bit 5 its confusable ones.
+        /// The demonstrations in memory. Bits 0 to 3: the case's own (original, opposite, nearby, distant). Bit 4: its
+        /// irrelevant histories. Bit 5: its confusable ones. Bit 6: the one after the case's passage has closed. Bit 7:
+        /// that one comes first. Bit 8: the one of another warehouse. Bits 16 to 31: the size of a bank of the case's
+        /// own and others.
         demonstrations: u32,
         /// Code of the [`Representation`](domain::Representation), or [`EXTERNAL`].
         representation: u8,
@@ -290,7 +295,8 @@ messages! {
         frame: FrameId,
         /// To pin: the view's pose.
         pose: WirePose,
-        /// To pin: the view's world variant, as in [`StepCommand`].
+        /// To pin: the view's world variant, as in [`StepCommand`], or 4294967295 for the other warehouse, in which no
+        /// episode takes place.
         variant: u32,
         /// A [`ViewRequestKind`] code.
         kind: u8,
@@ -450,7 +456,7 @@ messages! {
         action: u8,
         /// 1 when the episode is over: no answer is awaited.
         last: u8,
-        /// With `last`, if the memory learns from the episode: 1 the task was not completed, 2 it was; 0: it is not told.
+        /// With `last`, if the memory learns from the episode: an [`EpisodeOutcome`] code.
         outcome: u8,
         /// Zero.
         reserved: [u8; 4],

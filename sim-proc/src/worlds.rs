@@ -173,7 +173,9 @@ fn distinct<T, K: Eq + Hash>(all: Vec<T>, key: impl Fn(&T) -> K) -> (Vec<T>, Vec
 
 #[cfg(test)]
 mod tests {
-    use domain::Cell;
+    use domain::{Cell, DemonstrationKind, Demonstrations};
+    use shm_types::layout::WireLayout;
+    use shm_types::message::{MemoryEpisodeConfig, RecalledSource, ViewRequest};
     use warehouse::{Elsewhere, StockChange, WorldChange};
 
     use super::*;
@@ -232,5 +234,48 @@ mod tests {
         assert_eq!(worlds.variant(first + 4), None);
         let standpoint = warehouse.items[3].standpoint;
         assert_eq!(worlds.stocks[1].item_at(standpoint), None);
+    }
+
+    #[test]
+    fn the_reference_of_the_wire_names_every_demonstration_by_its_code() {
+        let doc = |message: shm_types::layout::Struct, field: &str| {
+            let found = message.fields.iter().find(|found| found.name == field).unwrap();
+            found.doc.split_whitespace().collect::<Vec<_>>().join(" ")
+        };
+        let kinds = DemonstrationKind::ALL.map(|kind| format!("{} {}", kind as u16, kind.name()));
+        let source = doc(RecalledSource::LAYOUT, "demonstration");
+        assert!(source.contains(&kinds.join(", ")), "{source}");
+
+        let own: u32 = DemonstrationKind::OWN.iter().map(|&kind| 1 << kind as u32).sum();
+        let bit = |set: Demonstrations, without: Demonstrations| {
+            let bits = set.bits() & !without.bits();
+            assert_eq!(bits.count_ones(), 1, "{set}");
+            bits.trailing_zeros()
+        };
+        let pair = Demonstrations::from_bits(0b11).unwrap();
+        let set = doc(MemoryEpisodeConfig::LAYOUT, "demonstrations");
+        for told in [
+            format!("Bits 0 to {}: the case's own", own.trailing_ones() - 1),
+            DemonstrationKind::OWN.map(DemonstrationKind::name).join(", "),
+            format!("Bit {}: its irrelevant", bit(Demonstrations::IRRELEVANT, pair)),
+            format!("Bit {}: its confusable", bit(Demonstrations::CONFUSABLE, pair)),
+            format!("Bit {}: the one after", bit(Demonstrations::AFTER, Demonstrations::NONE)),
+            format!(
+                "Bit {}: that one comes first",
+                bit(Demonstrations::AFTER_BEFORE, Demonstrations::BEFORE_AFTER)
+            ),
+            format!(
+                "Bit {}: the one of another",
+                bit(Demonstrations::ELSEWHERE, Demonstrations::NONE)
+            ),
+            format!(
+                "Bits {} to 31: the size of a bank",
+                Demonstrations::bank(1).bits().trailing_zeros()
+            ),
+        ] {
+            assert!(set.contains(&told), "{told:?} is not in {set:?}");
+        }
+        let variant = doc(ViewRequest::LAYOUT, "variant");
+        assert!(variant.contains(&ELSEWHERE_VARIANT.to_string()), "{variant}");
     }
 }

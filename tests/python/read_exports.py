@@ -64,10 +64,11 @@ def read_mcap(path, records):
 
 
 def read_mcap_in_rerun(path):
-    """Rerun converts it, and finds pictures, transforms and events."""
+    """Rerun converts it, holds the result to be valid, and finds pictures, transforms and events."""
     converted = path.with_suffix(".rrd")
     rerun = [sys.executable, "-m", "rerun"]
     subprocess.run([*rerun, "mcap", "convert", path, "-o", converted], check=True, capture_output=True)
+    subprocess.run([*rerun, "rrd", "verify", converted], check=True, capture_output=True)
     shown = subprocess.run([*rerun, "rrd", "print", "-vv", converted], check=True, capture_output=True, text=True)
     for archetype in ["EncodedImage", "Transform3D", "InstancePoses3D", "TextLog"]:
         assert archetype in shown.stdout, f"Rerun shows no {archetype}"
@@ -112,7 +113,8 @@ def main(run, exports):
     read_mcap(exports / "all.mcap", records)
     files = sorted((exports / "episodes").iterdir())
     assert len(files) == 1
-    read_mcap_in_rerun(files[0])
+    for path in [files[0], exports / "all.mcap"]:
+        read_mcap_in_rerun(path)
     read_tables(exports / "tables", records)
     read_hub(exports / "hub", records)
 

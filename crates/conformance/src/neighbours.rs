@@ -6,12 +6,11 @@ use std::time::Duration;
 use bytemuck::Zeroable;
 use shm_types::message::{
     Decision, ErrorReport, Eviction, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery,
-    ExternalStore, ExternalStored, FrameId, Handshake, Message, Observation, Role, ShutdownReport,
-    Stop,
+    ExternalStore, ExternalStored, FrameId, Message, Observation, Role, ShutdownReport, Stop,
 };
 use shm_types::{
     Attach, BankPublisher, Bus, BusError, DocumentPublisher, FrameError, FramePublisher,
-    NoteReceiver, Notifier, Receiver, Sender,
+    HandshakeReceiver, NoteReceiver, Notifier, Receiver, Sender,
 };
 
 /// The longest time that [`Neighbours::wait`] waits.
@@ -21,7 +20,7 @@ pub const TICK: Duration = Duration::from_millis(2);
 #[derive(Debug)]
 pub struct Neighbours {
     /// Handshakes of the subject.
-    pub handshakes: Receiver<Handshake>,
+    pub handshakes: HandshakeReceiver,
     /// Error reports of the subject.
     pub error_reports: Receiver<ErrorReport>,
     /// Shutdown reports of the subject.
@@ -43,7 +42,7 @@ impl Neighbours {
         let orchestrator = bus(Role::Orchestrator)?;
         let others = Role::CHILDREN.into_iter().filter(|role| *role != subject);
         Ok(Self {
-            handshakes: orchestrator.receiver()?,
+            handshakes: orchestrator.handshake_receiver()?,
             error_reports: orchestrator.receiver()?,
             shutdown_reports: orchestrator.receiver()?,
             observations: orchestrator.receiver()?,

@@ -471,6 +471,70 @@ fn a_memory_learns_from_an_episode_and_is_saved_and_loaded() {
 }
 
 #[test]
+fn an_end_with_an_unknown_code_is_an_error_of_that_episode() {
+    let mut rig = Rig::new();
+    let frames = [10, 20, 30].map(|grey| rig.publish(grey));
+    rig.publish_bank(5, &bank(frames, "Find a barrel."));
+    rig.told();
+    let folder = tempfile::tempdir().unwrap();
+    let last = ExternalQuery { last: 1, sub_goals_len: NOT_MEASURED, ..query(0, 0, 0, NO_FRAME) };
+    let unknown_outcome =
+        "3 is not an outcome of an episode (0 not told, 1 not completed, 2 completed)";
+    for (episode, end, reason) in [
+        (41, ExternalQuery { outcome: 3, ..last }, unknown_outcome),
+        (42, ExternalQuery { sub_goals_len: 25, ..last }, "25 sub-goals are too many"),
+        (43, ExternalQuery { action: 9, ..last }, "9 is not an action (0 to 6)"),
+    ] {
+        rig.begin_as(Learning::Learns, 0, episode, 5);
+        rig.ask(&ExternalQuery { episode, ..end });
+        rig.send_store(5, false, folder.path());
+        let (stored, note) = (rig.stored(), rig.note());
+        assert_eq!((stored.bank, stored.failure), (5, note.header.id));
+        assert_eq!(String::from_utf8_lossy(&note.bytes), reason);
+        let mut told = rig.told.try_iter();
+        assert!(!told.any(|told| told.starts_with("learned from")), "of episode {episode}");
+    }
+
+    // The memory goes on with the next episode.
+    rig.begin_as(Learning::Learns, 0, 44, 5);
+    rig.ask(&ExternalQuery { episode: 44, outcome: 1, ..last });
+    for told in ["episode 44", "44 ended at step 0", "learned from 44 as 0: Some(false) None"] {
+        let heard = rig.told();
+        assert!(heard.starts_with(told), "{heard}");
+    }
+    rig.stop();
+}
+
+#[test]
+fn a_query_with_an_unknown_code_fails_its_episode() {
+    let mut rig = Rig::new();
+    let frames = [10, 20, 30].map(|grey| rig.publish(grey));
+    rig.publish_bank(5, &bank(frames, "Find a barrel."));
+    let now = query(0, 0, 0, frames[0]);
+    for (episode, asked, reason) in [
+        (41, ExternalQuery { action: 9, ..now }, "9 is not an action (0 to 6)"),
+        (42, ExternalQuery { last: 2, ..now }, "2 is not a flag (0 no, 1 yes)"),
+        (
+            43,
+            ExternalQuery { embedding_len: 1025, ..now },
+            "an embedding of 1025 numbers is too long",
+        ),
+    ] {
+        rig.begin(0, episode, 5);
+        rig.ask(&ExternalQuery { episode, ..asked });
+        assert_eq!(rig.answer().failed, 1);
+        assert_eq!(String::from_utf8_lossy(&rig.note().bytes), reason);
+    }
+    let mut message = ExternalStore { bank: 5, loads: 2, ..Zeroable::zeroed() };
+    message.folder_len = write_text(&mut message.folder, "/nowhere");
+    rig.rig.neighbours.stores.send(&message).unwrap();
+    rig.rig.notify();
+    assert!(rig.stored().failure > 0);
+    assert_eq!(rig.note().bytes, b"2 is not a flag (0 no, 1 yes)");
+    rig.stop();
+}
+
+#[test]
 fn a_folder_that_is_not_a_memory_s_is_refused() {
     let description = MemoryDescription { name: "x".to_owned(), ..MemoryDescription::default() };
     let never = || -> Recorder { unreachable!() };

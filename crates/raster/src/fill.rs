@@ -3,6 +3,8 @@
 //! Corners are snapped to a sub-pixel grid and coverage is decided in integers. A sample on an edge that two quads share
 //! belongs to exactly one of them, so no gap opens between them and no sample is drawn twice.
 
+use std::ops::Range;
+
 use fearless_simd::{
     Bytes, Select, Simd, SimdBase, SimdMask, f32x4, f32x16, f64x4, i32x16, mask32x16, u32x16, u64x4,
 };
@@ -191,6 +193,12 @@ fn between(from: [f64; 2], to: [f64; 2]) -> [f64; 2] {
     [to[0] - from[0], to[1] - from[1]]
 }
 
+/// The values of a corner that are interpolated.
+#[inline(always)]
+fn values<V: Simd>(simd: V, corner: &Corner) -> f32x4<V> {
+    f32x4::load_array_ref(simd, &corner.values)
+}
+
 /// Values that are linear in the image: nearness, and three values divided by distance.
 pub(super) struct Plane<V: Simd> {
     /// The position of `start`, in pixels.
@@ -205,7 +213,13 @@ pub(super) struct Plane<V: Simd> {
 
 impl<V: Simd> Plane<V> {
     #[inline(always)]
-    fn new(simd: V, corners: [&Corner; 4], whole: [[f64; 2]; 4], area: f64, one: f64) -> Self {
+    fn new(
+        simd: V,
+        corners: [&Corner; 4],
+        whole: [[f64; 2]; 4],
+        area: f64,
+        steps_per_pixel: f64,
+    ) -> Self {
         let [a, b, c, d] = corners;
         let fine = [a.fine(), b.fine(), c.fine(), d.fine()];
         let fine_area = doubled_quad_area(fine);
@@ -213,11 +227,11 @@ impl<V: Simd> Plane<V> {
         let is_sliver = (fine_area - area).abs() > 0.5 * area;
         let ([pa, pb, pc, pd], area) = if is_sliver { (whole, area) } else { (fine, fine_area) };
         // What changes along the diagonals determines the plane, and it passes through the mean of the corners.
-        let over_area = one / area;
+        let over_area = steps_per_pixel / area;
         let (ac, bd) = (between(pa, pc), between(pb, pd));
         let ac = [ac[0] * over_area, ac[1] * over_area];
         let bd = [bd[0] * over_area, bd[1] * over_area];
-        let quarter = 0.25 / one;
+        let quarter = 0.25 / steps_per_pixel;
         let from =
             [(pa[0] + pb[0] + pc[0] + pd[0]) * quarter, (pa[1] + pb[1] + pc[1] + pd[1]) * quarter];
         let (na, nb) = (f64::from(a.nearness), f64::from(b.nearness));
@@ -225,10 +239,10 @@ impl<V: Simd> Plane<V> {
         let (to_c, to_d) = (nc - na, nd - nb);
         let nearness =
             [(na + nb + nc + nd) * 0.25, to_c * bd[1] - to_d * ac[1], to_d * ac[0] - to_c * bd[0]];
-        let va = f32x4::load_array_ref(simd, &a.values) * a.nearness;
-        let vb = f32x4::load_array_ref(simd, &b.values) * b.nearness;
-        let vc = f32x4::load_array_ref(simd, &c.values) * c.nearness;
-        let vd = f32x4::load_array_ref(simd, &d.values) * d.nearness;
+        let va = values(simd, a) * a.nearness;
+        let vb = values(simd, b) * b.nearness;
+        let vc = values(simd, c) * c.nearness;
+        let vd = values(simd, d) * d.nearness;
         let (to_c, to_d) = (vc - va, vd - vb);
         Self {
             from,
@@ -261,8 +275,11 @@ pub(super) struct Quad<V: Simd, const M: usize> {
     pub(super) slopes: [f32x16<V>; 4],
     /// The change of nearness from the centre of a pixel to its samples.
     depths: [f32; M],
-    /// To the farthest sample of a block.
+    /// To the farthest and to the nearest sample of a block.
     deepest: DepthOffset,
+    shallowest: DepthOffset,
+    /// The nearness of the nearest corner.
+    nearest: f32,
     /// The change of each edge function to each pixel of a block, and to the samples of a pixel.
     lanes: [i32x16<V>; 4],
     samples: [[i32; M]; 4],
@@ -290,132 +307,163 @@ impl DepthOffset {
 const COLUMN: PixelLanes<f32> = [0., 1., 2., 3., 0., 1., 2., 3., 0., 1., 2., 3., 0., 1., 2., 3.];
 const LINE: PixelLanes<f32> = [0., 0., 0., 0., 1., 1., 1., 1., 2., 2., 2., 2., 3., 3., 3., 3.];
 
+impl<V: Simd, const M: usize> Quad<V, M> {
+    /// The quad with these corners, which are at `whole` on the grid and enclose half of `area`; not 0.
+    #[inline(always)]
+    fn new(
+        simd: V,
+        corners: [&Corner; 4],
+        whole: [[f64; 2]; 4],
+        area: f64,
+        edges: &Edges<V>,
+        bits: u32,
+    ) -> Self {
+        let steps_per_pixel = f64::from(1_u32 << bits);
+        let plane = Plane::new(simd, corners, whole, area, steps_per_pixel);
+        let (rights, downs) = (plane.right.to_array(), plane.down.to_array());
+        let mut slopes = [f32x16::splat(simd, 0.0); 4];
+        for value in 0..4 {
+            slopes[value] = f32x16::load_array(simd, COLUMN) * rights[value]
+                + f32x16::load_array(simd, LINE) * downs[value];
+        }
+        let mut depths = [0.0; M];
+        for (depth, [x, y]) in depths.iter_mut().zip(samples::<M>()) {
+            *depth = (rights[0] * (x - 8) as f32 + downs[0] * (y - 8) as f32) / 16.0;
+        }
+        // Rounding keeps order, so these are the extremes of what is computed for the lanes.
+        let [across, along] = [rights[0], downs[0]].map(|change| change * (SIDE - 1) as f32);
+        let deepest = DepthOffset {
+            pixel: less_f32(across, 0.0) + less_f32(along, 0.0),
+            sample: depths.into_iter().fold(f32::INFINITY, less_f32),
+        };
+        let shallowest = DepthOffset {
+            pixel: more_f32(across, 0.0) + more_f32(along, 0.0),
+            sample: depths.into_iter().fold(f32::NEG_INFINITY, more_f32),
+        };
+
+        let edge_rights = (edges.x + TO_BITS).bitcast::<u64x4<V>>().to_array();
+        let edge_downs = (edges.y + TO_BITS).bitcast::<u64x4<V>>().to_array();
+        let mut lanes = [i32x16::splat(simd, 0); 4];
+        let mut sample_offsets = [[0; M]; 4];
+        for edge in 0..4 {
+            let (right, down) = (edge_rights[edge] as i32, edge_downs[edge] as i32);
+            lanes[edge] = edge_lanes(simd, right, down, bits);
+            for (offset, [x, y]) in sample_offsets[edge].iter_mut().zip(samples::<M>()) {
+                let (x, y) = (x << (bits - 4), y << (bits - 4));
+                *offset = right.wrapping_mul(x).wrapping_add(down.wrapping_mul(y));
+            }
+        }
+
+        let [a, b, c, d] = corners;
+        let (a_values, b_values) = (values(simd, a), values(simd, b));
+        let (c_values, d_values) = (values(simd, c), values(simd, d));
+        Self {
+            plane,
+            slopes,
+            depths,
+            deepest,
+            shallowest,
+            nearest: more_f32(more_f32(a.nearness, b.nearness), more_f32(c.nearness, d.nearness)),
+            lanes,
+            samples: sample_offsets,
+            least: a_values.min(b_values).min(c_values.min(d_values)).to_array(),
+            most: a_values.max(b_values).max(c_values.max(d_values)).to_array(),
+        }
+    }
+}
+
+/// The blocks of a quad's bounding box: first and last column and row.
+struct BlockRange {
+    first: [i32; 2],
+    last: [i32; 2],
+}
+
+impl BlockRange {
+    /// The blocks around these corners. `None` if no sample lies in the box.
+    #[inline(always)]
+    fn around<const M: usize>(
+        [a, b, c, d]: [&Corner; 4],
+        bits: u32,
+        canvas: &SampledImage<M>,
+    ) -> Option<Self> {
+        let low = [
+            a.at[0].min(b.at[0]).min(c.at[0].min(d.at[0])),
+            a.at[1].min(b.at[1]).min(c.at[1].min(d.at[1])),
+        ];
+        let high = [
+            a.at[0].max(b.at[0]).max(c.at[0].max(d.at[0])),
+            a.at[1].max(b.at[1]).max(c.at[1].max(d.at[1])),
+        ];
+        if misses_samples::<M>(low[0], high[0], bits) || misses_samples::<M>(low[1], high[1], bits)
+        {
+            return None;
+        }
+        let to_block = bits + SIDE.trailing_zeros();
+        let first = [(low[0] >> to_block).max(0), (low[1] >> to_block).max(0)];
+        let last = [
+            (high[0] >> to_block).min(canvas.columns as i32 - 1),
+            (high[1] >> to_block).min(canvas.rows as i32 - 1),
+        ];
+        (first[0] <= last[0] && first[1] <= last[1]).then_some(Self { first, last })
+    }
+
+    /// The columns of blocks that the edges may cover in a row in whose first column the edge functions are `row_start`.
+    #[inline(always)]
+    fn columns<V: Simd>(&self, simd: V, edges: &Edges<V>, row_start: f64x4<V>) -> Range<usize> {
+        let (first, last) = (self.first[0], self.last[0]);
+        if last - first < SLIM {
+            return first as usize..last as usize + 1;
+        }
+        let [low, high] = edges.narrow(simd, row_start, f64::from(first), f64::from(last));
+        if low > high {
+            return 0..0;
+        }
+        // A block that an edge crosses is kept.
+        to_whole(low.ceil()) as usize..to_whole(high.floor()) as usize + 1
+    }
+}
+
+/// Draws a quad whose corners are clockwise in the image's coordinates, whose rows count downwards.
 #[inline(always)]
 fn fill<V: Simd, const M: usize, H: Shader>(
     simd: V,
     canvas: &mut SampledImage<M>,
     grid: &Grid,
-    [a, b, c, d]: [&Corner; 4],
+    corners: [&Corner; 4],
     shader: &H,
 ) {
-    let bits = grid.bits;
-    // Nothing to draw if the quad lies between samples.
-    let low = [
-        a.at[0].min(b.at[0]).min(c.at[0].min(d.at[0])),
-        a.at[1].min(b.at[1]).min(c.at[1].min(d.at[1])),
-    ];
-    let high = [
-        a.at[0].max(b.at[0]).max(c.at[0].max(d.at[0])),
-        a.at[1].max(b.at[1]).max(c.at[1].max(d.at[1])),
-    ];
-    if misses_samples::<M>(low[0], high[0], bits) || misses_samples::<M>(low[1], high[1], bits) {
-        return;
-    }
-    // The blocks of its bounding box.
-    let to_block = bits + SIDE.trailing_zeros();
-    let first = [(low[0] >> to_block).max(0), (low[1] >> to_block).max(0)];
-    let last = [
-        (high[0] >> to_block).min(canvas.columns as i32 - 1),
-        (high[1] >> to_block).min(canvas.rows as i32 - 1),
-    ];
-    if first[0] > last[0] || first[1] > last[1] {
-        return;
-    }
+    let Some(range) = BlockRange::around(corners, grid.bits, canvas) else { return };
+    let [a, b, c, d] = corners;
     let whole = [a.whole(), b.whole(), c.whole(), d.whole()];
     let area = doubled_quad_area(whole);
     if area <= 0.0 {
         return;
     }
-
-    let one = f64::from(1_u32 << bits);
-    let step = SIDE as f64 * one;
-    let edges = Edges::new(simd, whole, step);
-
-    let plane = Plane::new(simd, [a, b, c, d], whole, area, one);
-    let [va, vb, vc, vd] = [
-        f32x4::load_array_ref(simd, &a.values),
-        f32x4::load_array_ref(simd, &b.values),
-        f32x4::load_array_ref(simd, &c.values),
-        f32x4::load_array_ref(simd, &d.values),
-    ];
-
-    let (rights, downs) = (plane.right.to_array(), plane.down.to_array());
-    let mut slopes = [f32x16::splat(simd, 0.0); 4];
-    for i in 0..4 {
-        slopes[i] = f32x16::load_array(simd, COLUMN) * rights[i]
-            + f32x16::load_array(simd, LINE) * downs[i];
-    }
-    let x = (edges.x + TO_BITS).bitcast::<u64x4<V>>().to_array();
-    let y = (edges.y + TO_BITS).bitcast::<u64x4<V>>().to_array();
-    let mut depths = [0.0; M];
-    for (depth, [dx, dy]) in depths.iter_mut().zip(samples::<M>()) {
-        *depth = (rights[0] * (dx - 8) as f32 + downs[0] * (dy - 8) as f32) / 16.0;
-    }
-    // Rounding keeps order, so these are the extremes of what is computed for the lanes.
-    let [across, along] = [rights[0], downs[0]].map(|change| change * (SIDE - 1) as f32);
-    let deepest = DepthOffset {
-        pixel: less_f32(across, 0.0) + less_f32(along, 0.0),
-        sample: depths.into_iter().fold(f32::INFINITY, less_f32),
-    };
-    let shallowest = DepthOffset {
-        pixel: more_f32(across, 0.0) + more_f32(along, 0.0),
-        sample: depths.into_iter().fold(f32::NEG_INFINITY, more_f32),
-    };
-    let mut offsets = [[0; M]; 4];
-    let mut lanes = [i32x16::splat(simd, 0); 4];
-    for i in 0..4 {
-        let (right, down) = (x[i] as i32, y[i] as i32);
-        lanes[i] = edge_lanes(simd, right, down, bits);
-        for (offset, [dx, dy]) in offsets[i].iter_mut().zip(samples::<M>()) {
-            let (dx, dy) = (dx << (bits - 4), dy << (bits - 4));
-            *offset = right.wrapping_mul(dx).wrapping_add(down.wrapping_mul(dy));
-        }
-    }
-    let quad = Quad {
-        plane,
-        slopes,
-        depths,
-        deepest,
-        lanes,
-        samples: offsets,
-        least: va.min(vb).min(vc.min(vd)).to_array(),
-        most: va.max(vb).max(vc.max(vd)).to_array(),
-    };
-
-    let nearest = more_f32(more_f32(a.nearness, b.nearness), more_f32(c.nearness, d.nearness));
-    let is_slim = last[0] - first[0] < SLIM;
-    for row in first[1]..=last[1] {
-        let starts = edges.start + edges.y * (f64::from(row) * step);
-        let (begin, end) = if is_slim {
-            (first[0] as usize, last[0] as usize + 1)
-        } else {
-            let [low, high] = edges.narrow(simd, starts, f64::from(first[0]), f64::from(last[0]));
-            if low > high {
-                continue;
-            }
-            // A block that an edge crosses is kept.
-            (to_whole(low.ceil()) as usize, to_whole(high.floor()) as usize + 1)
-        };
+    let steps_per_block = SIDE as f64 * f64::from(1_u32 << grid.bits);
+    let edges = Edges::new(simd, whole, steps_per_block);
+    let quad = Quad::new(simd, corners, whole, area, &edges, grid.bits);
+    let background = canvas.background();
+    for row in range.first[1]..=range.last[1] {
+        let row_start = edges.start + edges.y * (f64::from(row) * steps_per_block);
+        let columns = range.columns(simd, &edges, row_start);
         let y = f64::from(row) * SIDE as f64 + 0.5;
-        let background = canvas.background();
-        let mut column = begin as f64 - 1.0;
-        for (block, state) in canvas.blocks(row as usize, begin..end) {
+        let mut column = columns.start as f64 - 1.0;
+        for (block, state) in canvas.blocks(row as usize, columns) {
             column += 1.0;
             let at = [column * SIDE as f64 + 0.5, y];
             let nearness = quad.plane.nearness(at);
-            if !state.may_show(less_f32(shallowest.from(nearness), nearest)) {
+            if !state.may_show(less_f32(quad.shallowest.from(nearness), quad.nearest)) {
                 continue;
             }
-            let here = starts + edges.x * (column * step);
-            if here.simd_lt(-edges.rise).any_true() {
+            let block_start = row_start + edges.x * (column * steps_per_block);
+            if block_start.simd_lt(-edges.rise).any_true() {
                 continue;
             }
-            let crossing = here.simd_lt(-edges.fall);
+            let crossing = block_start.simd_lt(-edges.fall).to_bitmask();
             // Far inside an edge the value is clamped to one that fits into 32 bits.
-            let here = here.min(-edges.fall) + TO_BITS;
-            let inside = here.bitcast::<u64x4<V>>().to_array();
+            let inside = block_start.min(-edges.fall) + TO_BITS;
+            let inside = inside.bitcast::<u64x4<V>>().to_array();
             let inside = [inside[0] as i32, inside[1] as i32, inside[2] as i32, inside[3] as i32];
-            let crossing = crossing.to_bitmask();
             let part = QuadPart { simd, quad: &quad, at, nearness, inside, crossing };
             part.draw(shader, block, state, background);
         }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::io;
 
 use anyhow::{Context, Result};
-use domain::Pose;
+use domain::{Cell, Pose};
 use results::conditions::{Frames, Route};
 use results::log::{ELSEWHERE_FILE, ELSEWHERE_HASH, EpisodeRecord, RunLog, STREAMS_FILE};
 use warehouse::{
@@ -112,7 +112,7 @@ impl RunWorld {
         }
     }
 
-    /// The closed passages of the world variant with this number.
+    /// The closed passages of the world variant with this number; none in the other warehouse.
     fn closed(&self, variant: u32) -> Variant {
         let Some(index) = variant.checked_sub(1).map(|index| index as usize) else {
             return Variant::UNCHANGED;
@@ -166,6 +166,13 @@ impl RunWorld {
         (variant == GREY_VARIANT || (variant as usize) < count).then_some(&self.warehouse.layout)
     }
 
+    /// Whether a robot can stand on `cell` in the world variant with this number: it is floor, and not closed. `None` if there is
+    /// no such variant.
+    pub fn is_free(&self, variant: u32, cell: Cell) -> Option<bool> {
+        let layout = self.layout(variant)?;
+        Some(layout.is_free(cell) && !self.closed(variant).is_closed(cell))
+    }
+
     /// The index of the drawing of the floor with the items of its world: 0 is the unchanged one.
     pub fn ground(record: &EpisodeRecord) -> u32 {
         record.stream.as_ref().map_or(0, |stream| stream.world)
@@ -195,5 +202,29 @@ impl RunWorld {
             Some(state.reference(&expert, &found.task, record.start_pose)?.0)
         });
         planned.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::RecordedRun;
+
+    #[test]
+    fn a_closed_passage_is_not_free_in_its_variant_alone() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../results/tests/rq2-version-1");
+        let RecordedRun { log, world, .. } = RecordedRun::read(folder.as_ref()).unwrap();
+        let blocked = log.episodes.iter().find(|record| record.route == Route::Blocked).unwrap();
+        let (index, case) = world.case(blocked).unwrap();
+        let closing = world.variant(blocked, index);
+        assert!(!case.barricade.is_empty());
+        for &cell in &case.barricade {
+            assert_eq!(world.is_free(closing, cell), Some(false));
+            assert_eq!(world.is_free(0, cell), Some(true));
+        }
+        let start = case.blocked.start.cell;
+        assert_eq!(world.is_free(closing, start), Some(true));
+        let beyond = 1 + world.cases.cases.len() as u32;
+        assert_eq!(world.is_free(beyond, start), None, "the run has no streams");
     }
 }

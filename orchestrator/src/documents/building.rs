@@ -6,11 +6,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use bytemuck::Zeroable;
-use shm_types::message::{
-    ErrorReport, Handshake, Heartbeat, Role, ShutdownReport, Stop, read_text,
-};
+use shm_types::message::{ErrorReport, Heartbeat, Role, ShutdownReport, Stop, read_text};
 use shm_types::process::check_shared_memory;
-use shm_types::{Attach, Bus, FrameSize, Receiver, RunDir, registry};
+use shm_types::{Attach, Bus, FrameSize, HandshakeReceiver, Receiver, RunDir, registry};
 
 use documents::{DocumentFolder, DocumentName, Recipe};
 
@@ -50,7 +48,7 @@ pub(super) fn build(
     check_shared_memory(attach.shared_memory_bytes())?;
     attach.write(&attach.root)?;
     let bus = Bus::join(attach, Role::Orchestrator)?;
-    let (handshakes, heartbeats) = (bus.receiver()?, bus.receiver()?);
+    let (handshakes, heartbeats) = (bus.handshake_receiver()?, bus.receiver()?);
     let (error_reports, shutdown_reports) = (bus.receiver()?, bus.receiver()?);
     report(BuildStage::Starting);
     let launches = launches(request, recipe, folder.path(), names, run.path())?;
@@ -108,7 +106,7 @@ fn launches(
 /// A build that is running. Fields are dropped in order: processes end before the services that they use.
 struct Build<'a> {
     children: Children,
-    handshakes: Receiver<Handshake>,
+    handshakes: HandshakeReceiver,
     heartbeats: Receiver<Heartbeat>,
     error_reports: Receiver<ErrorReport>,
     shutdown_reports: Receiver<ShutdownReport>,

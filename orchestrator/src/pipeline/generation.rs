@@ -9,11 +9,11 @@ use bytemuck::Zeroable;
 use domain::{ExternalName, MemoryKind};
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::{
-    Decision, ErrorReport, Handshake, Heartbeat, MemoryEpisodeConfig, Observation,
-    PolicyEpisodeConfig, RecallTrace, Role, ShutdownReport, SnapshotReport, StepCommand, Stop,
+    Decision, ErrorReport, Heartbeat, MemoryEpisodeConfig, Observation, PolicyEpisodeConfig,
+    RecallTrace, Role, ShutdownReport, SnapshotReport, StepCommand, Stop,
 };
 use shm_types::process::{ProcessWatch, monotonic_ns};
-use shm_types::{Bus, BusError, Notifier, Receiver, Sender};
+use shm_types::{Bus, BusError, HandshakeReceiver, Notifier, Receiver, Sender};
 use supervise::Children;
 
 use super::vital_signs::VitalSigns;
@@ -58,7 +58,7 @@ pub(super) struct Inbox {
     pub(super) snapshots: Receiver<SnapshotReport>,
     pub(super) heartbeats: Receiver<Heartbeat>,
     pub(super) decisions: Receiver<Decision>,
-    pub(super) handshakes: Receiver<Handshake>,
+    pub(super) handshakes: HandshakeReceiver,
     pub(super) error_reports: Receiver<ErrorReport>,
     pub(super) shutdown_reports: Receiver<ShutdownReport>,
 }

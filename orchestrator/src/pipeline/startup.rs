@@ -37,7 +37,7 @@ impl Generation {
             snapshots: bus.receiver()?,
             heartbeats: bus.receiver()?,
             decisions: bus.receiver()?,
-            handshakes: bus.receiver()?,
+            handshakes: bus.handshake_receiver()?,
             error_reports: bus.receiver()?,
             shutdown_reports: bus.receiver()?,
         };

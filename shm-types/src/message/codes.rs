@@ -1,6 +1,8 @@
 //! The closed sets that messages carry as `u8` codes.
 
-use domain::code_sets;
+use domain::{Action, UnknownCode, code_sets};
+
+use super::NO_ACTION;
 
 code_sets! {
     /// The kind of a [`StepCommand`](super::StepCommand).
@@ -29,6 +31,16 @@ code_sets! {
         Learns = 1 "learns",
         /// It answers, and the episode must not change what it answers in later ones.
         ReadsOnly = 2 "reads only",
+    }
+
+    /// What the last [query](super::ExternalQuery) of an episode tells about its task.
+    EpisodeOutcome, "an outcome of an episode" {
+        /// Nothing.
+        NotTold = 0 "not told",
+        /// It was not completed.
+        Incomplete = 1 "not completed",
+        /// It was completed.
+        Complete = 2 "completed",
     }
 
     /// The kind of a [`RecalledItem`](super::RecalledItem).
@@ -76,6 +88,49 @@ code_sets! {
         Policy = 3 "policy",
         /// A memory outside of the memory process, which asks it. A run can have several, each with an index.
         ExternalMemory = 4 "external-memory",
+    }
+}
+
+impl EpisodeOutcome {
+    /// What is told of a task that was completed or not; `None` tells nothing.
+    pub const fn of(success: Option<bool>) -> Self {
+        match success {
+            None => Self::NotTold,
+            Some(false) => Self::Incomplete,
+            Some(true) => Self::Complete,
+        }
+    }
+
+    /// Whether the task was completed, if that is told.
+    pub const fn success(self) -> Option<bool> {
+        match self {
+            Self::NotTold => None,
+            Self::Incomplete => Some(false),
+            Self::Complete => Some(true),
+        }
+    }
+}
+
+/// Reads the code of an action; [`NO_ACTION`] is none.
+///
+/// # Errors
+/// When no action has the code.
+pub fn read_action(code: u8) -> Result<Option<Action>, UnknownCode> {
+    match code {
+        NO_ACTION => Ok(None),
+        code => Action::try_from(code).map(Some),
+    }
+}
+
+/// Reads a field that is 0 or 1.
+///
+/// # Errors
+/// When it is neither.
+pub fn read_flag(code: impl Into<u32>) -> Result<bool, UnknownCode> {
+    match code.into() {
+        0 => Ok(false),
+        1 => Ok(true),
+        other => Err(UnknownCode::new(other, "a flag (0 no, 1 yes)")),
     }
 }
 

@@ -47,11 +47,11 @@ wire_struct! {
 wire_struct! {
     /// Where an item comes from: consecutive steps of one demonstration.
     RecalledSource, "memtransfer.RecalledSource", 16 bytes {
-        /// Index of the demonstration's case.
+        /// Index of the demonstration's case; with [`EXPERIENCE`], the episode's position in its sequence.
         case: u32,
         /// Distance between the item and the query; NaN if the memory tells none.
         distance: f32,
-        /// The demonstration (0 original, 1 opposite, 2 nearby, 3 distant).
+        /// The demonstration (0 original, 1 opposite, 2 nearby, 3 distant, 6 after, 7 elsewhere), or [`EXPERIENCE`].
         demonstration: u16,
         /// Its first step.
         first: u16,

@@ -139,7 +139,7 @@ fn first_and_last_messages_arrive_from_a_sender_that_was_dropped() {
     let Run { attach, .. } = &run();
     let orchestrator = bus(attach, Role::Orchestrator);
     let (handshakes, shutdown_reports) = (
-        orchestrator.receiver::<Handshake>().unwrap(),
+        orchestrator.handshake_receiver().unwrap(),
         orchestrator.receiver::<ShutdownReport>().unwrap(),
     );
     let policy = bus(attach, Role::Policy);
@@ -169,7 +169,7 @@ fn a_message_outlives_its_sender_for_connected_receivers() {
 fn messages_of_many_short_lived_senders_all_arrive() {
     let Run { attach, .. } = &run();
     let orchestrator = bus(attach, Role::Orchestrator);
-    let handshakes = orchestrator.receiver::<Handshake>().unwrap();
+    let handshakes = orchestrator.handshake_receiver().unwrap();
     let decisions = orchestrator.receiver::<Decision>().unwrap();
     let sent: Vec<_> = (0..16).map(decision).collect();
     for message in &sent {

@@ -5,11 +5,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
-use domain::{Action, Feedback, Pose, UnknownCode};
+use domain::{Feedback, Pose, UnknownCode};
 use shm_types::banks::BankStep;
 use shm_types::message::{
-    ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore, ExternalStored,
-    Learning, NO_ACTION, NOT_MEASURED, RequestId, Role, read_text,
+    EpisodeOutcome, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore,
+    ExternalStored, Learning, NOT_MEASURED, RequestId, Role, read_action, read_flag, read_text,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
@@ -71,8 +71,8 @@ struct AskedEpisode {
     image_budget: u32,
     text_budget: u32,
     window: Vec<PastStep>,
-    /// Step, pose and view of the last query.
-    last: Option<(u32, Pose, Arc<Frame>)>,
+    /// Pose and view of the last query.
+    last_view: Option<(Pose, Arc<Frame>)>,
     /// Why the episode cannot be served.
     failure: Option<MemoryError>,
 }
@@ -155,7 +155,8 @@ impl<'s> MemorySession<'s> {
             };
             frames.push(frame);
         }
-        let steps: Result<Vec<_>, UnknownCode> = bank.steps().iter().map(read_step).collect();
+        let steps: Result<Vec<_>, UnknownCode> =
+            bank.steps().iter().map(read_demonstration_step).collect();
         Ok(steps.map(|steps| BankParts { bank, steps, frames }).map_err(MemoryError::new))
     }
 
@@ -173,12 +174,12 @@ impl<'s> MemorySession<'s> {
         } = message;
         let learning = u8::try_from(learning).ok().and_then(|code| Learning::try_from(code).ok());
         let instruction = read_text(&message.instruction, message.instruction_len);
-        let place = self.lanes.get_mut(lane as usize);
-        let (Some(place), Ok(instruction), Some(learning)) = (place, instruction, learning) else {
+        let slot = self.lanes.get_mut(lane as usize);
+        let (Some(slot), Ok(instruction), Some(learning)) = (slot, instruction, learning) else {
             errors.report(format_args!("episode {episode} in lane {lane}: invalid values"));
             return;
         };
-        if let Some(earlier) = place.take()
+        if let Some(earlier) = slot.take()
             && let Some(Some(memory)) = self.memories.get_mut(&earlier.bank)
         {
             // The end of an episode that nothing is learned from cannot fail it.
@@ -199,7 +200,7 @@ impl<'s> MemorySession<'s> {
             Some(None) => Err(MemoryError::new("the memory could not be built")),
             None => Err(MemoryError::new(format_args!("bank {bank} was not received"))),
         };
-        *place = Some(AskedEpisode {
+        *slot = Some(AskedEpisode {
             id: episode,
             bank,
             instruction: instruction.to_owned(),
@@ -207,7 +208,7 @@ impl<'s> MemorySession<'s> {
             image_budget,
             text_budget,
             window: Vec::new(),
-            last: None,
+            last_view: None,
             failure: begun.err(),
         });
     }
@@ -219,91 +220,107 @@ impl<'s> MemorySession<'s> {
         connection: &mut Connection,
     ) -> Result<bool, ServeError> {
         let &ExternalQuery { lane, episode, step, .. } = message;
-        let id = RequestId { lane, episode, step };
-        // Only now, because the last query of the lane's earlier episode may have arrived together with the announcement.
-        let announced = self.announced.entry(lane).or_default();
-        let at = announced.iter().position(|next| next.episode == episode);
-        let next = at.and_then(|at| announced.drain(..=at).next_back());
-        // A lane whose next episode is announced awaits no answer.
-        let is_over = !announced.is_empty();
-        if let Some(next) = next {
-            self.begin(&next, &mut connection.errors);
-        }
+        self.begin_announced(lane, episode, connection);
         let received_ns = monotonic_ns();
-        let place = self.lanes.get_mut(lane as usize);
-        let Some(running) = place.and_then(Option::as_mut).filter(|running| running.id == episode)
+        let slot = self.lanes.get_mut(lane as usize);
+        let Some(slot) = slot.filter(|slot| slot.as_ref().is_some_and(|own| own.id == episode))
         else {
-            let what = format_args!("query of unknown episode {episode} in lane {lane}");
-            connection.errors.report(what);
+            let problem = format_args!("query of unknown episode {episode} in lane {lane}");
+            connection.errors.report(problem);
             return Ok(false);
         };
-        if is_over && message.last == 0 {
-            return Ok(false);
-        }
-        let frame = match message.last {
-            1 => None,
-            _ => connection.frame(message.frame)?,
-        };
-        let memory = self.memories.get_mut(&running.bank).and_then(Option::as_mut);
-        let answer = match &running.failure {
-            Some(failure) => Err(failure.clone()),
-            None => running.ask(message, frame.as_ref(), memory, self.window),
-        };
-        running.failure = answer.as_ref().err().cloned();
         if message.last == 1 {
-            let Some(ended) = self.lanes[lane as usize].take() else { return Ok(false) };
-            let Some(Some(memory)) = self.memories.get_mut(&ended.bank) else { return Ok(false) };
-            if ended.learning == Learning::Learns {
-                let sub_goals = sub_goals(message);
-                let learned = answer.and_then(|_| {
-                    memory.end_episode(&EpisodeEnd {
-                        lane,
-                        episode,
-                        demonstration: Some(message.demonstration),
-                        success: [None, Some(false), Some(true)]
-                            .get(usize::from(message.outcome))
-                            .copied()
-                            .flatten(),
-                        sub_goals: sub_goals.as_deref(),
-                    })
-                });
-                if let Err(error) = learned {
-                    self.unlearned.insert(ended.bank, error);
-                }
-            } else {
-                let _ = memory.end_episode(&EpisodeEnd::unlearned(lane, episode));
+            if let Some(ended) = slot.take() {
+                self.end(ended, message);
             }
             return Ok(false);
         }
+        // A lane whose next episode is announced awaits no answer.
+        let is_over = self.announced.get(&lane).is_some_and(|waiting| !waiting.is_empty());
+        let Some(running) = slot.as_mut().filter(|_| !is_over) else { return Ok(false) };
+        let frame = connection.frame(message.frame)?;
+        let memory = self.memories.get_mut(&running.bank).and_then(Option::as_mut);
+        let answer = running.answer(message, frame.as_ref(), memory, self.window);
+        running.failure = answer.as_ref().err().cloned();
+        let id = RequestId { lane, episode, step };
         self.send(id, answer.unwrap_or_else(UnsentAnswer::failed), received_ns)?;
         Ok(true)
     }
 
-    /// Saves or loads what the memory of a bank knows.
-    fn store(&mut self, message: &ExternalStore) -> Result<(), ServeError> {
-        let &ExternalStore { bank, loads, folder_len, .. } = message;
-        let folder = read_text(&message.folder, folder_len).map(Path::new);
-        let unlearned = self.unlearned.remove(&bank);
-        let done = match (self.memories.get_mut(&bank), folder, unlearned) {
-            (_, _, Some(error)) => Err(error),
-            (_, Err(_), _) => Err(MemoryError::new("the name of the folder cannot be read")),
-            (Some(Some(memory)), Ok(folder), None) => {
-                let done = if loads == 1 { memory.load(folder) } else { memory.save(folder) };
-                done.map(|()| memory.store_bytes().unwrap_or(0))
-            }
-            _ => Err(MemoryError::new("there is no memory of the bank")),
+    /// Begins an episode whose first query has arrived. Only now, because the last query of the lane's earlier episode may have
+    /// arrived together with the announcement. Episodes that were announced before it are dropped.
+    fn begin_announced(&mut self, lane: u32, episode: u64, connection: &mut Connection) {
+        let Some(announced) = self.announced.get_mut(&lane) else { return };
+        let Some(position) = announced.iter().position(|next| next.episode == episode) else {
+            return;
         };
-        let mut message = ExternalStored { bank, ..Zeroable::zeroed() };
-        match done {
-            Ok(store_bytes) => message.store_bytes = store_bytes,
+        announced.drain(..position);
+        if let Some(next) = announced.pop_front() {
+            self.begin(&next, &mut connection.errors);
+        }
+    }
+
+    /// Passes the last step of an episode to the memory, and tells it the end.
+    fn end(&mut self, mut ended: AskedEpisode, message: &ExternalQuery) {
+        let &ExternalQuery { lane, episode, .. } = message;
+        let Some(Some(memory)) = self.memories.get_mut(&ended.bank) else { return };
+        let observed = read_step(message, None)
+            .and_then(|step| ended.observe(&step, memory.as_mut(), self.window));
+        if ended.learning != Learning::Learns {
+            // The end of an episode that nothing is learned from cannot fail it.
+            let _ = memory.end_episode(&EpisodeEnd::unlearned(lane, episode));
+            return;
+        }
+        let learned = observed.and_then(|()| {
+            let sub_goals = read_sub_goals(message)?;
+            let outcome = EpisodeOutcome::try_from(message.outcome).map_err(MemoryError::new)?;
+            memory.end_episode(&EpisodeEnd {
+                lane,
+                episode,
+                demonstration: Some(message.demonstration),
+                success: outcome.success(),
+                sub_goals: sub_goals.as_deref(),
+            })
+        });
+        if let Err(error) = learned {
+            self.unlearned.insert(ended.bank, error);
+        }
+    }
+
+    /// Saves or loads what the memory of a bank knows, and answers.
+    fn store(&mut self, message: &ExternalStore) -> Result<(), ServeError> {
+        let bank = message.bank;
+        let mut answer = ExternalStored { bank, ..Zeroable::zeroed() };
+        match self.save_or_load(message) {
+            Ok(store_bytes) => answer.store_bytes = store_bytes,
             Err(error) => {
                 tracing::warn!(bank, %error, "the memory cannot be saved or loaded");
-                message.failure = self.notes.publish(NO_LANE, 0, error.to_string().as_bytes())?;
+                answer.failure = self.notes.publish(NO_LANE, 0, error.to_string().as_bytes())?;
             }
         }
-        self.stored.send(&message)?;
+        self.stored.send(&answer)?;
         self.host.notify()?;
         Ok(())
+    }
+
+    /// Saves or loads what the memory of a bank knows. Returns the bytes of its store; 0 if it does not tell.
+    fn save_or_load(&mut self, message: &ExternalStore) -> Result<u64, MemoryError> {
+        let &ExternalStore { bank, loads, folder_len, .. } = message;
+        if let Some(error) = self.unlearned.remove(&bank) {
+            return Err(error);
+        }
+        let folder = read_text(&message.folder, folder_len).map(Path::new);
+        let folder =
+            folder.map_err(|_| MemoryError::new("the name of the folder cannot be read"))?;
+        let Some(Some(memory)) = self.memories.get_mut(&bank) else {
+            return Err(MemoryError::new("there is no memory of the bank"));
+        };
+        if read_flag(loads).map_err(MemoryError::new)? {
+            memory.load(folder)?;
+        } else {
+            memory.save(folder)?;
+        }
+        Ok(memory.store_bytes().unwrap_or(0))
     }
 
     fn send(
@@ -325,47 +342,23 @@ impl<'s> MemorySession<'s> {
 }
 
 impl AskedEpisode {
-    /// Passes a step to the memory and asks it, unless it is the last step.
+    /// Passes a step to the memory, and asks it.
     ///
     /// # Errors
     /// When the episode cannot be served.
-    fn ask(
+    fn answer(
         &mut self,
         message: &ExternalQuery,
         frame: Option<&Arc<Frame>>,
         memory: Option<&mut Box<dyn Memory + '_>>,
         window: usize,
     ) -> Result<UnsentAnswer, MemoryError> {
-        let &ExternalQuery { lane, episode, step, embedding_len, .. } = message;
+        if let Some(failure) = &self.failure {
+            return Err(failure.clone());
+        }
         let memory = memory.ok_or_else(|| MemoryError::new("there is no memory of the bank"))?;
-        let pose = Pose::try_from(message.pose).map_err(MemoryError::new)?;
-        let feedback = Feedback::try_from(message.feedback).map_err(MemoryError::new)?;
-        let last_action = Action::try_from(message.action).ok();
-        let embedding = message.embedding.get(..embedding_len as usize);
-        let embedding = embedding.filter(|numbers| !numbers.is_empty());
-        if let Some((_, pose, frame)) = self.last.take() {
-            self.window.push(PastStep { pose, action: last_action, feedback, frame });
-            let past = self.window.len().saturating_sub(window);
-            self.window.drain(..past);
-        }
-        let view = frame.map(|frame| FrameView::of(frame));
-        let now = Step {
-            lane,
-            episode,
-            step,
-            pose,
-            last_action,
-            feedback,
-            frame: view,
-            embedding,
-            pinned: frame,
-        };
-        if self.learning != Learning::ReadsOnly {
-            memory.observe(&now)?;
-        }
-        if message.last == 1 {
-            return Ok(UnsentAnswer::empty());
-        }
+        let now = read_step(message, frame)?;
+        self.observe(&now, memory.as_mut(), window)?;
         let Some(frame) = frame else {
             let id = message.frame;
             return Err(MemoryError::new(format_args!("frame {id} is not in the store")));
@@ -379,18 +372,78 @@ impl AskedEpisode {
             stage: None,
         };
         let items = memory.recall(&query)?;
-        self.last = Some((step, pose, frame.clone()));
+        self.last_view = Some((now.pose, frame.clone()));
         let mut answer = UnsentAnswer::of(&items)?;
         answer.message.store_bytes = memory.store_bytes().unwrap_or(0);
         answer.message.tokens = memory.tokens().unwrap_or(NOT_MEASURED);
         Ok(answer)
     }
+
+    /// Adds the step before `now` to the window, and passes `now` to the memory if it may learn from it.
+    ///
+    /// # Errors
+    /// When the episode cannot be served.
+    fn observe(
+        &mut self,
+        now: &Step<'_>,
+        memory: &mut (dyn Memory + '_),
+        window: usize,
+    ) -> Result<(), MemoryError> {
+        if let Some(failure) = &self.failure {
+            return Err(failure.clone());
+        }
+        if let Some((pose, frame)) = self.last_view.take() {
+            let (action, feedback) = (now.last_action, now.feedback);
+            self.window.push(PastStep { pose, action, feedback, frame });
+            let excess = self.window.len().saturating_sub(window);
+            self.window.drain(..excess);
+        }
+        match self.learning {
+            Learning::OutsideOfStreams | Learning::Learns => memory.observe(now),
+            Learning::ReadsOnly => Ok(()),
+        }
+    }
 }
 
-/// The sub-goals that the last query of an episode tells.
-fn sub_goals(message: &ExternalQuery) -> Option<Vec<u32>> {
-    let steps = message.sub_goals.get(..message.sub_goals_len as usize)?;
-    Some(steps.iter().copied().map(u32::from).collect())
+/// The step that a query describes.
+///
+/// # Errors
+/// When a code or a length is not valid.
+fn read_step<'a>(
+    message: &'a ExternalQuery,
+    frame: Option<&'a Arc<Frame>>,
+) -> Result<Step<'a>, MemoryError> {
+    let &ExternalQuery { lane, episode, step, embedding_len, .. } = message;
+    read_flag(message.last).map_err(MemoryError::new)?;
+    let embedding = message.embedding.get(..embedding_len as usize).ok_or_else(|| {
+        MemoryError::new(format_args!("an embedding of {embedding_len} numbers is too long"))
+    })?;
+    Ok(Step {
+        lane,
+        episode,
+        step,
+        pose: Pose::try_from(message.pose).map_err(MemoryError::new)?,
+        last_action: read_action(message.action).map_err(MemoryError::new)?,
+        feedback: Feedback::try_from(message.feedback).map_err(MemoryError::new)?,
+        frame: frame.map(|frame| FrameView::of(frame)),
+        embedding: Some(embedding).filter(|numbers| !numbers.is_empty()),
+        pinned: frame,
+    })
+}
+
+/// The sub-goals that the last query of an episode tells; `None` if it tells none.
+///
+/// # Errors
+/// When there are more than a message holds.
+fn read_sub_goals(message: &ExternalQuery) -> Result<Option<Vec<u32>>, MemoryError> {
+    let count = message.sub_goals_len;
+    if count == NOT_MEASURED {
+        return Ok(None);
+    }
+    let steps = message.sub_goals.get(..count as usize);
+    let steps =
+        steps.ok_or_else(|| MemoryError::new(format_args!("{count} sub-goals are too many")))?;
+    Ok(Some(steps.iter().copied().map(u32::from).collect()))
 }
 
 /// A bank in the form in which a memory is given it.
@@ -424,13 +477,10 @@ fn bank_has_frames(bank: &Bank) -> bool {
     bank.steps().first().is_some_and(|step| step.frame != shm_types::message::NO_FRAME)
 }
 
-fn read_step(step: &BankStep) -> Result<DemonstrationStep, UnknownCode> {
+fn read_demonstration_step(step: &BankStep) -> Result<DemonstrationStep, UnknownCode> {
     Ok(DemonstrationStep {
         pose: step.pose.try_into()?,
-        action: match step.action {
-            NO_ACTION => None,
-            code => Some(Action::try_from(code)?),
-        },
+        action: read_action(step.action)?,
         feedback: Feedback::try_from(step.feedback)?,
         content_hash: step.content_hash,
     })

@@ -12,9 +12,9 @@ use std::sync::Arc;
 use domain::pose::UnknownCode;
 use domain::{Action, Feedback, Pose};
 use shm_types::message::{
-    DocumentId, EpisodeId, FrameId, ItemKind, MAX_ITEMS, MAX_STEPS, MAX_WINDOW, NO_ACTION,
-    NO_DOCUMENT, NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecalledItem, RequestId,
-    SegmentStep, read_text,
+    DocumentId, EpisodeId, FrameId, ItemKind, MAX_ITEMS, MAX_STEPS, MAX_WINDOW, NO_DOCUMENT,
+    NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecalledItem, RequestId, SegmentStep,
+    read_action, read_flag, read_text,
 };
 
 const RECALL: &str = "recall";
@@ -109,7 +109,7 @@ impl Recalled {
         };
         let items = &message.items[..count("items", message.items_len, MAX_ITEMS)?];
         let steps = &message.steps[..count("steps", message.steps_len, MAX_STEPS)?];
-        let supplied = |supplied: &SegmentStep| Ok((supplied.frame, action(supplied.action)?));
+        let supplied = |supplied: &SegmentStep| Ok((supplied.frame, read_action(supplied.action)?));
         let steps = steps.iter().map(supplied).collect::<Result<Vec<_>, UnknownCode>>();
         let steps = steps.map_err(|problem| bad(RECALL, lane, step, problem))?;
         let items = items.iter().enumerate().map(|(item, content)| {
@@ -218,13 +218,14 @@ impl Join {
             let count = (config.window.into(), "past steps", MAX_WINDOW);
             return Err(bad_count(MESSAGE, number, 0, count));
         }
+        let bad_value = |problem: UnknownCode| bad(MESSAGE, number, 0, problem);
         let episode = LaneEpisode {
             id: config.episode,
             seed: config.seed,
             repeat: config.repeat,
             instruction: instruction.to_owned(),
-            starts_as_demonstrated: config.starts_as_demonstrated != 0,
-            demonstrated_elsewhere: config.demonstrated_elsewhere != 0,
+            starts_as_demonstrated: read_flag(config.starts_as_demonstrated).map_err(bad_value)?,
+            demonstrated_elsewhere: read_flag(config.demonstrated_elsewhere).map_err(bad_value)?,
             window,
         };
         *lane = Lane { episode: Some(Arc::new(episode)), ..Lane::default() };
@@ -240,17 +241,17 @@ impl Join {
         else {
             return Ok(());
         };
-        if message.last != 0 {
+        let bad_value = |problem: UnknownCode| bad(MESSAGE, number, step, problem);
+        if read_flag(message.last).map_err(bad_value)? {
             *lane = Lane::default();
             return Ok(());
         }
         if frame == NO_FRAME {
             return Err(bad(MESSAGE, number, step, "it names no frame"));
         }
-        let bad_value = |problem| bad(MESSAGE, number, step, problem);
         let pose = message.pose.try_into().map_err(bad_value)?;
         let feedback = message.feedback.try_into().map_err(bad_value)?;
-        let action = action(message.action).map_err(bad_value)?;
+        let action = read_action(message.action).map_err(bad_value)?;
         let expected = lane.current.map_or(0, |current| current.step + 1);
         if step != expected {
             let problem = format_args!("step {expected} is next");
@@ -318,10 +319,6 @@ impl Join {
     }
 }
 
-fn action(code: u8) -> Result<Option<Action>, UnknownCode> {
-    if code == NO_ACTION { Ok(None) } else { Action::try_from(code).map(Some) }
-}
-
 /// Why a message cannot be used.
 fn bad(message: &str, lane: u32, step: u32, problem: impl Display) -> String {
     format!("{message} for lane {lane}, step {step}: {problem}")
@@ -344,7 +341,7 @@ pub(super) fn bad_item(lane: u32, step: u32, item: usize, problem: &str) -> Stri
 #[cfg(test)]
 mod tests {
     use bytemuck::Zeroable;
-    use shm_types::message::write_text;
+    use shm_types::message::{NO_ACTION, write_text};
 
     use super::*;
 
@@ -464,6 +461,8 @@ mod tests {
             join.begin(&config(2, 6)),
             join.begin(&no_text),
             join.begin(&PolicyEpisodeConfig { window: 33, ..config(1, 6) }),
+            join.begin(&PolicyEpisodeConfig { demonstrated_elsewhere: 2, ..config(1, 6) }),
+            join.observe(&Observation { last: 7, ..observation(1, 5, 0) }),
             join.observe(&bad_pose),
             join.observe(&Observation { feedback: 8, ..observation(1, 5, 0) }),
             join.observe(&Observation { action: 7, ..observation(1, 5, 0) }),
@@ -486,6 +485,8 @@ mod tests {
         episode config for lane 2: the run has 2 lanes
         episode config for lane 1, step 0: a text of 4000 bytes is not UTF-8 that fits
         episode config for lane 1, step 0: 33 past steps, but at most 32 fit
+        episode config for lane 1, step 0: 2 is not a flag (0 no, 1 yes)
+        observation for lane 1, step 0: 7 is not a flag (0 no, 1 yes)
         observation for lane 1, step 0: 9 is not a heading (0 N, 1 E, 2 S, 3 W)
         observation for lane 1, step 0: 8 is not a feedback (0 to 4)
         observation for lane 1, step 0: 7 is not an action (0 to 6)

@@ -162,10 +162,11 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         };
         let scope = match scope.as_str() {
             _ if view.log.manifest.settings.stream.is_some() => {
-                "remembers the demonstrations of the cases of its stream"
+                "remembers the demonstrations of the cases of its stream".to_owned()
             }
-            "all" => "remembers the demonstrations of all cases",
-            _ => "remembers the demonstrations of the episode's case",
+            "all" => "remembers the demonstrations of all cases".to_owned(),
+            "case" => "remembers the demonstrations of the episode's case".to_owned(),
+            other => format!("scope {other}"),
         };
         (name.to_string(), format!("external memory, version {version}, {started}; {scope}"))
     });

@@ -4,16 +4,16 @@ use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use memtransfer_tests::Ended;
 
 use crate::Extent;
+use crate::harness::{Run, Sandbox, Trial, execute};
 use crate::report::Report;
-use crate::runs::{Run, Sandbox};
 
-const TITLE: &str = "Full disks, and files that are not what they should be";
-const TEXT: &str = "The run folder, the cache and shared memory lie in small file systems (tmpfs, 1 to 64 MiB) in a mount namespace of \
+pub(crate) const TEXT: &str = "The run folder, the cache and shared memory lie in small file systems (tmpfs, 1 to 64 MiB) in a mount namespace of \
      their own, which are filled to a few KiB before or during a run. A run that cannot go on must say what is full, and the \
      same command after making room must end with the log of an undisturbed run. The same holds for read-only folders, \
      folders of other users, symbolic links and folders where a file is expected, and a limit on memory.";
@@ -30,11 +30,13 @@ const ATTEMPTS_TO_FILL: u32 = 1000;
 /// The name of the file that fills a file system.
 const BALLAST: &str = "ballast";
 
-pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
+pub(crate) fn drill(extent: &Extent, report: &mut Report) -> Result<(), String> {
     if std::env::var_os(INSIDE).is_some() {
-        return inside(extent);
+        let sandbox = Sandbox::one()?;
+        let trials = trials(extent, report, &sandbox)?;
+        execute(extent, report, vec![sandbox], u64::MAX, trials.into_iter());
+        return Ok(());
     }
-    let mut report = Report::new(TITLE, TEXT);
     let unshare = |program: &Path, args: &[String]| {
         let mut command = Command::new("unshare");
         command.args(["--mount", "--propagation", "private"]);
@@ -55,7 +57,7 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
             Err(error) => error.to_string(),
         };
         report.skip(&format!("full disks, as a mount namespace is not to be had ({why})"));
-        return Ok(report);
+        return Ok(());
     }
     let here = std::env::current_exe().map_err(|error| error.to_string())?;
     let args: Vec<String> = std::env::args().skip(1).collect();
@@ -64,71 +66,78 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
     std::process::exit(status.code().unwrap_or(2))
 }
 
-fn inside(extent: &Extent) -> Result<Report, String> {
-    let mut report = Report::new(TITLE, TEXT);
-    let mut sandbox = Sandbox::one()?;
+/// The trials in a mount namespace of their own.
+fn trials(extent: &Extent, report: &mut Report, sandbox: &Sandbox) -> Result<Vec<Trial>, String> {
     let small = sandbox.folder().join("small");
     fs::create_dir(&small).map_err(|error| error.to_string())?;
+    let mut trials = Vec::new();
+    let mut add = |class: &str, name: String, disturb: Disturb| {
+        let disturb = move |sandbox: &mut Sandbox| disturb(sandbox).map(|()| true);
+        trials.push(Trial::new(name, class, disturb));
+    };
     let left: &[u64] = if extent.is_quick { &LEFT[2..3] } else { &LEFT };
     for &kib in left {
-        if extent.is_over(&report) {
-            return Ok(report);
-        }
-        let outcome = full_run_folder(&sandbox, &small, kib);
-        let what = format!("a run folder with {kib} KiB left");
-        conclude(&mut report, "run folder full", &what, outcome);
-    }
-    for &kib in left {
-        if extent.is_over(&report) {
-            return Ok(report);
-        }
-        let outcome = full_cache(&mut sandbox, kib);
-        conclude(&mut report, "cache full", &format!("a cache with {kib} KiB left"), outcome);
+        let folder = small.clone();
+        let disturb = move |sandbox: &mut Sandbox| full_run_folder(sandbox, &folder, kib);
+        add("run folder full", format!("a run folder with {kib} KiB left"), Box::new(disturb));
+        let disturb = move |sandbox: &mut Sandbox| full_cache(sandbox, kib);
+        add("cache full", format!("a cache with {kib} KiB left"), Box::new(disturb));
     }
     let shared: &[u64] = if extent.is_quick { &[8] } else { &[1, 8, 24] };
-    for mib in shared {
-        let outcome = small_shared_memory(&mut sandbox, &format!("{mib}m"));
-        let what = format!("{mib} MiB of shared memory");
-        conclude(&mut report, "shared memory too small", &what, outcome);
+    for &mib in shared {
+        let disturb = move |sandbox: &mut Sandbox| small_shared_memory(sandbox, mib);
+        let name = format!("{mib} MiB of shared memory");
+        add("shared memory too small", name, Box::new(disturb));
     }
-    let times = [100, 250, 400, 600, 800].map(|ms| Some(Duration::from_millis(ms)));
-    let moments: &[Option<Duration>] = if extent.is_quick { &[] } else { &times };
-    for &moment in [None].iter().chain(moments) {
-        if extent.is_over(&report) {
-            return Ok(report);
-        }
-        let outcome = shared_memory_fills(&mut sandbox, moment);
-        let what = moment.map_or("the first episode, and the policy killed".to_owned(), |moment| {
-            format!("{} ms", moment.as_millis())
-        });
-        let what = format!("shared memory full after {what}");
-        conclude(&mut report, "shared memory fills up", &what, outcome);
+    let moments: &[u64] = if extent.is_quick { &[] } else { &[100, 250, 400, 600, 800] };
+    for ms in [None].into_iter().chain(moments.iter().copied().map(Some)) {
+        let moment = ms.map(Duration::from_millis);
+        let disturb = move |sandbox: &mut Sandbox| shared_memory_fills(sandbox, moment);
+        let after = ms
+            .map_or("the first episode, and the policy killed".to_owned(), |ms| format!("{ms} ms"));
+        let name = format!("shared memory full after {after}");
+        add("shared memory fills up", name, Box::new(disturb));
     }
-    let outcome = read_only(&sandbox, &small);
-    conclude(&mut report, "read-only folder", "a read-only folder", outcome);
-    for name in ["manifest.json", "episodes.jsonl", "timings.jsonl", "sessions.jsonl", "logs"] {
+    let disturb = move |sandbox: &mut Sandbox| read_only(sandbox, &small);
+    add("read-only folder", "a read-only folder".to_owned(), Box::new(disturb));
+    let files: &[&'static str] = match extent.is_quick {
+        true => &["episodes.jsonl"],
+        false => &["manifest.json", "episodes.jsonl", "timings.jsonl", "sessions.jsonl", "logs"],
+    };
+    for &name in files {
         for (class, is_link) in
             [("a folder or a file of the wrong kind", false), ("symbolic link", true)]
         {
-            if extent.is_quick && name != "episodes.jsonl" {
-                continue;
-            }
-            let outcome = wrong_kind(&mut sandbox, name, is_link);
-            conclude(&mut report, class, &format!("{class} at {name}"), outcome);
+            let disturb = move |sandbox: &mut Sandbox| wrong_kind(sandbox, name, is_link);
+            add(class, format!("{class} at {name}"), Box::new(disturb));
         }
     }
-    other_user(&mut report, &mut sandbox);
-    if !extent.is_quick {
-        out_of_memory(&mut report, &mut sandbox);
+    let is_root = rustix::process::getuid().is_root();
+    let setpriv = Command::new("setpriv").arg("--version").output();
+    if is_root && setpriv.is_ok_and(|output| output.status.success()) {
+        add("files of another user", "a run as another user".to_owned(), Box::new(as_nobody));
+    } else {
+        report.skip("files of other users, which needs root and setpriv");
     }
-    Ok(report)
+    if extent.is_quick {
+        return Ok(trials);
+    }
+    match MemoryGroup::create() {
+        None => report.skip("kills for want of memory, which needs a memory cgroup"),
+        Some(group) => {
+            let group = Arc::new(group);
+            for mib in [60, 120, 180] {
+                let group = group.clone();
+                let disturb = move |sandbox: &mut Sandbox| with_little_memory(sandbox, &group, mib);
+                add("little memory", format!("{mib} MiB of memory"), Box::new(disturb));
+            }
+        }
+    }
+    Ok(trials)
 }
 
-fn conclude(report: &mut Report, class: &str, what: &str, outcome: Result<(), String>) {
-    report.fault(class);
-    report.add("cells", 1.0);
-    report.outcome(what, outcome);
-}
+/// Disturbs a run, and checks that it recovers.
+type Disturb = Box<dyn FnOnce(&mut Sandbox) -> Result<(), String> + Send>;
 
 /// Does `disturb` while a file system of this size is mounted on `folder`.
 fn mounted(
@@ -216,8 +225,8 @@ fn full_cache(sandbox: &mut Sandbox, kib: u64) -> Result<(), String> {
     mounted(&embeddings, "size=1m", || full(sandbox, &run, &embeddings, kib))
 }
 
-fn small_shared_memory(sandbox: &mut Sandbox, size: &str) -> Result<(), String> {
-    mounted(Path::new("/dev/shm"), &format!("size={size}"), || {
+fn small_shared_memory(sandbox: &mut Sandbox, mib: u64) -> Result<(), String> {
+    mounted(Path::new("/dev/shm"), &format!("size={mib}m"), || {
         let run = sandbox.run();
         let ended = start(sandbox, &run)?;
         if ended.status != Some(0) {
@@ -312,17 +321,6 @@ fn wrong_kind(sandbox: &mut Sandbox, name: &str, is_link: bool) -> Result<(), St
 }
 
 /// The run folder, the cache and the folder of live runs belong to another user.
-fn other_user(report: &mut Report, sandbox: &mut Sandbox) {
-    let is_root = rustix::process::getuid().is_root();
-    let setpriv = Command::new("setpriv").arg("--version").output();
-    if !is_root || !setpriv.is_ok_and(|output| output.status.success()) {
-        report.skip("files of other users, which needs root and setpriv");
-        return;
-    }
-    let outcome = as_nobody(sandbox);
-    conclude(report, "files of another user", "a run as another user", outcome);
-}
-
 fn as_nobody(sandbox: &mut Sandbox) -> Result<(), String> {
     let run = sandbox.run();
     let command = sandbox.command(&run.args);
@@ -336,47 +334,49 @@ fn as_nobody(sandbox: &mut Sandbox) -> Result<(), String> {
     sandbox.check_recovery(&run, &ended, false)
 }
 
-/// The kernel kills a process of the run when the memory of their group is used up.
-fn out_of_memory(report: &mut Report, sandbox: &mut Sandbox) {
-    let groups = Path::new("/sys/fs/cgroup");
-    // Groups of the first kind have a hierarchy for each resource.
-    let (groups, limit) = match groups.join("memory").is_dir() {
-        true => (groups.join("memory"), "memory.limit_in_bytes"),
-        false => (groups.to_owned(), "memory.max"),
-    };
-    let group = groups.join(format!("memtransfer-drill-{}", std::process::id()));
-    let made = fs::create_dir(&group);
-    let limit = group.join(limit);
-    let is_there = made.is_ok() && fs::write(&limit, "2000000000").is_ok();
-    if !is_there {
-        let _ = fs::remove_dir(&group);
-        report.skip("kills for want of memory, which needs a memory cgroup");
-        return;
-    }
-    for mib in [60u64, 120, 180] {
-        let outcome = with_little_memory(sandbox, &group, &limit, mib);
-        conclude(report, "little memory", &format!("{mib} MiB of memory"), outcome);
-    }
-    let deadline = Instant::now() + Duration::from_secs(60);
-    while fs::remove_dir(&group).is_err() && Instant::now() < deadline {
-        std::thread::sleep(Duration::from_millis(20));
+/// A memory cgroup of the drill's own.
+struct MemoryGroup {
+    folder: PathBuf,
+    /// The file with the limit, in bytes.
+    limit: PathBuf,
+}
+
+impl MemoryGroup {
+    /// `None` where groups cannot be made.
+    fn create() -> Option<Self> {
+        let groups = Path::new("/sys/fs/cgroup");
+        // Groups of the first kind have a hierarchy for each resource.
+        let (groups, limit) = match groups.join("memory").is_dir() {
+            true => (groups.join("memory"), "memory.limit_in_bytes"),
+            false => (groups.to_owned(), "memory.max"),
+        };
+        let folder = groups.join(format!("memtransfer-drill-{}", std::process::id()));
+        fs::create_dir(&folder).ok()?;
+        let group = Self { limit: folder.join(limit), folder };
+        fs::write(&group.limit, "2000000000").ok()?;
+        Some(group)
     }
 }
 
-fn with_little_memory(
-    sandbox: &mut Sandbox,
-    group: &Path,
-    limit: &Path,
-    mib: u64,
-) -> Result<(), String> {
+impl Drop for MemoryGroup {
+    fn drop(&mut self) {
+        let deadline = Instant::now() + Duration::from_secs(60);
+        while fs::remove_dir(&self.folder).is_err() && Instant::now() < deadline {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
+
+/// The kernel kills a process of the run when the memory of their group is used up.
+fn with_little_memory(sandbox: &mut Sandbox, group: &MemoryGroup, mib: u64) -> Result<(), String> {
     let run = sandbox.run();
-    fs::write(limit, (mib << 20).to_string()).map_err(|error| error.to_string())?;
+    fs::write(&group.limit, (mib << 20).to_string()).map_err(|error| error.to_string())?;
     let command = sandbox.command(&run.args);
     let mut shell = Command::new("/bin/sh");
     shell.args(["-c", "echo $$ > \"$GROUP\" && exec \"$@\"", "sh"]);
     shell.arg(command.get_program()).args(command.get_args());
     sandbox.in_sandbox(&mut shell);
-    shell.env("GROUP", PathBuf::from(group).join("cgroup.procs"));
+    shell.env("GROUP", group.folder.join("cgroup.procs"));
     let ended = Ended::of(shell.spawn().map_err(|error| error.to_string())?);
     // The orchestrator itself may be the one that the kernel kills.
     let was_killed = ended.status.is_none();

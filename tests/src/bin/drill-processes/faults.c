@@ -1,13 +1,14 @@
-/* Loaded into the processes of a run with LD_PRELOAD: lists the calls that read or change files, shared memory or sockets,
- * and at one of them kills, stops or fails the process, or reads or writes less than it asked for.
+/* Loaded into the processes of a run with LD_PRELOAD: lists the calls that change shared memory, sockets or the folder of
+ * live runs, and at one of them kills the process, or fails the call.
  *
  * Environment:
  *   DRILL_LIST=FILE     append a line "PROGRAM OPERATION PATTERN" to FILE for each call
  *   DRILL_PROGRAM=NAME  the program to act in, by the start of its name
  *   DRILL_CALL=OPERATION PATTERN
  *   DRILL_NUMBER=N      at the N-th such call of a process
- *   DRILL_ACTION=WHAT   kill-before, kill-after, stop, short, or the number of an error
+ *   DRILL_ACTION=WHAT   kill-before, kill-after, or the number of an error
  *   DRILL_TOKEN=FILE    created by the process that acts: only one does
+ *   MEMTRANSFER_RUN_DIR the folder of live runs
  *
  * A pattern is a path with every run of hexadecimal digits that has a decimal one replaced by '#'.
  */
@@ -25,13 +26,12 @@
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
-#include <sys/uio.h>
 #include <sys/un.h>
 #include <unistd.h>
 
-enum action { NOTHING, KILL_AFTER, FAIL, SHORT };
+enum action { NOTHING, KILL_AFTER, FAIL };
 
-static const char *list_file, *target_call, *token_file, *action_word;
+static const char *list_file, *target_call, *token_file, *action_word, *runs;
 static long target_number;
 static int acts_here, is_on;
 static atomic_long seen;
@@ -42,6 +42,7 @@ __attribute__((constructor)) static void read_environment(void) {
     target_call = getenv("DRILL_CALL");
     token_file = getenv("DRILL_TOKEN");
     action_word = getenv("DRILL_ACTION");
+    runs = getenv("MEMTRANSFER_RUN_DIR");
     const char *number = getenv("DRILL_NUMBER");
     target_number = number ? atol(number) : 0;
     acts_here = program && target_call && token_file && action_word && target_number > 0 &&
@@ -76,13 +77,14 @@ static void pattern_of(const char *path, char *out, size_t room) {
     out[used] = 0;
 }
 
+static int is_in(const char *path, const char *folder) {
+    size_t length = folder ? strlen(folder) : 0;
+    return length > 0 && strncmp(path, folder, length) == 0 && path[length] == '/';
+}
+
+/* Other files are those of the run and the caches, whose faults are simulated. */
 static int is_uninteresting(const char *path) {
-    size_t length = strlen(path);
-    if (path[0] != '/') return 1; /* pipes and unnamed sockets */
-    if (strncmp(path, "/proc/", 6) == 0 || strncmp(path, "/sys/", 5) == 0) return 1;
-    if (strncmp(path, "/usr/", 5) == 0 || strncmp(path, "/etc/", 5) == 0) return 1;
-    if (strncmp(path, "/dev/", 5) == 0 && strncmp(path, "/dev/shm/", 9) != 0) return 1;
-    return length > 4 && strcmp(path + length - 4, ".log") == 0;
+    return !is_in(path, "/dev/shm") && !is_in(path, runs);
 }
 
 static void kill_self(void) {
@@ -112,9 +114,7 @@ static enum action at_path(const char *operation, const char *path) {
             if (fd >= 0) {
                 syscall(SYS_close, fd);
                 if (strcmp(action_word, "kill-before") == 0) kill_self();
-                if (strcmp(action_word, "stop") == 0) syscall(SYS_kill, getpid(), SIGSTOP);
-                else if (strcmp(action_word, "kill-after") == 0) action = KILL_AFTER;
-                else if (strcmp(action_word, "short") == 0) action = SHORT;
+                if (strcmp(action_word, "kill-after") == 0) action = KILL_AFTER;
                 else {
                     errno = atoi(action_word);
                     return FAIL;
@@ -162,18 +162,6 @@ static enum action at_socket(const char *operation, const struct sockaddr *addre
         return result;                            \
     } while (0)
 
-/* As CALL, of at most one byte where it is to be short. */
-#define TRANSFER(counted, call, short_call)       \
-    do {                                          \
-        enum action action = is_on ? counted : NOTHING; \
-        if (action == FAIL) return -1;            \
-        ssize_t result = action == SHORT ? short_call : call; \
-        if (action == KILL_AFTER) kill_self();    \
-        return result;                            \
-    } while (0)
-
-#define ONE(length) ((length) < 1 ? (length) : 1)
-
 static int changes(int flags) { return flags & (O_CREAT | O_WRONLY | O_RDWR | O_TRUNC | O_APPEND); }
 
 #define MODE(flags, mode)                                        \
@@ -188,13 +176,13 @@ static int changes(int flags) { return flags & (O_CREAT | O_WRONLY | O_RDWR | O_
 int open(const char *path, int flags, ...) {
     ORIGINAL(int, "open", const char *, int, ...);
     MODE(flags, mode);
-    CALL(int, at_path(changes(flags) ? "open" : "open-to-read", path), original(path, flags, mode));
+    CALL(int, changes(flags) ? at_path("open", path) : NOTHING, original(path, flags, mode));
 }
 
 int open64(const char *path, int flags, ...) {
     ORIGINAL(int, "open64", const char *, int, ...);
     MODE(flags, mode);
-    CALL(int, at_path(changes(flags) ? "open" : "open-to-read", path), original(path, flags, mode));
+    CALL(int, changes(flags) ? at_path("open", path) : NOTHING, original(path, flags, mode));
 }
 
 int shm_open(const char *name, int flags, mode_t mode) {
@@ -222,39 +210,9 @@ int fchmod(int fd, mode_t mode) {
     CALL(int, at_fd("fchmod", fd), original(fd, mode));
 }
 
-int fsync(int fd) {
-    ORIGINAL(int, "fsync", int);
-    CALL(int, at_fd("fsync", fd), original(fd));
-}
-
-int fdatasync(int fd) {
-    ORIGINAL(int, "fdatasync", int);
-    CALL(int, at_fd("fsync", fd), original(fd));
-}
-
 ssize_t write(int fd, const void *bytes, size_t length) {
     ORIGINAL(ssize_t, "write", int, const void *, size_t);
-    TRANSFER(at_fd("write", fd), original(fd, bytes, length), original(fd, bytes, ONE(length)));
-}
-
-ssize_t read(int fd, void *bytes, size_t length) {
-    ORIGINAL(ssize_t, "read", int, void *, size_t);
-    TRANSFER(at_fd("read", fd), original(fd, bytes, length), original(fd, bytes, ONE(length)));
-}
-
-ssize_t pread64(int fd, void *bytes, size_t length, off64_t at) {
-    ORIGINAL(ssize_t, "pread64", int, void *, size_t, off64_t);
-    TRANSFER(at_fd("read", fd), original(fd, bytes, length, at), original(fd, bytes, ONE(length), at));
-}
-
-ssize_t pwrite64(int fd, const void *bytes, size_t length, off64_t at) {
-    ORIGINAL(ssize_t, "pwrite64", int, const void *, size_t, off64_t);
-    TRANSFER(at_fd("write", fd), original(fd, bytes, length, at), original(fd, bytes, ONE(length), at));
-}
-
-ssize_t writev(int fd, const struct iovec *parts, int count) {
-    ORIGINAL(ssize_t, "writev", int, const struct iovec *, int);
-    CALL(ssize_t, at_fd("write", fd), original(fd, parts, count));
+    CALL(ssize_t, at_fd("write", fd), original(fd, bytes, length));
 }
 
 int rename(const char *from, const char *to) {

@@ -1,27 +1,25 @@
-//! The kill grid: each process of a run is killed before and after each kind of call with which it changes a file, shared
-//! memory or a socket; each kind of call, also those that read, fails, and reads and writes are short.
+//! The kill grid: each process of a run is killed before and after each kind of call with which it changes shared memory, a
+//! socket or the folder of live runs, and each kind of call fails. Calls for other files are those of `drill-sim`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::{fmt, fs};
 
 use memtransfer_tests::Ended;
 
+use crate::harness::{Sandbox, Trial, execute};
 use crate::report::Report;
-use crate::runs::Sandbox;
-use crate::{Extent, Outcome, Random, execute};
+use crate::{Extent, Random};
 
-const TITLE: &str = "Kills and failing calls at every point of the protocol";
-const TEXT: &str = "A library that is loaded into every process of a run lists the calls that read or change a file, shared memory or a \
-     socket. Then, for each program, each call and each kind of path, one process is killed before or after the first, \
-     second, middle or last such call, or the call fails with ENOSPC, EIO or EMFILE, or reads or writes one byte of what was \
-     asked for. The run, or the same command again, must end \
-     with the log of an undisturbed run, and leave nothing behind.";
+pub(crate) const TEXT: &str = "A library that is loaded into every process of a run lists the calls that change shared memory, a socket or the \
+     folder of live runs. Then, for each program, each call and each kind of path, one process is killed before or after \
+     the first, second, middle or last such call, or the call fails with ENOSPC or EMFILE. The run, or the same command \
+     again, must end with the log of an undisturbed run, and leave nothing behind.";
 
 /// Cells of a quick drill.
 const QUICK: usize = 8;
 
-/// Errors with which a call fails: EIO, EMFILE, ENOSPC. Calls that only read fail with the first.
-const ERRORS: [(&str, i32); 3] = [("EIO", 5), ("EMFILE", 24), ("ENOSPC", 28)];
+/// Errors with which a call fails.
+const ERRORS: [(&str, i32); 2] = [("EMFILE", 24), ("ENOSPC", 28)];
 
 /// A call of a program: what the library needs to find it.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -67,8 +65,7 @@ impl fmt::Display for Cell {
     }
 }
 
-pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
-    let mut report = Report::new(TITLE, TEXT);
+pub(crate) fn drill(extent: &Extent, report: &mut Report) -> Result<(), String> {
     let mut sandboxes = Sandbox::several(extent.jobs)?;
     let calls = calls(&mut sandboxes[0])?;
     let mut cells = match &extent.cell {
@@ -85,14 +82,12 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
     if extent.is_quick {
         cells.truncate(QUICK);
     }
-    let all = cells.len();
-    let kinds = ["cells", "cells whose point was not reached"];
-    let cells = cells.into_iter().enumerate();
-    Ok(execute(extent, report, (kinds, u64::MAX), sandboxes, cells, |sandbox, (index, cell)| {
-        eprintln!("{} of {all}: {cell}", index + 1);
-        let what = cell.to_string();
-        Outcome { what, took_place: disturb(sandbox, &cell), class: cell.class }
-    }))
+    let trials = cells.into_iter().map(|cell| {
+        let (name, class) = (cell.to_string(), cell.class.clone());
+        Trial::new(name, class, move |sandbox| disturb(sandbox, &cell))
+    });
+    execute(extent, report, sandboxes, u64::MAX, trials);
+    Ok(())
 }
 
 /// The calls of each program in an undisturbed run, and how often one process makes each.
@@ -129,24 +124,17 @@ fn cells(calls: &BTreeMap<Call, u64>) -> Vec<Cell> {
         places.retain(|(_, number)| (1..=count).contains(number));
         places.sort_by_key(|(_, number)| *number);
         places.dedup_by_key(|(_, number)| *number);
-        let (operation, _) = call.call.split_once(' ').unwrap_or_default();
-        let changes = !matches!(operation, "open-to-read" | "read");
-        for &(place, number) in places.iter().filter(|_| changes) {
+        for &(place, number) in &places {
             for action in ["kill-before", "kill-after"] {
                 let class = format!("{} killed", role(&call.program));
                 let action = action.to_owned();
                 cells.push(Cell { call: call.clone(), place, number, action, class });
             }
         }
-        let errors = if changes { &ERRORS[..] } else { &ERRORS[..1] };
-        let fails =
-            |(name, error): &(&str, i32)| (format!("a call fails with {name}"), error.to_string());
-        let is_transfer = matches!(operation, "read" | "write");
-        let short = is_transfer.then(|| (format!("a short {operation}"), "short".to_owned()));
-        for (class, action) in errors.iter().map(fails).chain(short) {
+        for (name, error) in ERRORS {
             for &(place, number) in places.iter().filter(|(_, number)| [1, count].contains(number))
             {
-                let (class, action) = (class.clone(), action.clone());
+                let (class, action) = (format!("a call fails with {name}"), error.to_string());
                 cells.push(Cell { call: call.clone(), place, number, action, class });
             }
         }

@@ -1,5 +1,5 @@
-//! Kills at random moments: of each process of a run, and of the process that started it; processes that are stopped for a
-//! while or for good; and a second run in the same folder at the same time.
+//! Kills at random moments: of each process of a run, and of the process that started it; processes that are stopped for
+//! good; and a second run in the same folder at the same time. Processes that stop for a while are those of `drill-sim`.
 
 use std::fs;
 use std::path::Path;
@@ -10,12 +10,11 @@ use std::time::{Duration, Instant};
 use memtransfer_tests::Ended;
 use rustix::process::{Pid, Signal, kill_process};
 
+use crate::harness::{Run, Sandbox, Trial, execute};
 use crate::report::Report;
-use crate::runs::{Run, Sandbox};
-use crate::{Extent, Outcome, Random, execute};
+use crate::{Extent, Random};
 
-const TITLE: &str = "Kills at random moments";
-const TEXT: &str = "Short runs, each disturbed once at a random moment. The run, or the same command again, must end with the log of an \
+pub(crate) const TEXT: &str = "Short runs, each disturbed once at a random moment. The run, or the same command again, must end with the log of an \
      undisturbed run; then `memtransfer clean` must leave no shared memory, no folder and no process.";
 
 /// The programs of a run, as what they are in it.
@@ -48,65 +47,46 @@ const STOP: Duration = Duration::from_secs(30);
 #[derive(Clone, Copy, PartialEq)]
 enum Disturbance {
     Kill,
-    StopAndContinue,
     StopForGood,
     KillParent,
     SecondRun,
 }
 
-/// One run with one disturbance.
-struct Trial {
-    disturbance: Disturbance,
-    role: &'static str,
-    program: &'static str,
-    /// The moment, as a share of the time that an undisturbed run takes.
-    moment: f64,
-}
-
-pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
+pub(crate) fn drill(extent: &Extent, report: &mut Report) -> Result<(), String> {
     let sandboxes = Sandbox::several(extent.jobs)?;
     let episodes = sandboxes[0].episodes();
-    let mut random = Random::new(extent.seed);
+    let (mut random, seed) = (Random::new(extent.seed), extent.seed);
     // A quick drill has a kill of each process and two of the disturbances that do not wait for a time limit.
     let (first, rest) = if extent.is_quick {
-        (0..VICTIMS.len(), 5 * VICTIMS.len()..5 * VICTIMS.len() + 2)
+        (0..VICTIMS.len(), 3 * VICTIMS.len()..3 * VICTIMS.len() + 2)
     } else {
         (0..usize::MAX, 0..0)
     };
     let trials = first.chain(rest).map(|turn| {
         let (role, program) = VICTIMS[turn % VICTIMS.len()];
-        let disturbance = match (turn / VICTIMS.len()) % 6 {
-            3 => Disturbance::StopAndContinue,
-            5 => match turn % VICTIMS.len() {
-                0 => Disturbance::KillParent,
-                1 => Disturbance::SecondRun,
-                _ => Disturbance::StopForGood,
-            },
+        let disturbance = match (turn / VICTIMS.len() % 4, turn % VICTIMS.len()) {
+            (3, 0) => Disturbance::KillParent,
+            (3, 1) => Disturbance::SecondRun,
+            (3, _) => Disturbance::StopForGood,
             _ => Disturbance::Kill,
         };
         // Also shortly after the end of an undisturbed run: runs that are disturbed, or listed, take longer.
-        Trial { disturbance, role, program, moment: random.fraction() * 1.1 }
+        let share = random.fraction() * 1.1;
+        let class = class(disturbance, role);
+        let name = format!("{class} at {share:.3} of a run, seed {seed}");
+        Trial::new(name, class, move |sandbox| {
+            let moment = Duration::from_secs_f64(share * sandbox.usual);
+            disturb(sandbox, disturbance, (role, program), moment)
+        })
     });
-    let kinds = ["runs", "runs over before the disturbance"];
-    let report = Report::new(TITLE, TEXT);
-    let mut report =
-        execute(extent, report, (kinds, WHOLE), sandboxes, trials, |sandbox, trial| {
-            let moment = trial.moment * sandbox.usual;
-            let class = class(trial.disturbance, trial.role);
-            Outcome {
-                what: format!("{class} at {moment:.3} s, seed {}", extent.seed),
-                class,
-                took_place: disturb(sandbox, &trial, Duration::from_secs_f64(moment)),
-            }
-        });
+    execute(extent, report, sandboxes, WHOLE, trials);
     report.add("episodes", report.faults() as f64 * episodes as f64);
-    Ok(report)
+    Ok(())
 }
 
 fn class(disturbance: Disturbance, role: &str) -> String {
     match disturbance {
         Disturbance::Kill => format!("{role} killed"),
-        Disturbance::StopAndContinue => format!("{role} stopped and continued"),
         Disturbance::StopForGood if role == EXTERNAL_MEMORY => format!("{role} stopped for long"),
         Disturbance::StopForGood => format!("{role} stopped for good"),
         Disturbance::KillParent => "the parent of the orchestrator killed".to_owned(),
@@ -115,8 +95,12 @@ fn class(disturbance: Disturbance, role: &str) -> String {
 }
 
 /// Executes a run with one disturbance. Returns whether it took place before the run was over.
-fn disturb(sandbox: &mut Sandbox, trial: &Trial, moment: Duration) -> Result<bool, String> {
-    let &Trial { disturbance, role, program, .. } = trial;
+fn disturb(
+    sandbox: &mut Sandbox,
+    disturbance: Disturbance,
+    (role, program): (&str, &str),
+    moment: Duration,
+) -> Result<bool, String> {
     let mut run = sandbox.run();
     if role == EXTERNAL_POLICY {
         run.make_policy_external();
@@ -160,11 +144,6 @@ fn disturb(sandbox: &mut Sandbox, trial: &Trial, moment: Duration) -> Result<boo
             Some(pid) => {
                 let took_place = match disturbance {
                     Disturbance::Kill => signal(pid, Signal::KILL),
-                    Disturbance::StopAndContinue => {
-                        let stopped = signal(pid, Signal::STOP);
-                        thread::sleep(moment.min(Duration::from_millis(700)));
-                        stopped && signal(pid, Signal::CONT)
-                    }
                     // A stopped orchestrator is the user's wish, and continues.
                     _ if is_orchestrator => false,
                     // It has ten minutes to build itself: longer than this drill waits.

@@ -1,46 +1,49 @@
 //! Drills of real processes: short runs that are disturbed on purpose, and must end with the log of an undisturbed one.
-//! `cargo xtask drill` starts it.
+//! `cargo xtask drill` starts it. Faults of files, and of the order and the time of messages, are those of `drill-sim`.
 
 mod disk;
 mod grid;
+mod harness;
 mod kills;
 mod report;
-mod runs;
 mod soak;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Mutex;
-use std::thread;
 
-use clap::{Parser, ValueEnum};
+use clap::Parser;
+use clap::builder::PossibleValuesParser;
 use report::Report;
-use runs::Sandbox;
 
 /// No new disturbance begins in a quick drill after so many minutes.
 const QUICK_MINUTES: f64 = 1.0;
+
+/// A kind of drill.
+struct Drill {
+    name: &'static str,
+    /// What it does, for the reader of its report.
+    text: &'static str,
+    run: fn(&Extent, &mut Report) -> Result<(), String>,
+}
+
+/// All kinds.
+const DRILLS: [Drill; 4] = [
+    Drill { name: "grid", text: grid::TEXT, run: grid::drill },
+    Drill { name: "kills", text: kills::TEXT, run: kills::drill },
+    Drill { name: "disk", text: disk::TEXT, run: disk::drill },
+    Drill { name: "soak", text: soak::TEXT, run: soak::drill },
+];
 
 /// Disturb short runs on purpose; each must end with the log of an undisturbed one
 ///
 /// Exit status: 0 no violation, 1 violations, 2 error.
 #[derive(Debug, Parser)]
 struct Arguments {
-    /// What is disturbed
-    drill: DrillName,
+    /// The drill
+    #[arg(value_parser = PossibleValuesParser::new(DRILLS.map(|drill| drill.name)))]
+    drill: String,
     #[command(flatten)]
     extent: Extent,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum DrillName {
-    /// A process is killed before and after each call that matters, or the call fails
-    Grid,
-    /// Kills and stops at random moments
-    Kills,
-    /// Full, read-only and foreign disks, full shared memory, little memory
-    Disk,
-    /// One long run with kills, in which nothing may grow
-    Soak,
 }
 
 /// How much a drill does.
@@ -67,68 +70,17 @@ pub(crate) struct Extent {
     /// Write what was found as JSON, also while the drill goes on
     #[arg(long, value_name = "FILE", default_value = "/dev/null")]
     json: PathBuf,
-    /// The command that repeats the drill, for the report.
-    #[arg(skip)]
-    command: String,
 }
 
 impl Extent {
     /// Whether the drill has to end; records what it has found so far.
     fn is_over(&self, report: &Report) -> bool {
-        if let Err(error) = report.write(&self.json, &self.command) {
+        if let Err(error) = report.write(&self.json) {
             eprintln!("{error}");
         }
         let minutes = if self.is_quick { self.minutes.min(QUICK_MINUTES) } else { self.minutes };
         report.seconds() > minutes * 60.0
     }
-}
-
-/// What a trial did, and whether its disturbance took place before the run was over; or what it violated.
-pub(crate) struct Outcome {
-    what: String,
-    class: String,
-    took_place: Result<bool, String>,
-}
-
-/// Executes `trials`, one in each sandbox at a time, until all are done, `most` faults took place or time is over. `kinds`
-/// names the figures of all trials, and of those whose disturbance did not take place.
-pub(crate) fn execute<T>(
-    extent: &Extent,
-    report: Report,
-    (kinds, most): ([&str; 2], u64),
-    sandboxes: Vec<Sandbox>,
-    trials: impl Iterator<Item = T> + Send,
-    disturb: impl Fn(&mut Sandbox, T) -> Outcome + Sync,
-) -> Report {
-    let next = Mutex::new((report, trials));
-    let lock = || next.lock().expect("no thread panics");
-    let next_trial = || {
-        let (report, trials) = &mut *lock();
-        let is_over = report.faults() >= most || extent.is_over(report);
-        if is_over { None } else { trials.next() }
-    };
-    let (disturb, next_trial) = (&disturb, &next_trial);
-    thread::scope(|scope| {
-        for mut sandbox in sandboxes {
-            scope.spawn(move || {
-                while let Some(trial) = next_trial() {
-                    let Outcome { what, class, took_place } = disturb(&mut sandbox, trial);
-                    let (report, _) = &mut *lock();
-                    let [all, not_reached] = kinds;
-                    report.add(all, 1.0);
-                    match took_place {
-                        Ok(false) => report.add(not_reached, 1.0),
-                        Ok(true) => report.fault(&class),
-                        Err(violation) => {
-                            report.fault(&class);
-                            report.outcome(&what, Err(violation));
-                        }
-                    }
-                }
-            });
-        }
-    });
-    next.into_inner().expect("no thread panics").0
 }
 
 fn main() -> ExitCode {
@@ -144,30 +96,14 @@ fn main() -> ExitCode {
 
 /// Returns whether no violation was found.
 fn run() -> Result<bool, String> {
-    let Arguments { drill, mut extent } = Arguments::parse();
-    extent.command = command();
-    let report = match drill {
-        DrillName::Grid => grid::drill(&extent)?,
-        DrillName::Kills => kills::drill(&extent)?,
-        DrillName::Disk => disk::drill(&extent)?,
-        DrillName::Soak => soak::drill(&extent)?,
-    };
-    report.write(&extent.json, &extent.command)?;
+    let Arguments { drill, extent } = Arguments::parse();
+    let found = DRILLS.iter().find(|known| known.name == drill);
+    let Drill { text, run, .. } = found.ok_or_else(|| format!("there is no drill {drill}"))?;
+    let mut report = Report::new(text);
+    run(&extent, &mut report)?;
+    report.write(&extent.json)?;
+    eprintln!("{}", report.summary());
     Ok(report.is_clean())
-}
-
-/// `cargo xtask drill` with the arguments of this program, but for `--json FILE`.
-fn command() -> String {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let json = arguments.iter().position(|argument| argument == "--json");
-    let is_kept = |at: usize| json.is_none_or(|json| ![json, json + 1].contains(&at));
-    let kept = arguments.iter().enumerate().filter(|(at, _)| is_kept(*at));
-    let (own, passed_on): (Vec<&str>, Vec<&str>) =
-        kept.map(|(_, argument)| argument.as_str()).partition(|argument| {
-            DrillName::from_str(argument, false).is_ok() || *argument == "--quick"
-        });
-    let separator: &[&str] = if passed_on.is_empty() { &[] } else { &["--"] };
-    [&["cargo xtask drill"], &*own, separator, &*passed_on].concat().join(" ")
 }
 
 /// Numbers that follow from a seed alone (SplitMix64).

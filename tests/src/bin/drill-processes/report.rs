@@ -8,7 +8,6 @@ use serde_json::json;
 
 /// The result of one drill.
 pub(crate) struct Report {
-    title: &'static str,
     text: &'static str,
     faults: BTreeMap<String, u64>,
     figures: BTreeMap<String, f64>,
@@ -18,9 +17,8 @@ pub(crate) struct Report {
 }
 
 impl Report {
-    pub(crate) fn new(title: &'static str, text: &'static str) -> Self {
+    pub(crate) fn new(text: &'static str) -> Self {
         Self {
-            title,
             text,
             faults: BTreeMap::new(),
             figures: BTreeMap::new(),
@@ -68,23 +66,25 @@ impl Report {
         self.violations.is_empty()
     }
 
-    /// Writes the report. Called also while the drill goes on, so that a drill that is ended has one.
-    pub(crate) fn write(&self, file: &Path, command: &str) -> Result<(), String> {
+    /// The report as JSON, with the arguments that repeat the drill.
+    pub(crate) fn summary(&self) -> String {
         let mut figures = self.figures.clone();
         figures.insert("minutes".to_owned(), (self.seconds() / 6.0).round() / 10.0);
-        let mut text = self.text.to_owned();
-        for skipped in &self.skipped {
-            text += &format!(" Not here: {skipped}.");
-        }
+        let arguments: Vec<String> = std::env::args().skip(1).collect();
         let report = json!({
-            "title": self.title,
-            "command": command,
-            "text": text,
+            "arguments": arguments.join(" "),
+            "text": self.text,
+            "skipped": self.skipped,
             "faults": self.faults,
             "figures": figures,
             "violations": self.violations,
         });
-        std::fs::write(file, format!("{report:#}\n"))
+        format!("{report:#}")
+    }
+
+    /// Writes the report. Called also while the drill goes on, so that a drill that is ended has one.
+    pub(crate) fn write(&self, file: &Path) -> Result<(), String> {
+        std::fs::write(file, format!("{}\n", self.summary()))
             .map_err(|error| format!("cannot write {}: {error}", file.display()))
     }
 }

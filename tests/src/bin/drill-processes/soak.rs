@@ -9,11 +9,10 @@ use std::time::{Duration, Instant};
 use memtransfer_tests::{episodes, processes_of, shared_memory_of};
 
 use crate::Extent;
+use crate::harness::{Run, Sandbox};
 use crate::report::Report;
-use crate::runs::{Run, Sandbox};
 
-const TITLE: &str = "A long run with kills";
-const TEXT: &str = "One run of many short episodes with built-in memories and an external one. The simulator, memory, the policy and the \
+pub(crate) const TEXT: &str = "One run of many short episodes with built-in memories and an external one. The simulator, memory, the policy and the \
      external memory are killed in turn. What the run holds is measured twice a second; the median of the last quarter \
      must not exceed that of the first (in a quick drill it is only shown).";
 
@@ -52,8 +51,7 @@ struct Size {
     progress: usize,
 }
 
-pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
-    let mut report = Report::new(TITLE, TEXT);
+pub(crate) fn drill(extent: &Extent, report: &mut Report) -> Result<(), String> {
     let sandbox = &mut Sandbox::one()?;
     let size = match extent.is_quick {
         true => Size { cases: 10, repetitions: 2, pause: Duration::from_secs(1), progress: 15 },
@@ -80,7 +78,7 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
         if let Some(status) = child.try_wait().map_err(|error| error.to_string())? {
             break status;
         }
-        if extent.is_over(&report) && !extent.is_quick {
+        if extent.is_over(report) && !extent.is_quick {
             memtransfer_tests::kill(child.id());
         }
         thread::sleep(INTERVAL);
@@ -134,7 +132,7 @@ pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
     }
     report.outcome("the processes", sandbox.wait_for_processes());
     report.outcome("what is left", sandbox.check_clean());
-    Ok(report)
+    Ok(())
 }
 
 /// Finished episodes, and those of them with the external memory.

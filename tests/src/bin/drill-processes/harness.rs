@@ -1,4 +1,4 @@
-//! Runs in a sandbox, and what must be true after one that was disturbed.
+//! The harness of all drills: runs in a sandbox, trials that disturb one each, and what must be true afterwards.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -6,11 +6,15 @@ use std::io;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::Mutex;
 use std::thread;
 use std::time::{Duration, Instant};
 
 use memory_proc::paths::CacheFolder;
 use memtransfer_tests::{Ended, kill, processes_of, program, shared_memory_of, sorted_log};
+
+use crate::Extent;
+use crate::report::Report;
 
 /// The shared library that counts calls and disturbs processes.
 const FAULTS: &str = include_str!("faults.c");
@@ -21,6 +25,66 @@ const PATIENCE: Duration = Duration::from_secs(180);
 /// How often a command is repeated until its run is complete. A fault can end a run more than once: it stays excluded for a
 /// session.
 const REPETITIONS: u32 = 3;
+
+/// One disturbance of a run.
+pub(crate) struct Trial {
+    /// Names the trial in a violation.
+    pub(crate) name: String,
+    /// The kind of disturbance, as the report counts them.
+    pub(crate) class: String,
+    /// Disturbs a run, and checks that it recovers. Returns whether the disturbance took place before the run was over.
+    pub(crate) disturb: Disturb,
+}
+
+/// Disturbs a run, and checks that it recovers. Returns whether the disturbance took place.
+type Disturb = Box<dyn FnOnce(&mut Sandbox) -> Result<bool, String> + Send>;
+
+impl Trial {
+    pub(crate) fn new(
+        name: impl Into<String>,
+        class: impl Into<String>,
+        disturb: impl FnOnce(&mut Sandbox) -> Result<bool, String> + Send + 'static,
+    ) -> Self {
+        Self { name: name.into(), class: class.into(), disturb: Box::new(disturb) }
+    }
+}
+
+/// Executes `trials`, one in each sandbox at a time, until all are done, `most` faults took place or time is over.
+pub(crate) fn execute(
+    extent: &Extent,
+    report: &mut Report,
+    sandboxes: Vec<Sandbox>,
+    most: u64,
+    trials: impl Iterator<Item = Trial> + Send,
+) {
+    let next = Mutex::new((report, trials));
+    let lock = || next.lock().expect("no thread panics");
+    let next_trial = || {
+        let (report, trials) = &mut *lock();
+        let is_over = report.faults() >= most || extent.is_over(report);
+        if is_over { None } else { trials.next() }
+    };
+    let next_trial = &next_trial;
+    thread::scope(|scope| {
+        for mut sandbox in sandboxes {
+            scope.spawn(move || {
+                while let Some(Trial { name, class, disturb }) = next_trial() {
+                    let took_place = disturb(&mut sandbox);
+                    let (report, _) = &mut *lock();
+                    report.add("trials", 1.0);
+                    match took_place {
+                        Ok(false) => report.add("trials without a disturbance", 1.0),
+                        Ok(true) => report.fault(&class),
+                        Err(violation) => {
+                            report.fault(&class);
+                            report.outcome(&name, Err(violation));
+                        }
+                    }
+                }
+            });
+        }
+    });
+}
 
 /// The folders of a drill's runs. Numbers in their names do not count for the patterns of paths.
 pub(crate) struct Sandbox {
