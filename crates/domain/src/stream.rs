@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 /// What streams are drawn.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct StreamRules {
     /// Number of streams.
     pub streams: u32,

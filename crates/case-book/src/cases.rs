@@ -1,0 +1,179 @@
+//! Cases, streams and what is stale: for those who run, score and show episodes.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use domain::{Action, Pose, Route, Start, StreamOrder};
+use serde::{Deserialize, Serialize};
+
+/// The cases of a run's world.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CaseBook {
+    /// The world.
+    pub world: WorldFacts,
+    /// The cases, sorted by id. Everything else names them by their index.
+    pub cases: Vec<CaseFacts>,
+    /// The streams, for a run that consists of some.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub streams: Option<StreamsFacts>,
+    /// For each variant that episodes of the run can take place in, and that demonstrations can be stale in: the
+    /// demonstrations, as indices into the [`DemonstrationBook`](crate::DemonstrationBook), that do not complete their task
+    /// there. One that took place in another world is never stale.
+    pub stale: BTreeMap<u32, BTreeSet<u32>>,
+}
+
+/// What identifies a world.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WorldFacts {
+    /// The name.
+    pub name: String,
+    /// The version of its rules.
+    pub version: String,
+    /// Hashes of what it was made from, by name, in hexadecimal digits.
+    pub hashes: BTreeMap<String, String>,
+    /// The number of different views that a variant has, at most.
+    pub views: u32,
+    /// The same of the other world in which tasks are demonstrated; 0 if there is none.
+    pub elsewhere_views: u32,
+}
+
+/// A case: a task with its starts.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CaseFacts {
+    /// The id.
+    pub id: String,
+    /// The number of the task's type.
+    pub task: u8,
+    /// The instruction for the policy.
+    pub instruction: String,
+    /// What the expert does, from each start in each variant in which the case is tested.
+    pub references: Vec<Reference>,
+    /// Whether the blocked variant invalidates the case's original demonstration: acted out there, it does not complete the
+    /// task.
+    pub invalidated_when_blocked: bool,
+}
+
+/// The expert's trajectory of a case.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reference {
+    /// The start.
+    pub start: Start,
+    /// The route.
+    pub route: Route,
+    /// The state in which it begins.
+    pub begin: Pose,
+    /// The actions. They may go on after the task is complete.
+    #[serde(with = "crate::text::letters")]
+    pub actions: Vec<Action>,
+    /// The steps in which they complete the task, l_i.
+    pub length: u32,
+}
+
+/// The streams of a run (specification, section 9).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StreamsFacts {
+    /// BLAKE3 of the world's own file of them, in hexadecimal digits.
+    pub hash: String,
+    /// The streams.
+    pub streams: Vec<StreamFacts>,
+    /// The variant of each world state that blocks name.
+    pub variants: Vec<u32>,
+    /// By world state, the cases that take place in it.
+    pub states: Vec<BTreeMap<u32, CaseInState>>,
+}
+
+/// A stream.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StreamFacts {
+    /// The blocks, as drawn.
+    pub blocks: Vec<StreamBlock>,
+    /// The indices of the blocks in the shuffled order.
+    pub shuffled: Vec<u32>,
+}
+
+/// Cases that take place in one state of the world.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StreamBlock {
+    /// The world state.
+    pub world: u32,
+    /// The cases.
+    pub cases: Vec<u32>,
+}
+
+/// A case in a world state of a stream.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CaseInState {
+    /// The state in which the reference begins.
+    pub begin: Pose,
+    /// The actions of the expert, who knows the state.
+    #[serde(with = "crate::text::letters")]
+    pub actions: Vec<Action>,
+    /// The steps in which they complete the task, l_i.
+    pub length: u32,
+    /// Whether the case's original demonstration, acted out here, does not complete the task.
+    pub invalidated: bool,
+}
+
+impl CaseBook {
+    /// The index of the case with this id.
+    pub fn index(&self, id: &str) -> Option<usize> {
+        self.cases.binary_search_by(|case| case.id.as_str().cmp(id)).ok()
+    }
+
+    /// The ids of all cases, in their order.
+    pub fn ids(&self) -> Vec<&str> {
+        self.cases.iter().map(|case| case.id.as_str()).collect()
+    }
+
+    /// Whether the demonstration is stale in the variant. `false` for a variant in which none can be.
+    pub fn is_stale(&self, variant: u32, demonstration: u32) -> bool {
+        self.stale.get(&variant).is_some_and(|stale| stale.contains(&demonstration))
+    }
+}
+
+impl CaseFacts {
+    /// The reference of an episode from `start` on `route`. On a blocked route an episode always begins at the new start.
+    pub fn reference(&self, start: Start, route: Route) -> Option<&Reference> {
+        let start = match route {
+            Route::Blocked => Start::New,
+            Route::Unchanged => start,
+        };
+        self.references.iter().find(|of| (of.start, of.route) == (start, route))
+    }
+}
+
+impl StreamsFacts {
+    /// A case in a world state; `None` if no block has it there.
+    pub fn case(&self, world: u32, case: u32) -> Option<&CaseInState> {
+        self.states.get(world as usize)?.get(&case)
+    }
+
+    /// The variant of a world state.
+    pub fn variant(&self, world: u32) -> Option<u32> {
+        self.variants.get(world as usize).copied()
+    }
+}
+
+impl StreamFacts {
+    /// The indices of its blocks in `order`.
+    pub fn order(&self, order: StreamOrder) -> Vec<u32> {
+        let drawn = 0..self.blocks.len() as u32;
+        match order {
+            StreamOrder::Drawn => drawn.collect(),
+            StreamOrder::Reversed => drawn.rev().collect(),
+            StreamOrder::Shuffled => self.shuffled.clone(),
+        }
+    }
+
+    /// The cases of all blocks, sorted, each once.
+    pub fn cases(&self) -> BTreeSet<u32> {
+        self.blocks.iter().flat_map(|block| block.cases.iter().copied()).collect()
+    }
+}

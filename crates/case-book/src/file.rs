@@ -1,0 +1,134 @@
+//! The files of the case book.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use crate::{CaseBook, DemonstrationBook};
+
+/// The file of the [`CaseBook`] in a run folder.
+pub const CASE_BOOK_FILE: &str = "case-book.json";
+
+/// The file of the [`DemonstrationBook`] in a run folder.
+pub const DEMONSTRATIONS_FILE: &str = "demonstrations.json";
+
+/// A book with its text and what identifies it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BookFile<T> {
+    /// The book.
+    pub book: T,
+    /// Its text, one line of JSON.
+    pub text: String,
+    /// BLAKE3 of the text, in hexadecimal digits.
+    pub hash: String,
+}
+
+/// Why a book cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum BookError {
+    /// Its file cannot be read.
+    #[error("cannot read {}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: io::Error,
+    },
+    /// Its text is not a case book.
+    #[error("{origin} is not part of a case book: {problem}")]
+    Invalid {
+        /// The file.
+        origin: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+}
+
+/// What the parts of a book have to fulfil.
+trait Check {
+    fn problem(&self) -> Option<String>;
+}
+
+impl Check for CaseBook {
+    fn problem(&self) -> Option<String> {
+        let is_sorted = self.cases.windows(2).all(|pair| pair[0].id < pair[1].id);
+        if !is_sorted {
+            return Some("its cases are not sorted by id".to_owned());
+        }
+        let count = self.cases.len() as u32;
+        let streams = self.streams.iter().flat_map(|streams| &streams.streams);
+        let blocks = streams.flat_map(|stream| &stream.blocks);
+        let states = self.streams.as_ref().map_or(0, |streams| streams.states.len()) as u32;
+        for block in blocks {
+            if block.world >= states || block.cases.iter().any(|case| *case >= count) {
+                return Some(
+                    "a block names a case or a world state that it does not have".to_owned(),
+                );
+            }
+        }
+        None
+    }
+}
+
+impl Check for DemonstrationBook {
+    fn problem(&self) -> Option<String> {
+        let count = self.demonstrations.len() as u32;
+        let named = self.cases.iter().flat_map(|case| {
+            let lists = [&case.own, &case.irrelevant, &case.confusable];
+            let single = [case.after, case.elsewhere].into_iter().flatten();
+            lists.into_iter().flatten().copied().chain(single)
+        });
+        let planned = self.streams.iter().flat_map(|stream| stream.planned.iter().flatten());
+        let mut named = named.chain(planned.copied()).chain(self.bank_order.iter().copied());
+        if named.any(|index| index >= count) {
+            return Some(format!("a set names a demonstration that is not among {count}"));
+        }
+        let cases = self.cases.len() as u32;
+        if self.demonstrations.iter().any(|of| of.case >= cases) {
+            return Some(format!("a demonstration is of a case that is not among {cases}"));
+        }
+        self.demonstrations.iter().find_map(crate::Demonstration::problem)
+    }
+}
+
+impl<T: Serialize> BookFile<T> {
+    /// The file of `book`.
+    ///
+    /// # Errors
+    /// When it cannot be written as JSON.
+    pub fn new(book: T) -> Result<Self, serde_json::Error> {
+        let mut text = serde_json::to_string(&book)?;
+        text.push('\n');
+        let hash = blake3::hash(text.as_bytes()).to_hex().to_string();
+        Ok(Self { book, text, hash })
+    }
+}
+
+#[expect(private_bounds, reason = "the two books are all that there is")]
+impl<T: DeserializeOwned + Check> BookFile<T> {
+    /// Reads the file at `path`.
+    ///
+    /// # Errors
+    /// When it cannot be read, or is not such a book.
+    pub fn read(path: &Path) -> Result<Self, BookError> {
+        let text = durable::input::read_text(path)
+            .map_err(|source| BookError::Unreadable { path: path.to_owned(), source })?;
+        Self::parse(text, &path.display().to_string())
+    }
+
+    /// Reads `text`, which comes from `origin`.
+    ///
+    /// # Errors
+    /// When it is not such a book.
+    pub fn parse(text: String, origin: &str) -> Result<Self, BookError> {
+        let invalid = |problem: String| BookError::Invalid { origin: origin.to_owned(), problem };
+        let book: T = serde_json::from_str(&text).map_err(|error| invalid(error.to_string()))?;
+        if let Some(problem) = book.problem() {
+            return Err(invalid(problem));
+        }
+        let hash = blake3::hash(text.as_bytes()).to_hex().to_string();
+        Ok(Self { book, text, hash })
+    }
+}

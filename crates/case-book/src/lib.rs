@@ -1,0 +1,25 @@
+//! The case book: everything that a run knows about the cases of its world and that does not change while it runs.
+//!
+//! The world writes it as data, once for the settings of a run; no other process knows the world's rules. It consists of two
+//! files, because what a process must not know is not in its file:
+//!
+//! - [`CaseBook`], for the orchestrator, scores and pages: instructions, references, streams, and which demonstrations are
+//!   stale in which variant;
+//! - [`DemonstrationBook`], for memory: demonstrations only. No test reference, no rule of a variant, no goal.
+//!
+//! Both are identified by their content ([`BookFile`]).
+
+mod cases;
+mod demonstrations;
+mod file;
+mod request;
+mod text;
+
+pub use cases::{
+    CaseBook, CaseFacts, CaseInState, Reference, StreamBlock, StreamFacts, StreamsFacts, WorldFacts,
+};
+pub use demonstrations::{
+    CaseDemonstrations, Demonstration, DemonstrationBook, StreamDemonstrations, ViewPlace,
+};
+pub use file::{BookError, BookFile, CASE_BOOK_FILE, DEMONSTRATIONS_FILE};
+pub use request::{BookRequest, ElsewhereRequest, StreamsRequest};
