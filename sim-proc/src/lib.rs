@@ -7,8 +7,9 @@
 //! - [`renderer`]: poses in, pixels out, with two backends.
 //! - [`view_source`]: single views, outside a run.
 //! - [`first_views`]: whether a case begins with a view of a target.
-//! - [`serve_command`] and [`views_command`]: the command line.
+//! - [`serve_command`], [`views_command`] and [`book_command`]: the command line.
 
+pub mod book_command;
 pub mod first_views;
 pub mod lanes;
 pub mod render_pool;

@@ -1,9 +1,10 @@
 //! The simulator's binary: `serve` runs the simulator of a run, `views` writes views to stdout, `first-views` checks where
-//! cases begin.
+//! cases begin, `book` writes the case book.
 
 use std::process::ExitCode;
 
 use clap::Parser;
+use sim_proc::book_command::{self, BookArgs};
 use sim_proc::first_views::{self, FirstViewsArgs};
 use sim_proc::serve_command::{self, ServeArgs};
 use sim_proc::views_command::{self, ViewsArgs};
@@ -24,6 +25,8 @@ enum Command {
     Views(ViewsArgs),
     /// Render the first views of cases, which must show no target. Started by `memtransfer validate`.
     FirstViews(FirstViewsArgs),
+    /// Write the case book of a run: what it knows about cases and demonstrations. Started by `memtransfer run`.
+    Book(BookArgs),
 }
 
 fn main() -> ExitCode {
@@ -32,6 +35,7 @@ fn main() -> ExitCode {
             Command::Serve(args) => serve_command::run(args)?,
             Command::Views(args) => views_command::run(&args)?,
             Command::FirstViews(args) => first_views::run(&args)?,
+            Command::Book(args) => book_command::run(&args)?,
         }
         Ok(ExitCode::SUCCESS)
     })

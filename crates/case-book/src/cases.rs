@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 pub struct CaseBook {
     /// The world.
     pub world: WorldFacts,
-    /// The cases, sorted by id. Everything else names them by their index.
+    /// The cases, in the order of the world's own file; no two have the same id. Everything else names them by their index.
     pub cases: Vec<CaseFacts>,
     /// The streams, for a run that consists of some.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -124,7 +124,7 @@ pub struct CaseInState {
 impl CaseBook {
     /// The index of the case with this id.
     pub fn index(&self, id: &str) -> Option<usize> {
-        self.cases.binary_search_by(|case| case.id.as_str().cmp(id)).ok()
+        self.cases.iter().position(|case| case.id == id)
     }
 
     /// The ids of all cases, in their order.

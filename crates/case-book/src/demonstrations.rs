@@ -163,13 +163,17 @@ impl Demonstration {
     pub fn problem(&self) -> Option<String> {
         let states = self.poses.len();
         let lengths = [self.feedback.len(), self.views.len(), self.actions.len() + 1];
-        (states == 0 || lengths.iter().any(|length| *length != states)).then(|| {
-            format!(
+        if states == 0 || lengths.iter().any(|length| *length != states) {
+            return Some(format!(
                 "a demonstration has {states} states, {} feedbacks, {} views and {} actions",
                 self.feedback.len(),
                 self.views.len(),
                 self.actions.len()
-            )
+            ));
+        }
+        let are_steps = self.sub_goals.iter().all(|step| (*step as usize) < states);
+        (!are_steps || !self.sub_goals.is_sorted()).then(|| {
+            format!("a demonstration of {states} states has sub-goals at {:?}", self.sub_goals)
         })
     }
 }

@@ -1,5 +1,6 @@
 //! The files of the case book.
 
+use std::collections::HashSet;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -53,9 +54,9 @@ trait Check {
 
 impl Check for CaseBook {
     fn problem(&self) -> Option<String> {
-        let is_sorted = self.cases.windows(2).all(|pair| pair[0].id < pair[1].id);
-        if !is_sorted {
-            return Some("its cases are not sorted by id".to_owned());
+        let mut known = HashSet::new();
+        if let Some(case) = self.cases.iter().find(|case| !known.insert(&case.id)) {
+            return Some(format!("it has case {} twice", case.id));
         }
         let count = self.cases.len() as u32;
         let streams = self.streams.iter().flat_map(|streams| &streams.streams);

@@ -13,6 +13,8 @@ mod cases;
 mod demonstrations;
 mod file;
 mod request;
+#[cfg(test)]
+mod tests;
 mod text;
 
 pub use cases::{

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 pub struct BookRequest {
     /// The folder of the world's assets; `None`: the built-in ones.
     pub assets: Option<PathBuf>,
-    /// The ids of the cases that take part; all cases are in the book.
+    /// The ids of the cases that take part, in any order; all cases are in the book.
     pub cases: Vec<String>,
     /// The sets of demonstrations that conditions name.
     pub demonstrations: Vec<Demonstrations>,

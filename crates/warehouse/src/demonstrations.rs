@@ -60,7 +60,7 @@ impl CaseSet {
     }
 
     /// The demonstrations of all cases in the order in which they join banks, drawn from the seed.
-    fn bank_order(&self) -> Vec<History> {
+    pub(crate) fn bank_order(&self) -> Vec<History> {
         let of = |case| DemonstrationKind::OWN.map(|kind| History { case, kind });
         let all = (0..self.cases.len()).flat_map(of).collect();
         Draw::new(self.seed, BANK_STREAM).shuffled(all)

@@ -8,6 +8,7 @@
 //! - [`Elsewhere`]: another warehouse, in which the tasks of cases are demonstrated.
 //! - [`WorldState`]: a warehouse after changes; [`stream`]: blocks of cases with events between them.
 //! - [`plan`]: expert trajectories and the fewest steps; [`sight`]: which items are in view, computed on the floor plan.
+//! - [`case_book`]: what a run knows about the cases, as data.
 //! - [`GeneratedWorld`]: a warehouse from a seed; [`CaseSet::generate`]: cases from a seed; [`validate`](mod@validate): every constraint checked by replay; [`map`]:
 //!   maps as SVG.
 //!
@@ -15,6 +16,7 @@
 
 pub mod asset;
 pub mod case;
+pub mod case_book;
 pub mod case_file;
 pub mod catalogue;
 mod constraints;

@@ -1,0 +1,121 @@
+//! Books by hand: sets, orders, and what is refused.
+
+use domain::{Action, DemonstrationKind, Demonstrations, Feedback, Heading, Pose, StreamOrder};
+
+use super::*;
+
+/// A turn on the spot.
+fn demonstration(case: u32, kind: DemonstrationKind) -> Demonstration {
+    Demonstration {
+        case,
+        kind,
+        variant: 0,
+        instruction: "Find a cone.".to_owned(),
+        poses: vec![Pose::new(1, 2, Heading::N), Pose::new(1, 2, Heading::E)],
+        feedback: vec![Feedback::Start, Feedback::Turned],
+        sub_goals: vec![1],
+        actions: vec![Action::TurnRight],
+        views: vec![0, 1],
+    }
+}
+
+/// Two cases with four demonstrations each; the first has one after an event.
+fn book() -> DemonstrationBook {
+    let own = |case| DemonstrationKind::OWN.map(|kind| demonstration(case, kind));
+    let mut demonstrations: Vec<_> = (0..2).flat_map(own).collect();
+    demonstrations.push(demonstration(0, DemonstrationKind::After));
+    let case = |own: [u32; 4], others: [u32; 2], after| CaseDemonstrations {
+        own: own.into(),
+        irrelevant: others.into(),
+        confusable: [others[1], others[0]].into(),
+        after,
+        ..CaseDemonstrations::default()
+    };
+    DemonstrationBook {
+        demonstrations,
+        cases: vec![case([0, 1, 2, 3], [6, 5], Some(8)), case([4, 5, 6, 7], [2, 1], None)],
+        bank_order: vec![5, 0, 7, 1, 2, 6, 4, 3],
+        ..DemonstrationBook::default()
+    }
+}
+
+#[test]
+fn a_set_names_demonstrations_in_its_order() {
+    let book = book();
+    for (set, first, second) in [
+        ("none", Some(vec![]), Some(vec![])),
+        ("4", Some(vec![0, 1, 2, 3]), Some(vec![4, 5, 6, 7])),
+        ("distant+opposite", Some(vec![1, 3]), Some(vec![5, 7])),
+        ("irrelevant", Some(vec![0, 1, 6, 5]), Some(vec![4, 5, 2, 1])),
+        ("confusable", Some(vec![0, 1, 5, 6]), Some(vec![4, 5, 1, 2])),
+        ("after", Some(vec![8]), None),
+        ("before-after", Some(vec![0, 8]), None),
+        ("after-before", Some(vec![8, 0]), None),
+        ("elsewhere", None, None),
+        // The own original demonstration takes the last place if it is not among the first ones.
+        ("bank-1", Some(vec![0]), Some(vec![4])),
+        ("bank-3", Some(vec![5, 0, 7]), Some(vec![5, 0, 4])),
+        ("bank-8", Some(book.bank_order.clone()), Some(book.bank_order.clone())),
+        ("bank-9", None, None),
+    ] {
+        let set: Demonstrations = set.parse().unwrap();
+        assert_eq!([0, 1].map(|case| book.of_case(case, set)), [first, second], "{set}");
+        assert_eq!(book.of_case(2, set), None);
+    }
+    let all = |set: &str| book.of_all_cases(set.parse().unwrap());
+    assert_eq!(all("irrelevant"), Some(vec![0, 1, 6, 5, 4, 2]));
+    assert_eq!(all("bank-3"), Some(vec![5, 0, 7, 4]));
+    assert_eq!(all("after"), None);
+    assert_eq!(book.find(1, DemonstrationKind::Nearby, 0), Some(6));
+    assert_eq!(book.find(1, DemonstrationKind::Nearby, 1), None);
+}
+
+#[test]
+fn orders_of_a_stream_are_of_its_blocks() {
+    let block = |case| StreamBlock { world: 0, cases: vec![case, 1] };
+    let stream = StreamFacts { blocks: [2, 0, 2].map(block).into(), shuffled: vec![1, 2, 0] };
+    let orders = StreamOrder::ALL.map(|order| stream.order(order));
+    assert_eq!(orders, [[0, 1, 2], [2, 1, 0], [1, 2, 0]]);
+    assert!(stream.cases().into_iter().eq(0..=2));
+}
+
+#[test]
+fn a_demonstration_s_lists_belong_together() {
+    let sound = demonstration(0, DemonstrationKind::Original);
+    assert_eq!((sound.stages(), sound.problem()), (vec![0, 1], None));
+    let changes: [fn(&mut Demonstration); 6] = [
+        |of| of.poses.clear(),
+        |of| drop(of.poses.pop()),
+        |of| of.feedback.push(Feedback::Moved),
+        |of| drop(of.views.pop()),
+        |of| of.actions.push(Action::Forward),
+        |of| of.sub_goals.push(2),
+    ];
+    for (number, change) in changes.into_iter().enumerate() {
+        let mut broken = sound.clone();
+        change(&mut broken);
+        assert!(broken.problem().is_some(), "change {number}");
+    }
+}
+
+#[test]
+fn a_book_that_names_what_it_lacks_is_refused() {
+    let good = BookFile::new(book()).unwrap();
+    let read = |text: String| BookFile::<DemonstrationBook>::parse(text, "here");
+    assert_eq!(read(good.text.clone()).unwrap(), good);
+    for (from, to, expected) in [
+        ("\"after\":8", "\"after\":9", "a set names a demonstration that is not among 9"),
+        ("\"bank_order\":[5", "\"bank_order\":[10", "a set names a demonstration"),
+        ("\"case\":1", "\"case\":2", "a demonstration is of a case that is not among 2"),
+        ("\"actions\":\"R\"", "\"actions\":\"x\"", "'x' is not an action"),
+        ("\"actions\":\"R\"", "\"actions\":\"Rf\"", "a demonstration has 2 states"),
+        ("\"views\"", "\"wievs\"", "unknown field `wievs`"),
+        ("{\"demonstrations\"", "\"demonstrations\"", "is not part of a case book"),
+    ] {
+        let error = read(good.text.replacen(from, to, 1)).unwrap_err().to_string();
+        assert!(error.starts_with("here is not part of a case book: "), "{error}");
+        assert!(error.contains(expected), "{error}");
+    }
+    let missing = BookFile::<DemonstrationBook>::read(std::path::Path::new("/no/such/file"));
+    assert_eq!(missing.unwrap_err().to_string(), "cannot read /no/such/file");
+}
