@@ -56,3 +56,39 @@ fn write(path: &Path, text: &str) -> Result<()> {
     durable::replace(path, &path.with_extension("json.draft"), text.as_bytes())
         .with_context(|| format!("cannot write {}", path.display()))
 }
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use case_book::{CaseBook, DemonstrationBook};
+
+    use super::*;
+
+    #[test]
+    fn the_files_are_those_of_the_request_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let (request, out) = (folder.path().join("request.json"), folder.path().join("out"));
+        let args = BookArgs { request: request.clone(), out: out.clone() };
+        let missing = format!("{:#}", run(&args).unwrap_err());
+        assert!(missing.starts_with("cannot read "), "{missing}");
+        let asked = BookRequest { cases: vec!["t01-01".to_owned()], ..BookRequest::default() };
+        let text = serde_json::to_string(&asked).unwrap();
+        fs::write(&request, &text[1..]).unwrap();
+        let damaged = format!("{:#}", run(&args).unwrap_err());
+        assert!(damaged.contains("request.json is no request for a case book: "), "{damaged}");
+        assert!(!out.exists());
+        fs::write(&request, &text).unwrap();
+        for _ in 0..2 {
+            run(&args).unwrap();
+            let names = fs::read_dir(&out).unwrap().map(|entry| entry.unwrap().file_name());
+            let mut names: Vec<_> = names.collect();
+            names.sort();
+            assert_eq!(names, [CASE_BOOK_FILE, DEMONSTRATIONS_FILE]);
+        }
+        let book = BookFile::<CaseBook>::read(&out.join(CASE_BOOK_FILE)).unwrap().book;
+        let demonstrations = out.join(DEMONSTRATIONS_FILE);
+        let demonstrations = BookFile::<DemonstrationBook>::read(&demonstrations).unwrap().book;
+        assert_eq!(book.cases.len(), demonstrations.cases.len());
+    }
+}

@@ -85,9 +85,9 @@ fn a_demonstration_s_lists_belong_together() {
     assert_eq!((sound.stages(), sound.problem()), (vec![0, 1], None));
     let changes: [fn(&mut Demonstration); 6] = [
         |of| of.poses.clear(),
-        |of| drop(of.poses.pop()),
+        |of| of.poses.truncate(1),
         |of| of.feedback.push(Feedback::Moved),
-        |of| drop(of.views.pop()),
+        |of| of.views.truncate(1),
         |of| of.actions.push(Action::Forward),
         |of| of.sub_goals.push(2),
     ];

@@ -334,7 +334,8 @@ impl<'w> Writer<'w> {
         };
         let are_after = request.demonstrations.iter().any(|set| set.take_place_after());
         for (index, case) in cases.cases.iter().enumerate() {
-            let after = are_after.then(|| History { case: index, kind: DemonstrationKind::After });
+            let after =
+                are_after.then_some(History { case: index, kind: DemonstrationKind::After });
             let after = after.and_then(|of| self.add_history(of));
             let elsewhere =
                 self.add_history(History { case: index, kind: DemonstrationKind::Elsewhere });
@@ -350,7 +351,7 @@ impl<'w> Writer<'w> {
         }
         self.book.bank_order = cases.bank_order().into_iter().map(own).collect();
         let is_planned = request.streams.as_ref().is_some_and(|streams| streams.planned);
-        self.add_streams(is_planned.then_some(&request.demonstrations[..]).unwrap_or_default());
+        self.add_streams(if is_planned { &request.demonstrations } else { &[] });
         for variant in self.worlds.streams_variants() {
             self.parts(variant);
         }
