@@ -193,7 +193,7 @@ fn case_facts(warehouse: &Warehouse, case: &Case) -> CaseFacts {
     let blocked = case.variant(TrajectoryKind::Blocked);
     CaseFacts {
         id: case.id.clone(),
-        task: case.task.number(),
+        task: case.task.task_type().number(),
         instruction: case.task.instruction(&warehouse.catalogue),
         references: references.into(),
         invalidated_when_blocked: case

@@ -116,7 +116,7 @@ fn references_and_facts_of_cases_are_those_of_the_set() {
     assert_eq!((book.world.views, book.world.elsewhere_views), (4 * free, 0));
     for (found, case) in book.cases.iter().zip(&set.cases) {
         assert_eq!(book.index(&case.id), set.index(&case.id));
-        assert_eq!(found.task, case.task.number());
+        assert_eq!(found.task, case.task.task_type().number());
         for (start, route) in [
             (Start::Original, Route::Unchanged),
             (Start::New, Route::Unchanged),
