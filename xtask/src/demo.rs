@@ -8,7 +8,7 @@ use crate::workspace::Workspace;
 
 /// Builds the programs, then replaces this process with `memtransfer run`.
 pub(crate) fn run(workspace: &Workspace, run_flags: &[String]) -> anyhow::Result<bool> {
-    if !workspace.build_programs(&[])? {
+    if !workspace.build_programs_for_this_machine()? {
         return Ok(false);
     }
     let memtransfer = workspace.program("memtransfer")?;

@@ -73,8 +73,20 @@ impl Workspace {
 
     /// Builds `memtransfer`, the processes that it starts, and the programs of the crates `also`.
     pub(crate) fn build_programs(&self, also: &[&str]) -> anyhow::Result<bool> {
+        self.build(also, &[])
+    }
+
+    /// As [`Self::build_programs`], for a first run: without the backend for graphics cards where there is none. One in seven
+    /// packages are that backend's.
+    pub(crate) fn build_programs_for_this_machine(&self) -> anyhow::Result<bool> {
+        let flags: &[&str] = if has_graphics_device() { &[] } else { &["--no-default-features"] };
+        self.build(&[], flags)
+    }
+
+    fn build(&self, also: &[&str], flags: &[&str]) -> anyhow::Result<bool> {
         eprintln!("building the programs");
         let mut command = self.cargo(&["build", "--release", "--bins"]);
+        command.args(flags);
         for package in PROGRAMS.iter().chain(also) {
             command.args(["--package", package]);
         }
@@ -114,6 +126,16 @@ impl Workspace {
         let folder = program.parent().and_then(Path::parent);
         Ok(folder.context("the programs have no parent folder")?.to_owned())
     }
+}
+
+/// Whether the kernel offers a device that a Vulkan driver may use.
+fn has_graphics_device() -> bool {
+    let entries =
+        ["/dev/dri", "/dev"].into_iter().filter_map(|folder| std::fs::read_dir(folder).ok());
+    let names = entries.flatten().filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+    names
+        .into_iter()
+        .any(|name| name.starts_with("renderD") || name.starts_with("nvidia") || name == "dxg")
 }
 
 /// Runs a command with this process's streams. Returns whether it succeeded.
