@@ -1,7 +1,7 @@
 //! The prompt of each representation, and of unusual requests, as golden files.
 //!
 //! A file in `tests/cases/` holds a request in plain form, an image budget and the expected outcome: the messages with
-//! images by name, the section of each part of the user message, counts. docs/prompt.md describes the plain form.
+//! images by name, the section of each part of the user message, counts. README.md describes the plain form.
 //! `UPDATE_GOLDEN=1 cargo test -p prompt --test golden` rewrites the outcomes; read the difference before you commit it,
 //! and raise the template's version.
 
