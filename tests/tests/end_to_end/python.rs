@@ -116,9 +116,9 @@ static SITE_PACKAGES: LazyLock<PathBuf> = LazyLock::new(|| {
     let mut args = vec!["-m", "pip", "install", "--quiet", "--disable-pip-version-check"];
     args.extend(["--no-index", "--no-deps", "--no-build-isolation", "--no-compile", "--target"]);
     args.extend([place.to_str().unwrap(), "."]);
-    let packages = python(&["-c", "import maturin; print(maturin.__path__[0])"], &[]).expect(0);
-    let maturin = Path::new(packages.stdout.trim()).with_file_name("bin");
-    let path = format!("{}:{}", maturin.display(), std::env::var("PATH").unwrap());
+    let scripts = "import sysconfig; print(sysconfig.get_path('scripts'))";
+    let scripts = python(&["-c", scripts], &[]).expect(0).stdout;
+    let path = format!("{}:{}", scripts.trim(), std::env::var("PATH").unwrap());
     python(&args, &[("PATH", &path)]).expect(0);
     place
 });
