@@ -126,19 +126,6 @@ impl Object {
     }
 }
 
-/// The classes of `memtransfer.memory`.
-pub(crate) struct MemoryClasses {
-    pub(crate) memory: Py<PyType>,
-    pub(crate) demonstration: Py<PyType>,
-    pub(crate) episode: Py<PyType>,
-    pub(crate) episode_end: Py<PyType>,
-    pub(crate) recent_step: Py<PyType>,
-    pub(crate) served_query: Py<PyType>,
-    pub(crate) text: Py<PyType>,
-    pub(crate) steps: Py<PyType>,
-    pub(crate) view: Py<PyType>,
-}
-
 impl<'m> PythonMemory<'m> {
     /// Calls `work` with the Python object; an exception is printed to the log.
     fn call<T>(

@@ -35,7 +35,7 @@ use serde::Serialize;
 
 use super::compare::FigureDifference;
 use super::interval::Interval;
-use super::spread::mean;
+use super::mean::mean;
 use crate::conditions::{Condition, Demonstrations};
 use crate::log::{EpisodeTimings, RunLog};
 use estimate::{by_stream, difference};

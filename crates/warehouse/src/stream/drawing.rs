@@ -10,13 +10,14 @@ use domain::{Cell, EventKind, Pose, StreamRules};
 
 use super::{Block, Event, Stream, StreamError, StreamSet};
 use crate::asset::Problem;
-use crate::case::{Case, CaseSet, Replay, Trajectory};
+use crate::case::{Case, CaseSet};
 use crate::constraints::{DISTANT_CELLS, enters, target_on};
 use crate::draw::Draw;
 use crate::generate::{LEAST_STEPS, MOST_BLOCKED_STEPS};
 use crate::plan::{Planner, Prices};
 use crate::state::{StockChange, WorldChange, WorldState};
 use crate::task::{Phase, Task};
+use crate::trajectory::{Replay, Trajectory};
 use crate::world::{Item, Warehouse, faced_bay};
 
 /// Draws of one stream until one satisfies all rules.
