@@ -6,12 +6,11 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use benches::results::{BenchOutcome, Results};
-use benches::{BENCHES, Bench, BenchSession, Hardware, Size, bare_chain, hop, render};
+use benches::{BENCHES, Bench, BenchSession, Hardware, Size, helpers};
 use build_commit::COMMIT;
 use clap::{Parser, Subcommand};
 use memory_proc::encoder::Provider;
 use orchestrator::machine::Machine;
-use shm_types::process::die_with_parent;
 use sim_proc::renderer::Backend;
 
 /// Measures this project beside other programs, in turns on the same machine.
@@ -61,7 +60,9 @@ fn after_help() -> String {
 fn main() -> ExitCode {
     let flags = BenchFlags::parse();
     let done = match &flags.verb {
-        Some(BenchVerb::Process { name, arguments }) => run_process(name, arguments).map(|()| true),
+        Some(BenchVerb::Process { name, arguments }) => {
+            helpers::run(name, arguments).map(|()| true)
+        }
         None => run(&flags),
     };
     match done {
@@ -72,30 +73,6 @@ fn main() -> ExitCode {
             ExitCode::from(2)
         }
     }
-}
-
-/// The main function of a helper process.
-type Main = fn(&[String]) -> Result<()>;
-
-/// Every helper process by name.
-const PROCESSES: &[(&str, Main)] = &[
-    ("wire-echo", hop::wire_echo),
-    ("iceoryx2-echo", hop::iceoryx2_echo),
-    ("bare-sim", bare_chain::sim),
-    ("bare-memory", bare_chain::memory),
-    ("bare-policy", bare_chain::policy),
-    ("render", render::render_process),
-];
-
-/// Runs the helper process `name` in this process. The first argument is the id of the process that started it.
-fn run_process(name: &str, arguments: &[String]) -> Result<()> {
-    let Some((_, main)) = PROCESSES.iter().find(|(known, _)| *known == name) else {
-        bail!("there is no helper process {name:?}");
-    };
-    let (parent, arguments) =
-        arguments.split_first().context("the parent's process id is missing")?;
-    die_with_parent(parent.parse().context("the parent's process id is not a number")?)?;
-    main(arguments)
 }
 
 /// Measures, writes the results after every bench, and prints the table. Returns whether every bench succeeded.
