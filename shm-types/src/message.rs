@@ -24,6 +24,7 @@ pub use codes::{
     ViewRequestKind, read_action, read_flag,
 };
 pub use counts::DecisionCounts;
+pub use domain::limits::{MAX_EXTERNAL_MEMORIES, MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW};
 pub use parts::*;
 pub use pose::WirePose;
 pub use route::{Description, Message, Traffic};
@@ -31,15 +32,6 @@ pub use text::{MAX_REASON_BYTES, read_text, shortened_reason, write_text};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
 pub const WIRE_VERSION: u32 = 11;
-
-/// Longest window of past steps.
-pub const MAX_WINDOW: usize = 32;
-
-/// Most steps of a retrieved segment: the matched view and the views after it.
-pub const MAX_SEGMENT: usize = 32;
-
-/// Most items of a [`Recall`].
-pub const MAX_ITEMS: usize = 8;
 
 /// Most demonstration steps that a [`Recall`] holds itself. A longer item is a document.
 pub const MAX_STEPS: usize = 48;
@@ -49,9 +41,6 @@ pub const MAX_SOURCES: usize = 16;
 
 /// Most numbers of an embedding.
 pub const MAX_EMBEDDING: usize = 1024;
-
-/// Most external memories of a run.
-pub const MAX_EXTERNAL_MEMORIES: usize = 8;
 
 /// Maximum length of an instruction, in bytes.
 pub const MAX_INSTRUCTION: usize = 232;

@@ -11,7 +11,7 @@ use serde_json::{Map, Value};
 
 use super::{LogError, system};
 use crate::cost::ModelPrices;
-use crate::settings::{FREE_KEYS, RunSettings};
+use crate::settings::{Key, RunSettings};
 
 /// Changes when programs that read the old files cannot read the new ones. Since 3, the lines of journals have checksums.
 pub const FORMAT: u32 = 3;
@@ -292,24 +292,10 @@ impl Manifest {
     /// cases, the seed, the limits of an episode, and the version of the program. Policy and memory are not among it, because
     /// they are what is compared; neither are conditions and repetitions, which a figure names.
     pub fn protocol(&self) -> BTreeMap<String, Value> {
-        const SETTINGS: [&str; 10] = [
-            "cases",
-            "limit",
-            "seed",
-            "max-steps",
-            "frame-size",
-            "frames",
-            "plates",
-            "labels",
-            "appearance-seed",
-            "stream",
-        ];
         const CONTENTS: [&str; 4] = ["layout", "catalogue", "cases", ELSEWHERE_HASH];
-        let mut settings = self.settings_by_key();
-        let mut protocol: BTreeMap<String, Value> = SETTINGS
-            .iter()
-            .filter_map(|key| Some(((*key).to_owned(), settings.remove(*key)?)))
-            .collect();
+        let settings = self.settings_by_key().into_iter();
+        let mut protocol: BTreeMap<String, Value> =
+            settings.filter(|(key, _)| Key::is_of_protocol(key)).collect();
         let contents = self.hashes.iter().filter(|(name, _)| CONTENTS.contains(&name.as_str()));
         protocol.extend(contents.map(|(name, hash)| (contents_of(name), hash.clone().into())));
         protocol.insert("suite".to_owned(), self.settings.suite.word().into());
@@ -333,11 +319,8 @@ impl Manifest {
     /// The facts that determine the outcome of an episode, but for those of the policy's code.
     fn facts(&self) -> Facts {
         let mut facts = Facts::new();
-        // `cases`, `limit` and `group` determine which episodes the run has.
-        let is_free =
-            |key: &str| FREE_KEYS.contains(&key) || ["cases", "limit", "group"].contains(&key);
         for (key, value) in self.settings_by_key() {
-            if !is_free(&key) {
+            if Key::changes_outcome(&key) {
                 facts.insert(key, Fact::required(value));
             }
         }
