@@ -12,7 +12,7 @@ use peer::memory::{
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::{PyBool, PyBytes, PyList, PyString, PyTuple, PyType};
+use pyo3::types::{PyBool, PyBytes, PyList, PyString, PyTuple};
 use shm_types::{Bank, Frame as SharedFrame};
 
 use crate::classes::Classes;

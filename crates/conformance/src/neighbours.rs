@@ -140,7 +140,8 @@ pub struct PolicyNeighbours {
     pub decisions: Receiver<Decision>,
     /// Publishes the documents of memory.
     pub documents: DocumentPublisher,
-    pub(crate) frames: FramePublisher,
+    /// Publishes frames to it.
+    pub frames: FramePublisher,
     neighbours: Neighbours,
 }
 
@@ -201,7 +202,8 @@ pub struct ExternalMemoryNeighbours {
     pub stores: Sender<ExternalStore>,
     /// What it has saved or loaded.
     pub stored: Receiver<ExternalStored>,
-    pub(crate) frames: FramePublisher,
+    /// Publishes frames to it.
+    pub frames: FramePublisher,
     neighbours: Neighbours,
 }
 

@@ -23,7 +23,6 @@ mod pool;
 pub mod probe;
 mod reply;
 mod request;
-pub mod scripted;
 mod server;
 mod settings;
 mod slots;

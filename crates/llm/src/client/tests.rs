@@ -12,8 +12,8 @@ use super::*;
 use crate::error::{RequestError, Transient};
 use crate::reply::ReplyContent;
 use crate::request::Dialect;
-use crate::scripted::{Reaction, Received, Server, completion};
 use crate::{ApiKey, EndpointLimit};
+use rigs::chat_server::{Reaction, Received, Server, completion};
 
 const KEY: &str = "sk-very-secret";
 

@@ -17,7 +17,7 @@ use shm_types::message::{
 };
 use shm_types::{Attach, Bus, BusError, Notifier, Sender};
 
-use crate::messages::{decision, observation, recall, recall_trace};
+use conformance::messages::{decision, observation, recall, recall_trace};
 
 /// The fact `kind` in the handshake of a scripted process.
 pub const KIND: &str = "scripted";
