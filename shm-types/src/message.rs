@@ -123,540 +123,539 @@ macro_rules! declare_messages {
 }
 
 /// The table of all messages, passed to the macro `$with`: each one's documentation, names, size, route and fields.
+#[rustfmt::skip]
 macro_rules! message_table {
-    ($with:ident) => {
-        $with! {
-        /// Orchestrator to simulator: reset a lane, or act in it.
-        StepCommand, "memtransfer.StepCommand", "command", 40 bytes,
-            [Orchestrator] to [Sim], Lanes {
-            /// The episode.
-            episode: u64,
-            /// When the orchestrator sent it.
-            sent_ns: u64,
-            /// The lane.
-            lane: u32,
-            /// Steps taken after this command: 0 for a reset.
-            step: u32,
-            /// World variant: 0 is the unchanged world; in `1 + case index` that case's passage is closed; after these come the
-            /// states of the run's streams.
-            variant: u32,
-            /// For a reset: the start pose. Otherwise ignored.
-            start: WirePose,
-            /// A [`StepKind`] code.
-            kind: u8,
-            /// For an act: the [`Action`](domain::Action) code. Otherwise [`NO_ACTION`].
-            action: u8,
-            /// 1 when the episode ends with this step: nothing is rendered and no decision follows.
-            last: u8,
-            /// Zero.
-            reserved: [u8; 5],
-        }
+($with:ident) => { $with! {
+    /// Orchestrator to simulator: reset a lane, or act in it.
+    StepCommand, "memtransfer.StepCommand", "command", 40 bytes,
+        [Orchestrator] to [Sim], Lanes {
+        /// The episode.
+        episode: u64,
+        /// When the orchestrator sent it.
+        sent_ns: u64,
+        /// The lane.
+        lane: u32,
+        /// Steps taken after this command: 0 for a reset.
+        step: u32,
+        /// World variant: 0 is the unchanged world; in `1 + case index` that case's passage is closed; after these come the
+        /// states of the run's streams.
+        variant: u32,
+        /// For a reset: the start pose. Otherwise ignored.
+        start: WirePose,
+        /// A [`StepKind`] code.
+        kind: u8,
+        /// For an act: the [`Action`](domain::Action) code. Otherwise [`NO_ACTION`].
+        action: u8,
+        /// 1 when the episode ends with this step: nothing is rendered and no decision follows.
+        last: u8,
+        /// Zero.
+        reserved: [u8; 5],
+    }
 
-        /// Simulator to memory, policy and orchestrator: the state after a step.
-        Observation, "memtransfer.Observation", "observation", 72 bytes,
-            [Sim] to [Memory Policy Orchestrator], Lanes {
-            /// The episode.
-            episode: u64,
-            /// The agent's view; [`NO_FRAME`] if `last` is 1.
-            frame: FrameId,
-            /// When the orchestrator sent the command.
-            commanded_ns: u64,
-            /// When the simulator received the command.
-            woken_ns: u64,
-            /// When the dynamics were applied.
-            stepped_ns: u64,
-            /// When the view was resident: at once if it had been rendered before.
-            rendered_ns: u64,
-            /// When this message was sent.
-            sent_ns: u64,
-            /// The lane.
-            lane: u32,
-            /// Steps taken so far.
-            step: u32,
-            /// The agent's pose.
-            pose: WirePose,
-            /// Code of the [`Feedback`](domain::Feedback) to the last action.
-            feedback: u8,
-            /// Code of the last action, or [`NO_ACTION`].
-            action: u8,
-            /// 1 when the episode is over.
-            last: u8,
-            /// Zero.
-            reserved: u8,
-        }
+    /// Simulator to memory, policy and orchestrator: the state after a step.
+    Observation, "memtransfer.Observation", "observation", 72 bytes,
+        [Sim] to [Memory Policy Orchestrator], Lanes {
+        /// The episode.
+        episode: u64,
+        /// The agent's view; [`NO_FRAME`] if `last` is 1.
+        frame: FrameId,
+        /// When the orchestrator sent the command.
+        commanded_ns: u64,
+        /// When the simulator received the command.
+        woken_ns: u64,
+        /// When the dynamics were applied.
+        stepped_ns: u64,
+        /// When the view was resident: at once if it had been rendered before.
+        rendered_ns: u64,
+        /// When this message was sent.
+        sent_ns: u64,
+        /// The lane.
+        lane: u32,
+        /// Steps taken so far.
+        step: u32,
+        /// The agent's pose.
+        pose: WirePose,
+        /// Code of the [`Feedback`](domain::Feedback) to the last action.
+        feedback: u8,
+        /// Code of the last action, or [`NO_ACTION`].
+        action: u8,
+        /// 1 when the episode is over.
+        last: u8,
+        /// Zero.
+        reserved: u8,
+    }
 
-        /// Orchestrator to memory, before a reset: the memory of the lane's next episode.
-        MemoryEpisodeConfig, "memtransfer.MemoryEpisodeConfig", "memory-config", 88 bytes,
-            [Orchestrator] to [Memory], Lanes {
-            /// The episode.
-            episode: u64,
-            /// Seed for random choices of the memory: that of the policy's config.
-            seed: u64,
-            /// The lane.
-            lane: u32,
-            /// Index of the case.
-            case: u32,
-            /// The demonstrations in memory. Bits 0 to 3: the case's own (original, opposite, nearby, distant). Bit 4: its
-            /// irrelevant histories. Bit 5: its confusable ones. Bit 6: the one after the case's passage has closed. Bit 7:
-            /// that one comes first. Bit 8: the one of another warehouse. Bits 16 to 31: the size of a bank of the case's
-            /// own and others.
-            demonstrations: u32,
-            /// Code of the [`Representation`](domain::Representation), or [`EXTERNAL`].
-            representation: u8,
-            /// Expert actions a retrieved segment follows, H_epi, less than [`MAX_SEGMENT`].
-            horizon: u8,
-            /// Keyframes of full-context memory, shared by all its demonstrations.
-            keyframes: u8,
-            /// Code of the [`SegmentContent`](domain::SegmentContent).
-            segment: u8,
-            /// Most bytes of text in one recall.
-            text_budget: u32,
-            /// Most images in one recall.
-            image_budget: u16,
-            /// Segments that episodic memory supplies, k.
-            hits: u8,
-            /// For [`EXTERNAL`]: index of the external memory.
-            external: u8,
-            /// The repetition of the run, from 1.
-            repeat: u32,
-            /// World variant of the episode, as in [`StepCommand`].
-            variant: u32,
-            /// Identifies the memory that persists from episode to episode of a stream; 0 outside of streams, where every
-            /// episode has a memory of its own.
-            sequence: u64,
-            /// The snapshot that a persistent memory continues from; zero if it is built anew.
-            snapshot: SnapshotId,
-            /// In a stream: its number in the run's list of streams.
-            stream: u32,
-            /// In a stream: the block of the stream's list of blocks that the episode belongs to.
-            block: u32,
-            /// In a stream: the episode's position in its sequence, from 0.
-            position: u32,
-            /// Code of the [`Arm`](domain::Arm).
-            arm: u8,
-            /// 1 if the memory learns from the episode: it observes it, is told of its end, and a snapshot is taken then.
-            learns: u8,
-            /// Code of the [`FeedbackLevel`](domain::FeedbackLevel): what a memory that learns is told at the end.
-            feedback: u8,
-            /// Zero.
-            reserved: u8,
-        }
+    /// Orchestrator to memory, before a reset: the memory of the lane's next episode.
+    MemoryEpisodeConfig, "memtransfer.MemoryEpisodeConfig", "memory-config", 88 bytes,
+        [Orchestrator] to [Memory], Lanes {
+        /// The episode.
+        episode: u64,
+        /// Seed for random choices of the memory: that of the policy's config.
+        seed: u64,
+        /// The lane.
+        lane: u32,
+        /// Index of the case.
+        case: u32,
+        /// The demonstrations in memory. Bits 0 to 3: the case's own (original, opposite, nearby, distant). Bit 4: its
+        /// irrelevant histories. Bit 5: its confusable ones. Bit 6: the one after the case's passage has closed. Bit 7:
+        /// that one comes first. Bit 8: the one of another warehouse. Bits 16 to 31: the size of a bank of the case's
+        /// own and others.
+        demonstrations: u32,
+        /// Code of the [`Representation`](domain::Representation), or [`EXTERNAL`].
+        representation: u8,
+        /// Expert actions a retrieved segment follows, H_epi, less than [`MAX_SEGMENT`].
+        horizon: u8,
+        /// Keyframes of full-context memory, shared by all its demonstrations.
+        keyframes: u8,
+        /// Code of the [`SegmentContent`](domain::SegmentContent).
+        segment: u8,
+        /// Most bytes of text in one recall.
+        text_budget: u32,
+        /// Most images in one recall.
+        image_budget: u16,
+        /// Segments that episodic memory supplies, k.
+        hits: u8,
+        /// For [`EXTERNAL`]: index of the external memory.
+        external: u8,
+        /// The repetition of the run, from 1.
+        repeat: u32,
+        /// World variant of the episode, as in [`StepCommand`].
+        variant: u32,
+        /// Identifies the memory that persists from episode to episode of a stream; 0 outside of streams, where every
+        /// episode has a memory of its own.
+        sequence: u64,
+        /// The snapshot that a persistent memory continues from; zero if it is built anew.
+        snapshot: SnapshotId,
+        /// In a stream: its number in the run's list of streams.
+        stream: u32,
+        /// In a stream: the block of the stream's list of blocks that the episode belongs to.
+        block: u32,
+        /// In a stream: the episode's position in its sequence, from 0.
+        position: u32,
+        /// Code of the [`Arm`](domain::Arm).
+        arm: u8,
+        /// 1 if the memory learns from the episode: it observes it, is told of its end, and a snapshot is taken then.
+        learns: u8,
+        /// Code of the [`FeedbackLevel`](domain::FeedbackLevel): what a memory that learns is told at the end.
+        feedback: u8,
+        /// Zero.
+        reserved: u8,
+    }
 
-        /// Orchestrator to policy, before a reset: the lane's next episode.
-        PolicyEpisodeConfig, "memtransfer.PolicyEpisodeConfig", "policy-config", 264 bytes,
-            [Orchestrator] to [Policy], Lanes {
-            /// The episode.
-            episode: u64,
-            /// Seed for random choices of the policy.
-            seed: u64,
-            /// The lane.
-            lane: u32,
-            /// Bytes of `instruction` in use.
-            instruction_len: u32,
-            /// The repetition of the run, from 1: equal requests of one repetition are the same request.
-            repeat: u32,
-            /// 1 when the prompt says that a demonstration started in this episode's start pose.
-            starts_as_demonstrated: u8,
-            /// Window length h, at most [`MAX_WINDOW`]: how many past steps belong to a request.
-            window: u8,
-            /// 1 when the prompt says that the demonstrations took place in another warehouse.
-            demonstrated_elsewhere: u8,
-            /// Zero.
-            reserved: u8,
-            /// The instruction, UTF-8.
-            instruction: [u8; MAX_INSTRUCTION],
-        }
+    /// Orchestrator to policy, before a reset: the lane's next episode.
+    PolicyEpisodeConfig, "memtransfer.PolicyEpisodeConfig", "policy-config", 264 bytes,
+        [Orchestrator] to [Policy], Lanes {
+        /// The episode.
+        episode: u64,
+        /// Seed for random choices of the policy.
+        seed: u64,
+        /// The lane.
+        lane: u32,
+        /// Bytes of `instruction` in use.
+        instruction_len: u32,
+        /// The repetition of the run, from 1: equal requests of one repetition are the same request.
+        repeat: u32,
+        /// 1 when the prompt says that a demonstration started in this episode's start pose.
+        starts_as_demonstrated: u8,
+        /// Window length h, at most [`MAX_WINDOW`]: how many past steps belong to a request.
+        window: u8,
+        /// 1 when the prompt says that the demonstrations took place in another warehouse.
+        demonstrated_elsewhere: u8,
+        /// Zero.
+        reserved: u8,
+        /// The instruction, UTF-8.
+        instruction: [u8; MAX_INSTRUCTION],
+    }
 
-        /// Memory to simulator: pin or release a view.
-        ViewRequest, "memtransfer.ViewRequest", "view-request", 24 bytes,
-            [Memory] to [Sim], Frames {
-            /// For a release: the frame. To pin: [`NO_FRAME`].
-            frame: FrameId,
-            /// To pin: the view's pose.
-            pose: WirePose,
-            /// To pin: the view's world variant, as in [`StepCommand`], or 4294967295 for the other warehouse, in which no
-            /// episode takes place.
-            variant: u32,
-            /// A [`ViewRequestKind`] code.
-            kind: u8,
-            /// Zero.
-            reserved: [u8; 7],
-        }
+    /// Memory to simulator: pin or release a view.
+    ViewRequest, "memtransfer.ViewRequest", "view-request", 24 bytes,
+        [Memory] to [Sim], Frames {
+        /// For a release: the frame. To pin: [`NO_FRAME`].
+        frame: FrameId,
+        /// To pin: the view's pose.
+        pose: WirePose,
+        /// To pin: the view's world variant, as in [`StepCommand`], or 4294967295 for the other warehouse, in which no
+        /// episode takes place.
+        variant: u32,
+        /// A [`ViewRequestKind`] code.
+        kind: u8,
+        /// Zero.
+        reserved: [u8; 7],
+    }
 
-        /// Simulator to memory: the requested view is resident and pinned until it is released.
-        View, "memtransfer.View", "view", 16 bytes,
-            [Sim] to [Memory], Frames {
-            /// The view's frame.
-            frame: FrameId,
-            /// The requested pose.
-            pose: WirePose,
-            /// The requested world variant.
-            variant: u32,
-        }
+    /// Simulator to memory: the requested view is resident and pinned until it is released.
+    View, "memtransfer.View", "view", 16 bytes,
+        [Sim] to [Memory], Frames {
+        /// The view's frame.
+        frame: FrameId,
+        /// The requested pose.
+        pose: WirePose,
+        /// The requested world variant.
+        variant: u32,
+    }
 
-        /// Simulator to memory, policy and external memories: drop this frame. No running episode and no memory refers to it.
-        Eviction, "memtransfer.Eviction", "eviction", 8 bytes,
-            [Sim] to [Memory Policy ExternalMemory], Frames {
-            /// The frame.
-            frame: FrameId,
-        }
+    /// Simulator to memory, policy and external memories: drop this frame. No running episode and no memory refers to it.
+    Eviction, "memtransfer.Eviction", "eviction", 8 bytes,
+        [Sim] to [Memory Policy ExternalMemory], Frames {
+        /// The frame.
+        frame: FrameId,
+    }
 
-        /// Memory to policy: what memory supplies for a step.
-        Recall, "memtransfer.Recall", "recall", 1064 bytes,
-            [Memory] to [Policy], Lanes {
-            /// The episode.
-            episode: u64,
-            /// When memory received the observation.
-            received_ns: u64,
-            /// When this message was sent.
-            sent_ns: u64,
-            /// The lane.
-            lane: u32,
-            /// The step it answers.
-            step: u32,
-            /// Entries of `items` in use.
-            items_len: u32,
-            /// Entries of `steps` in use.
-            steps_len: u32,
-            /// What is supplied, in order. A document is published before the first recall that names it.
-            items: [RecalledItem; MAX_ITEMS],
-            /// The steps of the items that hold theirs here.
-            steps: [SegmentStep; MAX_STEPS],
-        }
+    /// Memory to policy: what memory supplies for a step.
+    Recall, "memtransfer.Recall", "recall", 1064 bytes,
+        [Memory] to [Policy], Lanes {
+        /// The episode.
+        episode: u64,
+        /// When memory received the observation.
+        received_ns: u64,
+        /// When this message was sent.
+        sent_ns: u64,
+        /// The lane.
+        lane: u32,
+        /// The step it answers.
+        step: u32,
+        /// Entries of `items` in use.
+        items_len: u32,
+        /// Entries of `steps` in use.
+        steps_len: u32,
+        /// What is supplied, in order. A document is published before the first recall that names it.
+        items: [RecalledItem; MAX_ITEMS],
+        /// The steps of the items that hold theirs here.
+        steps: [SegmentStep; MAX_STEPS],
+    }
 
-        /// Memory to orchestrator, with every recall: what was supplied, where it comes from, and when.
-        RecallTrace, "memtransfer.RecallTrace", "recall-trace", 360 bytes,
-            [Memory] to [Orchestrator], Lanes {
-            /// The episode.
-            episode: u64,
-            /// When memory received the observation.
-            received_ns: u64,
-            /// When the embeddings that the answer needs were complete: the current view's and, in an episode's first
-            /// steps, those of the demonstrations.
-            embedded_ns: u64,
-            /// When the memory had answered the query.
-            searched_ns: u64,
-            /// When the recall was put together.
-            assembled_ns: u64,
-            /// When the recall was sent.
-            sent_ns: u64,
-            /// Nanoseconds that an external memory computed, by its own clock; 0 for a built-in one. The rest of the time
-            /// between `embedded_ns` and `searched_ns` is the wire.
-            method_ns: u64,
-            /// Bytes of the memory's store, if it tells them; otherwise 0.
-            store_bytes: u64,
-            /// The lane.
-            lane: u32,
-            /// The step.
-            step: u32,
-            /// Images that the memory asked for.
-            images_asked: u32,
-            /// Images that are supplied.
-            images: u32,
-            /// Bytes of text that the memory asked for.
-            text_asked: u32,
-            /// Bytes of text that are supplied.
-            text: u32,
-            /// Items that the memory asked for.
-            items_asked: u16,
-            /// Items that are supplied. An item that does not fit into a budget is dropped whole.
-            items: u16,
-            /// Tokens of the memory's own requests to a model for this step; [`NOT_MEASURED`] if it reports none.
-            tokens: u32,
-            /// Entries of `sources` in use. An item without a source comes from the memory as a whole.
-            sources_len: u32,
-            /// Zero.
-            reserved: u32,
-            /// Where the items come from, in order of the items.
-            sources: [RecalledSource; MAX_SOURCES],
-        }
+    /// Memory to orchestrator, with every recall: what was supplied, where it comes from, and when.
+    RecallTrace, "memtransfer.RecallTrace", "recall-trace", 360 bytes,
+        [Memory] to [Orchestrator], Lanes {
+        /// The episode.
+        episode: u64,
+        /// When memory received the observation.
+        received_ns: u64,
+        /// When the embeddings that the answer needs were complete: the current view's and, in an episode's first
+        /// steps, those of the demonstrations.
+        embedded_ns: u64,
+        /// When the memory had answered the query.
+        searched_ns: u64,
+        /// When the recall was put together.
+        assembled_ns: u64,
+        /// When the recall was sent.
+        sent_ns: u64,
+        /// Nanoseconds that an external memory computed, by its own clock; 0 for a built-in one. The rest of the time
+        /// between `embedded_ns` and `searched_ns` is the wire.
+        method_ns: u64,
+        /// Bytes of the memory's store, if it tells them; otherwise 0.
+        store_bytes: u64,
+        /// The lane.
+        lane: u32,
+        /// The step.
+        step: u32,
+        /// Images that the memory asked for.
+        images_asked: u32,
+        /// Images that are supplied.
+        images: u32,
+        /// Bytes of text that the memory asked for.
+        text_asked: u32,
+        /// Bytes of text that are supplied.
+        text: u32,
+        /// Items that the memory asked for.
+        items_asked: u16,
+        /// Items that are supplied. An item that does not fit into a budget is dropped whole.
+        items: u16,
+        /// Tokens of the memory's own requests to a model for this step; [`NOT_MEASURED`] if it reports none.
+        tokens: u32,
+        /// Entries of `sources` in use. An item without a source comes from the memory as a whole.
+        sources_len: u32,
+        /// Zero.
+        reserved: u32,
+        /// Where the items come from, in order of the items.
+        sources: [RecalledSource; MAX_SOURCES],
+    }
 
-        /// Memory to orchestrator: a memory has learned from an episode of a stream, and the snapshot of what it knows now is on
-        /// disk. Sent once for each episode that is learned from, after its last observation.
-        SnapshotReport, "memtransfer.SnapshotReport", "snapshot-report", 40 bytes,
-            [Memory] to [Orchestrator], Lanes {
-            /// The episode.
-            episode: u64,
-            /// The snapshot.
-            snapshot: SnapshotId,
-            /// Bytes of the memory's store, if it tells them; otherwise 0.
-            store_bytes: u64,
-            /// The lane.
-            lane: u32,
-            /// Zero.
-            reserved: u32,
-        }
+    /// Memory to orchestrator: a memory has learned from an episode of a stream, and the snapshot of what it knows now is on
+    /// disk. Sent once for each episode that is learned from, after its last observation.
+    SnapshotReport, "memtransfer.SnapshotReport", "snapshot-report", 40 bytes,
+        [Memory] to [Orchestrator], Lanes {
+        /// The episode.
+        episode: u64,
+        /// The snapshot.
+        snapshot: SnapshotId,
+        /// Bytes of the memory's store, if it tells them; otherwise 0.
+        store_bytes: u64,
+        /// The lane.
+        lane: u32,
+        /// Zero.
+        reserved: u32,
+    }
 
-        /// Memory to an external memory: an episode begins.
-        ExternalEpisode, "memtransfer.ExternalEpisode", "external-episode", 280 bytes,
-            [Memory] to [ExternalMemory], Lanes {
-            /// The episode.
-            episode: u64,
-            /// The demonstrations it remembers: the id of a bank.
-            bank: u64,
-            /// Seed for random choices.
-            seed: u64,
-            /// The lane.
-            lane: u32,
-            /// Most bytes of text in one answer.
-            text_budget: u32,
-            /// Most images in one answer.
-            image_budget: u32,
-            /// The repetition of the run, from 1.
-            repeat: u32,
-            /// Bytes of `instruction` in use.
-            instruction_len: u32,
-            /// A [`Learning`] code.
-            learning: u32,
-            /// The instruction, UTF-8.
-            instruction: [u8; MAX_INSTRUCTION],
-        }
+    /// Memory to an external memory: an episode begins.
+    ExternalEpisode, "memtransfer.ExternalEpisode", "external-episode", 280 bytes,
+        [Memory] to [ExternalMemory], Lanes {
+        /// The episode.
+        episode: u64,
+        /// The demonstrations it remembers: the id of a bank.
+        bank: u64,
+        /// Seed for random choices.
+        seed: u64,
+        /// The lane.
+        lane: u32,
+        /// Most bytes of text in one answer.
+        text_budget: u32,
+        /// Most images in one answer.
+        image_budget: u32,
+        /// The repetition of the run, from 1.
+        repeat: u32,
+        /// Bytes of `instruction` in use.
+        instruction_len: u32,
+        /// A [`Learning`] code.
+        learning: u32,
+        /// The instruction, UTF-8.
+        instruction: [u8; MAX_INSTRUCTION],
+    }
 
-        /// Memory to an external memory: the agent's state after a step. Each is answered, except the last of an episode.
-        ExternalQuery, "memtransfer.ExternalQuery", "external-query", 4200 bytes,
-            [Memory] to [ExternalMemory], Lanes {
-            /// The episode.
-            episode: u64,
-            /// The agent's view; [`NO_FRAME`] if `last` is 1.
-            frame: FrameId,
-            /// When this message was sent.
-            sent_ns: u64,
-            /// The lane.
-            lane: u32,
-            /// Steps taken so far.
-            step: u32,
-            /// The agent's pose.
-            pose: WirePose,
-            /// Numbers of `embedding` in use; 0 if the memory asked for no embeddings.
-            embedding_len: u32,
-            /// Code of the [`Feedback`](domain::Feedback) to the last action.
-            feedback: u8,
-            /// Code of the last action, or [`NO_ACTION`].
-            action: u8,
-            /// 1 when the episode is over: no answer is awaited.
-            last: u8,
-            /// With `last`, if the memory learns from the episode: an [`EpisodeOutcome`] code.
-            outcome: u8,
-            /// Zero.
-            reserved: [u8; 4],
-            /// With `last`, if the memory learns from the episode: the number under which items can name its steps.
-            demonstration: u32,
-            /// With `last`: entries of `sub_goals` in use; [`NOT_MEASURED`] if the memory is not told.
-            sub_goals_len: u32,
-            /// The steps at which sub-goals were completed.
-            sub_goals: [u16; MAX_SUB_GOALS],
-            /// The embedding of the view, of length 1.
-            embedding: [f32; MAX_EMBEDDING],
-        }
+    /// Memory to an external memory: the agent's state after a step. Each is answered, except the last of an episode.
+    ExternalQuery, "memtransfer.ExternalQuery", "external-query", 4200 bytes,
+        [Memory] to [ExternalMemory], Lanes {
+        /// The episode.
+        episode: u64,
+        /// The agent's view; [`NO_FRAME`] if `last` is 1.
+        frame: FrameId,
+        /// When this message was sent.
+        sent_ns: u64,
+        /// The lane.
+        lane: u32,
+        /// Steps taken so far.
+        step: u32,
+        /// The agent's pose.
+        pose: WirePose,
+        /// Numbers of `embedding` in use; 0 if the memory asked for no embeddings.
+        embedding_len: u32,
+        /// Code of the [`Feedback`](domain::Feedback) to the last action.
+        feedback: u8,
+        /// Code of the last action, or [`NO_ACTION`].
+        action: u8,
+        /// 1 when the episode is over: no answer is awaited.
+        last: u8,
+        /// With `last`, if the memory learns from the episode: an [`EpisodeOutcome`] code.
+        outcome: u8,
+        /// Zero.
+        reserved: [u8; 4],
+        /// With `last`, if the memory learns from the episode: the number under which items can name its steps.
+        demonstration: u32,
+        /// With `last`: entries of `sub_goals` in use; [`NOT_MEASURED`] if the memory is not told.
+        sub_goals_len: u32,
+        /// The steps at which sub-goals were completed.
+        sub_goals: [u16; MAX_SUB_GOALS],
+        /// The embedding of the view, of length 1.
+        embedding: [f32; MAX_EMBEDDING],
+    }
 
-        /// An external memory to memory: it has built itself from a bank, or cannot. Answers each new bank once.
-        ExternalBuilt, "memtransfer.ExternalBuilt", "external-built", 32 bytes,
-            [ExternalMemory] to [Memory], Lanes {
-            /// The bank.
-            bank: u64,
-            /// Bytes of its store; 0 if it does not tell.
-            store_bytes: u64,
-            /// The note with the reason, if it failed; otherwise [`NO_DOCUMENT`].
-            failure: DocumentId,
-            /// Nanoseconds it took, by its own clock.
-            took_ns: u64,
-        }
+    /// An external memory to memory: it has built itself from a bank, or cannot. Answers each new bank once.
+    ExternalBuilt, "memtransfer.ExternalBuilt", "external-built", 32 bytes,
+        [ExternalMemory] to [Memory], Lanes {
+        /// The bank.
+        bank: u64,
+        /// Bytes of its store; 0 if it does not tell.
+        store_bytes: u64,
+        /// The note with the reason, if it failed; otherwise [`NO_DOCUMENT`].
+        failure: DocumentId,
+        /// Nanoseconds it took, by its own clock.
+        took_ns: u64,
+    }
 
-        /// Memory to an external memory: save what the memory of a bank knows, or load it. Each is answered with an
-        /// [`ExternalStored`]. Nothing else is asked of the memory until then.
-        ExternalStore, "memtransfer.ExternalStore", "external-store", 1040 bytes,
-            [Memory] to [ExternalMemory], Lanes {
-            /// The bank.
-            bank: u64,
-            /// 0 to save, 1 to load.
-            loads: u32,
-            /// Bytes of `folder` in use.
-            folder_len: u32,
-            /// The folder to write into, which is empty, or to read from: an absolute path, UTF-8.
-            folder: [u8; MAX_FOLDER],
-        }
+    /// Memory to an external memory: save what the memory of a bank knows, or load it. Each is answered with an
+    /// [`ExternalStored`]. Nothing else is asked of the memory until then.
+    ExternalStore, "memtransfer.ExternalStore", "external-store", 1040 bytes,
+        [Memory] to [ExternalMemory], Lanes {
+        /// The bank.
+        bank: u64,
+        /// 0 to save, 1 to load.
+        loads: u32,
+        /// Bytes of `folder` in use.
+        folder_len: u32,
+        /// The folder to write into, which is empty, or to read from: an absolute path, UTF-8.
+        folder: [u8; MAX_FOLDER],
+    }
 
-        /// An external memory to memory: it has saved or loaded what it knows, or cannot.
-        ExternalStored, "memtransfer.ExternalStored", "external-stored", 24 bytes,
-            [ExternalMemory] to [Memory], Lanes {
-            /// The bank.
-            bank: u64,
-            /// Bytes of its store; 0 if it does not tell.
-            store_bytes: u64,
-            /// The note with the reason, if it failed; otherwise [`NO_DOCUMENT`].
-            failure: DocumentId,
-        }
+    /// An external memory to memory: it has saved or loaded what it knows, or cannot.
+    ExternalStored, "memtransfer.ExternalStored", "external-stored", 24 bytes,
+        [ExternalMemory] to [Memory], Lanes {
+        /// The bank.
+        bank: u64,
+        /// Bytes of its store; 0 if it does not tell.
+        store_bytes: u64,
+        /// The note with the reason, if it failed; otherwise [`NO_DOCUMENT`].
+        failure: DocumentId,
+    }
 
-        /// An external memory to memory: the answer to a query.
-        ExternalAnswer, "memtransfer.ExternalAnswer", "external-answer", 544 bytes,
-            [ExternalMemory] to [Memory], Lanes {
-            /// The episode.
-            episode: u64,
-            /// When it received the query.
-            received_ns: u64,
-            /// When it sent this message.
-            sent_ns: u64,
-            /// Bytes of its store; 0 if it does not tell.
-            store_bytes: u64,
-            /// The note with the texts of the items, published before; otherwise [`NO_DOCUMENT`].
-            note: DocumentId,
-            /// The lane.
-            lane: u32,
-            /// The step it answers.
-            step: u32,
-            /// Entries of `items` in use.
-            items_len: u32,
-            /// Entries of `sources` in use.
-            sources_len: u32,
-            /// Tokens of its own requests to a model for this step; [`NOT_MEASURED`] if it reports none.
-            tokens: u32,
-            /// 1 if the memory failed: the note holds the reason, and there are no items.
-            failed: u32,
-            /// What it supplies, the most important first.
-            items: [AnswerItem; MAX_ITEMS],
-            /// Where text items come from.
-            sources: [AnswerSource; MAX_SOURCES],
-        }
+    /// An external memory to memory: the answer to a query.
+    ExternalAnswer, "memtransfer.ExternalAnswer", "external-answer", 544 bytes,
+        [ExternalMemory] to [Memory], Lanes {
+        /// The episode.
+        episode: u64,
+        /// When it received the query.
+        received_ns: u64,
+        /// When it sent this message.
+        sent_ns: u64,
+        /// Bytes of its store; 0 if it does not tell.
+        store_bytes: u64,
+        /// The note with the texts of the items, published before; otherwise [`NO_DOCUMENT`].
+        note: DocumentId,
+        /// The lane.
+        lane: u32,
+        /// The step it answers.
+        step: u32,
+        /// Entries of `items` in use.
+        items_len: u32,
+        /// Entries of `sources` in use.
+        sources_len: u32,
+        /// Tokens of its own requests to a model for this step; [`NOT_MEASURED`] if it reports none.
+        tokens: u32,
+        /// 1 if the memory failed: the note holds the reason, and there are no items.
+        failed: u32,
+        /// What it supplies, the most important first.
+        items: [AnswerItem; MAX_ITEMS],
+        /// Where text items come from.
+        sources: [AnswerSource; MAX_SOURCES],
+    }
 
-        /// All to orchestrator: progress, about once a second if it has changed. The orchestrator waits for memory as long
-        /// as its `done` grows: without cached embeddings, an answer can take minutes.
-        Heartbeat, "memtransfer.Heartbeat", "heartbeat", 40 bytes,
-            [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
-            /// Code of the sender's [`Role`].
-            role: u32,
-            /// Index of an external memory; 0 for other roles.
-            external: u32,
-            /// Work done since the sender started: views rendered, images embedded, requests answered.
-            done: u64,
-            /// Work that waits: views to render, images to embed, requests to answer.
-            waiting: u64,
-            /// Frames that are resident (simulator), pinned by memories (memory) or in the store (policy).
-            held: u64,
-            /// Limit of `held`; 0 if there is none.
-            room: u64,
-        }
+    /// All to orchestrator: progress, about once a second if it has changed. The orchestrator waits for memory as long
+    /// as its `done` grows: without cached embeddings, an answer can take minutes.
+    Heartbeat, "memtransfer.Heartbeat", "heartbeat", 40 bytes,
+        [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
+        /// Code of the sender's [`Role`].
+        role: u32,
+        /// Index of an external memory; 0 for other roles.
+        external: u32,
+        /// Work done since the sender started: views rendered, images embedded, requests answered.
+        done: u64,
+        /// Work that waits: views to render, images to embed, requests to answer.
+        waiting: u64,
+        /// Frames that are resident (simulator), pinned by memories (memory) or in the store (policy).
+        held: u64,
+        /// Limit of `held`; 0 if there is none.
+        room: u64,
+    }
 
-        /// Policy to orchestrator: the answer to a step. Counts that are not known are [`NOT_MEASURED`].
-        Decision, "memtransfer.Decision", "decision", 272 bytes,
-            [Policy] to [Orchestrator], Lanes {
-            /// The episode.
-            episode: u64,
-            /// When observation and recall had both been received.
-            received_ns: u64,
-            /// When the policy was called.
-            started_ns: u64,
-            /// When the prompt was built; 0 without one.
-            prompted_ns: u64,
-            /// When the last request was sent to a model's server; 0 without one.
-            sent_ns: u64,
-            /// When the policy had decided.
-            decided_ns: u64,
-            /// The lane.
-            lane: u32,
-            /// The step it answers.
-            step: u32,
-            /// Tokens of the prompt.
-            prompt_tokens: u32,
-            /// Tokens of the completion.
-            completion_tokens: u32,
-            /// Tokens of the prompt that the server took from its cache.
-            cached_tokens: u32,
-            /// Tokens of the prompt's images.
-            image_tokens: u32,
-            /// Tokens of the prompt that are memory; an estimate.
-            memory_tokens: u32,
-            /// Tokens of the prompt that a server can reuse: the previous prompt of the episode began with them too. 0 for the
-            /// first one; an estimate.
-            reusable_tokens: u32,
-            /// Images that the request held.
-            images_asked: u32,
-            /// Images that the policy used: fewer if its budget is smaller. At most `images_asked`.
-            images: u32,
-            /// Requests sent to a model's server for this decision, including failed ones.
-            attempts: u32,
-            /// An [`Outcome`](domain::Outcome) code.
-            outcome: u8,
-            /// Code of the action when the outcome is [`Acted`](domain::Outcome::Acted), otherwise [`NO_ACTION`].
-            action: u8,
-            /// 1 when the reply came from the response cache.
-            replayed: u8,
-            /// Code of [`Reasoning`](domain::Reasoning): whether the model reasoned before it answered.
-            reasoning: u8,
-            /// Bytes of `finish_reason` in use.
-            finish_reason_len: u8,
-            /// Bytes of `model` in use.
-            model_len: u8,
-            /// Why the model's reply ended, in the server's terms; UTF-8.
-            finish_reason: [u8; 46],
-            /// The model that the reply names; UTF-8.
-            model: [u8; 128],
-        }
+    /// Policy to orchestrator: the answer to a step. Counts that are not known are [`NOT_MEASURED`].
+    Decision, "memtransfer.Decision", "decision", 272 bytes,
+        [Policy] to [Orchestrator], Lanes {
+        /// The episode.
+        episode: u64,
+        /// When observation and recall had both been received.
+        received_ns: u64,
+        /// When the policy was called.
+        started_ns: u64,
+        /// When the prompt was built; 0 without one.
+        prompted_ns: u64,
+        /// When the last request was sent to a model's server; 0 without one.
+        sent_ns: u64,
+        /// When the policy had decided.
+        decided_ns: u64,
+        /// The lane.
+        lane: u32,
+        /// The step it answers.
+        step: u32,
+        /// Tokens of the prompt.
+        prompt_tokens: u32,
+        /// Tokens of the completion.
+        completion_tokens: u32,
+        /// Tokens of the prompt that the server took from its cache.
+        cached_tokens: u32,
+        /// Tokens of the prompt's images.
+        image_tokens: u32,
+        /// Tokens of the prompt that are memory; an estimate.
+        memory_tokens: u32,
+        /// Tokens of the prompt that a server can reuse: the previous prompt of the episode began with them too. 0 for the
+        /// first one; an estimate.
+        reusable_tokens: u32,
+        /// Images that the request held.
+        images_asked: u32,
+        /// Images that the policy used: fewer if its budget is smaller. At most `images_asked`.
+        images: u32,
+        /// Requests sent to a model's server for this decision, including failed ones.
+        attempts: u32,
+        /// An [`Outcome`](domain::Outcome) code.
+        outcome: u8,
+        /// Code of the action when the outcome is [`Acted`](domain::Outcome::Acted), otherwise [`NO_ACTION`].
+        action: u8,
+        /// 1 when the reply came from the response cache.
+        replayed: u8,
+        /// Code of [`Reasoning`](domain::Reasoning): whether the model reasoned before it answered.
+        reasoning: u8,
+        /// Bytes of `finish_reason` in use.
+        finish_reason_len: u8,
+        /// Bytes of `model` in use.
+        model_len: u8,
+        /// Why the model's reply ended, in the server's terms; UTF-8.
+        finish_reason: [u8; 46],
+        /// The model that the reply names; UTF-8.
+        model: [u8; 128],
+    }
 
-        /// All to orchestrator, once, when ready.
-        Handshake, "memtransfer.Handshake", "handshake", 512 bytes,
-            [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
-            /// [`WIRE_VERSION`] of the sender.
-            wire_version: u32,
-            /// Code of its [`Role`].
-            role: u32,
-            /// Its process id.
-            pid: u32,
-            /// Bytes of `facts` in use.
-            facts_len: u32,
-            /// Index of an external memory; 0 for other roles.
-            external: u32,
-            /// A JSON object of strings for the manifest: adapter, frame path, encoder, policy, ...
-            facts: [u8; 492],
-        }
+    /// All to orchestrator, once, when ready.
+    Handshake, "memtransfer.Handshake", "handshake", 512 bytes,
+        [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
+        /// [`WIRE_VERSION`] of the sender.
+        wire_version: u32,
+        /// Code of its [`Role`].
+        role: u32,
+        /// Its process id.
+        pid: u32,
+        /// Bytes of `facts` in use.
+        facts_len: u32,
+        /// Index of an external memory; 0 for other roles.
+        external: u32,
+        /// A JSON object of strings for the manifest: adapter, frame path, encoder, policy, ...
+        facts: [u8; 492],
+    }
 
-        /// All to orchestrator: an error, and what follows from it ([`ErrorReportKind`]).
-        ErrorReport, "memtransfer.ErrorReport", "error-report", 512 bytes,
-            [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
-            /// For [`ErrorReportKind::Episode`] and [`ErrorReportKind::Overdue`]: the episode. Otherwise 0.
-            episode: u64,
-            /// Code of the sender's [`Role`].
-            role: u32,
-            /// Reports of the sender so far, this one included.
-            count: u32,
-            /// Code of the [`ErrorReportKind`].
-            kind: u32,
-            /// The lane of `episode`. Otherwise 0.
-            lane: u32,
-            /// Bytes of `text` in use.
-            text_len: u32,
-            /// Index of an external memory; 0 for other roles.
-            external: u32,
-            /// What is wrong, the value, and what was expected; UTF-8.
-            text: [u8; 480],
-        }
+    /// All to orchestrator: an error, and what follows from it ([`ErrorReportKind`]).
+    ErrorReport, "memtransfer.ErrorReport", "error-report", 512 bytes,
+        [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
+        /// For [`ErrorReportKind::Episode`] and [`ErrorReportKind::Overdue`]: the episode. Otherwise 0.
+        episode: u64,
+        /// Code of the sender's [`Role`].
+        role: u32,
+        /// Reports of the sender so far, this one included.
+        count: u32,
+        /// Code of the [`ErrorReportKind`].
+        kind: u32,
+        /// The lane of `episode`. Otherwise 0.
+        lane: u32,
+        /// Bytes of `text` in use.
+        text_len: u32,
+        /// Index of an external memory; 0 for other roles.
+        external: u32,
+        /// What is wrong, the value, and what was expected; UTF-8.
+        text: [u8; 480],
+    }
 
-        /// All to orchestrator, once, after [`Stop`]: totals of the process.
-        ShutdownReport, "memtransfer.ShutdownReport", "shutdown-report", 48 bytes,
-            [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
-            /// Code of the sender's [`Role`].
-            role: u32,
-            /// Index of an external memory; 0 for other roles.
-            external: u32,
-            /// Frames rendered into the store (simulator only).
-            frames_rendered: u64,
-            /// Frames evicted from the store (simulator only).
-            frames_evicted: u64,
-            /// Frames received (memory and policy).
-            frames_received: u64,
-            /// Bytes of pixels that the sender copied for another process.
-            pixel_bytes_copied: u64,
-            /// Reports that the sender made.
-            error_reports: u64,
-        }
+    /// All to orchestrator, once, after [`Stop`]: totals of the process.
+    ShutdownReport, "memtransfer.ShutdownReport", "shutdown-report", 48 bytes,
+        [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
+        /// Code of the sender's [`Role`].
+        role: u32,
+        /// Index of an external memory; 0 for other roles.
+        external: u32,
+        /// Frames rendered into the store (simulator only).
+        frames_rendered: u64,
+        /// Frames evicted from the store (simulator only).
+        frames_evicted: u64,
+        /// Frames received (memory and policy).
+        frames_received: u64,
+        /// Bytes of pixels that the sender copied for another process.
+        pixel_bytes_copied: u64,
+        /// Reports that the sender made.
+        error_reports: u64,
+    }
 
-        /// Orchestrator to all: send a [`ShutdownReport`] and exit.
-        Stop, "memtransfer.Stop", "stop", 8 bytes,
-            [Orchestrator] to [Sim Memory Policy ExternalMemory], Few {
-            /// Zero.
-            reserved: u64,
-        }
-        }
-    };
+    /// Orchestrator to all: send a [`ShutdownReport`] and exit.
+    Stop, "memtransfer.Stop", "stop", 8 bytes,
+        [Orchestrator] to [Sim Memory Policy ExternalMemory], Few {
+        /// Zero.
+        reserved: u64,
+    }
+} };
 }
 
 message_table!(declare_messages);
