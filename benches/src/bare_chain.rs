@@ -9,10 +9,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail, ensure};
 use bytemuck::Zeroable;
-use shm_types::message::{
-    Decision, Message, Observation, Recall, RecallTrace, Role, StepCommand, Stop,
-};
-use shm_types::{Attach, Bus, RunDir};
+use shm_types::message::{Decision, Observation, Recall, RecallTrace, Role, StepCommand, Stop};
+use shm_types::{Attach, Bus, PortedMessage, RunDir};
 
 use crate::BenchSession;
 use crate::processes::BenchProcess;
@@ -103,7 +101,7 @@ fn join(arguments: &[String], role: Role) -> Result<Bus> {
 }
 
 /// Answers what arrives, all that has arrived at once, and notifies `next`, until the run stops.
-fn relay<M: Message>(
+fn relay<M: PortedMessage>(
     bus: &Bus,
     next: Role,
     mut answer: impl FnMut(&[M]) -> Result<()>,

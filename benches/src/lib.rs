@@ -2,7 +2,7 @@
 //!
 //! - Each bench is a module with a [`Bench`]. It knows its baseline and nothing of how results are presented.
 //! - A bench uses [`session`] (size, rounds, scratch folder, programs), [`baselines`] (Python programs),
-//!   [`processes`] (helper processes), [`runs`] (of `memtransfer`) and [`bare_chain`] (processes that only pass
+//!   [`processes`] (helper processes, which do what [`helpers`] lists), [`runs`] (of `memtransfer`) and [`bare_chain`] (processes that only pass
 //!   messages).
 //! - It returns [`Measurement`]s; [`results`] prints and stores them.
 //!
@@ -10,6 +10,7 @@
 
 pub mod bare_chain;
 pub mod baselines;
+pub mod helpers;
 pub mod processes;
 pub mod results;
 pub mod runs;

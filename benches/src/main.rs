@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use benches::results::{BenchOutcome, Results};
-use benches::{BENCHES, Bench, BenchSession, Hardware, Size, processes};
+use benches::{BENCHES, Bench, BenchSession, Hardware, Size, helpers};
 use build_commit::COMMIT;
 use clap::{Parser, Subcommand};
 use memory_proc::encoder::Provider;
@@ -61,7 +61,7 @@ fn main() -> ExitCode {
     let flags = BenchFlags::parse();
     let done = match &flags.verb {
         Some(BenchVerb::Process { name, arguments }) => {
-            processes::run(name, arguments).map(|()| true)
+            helpers::run(name, arguments).map(|()| true)
         }
         None => run(&flags),
     };

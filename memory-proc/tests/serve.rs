@@ -11,7 +11,6 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::Duration;
 
 use bytemuck::Zeroable;
-use conformance::testing::MemoryRig;
 use documents::{BuildAccount, DocumentFile, DocumentFolder, Provenance};
 use domain::{Demonstrations, DocumentKind, Representation, SegmentContent};
 use memory_proc::embedding_cache::stored;
@@ -19,6 +18,7 @@ use memory_proc::paths::CacheFolder;
 use peer::memory::{
     Memory, MemoryDescription, MemoryError, MemoryItem, MemoryMethod, Query, Source, Views, serve,
 };
+use rigs::process::MemoryRig;
 use shm_types::Attach;
 use shm_types::description::memory_folder;
 use shm_types::documents::Content;

@@ -4,8 +4,8 @@
 
 use std::process::{Child, Command, Output, Stdio};
 
-use llm::scripted::{Reaction, Server, completion};
 use llm::{ChatClient, ChatRequest, ChatSettings, Endpoint, ReplyCache};
+use rigs::chat_server::{Reaction, Server, completion};
 use serde_json::{Value, json};
 
 const KEY: &str = "sk-very-secret";

@@ -6,13 +6,13 @@ use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, Condvar, Mutex};
 
 use conformance::messages::{self, config, observation, recall, supply};
-use conformance::testing::{LONG, PolicyRig};
 use domain::{Action, Feedback, Outcome, Reasoning};
-use llm::scripted::{Reaction, Received, Server, completion};
 use llm::{ChatClient, ChatSettings, Endpoint, ReplyCache};
 use peer::serve;
 use policy_proc::openai::{Openai, OpenaiSettings};
 use prompt::image::ImageFormat;
+use rigs::chat_server::{Reaction, Received, Server, completion};
+use rigs::process::{LONG, PolicyRig};
 use serde_json::{Value, json};
 use shm_types::Attach;
 use shm_types::documents::Content;

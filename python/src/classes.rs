@@ -5,8 +5,6 @@ use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyString, PyType};
 
-use crate::memory::MemoryClasses;
-
 /// The classes that this crate builds or recognises.
 pub(crate) struct Classes {
     pub(crate) action: Code,
@@ -24,6 +22,19 @@ pub(crate) struct Classes {
     pub(crate) decision: Py<PyType>,
     pub(crate) failed: Py<PyType>,
     pub(crate) memory: MemoryClasses,
+}
+
+/// The classes of `memtransfer.memory`.
+pub(crate) struct MemoryClasses {
+    pub(crate) memory: Py<PyType>,
+    pub(crate) demonstration: Py<PyType>,
+    pub(crate) episode: Py<PyType>,
+    pub(crate) episode_end: Py<PyType>,
+    pub(crate) recent_step: Py<PyType>,
+    pub(crate) served_query: Py<PyType>,
+    pub(crate) text: Py<PyType>,
+    pub(crate) steps: Py<PyType>,
+    pub(crate) view: Py<PyType>,
 }
 
 /// An enumeration whose members have the codes 0, 1, 2 and so on.

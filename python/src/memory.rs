@@ -12,7 +12,7 @@ use peer::memory::{
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::{PyBool, PyBytes, PyList, PyString, PyTuple, PyType};
+use pyo3::types::{PyBool, PyBytes, PyList, PyString, PyTuple};
 use shm_types::{Bank, Frame as SharedFrame};
 
 use crate::classes::Classes;
@@ -124,19 +124,6 @@ impl Object {
         };
         Ok(Self { memory: memory.clone().unbind(), overrides })
     }
-}
-
-/// The classes of `memtransfer.memory`.
-pub(crate) struct MemoryClasses {
-    pub(crate) memory: Py<PyType>,
-    pub(crate) demonstration: Py<PyType>,
-    pub(crate) episode: Py<PyType>,
-    pub(crate) episode_end: Py<PyType>,
-    pub(crate) recent_step: Py<PyType>,
-    pub(crate) served_query: Py<PyType>,
-    pub(crate) text: Py<PyType>,
-    pub(crate) steps: Py<PyType>,
-    pub(crate) view: Py<PyType>,
 }
 
 impl<'m> PythonMemory<'m> {

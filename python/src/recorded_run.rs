@@ -242,7 +242,7 @@ fn demonstration<'a>(
     history: History,
     demonstrated: &Demonstrated<'a>,
 ) -> TrajectoryData<'a> {
-    let Demonstrated { warehouse, variant, closed, task, trajectory } = *demonstrated;
+    let Demonstrated { warehouse, variant, closed, task, ref trajectory } = *demonstrated;
     let replay = demonstrated.replay();
     let length = replay.length.map_or(trajectory.actions.len(), |length| length as usize);
     let poses: Vec<Pose> = replay.poses.into_iter().take(length + 1).collect();

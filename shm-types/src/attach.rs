@@ -12,6 +12,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+pub use domain::limits::MAX_FRAMES;
+
 use crate::message::{MAX_EXTERNAL_MEMORIES, MAX_WINDOW, Role, Traffic, WIRE_VERSION};
 
 /// Name of the file in a run's folder.
@@ -25,9 +27,6 @@ pub const PAGE_BYTES: usize = 4096;
 
 /// Maximum number of lanes a run can have.
 pub const MAX_LANES: u32 = 4096;
-
-/// Maximum number of frames that a run can keep resident.
-pub const MAX_FRAMES: u32 = 1 << 20;
 
 /// Default of [`Attach::frame_capacity`]: every view of the unchanged world fits.
 pub const DEFAULT_FRAMES: u32 = 1536;

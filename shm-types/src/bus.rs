@@ -32,6 +32,7 @@ use crate::attach::{Attach, AttachError};
 use crate::clock::{self, Instant};
 use crate::events::{Listener, Notifier};
 use crate::message::{ErrorReport, Handshake, Message, Role, ShutdownReport, Stop};
+pub use crate::ports::PortedMessage;
 use crate::ports::{Connect, ReceiverPort, SenderPort, is_private};
 use crate::process::ProcessWatch;
 use crate::registry::{self, Sweeper};
@@ -172,7 +173,7 @@ impl Bus {
     ///
     /// # Errors
     /// When this role does not send `M`, or the service cannot be opened.
-    pub fn sender<M: Message>(&self) -> Result<Sender<M>, BusError> {
+    pub fn sender<M: PortedMessage>(&self) -> Result<Sender<M>, BusError> {
         self.sender_to(self.index)
     }
 
@@ -180,7 +181,7 @@ impl Bus {
     ///
     /// # Errors
     /// As [`Self::sender`].
-    pub fn sender_to<M: Message>(&self, index: u8) -> Result<Sender<M>, BusError> {
+    pub fn sender_to<M: PortedMessage>(&self, index: u8) -> Result<Sender<M>, BusError> {
         self.allowed(M::FROM, M::SERVICE, "send")?;
         let mut ports = self.ports.lock().unwrap_or_else(PoisonError::into_inner);
         let key = (M::SERVICE, index);
@@ -190,7 +191,7 @@ impl Bus {
         }
         let receivers = if is_private::<M>() { 1 } else { self.attach.count(M::TO) };
         let required = if is_private::<M>() { 1 } else { self.attach.count_required(M::TO) };
-        let sender = M::open_sender(self, index)?;
+        let sender = M::open_sender(&self.node, &self.attach, index)?;
         let port = Arc::new(Port { sender, receivers, required });
         ports.insert(key, port.clone());
         Ok(Sender { port })
@@ -200,7 +201,7 @@ impl Bus {
     ///
     /// # Errors
     /// When this role does not receive `M`, or the service cannot be opened.
-    pub fn receiver<M: Message>(&self) -> Result<Receiver<M>, BusError> {
+    pub fn receiver<M: PortedMessage>(&self) -> Result<Receiver<M>, BusError> {
         self.receiver_from(self.index)
     }
 
@@ -208,9 +209,9 @@ impl Bus {
     ///
     /// # Errors
     /// As [`Self::receiver`].
-    pub fn receiver_from<M: Message>(&self, index: u8) -> Result<Receiver<M>, BusError> {
+    pub fn receiver_from<M: PortedMessage>(&self, index: u8) -> Result<Receiver<M>, BusError> {
         self.allowed(M::TO, M::SERVICE, "receive")?;
-        let port = M::open_receiver(self, index)?;
+        let port = M::open_receiver(&self.node, &self.attach, index)?;
         self.receivers.add(port.clone());
         let senders = if is_private::<M>() { 1 } else { self.attach.places(M::FROM) };
         let most = self.attach.queue_len(M::TRAFFIC) * senders;

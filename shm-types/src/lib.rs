@@ -36,7 +36,7 @@ mod transport;
 
 pub use attach::{ATTACH_VARIABLE, Attach, AttachError, FrameControl, FrameSize, Wait};
 pub use banks::{Bank, BankContent, BankPublisher, BankReceiver};
-pub use bus::{Bus, BusError, HandshakeReceiver, Receiver, Sender};
+pub use bus::{Bus, BusError, HandshakeReceiver, PortedMessage, Receiver, Sender};
 pub use description::MemoryDescription;
 pub use documents::{Document, DocumentError, DocumentPublisher, DocumentStore};
 pub use error_reports::ErrorReporter;

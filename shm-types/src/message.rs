@@ -8,13 +8,9 @@
 //! run, so a late answer is recognised and dropped. All `*_ns` fields are CLOCK_MONOTONIC nanoseconds, which all
 //! processes of a machine share.
 
-use std::sync::Arc;
-
 use iceoryx2::prelude::ZeroCopySend;
 
-use crate::bus::{Bus, BusError};
 use crate::layout::{WireLayout, wire_struct};
-use crate::ports::{self, ReceiverPort, SenderPort};
 
 mod codes;
 mod counts;
@@ -28,6 +24,7 @@ pub use codes::{
     ViewRequestKind, read_action, read_flag,
 };
 pub use counts::DecisionCounts;
+pub use domain::limits::{MAX_EXTERNAL_MEMORIES, MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW};
 pub use parts::*;
 pub use pose::WirePose;
 pub use route::{Description, Message, Traffic};
@@ -35,15 +32,6 @@ pub use text::{MAX_REASON_BYTES, read_text, shortened_reason, write_text};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
 pub const WIRE_VERSION: u32 = 11;
-
-/// Longest window of past steps.
-pub const MAX_WINDOW: usize = 32;
-
-/// Most steps of a retrieved segment: the matched view and the views after it.
-pub const MAX_SEGMENT: usize = 32;
-
-/// Most items of a [`Recall`].
-pub const MAX_ITEMS: usize = 8;
 
 /// Most demonstration steps that a [`Recall`] holds itself. A longer item is a document.
 pub const MAX_STEPS: usize = 48;
@@ -53,9 +41,6 @@ pub const MAX_SOURCES: usize = 16;
 
 /// Most numbers of an embedding.
 pub const MAX_EMBEDDING: usize = 1024;
-
-/// Most external memories of a run.
-pub const MAX_EXTERNAL_MEMORIES: usize = 8;
 
 /// Maximum length of an instruction, in bytes.
 pub const MAX_INSTRUCTION: usize = 232;
@@ -107,8 +92,8 @@ pub struct RequestId {
     pub step: u32,
 }
 
-/// Declares messages: layout, name, service, route and size.
-macro_rules! messages {
+/// Declares the messages of the table: layout, name, service, route and size.
+macro_rules! declare_messages {
     ($($(#[doc = $doc:literal])* $name:ident, $type_name:literal, $service:literal, $size:literal bytes,
         [$($from:ident)*] to [$($to:ident)*], $traffic:ident {
         $($(#[doc = $field_doc:literal])* $field:ident: $type:ty,)*
@@ -123,15 +108,6 @@ macro_rules! messages {
                 const FROM: &'static [Role] = &[$(Role::$from),*];
                 const TO: &'static [Role] = &[$(Role::$to),*];
                 const TRAFFIC: Traffic = Traffic::$traffic;
-
-                // Not generic, so that the ports are compiled in this crate.
-                fn open_sender(bus: &Bus, index: u8) -> Result<Box<dyn SenderPort<Self>>, BusError> {
-                    ports::open_sender(bus, index)
-                }
-
-                fn open_receiver(bus: &Bus, index: u8) -> Result<Arc<dyn ReceiverPort<Self>>, BusError> {
-                    ports::open_receiver(bus, index)
-                }
             }
         )*
 
@@ -146,7 +122,10 @@ macro_rules! messages {
     };
 }
 
-messages! {
+/// The table of all messages, passed to the macro `$with`: each one's documentation, names, size, route and fields.
+#[rustfmt::skip]
+macro_rules! message_table {
+($with:ident) => { $with! {
     /// Orchestrator to simulator: reset a lane, or act in it.
     StepCommand, "memtransfer.StepCommand", "command", 40 bytes,
         [Orchestrator] to [Sim], Lanes {
@@ -676,7 +655,12 @@ messages! {
         /// Zero.
         reserved: u64,
     }
+} };
 }
+
+message_table!(declare_messages);
+
+pub(crate) use message_table;
 
 #[cfg(test)]
 mod tests;

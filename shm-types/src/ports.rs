@@ -6,6 +6,7 @@
 use std::fmt::Debug;
 use std::sync::Arc;
 
+use iceoryx2::node::Node;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::{ConnectionFailure, UpdateConnections};
@@ -13,9 +14,56 @@ use iceoryx2::port::{BackpressureAction, SendError};
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
-use crate::bus::Bus;
-use crate::message::{Message, Role};
-use crate::transport::{BusError, Ipc, receiver};
+use crate::attach::Attach;
+use crate::message::{self, Message, Role, message_table};
+use crate::transport::{BusError, Ipc, receiver, service_name};
+
+/// A message that this crate opens ports for: each of the table.
+pub trait PortedMessage: Message {
+    /// Opens its sender; `index` is that of the external memory it sends to, if it sends to one.
+    #[doc(hidden)]
+    fn open_sender(
+        node: &Node<Ipc>,
+        attach: &Attach,
+        index: u8,
+    ) -> Result<Box<dyn SenderPort<Self>>, BusError>;
+
+    /// Opens a receiver, as [`Self::open_sender`].
+    #[doc(hidden)]
+    fn open_receiver(
+        node: &Node<Ipc>,
+        attach: &Attach,
+        index: u8,
+    ) -> Result<Arc<dyn ReceiverPort<Self>>, BusError>;
+}
+
+/// Implements [`PortedMessage`] for the messages of the table, one by one: what is not generic is compiled in this crate.
+macro_rules! implement_ports {
+    ($($(#[doc = $doc:literal])* $name:ident, $type_name:literal, $service:literal, $size:literal bytes,
+        [$($from:ident)*] to [$($to:ident)*], $traffic:ident { $($fields:tt)* })*) => {
+        $(
+            impl PortedMessage for message::$name {
+                fn open_sender(
+                    node: &Node<Ipc>,
+                    attach: &Attach,
+                    index: u8,
+                ) -> Result<Box<dyn SenderPort<Self>>, BusError> {
+                    open_sender(node, attach, index)
+                }
+
+                fn open_receiver(
+                    node: &Node<Ipc>,
+                    attach: &Attach,
+                    index: u8,
+                ) -> Result<Arc<dyn ReceiverPort<Self>>, BusError> {
+                    open_receiver(node, attach, index)
+                }
+            }
+        )*
+    };
+}
+
+message_table!(implement_ports);
 
 /// Sends messages to every receiver.
 pub trait SenderPort<M>: Debug + Send + Sync {
@@ -79,11 +127,12 @@ impl<M: Message> Connect for Subscriber<Ipc, M, ()> {
     }
 }
 
-pub(crate) fn open_sender<M: Message>(
-    bus: &Bus,
+fn open_sender<M: Message>(
+    node: &Node<Ipc>,
+    attach: &Attach,
     index: u8,
 ) -> Result<Box<dyn SenderPort<M>>, BusError> {
-    let service = service::<M>(bus, index)?;
+    let service = service::<M>(node, attach, index)?;
     let publisher = service
         .publisher_builder()
         .max_loaned_samples(1)
@@ -94,12 +143,13 @@ pub(crate) fn open_sender<M: Message>(
     Ok(Box::new(OpenSender { publisher, service }))
 }
 
-pub(crate) fn open_receiver<M: Message>(
-    bus: &Bus,
+fn open_receiver<M: Message>(
+    node: &Node<Ipc>,
+    attach: &Attach,
     index: u8,
 ) -> Result<Arc<dyn ReceiverPort<M>>, BusError> {
-    let what = format!("cannot receive on {}", M::SERVICE);
-    Ok(Arc::new(receiver(&service::<M>(bus, index)?, &what)?))
+    let service = service::<M>(node, attach, index)?;
+    Ok(Arc::new(receiver(&service, &format!("cannot receive on {}", M::SERVICE))?))
 }
 
 /// Whether each external memory has its own service for `M`.
@@ -108,14 +158,17 @@ pub(crate) fn is_private<M: Message>() -> bool {
 }
 
 /// The service of `M`; `index` is that of the external memory, where each has its own.
-fn service<M: Message>(bus: &Bus, index: u8) -> Result<PortFactory<Ipc, M, ()>, BusError> {
-    let attach = bus.attach();
-    let (builder, senders, receivers) = if is_private::<M>() {
-        (bus.builder(&format!("{}-{index}", M::SERVICE))?, 1, 1)
+fn service<M: Message>(
+    node: &Node<Ipc>,
+    attach: &Attach,
+    index: u8,
+) -> Result<PortFactory<Ipc, M, ()>, BusError> {
+    let (name, senders, receivers) = if is_private::<M>() {
+        (format!("{}-{index}", M::SERVICE), 1, 1)
     } else {
-        (bus.builder(M::SERVICE)?, attach.places(M::FROM), attach.places(M::TO))
+        (M::SERVICE.to_owned(), attach.places(M::FROM), attach.places(M::TO))
     };
-    builder
+    node.service_builder(&service_name(attach, &name)?)
         .publish_subscribe::<M>()
         .enable_safe_overflow(false)
         .history_size(0)

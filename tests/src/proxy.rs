@@ -8,8 +8,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
-use llm::scripted::{Reaction, Received, Server};
 use png_file::RgbaImage;
+use rigs::chat_server::{Reaction, Received, Server};
 use serde_json::Value;
 
 /// A part of a message: adjacent texts of a message are one part.

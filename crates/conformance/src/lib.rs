@@ -1,17 +1,14 @@
 //! Checks whether an external policy or memory follows the protocol of the wire, in difficult situations over the real bus.
 //!
-//! This process plays the other roles ([`neighbours`]). The crates' own tests use them, too: there are rigs around one
-//! process of a run ([`testing`]) and scripted processes ([`scripted`]). The quality of decisions
-//! and of what a memory supplies is not checked.
+//! This process plays the other roles ([`neighbours`]). The quality of decisions and of what a memory supplies is not
+//! checked.
 
 mod checks;
 mod memory;
 pub mod messages;
 pub mod neighbours;
 mod policy;
-pub mod scripted;
 mod subject;
-pub mod testing;
 
 use std::fs;
 use std::path::PathBuf;

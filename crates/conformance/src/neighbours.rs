@@ -6,11 +6,11 @@ use std::time::Duration;
 use bytemuck::Zeroable;
 use shm_types::message::{
     Decision, ErrorReport, Eviction, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery,
-    ExternalStore, ExternalStored, FrameId, Message, Observation, Role, ShutdownReport, Stop,
+    ExternalStore, ExternalStored, FrameId, Observation, Role, ShutdownReport, Stop,
 };
 use shm_types::{
     Attach, BankPublisher, Bus, BusError, DocumentPublisher, FrameError, FramePublisher,
-    HandshakeReceiver, NoteReceiver, Notifier, Receiver, Sender,
+    HandshakeReceiver, NoteReceiver, Notifier, PortedMessage, Receiver, Sender,
 };
 
 /// The longest time that [`Neighbours::wait`] waits.
@@ -70,7 +70,7 @@ impl Neighbours {
     ///
     /// # Errors
     /// When only the subject sends `M`, or the service cannot be opened.
-    pub fn sender<M: Message>(&self) -> Result<Sender<M>, BusError> {
+    pub fn sender<M: PortedMessage>(&self) -> Result<Sender<M>, BusError> {
         self.bus(M::FROM).sender()
     }
 
@@ -78,7 +78,7 @@ impl Neighbours {
     ///
     /// # Errors
     /// When only the subject receives `M`, or the service cannot be opened.
-    pub fn receiver<M: Message>(&self) -> Result<Receiver<M>, BusError> {
+    pub fn receiver<M: PortedMessage>(&self) -> Result<Receiver<M>, BusError> {
         self.bus(M::TO).receiver()
     }
 
@@ -86,7 +86,7 @@ impl Neighbours {
     ///
     /// # Errors
     /// When it cannot be delivered.
-    pub fn send<M: Message>(&self, message: &M) -> Result<(), BusError> {
+    pub fn send<M: PortedMessage>(&self, message: &M) -> Result<(), BusError> {
         self.sender()?.send(message)
     }
 
@@ -140,7 +140,8 @@ pub struct PolicyNeighbours {
     pub decisions: Receiver<Decision>,
     /// Publishes the documents of memory.
     pub documents: DocumentPublisher,
-    pub(crate) frames: FramePublisher,
+    /// Publishes frames to it.
+    pub frames: FramePublisher,
     neighbours: Neighbours,
 }
 
@@ -201,7 +202,8 @@ pub struct ExternalMemoryNeighbours {
     pub stores: Sender<ExternalStore>,
     /// What it has saved or loaded.
     pub stored: Receiver<ExternalStored>,
-    pub(crate) frames: FramePublisher,
+    /// Publishes frames to it.
+    pub frames: FramePublisher,
     neighbours: Neighbours,
 }
 

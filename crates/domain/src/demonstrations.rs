@@ -95,7 +95,26 @@ impl Mixture {
 /// - `bank-N`: N demonstrations of the case and of others, of which each bank holds those of the smaller ones.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
-pub struct Demonstrations(u32);
+pub struct Demonstrations(Selection);
+
+/// What [`Demonstrations`] are selected. Ordered as the [bits](Demonstrations::bits) are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+enum Selection {
+    /// Some of the case's own: a bit for the number of each.
+    Own(u8),
+    /// Original, opposite, and the case's two histories of other tasks of one kind.
+    Mixed(Mixture),
+    /// The one after the case's passage has closed.
+    After,
+    /// Original, then that one.
+    BeforeAfter,
+    /// That one, then original.
+    AfterBefore,
+    /// The one of another warehouse.
+    Elsewhere,
+    /// A bank with so many, at least one.
+    Bank(u16),
+}
 
 /// A text that names no [`Demonstrations`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -114,20 +133,14 @@ pub struct UnknownDemonstrations {
 
 const OWN: [DemonstrationKind; 4] = DemonstrationKind::OWN;
 
-/// The bits of the case's own four.
-const OWN_BITS: u32 = 0b1111;
-
-/// The bits of a bank's size begin here.
-const BANK_SHIFT: u32 = 16;
-
 /// Sets with a name. A set is displayed with the first name that fits.
 const WORDS: [(&str, Demonstrations); 13] = [
     ("none", Demonstrations::NONE),
     ("original", Demonstrations::ORIGINAL),
     ("1", Demonstrations::ORIGINAL),
-    ("opposite", Demonstrations(1 << DemonstrationKind::Opposite as u32)),
-    ("nearby", Demonstrations(1 << DemonstrationKind::Nearby as u32)),
-    ("distant", Demonstrations(1 << DemonstrationKind::Distant as u32)),
+    ("opposite", Demonstrations(Selection::Own(1 << DemonstrationKind::Opposite as u8))),
+    ("nearby", Demonstrations(Selection::Own(1 << DemonstrationKind::Nearby as u8))),
+    ("distant", Demonstrations(Selection::Own(1 << DemonstrationKind::Distant as u8))),
     ("4", Demonstrations::ALL),
     ("irrelevant", Demonstrations::IRRELEVANT),
     ("confusable", Demonstrations::CONFUSABLE),
@@ -139,73 +152,87 @@ const WORDS: [(&str, Demonstrations); 13] = [
 
 impl Demonstrations {
     /// No demonstrations, as for working memory.
-    pub const NONE: Self = Self(0);
+    pub const NONE: Self = Self(Selection::Own(0));
     /// Only the case's original demonstration.
-    pub const ORIGINAL: Self = Self(1);
+    pub const ORIGINAL: Self = Self(Selection::Own(1 << DemonstrationKind::Original as u8));
     /// The case's own four.
-    pub const ALL: Self = Self(OWN_BITS);
+    pub const ALL: Self = Self(Selection::Own(0b1111));
     /// Original, opposite, and the case's two irrelevant histories.
-    pub const IRRELEVANT: Self = Self(0b01_0011);
+    pub const IRRELEVANT: Self = Self(Selection::Mixed(Mixture::Irrelevant));
     /// Original, opposite, and the case's two confusable histories.
-    pub const CONFUSABLE: Self = Self(0b10_0011);
-
+    pub const CONFUSABLE: Self = Self(Selection::Mixed(Mixture::Confusable));
     /// One demonstration by an expert who knows the case's closed passage.
-    pub const AFTER: Self = Self(1 << 6);
+    pub const AFTER: Self = Self(Selection::After);
     /// Original, then [`AFTER`](Self::AFTER).
-    pub const BEFORE_AFTER: Self = Self(1 << 6 | 1);
+    pub const BEFORE_AFTER: Self = Self(Selection::BeforeAfter);
     /// The same the other way round.
-    pub const AFTER_BEFORE: Self = Self(1 << 7 | 1 << 6 | 1);
+    pub const AFTER_BEFORE: Self = Self(Selection::AfterBefore);
     /// The case's task demonstrated in another warehouse.
-    pub const ELSEWHERE: Self = Self(1 << 8);
+    pub const ELSEWHERE: Self = Self(Selection::Elsewhere);
 
     /// A bank of `size` demonstrations; none if that is 0.
     pub const fn bank(size: u16) -> Self {
-        Self((size as u32) << BANK_SHIFT)
+        if size == 0 { Self::NONE } else { Self(Selection::Bank(size)) }
     }
 
     /// The size of the bank, if it is one.
     pub const fn bank_size(self) -> Option<u16> {
-        match self.0 >> BANK_SHIFT {
-            0 => None,
-            size => Some(size as u16),
+        match self.0 {
+            Selection::Bank(size) => Some(size),
+            _ => None,
         }
     }
 
-    /// Bits 0 to 3 stand for the case's own demonstrations, bit 4 for its irrelevant histories, bit 5 for its confusable
-    /// ones, bit 6 for the one after the event and bit 7 for that one being first, bit 8 for the one of another warehouse, bits
-    /// 16 to 31 for the size of a bank.
+    /// The set on the wire. Bits 0 to 3 stand for the case's own demonstrations, bit 4 for its irrelevant histories, bit 5 for its
+    /// confusable ones, bit 6 for the one after the event and bit 7 for that one being first, bit 8 for the one of another
+    /// warehouse, bits 16 to 31 for the size of a bank.
     pub const fn bits(self) -> u32 {
-        self.0
+        match self.0 {
+            Selection::Own(bits) => bits as u32,
+            Selection::Mixed(Mixture::Irrelevant) => 0b1_0011,
+            Selection::Mixed(Mixture::Confusable) => 0b10_0011,
+            Selection::After => 0b100_0000,
+            Selection::BeforeAfter => 0b100_0001,
+            Selection::AfterBefore => 0b1100_0001,
+            Selection::Elsewhere => 0b1_0000_0000,
+            Selection::Bank(size) => (size as u32) << 16,
+        }
     }
 
     /// The set with these [`bits`](Self::bits), if there is one.
     pub fn from_bits(bits: u32) -> Option<Self> {
-        let set = Self(bits);
-        let is_bank = bits & ((1 << BANK_SHIFT) - 1) == 0;
-        let is_named = WORDS.iter().any(|&(_, named)| named == set);
-        (bits <= OWN_BITS || is_bank || is_named).then_some(set)
+        let own = u8::try_from(bits).ok().filter(|bits| *bits <= 0b1111);
+        let own = own.map(|bits| Self(Selection::Own(bits)));
+        let named = WORDS.iter().map(|(_, set)| *set);
+        let bank = Self::bank((bits >> 16) as u16);
+        own.into_iter().chain(named).chain([bank]).find(|set| set.bits() == bits)
     }
 
     /// The case's own demonstrations in the set, in order.
     pub fn own(self) -> impl Iterator<Item = DemonstrationKind> {
-        OWN.into_iter().filter(move |&start| self.0 & (1 << start as u32) != 0)
+        let bits = match self.0 {
+            Selection::Own(bits) => bits,
+            Selection::Mixed(_) => 0b11,
+            Selection::BeforeAfter | Selection::AfterBefore => 0b1,
+            Selection::After | Selection::Elsewhere | Selection::Bank(_) => 0,
+        };
+        OWN.into_iter().filter(move |&kind| bits & (1 << kind as u8) != 0)
     }
 
     /// Whether the demonstration after the event is in the set.
     pub const fn take_place_after(self) -> bool {
-        self.0 & Self::AFTER.0 != 0
+        matches!(self.0, Selection::After | Selection::BeforeAfter | Selection::AfterBefore)
     }
 
     /// Whether the set takes place in another warehouse.
     pub const fn take_place_elsewhere(self) -> bool {
-        self.0 & Self::ELSEWHERE.0 != 0
+        matches!(self.0, Selection::Elsewhere)
     }
 
     /// The kind of histories of other cases in the set, if any.
     pub const fn mixture(self) -> Option<Mixture> {
-        match self {
-            Self::IRRELEVANT => Some(Mixture::Irrelevant),
-            Self::CONFUSABLE => Some(Mixture::Confusable),
+        match self.0 {
+            Selection::Mixed(mixture) => Some(mixture),
             _ => None,
         }
     }
@@ -213,10 +240,13 @@ impl Demonstrations {
 
 impl fmt::Display for Demonstrations {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match WORDS.iter().find(|(_, set)| set == self) {
-            Some((word, _)) => f.pad(word),
-            None if self.bank_size().is_some() => f.pad(&format!("bank-{}", self.0 >> BANK_SHIFT)),
-            None => f.pad(&self.own().map(DemonstrationKind::name).collect::<Vec<_>>().join("+")),
+        let word = WORDS.iter().find(|(_, set)| set == self);
+        match (word, self.bank_size()) {
+            (Some((word, _)), _) => f.pad(word),
+            (None, Some(size)) => f.pad(&format!("bank-{size}")),
+            (None, None) => {
+                f.pad(&self.own().map(DemonstrationKind::name).collect::<Vec<_>>().join("+"))
+            }
         }
     }
 }
@@ -237,9 +267,9 @@ impl FromStr for Demonstrations {
         let mut bits = 0;
         for word in text.split('+') {
             let start = own(word).ok_or_else(|| UnknownDemonstrations::new(word))?;
-            bits |= 1 << start as u32;
+            bits |= 1 << start as u8;
         }
-        Ok(Self(bits))
+        Ok(Self(Selection::Own(bits)))
     }
 }
 
@@ -296,10 +326,11 @@ mod tests {
         let sets: Vec<Demonstrations> =
             (0..2 << 16).filter_map(Demonstrations::from_bits).collect();
         assert_eq!(sets.len(), 16 + 2 + 4 + 1);
-        for set in sets {
+        for &set in &sets {
             assert_eq!(set.to_string().parse(), Ok(set));
             assert_eq!(Demonstrations::from_bits(set.bits()), Some(set));
         }
+        assert!(sets.is_sorted());
     }
 
     #[test]

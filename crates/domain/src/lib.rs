@@ -10,6 +10,7 @@ pub mod codes;
 mod demonstrations;
 mod hex;
 mod labels;
+pub mod limits;
 pub mod memory_kind;
 pub mod names;
 pub mod outcome;

@@ -90,6 +90,21 @@ impl TaskType {
             Self::Revisit => TaskGroup::Revisit,
         }
     }
+
+    /// Whether an A has to be visited before a B.
+    pub const fn is_ordered(self) -> bool {
+        matches!(self, Self::InOrder | Self::Revisit | Self::InOrderAndReturn)
+    }
+
+    /// Whether the task ends at the origin.
+    pub const fn ends_at_origin(self) -> bool {
+        matches!(self, Self::FindAndReturn | Self::EveryAndReturn | Self::InOrderAndReturn)
+    }
+
+    /// Whether every instance has to be visited.
+    pub const fn is_exhaustive(self) -> bool {
+        matches!(self, Self::EveryOfType | Self::EveryOfCategory | Self::EveryAndReturn)
+    }
 }
 
 impl TryFrom<u8> for TaskType {

@@ -4,12 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use domain::{Feedback, Pose};
 use replay::frames::{ViewFormat, ViewKey, ViewProgram, ViewRenderer, world_arguments};
 use replay::{RecordedRun, RunWorld};
-use results::log::{EpisodeRecord, RunLog};
+use results::log::RunLog;
 
 use crate::files::{is_file, write_whole};
+use crate::moments::{EpisodeSink, Moments, Timing};
 use crate::{mcap, video};
 
 /// How views are encoded beyond their size, in percent.
@@ -34,15 +34,6 @@ impl EpisodeFormat {
     }
 }
 
-/// How steps, which have no duration, are laid out in time, and how large views are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Timing {
-    /// Steps a second.
-    pub steps_per_s: u32,
-    /// Width and height of a view, in pixels.
-    pub edge: u16,
-}
-
 /// The episodes of a run with what is needed to show them.
 #[derive(Debug)]
 pub struct Episodes {
@@ -50,24 +41,6 @@ pub struct Episodes {
     world: RunWorld,
     timing: Timing,
     renderer: ViewRenderer,
-}
-
-/// An episode to be written.
-pub(crate) struct Moments<'a> {
-    pub(crate) record: &'a EpisodeRecord,
-    pub(crate) instruction: String,
-    /// Poses with the feedback on the action before: at the start, and after every step.
-    pub(crate) poses: Vec<(Pose, Feedback)>,
-    /// The view that the policy was shown at each of them.
-    pub(crate) views: Vec<ViewKey>,
-    /// JPEG files.
-    pub(crate) images: BTreeMap<ViewKey, Vec<u8>>,
-}
-
-/// A file that episodes are written into.
-pub(crate) trait EpisodeSink {
-    fn episode(&mut self, moments: &Moments<'_>) -> Result<()>;
-    fn finish(self: Box<Self>) -> Result<()>;
 }
 
 impl Episodes {

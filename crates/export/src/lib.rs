@@ -14,9 +14,11 @@ mod episodes;
 mod files;
 mod hub;
 mod mcap;
+mod moments;
 mod tables;
 mod video;
 
-pub use episodes::{EpisodeFormat, Episodes, Timing};
+pub use episodes::{EpisodeFormat, Episodes};
 pub use hub::{HubDataset, write_results};
+pub use moments::Timing;
 pub use tables::{TableFormat, write_tables};

@@ -30,7 +30,7 @@ use results::timeline::timeline;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::episodes::{EpisodeSink, Moments, Timing};
+use crate::moments::{EpisodeSink, Moments, Timing};
 use file::{ChannelId, McapFile};
 
 /// Nanoseconds in a second.

@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 
 use anyhow::{Context, Result, anyhow, bail};
 
-use crate::episodes::{EpisodeSink, Moments, Timing};
+use crate::moments::{EpisodeSink, Moments, Timing};
 
 /// ffmpeg as a child process that reads JPEG files and writes a video.
 pub(crate) struct Video {

@@ -13,12 +13,12 @@ use ureq::http::header::{AUTHORIZATION, CONTENT_TYPE, DATE, LOCATION, RETRY_AFTE
 use ureq::http::{HeaderName, Response};
 use ureq::tls::{RootCerts, TlsConfig, TlsProvider};
 
-use crate::client::ChatSettings;
 use crate::endpoint::Endpoint;
 use crate::error::{AttemptError, RequestError, Transient};
 use crate::reply::{self, ChatReply, UnusableReply};
 use crate::request::{ChatRequest, Dialect};
 use crate::server;
+use crate::settings::ChatSettings;
 
 /// Maximum number of bytes that are read of an answer.
 const LARGEST_ANSWER: u64 = 16 << 20;

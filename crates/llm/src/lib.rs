@@ -23,13 +23,13 @@ mod pool;
 pub mod probe;
 mod reply;
 mod request;
-pub mod scripted;
 mod server;
+mod settings;
 mod slots;
 
 pub use api_key::ApiKey;
 pub use cache::{CacheListing, CacheSize, ModelReplies, Pruned, ReplyCache};
-pub use client::{ChatAnswer, ChatClient, ChatSettings};
+pub use client::{ChatAnswer, ChatClient};
 pub use endpoint::{
     BASE_URL_VARIABLES, ENV_FILE, Endpoint, EndpointError, KEY_VARIABLE, Servers, Source,
 };
@@ -38,4 +38,5 @@ pub use reply::{ChatReply, ReplyContent};
 pub use request::{
     CONSTRAINTS, ChatMessage, ChatRequest, ChatRole, ContentPart, ImageUrl, MessageContent,
 };
+pub use settings::ChatSettings;
 pub use slots::EndpointLimit;

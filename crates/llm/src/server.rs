@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant, SystemTime};
 
 use crate::error::{AskError, AttemptError, RequestError, Transient};
+use crate::settings::ChatSettings;
 
 /// The pause before the first retry; each further one is twice as long.
 const FIRST_PAUSE: Duration = Duration::from_millis(500);
@@ -210,7 +211,7 @@ pub(crate) struct ServerState {
 }
 
 impl ServerState {
-    pub(crate) fn new(endpoint: String, settings: &crate::ChatSettings) -> Self {
+    pub(crate) fn new(endpoint: String, settings: &ChatSettings) -> Self {
         Self {
             endpoint,
             max_retries: settings.max_retries,

@@ -10,7 +10,8 @@ use llm::Source;
 use orchestrator::selection::SelectedCases;
 use orchestrator::units::{ReadPlan, UnitPlan};
 use results::log::{Manifest, RunFolder, RunLog, UnitId, finish_unit, unit_folder};
-use settings::{KEYS, Key, Layer, MACHINE_KEYS, on_this_machine, variable};
+use results::settings::Effect;
+use settings::{KEYS, Key, Layer, on_this_machine, variable};
 use shm_types::process::die_with_parent;
 
 use super::run;
@@ -173,8 +174,7 @@ fn of_plan(error: Error) -> Error {
     let prose = lines.flat_map(|line| line.split('`').step_by(2)).collect::<Vec<_>>().join(" ");
     let words = || prose.split(|c: char| !c.is_ascii_alphanumeric() && c != '-');
     let is_named = |key: &&Key| words().any(|word| word.strip_prefix("--") == Some(key.name));
-    let mut of_plan =
-        KEYS.iter().filter(|key| !MACHINE_KEYS.contains(&key.name) && key.name != "out");
+    let mut of_plan = KEYS.iter().filter(|key| key.effect != Effect::Machine && key.name != "out");
     match of_plan.find(is_named) {
         None => error,
         Some(key) => anyhow!(

@@ -12,7 +12,8 @@ use shm_types::{
     Receiver, Spans,
 };
 
-use crate::run::{ServeError, WatchedRun};
+use crate::error::ServeError;
+use crate::watched_run::WatchedRun;
 
 /// Longest sleep of the serve loop, and how often it looks for the next generation.
 const MAX_SLEEP: Duration = Duration::from_millis(250);

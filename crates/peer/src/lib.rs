@@ -29,18 +29,20 @@
 //! roles are the modules [`policy`] and [`memory`].
 
 pub mod connection;
+mod error;
 pub mod memory;
 pub mod policy;
 mod program_code;
 pub mod run;
+mod watched_run;
 
 pub use connection::{Connection, Service, Session};
+pub use error::ServeError;
 pub use policy::{
     Answer, Answers, Batch, CaptionedView, Decider, Decision, FrameView, Item, PastView,
     PinnedStep, Policy, Request, StepView, StepsView, TextView, Usage, serve,
     serve_from_environment,
 };
-pub use run::ServeError;
 // The vocabulary of requests and decisions, so that a policy needs no other crate.
 pub use domain::{Action, Cell, DocumentKind, Feedback, Heading, Pose};
 pub use shm_types::message::{FrameId, RequestId};

@@ -7,12 +7,12 @@ use std::path::Path;
 use std::sync::mpsc;
 
 use bytemuck::Zeroable;
-use conformance::testing::{ExternalMemoryRig, LONG};
 use domain::{Action, Feedback, Heading, Pose};
 use peer::memory::{
     Demonstration, Episode, EpisodeEnd, Memory, MemoryDescription, MemoryError, MemoryItem, Method,
     Query, Scope, Source, Step, Views, serve,
 };
+use rigs::process::{ExternalMemoryRig, LONG};
 use shm_types::banks::{BankDemonstration, BankStep};
 use shm_types::description::memory_folder;
 use shm_types::message::{

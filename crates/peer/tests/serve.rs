@@ -10,7 +10,6 @@ use std::time::Duration;
 use conformance::messages::{
     config, item, observation, recall, supplied, supply, text as whole_text,
 };
-use conformance::testing::{LONG, PolicyRig};
 use domain::hex;
 use domain::prompt_log::{
     PromptLogEntry, RecordedExchange, RecordedItem, RecordedMessage, RecordedPart, entries_file,
@@ -21,6 +20,7 @@ use peer::{
     Answer, Answers, Batch, Decider, Decision, FrameView, Item, Policy, Request, RequestId,
     ServeError, StepsView, Usage, serve,
 };
+use rigs::process::{LONG, PolicyRig};
 use shm_types::documents::Content;
 use shm_types::message::{
     self, ErrorReportKind, Handshake, ItemKind, NO_ACTION, NO_FRAME, Observation, Recall,

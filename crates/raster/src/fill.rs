@@ -11,7 +11,6 @@ use fearless_simd::{
 
 use super::canvas::{BlockState, PIXELS, PixelLanes, SIDE, SampleBlock, SampledImage};
 use super::corner::{Corner, Grid, Polygon, TO_CUT};
-use super::shade::Shader;
 
 /// Sample positions in sixteenths of a pixel: Vulkan's standard positions.
 const fn samples<const M: usize>() -> [[i32; 2]; M] {
@@ -468,6 +467,12 @@ fn fill<V: Simd, const M: usize, H: Shader>(
             part.draw(shader, block, state, background);
         }
     }
+}
+
+/// Computes the colours of a block.
+pub(super) trait Shader {
+    /// RGBA with red in the lowest byte, for each pixel of the block.
+    fn colours<V: Simd, const M: usize>(&self, part: &QuadPart<'_, V, M>) -> u32x16<V>;
 }
 
 /// The part of a quad that lies in one block.

@@ -7,14 +7,8 @@ use fearless_simd::{
 
 use super::canvas::PIXELS;
 use super::corner::Corner;
-use super::fill::{Quad, QuadPart};
+use super::fill::{Quad, QuadPart, Shader};
 use super::geometry::Atlas;
-
-/// Computes the colours of a block.
-pub(super) trait Shader {
-    /// RGBA with red in the lowest byte, for each pixel of the block.
-    fn colours<V: Simd, const M: usize>(&self, part: &QuadPart<'_, V, M>) -> u32x16<V>;
-}
 
 const OPAQUE: u32 = 0xff00_0000;
 

@@ -3,7 +3,7 @@
 //! A spreadsheet computes a cell that begins with one of `= + - @`. A text that does so has an apostrophe before it, as OWASP
 //! advises; numbers, and figures with their intervals, stay as they are.
 
-use std::io::Write;
+use std::io::{self, Write};
 
 use super::document::{Table, TableCell};
 use super::frame::DataFrame;
@@ -34,18 +34,20 @@ pub(super) fn write_table(table: &Table, policy: Option<&str>, out: impl Write) 
     Ok(())
 }
 
-/// Writes a frame; an absent value is an empty field.
-///
-/// # Errors
-/// When writing fails.
-pub(super) fn write_frame(frame: &DataFrame, out: impl Write) -> csv::Result<()> {
-    let mut writer = csv::Writer::from_writer(out);
-    writer.write_record(frame.columns.iter().map(|column| literal(column.name.clone())))?;
-    for row in 0..frame.rows() {
-        writer.write_record(frame.columns.iter().map(|column| literal(column.values.text(row))))?;
+impl DataFrame {
+    /// Writes it as CSV; an absent value is an empty field.
+    ///
+    /// # Errors
+    /// When writing fails.
+    pub fn write_csv(&self, out: impl Write) -> io::Result<()> {
+        let mut writer = csv::Writer::from_writer(out);
+        writer.write_record(self.columns.iter().map(|column| literal(column.name.clone())))?;
+        for row in 0..self.rows() {
+            writer
+                .write_record(self.columns.iter().map(|column| literal(column.values.text(row))))?;
+        }
+        writer.flush()
     }
-    writer.flush()?;
-    Ok(())
 }
 
 /// The text as a spreadsheet shows it, instead of computing it.

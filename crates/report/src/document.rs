@@ -4,7 +4,7 @@
 
 use results::policy::PolicyLabel;
 
-use super::plot::Svg;
+use super::plot::ReportFigure;
 
 /// A whole report.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,7 +59,7 @@ impl ReportSection {
         for block in self.blocks.iter_mut().filter(|_| is_marked) {
             match block {
                 ReportBlock::Table(table) => table.caption += &policy_note(policy),
-                ReportBlock::Figure(figure) => figure.name_policy(policy),
+                ReportBlock::Figure(figure) => figure.add_note(&policy_note(policy)),
                 ReportBlock::Text(_) | ReportBlock::Notice(_) | ReportBlock::Terms(_) => {}
             }
         }
@@ -228,32 +228,6 @@ impl TableCell {
             Self::Sure { figure, interval } => format!("{figure} {interval}"),
             Self::Missing(missing) => missing.mark().to_owned(),
         }
-    }
-}
-
-/// A figure.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ReportFigure {
-    /// Unique in the document; the name of its SVG file.
-    pub id: String,
-    /// The caption.
-    pub caption: String,
-    /// Its content in words, for readers who do not see it.
-    pub alt: String,
-    pub(super) image: Svg,
-}
-
-impl ReportFigure {
-    /// The image, as an `svg` element.
-    pub fn svg(&self) -> String {
-        self.image.element_text()
-    }
-
-    fn name_policy(&mut self, policy: &str) {
-        let note = policy_note(policy);
-        self.image.add_note(note.trim());
-        self.caption += &note;
-        self.alt += &note;
     }
 }
 

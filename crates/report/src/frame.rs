@@ -1,10 +1,6 @@
 //! Flat tables of figures for other programs: typed columns in full precision, with nulls.
 
-use std::io::{self, Write};
-
 use results::score::Interval;
-
-use super::{csv, parquet};
 
 /// A table of values.
 #[derive(Debug, Clone, PartialEq)]
@@ -115,22 +111,6 @@ impl<'a, T> FrameBuilder<'a, T> {
 }
 
 impl DataFrame {
-    /// Writes it as CSV; an absent value is an empty field.
-    ///
-    /// # Errors
-    /// When writing fails.
-    pub fn write_csv(&self, out: impl Write) -> io::Result<()> {
-        csv::write_frame(self, out).map_err(io::Error::other)
-    }
-
-    /// Writes it as a Parquet file.
-    ///
-    /// # Errors
-    /// When writing fails.
-    pub fn write_parquet(&self, out: impl Write) -> io::Result<()> {
-        parquet::write_frame(self, out)
-    }
-
     /// Rows.
     pub fn rows(&self) -> usize {
         self.columns.first().map_or(0, |column| column.values.len())

@@ -27,12 +27,11 @@ mod tests;
 
 pub use data::{episodes_frame, timings_frame};
 pub use document::{
-    Missing, ReportBlock, ReportDocument, ReportFigure, ReportSection, RowGroup, Table, TableCell,
-    TableColumn, TableRow,
+    Missing, ReportBlock, ReportDocument, ReportSection, RowGroup, Table, TableCell, TableColumn,
+    TableRow,
 };
 pub use frame::{DataFrame, Series, Values};
-pub use plot::{Curve, Curves, curves};
-pub use plot::{Stack, StackRow, stack};
+pub use plot::{Curve, Curves, ReportFigure, Stack, StackRow, curves, stack};
 pub use published::{Published, PublishedCondition, PublishedSpread};
 pub use steps::steps_frame;
 pub use terminal::{compared_runs, comparison, summary};

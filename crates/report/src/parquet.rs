@@ -10,24 +10,26 @@ use super::frame::{DataFrame, Series, Values};
 
 const MAGIC: &[u8; 4] = b"PAR1";
 
-/// Writes `frame` as a Parquet file.
-///
-/// # Errors
-/// When writing fails, or a column is larger than the format allows.
-pub(super) fn write_frame(frame: &DataFrame, mut out: impl Write) -> io::Result<()> {
-    out.write_all(MAGIC)?;
-    let mut offset = MAGIC.len();
-    let mut chunks = Vec::new();
-    for series in &frame.columns {
-        let page = page(series)?;
-        out.write_all(&page)?;
-        chunks.push(ColumnChunk { offset: count(offset)?, bytes: count(page.len())? });
-        offset += page.len();
+impl DataFrame {
+    /// Writes it as a Parquet file.
+    ///
+    /// # Errors
+    /// When writing fails, or a column is larger than the format allows.
+    pub fn write_parquet(&self, mut out: impl Write) -> io::Result<()> {
+        out.write_all(MAGIC)?;
+        let mut offset = MAGIC.len();
+        let mut chunks = Vec::new();
+        for series in &self.columns {
+            let page = page(series)?;
+            out.write_all(&page)?;
+            chunks.push(ColumnChunk { offset: count(offset)?, bytes: count(page.len())? });
+            offset += page.len();
+        }
+        let footer = footer(self, &chunks)?;
+        out.write_all(&footer)?;
+        out.write_all(&length("footer", "bytes", footer.len())?.to_le_bytes())?;
+        out.write_all(MAGIC)
     }
-    let footer = footer(frame, &chunks)?;
-    out.write_all(&footer)?;
-    out.write_all(&length("footer", "bytes", footer.len())?.to_le_bytes())?;
-    out.write_all(MAGIC)
 }
 
 /// Where a column is in the file.
@@ -289,7 +291,7 @@ mod tests {
             ],
         };
         let mut file = Vec::new();
-        write_frame(&frame, &mut file).unwrap();
+        frame.write_parquet(&mut file).unwrap();
         let hex: Vec<String> =
             file.chunks(32).map(|line| line.iter().map(|b| format!("{b:02x}")).collect()).collect();
         insta::assert_snapshot!(hex.join("\n"));

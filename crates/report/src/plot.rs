@@ -16,8 +16,6 @@ pub use stack::{Stack, StackRow, stack};
 
 use std::fmt::Write;
 
-use crate::document::ReportFigure;
-
 /// The width of every figure: that of the text of the page.
 const WIDTH: i32 = 820;
 /// The horizontal position where row labels end and the plot begins.
@@ -28,9 +26,35 @@ const BOTTOM: i32 = 44;
 /// The height of a line below the plot.
 const NOTE: i32 = 24;
 
+/// A figure.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReportFigure {
+    /// Unique in the document; the name of its SVG file.
+    pub id: String,
+    /// The caption.
+    pub caption: String,
+    /// Its content in words, for readers who do not see it.
+    pub alt: String,
+    image: Svg,
+}
+
+impl ReportFigure {
+    /// The image, as an `svg` element.
+    pub fn svg(&self) -> String {
+        self.image.element_text()
+    }
+
+    /// Adds a note under the image, to the caption and to the content in words.
+    pub(super) fn add_note(&mut self, note: &str) {
+        self.image.add_note(note.trim());
+        self.caption += note;
+        self.alt += note;
+    }
+}
+
 /// An SVG image. Coordinates are pixels from the top left.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Svg {
+struct Svg {
     height: i32,
     body: String,
 }
@@ -122,7 +146,7 @@ impl Svg {
     }
 
     /// The image as an `svg` element.
-    pub(super) fn element_text(&self) -> String {
+    fn element_text(&self) -> String {
         format!(
             "<svg width=\"{WIDTH}\" height=\"{0}\" viewBox=\"0 0 {WIDTH} {0}\" \
              xmlns=\"http://www.w3.org/2000/svg\" font-family=\"sans-serif\">\n{1}</svg>\n",
@@ -131,7 +155,7 @@ impl Svg {
     }
 
     /// Adds a line of text below the image.
-    pub(super) fn add_note(&mut self, text: &str) {
+    fn add_note(&mut self, text: &str) {
         self.text(text, (8, self.height + NOTE / 2), TextAnchor::After, TextStyle::Faint);
         self.height += NOTE;
     }

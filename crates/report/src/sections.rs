@@ -11,6 +11,7 @@ mod groups;
 mod growth;
 mod main_table;
 mod method;
+mod missing;
 mod mixed;
 mod overview;
 mod pairs;

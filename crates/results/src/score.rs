@@ -36,6 +36,7 @@ mod cost;
 mod failure;
 mod growth;
 mod interval;
+mod mean;
 mod memory;
 mod requests;
 mod spread;

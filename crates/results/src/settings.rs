@@ -1,7 +1,7 @@
 //! The settings of a run, as the manifest records them.
 //!
-//! The crate `settings` merges them from flags, environment variables and suite files, and checks them. A key has the same
-//! name in all of those places.
+//! [`KEYS`] is the table of all settings: a key has the same name as a flag, an environment variable, in a suite file and in
+//! the manifest. The crate `settings` merges them from those sources and checks what concerns several.
 
 mod cases;
 mod documents;
@@ -9,6 +9,7 @@ mod group;
 mod model;
 mod stream;
 mod suite;
+mod table;
 
 pub use cases::CaseSelector;
 pub use documents::DocumentSource;
@@ -16,6 +17,7 @@ pub use group::Group;
 pub use model::{ModelSettings, ResponseCache};
 pub use stream::StreamSettings;
 pub use suite::SuiteName;
+pub use table::{Effect, KEYS, Key, MAX_IMAGES, STREAM_TABLE, Scope, VARIABLE_PREFIX};
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -261,36 +263,3 @@ impl RunSettings {
         memories.filter_map(|memory| memory.external()).collect()
     }
 }
-
-/// Keys that do not change any result, so that a run may be resumed with other values of them. `suite`, `assets` and
-/// `elsewhere` are among them because their contents are compared instead: settings, and hashes of files.
-pub const FREE_KEYS: &[&str] = &[
-    "suite",
-    "assets",
-    "elsewhere",
-    "out",
-    "base-url",
-    "max-connections",
-    "endpoint-limit",
-    "endpoint-limit-folder",
-    "max-retries",
-    "request-timeout",
-    "server-patience",
-    "stop-without-action",
-    "response-cache",
-    "prices",
-    "max-tokens-total",
-    "max-cost",
-    "log-prompts",
-    "lanes",
-    "encoder-threads",
-    "frame-budget",
-    "warm-views",
-    "spin-us",
-    "step-timeout",
-    "memory-cmd",
-    "external-memory",
-    "learning-memories",
-    "memory-timeout",
-    "start-timeout",
-];

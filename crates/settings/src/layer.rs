@@ -5,10 +5,8 @@ use std::fmt;
 
 use anyhow::{Result, anyhow, ensure};
 use domain::names::{UnknownName, nearest};
-use results::settings::StreamSettings;
+use results::settings::{KEYS, Key, STREAM_TABLE, Scope, StreamSettings, VARIABLE_PREFIX};
 use serde_json::{Map, Value};
-
-use super::keys::{DEFAULTS, KEYS, Key, STREAM_KEYS, VARIABLE_PREFIX};
 
 /// Variables with the prefix that are not settings: folders, the user's own ONNX Runtime, and what tests use.
 const OTHER_VARIABLES: [&str; 5] = ["CACHE", "RUN_DIR", "ATTACH", "REGENERATE", "ONNXRUNTIME"];
@@ -52,9 +50,16 @@ impl Layer {
     /// The built-in defaults.
     ///
     /// # Errors
-    /// When the built-in defaults are not valid TOML; a test rules that out.
+    /// When a setting cannot have its default; a test rules that out.
     pub fn defaults() -> Result<Self> {
-        let values = toml::from_str(DEFAULTS).map_err(|error| anyhow!("defaults: {error}"))?;
+        let mut values = Map::new();
+        for key in KEYS {
+            let Some(default) = key.default else { continue };
+            let value = key
+                .read(default)
+                .map_err(|problem| anyhow!("default of {}: {problem}", key.name))?;
+            values.insert(key.name.to_owned(), value);
+        }
         Ok(Self { origin: Origin::Default, values })
     }
 
@@ -121,9 +126,9 @@ impl Layer {
             .map_err(|error: toml::de::Error| invalid("", error.to_string().trim_end()))?;
         let top: Vec<&str> = KEYS
             .iter()
+            .filter(|key| key.name != "suite" && key.scope != Scope::Stream)
             .map(|key| key.name)
-            .filter(|name| *name != "suite" && !STREAM_KEYS.contains(name))
-            .chain(["stream", "group"])
+            .chain([STREAM_TABLE, "group"])
             .collect();
         let check = |table: &Map<String, Value>, known: &[&str], place: &str| {
             for (name, value) in table {
@@ -140,7 +145,7 @@ impl Layer {
             Ok(())
         };
         check(&values, &top, "")?;
-        if let Some(stream) = values.get("stream") {
+        if let Some(stream) = values.get(STREAM_TABLE) {
             serde_json::from_value::<StreamSettings>(stream.clone())
                 .map_err(|error| invalid(", stream", &error.to_string()))?;
         }
@@ -149,7 +154,8 @@ impl Layer {
             Some(Value::Array(groups)) => groups.iter().filter_map(Value::as_object).collect(),
             Some(_) => return Err(invalid("", "`group` is not a list of tables")),
         };
-        let of_group: Vec<&str> = [&["name"], GROUP_KEYS].concat();
+        let of_group = Key::of_scope(Scope::Group).map(|key| key.name);
+        let of_group: Vec<&str> = ["name"].into_iter().chain(of_group).collect();
         let mut names = Vec::new();
         for (number, group) in (1..).zip(groups) {
             check(group, &of_group, &format!(", group {number}"))?;
@@ -183,10 +189,6 @@ pub fn variable(name: &str) -> Result<Option<Value>> {
     let layer = Layer::environment([(variable.into(), text)])?;
     Ok(layer.values.get(name).cloned())
 }
-
-/// Keys of a `[[group]]` beside its name.
-pub(super) const GROUP_KEYS: &[&str] =
-    &["memory", "starts", "routes", "demos", "window", "segment", "hint", "arms", "runs"];
 
 #[cfg(test)]
 mod tests {
@@ -230,11 +232,8 @@ mod tests {
     #[test]
     fn defaults_are_values_that_keys_can_have() {
         let defaults = Layer::defaults().unwrap();
-        for (name, value) in &defaults.values {
-            Key::find(name).unwrap().check(value).unwrap();
-        }
         assert_eq!(defaults.values["max-steps"], domain::MAX_STEPS);
-        assert_eq!(defaults.values["image-budget"], super::super::keys::MAX_IMAGES);
+        assert_eq!(defaults.values["image-budget"], results::settings::MAX_IMAGES);
     }
 
     #[test]
@@ -243,7 +242,7 @@ mod tests {
         insta::assert_snapshot!(error("memry = []"), @"suite my.toml: unknown key `memry`: did you mean `memory`?");
         insta::assert_snapshot!(error("runs = 1\nmemory = [\"episodik\"]"), @"suite my.toml: memory: unknown memory `episodik`: did you mean `episodic`? (known: working, full-context, summary, semantic, hybrid, episodic, adaptive)");
         insta::assert_snapshot!(error("[[group]]\nname = \"a\"\n[[group]]\nstart = []"), @"suite my.toml, group 2: unknown key `start`: did you mean `starts`?");
-        insta::assert_snapshot!(error("[[group]]\nname = \"a\"\nlanes = 3"), @"suite my.toml, group 1: unknown key `lanes` (known: name, memory, starts, routes, demos, window, segment, hint, arms, runs)");
+        insta::assert_snapshot!(error("[[group]]\nname = \"a\"\nlanes = 3"), @"suite my.toml, group 1: unknown key `lanes` (known: name, memory, starts, routes, demos, arms, runs, window, segment, hint)");
         insta::assert_snapshot!(error("[[group]]\nname = \"a\"\nruns = 0"), @"suite my.toml, group 1: runs: 0 is not a whole number from 1 to 1000");
         for nameless in ["[[group]]\nruns = 3", "[[group]]\nname = \"a\"\n[[group]]\nname = \"a\""]
         {

@@ -4,16 +4,17 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use anyhow::{Context, Error, Result, anyhow, bail, ensure};
+use domain::limits::MAX_EXTERNAL_MEMORIES;
 use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use domain::representation::Trajectories;
 use domain::{Arm, Representation};
 use results::conditions::{Condition, Demonstrations, PolicyKind, Route, Start, Variation};
-use results::settings::{Drawn, RunSettings, SuiteName};
+use results::settings::{
+    Drawn, KEYS, Key, MAX_IMAGES, RunSettings, STREAM_TABLE, Scope, SuiteName,
+};
 use serde_json::{Map, Value, json};
-use shm_types::message::MAX_EXTERNAL_MEMORIES;
 
-use super::keys::{KEYS, Key, MAX_IMAGES, STREAM_KEYS, model_keys};
-use super::layer::{GROUP_KEYS, Layer, Origin};
+use super::layer::{Layer, Origin};
 use super::load_suite;
 
 /// A run's settings, and where each comes from.
@@ -77,30 +78,7 @@ pub fn commands(settings: &RunSettings) -> Result<Vec<(&'static str, String)>> {
     Ok(commands)
 }
 
-/// Keys that another machine may need other values of, and that change no result.
-pub const MACHINE_KEYS: &[&str] = &[
-    "assets",
-    "elsewhere",
-    "base-url",
-    "max-connections",
-    "endpoint-limit",
-    "endpoint-limit-folder",
-    "max-retries",
-    "request-timeout",
-    "server-patience",
-    "stop-without-action",
-    "response-cache",
-    "lanes",
-    "encoder-threads",
-    "frame-budget",
-    "warm-views",
-    "spin-us",
-    "step-timeout",
-    "memory-timeout",
-    "start-timeout",
-];
-
-/// The settings of a plan with the values of [`MACHINE_KEYS`] that `layers`, weakest first, give.
+/// The settings of a plan with the values that `layers`, weakest first, give to [those of a machine](Key::of_machine).
 ///
 /// # Errors
 /// When the merged values are not valid settings, which the checks of each layer rule out.
@@ -110,9 +88,10 @@ pub fn on_this_machine(
 ) -> Result<RunSettings> {
     let mut values = serde_json::to_value(settings)?;
     for layer in layers {
-        let given = layer.values.into_iter();
-        for (key, value) in given.filter(|(key, _)| MACHINE_KEYS.contains(&key.as_str())) {
-            values[key] = value;
+        for key in Key::of_machine() {
+            if let Some(value) = layer.values.get(key.name) {
+                values[key.name] = value.clone();
+            }
         }
     }
     serde_json::from_value(values).context("the settings cannot be put together")
@@ -136,38 +115,17 @@ pub fn check_values(settings: &RunSettings) -> Result<()> {
 
 /// Settings of `layers`, weakest first, and of nothing else.
 pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved> {
-    let mut merged = Map::new();
-    let mut origins = Origins::new();
-    for Layer { origin, values } in layers {
-        origins.extend(values.keys().map(|key| (key.clone(), origin)));
-        merged.extend(values);
+    let mut merged = MergedLayers::of(layers);
+    let policy = merged.choose_policy()?;
+    if !merged.values.contains_key("out") {
+        let out = format!("runs/{}", merged.folder_name(policy)?);
+        merged.set("out", out, Origin::Default);
     }
-    let policy = choose_policy(&mut merged, &mut origins)?;
-    if !merged.contains_key("out") {
-        let out = format!("runs/{}", folder_name(&merged, policy)?);
-        merged.insert("out".to_owned(), out.into());
-        origins.insert("out".to_owned(), Origin::Default);
-    }
-    await_external_memory(&mut merged, &mut origins, policy);
-    complete_stream(&mut merged, &mut origins)?;
-    let groups = match merged.remove("group") {
-        Some(Value::Array(groups)) => groups,
-        // Without groups there is one, of the top-level keys.
-        _ => vec![Value::Object(Map::new())],
-    };
-    let common: Vec<(&str, Value, Origin)> = GROUP_KEYS
-        .iter()
-        .filter_map(|key| Some((*key, merged.remove(*key)?, origins.remove(*key)?)))
-        .collect();
-    origins.remove("group");
-    let (mut completed, mut group_origins) = (Vec::new(), Vec::new());
-    for group in groups {
-        let Value::Object(mut group) = group else { continue };
-        group_origins.push(complete(&mut group, &common, policy));
-        completed.push(Value::Object(group));
-    }
-    merged.insert("group".to_owned(), completed.into());
-    let settings: RunSettings = serde_json::from_value(Value::Object(merged))
+    merged.await_external_memory(policy);
+    merged.complete_stream()?;
+    let group_origins = merged.complete_groups(policy);
+    let MergedLayers { values, origins } = merged;
+    let settings: RunSettings = serde_json::from_value(Value::Object(values))
         .context("the settings cannot be put together")?;
     settings.check_size().map_err(Error::msg)?;
     check(&settings)?;
@@ -178,96 +136,156 @@ pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved>
     Ok(Resolved { settings, origins, group_origins })
 }
 
-/// The run's policy. Removes the settings of other policies; a flag for another policy is an error.
-fn choose_policy(merged: &mut Map<String, Value>, origins: &mut Origins) -> Result<PolicyKind> {
-    let is_given = |origins: &Origins, key| origins.get(key) >= Some(&Origin::Environment);
-    if merged.contains_key("policy-cmd") && !is_given(origins, "policy") {
-        merged.insert("policy".to_owned(), PolicyKind::External.name().into());
-        origins.insert("policy".to_owned(), origins["policy-cmd"]);
-    }
-    let policy = serde_json::from_value(merged.get("policy").cloned().unwrap_or_default())?;
-    ensure!(
-        policy != PolicyKind::Openai || merged.contains_key("model"),
-        "--policy openai needs --model NAME: the model, by the name that the server knows"
-    );
-    let of_openai = model_keys().map(|key| (key, PolicyKind::Openai));
-    for (key, only_for) in of_openai.chain([("policy-cmd", PolicyKind::External)]) {
-        if policy == only_for {
-            continue;
+/// The strongest value of each key, and where it comes from.
+#[derive(Debug, Default)]
+struct MergedLayers {
+    values: Map<String, Value>,
+    origins: Origins,
+}
+
+impl MergedLayers {
+    fn of(layers: impl IntoIterator<Item = Layer>) -> Self {
+        let mut merged = Self::default();
+        for Layer { origin, values } in layers {
+            for (key, value) in values {
+                merged.set(&key, value, origin);
+            }
         }
-        // A variable may be set for other runs.
+        merged
+    }
+
+    fn set(&mut self, key: &str, value: impl Into<Value>, origin: Origin) {
+        self.values.insert(key.to_owned(), value.into());
+        self.origins.insert(key.to_owned(), origin);
+    }
+
+    fn remove(&mut self, key: &str) -> Option<(Value, Origin)> {
+        Some((self.values.remove(key)?, self.origins.remove(key)?))
+    }
+
+    fn text(&self, key: &str) -> &str {
+        self.values.get(key).and_then(Value::as_str).unwrap_or_default()
+    }
+
+    /// Whether a variable or flag gives the key.
+    fn is_given(&self, key: &str) -> bool {
+        self.origins.get(key) >= Some(&Origin::Environment)
+    }
+
+    /// The run's policy. Removes the settings of other policies; a flag for another policy is an error.
+    fn choose_policy(&mut self) -> Result<PolicyKind> {
+        if let Some(&origin) = self.origins.get("policy-cmd")
+            && !self.is_given("policy")
+        {
+            self.set("policy", PolicyKind::External.name(), origin);
+        }
+        let policy = self.values.get("policy").cloned().unwrap_or_default();
+        let policy: PolicyKind = serde_json::from_value(policy)?;
         ensure!(
-            origins.remove(key) != Some(Origin::CommandLine),
-            "--{key} is for --policy {only_for}, and the policy is {policy}"
+            policy != PolicyKind::Openai || self.values.contains_key("model"),
+            "--policy openai needs --model NAME: the model, by the name that the server knows"
         );
-        merged.remove(key);
-    }
-    Ok(policy)
-}
-
-/// Takes the words that name no built-in memory out of every list of memories. That for an external memory that the user
-/// starts is a setting of the whole run. A policy without memory, or one to which it makes no difference, has no external
-/// memory either, unless the command line asks for it.
-fn await_external_memory(
-    merged: &mut Map<String, Value>,
-    origins: &mut Origins,
-    policy: PolicyKind,
-) {
-    let mut is_awaited = false;
-    let mut take = |memory: Option<&mut Value>| {
-        let Some(list) = memory.and_then(Value::as_array_mut) else { return };
-        is_awaited |= list.iter().any(|name| name == EXTERNAL_WORD);
-        list.retain(|name| name != EXTERNAL_WORD && name != NONE_WORD);
-    };
-    take(merged.get_mut("memory"));
-    let groups = merged.get_mut("group").and_then(Value::as_array_mut);
-    for group in groups.into_iter().flatten() {
-        take(group.get_mut("memory"));
-    }
-    let is_given = |key: &str| origins.get(key) >= Some(&Origin::Environment);
-    let ignores = irrelevant_to(policy).iter().any(|(key, _)| *key == "memory");
-    let (memory, commands) = (is_given("memory"), is_given("memory-cmd"));
-    if !policy.has_process() || (ignores && !commands) {
-        merged.remove("memory-cmd");
-        origins.remove("memory-cmd");
-    }
-    if is_awaited && policy.has_process() && (!ignores || memory) {
-        merged.insert("external-memory".to_owned(), true.into());
-    }
-}
-
-/// Puts what flags and variables say about streams into the suite's `[stream]` table.
-fn complete_stream(merged: &mut Map<String, Value>, origins: &mut Origins) -> Result<()> {
-    let mut stream = merged.remove("stream");
-    let mut table = stream.as_mut().and_then(Value::as_object_mut);
-    for key in STREAM_KEYS {
-        let Some(value) = merged.remove(*key) else { continue };
-        if let Some(table) = &mut table {
-            table.insert((*key).to_owned(), value);
-            continue;
+        let of_openai = Key::of_scope(Scope::Model).map(|key| (key.name, PolicyKind::Openai));
+        for (key, owner) in of_openai.chain([("policy-cmd", PolicyKind::External)]) {
+            if policy == owner {
+                continue;
+            }
+            let removed = self.remove(key);
+            // A variable may be set for other runs.
+            ensure!(
+                !matches!(removed, Some((_, Origin::CommandLine))),
+                "--{key} is for --policy {owner}, and the policy is {policy}"
+            );
         }
-        // A variable may be set for other runs.
-        ensure!(
-            origins.remove(*key) != Some(Origin::CommandLine),
-            "--{key} is for a suite of streams, such as --suite stream"
-        );
+        Ok(policy)
     }
-    merged.extend(stream.map(|stream| ("stream".to_owned(), stream)));
-    Ok(())
-}
 
-/// The default name of a run's folder: suite and policy, and the model of `openai`.
-fn folder_name(merged: &Map<String, Value>, policy: PolicyKind) -> Result<String> {
-    let text = |key| merged.get(key).and_then(Value::as_str).unwrap_or_default();
-    let suite: SuiteName = serde_json::from_value(text("suite").into())?;
-    let plain = |c: char| if c.is_ascii_alphanumeric() || ".-_".contains(c) { c } else { '-' };
-    let policy = match policy {
-        PolicyKind::Openai => {
-            format!("openai-{}", text("model").chars().map(plain).collect::<String>())
+    /// The default name of a run's folder: suite and policy, and the model of `openai`.
+    fn folder_name(&self, policy: PolicyKind) -> Result<String> {
+        let suite: SuiteName = serde_json::from_value(self.text("suite").into())?;
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || ".-_".contains(c);
+        let policy = match policy {
+            PolicyKind::Openai => {
+                let model = self.text("model").replace(|c| !is_plain(c), "-");
+                format!("openai-{model}")
+            }
+            _ => policy.to_string(),
+        };
+        Ok(format!("{}-{policy}", suite.word()))
+    }
+
+    /// Takes the words that name no built-in memory out of every list of memories. That for an external memory that the user
+    /// starts is a setting of the whole run. A policy without memory, or one to which it makes no difference, has no external
+    /// memory either, unless the command line asks for it.
+    fn await_external_memory(&mut self, policy: PolicyKind) {
+        let is_awaited = self.take_memory_words();
+        let ignores_memory = irrelevant_to(policy).iter().any(|(key, _)| *key == "memory");
+        let uses_commands = !ignores_memory || self.is_given("memory-cmd");
+        if !policy.has_process() || !uses_commands {
+            self.remove("memory-cmd");
         }
-        _ => policy.to_string(),
-    };
-    Ok(format!("{}-{policy}", suite.word()))
+        let uses_awaited = !ignores_memory || self.is_given("memory");
+        if is_awaited && policy.has_process() && uses_awaited {
+            self.values.insert("external-memory".to_owned(), true.into());
+        }
+    }
+
+    /// Removes the words that name no built-in memory from the lists of memories. Returns whether one asks for an external memory.
+    fn take_memory_words(&mut self) -> bool {
+        let mut lists: Vec<&mut Value> = Vec::new();
+        for (key, value) in &mut self.values {
+            match (key.as_str(), value) {
+                ("memory", list) => lists.push(list),
+                ("group", Value::Array(groups)) => {
+                    lists.extend(groups.iter_mut().filter_map(|group| group.get_mut("memory")));
+                }
+                _ => {}
+            }
+        }
+        let mut is_awaited = false;
+        for list in lists.into_iter().filter_map(Value::as_array_mut) {
+            is_awaited |= list.iter().any(|name| name == EXTERNAL_WORD);
+            list.retain(|name| name != EXTERNAL_WORD && name != NONE_WORD);
+        }
+        is_awaited
+    }
+
+    /// Puts what flags and variables say about streams into the suite's `[stream]` table.
+    fn complete_stream(&mut self) -> Result<()> {
+        for key in Key::of_scope(Scope::Stream) {
+            let Some(value) = self.values.remove(key.name) else { continue };
+            if let Some(Value::Object(table)) = self.values.get_mut(STREAM_TABLE) {
+                table.insert(key.name.to_owned(), value);
+                continue;
+            }
+            // A variable may be set for other runs.
+            ensure!(
+                self.origins.remove(key.name) != Some(Origin::CommandLine),
+                "--{} is for a suite of streams, such as --suite stream",
+                key.name
+            );
+        }
+        Ok(())
+    }
+
+    /// Completes the groups of the suite, or makes the only one of a suite without groups, from the keys of the top level.
+    /// Returns where the keys of each come from.
+    fn complete_groups(&mut self, policy: PolicyKind) -> Vec<Origins> {
+        let mut common = Vec::new();
+        for key in Key::of_scope(Scope::Group) {
+            if let Some((value, origin)) = self.remove(key.name) {
+                common.push((key.name, value, origin));
+            }
+        }
+        let mut groups = match self.remove("group") {
+            Some((Value::Array(groups), _)) => groups,
+            _ => vec![Value::Object(Map::new())],
+        };
+        let tables = groups.iter_mut().filter_map(Value::as_object_mut);
+        let origins = tables.map(|group| complete(group, &common, policy)).collect();
+        self.values.insert("group".to_owned(), groups.into());
+        origins
+    }
 }
 
 /// Completes a suite's group: a flag or variable replaces what it says, the suite's top level holds where
@@ -447,18 +465,18 @@ impl fmt::Display for Resolved {
             values.extend(only);
             origins.extend(self.group_origins.iter().flatten().map(|(k, o)| (k.clone(), *o)));
         }
-        for key in KEYS.iter().map(|key| key.name) {
-            match (values.get(key), origins.get(key)) {
+        for Key { name, scope, .. } in KEYS {
+            match (values.get(*name), origins.get(*name)) {
                 // A suite file does not name a suite.
-                (Some(value), Some(origin)) if key == "suite" => {
+                (Some(value), Some(origin)) if *name == "suite" => {
                     writeln!(f, "{:<44} # {origin}", format!("# suite = {value}"))?;
                 }
-                (Some(value), Some(origin)) => write_line(f, key, value, *origin)?,
-                _ if GROUP_KEYS.contains(&key) || STREAM_KEYS.contains(&key) => {}
-                _ => writeln!(f, "# {key}: not set")?,
+                (Some(value), Some(origin)) => write_line(f, name, value, *origin)?,
+                _ if matches!(scope, Scope::Group | Scope::Stream) => {}
+                _ => writeln!(f, "# {name}: not set")?,
             }
         }
-        if let Some(stream) = values.get("stream").and_then(Value::as_object) {
+        if let Some(stream) = values.get(STREAM_TABLE).and_then(Value::as_object) {
             writeln!(f, "\n[stream]")?;
             for (key, value) in stream {
                 let origin = self.origins.get(key).copied().unwrap_or(Origin::Suite);
@@ -469,9 +487,10 @@ impl fmt::Display for Resolved {
         for (group, origins) in all.filter(|(group, _)| group.get("name").is_some()) {
             let Some(values) = group.as_object() else { continue };
             writeln!(f, "\n[[group]]")?;
-            for key in ["name"].iter().chain(GROUP_KEYS) {
-                let origin = origins.get(*key).copied().unwrap_or(Origin::Suite);
-                if let Some(value) = values.get(*key) {
+            let keys = Key::of_scope(Scope::Group).map(|key| key.name);
+            for key in ["name"].into_iter().chain(keys) {
+                let origin = origins.get(key).copied().unwrap_or(Origin::Suite);
+                if let Some(value) = values.get(key) {
                     write_line(f, key, value, origin)?;
                 }
             }

@@ -13,7 +13,8 @@ use replay::frames::ViewKey;
 use warehouse::{ELSEWHERE_VARIANT, GREY_VARIANT};
 
 use crate::data::image_hashes;
-use crate::site::{FRONT_END, File, RunPages, Site, folder_of, image};
+use crate::file::File;
+use crate::site::{FRONT_END, RunPages, Site, folder_of, image};
 use crate::view_file::ViewFile;
 
 /// What was written.

@@ -8,10 +8,12 @@
 
 mod bundle;
 pub mod data;
+mod file;
 mod server;
 mod site;
 mod view_file;
 
 pub use bundle::{Bundle, write_bundle};
+pub use file::File;
 pub use server::{Address, ViewServer};
-pub use site::{File, Site, logged_image};
+pub use site::{Site, logged_image};

@@ -21,7 +21,8 @@ use rustix::io::Errno;
 use tokio::runtime;
 use tokio::task::{LocalSet, spawn_local};
 
-use crate::site::{File, Site};
+use crate::file::File;
+use crate::site::Site;
 
 /// How long a connection may be open without a request.
 const IDLE: Duration = Duration::from_secs(60);

@@ -33,11 +33,11 @@ use results::log::{
     RequestRecord, RunLog, STATUS_FILE, TIMINGS_FILE,
 };
 use results::step_view::{PromptLog, is_named, read_logged};
-use serde::Serialize;
 use serde_json::{Value, json};
 use warehouse::map;
 
 use crate::data::{EpisodeCell, EpisodeData, LoggedEpisode, PromptData, RunData, prompts, row};
+use crate::file::File;
 use crate::view_file::{VIEW_FORMAT, ViewFile};
 
 /// The files of the front end.
@@ -49,27 +49,6 @@ pub(crate) const FRONT_END: [(&str, &[u8]); 6] = [
     ("episode-page.js", include_bytes!("../web/episode-page.js")),
     ("map.js", include_bytes!("../web/map.js")),
 ];
-
-/// A file of the site.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct File {
-    /// Its MIME type.
-    pub kind: &'static str,
-    /// Its content.
-    pub bytes: Vec<u8>,
-}
-
-impl File {
-    fn text(kind: &'static str, text: impl Into<Vec<u8>>) -> Self {
-        Self { kind, bytes: text.into() }
-    }
-
-    /// A script that passes `value` to the front end as `name`.
-    fn script(name: &str, value: &impl Serialize) -> Result<Self> {
-        let (name, value) = (serde_json::to_string(name)?, serde_json::to_string(value)?);
-        Ok(Self::text("text/javascript", format!("memtransfer.receive({name},{value});\n")))
-    }
-}
 
 /// The pages of one or two runs.
 #[derive(Debug)]

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use replay::frames::{ViewFormat, ViewKey, file_name, half, jpeg, of_file_name};
 
-use crate::site::File;
+use crate::file::File;
 
 /// Views and the images of prompts.
 pub(crate) const VIEW_FORMAT: ViewFormat = ViewFormat { edge: 320, quality: 56 };

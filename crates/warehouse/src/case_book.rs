@@ -12,13 +12,15 @@ use domain::names::UnknownName;
 use domain::{Cell, DemonstrationKind, Demonstrations, Mixture, Pose, Route, Start, StreamOrder};
 
 use crate::asset::AssetError;
-use crate::case::{Case, CaseSet, History, Trajectory, TrajectoryKind};
+use crate::case::{Case, CaseSet, History, TrajectoryKind};
 use crate::case_file::CASES_FILE;
 use crate::dynamics::Variant;
-use crate::elsewhere::{ELSEWHERE_VARIANT, Elsewhere, ElsewhereError};
+use crate::elsewhere::{ELSEWHERE_VARIANT, Elsewhere};
+use crate::elsewhere_source::ElsewhereError;
 use crate::plan::{Planner, Prices};
 use crate::state::WorldState;
 use crate::stream::{StreamError, StreamSet};
+use crate::trajectory::Trajectory;
 use crate::world::{CATALOGUE_FILE, LAYOUT_FILE, Warehouse};
 
 /// The name of this world in case books.

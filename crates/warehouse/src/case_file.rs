@@ -14,10 +14,10 @@ use domain::{Action, Cell, DemonstrationKind, MAX_STEPS, Mixture, Pose, TaskType
 use serde::Deserialize;
 
 use crate::asset::{AssetError, Problem, invalid, read, toml};
-use crate::case::{Case, CaseSet, History, Trajectory, TrajectoryKind};
+use crate::case::{Case, CaseSet, History, TrajectoryKind};
 use crate::catalogue::Catalogue;
-use crate::demonstrated::PlannedAfter;
 use crate::task::{Task, TaskSubject};
+use crate::trajectory::Trajectory;
 use crate::world::{CATALOGUE_FILE, LAYOUT_FILE, SHIPPED_CATALOGUE, SHIPPED_LAYOUT, Warehouse};
 
 /// The name of the file in an assets folder.
@@ -225,7 +225,6 @@ impl CaseEntry {
         Ok(Case {
             irrelevant: histories(Mixture::Irrelevant, &self.irrelevant)?,
             confusable: histories(Mixture::Confusable, &self.confusable)?,
-            after: PlannedAfter::default(),
             task,
             original: trajectory(TrajectoryKind::Original, &self.original)?,
             opposite: trajectory(TrajectoryKind::Opposite, &self.opposite)?,

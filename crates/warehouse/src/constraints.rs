@@ -4,10 +4,10 @@
 
 use domain::{Cell, Feedback, MAX_STEPS, Pose};
 
-use crate::case::Replay;
 use crate::layout::{Axis, Layout};
 use crate::sight::sees;
 use crate::task::Task;
+use crate::trajectory::Replay;
 use crate::world::{Item, Warehouse};
 
 /// Distance of a nearby start along the aisle, in cells.

@@ -1,15 +1,16 @@
 //! What a [`History`] stands for: a trajectory in a warehouse and a variant of it. This is the only place that knows; frames,
 //! documents, memories and the log all ask here.
 
-use std::sync::OnceLock;
+use std::borrow::Cow;
 
 use domain::{Cell, DemonstrationKind, Pose};
 
-use crate::case::{Case, CaseSet, History, Replay, Trajectory, TrajectoryKind};
+use crate::case::{Case, CaseSet, History, TrajectoryKind};
 use crate::dynamics::Variant;
 use crate::elsewhere::ELSEWHERE_VARIANT;
 use crate::plan::{Planner, Prices};
 use crate::task::Task;
+use crate::trajectory::{Replay, Trajectory};
 use crate::world::Warehouse;
 
 /// Where a view is seen from: a pose in a variant of the world.
@@ -33,7 +34,7 @@ pub struct Demonstrated<'a> {
     /// The task.
     pub task: &'a Task,
     /// The trajectory.
-    pub trajectory: &'a Trajectory,
+    pub trajectory: Cow<'a, Trajectory>,
 }
 
 impl Demonstrated<'_> {
@@ -69,7 +70,7 @@ impl CaseSet {
             variant: 0,
             closed: &[],
             task: &case.task,
-            trajectory: &case.original,
+            trajectory: Cow::Borrowed(&case.original),
         };
         match kind {
             DemonstrationKind::Original
@@ -77,49 +78,35 @@ impl CaseSet {
             | DemonstrationKind::Nearby
             | DemonstrationKind::Distant => {
                 let trajectory = case.trajectory(TrajectoryKind::demonstration(kind)?);
+                let trajectory = Cow::Borrowed(trajectory);
                 Some(Demonstrated { trajectory, ..unchanged })
             }
             DemonstrationKind::Elsewhere => {
                 let elsewhere = self.elsewhere.as_ref()?;
                 let (task, trajectory) = elsewhere.demonstration(index)?;
+                let trajectory = Cow::Borrowed(trajectory);
                 let (warehouse, variant) = (elsewhere.warehouse(), ELSEWHERE_VARIANT);
                 Some(Demonstrated { warehouse, variant, closed: &[], task, trajectory })
             }
             DemonstrationKind::After => Some(Demonstrated {
                 variant: 1 + index as u32,
                 closed: &case.barricade,
-                trajectory: case.after.get(warehouse, case)?,
+                trajectory: Cow::Owned(planned_after(warehouse, case)?),
                 ..unchanged
             }),
         }
     }
 }
 
-/// The demonstration [`DemonstrationKind::After`], which is planned when it is asked for first. No part of a case's value.
-#[derive(Debug, Clone, Default)]
-pub struct PlannedAfter(OnceLock<Option<Trajectory>>);
-
-impl PlannedAfter {
-    /// Planned from the first of the case's demonstrated starts that is not closed: with rare exceptions its original one.
-    fn get(&self, warehouse: &Warehouse, case: &Case) -> Option<&Trajectory> {
-        let planned = self.0.get_or_init(|| {
-            let variant = Variant::closing(case.barricade.iter().copied());
-            let planner = Planner::new(warehouse, variant.clone(), Prices::EXPERT);
-            let starts = TrajectoryKind::DEMONSTRATIONS.map(|start| case.trajectory(start).start);
-            let mut open = starts.into_iter().filter(|start| !variant.is_closed(start.cell));
-            planner.plan(open.next()?, &case.task)
-        });
-        planned.as_ref()
-    }
+/// Plans the demonstration [`DemonstrationKind::After`] from the first of the case's demonstrated starts that is not closed: with
+/// rare exceptions its original one. Takes milliseconds.
+fn planned_after(warehouse: &Warehouse, case: &Case) -> Option<Trajectory> {
+    let variant = Variant::closing(case.barricade.iter().copied());
+    let planner = Planner::new(warehouse, variant.clone(), Prices::EXPERT);
+    let starts = TrajectoryKind::DEMONSTRATIONS.map(|start| case.trajectory(start).start);
+    let mut open = starts.into_iter().filter(|start| !variant.is_closed(start.cell));
+    planner.plan(open.next()?, &case.task)
 }
-
-impl PartialEq for PlannedAfter {
-    fn eq(&self, _: &Self) -> bool {
-        true
-    }
-}
-
-impl Eq for PlannedAfter {}
 
 #[cfg(test)]
 mod tests {
@@ -135,7 +122,7 @@ mod tests {
             assert_eq!((after.variant, after.closed), (1 + index as u32, &*case.barricade));
             assert!(after.replay().length.is_some(), "{}", case.id);
             let original = of(DemonstrationKind::Original).unwrap();
-            assert_eq!((original.variant, original.trajectory), (0, &case.original));
+            assert_eq!((original.variant, &*original.trajectory), (0, &case.original));
             let closed = Demonstrated { closed: &case.barricade, ..original };
             broken += usize::from(closed.replay().length.is_none());
             moved += usize::from(after.trajectory.start != case.original.start);

@@ -11,13 +11,12 @@ use std::rc::Rc;
 
 use domain::{Cell, DemonstrationKind, Heading, Pose, TaskType};
 
-use crate::case::{Case, CaseSet, History, Replay, Trajectory};
+use crate::case::{Case, CaseSet, History};
 use crate::constraints::{
     FloorEdge, completes_task, edges, enters, faces_targets, is_distant, is_near_optimal,
     is_nearby, is_of_similar_length, shares_at_least_half, shares_at_most_half, target_in_view,
     target_on,
 };
-use crate::demonstrated::PlannedAfter;
 use crate::draw::Draw;
 use crate::dynamics::Variant;
 use crate::layout::Layout;
@@ -25,6 +24,7 @@ use crate::mixed::{self, TooFew};
 use crate::plan::{Planner, Prices};
 use crate::sight::shows_face;
 use crate::task::Task;
+use crate::trajectory::{Replay, Trajectory};
 use crate::world::{Item, Warehouse};
 
 /// The seed of the shipped cases.
@@ -313,7 +313,6 @@ impl<'w> Generator<'w> {
                     barricade,
                     irrelevant: NO_HISTORIES,
                     confusable: NO_HISTORIES,
-                    after: PlannedAfter::default(),
                 });
             }
         }

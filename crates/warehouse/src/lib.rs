@@ -3,7 +3,7 @@
 //! - [`layout`]: the floor plan; [`catalogue`]: the items on the racks; [`Warehouse`]: both, checked.
 //! - [`dynamics`]: one function from pose, action and variant to pose and feedback.
 //! - [`task`]: the ten task types; [`progress`]: the checker that decides which sub-goals a trajectory completes.
-//! - [`case`]: a task with its six trajectories; [`case_file`]: a set of cases as a text file.
+//! - [`Trajectory`]: a start and actions; [`case`]: a task with its six trajectories; [`case_file`]: a set of cases as a text file.
 //! - [`History`]: a demonstration of a case; [`Demonstrated`]: it in its world; [`mixed`]: histories of other tasks.
 //! - [`Elsewhere`]: another warehouse, in which the tasks of cases are demonstrated.
 //! - [`WorldState`]: a warehouse after changes; [`stream`]: blocks of cases with events between them.
@@ -25,6 +25,7 @@ mod demonstrations;
 mod draw;
 pub mod dynamics;
 mod elsewhere;
+mod elsewhere_source;
 mod generate;
 mod generate_world;
 pub mod layout;
@@ -42,17 +43,19 @@ mod swapped;
 pub mod task;
 #[cfg(test)]
 mod testing;
+mod trajectory;
 pub mod validate;
 mod world;
 
 pub use asset::AssetError;
-pub use case::{Case, CaseSet, History, Replay, Trajectory, TrajectoryKind};
+pub use case::{Case, CaseSet, History, TrajectoryKind};
 pub use case_file::file_texts;
 pub use catalogue::{Catalogue, Category, ItemType, Shape};
 pub use constraints::MAX_DETOUR_PERCENT;
-pub use demonstrated::{Demonstrated, PlannedAfter, Viewpoint};
+pub use demonstrated::{Demonstrated, Viewpoint};
 pub use dynamics::{Variant, step};
-pub use elsewhere::{ELSEWHERE_VARIANT, Elsewhere, ElsewhereError};
+pub use elsewhere::{ELSEWHERE_VARIANT, Elsewhere};
+pub use elsewhere_source::ElsewhereError;
 pub use generate::{GenerateError, MAX_CASES, SHIPPED_COUNT, SHIPPED_SEED};
 pub use generate_world::{GeneratedWorld, MIN_SIDE, corridors};
 pub use layout::{Aisle, Axis, Layout, MAX_SIDE, Square};
@@ -63,5 +66,6 @@ pub use state::{StockChange, WorldChange, WorldChangeError, WorldState};
 pub use stream::{StreamError, StreamSet};
 pub use swapped::{GREY_VARIANT, SwappedPoses, every_pose};
 pub use task::{Phase, Task};
+pub use trajectory::{Replay, Trajectory};
 pub use validate::validate;
 pub use world::{CATALOGUE_FILE, Item, LAYOUT_FILE, Warehouse};

@@ -201,9 +201,8 @@ mod tests {
     use domain::Heading;
 
     use super::*;
-    use crate::case::Trajectory;
-    use crate::demonstrated::PlannedAfter;
     use crate::testing::{BLUE_BARREL, CONES, GREEN_CONE, ORANGE_CONE, RED_BARREL, tiny};
+    use crate::trajectory::Trajectory;
 
     /// The overlap of a demonstration and a test reference in the tiny warehouse.
     fn overlap(test: (Pose, &str), original: (Pose, &str)) -> Overlap {
@@ -225,7 +224,6 @@ mod tests {
             barricade: Vec::new(),
             irrelevant: own,
             confusable: own,
-            after: PlannedAfter::default(),
         };
         let set = CaseSet { seed: 0, cases: vec![case], elsewhere: None };
         Overlap::of(&tiny(), &set, 0, own[0]).unwrap()

@@ -20,12 +20,12 @@ use std::rc::Rc;
 
 use domain::{Cell, Pose};
 
-use crate::case::Trajectory;
 use crate::dynamics::{Variant, step};
 use crate::order::{PhaseOrder, PhaseSets, Visits};
 pub use crate::route::Prices;
 use crate::route::{CostField, Graph};
 use crate::task::{Phase, Task};
+use crate::trajectory::Trajectory;
 use crate::world::Warehouse;
 
 /// Plans in one variant of a warehouse with one set of prices, and caches what it has computed.

@@ -11,7 +11,7 @@ use std::fmt;
 use domain::{Cell, MAX_STEPS, Pose, TaskType};
 use plates::Plate;
 
-use crate::case::{Case, CaseSet, Replay, TrajectoryKind};
+use crate::case::{Case, CaseSet, TrajectoryKind};
 use crate::constraints::{
     FloorEdge, MAX_DETOUR_PERCENT, completes_task, edges, enters, faces_targets, is_distant,
     is_near_optimal, is_nearby, is_of_similar_length, is_opposite, shares_at_least_half,
@@ -20,6 +20,7 @@ use crate::constraints::{
 use crate::dynamics::Variant;
 use crate::layout::{Axis, Layout, Square};
 use crate::plan::{Planner, Prices};
+use crate::trajectory::Replay;
 use crate::world::{Item, Warehouse, groups};
 
 pub use report::{ConstraintResult, CountRange, HistoryStatistics, ValidationReport};

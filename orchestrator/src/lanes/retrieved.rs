@@ -137,7 +137,7 @@ impl Retrieved {
                     let of =
                         of.ok_or_else(|| format!("case {case}, demonstration {demonstration}"))?;
                     // The oracle's demonstrations take place in this world.
-                    episode.key.condition.arm != Arm::Oracle && !completes(of.trajectory, of.task)
+                    episode.key.condition.arm != Arm::Oracle && !completes(&of.trajectory, of.task)
                 }
             };
             self.stale.insert((case, demonstration), is_stale);

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Result;
-use conformance::scripted;
-use conformance::testing::ScratchRun;
 use domain::ExternalName;
 use orchestrator::lanes::{AnsweredRequest, FinishedEpisode, Rules};
 use orchestrator::pipeline::{Facts, MemoryState, Observer, Participant, PipelineOptions};
+use rigs::process::ScratchRun;
+use rigs::scripted;
 use shm_types::message::MAX_EXTERNAL_MEMORIES;
 use supervise::{Launch, System};
 

@@ -8,13 +8,13 @@ use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
 use conformance::messages::{recall, recall_trace};
-use conformance::scripted::{ScriptedProcess, ScriptedRun, ScriptedSim, request};
-use conformance::testing::ScratchRun;
 use orchestrator::external_memory::ExternalMemory;
 use orchestrator::lanes::Lanes;
 use orchestrator::pipeline::{Ending, MemoryState, PipelineOptions, run_episodes};
 use orchestrator::plan::plan;
 use results::conditions::Condition;
+use rigs::process::ScratchRun;
+use rigs::scripted::{ScriptedProcess, ScriptedRun, ScriptedSim, request};
 use shm_types::description::{DESCRIPTION_FILE, memory_folder};
 use shm_types::message::{
     EXTERNAL, ErrorReport, ErrorReportKind, Heartbeat, MemoryEpisodeConfig, Observation, RequestId,

@@ -2,7 +2,6 @@
 
 use bytemuck::Zeroable;
 use conformance::messages::{self, recall_trace};
-use conformance::scripted::{ScriptedSim, request};
 use domain::{
     Action, Arm, Feedback, FeedbackLevel, Mixture, Outcome, Pose, Representation, StreamOrder,
 };
@@ -12,6 +11,7 @@ use orchestrator::streams::{Remaining, Streams};
 use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use results::key::{EpisodeKey, StreamPlace};
 use results::log::Ending;
+use rigs::scripted::{ScriptedSim, request};
 use shm_types::message::{
     Decision, EXPERIENCE, MemoryEpisodeConfig, NOT_MEASURED, Observation, RecallTrace,
     RecalledSource, Role, SnapshotReport,

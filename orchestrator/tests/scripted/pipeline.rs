@@ -4,11 +4,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-use conformance::scripted::{ScriptedRun, ScriptedSim};
-use conformance::testing::ScratchRun;
 use orchestrator::lanes::{Lanes, Rules};
 use orchestrator::pipeline::{Ending, run_episodes};
 use orchestrator::plan::plan;
+use rigs::process::ScratchRun;
+use rigs::scripted::{ScriptedRun, ScriptedSim};
 use shm_types::message::{Decision, Role};
 use supervise::{Children, Launch};
 use warehouse::{CaseSet, Variant, Warehouse, step};

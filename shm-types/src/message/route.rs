@@ -1,16 +1,12 @@
 //! What every message type tells: its service, its route and what bounds its queue.
 
-use std::sync::Arc;
-
 use bytemuck::Pod;
 use iceoryx2::prelude::ZeroCopySend;
 
 use super::Role;
-use crate::bus::{Bus, BusError};
 use crate::layout::Struct;
-use crate::ports::{ReceiverPort, SenderPort};
 
-/// A message type, which has a service of its own. Implemented by the macro `messages!` only.
+/// A message type, which has a service of its own. Implemented for the messages of the table only.
 pub trait Message: ZeroCopySend + Pod + core::fmt::Debug {
     /// Last part of the service's name, after the generation.
     const SERVICE: &'static str;
@@ -20,14 +16,6 @@ pub trait Message: ZeroCopySend + Pod + core::fmt::Debug {
     const TO: &'static [Role];
     /// How many can wait for a receiver.
     const TRAFFIC: Traffic;
-
-    /// Opens its sender; `index` is that of the external memory it sends to, if it sends to one.
-    #[doc(hidden)]
-    fn open_sender(bus: &Bus, index: u8) -> Result<Box<dyn SenderPort<Self>>, BusError>;
-
-    /// Opens a receiver, as [`Self::open_sender`].
-    #[doc(hidden)]
-    fn open_receiver(bus: &Bus, index: u8) -> Result<Arc<dyn ReceiverPort<Self>>, BusError>;
 }
 
 /// What bounds the number of waiting messages, and so the length of the queue

@@ -10,25 +10,8 @@ use std::sync::LazyLock;
 use nalgebra::Vector3;
 
 use super::look::Look;
-use super::mesh::builder::MeshVertex;
+use super::mesh::builder::{MeshPart, MeshVertex};
 use super::mesh::rack::{BAY_DEPTH_M, SHELF_TOP_M};
-
-/// What a mesh is part of. Determines the light that it stands in, and its tint.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum MeshPart {
-    /// A bay, or the closed face of a rack. Positions are in the frame of the face.
-    Rack,
-    /// As [`MeshPart::Rack`], an item on the shelf of a bay.
-    Item,
-    /// Lit as a rack.
-    Barricade,
-    /// The floor, in the world.
-    Floor,
-    /// Walls and roof, in the world.
-    Wall,
-    /// What hangs or stands in the hall: lamps, signs, columns, gates, doors; in the world.
-    Fixture,
-}
 
 /// The baked colour: sRGB, and in alpha the share of fog that the vertex takes.
 pub(super) fn baked(vertex: &MeshVertex, part: MeshPart, look: &Look) -> [u8; 4] {

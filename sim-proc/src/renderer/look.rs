@@ -4,7 +4,7 @@
 
 use nalgebra::Vector3;
 
-use super::light::MeshPart;
+use super::mesh::builder::MeshPart;
 
 /// How far the lights turn about the vertical axis, in degrees.
 const TURN_DEG: f32 = 40.0;

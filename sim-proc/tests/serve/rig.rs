@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use anyhow::Result;
 use conformance::messages;
-use conformance::testing::SimRig;
 use domain::{Action, Cell, Pose};
+use rigs::process::SimRig;
 use shm_types::message::{FrameId, RequestId, Role, StepCommand, WirePose};
 use shm_types::{Attach, Bus, FrameSize};
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};

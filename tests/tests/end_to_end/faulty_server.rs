@@ -9,8 +9,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::SeqCst};
 use std::time::{Duration, Instant};
 
-use llm::scripted::{Reaction, Received, Server, completion};
 use memtransfer_tests::{Bench, Ended, eventually, records, sorted_log, wait_for_episodes};
+use rigs::chat_server::{Reaction, Received, Server, completion};
 use serde_json::{Value, json};
 
 /// Lanes, and the limit of concurrent requests.

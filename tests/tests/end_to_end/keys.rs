@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
 use std::sync::{Arc, Mutex};
 
-use llm::scripted::{Reaction, Server, completion};
 use memtransfer_tests::{Bench, Ended, processes_with, records};
+use rigs::chat_server::{Reaction, Server, completion};
 use serde_json::json;
 
 const KEY: &str = "sk-4c1f0e8d-never-written";

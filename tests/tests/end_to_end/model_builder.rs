@@ -9,12 +9,12 @@ use std::sync::mpsc;
 use documents::ModelRecipe;
 use domain::DocumentKind;
 use domain::{Action, Cell, Feedback, Heading, Pose};
-use llm::scripted::{Reaction, Received, Server};
 use llm::{ChatClient, ChatSettings, Endpoint};
 use memory_proc::builders::model::{ModelBuilder, ask_through};
 use memory_proc::builders::{DocumentBuilder, FrameReading, Transcript, TranscriptStep};
 use memtransfer_tests::WATCHDOG;
 use plates::{Landmark, Plate};
+use rigs::chat_server::{Reaction, Received, Server};
 
 /// Set in the test binary when it is started as a building process: the server's URL.
 const BASE_URL: &str = "MEMTRANSFER_TEST_BASE_URL";

@@ -6,10 +6,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use domain::DemonstrationKind;
-use llm::scripted::{Reaction, Received, Server, completion};
 use llm::{ChatClient, ChatMessage, ChatRequest, ChatRole, ChatSettings, Endpoint};
 use memtransfer_tests::llama::{LlamaServer, MODEL};
 use memtransfer_tests::{Bench, records, sorted_log};
+use rigs::chat_server::{Reaction, Received, Server, completion};
 use serde_json::{Value, json};
 use warehouse::{CaseSet, History, Warehouse};
 

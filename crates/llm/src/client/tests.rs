@@ -9,11 +9,11 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use serde_json::json;
 
 use super::*;
-use crate::ApiKey;
 use crate::error::{RequestError, Transient};
 use crate::reply::ReplyContent;
 use crate::request::Dialect;
-use crate::scripted::{Reaction, Received, Server, completion};
+use crate::{ApiKey, EndpointLimit};
+use rigs::chat_server::{Reaction, Received, Server, completion};
 
 const KEY: &str = "sk-very-secret";
 

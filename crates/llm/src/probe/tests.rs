@@ -3,8 +3,8 @@
 use serde_json::{Value, json};
 
 use super::*;
-use crate::scripted::{Reaction, Received, Server, completion};
 use crate::{ApiKey, ChatSettings, Endpoint};
+use rigs::chat_server::{Reaction, Received, Server, completion};
 
 const KEY: &str = "sk-very-secret";
 

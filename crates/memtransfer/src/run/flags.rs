@@ -6,9 +6,10 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, Error, FromArgMatches};
 use llm::Source;
-use settings::{KEYS, Key, Layer, MACHINE_KEYS, Origin};
+use results::settings::Effect;
+use settings::{KEYS, Key, Layer, Origin};
 
-/// Settings that were given as flags, each with its text: any, or those among [`MACHINE_KEYS`].
+/// Settings that were given as flags, each with its text: any, or [those of a machine](Key::of_machine).
 #[derive(Debug, Clone, Default)]
 pub(crate) struct KeyFlags<const OF_MACHINE: bool> {
     given: Vec<(&'static str, String)>,
@@ -24,7 +25,7 @@ impl<const OF_MACHINE: bool> KeyFlags<OF_MACHINE> {
     }
 
     fn keys() -> impl Iterator<Item = &'static Key> {
-        KEYS.iter().filter(|key| !OF_MACHINE || MACHINE_KEYS.contains(&key.name))
+        KEYS.iter().filter(|key| !OF_MACHINE || key.effect == Effect::Machine)
     }
 }
 

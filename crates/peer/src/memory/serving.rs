@@ -11,8 +11,9 @@ use shm_types::{Attach, AttachError, Bus, BusError, MemoryDescription, registry}
 
 use super::{MemoryMethod, session};
 use crate::connection::{Connection, Service};
+use crate::error::ServeError;
 use crate::program_code::own_code;
-use crate::run::{ServeError, folder_from_environment, serve_role};
+use crate::run::{folder_from_environment, serve_role};
 
 /// How often to look for `attach.json`.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);

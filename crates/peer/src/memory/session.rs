@@ -22,8 +22,8 @@ use super::{
     PastStep, Query, Step,
 };
 use crate::connection::{Connection, Session};
+use crate::error::ServeError;
 use crate::policy::FrameView;
-use crate::run::ServeError;
 
 /// The lane in the header of a note that is no answer.
 const NO_LANE: u32 = u32::MAX;

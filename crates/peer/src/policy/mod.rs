@@ -20,8 +20,9 @@ pub use self::request::{
     TextView, Usage,
 };
 use crate::connection::{Connection, Service};
+use crate::error::ServeError;
 use crate::program_code::own_code;
-use crate::run::{ServeError, folder_from_environment, serve_role};
+use crate::run::{folder_from_environment, serve_role};
 
 /// A policy that decides at once.
 pub trait Policy {

@@ -23,7 +23,7 @@ use super::pinned::{PinnedStep, with_batch};
 use super::prompt_log::{PromptLogError, PromptLogWriter};
 use super::{Batch, Decider, Decision, Usage};
 use crate::connection::{Connection, Session};
-use crate::run::ServeError;
+use crate::error::ServeError;
 
 impl From<PromptLogError> for ServeError {
     fn from(error: PromptLogError) -> Self {

@@ -1,8 +1,7 @@
 //! Percentages over the blocks of a stream, with the events between blocks marked.
 
 use super::curves::{draw_curve, legend};
-use super::{BOTTOM, Curve, RIGHT, Stroke, Svg, TextAnchor, TextStyle, WIDTH};
-use crate::document::ReportFigure;
+use super::{BOTTOM, Curve, RIGHT, ReportFigure, Stroke, Svg, TextAnchor, TextStyle, WIDTH};
 
 /// A plot of curves over blocks.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,7 +1,6 @@
 //! Curves on two logarithmic axes, distinguished by the shapes of their points.
 
-use super::{BOTTOM, Paint, RIGHT, Stroke, Svg, TextAnchor, TextStyle, WIDTH};
-use crate::document::ReportFigure;
+use super::{BOTTOM, Paint, RIGHT, ReportFigure, Stroke, Svg, TextAnchor, TextStyle, WIDTH};
 
 /// A plot of curves.
 #[derive(Debug, Clone, PartialEq, Default)]

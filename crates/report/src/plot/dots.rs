@@ -1,7 +1,6 @@
 //! Success rates as dots with error bars: a row for each condition, a shape for each source.
 
-use super::{BOTTOM, LEFT, Paint, Stroke, Svg, TextAnchor, TextStyle, ValueAxis};
-use crate::document::ReportFigure;
+use super::{BOTTOM, LEFT, Paint, ReportFigure, Stroke, Svg, TextAnchor, TextStyle, ValueAxis};
 use crate::view::{OURS, THEIRS};
 
 /// A row.

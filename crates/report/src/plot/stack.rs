@@ -1,7 +1,6 @@
 //! Stacked bars: a row for each bar, parts in the same order everywhere, with their numbers on them.
 
-use super::{BOTTOM, LEFT, Paint, Svg, TextAnchor, TextStyle, ValueAxis};
-use crate::document::ReportFigure;
+use super::{BOTTOM, LEFT, Paint, ReportFigure, Svg, TextAnchor, TextStyle, ValueAxis};
 
 /// A plot of stacked bars.
 #[derive(Debug)]

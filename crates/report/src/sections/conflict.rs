@@ -7,8 +7,8 @@ use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use results::score::{ConditionScore, HISTORIES};
 
 use super::blocked::NONE_TRIED;
+use super::missing::NOTHING_RETRIEVED;
 use super::mixed::NO_RETRIEVAL;
-use super::streams::NOTHING_RETRIEVED;
 use crate::document::{Missing, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, sure, sure_or, title};
 

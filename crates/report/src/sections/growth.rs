@@ -3,14 +3,12 @@
 use results::score::GrowthScore;
 
 use super::main_table::{NO_TOKENS, rate_figure, rate_rows};
+use super::missing::{NO_RECALL, NO_STORE, NOTHING_RETRIEVED};
 use super::mixed::NO_RETRIEVAL;
-use super::streams::NOTHING_RETRIEVED;
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::plot::{Curve, Curves, curves};
 use crate::view::{ScoredRun, plain_or, sure, title};
 
-pub(super) const NO_RECALL: Missing = Missing::NotMeasured("no recall was timed");
-pub(super) const NO_STORE: Missing = Missing::NotMeasured("the memory reported no size");
 const NO_TYPE: Missing =
     Missing::NotMeasured("the log does not tell the type of every source's task");
 

@@ -19,8 +19,6 @@ use crate::document::{Missing, ReportBlock, ReportSection, RowGroup, TableCell, 
 use crate::sections::overview::how_to_continue;
 use crate::view::{ScoredRun, title, with_interval};
 
-pub(super) const NOTHING_RETRIEVED: Missing = Missing::Undefined("nothing was retrieved");
-
 /// The sections about streams; none for a run without.
 pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<ReportSection> {
     let Some(scores) = &view.scores.streams else { return Vec::new() };

@@ -1,6 +1,6 @@
 //! `manifest.json`: what a run is, readable without its episodes.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -11,7 +11,7 @@ use serde_json::{Map, Value};
 
 use super::{LogError, system};
 use crate::cost::ModelPrices;
-use crate::settings::{FREE_KEYS, RunSettings};
+use crate::settings::{Key, RunSettings};
 
 /// Changes when programs that read the old files cannot read the new ones. Since 3, the lines of journals have checksums.
 pub const FORMAT: u32 = 3;
@@ -150,15 +150,34 @@ pub(super) const CODE_OF_POLICY: &str = "code of the policy";
 /// Hexadecimal digits of a file's hash that a message shows.
 const SHOWN_DIGITS: usize = 16;
 
-/// The files that both have and whose hashes differ, with the hashes.
-fn changed_files<'a>(
-    ours: &'a BTreeMap<String, String>,
-    theirs: &'a BTreeMap<String, String>,
-) -> impl Iterator<Item = (&'a String, &'a str, &'a str)> {
-    let short = |hash: &'a String| hash.get(..SHOWN_DIGITS).unwrap_or(hash);
-    ours.iter().filter_map(move |(file, hash)| {
-        let other = theirs.get(file).filter(|other| *other != hash)?;
-        Some((file, short(hash), short(other)))
+/// A fact of a run that determines the outcome of its episodes.
+struct Fact {
+    value: Value,
+    /// Whether a run that lacks it can be the same run: it is told later, or programs of earlier versions did not record it.
+    may_be_absent: bool,
+}
+
+impl Fact {
+    fn required(value: impl Into<Value>) -> Self {
+        Self { value: value.into(), may_be_absent: false }
+    }
+
+    fn optional(value: impl Into<Value>) -> Self {
+        Self { value: value.into(), may_be_absent: true }
+    }
+}
+
+/// Facts by name.
+type Facts = BTreeMap<String, Fact>;
+
+/// The facts of the files of a program, which is `of` a memory or policy: their hashes.
+fn file_facts<'a>(
+    files: &'a BTreeMap<String, String>,
+    of: &'a str,
+) -> impl Iterator<Item = (String, Fact)> + 'a {
+    files.iter().map(move |(file, hash)| {
+        let shown = hash.get(..SHOWN_DIGITS).unwrap_or(hash);
+        (format!("file {file} of {of}"), Fact::optional(shown))
     })
 }
 
@@ -244,71 +263,27 @@ impl Manifest {
     /// The keys whose values make an episode of one run differ from the same episode of the other. Which episodes a run
     /// has is not among them: a run can grow.
     pub fn differences(&self, there: &Self) -> Vec<Difference> {
-        let (mut here, mut of_there) = (self.identity(), there.identity());
-        for (name, document) in &self.documents {
-            if let Some(other) = there.documents.get(name) {
-                here.insert(format!("document {name}"), document.sha256.clone().into());
-                of_there.insert(format!("document {name}"), other.sha256.clone().into());
-            }
-        }
-        for (name, memory) in &self.memories {
-            let Some(other) = there.memories.get(name) else { continue };
-            // Index and SDK may change, and who starts it.
-            let said = |memory: &ExternalMemoryFacts| -> [(&str, Value); 6] {
-                [
-                    ("version", memory.version.clone().into()),
-                    ("scope", memory.scope.clone().into()),
-                    ("embeddings", memory.embeddings.into()),
-                    ("frames", memory.frames.into()),
-                    ("deterministic", memory.deterministic.into()),
-                    ("learning", memory.learns.into()),
-                ]
-            };
-            for ((fact, ours), (_, theirs)) in said(memory).into_iter().zip(said(other)) {
-                here.insert(format!("{fact} of memory {name}"), ours);
-                of_there.insert(format!("{fact} of memory {name}"), theirs);
-            }
-            if let (Some(ours), Some(theirs)) = (&memory.command, &other.command) {
-                here.insert(format!("command of memory {name}"), ours.clone().into());
-                of_there.insert(format!("command of memory {name}"), theirs.clone().into());
-            }
-            for (file, ours, theirs) in changed_files(&memory.files, &other.files) {
-                here.insert(format!("file {file} of memory {name}"), ours.into());
-                of_there.insert(format!("file {file} of memory {name}"), theirs.into());
-            }
-            // One that tells it as the SDK of an earlier version did is not another.
-            if !memory.code.is_empty() && !other.code.is_empty() {
-                here.insert(format!("code of memory {name}"), memory.code.clone().into());
-                of_there.insert(format!("code of memory {name}"), other.code.clone().into());
-            }
-        }
+        let (mut ours, mut theirs) = (self.facts(), there.facts());
         // Another policy is another setting; this is the code of the same one.
         if self.settings.policy_cmd == there.settings.policy_cmd {
-            for (file, ours, theirs) in changed_files(&self.policy_files, &there.policy_files) {
-                here.insert(format!("file {file} of the policy"), ours.into());
-                of_there.insert(format!("file {file} of the policy"), theirs.into());
-            }
-            if let (Some(ours), Some(theirs)) = (self.policy_code(), there.policy_code()) {
-                here.insert(CODE_OF_POLICY.to_owned(), ours.into());
-                of_there.insert(CODE_OF_POLICY.to_owned(), theirs.into());
-            }
+            ours.extend(self.policy_facts());
+            theirs.extend(there.policy_facts());
         }
-        // A run can grow by demonstrations in another warehouse.
-        let elsewhere = contents_of(ELSEWHERE_HASH);
-        if !(here.contains_key(&elsewhere) && of_there.contains_key(&elsewhere)) {
-            here.remove(&elsewhere);
-            of_there.remove(&elsewhere);
-        }
-        let shown = |value: Option<&Value>| value.map_or("not set".to_owned(), Value::to_string);
-        let mut keys: Vec<&String> = here.keys().chain(of_there.keys()).collect();
-        keys.sort();
-        keys.dedup();
+        let differs = |key: &&String| match (ours.get(*key), theirs.get(*key)) {
+            (Some(ours), Some(theirs)) => ours.value != theirs.value,
+            (Some(fact), None) | (None, Some(fact)) => !fact.may_be_absent,
+            (None, None) => false,
+        };
+        let shown = |fact: Option<&Fact>| {
+            fact.map_or_else(|| "not set".to_owned(), |fact| fact.value.to_string())
+        };
+        let keys: BTreeSet<&String> = ours.keys().chain(theirs.keys()).collect();
         keys.into_iter()
-            .filter(|key| here.get(*key) != of_there.get(*key))
+            .filter(differs)
             .map(|key| Difference {
                 key: key.clone(),
-                there: shown(of_there.get(key)),
-                here: shown(here.get(key)),
+                there: shown(theirs.get(key)),
+                here: shown(ours.get(key)),
             })
             .collect()
     }
@@ -317,24 +292,10 @@ impl Manifest {
     /// cases, the seed, the limits of an episode, and the version of the program. Policy and memory are not among it, because
     /// they are what is compared; neither are conditions and repetitions, which a figure names.
     pub fn protocol(&self) -> BTreeMap<String, Value> {
-        const SETTINGS: [&str; 10] = [
-            "cases",
-            "limit",
-            "seed",
-            "max-steps",
-            "frame-size",
-            "frames",
-            "plates",
-            "labels",
-            "appearance-seed",
-            "stream",
-        ];
         const CONTENTS: [&str; 4] = ["layout", "catalogue", "cases", ELSEWHERE_HASH];
-        let mut settings = self.settings_by_key();
-        let mut protocol: BTreeMap<String, Value> = SETTINGS
-            .iter()
-            .filter_map(|key| Some(((*key).to_owned(), settings.remove(*key)?)))
-            .collect();
+        let settings = self.settings_by_key().into_iter();
+        let mut protocol: BTreeMap<String, Value> =
+            settings.filter(|(key, _)| Key::is_of_protocol(key)).collect();
         let contents = self.hashes.iter().filter(|(name, _)| CONTENTS.contains(&name.as_str()));
         protocol.extend(contents.map(|(name, hash)| (contents_of(name), hash.clone().into())));
         protocol.insert("suite".to_owned(), self.settings.suite.word().into());
@@ -355,20 +316,60 @@ impl Manifest {
         }
     }
 
-    /// The settings and contents that determine the outcome of an episode, by name.
-    fn identity(&self) -> Map<String, Value> {
-        let mut identity = self.settings_by_key();
-        // `cases`, `limit` and `group` determine which episodes the run has.
-        for key in FREE_KEYS.iter().chain(&["cases", "limit", "group"]) {
-            identity.remove(*key);
+    /// The facts that determine the outcome of an episode, but for those of the policy's code.
+    fn facts(&self) -> Facts {
+        let mut facts = Facts::new();
+        for (key, value) in self.settings_by_key() {
+            if Key::changes_outcome(&key) {
+                facts.insert(key, Fact::required(value));
+            }
         }
-        identity.insert("version".to_owned(), self.version.clone().into());
+        facts.insert("version".to_owned(), Fact::required(self.version.clone()));
         if let Some(UnitId { plan, number }) = &self.unit {
-            identity.insert("unit".to_owned(), format!("{number} of {plan}").into());
+            facts.insert("unit".to_owned(), Fact::required(format!("{number} of {plan}")));
         }
         for (name, hash) in &self.hashes {
-            identity.insert(contents_of(name), hash.clone().into());
+            // A run can grow by demonstrations in another warehouse.
+            let may_be_absent = name == ELSEWHERE_HASH;
+            facts.insert(contents_of(name), Fact { value: hash.clone().into(), may_be_absent });
         }
-        identity
+        for (name, document) in &self.documents {
+            let hash = Fact::optional(document.sha256.clone());
+            facts.insert(format!("document {name}"), hash);
+        }
+        for (name, memory) in &self.memories {
+            facts.extend(memory.facts(&format!("memory {name}")));
+        }
+        facts
+    }
+
+    /// The facts of the policy's code.
+    fn policy_facts(&self) -> Facts {
+        let mut facts: Facts = file_facts(&self.policy_files, "the policy").collect();
+        let code = self.policy_code().map(|code| (CODE_OF_POLICY.to_owned(), Fact::optional(code)));
+        facts.extend(code);
+        facts
+    }
+}
+
+impl ExternalMemoryFacts {
+    /// What makes it answer as it does; `name` says which memory it is. Index and SDK may change, and who starts it.
+    fn facts(&self, name: &str) -> Facts {
+        let mut facts: Facts = file_facts(&self.files, name).collect();
+        let described: [(&str, Value); 6] = [
+            ("version", self.version.clone().into()),
+            ("scope", self.scope.clone().into()),
+            ("embeddings", self.embeddings.into()),
+            ("frames", self.frames.into()),
+            ("deterministic", self.deterministic.into()),
+            ("learning", self.learns.into()),
+        ];
+        let command = self.command.clone().map(|command| ("command", command.into()));
+        // One that does not tell it, as the SDK of an earlier version, is not another.
+        let code = (!self.code.is_empty()).then(|| ("code", self.code.clone().into()));
+        for (fact, value) in described.into_iter().chain(command).chain(code) {
+            facts.insert(format!("{fact} of {name}"), Fact::optional(value));
+        }
+        facts
     }
 }

@@ -195,13 +195,25 @@ struct LoggedLine {
     facts: PlannedFacts,
 }
 
+/// The episode log of a unit.
+struct UnitLog {
+    lines: LinesByKey,
+    /// The number of requests to a model that an episode took, by key.
+    requests: BTreeMap<String, u32>,
+}
+
+/// The first key under which two logs of a unit have different lines, or only one has a line.
+fn first_disagreement(one: &LinesByKey, other: &LinesByKey) -> Option<String> {
+    let mut keys = one.keys().chain(other.keys());
+    keys.find(|key| one.get(*key) != other.get(*key)).cloned()
+}
+
 /// The episodes of a unit that are not written yet.
 struct LoadedUnit {
     number: u32,
     dir: PathBuf,
     /// Sessions of the units before.
-    sessions: u32,
-    /// Lines of the log, by key.
+    sessions_before: u32,
     episodes: LinesByKey,
     timings: BTreeMap<String, EpisodeTimings>,
 }
@@ -266,72 +278,33 @@ impl<'a> MergedRun<'a> {
             let dir = PathBuf::from(unit_folder(number));
             return Err(MergeError::Broken { dir, problem: "it has gone".to_owned() });
         };
-        let (episodes, mut asked) = self.lines_by_key(dir)?;
+        let log = self.read_episodes(dir)?;
         for other in others {
-            let (again, _) = self.lines_by_key(other)?;
-            let mut keys = episodes.keys().chain(again.keys());
-            if let Some(key) = keys.find(|key| episodes.get(*key) != again.get(*key)) {
+            let other_lines = self.read_episodes(other)?.lines;
+            if let Some(key) = first_disagreement(&log.lines, &other_lines) {
                 let (one, other) = (dir.clone(), other.clone());
-                return Err(MergeError::Disagree { one, other, key: key.clone() });
+                return Err(MergeError::Disagree { one, other, key });
             }
         }
-        let sessions = self.session_count;
-        let renumber = |session: &mut u32| *session = session.saturating_add(sessions);
-        let mut last = 0;
-        copy_lines(dir, SESSIONS_FILE, &mut self.sessions, |record: &mut SessionRecord| {
-            last = last.max(record.session);
-            renumber(&mut record.session);
-        })?;
-        copy_lines(dir, REQUESTS_FILE, &mut self.requests, |record: &mut RequestRecord| {
-            if let Some(left) = asked.get_mut(&record.key) {
-                *left = left.saturating_sub(1);
-            }
-            renumber(&mut record.session);
-        })?;
-        if let Some((key, left)) = asked.into_iter().find(|(_, left)| *left > 0) {
-            let problem = format!("{REQUESTS_FILE} lacks {left} requests of {key}");
-            return Err(MergeError::Broken { dir: dir.clone(), problem });
-        }
-        copy_lines(dir, ERRORS_FILE, &mut self.errors, |record: &mut EpisodeError| {
-            renumber(&mut record.session);
-        })?;
-        copy_lines(dir, LATENCY_FILE, &mut self.latency, |record: &mut LatencyRecord| {
-            renumber(&mut record.session);
-        })?;
-        if last == 0 {
-            let problem = format!("{SESSIONS_FILE} names no session");
-            return Err(MergeError::Broken { dir: dir.clone(), problem });
-        }
-        let mut timings = BTreeMap::new();
-        read_lines(dir, TIMINGS_FILE, |line| {
-            let record: EpisodeTimings = sealed::read(line).map_err(io::Error::other)?;
-            timings.insert(record.key.clone(), record);
-            Ok(())
-        })?;
+        let sessions_before = self.session_count;
+        self.copy_journals(dir, &log.requests)?;
         durable::check_no_links(dir).map_err(system("read", dir))?;
         for name in [DOCUMENTS_FOLDER, SNAPSHOTS_FOLDER, STREAMS_FILE, ELSEWHERE_FILE] {
             copy(&dir.join(name), &self.dir.join(name))?;
         }
-        let (theirs, ours) = (dir.join(PROMPTS_FOLDER), self.dir.join(PROMPTS_FOLDER));
-        if theirs.exists() {
-            create_private_folder(&ours).map_err(system("make", &ours))?;
-        }
-        // Named by their content, so that units may have the same.
-        for stored in ["images", "documents"] {
-            copy(&theirs.join(stored), &ours.join(stored))?;
-        }
-        for session in sessions_in(&theirs)? {
-            let renumbered = sessions.saturating_add(session);
-            copy(&session_folder(&theirs, session), &session_folder(&ours, renumbered))?;
-        }
-        self.session_count = self.session_count.saturating_add(last);
-        Ok(LoadedUnit { number, dir: dir.clone(), sessions, episodes, timings })
+        self.copy_prompts(dir, sessions_before)?;
+        Ok(LoadedUnit {
+            number,
+            dir: dir.clone(),
+            sessions_before,
+            episodes: log.lines,
+            timings: read_timings(dir)?,
+        })
     }
 
-    /// The lines of the episode log in `dir`, checked, and how many requests to a model each episode took.
-    fn lines_by_key(&self, dir: &Path) -> Result<(LinesByKey, BTreeMap<String, u32>), MergeError> {
-        let (mut lines, mut asked) = (BTreeMap::new(), BTreeMap::new());
-        let mut twice = None;
+    /// The episode log in `dir`, checked.
+    fn read_episodes(&self, dir: &Path) -> Result<UnitLog, MergeError> {
+        let mut log = UnitLog { lines: BTreeMap::new(), requests: BTreeMap::new() };
         read_lines(dir, EPISODES_FILE, |line| {
             let record: EpisodeRecord = sealed::read(line).map_err(io::Error::other)?;
             if line.trim_ascii().len() + 1 != line.len() {
@@ -342,21 +315,70 @@ impl<'a> MergedRun<'a> {
             }
             record.check(self.max_steps).map_err(io::Error::other)?;
             if let (Some(_), Some(requests)) = (record.prompt_tokens, record.requests) {
-                asked.insert(record.key.clone(), requests);
+                log.requests.insert(record.key.clone(), requests);
             }
             let logged = LoggedLine { bytes: line.to_vec(), facts: PlannedFacts::of(&record) };
-            if lines.insert(record.key.clone(), logged).is_some() {
-                twice = Some(record.key);
+            match log.lines.insert(record.key.clone(), logged) {
+                None => Ok(()),
+                Some(_) => Err(io::Error::other(format!("the log has {} twice", record.key))),
             }
-            Ok(())
         })?;
-        match twice {
-            None => Ok((lines, asked)),
-            Some(key) => Err(MergeError::Broken {
-                dir: dir.to_owned(),
-                problem: format!("its log has {key} twice"),
-            }),
+        Ok(log)
+    }
+
+    /// Copies the journals in `dir` with new numbers of sessions. `requests` has the number of requests that each episode took.
+    fn copy_journals(
+        &mut self,
+        dir: &Path,
+        requests: &BTreeMap<String, u32>,
+    ) -> Result<(), MergeError> {
+        let broken = |problem| MergeError::Broken { dir: dir.to_owned(), problem };
+        let sessions_before = self.session_count;
+        let renumber = |session: &mut u32| *session = session.saturating_add(sessions_before);
+        let mut last_session = 0;
+        copy_lines(dir, SESSIONS_FILE, &mut self.sessions, |record: &mut SessionRecord| {
+            last_session = last_session.max(record.session);
+            renumber(&mut record.session);
+        })?;
+        let mut missing = requests.clone();
+        copy_lines(dir, REQUESTS_FILE, &mut self.requests, |record: &mut RequestRecord| {
+            if let Some(count) = missing.get_mut(&record.key) {
+                *count = count.saturating_sub(1);
+            }
+            renumber(&mut record.session);
+        })?;
+        if let Some((key, count)) = missing.into_iter().find(|(_, count)| *count > 0) {
+            return Err(broken(format!("{REQUESTS_FILE} lacks {count} requests of {key}")));
         }
+        copy_lines(dir, ERRORS_FILE, &mut self.errors, |record: &mut EpisodeError| {
+            renumber(&mut record.session);
+        })?;
+        copy_lines(dir, LATENCY_FILE, &mut self.latency, |record: &mut LatencyRecord| {
+            renumber(&mut record.session);
+        })?;
+        if last_session == 0 {
+            return Err(broken(format!("{SESSIONS_FILE} names no session")));
+        }
+        self.session_count = sessions_before.saturating_add(last_session);
+        Ok(())
+    }
+
+    /// Copies the prompts in `dir`, whose sessions come after `sessions_before` others.
+    fn copy_prompts(&self, dir: &Path, sessions_before: u32) -> Result<(), MergeError> {
+        let (from, to) = (dir.join(PROMPTS_FOLDER), self.dir.join(PROMPTS_FOLDER));
+        if !from.exists() {
+            return Ok(());
+        }
+        create_private_folder(&to).map_err(system("make", &to))?;
+        // Named by their content, so that units may have the same.
+        for stored in ["images", "documents"] {
+            copy(&from.join(stored), &to.join(stored))?;
+        }
+        for session in sessions_in(&from)? {
+            let renumbered = sessions_before.saturating_add(session);
+            copy(&session_folder(&from, session), &session_folder(&to, renumbered))?;
+        }
+        Ok(())
     }
 
     /// Writes the episode `episode` of `unit`.
@@ -368,7 +390,7 @@ impl<'a> MergedRun<'a> {
         facts.check(line.facts, key, "in the plan").map_err(broken)?;
         let failed = system("write to", self.dir);
         let timings = unit.timings.remove(key).map(|mut timings| {
-            timings.session = timings.session.saturating_add(unit.sessions);
+            timings.session = timings.session.saturating_add(unit.sessions_before);
             timings
         });
         let write = || {
@@ -409,9 +431,11 @@ fn read_lines(
         if read == 0 {
             break;
         }
-        let torn = || io::Error::other("the line is torn");
-        let used = line.ends_with(b"\n").then_some(()).ok_or_else(torn);
-        used.and_then(|()| each(&line)).map_err(|error| MergeError::Broken {
+        let used = match line.ends_with(b"\n") {
+            true => each(&line),
+            false => Err(io::Error::other("the line is torn")),
+        };
+        used.map_err(|error| MergeError::Broken {
             dir: dir.to_owned(),
             problem: format!("{file}, line {number}: {error}"),
         })?;
@@ -437,11 +461,19 @@ fn write_line(to: &mut BufWriter<File>, entry: &impl Serialize) -> io::Result<()
     to.write_all(&sealed::line(entry)?)
 }
 
-/// The sessions that have a folder in the folder `prompts`, which may be missing.
+/// The timings of the episodes of a unit, by key.
+fn read_timings(dir: &Path) -> Result<BTreeMap<String, EpisodeTimings>, MergeError> {
+    let mut timings = BTreeMap::new();
+    read_lines(dir, TIMINGS_FILE, |line| {
+        let record: EpisodeTimings = sealed::read(line).map_err(io::Error::other)?;
+        timings.insert(record.key.clone(), record);
+        Ok(())
+    })?;
+    Ok(timings)
+}
+
+/// The sessions that have a folder in the folder `prompts`.
 fn sessions_in(prompts: &Path) -> Result<Vec<u32>, LogError> {
-    if !prompts.exists() {
-        return Ok(Vec::new());
-    }
     let mut sessions = Vec::new();
     for entry in fs::read_dir(prompts).map_err(system("list", prompts))? {
         let name = entry.map_err(system("list", prompts))?.file_name();

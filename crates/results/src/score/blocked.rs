@@ -4,7 +4,8 @@
 use serde::Serialize;
 
 use super::interval::Interval;
-use super::spread::{Spread, percentage};
+use super::mean::percentage;
+use super::spread::Spread;
 use crate::log::EpisodeRecord;
 
 /// The figures that exist on a blocked route only.

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use super::interval::{Interval, Units};
-use super::spread::mean;
+use super::mean::mean;
 use super::trial::{Trials, path_weight};
 use crate::log::EpisodeRecord;
 

@@ -1,6 +1,6 @@
 //! Images, tokens, unreadable answers and retrievals (specification, section 7).
 
-use super::spread::{mean, percentage};
+use super::mean::{mean, percentage};
 use crate::log::EpisodeRecord;
 
 /// Mean images of a request of one run. The window fills up during the first steps of an episode, so the mean is

@@ -50,36 +50,17 @@ pub const LOOP_VISITS: usize = 5;
 impl Failure {
     /// Returns the kind of failure of `record`; `None` for a success.
     pub fn of(record: &EpisodeRecord) -> Option<Self> {
-        let rule = |kind: &&Self| kind.applies(record);
-        (!record.is_success()).then(|| Self::ALL.iter().find(rule).copied().unwrap_or(Self::Other))
+        if record.is_success() {
+            return None;
+        }
+        Self::ALL.iter().copied().find(|failure| failure.decision(record).is_some())
     }
 
     /// The number of steps after which this failure of `record` was decided: that of the try to enter the closed cell,
     /// of the last visit to the pose of a loop, of the arrival or sight after which the agent came no further. The end of
     /// the episode where only the steps ran out.
     pub fn decided_at(self, record: &EpisodeRecord) -> u32 {
-        let last_met = record.sub_goals.last().copied();
-        let found = match self {
-            Self::Unreadable => {
-                let unread = (1..).zip(record.actions.chars()).filter(|(_, letter)| *letter == '?');
-                let half = record.requests.unwrap_or(record.steps).div_ceil(2).max(1);
-                unread.map(|(step, _)| step).nth(half as usize - 1)
-            }
-            Self::Blocked => record.tried_closed_at,
-            Self::Looped => looped_at(record),
-            Self::WrongOrder => {
-                let early = record.visits.iter().find(|visit| visit.requirement == Requirement::B);
-                early.map(|visit| visit.step)
-            }
-            Self::NoReturn | Self::NoRevisit | Self::MissedInstance => last_met,
-            Self::SawAndLeft => {
-                let open = next(record).unwrap_or_default();
-                let seen = open.iter().filter_map(|one| record.first_seen.get(one).copied());
-                seen.min().max(last_met)
-            }
-            Self::NeverSaw | Self::Other => None,
-        };
-        found.unwrap_or(record.steps)
+        self.decision(record).unwrap_or(record.steps)
     }
 
     /// A short description for a legend.
@@ -100,84 +81,106 @@ impl Failure {
         }
     }
 
-    fn applies(self, record: &EpisodeRecord) -> bool {
-        use TaskType::{
-            EveryAndReturn, EveryOfCategory, EveryOfType, FindAndReturn, InOrder, InOrderAndReturn,
-            Revisit,
-        };
-        let left = record.required.saturating_sub(record.sub_goals.len() as u32);
-        let task = record.task_type();
+    /// The number of steps after which `record` failed in this way; `None` where the rule of this kind does not apply.
+    fn decision(self, record: &EpisodeRecord) -> Option<u32> {
+        let has_task = |property: fn(TaskType) -> bool| record.task_type().is_some_and(property);
+        let done = record.sub_goals.len();
+        let lacks_one = record.required.saturating_sub(done as u32) == 1;
+        let last_progress = record.sub_goals.last().copied();
+        let after_last_progress =
+            |applies: bool| applies.then(|| last_progress.unwrap_or(record.steps));
         match self {
-            Self::Unreadable => {
-                record.requests.is_some_and(|asked| asked > 0 && record.unread.total() * 2 >= asked)
-            }
-            Self::Blocked => record.tried_closed_at.is_some_and(|step| gave_up(record, step)),
-            Self::Looped => looped_at(record).is_some(),
+            Self::Unreadable => became_unreadable_at(record),
+            Self::Blocked => record.tried_closed_at.filter(|&step| gave_up_after(record, step)),
+            Self::Looped => looped_at(record),
             Self::WrongOrder => {
-                matches!(task, Some(InOrder | Revisit | InOrderAndReturn))
-                    && record.sub_goals.len() == 1
-                    && has_visited(record, Requirement::B)
+                let is_out_of_order = has_task(TaskType::is_ordered) && done == 1;
+                first_visit(record, Requirement::B).filter(|_| is_out_of_order)
             }
-            Self::NoReturn => {
-                matches!(task, Some(FindAndReturn | EveryAndReturn | InOrderAndReturn)) && left == 1
+            Self::NoReturn => after_last_progress(has_task(TaskType::ends_at_origin) && lacks_one),
+            Self::NoRevisit => {
+                after_last_progress(has_task(|task| task == TaskType::Revisit) && lacks_one)
             }
-            Self::NoRevisit => task == Some(Revisit) && left == 1,
             Self::MissedInstance => {
-                matches!(task, Some(EveryOfType | EveryOfCategory | EveryAndReturn))
-                    && !record.sub_goals.is_empty()
+                after_last_progress(has_task(TaskType::is_exhaustive) && done > 0)
             }
-            Self::NeverSaw => next(record).is_some_and(|open| !has_seen(record, &open)),
-            Self::SawAndLeft => next(record).is_some_and(|open| has_seen(record, &open)),
-            Self::Other => true,
+            Self::NeverSaw => {
+                let open = open_requirements(record);
+                (!open.is_empty() && first_sight(record, &open).is_none()).then_some(record.steps)
+            }
+            Self::SawAndLeft => {
+                let seen_at = first_sight(record, &open_requirements(record))?;
+                Some(seen_at).max(last_progress)
+            }
+            Self::Other => Some(record.steps),
         }
     }
 }
 
-/// The requirements that could be met next; `None` when none is left.
-fn next(record: &EpisodeRecord) -> Option<Vec<Requirement>> {
+/// The requirements that could be met next; none when all are met.
+fn open_requirements(record: &EpisodeRecord) -> Vec<Requirement> {
     use Requirement::{A, B, C};
-    let open = match (record.task_type(), record.sub_goals.len()) {
-        (Some(TaskType::FindCategory | TaskType::EveryOfCategory), _) => vec![C],
-        (Some(TaskType::BothTypes), _) => {
-            [A, B].into_iter().filter(|one| !has_visited(record, *one)).collect()
+    let done = record.sub_goals.len();
+    if done >= record.required as usize {
+        return Vec::new();
+    }
+    match record.task_type() {
+        Some(TaskType::FindCategory | TaskType::EveryOfCategory) => vec![C],
+        Some(TaskType::BothTypes) => {
+            let is_open = |requirement: &Requirement| first_visit(record, *requirement).is_none();
+            [A, B].into_iter().filter(is_open).collect()
         }
-        (Some(TaskType::InOrder | TaskType::Revisit | TaskType::InOrderAndReturn), 1) => vec![B],
+        Some(task) if task.is_ordered() && done == 1 => vec![B],
         _ => vec![A],
-    };
-    let left = record.sub_goals.len() < record.required as usize;
-    (left && !open.is_empty()).then_some(open)
+    }
 }
 
-fn has_visited(record: &EpisodeRecord, requirement: Requirement) -> bool {
-    record.visits.iter().any(|visit| visit.requirement == requirement)
+/// The step at which the agent first stood before an item that counts for `requirement`.
+fn first_visit(record: &EpisodeRecord, requirement: Requirement) -> Option<u32> {
+    let visit = record.visits.iter().find(|visit| visit.requirement == requirement);
+    visit.map(|visit| visit.step)
 }
 
-/// Whether one of the requirements was ever in view.
-fn has_seen(record: &EpisodeRecord, open: &[Requirement]) -> bool {
-    open.iter().any(|requirement| record.first_seen.contains_key(requirement))
+/// The step at which an item for one of `requirements` was first in view.
+fn first_sight(record: &EpisodeRecord, requirements: &[Requirement]) -> Option<u32> {
+    requirements.iter().filter_map(|requirement| record.first_seen.get(requirement)).min().copied()
 }
 
-fn gave_up(record: &EpisodeRecord, tried_at: u32) -> bool {
+/// The step at which half of all answers had no action, if so many had none.
+fn became_unreadable_at(record: &EpisodeRecord) -> Option<u32> {
+    let answers = record.requests.filter(|&answers| answers > 0)?;
+    if record.unread.total() * 2 < answers {
+        return None;
+    }
+    let unread_steps = (1..).zip(record.actions.chars()).filter(|(_, letter)| *letter == '?');
+    let step = unread_steps.map(|(step, _)| step).nth(answers.div_ceil(2) as usize - 1);
+    Some(step.unwrap_or(record.steps))
+}
+
+/// Whether the agent, after it tried to enter a closed cell at step `tried_at`, met no requirement and hardly went anywhere
+/// new.
+fn gave_up_after(record: &EpisodeRecord, tried_at: u32) -> bool {
     let poses = record.poses();
     let (before, after) = poses.split_at(poses.len().min(tried_at as usize));
-    let known: BTreeSet<_> = before.iter().map(|pose| pose.cell).collect();
-    let entered: BTreeSet<_> = after.iter().map(|pose| pose.cell).collect();
-    let met = record.sub_goals.iter().any(|&step| step >= tried_at);
-    !met && entered.difference(&known).count() < NEW_CELLS
+    let known_cells: BTreeSet<_> = before.iter().map(|pose| pose.cell).collect();
+    let entered_cells: BTreeSet<_> = after.iter().map(|pose| pose.cell).collect();
+    let made_progress = record.sub_goals.iter().any(|&step| step >= tried_at);
+    !made_progress && entered_cells.difference(&known_cells).count() < NEW_CELLS
 }
 
 /// The step of the [`LOOP_VISITS`]th visit to a pose within the last [`LOOP_STEPS`] steps, the first such.
 fn looped_at(record: &EpisodeRecord) -> Option<u32> {
     let poses = record.poses();
     let first = poses.len().saturating_sub(LOOP_STEPS);
-    let mut visits = BTreeMap::new();
-    let again = |pose: &Pose| {
-        let count = visits.entry(*pose).or_insert(0);
+    let mut visits: BTreeMap<Pose, usize> = BTreeMap::new();
+    for (step, pose) in (0..).zip(&poses).skip(first) {
+        let count = visits.entry(*pose).or_default();
         *count += 1;
-        *count == LOOP_VISITS
-    };
-    let last = poses[first..].iter().position(again)?;
-    u32::try_from(first + last).ok()
+        if *count == LOOP_VISITS {
+            return Some(step);
+        }
+    }
+    None
 }
 
 /// Counts of failures by kind.

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::Planned;
 use super::condition::{ConditionScore, score_condition};
-use super::spread::percentage;
+use super::mean::percentage;
 use super::trial::Trials;
 use crate::conditions::Condition;
 use crate::log::{EpisodeRecord, EpisodeTimings};

@@ -18,7 +18,7 @@
 
 use serde::Serialize;
 
-use super::spread::{mean, weighted_mean};
+use super::mean::{mean, weighted_mean};
 use super::student;
 
 /// An interval.

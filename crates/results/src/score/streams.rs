@@ -35,7 +35,7 @@ use serde::Serialize;
 
 use super::compare::FigureDifference;
 use super::interval::Interval;
-use super::spread::mean;
+use super::mean::mean;
 use crate::conditions::{Condition, Demonstrations};
 use crate::log::{EpisodeTimings, RunLog};
 use estimate::{by_stream, difference};
@@ -161,27 +161,37 @@ fn without_memory(condition: &Condition) -> Option<Condition> {
     Condition::new(Representation::Working, start, route, Demonstrations::NONE, variation)
 }
 
+/// The complete sequences of a run, by condition.
+type SequencesByCondition<'a> = BTreeMap<Condition, CompleteSequences<'a>>;
+
 /// Computes the scores of a run's streams; None if it has none.
 pub(super) fn score(
     log: &RunLog,
     timings: &BTreeMap<&str, &EpisodeTimings>,
 ) -> Option<StreamScores> {
-    let found = CompleteSequences::by_condition(log);
-    let complete = || found.values().flat_map(|sequences| sequences.complete.keys());
-    let streams: BTreeSet<u32> = complete().map(|id| id.stream).collect();
+    let by_condition = CompleteSequences::by_condition(log);
+    if by_condition.is_empty() {
+        return None;
+    }
+    let complete: Vec<&SequenceId> =
+        by_condition.values().flat_map(|sequences| sequences.complete.keys()).collect();
+    let streams: BTreeSet<u32> = complete.iter().map(|id| id.stream).collect();
     let records = log.episodes.iter().filter_map(|record| record.stream.as_ref());
     let feedback: BTreeSet<FeedbackLevel> = records.map(|stream| stream.feedback).collect();
-    let scored = found.iter().filter(|(_, sequences)| !sequences.complete.is_empty());
-    (!found.is_empty()).then(|| StreamScores {
+    let conditions = by_condition
+        .iter()
+        .filter(|(_, sequences)| !sequences.complete.is_empty())
+        .map(|(condition, _)| score_condition(*condition, &by_condition, timings));
+    let differences =
+        pairs(&by_condition).into_iter().filter_map(|(a, b)| compare(&by_condition, a, b));
+    Some(StreamScores {
         streams: streams.len(),
-        sequences: complete().count(),
+        sequences: complete.len(),
         planned: planned(log),
         feedback: feedback.into_iter().collect(),
-        conditions: scored
-            .map(|(condition, _)| score_condition(*condition, &found, timings))
-            .collect(),
-        differences: pairs(&found).into_iter().filter_map(|(a, b)| compare(&found, a, b)).collect(),
-        necessity: necessity::necessity(&found),
+        conditions: conditions.collect(),
+        differences: differences.collect(),
+        necessity: necessity::necessity(&by_condition),
     })
 }
 
@@ -194,23 +204,29 @@ fn planned(log: &RunLog) -> usize {
 
 fn score_condition(
     condition: Condition,
-    found: &BTreeMap<Condition, CompleteSequences<'_>>,
+    by_condition: &SequencesByCondition<'_>,
     timings: &BTreeMap<&str, &EpisodeTimings>,
 ) -> StreamScore {
-    let sequences = &found[&condition];
-    let estimate = |range, figure: &dyn Fn(SequenceId, &Sequence<'_>) -> Option<f64>| {
-        Estimate::of(&by_stream(sequences, figure), range)
+    let sequences = &by_condition[&condition];
+    let streams: BTreeSet<u32> = sequences.complete.keys().map(|id| id.stream).collect();
+    let (percent, points) = (Interval::PERCENT, Interval::POINTS);
+    let estimate = |range, figure: &dyn Fn(&Sequence<'_>) -> Option<f64>| {
+        Estimate::of(&by_stream(sequences, |_, sequence| figure(sequence)), range)
     };
     let of_matrix = |range, figure: fn(&ResultMatrix) -> Option<f64>| {
-        estimate(range, &|_, s| figure(&ResultMatrix::of(s)))
+        estimate(range, &|sequence| figure(&ResultMatrix::of(sequence)))
     };
-    let (percent, points) = (Interval::PERCENT, Interval::POINTS);
-    let paired = |condition: Option<Condition>, id| found.get(&condition?)?.complete.get(&id);
-    // A condition is not compared with itself: that is 0 by definition, not by measurement.
-    let other = |with: Condition| Some(with).filter(|with| *with != condition);
-    let baseline = without_memory(&condition).and_then(other);
-    let oracle = other(condition.with_arm(Arm::Oracle));
-    let streams: BTreeSet<u32> = sequences.complete.keys().map(|id| id.stream).collect();
+    let against = |reference: Option<Condition>,
+                   range,
+                   figure: fn(&Sequence<'_>, &Sequence<'_>) -> Option<f64>| {
+        // A condition is not compared with itself: that is 0 by definition, not by measurement.
+        let reference = by_condition.get(&reference.filter(|other| *other != condition)?)?;
+        let paired = |id, sequence: &Sequence<'_>| figure(sequence, reference.complete.get(&id)?);
+        Estimate::of(&by_stream(sequences, paired), range)
+    };
+    let forward = |sequence: &Sequence<'_>, without_memory: &Sequence<'_>| {
+        ResultMatrix::of(sequence).forward(&ResultMatrix::of(without_memory))
+    };
     let costs = match condition.arm {
         Arm::Frozen | Arm::Learning => cost::costs(sequences, condition.arm, timings),
         Arm::Oracle | Arm::Wrong => Vec::new(),
@@ -220,24 +236,24 @@ fn score_condition(
         streams: streams.len(),
         sequences: sequences.complete.len(),
         planned: sequences.planned,
-        success: estimate(percent, &|_, s| success_rate(s.learning())),
-        before: estimate(percent, &|_, s| success_rate(part(s, false))),
-        after: estimate(percent, &|_, s| success_rate(part(s, true))),
+        success: estimate(percent, &|sequence| success_rate(sequence.learning())),
+        before: estimate(percent, &|sequence| success_rate(part(sequence, false))),
+        after: estimate(percent, &|sequence| success_rate(part(sequence, true))),
         average: of_matrix(percent, ResultMatrix::average),
         backward: of_matrix(points, ResultMatrix::backward),
-        forward: estimate(points, &|id, s| {
-            ResultMatrix::of(s).forward(&ResultMatrix::of(paired(baseline, id)?))
-        }),
+        forward: against(without_memory(&condition), points, forward),
         forgetting: of_matrix(points, ResultMatrix::forgetting),
-        t_ndtw: estimate(Interval::SHARE, &|_, s| path::t_ndtw(s)),
-        regret: estimate(Interval::ANY, &|id, s| online::regret(s, paired(oracle, id)?)),
-        lag: estimate(Interval::POSITIVE, &|_, s| online::lag(s)),
-        adapted: estimate(percent, &|_, s| online::adapted(s)),
-        stale: estimate(percent, &|_, s| online::stale(s.learning())),
-        stale_after: estimate(percent, &|_, s| online::stale(part(s, true))),
+        t_ndtw: estimate(Interval::SHARE, &path::t_ndtw),
+        regret: against(Some(condition.with_arm(Arm::Oracle)), Interval::ANY, online::regret),
+        lag: estimate(Interval::POSITIVE, &online::lag),
+        adapted: estimate(percent, &online::adapted),
+        stale: estimate(percent, &|sequence| online::stale(sequence.learning())),
+        stale_after: estimate(percent, &|sequence| online::stale(part(sequence, true))),
         orders: orders(sequences),
-        order_spread: order_spread(sequences, &|s| success_rate(s.learning())),
-        order_spread_average: order_spread(sequences, &|s| ResultMatrix::of(s).average()),
+        order_spread: order_spread(sequences, &|sequence| success_rate(sequence.learning())),
+        order_spread_average: order_spread(sequences, &|sequence| {
+            ResultMatrix::of(sequence).average()
+        }),
         matrix: mean_matrix(sequences),
         rounds: rounds(sequences),
         costs,
@@ -251,19 +267,24 @@ fn in_order<'a>(sequences: &CompleteSequences<'a>, order: StreamOrder) -> Comple
 }
 
 fn orders(sequences: &CompleteSequences<'_>) -> Vec<OrderScore> {
-    let of = |order: StreamOrder| {
+    let mut scores = Vec::new();
+    for order in StreamOrder::ALL {
         let sequences = in_order(sequences, order);
-        let over_streams = |figure: &dyn Fn(&Sequence<'_>) -> Option<f64>| {
-            mean(by_stream(&sequences, |_, s| figure(s)).into_values())
-        };
-        let success = over_streams(&|s| success_rate(s.learning()));
-        let average = over_streams(&|s| ResultMatrix::of(s).average());
-        (!sequences.complete.is_empty()).then_some(OrderScore { order, success, average })
-    };
-    StreamOrder::ALL.into_iter().filter_map(of).collect()
+        if sequences.complete.is_empty() {
+            continue;
+        }
+        let success = by_stream(&sequences, |_, sequence| success_rate(sequence.learning()));
+        let average = by_stream(&sequences, |_, sequence| ResultMatrix::of(sequence).average());
+        scores.push(OrderScore {
+            order,
+            success: mean(success.into_values()),
+            average: mean(average.into_values()),
+        });
+    }
+    scores
 }
 
-/// StreamOrder robustness: the largest minus the smallest of `figure` over the orders of a stream, each a mean over its
+/// Robustness against the order: the largest minus the smallest of `figure` over the orders of a stream, each a mean over its
 /// repetitions. Only of streams that have it in at least three orders (at least three, one of them reversed: as Evo-Memory,
 /// arXiv 2511.20857, varies the order of tasks).
 fn order_spread(
@@ -276,13 +297,13 @@ fn order_spread(
             streams.entry(stream).or_default().push(value);
         }
     }
+    streams.retain(|_, values| values.len() >= 3);
     let range = |values: Vec<f64>| {
         let low = values.iter().copied().fold(f64::INFINITY, f64::min);
         let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        (values.len() >= 3).then_some(high - low)
+        high - low
     };
-    let ranges = streams.into_iter();
-    let ranges = ranges.filter_map(|(stream, values)| Some((stream, range(values)?))).collect();
+    let ranges = streams.into_iter().map(|(stream, values)| (stream, range(values))).collect();
     Estimate::of(&ranges, Interval::PERCENT)
 }
 
@@ -295,24 +316,27 @@ fn mean_matrix(sequences: &CompleteSequences<'_>) -> Vec<Vec<Option<f64>>> {
 
 fn rounds(sequences: &CompleteSequences<'_>) -> Vec<RoundScore> {
     let drawn = in_order(sequences, StreamOrder::Drawn);
-    let found: BTreeSet<(u32, u32)> =
-        drawn.complete.values().flat_map(|s| online::rounds(s).into_keys()).collect();
-    let score = |at: (u32, u32)| {
+    let rounds: BTreeSet<(u32, u32)> =
+        drawn.complete.values().flat_map(|sequence| online::rounds(sequence).into_keys()).collect();
+    let score = |(place, round)| {
         let over_streams = |value: fn((f64, f64)) -> f64| {
-            let of = |s: &Sequence<'_>| online::rounds(s).get(&at).copied().map(value);
-            mean(by_stream(&drawn, |_, s| of(s)).into_values())
+            let of_sequence = |_, sequence: &Sequence<'_>| {
+                online::rounds(sequence).get(&(place, round)).copied().map(value)
+            };
+            mean(by_stream(&drawn, of_sequence).into_values())
         };
-        let (success, running) = (over_streams(|(own, _)| own)?, over_streams(|(_, all)| all)?);
-        Some(RoundScore { place: at.0, round: at.1, success, running })
+        let success = over_streams(|(in_round, _)| in_round)?;
+        let running = over_streams(|(_, so_far)| so_far)?;
+        Some(RoundScore { place, round, success, running })
     };
-    found.into_iter().filter_map(score).collect()
+    rounds.into_iter().filter_map(score).collect()
 }
 
 /// The pairs to compare, first minus second: what learns with the frozen Episodic memory and with its own frozen arm; the
 /// oracle with what learns; the frozen arm with no memory and with wrong histories.
-fn pairs(found: &BTreeMap<Condition, CompleteSequences<'_>>) -> Vec<(Condition, Condition)> {
+fn pairs(by_condition: &SequencesByCondition<'_>) -> Vec<(Condition, Condition)> {
     let mut pairs = Vec::new();
-    for condition in found.keys() {
+    for condition in by_condition.keys() {
         let arm = |arm| condition.with_arm(arm);
         let episodic = Condition { memory: Representation::Episodic.into(), ..arm(Arm::Frozen) };
         match condition.arm {
@@ -333,11 +357,11 @@ fn pairs(found: &BTreeMap<Condition, CompleteSequences<'_>>) -> Vec<(Condition, 
 }
 
 fn compare(
-    found: &BTreeMap<Condition, CompleteSequences<'_>>,
+    by_condition: &SequencesByCondition<'_>,
     a: Condition,
     b: Condition,
 ) -> Option<StreamDifference> {
-    let (first, second) = (found.get(&a)?, found.get(&b)?);
+    let (first, second) = (by_condition.get(&a)?, by_condition.get(&b)?);
     let streams: BTreeSet<u32> = first
         .complete
         .keys()

@@ -4,7 +4,8 @@
 use domain::{TaskGroup, TaskType};
 use serde::Serialize;
 
-use super::spread::{Spread, mean, percentage};
+use super::mean::{mean, percentage};
+use super::spread::Spread;
 use super::trial::{Trials, path_weight};
 use crate::log::EpisodeRecord;
 

@@ -389,7 +389,10 @@ impl DemonstrationCollector<'_> {
                     let replay = planned.replay(&state.warehouse, &case.task, &state.variant);
                     (planned, replay, world.variant(record, own))
                 }
-                (None, Some(found)) => (found.trajectory.clone(), found.replay(), found.variant),
+                (None, Some(found)) => {
+                    let (replay, variant) = (found.replay(), found.variant);
+                    (found.trajectory.into_owned(), replay, variant)
+                }
                 (None, None) => (from.clone(), case.replay(&world.warehouse, in_file), 0),
             };
             let other = if of == own { String::new() } else { format!(" of {}", case.id) };

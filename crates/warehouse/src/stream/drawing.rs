@@ -10,13 +10,14 @@ use domain::{Cell, EventKind, Pose, StreamRules};
 
 use super::{Block, Event, Stream, StreamError, StreamSet};
 use crate::asset::Problem;
-use crate::case::{Case, CaseSet, Replay, Trajectory};
+use crate::case::{Case, CaseSet};
 use crate::constraints::{DISTANT_CELLS, enters, target_on};
 use crate::draw::Draw;
 use crate::generate::{LEAST_STEPS, MOST_BLOCKED_STEPS};
 use crate::plan::{Planner, Prices};
 use crate::state::{StockChange, WorldChange, WorldState};
 use crate::task::{Phase, Task};
+use crate::trajectory::{Replay, Trajectory};
 use crate::world::{Item, Warehouse, faced_bay};
 
 /// Draws of one stream until one satisfies all rules.
@@ -52,14 +53,14 @@ impl StreamSet {
         rules: &StreamRules,
     ) -> Result<Self, StreamError> {
         check(rules).map_err(StreamError)?;
-        let artist = Drawing { warehouse, set, among, rules };
+        let drawing = Drawing { warehouse, set, among, rules };
         let mut worlds = vec![WorldChange::default()];
         let mut streams = Vec::new();
         for number in 0..rules.streams {
             let mut problem = Problem::new();
             let drawn = (0..TRIES).find_map(|attempt| {
                 let draw = Draw::new(seed, STREAM | u64::from(number) << 16 | attempt);
-                artist.stream(draw).map_err(|found| problem = found).ok()
+                drawing.stream(draw).map_err(|reason| problem = reason).ok()
             });
             let drawn = drawn.ok_or_else(|| {
                 StreamError(format!(
@@ -123,7 +124,7 @@ type DrawnBlock = (WorldChange, Vec<u32>, Vec<Event>);
 
 /// The world while a stream is drawn.
 #[derive(Clone)]
-struct Now {
+struct DrawnWorld {
     /// Closed passages.
     closed: Vec<Vec<Cell>>,
     /// Types by standpoint.
@@ -137,81 +138,92 @@ impl Drawing<'_> {
         if self.among.len() < count {
             return Err(format!("a block has {count} cases"));
         }
-        let mut now = self.unchanged()?;
+        let mut world = self.unchanged()?;
         let first = some(self.among.to_vec(), count, &mut draw);
-        let mut blocks = vec![(now.change(self.warehouse), first, Vec::new())];
-        let mut worlds = vec![now.state.clone()];
+        let mut blocks = vec![(world.change(self.warehouse), first, Vec::new())];
+        let mut states = vec![world.state.clone()];
         for (&kind, block) in self.rules.events.iter().cycle().zip(2..=self.rules.blocks) {
-            let known: Vec<u32> = blocks.iter().flat_map(|(_, cases, _)| cases).copied().collect();
+            let stream_cases: Vec<u32> =
+                blocks.iter().flat_map(|(_, cases, _)| cases).copied().collect();
             let (events, mut affected) =
-                self.events(kind, &mut now, &known, &mut draw).ok_or_else(|| {
+                self.events(kind, &mut world, &stream_cases, &mut draw).ok_or_else(|| {
                     format!("no events `{}` affect {count} cases of block {block}", kind.word())
                 })?;
             affected.retain(|&case| {
-                worlds.iter().all(|world| may_be_solved(&self.set.cases[case], world))
+                states.iter().all(|state| may_be_solved(&self.set.cases[case], state))
             });
             if affected.len() < count {
                 return Err(format!("block {block} has {} cases", affected.len()));
             }
-            worlds.push(now.state.clone());
+            states.push(world.state.clone());
             let cases = some(affected, count, &mut draw);
-            blocks.push((now.change(self.warehouse), cases, events));
+            blocks.push((world.change(self.warehouse), cases, events));
         }
         self.check_solvable(&blocks)?;
         Ok(blocks)
     }
 
-    fn unchanged(&self) -> Result<Now, Problem> {
+    fn unchanged(&self) -> Result<DrawnWorld, Problem> {
         let stock = self.warehouse.items.iter().map(|item| (item.standpoint, item.item_type));
         let state = WorldState::new(self.warehouse, &WorldChange::default());
         let state = state.map_err(|error| error.to_string())?;
-        Ok(Now { closed: Vec::new(), stock: stock.collect(), state })
+        Ok(DrawnWorld { closed: Vec::new(), stock: stock.collect(), state })
     }
 
     /// Draws events of one kind, changes the world, and returns them with the cases that they affect. The
-    /// cases `known` may still be solved then.
+    /// cases `stream_cases`, those of the blocks so far, may still be solved then.
     fn events(
         &self,
         kind: EventKind,
-        now: &mut Now,
-        known: &[u32],
+        world: &mut DrawnWorld,
+        stream_cases: &[u32],
         draw: &mut Draw,
     ) -> Option<(Vec<Event>, Vec<usize>)> {
         let count = self.rules.cases_per_block as usize;
-        let before: Vec<Validity> = self.validities(&now.state);
-        let (was, is) = match kind {
-            EventKind::Open => (Validity::Broken, Validity::Intact),
-            _ => (Validity::Intact, Validity::Broken),
-        };
+        let change = ValidityChange::of(kind);
+        let before = self.validities(&world.state);
         let mut events = Vec::new();
         loop {
-            let after = self.validities(&now.state);
-            let validities = || self.among.iter().zip(before.iter().zip(&after));
-            let with = |now| {
-                let cases = validities().filter(|&(_, (b, a))| *b == was && *a == now);
-                cases.map(|(case, _)| *case).collect::<Vec<usize>>()
+            let after = self.validities(&world.state);
+            let cases_from_to = |from: Validity, to: Validity| -> Vec<usize> {
+                let validities = before.iter().zip(&after);
+                let cases = self.among.iter().zip(validities);
+                cases.filter(|&(_, change)| change == (&from, &to)).map(|(case, _)| *case).collect()
             };
-            let mut affected = with(is);
-            affected.retain(|&case| may_be_solved(&self.set.cases[case], &now.state));
+            let mut affected = cases_from_to(change.from, change.to);
+            affected.retain(|&case| may_be_solved(&self.set.cases[case], &world.state));
             if affected.len() >= count {
                 return Some((events, affected));
             }
             if events.len() == count {
                 return None;
             }
-            // An event for a case that none of these has affected.
-            let (event, next) = draw.shuffled(with(was)).into_iter().find_map(|case| {
-                let case = &self.set.cases[case];
-                let event = self.event(kind, case, now, draw)?;
-                let next = now.after(&event, self.warehouse)?;
-                let known = known.iter().map(|&case| &self.set.cases[case as usize]);
-                let is_good = validity(case, &next.state) == is
-                    && known.chain([case]).all(|case| may_be_solved(case, &next.state));
-                is_good.then_some((event, next))
-            })?;
+            let unaffected = draw.shuffled(cases_from_to(change.from, change.from));
+            let (event, next) = unaffected
+                .into_iter()
+                .find_map(|case| self.affecting_event(kind, case, world, stream_cases, draw))?;
             events.push(event);
-            *now = next;
+            *world = next;
         }
+    }
+
+    /// An event that affects `case` as its kind says, and the world after it, in which that case and those of the stream may still
+    /// be solved.
+    fn affecting_event(
+        &self,
+        kind: EventKind,
+        case: usize,
+        world: &DrawnWorld,
+        stream_cases: &[u32],
+        draw: &mut Draw,
+    ) -> Option<(Event, DrawnWorld)> {
+        let case = &self.set.cases[case];
+        let event = self.event(kind, case, world, draw)?;
+        let next = world.after(&event, self.warehouse)?;
+        let others = stream_cases.iter().map(|&index| &self.set.cases[index as usize]);
+        let is_affected = validity(case, &next.state) == ValidityChange::of(kind).to;
+        let is_solvable = others.chain([case]).all(|case| may_be_solved(case, &next.state));
+        (is_affected && is_solvable).then_some((event, next))
     }
 
     fn validities(&self, state: &WorldState) -> Vec<Validity> {
@@ -219,46 +231,52 @@ impl Drawing<'_> {
     }
 
     /// An event of this kind that should affect `case`.
-    fn event(&self, kind: EventKind, case: &Case, now: &Now, draw: &mut Draw) -> Option<Event> {
+    fn event(
+        &self,
+        kind: EventKind,
+        case: &Case,
+        world: &DrawnWorld,
+        draw: &mut Draw,
+    ) -> Option<Event> {
         let layout = &self.warehouse.layout;
         let replay = |trajectory: &Trajectory| {
-            trajectory.replay(&now.state.warehouse, &case.task, &now.state.variant)
+            trajectory.replay(&world.state.warehouse, &case.task, &world.state.variant)
         };
         match kind {
             EventKind::Close => {
-                let targets = case.task.targets(&now.state.warehouse);
+                let targets = case.task.targets(&world.state.warehouse);
                 let paths = [replay(&case.original).poses, replay(&case.test).poses];
                 let starts = [case.original.start.cell, case.test.start.cell];
                 let fits = |cells: &Vec<Cell>| {
                     paths.iter().all(|path| enters(path, cells))
                         && target_on(cells, &targets).is_none()
                         && !starts.iter().any(|start| cells.contains(start))
-                        && !now.closed.contains(cells)
+                        && !world.closed.contains(cells)
                 };
                 let passages: Vec<Vec<Cell>> = layout.passages().into_iter().filter(fits).collect();
                 draw.shuffled(passages).pop().map(|cells| Event::Close { cells })
             }
             EventKind::Open => {
-                let cells = draw.shuffled(now.closed.clone()).pop()?;
+                let cells = draw.shuffled(world.closed.clone()).pop()?;
                 Some(Event::Open { cells })
             }
             EventKind::Move => {
-                let item = self.visited(case, now, &replay, draw)?;
+                let item = self.visited(case, world, &replay, draw)?;
                 let is_far = |cell: &Cell| {
                     layout.aisle_index(*cell) != layout.aisle_index(item.standpoint)
                         && cell.distance(item.standpoint) >= DISTANT_CELLS
                 };
-                let to = self.empty_bays(now).filter(is_far).collect();
+                let to = self.empty_bays(world).filter(is_far).collect();
                 let to = draw.shuffled(to).pop()?;
                 Some(Event::Move { item_type: item.item_type, from: item.standpoint, to })
             }
             EventKind::Swap => {
-                let a = self.visited(case, now, &replay, draw)?.item_type;
+                let a = self.visited(case, world, &replay, draw)?.item_type;
                 let others =
                     (0..self.warehouse.catalogue.types.len()).filter(|&b| b != a).collect();
                 let swap = |b| Event::Swap { a, b };
                 let breaks = |event: &Event| {
-                    let next = now.after(event, self.warehouse);
+                    let next = world.after(event, self.warehouse);
                     next.is_some_and(|next| validity(case, &next.state) == Validity::Broken)
                 };
                 draw.shuffled(others).into_iter().take(CHOICES).map(swap).find(breaks)
@@ -270,7 +288,7 @@ impl Drawing<'_> {
                     _ => return None,
                 };
                 let item_type = draw.pick(&types);
-                let at = draw.shuffled(self.empty_bays(now).collect()).pop()?;
+                let at = draw.shuffled(self.empty_bays(world).collect()).pop()?;
                 Some(Event::Add { item_type, at })
             }
         }
@@ -280,31 +298,29 @@ impl Drawing<'_> {
     fn visited(
         &self,
         case: &Case,
-        now: &Now,
+        world: &DrawnWorld,
         replay: &dyn Fn(&Trajectory) -> Replay,
         draw: &mut Draw,
     ) -> Option<Item> {
-        let warehouse = &now.state.warehouse;
+        let warehouse = &world.state.warehouse;
         let visits = |trajectory: &Trajectory| -> Vec<Cell> {
             let Replay { poses, goal_steps, .. } = replay(trajectory);
             goal_steps.iter().map(|&step| poses[step as usize].cell).collect()
         };
-        let (one, other) = (visits(&case.original), visits(&case.test));
-        let both = case
-            .task
-            .targets(warehouse)
-            .into_iter()
-            .filter(|item| one.contains(&item.standpoint) && other.contains(&item.standpoint));
+        let (demonstrated, referenced) = (visits(&case.original), visits(&case.test));
+        let both = case.task.targets(warehouse).into_iter().filter(|item| {
+            demonstrated.contains(&item.standpoint) && referenced.contains(&item.standpoint)
+        });
         draw.shuffled(both.copied().collect()).pop()
     }
 
     /// The standpoints of empty bays, row by row. None is closed.
-    fn empty_bays<'n>(&'n self, now: &'n Now) -> impl Iterator<Item = Cell> + 'n {
+    fn empty_bays<'n>(&'n self, world: &'n DrawnWorld) -> impl Iterator<Item = Cell> + 'n {
         let layout = &self.warehouse.layout;
         let is_empty = move |cell: &Cell| {
-            !now.stock.contains_key(cell)
+            !world.stock.contains_key(cell)
                 && faced_bay(layout, *cell).is_ok()
-                && !now.state.variant.is_closed(*cell)
+                && !world.state.variant.is_closed(*cell)
         };
         layout.free_cells().filter(is_empty)
     }
@@ -377,6 +393,25 @@ enum Validity {
     Broken,
 }
 
+/// The validity that an event of some kind takes from cases, and the one that it gives them.
+#[derive(Debug, Clone, Copy)]
+struct ValidityChange {
+    from: Validity,
+    to: Validity,
+}
+
+impl ValidityChange {
+    /// A passage that opens mends cases; every other event breaks them.
+    const fn of(kind: EventKind) -> Self {
+        match kind {
+            EventKind::Open => Self { from: Validity::Broken, to: Validity::Intact },
+            EventKind::Close | EventKind::Move | EventKind::Swap | EventKind::Add => {
+                Self { from: Validity::Intact, to: Validity::Broken }
+            }
+        }
+    }
+}
+
 /// Whether no start of the case is closed and every sub-goal has an item that can be reached. Whether the task can be completed
 /// in time is for the planner to say.
 fn may_be_solved(case: &Case, state: &WorldState) -> bool {
@@ -410,7 +445,7 @@ fn validity(case: &Case, state: &WorldState) -> Validity {
     }
 }
 
-impl Now {
+impl DrawnWorld {
     /// The world after `event`; `None` if it does not fit.
     fn after(&self, event: &Event, warehouse: &Warehouse) -> Option<Self> {
         let mut next = self.clone();
@@ -423,11 +458,11 @@ impl Now {
             }
             Event::Swap { a, b } => {
                 for item_type in next.stock.values_mut() {
-                    *item_type = match *item_type {
-                        one if one == a => b,
-                        one if one == b => a,
-                        other => other,
-                    };
+                    if *item_type == a {
+                        *item_type = b;
+                    } else if *item_type == b {
+                        *item_type = a;
+                    }
                 }
             }
             Event::Add { item_type, at } => drop(next.stock.insert(at, item_type)),

@@ -40,6 +40,23 @@ impl Material {
     }
 }
 
+/// What a mesh is part of. Determines the light that it stands in, and its tint.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum MeshPart {
+    /// A bay, or the closed face of a rack. Positions are in the frame of the face.
+    Rack,
+    /// As [`MeshPart::Rack`], an item on the shelf of a bay.
+    Item,
+    /// Lit as a rack.
+    Barricade,
+    /// The floor, in the world.
+    Floor,
+    /// Walls and roof, in the world.
+    Wall,
+    /// What hangs or stands in the hall: lamps, signs, columns, gates, doors; in the world.
+    Fixture,
+}
+
 /// A corner of a triangle, before light is baked in.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct MeshVertex {

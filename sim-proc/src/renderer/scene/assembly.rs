@@ -8,9 +8,10 @@ use plates::Plate;
 use raster::{Atlas, Geometry, PlateVertex, SolidVertex, TextVertex, TriangleLayer};
 
 use super::object::{Scene, SceneObject, StockObjects, bounds};
-use crate::renderer::light::{MeshPart, baked};
+use crate::renderer::light::baked;
 use crate::renderer::look::Look;
 use crate::renderer::mesh::builder::Mesh;
+use crate::renderer::mesh::builder::MeshPart;
 use crate::renderer::mesh::hall::barricade;
 use crate::renderer::text::{AtlasBuilder, PanelText};
 

@@ -6,7 +6,7 @@ use warehouse::{Axis, Layout, Square};
 
 use super::assembly::{Assembly, Label};
 use super::frames::{side_of, world_from_face};
-use crate::renderer::light::MeshPart;
+use crate::renderer::mesh::builder::MeshPart;
 use crate::renderer::mesh::rack::RACK_HEIGHT_M;
 use crate::renderer::mesh::{hall, wall};
 

@@ -10,7 +10,7 @@ use warehouse::{Axis, Catalogue, FaceKind, Item, Layout, Square, Warehouse};
 use super::assembly::{Assembly, Label, PANEL_INDICES};
 use super::frames::{side_of, world_from_face};
 use super::object::{Occluder, StockObjects};
-use crate::renderer::light::MeshPart;
+use crate::renderer::mesh::builder::MeshPart;
 use crate::renderer::mesh::builder::{Detail, Mesh};
 use crate::renderer::mesh::items::item;
 use crate::renderer::mesh::rack::{

@@ -1,9 +1,9 @@
 //! The example policies of the package.
 
-use llm::scripted::{Reaction, Server};
 use memtransfer_tests::{
     Bench, Ended, episodes, eventually, kill, processes_with, records, sorted_log,
 };
+use rigs::chat_server::{Reaction, Server};
 use serde_json::json;
 
 use super::{finish, package, read_run, script, slice};

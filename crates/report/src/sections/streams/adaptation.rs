@@ -3,8 +3,9 @@
 use domain::StreamOrder;
 use results::score::{OrderScore, StreamScore};
 
-use super::{NOTHING_RETRIEVED, by_condition, memory_and_arm, sure};
+use super::{by_condition, memory_and_arm, sure};
 use crate::document::{Missing, Table, TableCell, TableColumn};
+use crate::sections::missing::NOTHING_RETRIEVED;
 use crate::view::{ScoredRun, plain_or};
 
 const NEVER: Missing = Missing::Undefined("no case that an event invalidated ever succeeded");

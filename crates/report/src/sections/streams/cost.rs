@@ -5,8 +5,8 @@ use results::score::{Necessity, NecessitySuccess, StreamCost, StreamScore, Strea
 use super::{arm, is_tested, memory_and_arm, short, sure};
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::plot::{Curve, Curves, curves};
-use crate::sections::growth::{NO_RECALL, NO_STORE};
 use crate::sections::main_table::NO_TOKENS;
+use crate::sections::missing::{NO_RECALL, NO_STORE};
 use crate::view::{ScoredRun, plain_or, title};
 
 const NO_CASE: Missing = Missing::Undefined("no case is certified");

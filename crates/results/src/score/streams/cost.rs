@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::estimate::by_stream;
 use super::sequence::{CompleteSequences, StreamEpisode};
 use crate::log::{EpisodeTimings, Stages};
-use crate::score::spread::mean;
+use crate::score::mean::mean;
 
 /// What memory cost after some blocks were learned: means over evaluation episodes, then over sequences and streams.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]

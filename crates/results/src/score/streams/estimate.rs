@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::sequence::{CompleteSequences, Sequence, SequenceId};
 use crate::score::compare::FigureDifference;
 use crate::score::interval::{Interval, Units};
-use crate::score::spread::mean;
+use crate::score::mean::mean;
 
 /// A figure over streams.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]

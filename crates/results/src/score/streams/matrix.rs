@@ -5,7 +5,7 @@
 //! state. The figures are None where a cell that they need is missing.
 
 use super::sequence::{Sequence, success_rate};
-use crate::score::spread::mean;
+use crate::score::mean::mean;
 
 /// R of one sequence: `rows[i][j - 1]`.
 #[derive(Debug, Clone, PartialEq)]

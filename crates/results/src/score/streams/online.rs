@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::sequence::{Sequence, StreamEpisode, success_rate};
-use crate::score::spread::mean;
+use crate::score::mean::mean;
 
 /// The episodes before or after events, as the blocks were drawn: those of block 0, or of all others.
 pub(super) fn part<'a>(

@@ -6,7 +6,7 @@ use domain::StreamOrder;
 
 use crate::conditions::Condition;
 use crate::log::{EpisodeRecord, RunLog, StreamRecord};
-use crate::score::spread::percentage;
+use crate::score::mean::percentage;
 
 /// Which sequence of its condition. Sequences of two conditions with the same one are paired.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

@@ -24,7 +24,7 @@ use shm_types::{
 };
 use tempfile::TempDir;
 
-use crate::neighbours::{self, Neighbours, PolicyNeighbours};
+use conformance::neighbours::{self, Neighbours, PolicyNeighbours};
 
 /// A wait that takes this long hangs.
 pub const LONG: Duration = Duration::from_secs(120);

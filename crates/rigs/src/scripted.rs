@@ -17,7 +17,7 @@ use shm_types::message::{
 };
 use shm_types::{Attach, Bus, BusError, Notifier, Sender};
 
-use crate::messages::{decision, observation, recall, recall_trace};
+use conformance::messages::{decision, observation, recall, recall_trace};
 
 /// The fact `kind` in the handshake of a scripted process.
 pub const KIND: &str = "scripted";
@@ -190,13 +190,13 @@ pub struct ScriptedProcess {
 
 impl ScriptedProcess {
     /// Makes the sender of a type of message. What it sends is lost if it ends before the receiver has looked for it.
-    pub fn open<M: shm_types::message::Message>(&self) {
+    pub fn open<M: shm_types::PortedMessage>(&self) {
         let sender = self.bus.sender::<M>().unwrap();
         self.senders.borrow_mut().insert(TypeId::of::<M>(), Box::new(sender));
     }
 
     /// Sends a message and notifies. A receiver that has left already does not get it.
-    pub fn send<M: shm_types::message::Message>(&self, message: &M, notified: &[Role]) {
+    pub fn send<M: shm_types::PortedMessage>(&self, message: &M, notified: &[Role]) {
         if !self.senders.borrow().contains_key(&TypeId::of::<M>()) {
             self.open::<M>();
         }
