@@ -1,12 +1,12 @@
 //! Executes runs: plan, lanes, child processes, status.
 //!
-//! - Before a run: [`plan`] (episodes and their seeds), [`selection`] (of a world's cases and streams), [`units`] (parts
+//! - Before a run: [`books`] (what the world tells about cases), [`plan`] (episodes and their
+//!   seeds), [`selection`] (of cases and streams), [`units`] (parts
 //!   for other machines) and [`store`] (what they need, by content), [`scratch`] (what killed programs left),
 //!   [`streams`] (world states and references),
 //!   [`documents`] (built where they are missing), [`external_memory`] (started, and asked for their names), [`launch`]
 //!   (which processes, with which limits), [`frame_budget`] (room in shared memory).
-//! - During a run: [`lanes`] (episodes step by step, pure), [`event_recorder`] (what an episode's record needs beside
-//!   its steps), [`pipeline`] (through the processes), [`session`] (into the run folder), [`budget`] (when to stop).
+//! - During a run: [`lanes`] (episodes step by step, pure), [`pipeline`] (through the processes), [`session`] (into the run folder), [`budget`] (when to stop).
 //! - What is shown: [`latency`] (histograms), [`status`] and [`monitor`] (the live status), [`progress`], [`trace`]
 //!   (for Perfetto).
 //! - Measurements: [`machine`], [`profile`].
@@ -15,10 +15,10 @@
 //! `memtransfer`.
 
 mod answers;
+pub mod books;
 pub mod budget;
 pub mod command_files;
 pub mod documents;
-pub mod event_recorder;
 pub mod external_memory;
 pub mod frame_budget;
 pub mod lanes;
@@ -36,5 +36,7 @@ pub mod session;
 pub mod status;
 pub mod store;
 pub mod streams;
+#[cfg(test)]
+mod testing;
 pub mod trace;
 pub mod units;

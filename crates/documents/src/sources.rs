@@ -48,10 +48,15 @@ impl Sources {
         Ok(Self { warehouse, cases, world_sha256, appearance: Appearance::STANDARD })
     }
 
-    /// The same sources, with the other warehouse in which tasks are demonstrated, if there is one.
-    pub fn with_elsewhere(mut self, elsewhere: Option<Elsewhere>) -> Self {
-        self.cases.elsewhere = elsewhere;
-        self
+    /// The same sources, with the other warehouse in which tasks are demonstrated, whose file has the text `elsewhere`, if there
+    /// is one.
+    ///
+    /// # Errors
+    /// When the text is not that of another warehouse.
+    pub fn with_elsewhere(mut self, elsewhere: Option<&str>) -> Result<Self> {
+        let read = |text| Elsewhere::parse(text, &self.warehouse, &self.cases);
+        self.cases.elsewhere = elsewhere.map(read).transpose()?;
+        Ok(self)
     }
 
     /// SHA-256, in hexadecimal digits, of the files of the world in which the demonstrations of `selection` take place.
@@ -164,7 +169,8 @@ mod tests {
     fn documents_of_the_other_warehouse_depend_on_it_alone() {
         let seen = |seed| {
             let Sources { warehouse, cases, .. } = sources();
-            sources().with_elsewhere(Elsewhere::generate(&warehouse, &cases, seed).ok())
+            let other = Elsewhere::generate(&warehouse, &cases, seed).unwrap();
+            sources().with_elsewhere(Some(&other.to_text())).unwrap()
         };
         let hash = |of: &Sources, selection| of.sha256(selection, FRAME);
         let (one, two) = (seen(1), seen(2));

@@ -65,7 +65,8 @@ pub fn build(settings: &BuildSettings, builder: &mut dyn DocumentBuilder) -> Res
         let sources = Sources::load(settings.assets.as_deref())?.seen_with(settings.appearance);
         let read = |file: &PathBuf| Elsewhere::read(file, &sources.warehouse, &sources.cases);
         let elsewhere = settings.elsewhere.as_ref().map(read).transpose()?;
-        let sources = sources.with_elsewhere(elsewhere);
+        let text = elsewhere.as_ref().map(Elsewhere::to_text);
+        let sources = sources.with_elsewhere(text.as_deref())?;
         bus.sender()?.send(&Handshake::new(
             Role::Memory,
             [

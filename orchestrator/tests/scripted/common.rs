@@ -5,13 +5,32 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Result;
+use case_book::{BookFile, BookRequest};
 use domain::ExternalName;
+use orchestrator::books::Books;
 use orchestrator::lanes::{AnsweredRequest, FinishedEpisode, Rules};
 use orchestrator::pipeline::{Facts, MemoryState, Observer, Participant, PipelineOptions};
 use rigs::process::ScratchRun;
 use rigs::scripted;
 use shm_types::message::MAX_EXTERNAL_MEMORIES;
 use supervise::{Launch, System};
+use warehouse::CaseSet;
+use warehouse::case_book::write_books;
+
+/// The books of the shipped cases, on blocked routes too.
+pub(crate) fn books() -> Books {
+    let cases = CaseSet::shipped().cases.into_iter().map(|case| case.id).collect();
+    let demonstrations = ["original", "4", "irrelevant", "confusable"];
+    let demonstrations = demonstrations.map(|set| set.parse().unwrap()).into();
+    let request = BookRequest { cases, demonstrations, blocked: true, ..BookRequest::default() };
+    let books = write_books(&request).unwrap();
+    Books {
+        cases: BookFile::new(books.cases).unwrap(),
+        demonstrations: BookFile::new(books.demonstrations).unwrap(),
+        streams: None,
+        elsewhere: None,
+    }
+}
 
 pub(crate) const MAX_STEPS: u32 = 10;
 

@@ -22,6 +22,15 @@ const READABLE: RangeInclusive<u32> = 2..=FORMAT;
 /// The name of the hash of the other warehouse in which tasks are demonstrated.
 pub const ELSEWHERE_HASH: &str = "elsewhere";
 
+/// The name of the hash of the streams.
+pub const STREAMS_HASH: &str = "streams";
+
+/// The name of the hash of the case book.
+pub const CASE_BOOK_HASH: &str = "case-book";
+
+/// The name of the hash of the demonstrations.
+pub const DEMONSTRATIONS_HASH: &str = "demonstrations";
+
 /// Name of the file in a run folder.
 pub(super) const MANIFEST_FILE: &str = "manifest.json";
 
@@ -269,6 +278,17 @@ impl Manifest {
             ours.extend(self.policy_facts());
             theirs.extend(there.policy_facts());
         }
+        // A run can grow: by demonstrations in another warehouse, and its books by cases and conditions.
+        let selected = |of: &Self| {
+            let RunSettings { cases, limit, groups, .. } = &of.settings;
+            (cases.clone(), *limit, groups.clone())
+        };
+        if selected(self) != selected(there) {
+            for key in [CASE_BOOK_HASH, DEMONSTRATIONS_HASH].map(contents_of) {
+                ours.remove(&key);
+                theirs.remove(&key);
+            }
+        }
         let differs = |key: &&String| match (ours.get(*key), theirs.get(*key)) {
             (Some(ours), Some(theirs)) => ours.value != theirs.value,
             (Some(fact), None) | (None, Some(fact)) => !fact.may_be_absent,
@@ -330,7 +350,8 @@ impl Manifest {
         }
         for (name, hash) in &self.hashes {
             // A run can grow by demonstrations in another warehouse.
-            let may_be_absent = name == ELSEWHERE_HASH;
+            let may_be_absent =
+                [ELSEWHERE_HASH, CASE_BOOK_HASH, DEMONSTRATIONS_HASH].contains(&name.as_str());
             facts.insert(contents_of(name), Fact { value: hash.clone().into(), may_be_absent });
         }
         for (name, document) in &self.documents {

@@ -197,8 +197,7 @@ fn session(
     (scheduler, plant): (&Arc<Scheduler>, Option<Plant>),
     (place, names): (&Place, &RefCell<Vec<String>>),
 ) -> Result<SessionEnd> {
-    let world = &scenario.selected.world;
-    let streams = scenario.selected.streams.as_ref();
+    let books = &scenario.selected.books;
     if RunFolder::has_episodes(&settings.out) {
         let keys = scenario.episodes.iter().map(|episode| episode.key.to_string()).collect();
         RunLog::read(&settings.out)?.check_planned(&keys)?;
@@ -206,10 +205,9 @@ fn session(
     let manifest = scenario.manifest()?;
     let opened = RunFolder::open(&settings.out, manifest, false)?;
     let Opened { mut folder, finished, requests, .. } = opened;
-    if let Some(streams) = streams {
-        fs::write(folder.dir().join(STREAMS_FILE), streams.set.to_text())?;
-    }
-    let Remaining { missing, learned } = Remaining::of(&scenario.episodes, &finished)?;
+    books.write(folder.dir())?;
+    let Remaining { missing, learned } =
+        Remaining::of(&books.cases.book, &scenario.episodes, &finished)?;
     if missing.is_empty() {
         return Ok(SessionEnd::NothingMissing);
     }
@@ -217,18 +215,19 @@ fn session(
     names.borrow_mut().push(run.name());
     let mut settings = settings.clone();
     settings.frame_budget = None;
-    let mut attach =
-        launch::attach(&settings, (world, streams), &missing, (&run, &scenario.memories), None)?;
+    let mut attach = launch::attach(&settings, books, &missing, (&run, &scenario.memories), None)?;
     let most = (settings.keyframes, settings.memory_image_budget());
     // Decided by all episodes, so that it is the same in every session.
-    let demand =
-        Demand::of(&attach, (&world.warehouse, &world.cases, streams), &scenario.episodes, most);
+    let demand = Demand::of(
+        &attach,
+        (&books.cases.book, &books.demonstrations.book),
+        &scenario.episodes,
+        most,
+    );
     attach.frame_capacity = demand.least(attach.lanes) + plan.spare_frames;
     let rules = launch::rules(&settings, &scenario.memories)?;
-    let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
-    if let Some(streams) = streams {
-        lanes = lanes.in_streams(streams);
-    }
+    let streams = books.streams.as_ref();
+    let mut lanes = Lanes::new(books, rules, attach.lanes as usize);
     for (sequence, position, experience) in learned {
         lanes.remember(sequence, position, experience);
     }
