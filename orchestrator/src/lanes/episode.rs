@@ -11,7 +11,7 @@ use results::log::{
 use shm_types::message::{
     Decision, EXTERNAL, FrameId, MemoryEpisodeConfig, NO_ACTION, NO_FRAME, NOT_MEASURED,
     Observation, PolicyEpisodeConfig, RecallTrace, Role, SnapshotReport, StepCommand, StepKind,
-    WirePose, write_text,
+    TASK_COMPLETE, WirePose, write_text,
 };
 use warehouse::{Progress, TrajectoryKind, Variant, step};
 
@@ -485,6 +485,8 @@ impl ActiveEpisode {
             kind: kind as u8,
             action: self.last_action,
             last: u8::from(self.awaited == Awaited::LastObservation),
+            progress: self.progress.stage() as u8
+                | if self.progress.is_complete() { TASK_COMPLETE } else { 0 },
             ..Zeroable::zeroed()
         }
     }

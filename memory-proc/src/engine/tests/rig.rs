@@ -308,7 +308,7 @@ impl Script {
 }
 
 /// A replayed demonstration and its origin.
-pub(super) struct ReplayedDemonstration {
+pub(super) struct RememberedDemonstration {
     pub(super) of: History,
     pub(super) poses: Vec<Pose>,
     /// Their codes, and [`NO_ACTION`] at the end.
@@ -320,14 +320,14 @@ pub(super) fn replay_set(
     rig: &Rig,
     case: usize,
     set: Demonstrations,
-) -> Vec<ReplayedDemonstration> {
+) -> Vec<RememberedDemonstration> {
     let cases = &rig.engine.worlds.cases;
     let demonstration = |of: History| {
         let found = cases.demonstrated(&rig.engine.worlds.warehouse, of).expect("a demonstration");
         let actions = found.trajectory.actions.iter();
         let poses = found.replay().poses;
         let actions = actions.map(|&action| action as u8).chain([NO_ACTION]).collect();
-        ReplayedDemonstration { of, poses, actions }
+        RememberedDemonstration { of, poses, actions }
     };
     cases.histories(case, set).into_iter().map(demonstration).collect()
 }

@@ -126,7 +126,7 @@ fn an_arm_decides_what_the_memory_is_built_from() {
         all.demonstrations(crate::worlds::BankOrigin::new(arm, 0, block, Demonstrations::ORIGINAL))
     };
     let of =
-        |made: &[std::sync::Arc<crate::demonstrations::ReplayedDemonstration>]| -> Vec<(u32, u16, u32)> {
+        |made: &[std::sync::Arc<crate::demonstrations::RememberedDemonstration>]| -> Vec<(u32, u16, u32)> {
             made.iter().map(|made| (made.case, made.number, made.variant)).collect()
         };
     let original = [(3, 0, 0), (5, 0, 0), (20, 0, 0)];

@@ -8,14 +8,14 @@ use shm_types::message::NO_ACTION;
 use warehouse::TrajectoryKind;
 
 use super::SETS;
-use super::rig::{Answer, ReplayedDemonstration, Rig, replay_set};
+use super::rig::{Answer, RememberedDemonstration, Rig, replay_set};
 
 /// Checks an answer of an episode whose memory is built from `demonstrations`.
 fn check(
     answer: &Answer,
     representation: Representation,
     set: Demonstrations,
-    demonstrations: &[ReplayedDemonstration],
+    demonstrations: &[RememberedDemonstration],
 ) {
     let Answer { segment, source, texts, trajectories, .. } = answer;
     let expected: &[String] = &match representation {
@@ -29,7 +29,7 @@ fn check(
     assert_eq!(segment.is_empty(), !representation.matches_views());
     if let Some(((last_view, last_action), before)) = segment.split_last() {
         let (case, number, step) = source.expect("a match");
-        let is_source = |demonstration: &&ReplayedDemonstration| {
+        let is_source = |demonstration: &&RememberedDemonstration| {
             (demonstration.of.case as u32, demonstration.of.kind as u16) == (case, number)
         };
         let demonstration =
