@@ -19,7 +19,6 @@ use documents::{
 use domain::{Appearance, cache_folder};
 use results::conditions::Condition;
 use results::log::DocumentFacts;
-use warehouse::Elsewhere;
 
 /// Locked while documents are built in a folder.
 const LOCK_FILE: &str = "lock";
@@ -48,8 +47,8 @@ pub struct DocumentRequest {
     pub folder: Option<PathBuf>,
     /// Folder of layout, catalogue and cases; `None`: the built-in ones.
     pub assets: Option<PathBuf>,
-    /// The other warehouse in which tasks are demonstrated, if there is one.
-    pub elsewhere: Option<Elsewhere>,
+    /// The world's file of the other world in which tasks are demonstrated, if there is one.
+    pub elsewhere: Option<String>,
     /// Width and height of the frames that they are made from.
     pub frame_size: u32,
     /// How the world looks in the frames.
@@ -210,7 +209,7 @@ impl DocumentRequest {
 
     fn sources(&self) -> Result<Sources> {
         let sources = Sources::load(self.assets.as_deref())?.seen_with(self.appearance);
-        Ok(sources.with_elsewhere(self.elsewhere.clone()))
+        sources.with_elsewhere(self.elsewhere.as_deref())
     }
 
     fn frame(&self) -> [u32; 2] {

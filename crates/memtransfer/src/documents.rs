@@ -10,7 +10,6 @@ use orchestrator::documents::{DocumentRequest, ModelServer, ReadyDocuments, fact
 use orchestrator::progress::BuildProgress;
 use results::log::{DOCUMENTS_FOLDER, DocumentFacts, RunFolder};
 use results::settings::{DocumentSource, RunSettings};
-use warehouse::Elsewhere;
 
 use crate::signals::Signals;
 
@@ -24,8 +23,9 @@ pub(super) struct RunDocuments {
 }
 
 impl RunDocuments {
-    /// The documents of a run with `settings`, which starts over if `fresh`, and whose tasks may be demonstrated `elsewhere`.
-    pub(super) fn of(settings: &RunSettings, elsewhere: Option<&Elsewhere>, fresh: bool) -> Self {
+    /// The documents of a run with `settings`, which starts over if `fresh`, and whose tasks may be demonstrated in the
+    /// world with the file `elsewhere`.
+    pub(super) fn of(settings: &RunSettings, elsewhere: Option<&str>, fresh: bool) -> Self {
         let (folder, selection) = match &settings.documents {
             DocumentSource::Extractive => (None, DocumentSelection::Recipe(Recipe::Extractive)),
             DocumentSource::Model(name) => (None, DocumentSelection::Model(name.clone())),
@@ -34,7 +34,7 @@ impl RunDocuments {
         let request = DocumentRequest {
             folder,
             assets: settings.assets.clone(),
-            elsewhere: elsewhere.cloned(),
+            elsewhere: elsewhere.map(str::to_owned),
             frame_size: settings.frame_size,
             appearance: settings.appearance(),
             selection,

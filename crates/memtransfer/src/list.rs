@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::{Args, Subcommand};
 use domain::{Mixture, TaskType};
-use orchestrator::streams::Streams;
 use replay::World;
 use report::table::table;
 use results::conditions::Condition;
@@ -15,7 +14,7 @@ use results::score::score;
 use results::settings::{RunSettings, StreamSettings};
 use serde_json::{Value, json};
 use settings::{Layer, SHIPPED_SUITES, resolve, select_cases};
-use warehouse::{Overlap, TrajectoryKind};
+use warehouse::{Overlap, StreamSet, TrajectoryKind};
 
 use super::{Exit, WorldArgs, print, print_json};
 
@@ -316,7 +315,8 @@ fn streams(suite: &str, seed: Option<u64>) -> anyhow::Result<Listing> {
     let stream = settings.stream.as_ref();
     let stream = stream.with_context(|| format!("the suite {suite} has no [stream] table"))?;
     let (world, among) = selected_cases(&settings)?;
-    let set = Streams::draw(&world, stream, &among, settings.seed)?.set;
+    let set = 
+        StreamSet::draw(&world.warehouse, &world.cases, &among, settings.seed, &stream.rules())?;
     let ids = world.case_ids();
     let mut rows = Vec::new();
     for (number, stream) in set.streams.iter().enumerate() {

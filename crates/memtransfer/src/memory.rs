@@ -214,7 +214,7 @@ impl MadeFor {
         let elsewhere = if demos.iter().any(|set| set.take_place_elsewhere()) {
             let mut world = World::load(assets.as_deref())?;
             world.add_elsewhere(elsewhere.as_deref(), seed.or(of_run).unwrap_or(SEED))?;
-            world.cases.elsewhere
+            world.cases.elsewhere.map(|other| other.to_text())
         } else {
             None
         };

@@ -76,7 +76,7 @@ fn launches(
         None => None,
         Some(elsewhere) => {
             let file = root.join("elsewhere.json");
-            std::fs::write(&file, elsewhere.to_text())
+            std::fs::write(&file, elsewhere)
                 .with_context(|| format!("cannot write {}", file.display()))?;
             Some(file)
         }

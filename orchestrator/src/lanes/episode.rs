@@ -100,7 +100,7 @@ impl ActiveEpisode {
             seed: episode.seed,
             ending: Ending::OutOfSteps,
             steps: 0,
-            reference: episode.reference_length(context.warehouse, cases, context.streams),
+            reference: episode.expert(context.book).map_or(0, |expert| expert.length),
             actions: String::new(),
             sub_goals: vec![0; progress.stage() as usize],
             required: progress.total(),
