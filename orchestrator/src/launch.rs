@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use case_book::DEMONSTRATIONS_FILE;
 use domain::MemoryKind;
 use results::conditions::{Condition, Frames, PolicyKind};
 use results::log::{DOCUMENTS_FOLDER, ELSEWHERE_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE};
@@ -166,8 +167,8 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     let elsewhere = ("--elsewhere", path(&elsewhere));
     let mut renderer = vec![
         assets,
-        streams.clone(),
-        elsewhere.clone(),
+        streams,
+        elsewhere,
         ("--backend", settings.backend.clone()),
         ("--adapter", settings.adapter.clone()),
     ];
@@ -182,9 +183,9 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     }
     let snapshots = settings.stream.is_some().then(|| settings.out.join(SNAPSHOTS_FOLDER));
     let timeout = (!memories.is_empty()).then(|| settings.memory_timeout.to_string());
+    let demonstrations = settings.out.join(DEMONSTRATIONS_FILE).display().to_string();
     let flags = [
-        streams,
-        elsewhere,
+        ("--demonstrations", Some(demonstrations)),
         ("--snapshots", path(&snapshots)),
         ("--documents", Some(settings.out.join(DOCUMENTS_FOLDER).display().to_string())),
         ("--memory-timeout", timeout),

@@ -28,6 +28,21 @@ impl Sources {
         Self { book: book.into(), appearance, frame_size }
     }
 
+    /// All demonstrations.
+    pub fn book(&self) -> &DemonstrationBook {
+        &self.book
+    }
+
+    /// Width and height of the frames, in pixels.
+    pub fn frame_size(&self) -> u32 {
+        self.frame_size
+    }
+
+    /// How the world looks in frames.
+    pub fn appearance(&self) -> Appearance {
+        self.appearance
+    }
+
     /// The demonstrations that `selection` names for any case, each once: in the order of the cases, and for each
     /// case in the order of its own set. None where the book lacks one of them.
     pub fn demonstrations(&self, selection: Demonstrations) -> Vec<&Demonstration> {

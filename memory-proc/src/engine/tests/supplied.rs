@@ -8,14 +8,14 @@ use shm_types::message::NO_ACTION;
 use warehouse::TrajectoryKind;
 
 use super::SETS;
-use super::rig::{Answer, RememberedDemonstration, Rig, replay_set};
+use super::rig::{Answer, ReplayedDemonstration, Rig, replay_set};
 
 /// Checks an answer of an episode whose memory is built from `demonstrations`.
 fn check(
     answer: &Answer,
     representation: Representation,
     set: Demonstrations,
-    demonstrations: &[RememberedDemonstration],
+    demonstrations: &[ReplayedDemonstration],
 ) {
     let Answer { segment, source, texts, trajectories, .. } = answer;
     let expected: &[String] = &match representation {
@@ -29,7 +29,7 @@ fn check(
     assert_eq!(segment.is_empty(), !representation.matches_views());
     if let Some(((last_view, last_action), before)) = segment.split_last() {
         let (case, number, step) = source.expect("a match");
-        let is_source = |demonstration: &&RememberedDemonstration| {
+        let is_source = |demonstration: &&ReplayedDemonstration| {
             (demonstration.of.case as u32, demonstration.of.kind as u16) == (case, number)
         };
         let demonstration =
@@ -71,7 +71,7 @@ fn check(
 #[test]
 fn nothing_is_supplied_but_the_selected_demonstrations() {
     let mut rig = Rig::new(1, 2000);
-    let cases = rig.engine.worlds.cases.cases.len();
+    let cases = rig.cases.cases.len();
     for case in 0..cases {
         for set in SETS {
             let demonstrations = replay_set(&rig, case, set);
