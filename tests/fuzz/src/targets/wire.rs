@@ -5,8 +5,8 @@ use std::sync::{Arc, OnceLock};
 use bytemuck::Zeroable;
 use conformance::messages;
 use domain::{Action, Arm, DocumentKind, Feedback, Heading, Pose, Representation};
-use memory_proc::bank::{ReplayedBank, Viewpoint};
-use memory_proc::demonstrations::ReplayedDemonstration;
+use memory_proc::bank::{MemoryBank, Viewpoint};
+use memory_proc::demonstrations::RememberedDemonstration;
 use memory_proc::items::{Assembler, Budgets, CheckedAnswer, DocumentSupplier, PublishedTexts};
 use orchestrator::lanes::{AnswerError, Lanes, Rules, Turn};
 use orchestrator::plan::PlannedEpisode;
@@ -191,9 +191,9 @@ impl DocumentSupplier for Published {
     }
 }
 
-fn bank() -> &'static ReplayedBank {
-    static BANK: OnceLock<ReplayedBank> = OnceLock::new();
-    let made = |(number, steps): (u16, u8)| ReplayedDemonstration {
+fn bank() -> &'static MemoryBank {
+    static BANK: OnceLock<MemoryBank> = OnceLock::new();
+    let made = |(number, steps): (u16, u8)| RememberedDemonstration {
         case: 8,
         number,
         variant: 0,
@@ -203,7 +203,7 @@ fn bank() -> &'static ReplayedBank {
         stages: vec![0; usize::from(steps) + 1],
         actions: vec![Some(Action::Forward); usize::from(steps)],
     };
-    BANK.get_or_init(|| ReplayedBank::new([(0, 9), (3, 4), (1, 60)].map(made)))
+    BANK.get_or_init(|| MemoryBank::new([(0, 9), (3, 4), (1, 60)].map(made)))
 }
 
 /// An external memory's answer, up to the recall: within the budgets, and every part of it exists.
