@@ -238,6 +238,7 @@ impl<'a> MemoryServer<'a> {
         let more = observations.len() == most;
         let received_ns = monotonic_ns();
         let views = self.ports.views.drain()?;
+        self.ports.results.drain()?;
         for config in self.ports.configs.drain()? {
             let outcome = self.can_serve(&config).and_then(|()| self.engine.config(&config));
             self.report_unusable(outcome);

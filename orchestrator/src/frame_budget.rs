@@ -60,7 +60,8 @@ impl Demand {
                         Some(stream) => stream.cases.clone(),
                         None => vec![episode.case_index as u32],
                     };
-                    let named = cases.into_iter().filter_map(|case| demonstrations.of_case(case, set.2));
+                    let named =
+                        cases.into_iter().filter_map(|case| demonstrations.of_case(case, set.2));
                     let of = named.flatten().map(|of| &demonstrations.demonstrations[of as usize]);
                     let views: BTreeSet<u32> = of.flat_map(|of| of.views.iter().copied()).collect();
                     views.len() as u32
@@ -85,10 +86,10 @@ impl Demand {
         let blocked: BTreeSet<usize> = blocked.map(|episode| episode.case_index).collect();
         let states: BTreeSet<u32> =
             episodes.iter().filter_map(|episode| Some(episode.part?.world)).collect();
-        let is_elsewhere = |episode: &PlannedEpisode| {
-            episode.key.condition.demonstrations.take_place_elsewhere()
-        };
-        let elsewhere = if episodes.iter().any(is_elsewhere) { book.world.elsewhere_views } else { 0 };
+        let is_elsewhere =
+            |episode: &PlannedEpisode| episode.key.condition.demonstrations.take_place_elsewhere();
+        let elsewhere =
+            if episodes.iter().any(is_elsewhere) { book.world.elsewhere_views } else { 0 };
         let worlds = (1 + blocked.len() + states.len()) as u32;
         Self {
             per_lane: attach.window + 2,
@@ -277,7 +278,8 @@ mod tests {
 
     #[test]
     fn the_demand_includes_the_views_that_memory_pins() {
-        let SelectedCases { books, .. } = selected(&[("demos", "4,original"), ("routes", "blocked")]);
+        let SelectedCases { books, .. } =
+            selected(&[("demos", "4,original"), ("routes", "blocked")]);
         let (book, demonstrations) = (&books.cases.book, &books.demonstrations.book);
         let attach = attach();
         let remembered = |conditions: &[&str]| {

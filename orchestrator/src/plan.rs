@@ -56,7 +56,11 @@ impl PlannedEpisode {
     pub fn expert<'b>(&self, book: &'b CaseBook) -> Option<Expert<'b>> {
         if let Some(part) = self.part {
             let found = book.streams.as_ref()?.case(part.world, self.case_index as u32)?;
-            return Some(Expert { begin: found.begin, actions: &found.actions, length: found.length });
+            return Some(Expert {
+                begin: found.begin,
+                actions: &found.actions,
+                length: found.length,
+            });
         }
         let Condition { start, route, .. } = self.key.condition;
         let found = book.cases.get(self.case_index)?.reference(start, route)?;
@@ -249,7 +253,6 @@ mod tests {
         assert_eq!(key.seed(7).to_le_bytes(), hash.as_bytes()[..8]);
         insta::assert_snapshot!(key.seed(7), @"7419264810186364379");
     }
-
 
     /// A stream of two blocks with one case each.
     fn streams() -> StreamsFacts {

@@ -197,7 +197,8 @@ impl ReadPlan {
     /// When it has more or fewer.
     pub fn check_episodes(&self, selection: &SelectedCases, path: &Path) -> Result<()> {
         let Manifest { episodes, settings, hashes, .. } = &self.plan.manifest;
-        if selection.books.world_hashes().iter().any(|(name, hash)| hashes.get(name) != Some(hash)) {
+        if selection.books.world_hashes().iter().any(|(name, hash)| hashes.get(name) != Some(hash))
+        {
             return Ok(());
         }
         let selected = selection.count(settings);

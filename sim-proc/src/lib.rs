@@ -10,6 +10,7 @@
 //! - [`serve_command`], [`views_command`] and [`book_command`]: the command line.
 
 pub mod book_command;
+pub mod event_recorder;
 pub mod first_views;
 pub mod lanes;
 pub mod render_pool;

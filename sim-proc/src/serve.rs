@@ -13,16 +13,18 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use bytemuck::Zeroable;
-use domain::Pose;
+use domain::{Feedback, Pose};
 use rustc_hash::FxHashMap;
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::{
-    Eviction, Handshake, Heartbeat, NO_ACTION, NO_FRAME, Observation, Role, ShutdownReport,
-    StepCommand, StepKind, Stop, View, ViewRequest, ViewRequestKind, WirePose,
+    EpisodeEnd, Eviction, Handshake, Heartbeat, NO_ACTION, NO_DOCUMENT, NO_FRAME, Observation,
+    Role, ShutdownReport, StepCommand, StepReport, Stop, View, ViewRequest, ViewRequestKind,
+    WirePose, WorldEpisodeConfig,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
-    Bus, BusError, ErrorReporter, FrameError, FramePublisher, Heartbeats, Receiver, Sender, Spans,
+    Bus, BusError, ErrorReporter, FrameError, FramePublisher, Heartbeats, NotePublisher, Receiver,
+    Sender, Spans,
 };
 
 use crate::lanes::{SimulatedLanes, Stepped};
@@ -79,17 +81,21 @@ struct Pending {
 
 #[derive(Debug)]
 enum PendingView {
-    Observation(Observation),
+    /// An observation, what the orchestrator is told of the step, and the facts of the episode that ends with it, as JSON.
+    Step(Observation, StepReport, Option<String>),
     /// Pose and world variant of a requested view.
     View(WirePose, u32),
 }
 
 struct Simulator<'a> {
     bus: &'a Bus,
+    configs: Receiver<WorldEpisodeConfig>,
     commands: Receiver<StepCommand>,
     requests: Receiver<ViewRequest>,
     stops: Receiver<Stop>,
     observations: Sender<Observation>,
+    reports: Sender<StepReport>,
+    facts: NotePublisher,
     resident: Sender<View>,
     evictions: Sender<Eviction>,
     wakeups: Wakeups,
@@ -122,10 +128,13 @@ impl<'a> Simulator<'a> {
         let (lanes, window) = (attach.lanes as usize, attach.window as usize);
         Ok(Self {
             bus,
+            configs: bus.receiver()?,
             commands: bus.receiver()?,
             requests: bus.receiver()?,
             stops: bus.receiver()?,
             observations: bus.sender()?,
+            reports: bus.sender()?,
+            facts: NotePublisher::of_facts(bus)?,
             resident: bus.sender()?,
             evictions: bus.sender()?,
             wakeups: Wakeups::new(bus)?,
@@ -274,35 +283,49 @@ impl<'a> Simulator<'a> {
         Ok(())
     }
 
-    /// Executes at most as many commands as a turn may take. Returns whether more may be waiting.
-    fn take_commands(&mut self, rendering: &mut Rendering) -> Result<bool, BusError> {
+    /// Begins episodes, and executes at most as many commands as a turn may take. Returns whether more may be waiting.
+    fn take_commands(&mut self, rendering: &mut Rendering) -> Result<bool> {
         let woken_ns = monotonic_ns();
         let most = self.bus.attach().batch_len();
-        let mut taken = 0;
-        while taken < most
-            && let Some(command) = self.commands.next()?
-        {
-            if let Err(bad) = self.take_command(&command, woken_ns, rendering) {
-                self.reporter.report(bad);
+        // The config of an episode is sent before its commands.
+        let commands = self.commands.drain_some(most)?;
+        for config in self.configs.drain()? {
+            let WorldEpisodeConfig { episode, lane, sent_ns: commanded_ns, .. } = config;
+            let report = StepReport { episode, lane, commanded_ns, woken_ns, ..Zeroable::zeroed() };
+            match self.lanes.begin(&config) {
+                Ok(stepped) => self.answer_later(stepped, report, NO_ACTION, rendering)?,
+                Err(bad) => self.reporter.report(bad),
             }
-            taken += 1;
         }
-        Ok(taken == most)
+        for command in &commands {
+            let &StepCommand { episode, lane, step, sent_ns: commanded_ns, action, .. } = command;
+            let report =
+                StepReport { episode, lane, step, commanded_ns, woken_ns, ..Zeroable::zeroed() };
+            match self.lanes.apply(command) {
+                Ok(None) => {}
+                Ok(Some(stepped)) => self.answer_later(stepped, report, action, rendering)?,
+                Err(bad) => self.reporter.report(bad),
+            }
+        }
+        Ok(commands.len() == most)
     }
 
-    fn take_command(
+    /// Prepares the answer to a config or a command, about which `report` says whose it is, once its view is resident.
+    fn answer_later(
         &mut self,
-        command: &StepCommand,
-        woken_ns: u64,
+        stepped: Stepped,
+        report: StepReport,
+        action: u8,
         rendering: &mut Rendering,
-    ) -> Result<(), String> {
-        let Stepped { lane, world, pose, feedback, begins, ends } = self.lanes.apply(command)?;
+    ) -> Result<()> {
+        let Stepped { lane, world, pose, feedback, sub_goals, required, conflict, .. } = stepped;
         let stepped_ns = monotonic_ns();
-        if begins || ends {
+        let ends = stepped.ended != EpisodeEnd::GoesOn;
+        if report.step == 0 || ends {
             self.views.clear_lane(lane);
-            // Drop observations of an abandoned episode.
+            // Drop answers about an abandoned episode.
             self.pending.retain(|Pending { answer, .. }| {
-                !matches!(answer, PendingView::Observation(waiting) if waiting.lane == command.lane)
+                !matches!(answer, PendingView::Step(_, waiting, _) if waiting.lane == report.lane)
             });
         }
         let view = (!ends).then(|| {
@@ -312,24 +335,28 @@ impl<'a> Simulator<'a> {
             view
         });
         let is_resident = view.is_none_or(|view| self.views.frame(view).is_some());
-        let acted = command.kind == StepKind::Act as u8;
-        let observation = Observation {
-            episode: command.episode,
-            frame: NO_FRAME,
-            commanded_ns: command.sent_ns,
-            woken_ns,
+        let report = StepReport {
             stepped_ns,
             rendered_ns: if is_resident { stepped_ns } else { 0 },
-            sent_ns: 0,
-            lane: command.lane,
-            step: command.step,
+            sub_goals: sub_goals as u16,
+            required: required as u16,
+            ended: stepped.ended as u8,
+            conflict: conflict.into(),
+            ..report
+        };
+        let observation = Observation {
+            episode: report.episode,
+            frame: NO_FRAME,
+            lane: report.lane,
+            step: report.step,
             pose: pose.into(),
             feedback: feedback as u8,
-            action: if acted { command.action } else { NO_ACTION },
-            last: u8::from(ends),
-            progress: command.progress,
+            action: if feedback == Feedback::NotUnderstood { NO_ACTION } else { action },
+            last: ends.into(),
+            reserved: 0,
         };
-        self.pending.push(Pending { view, answer: PendingView::Observation(observation) });
+        let facts = stepped.facts.map(|facts| serde_json::to_string(&facts)).transpose()?;
+        self.pending.push(Pending { view, answer: PendingView::Step(observation, report, facts) });
         Ok(())
     }
 
@@ -368,9 +395,13 @@ impl<'a> Simulator<'a> {
                     self.resident.send(&View { frame, pose, variant })?;
                     self.wakeups.add(Role::Memory);
                 }
-                (Some(frame), PendingView::Observation(observation)) => {
-                    let observation = Observation { frame, sent_ns: monotonic_ns(), ..observation };
-                    self.observations.send(&observation)?;
+                (Some(frame), PendingView::Step(observation, report, facts)) => {
+                    let StepReport { lane, episode, .. } = report;
+                    let publish = |text: String| self.facts.publish(lane, episode, text.as_bytes());
+                    let facts = facts.map_or(Ok(NO_DOCUMENT), publish)?;
+                    let sent_ns = monotonic_ns();
+                    self.reports.send(&StepReport { frame, facts, sent_ns, ..report })?;
+                    self.observations.send(&Observation { frame, ..observation })?;
                     self.wakeups.add_for_observation(observation.last != 0);
                 }
             }
@@ -431,10 +462,10 @@ impl<'a> Simulator<'a> {
         self.frames_rendered += 1;
         for Pending { view: awaited, answer } in &mut self.pending {
             if *awaited == Some(view)
-                && let PendingView::Observation(observation) = answer
+                && let PendingView::Step(_, report, _) = answer
             {
                 // The view may have been rendered before the agent arrived.
-                observation.rendered_ns = rendered_ns.max(observation.stepped_ns);
+                report.rendered_ns = rendered_ns.max(report.stepped_ns);
             }
         }
         Ok(())

@@ -15,6 +15,11 @@ const MUST_NOT_LINK: &[(&[&str], &[&str], &str)] = &[
         "a policy sees its requests and nothing else, so what it is built from must not know the map",
     ),
     (
+        &["results"],
+        &["warehouse"],
+        "a run is checked and scored from the case book in its folder: only the world knows the world",
+    ),
+    (
         &["domain", "export", "replay", "report", "results", "search", "viewer", "warehouse"],
         &["iceoryx2"],
         "reading a run folder and computing the world must not need shared memory",

@@ -170,11 +170,11 @@ pub(crate) mod tests {
         let system = system.chars().count() as u64;
         assert!((ALWAYS / 2..ALWAYS * 2).contains(&system), "{system} characters of rules alone");
     }
-    use orchestrator::plan::plan;
     use case_book::{BookFile, BookRequest};
+    use orchestrator::plan::plan;
     use results::log::testing::record;
-    use warehouse::case_book::write_books;
     use settings::{Layer, resolve};
+    use warehouse::case_book::write_books;
 
     fn settings() -> RunSettings {
         let flags = Layer::flags([("policy", "openai"), ("model", "m")]).unwrap();
@@ -206,7 +206,8 @@ pub(crate) mod tests {
             |done| Basis { settings: &settings, model, books: &books, documents: &documents, done };
         let found = basis(&[]).estimate(&condition, &missing);
         // A demonstration may turn to the rack after its last step that counts.
-        let actions = |case: usize| books.demonstrations.book.demonstrations[4 * case].actions.len() as u64;
+        let actions =
+            |case: usize| books.demonstrations.book.demonstrations[4 * case].actions.len() as u64;
         let [least, most] = found.requests;
         assert!(least.abs_diff(actions(0) + actions(1)) <= 2, "{least}");
         assert_eq!(most, 400);

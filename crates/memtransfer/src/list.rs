@@ -315,7 +315,7 @@ fn streams(suite: &str, seed: Option<u64>) -> anyhow::Result<Listing> {
     let stream = settings.stream.as_ref();
     let stream = stream.with_context(|| format!("the suite {suite} has no [stream] table"))?;
     let (world, among) = selected_cases(&settings)?;
-    let set = 
+    let set =
         StreamSet::draw(&world.warehouse, &world.cases, &among, settings.seed, &stream.rules())?;
     let ids = world.case_ids();
     let mut rows = Vec::new();

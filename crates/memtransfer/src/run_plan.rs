@@ -25,15 +25,13 @@ use orchestrator::progress::{ProgressDisplay, say};
 use orchestrator::selection::SelectedCases;
 use orchestrator::session::RunSession;
 use orchestrator::status::EpisodeCounts;
-use orchestrator::streams::{Remaining, Streams};
-use warehouse::StreamSet;
+use orchestrator::streams::Remaining;
 use orchestrator::trace::RunTrace;
-use replay::World;
 use results::conditions::{Demonstrations, Route, Start};
 use results::cost::ModelPrices;
 use results::log::{
-    DOCUMENTS_FOLDER, FORMAT, LOGS_FOLDER, LogError, Manifest, Opened,
-    PROMPTS_FOLDER, RunFolder, RunLog, UnitId,
+    DOCUMENTS_FOLDER, FORMAT, LOGS_FOLDER, LogError, Manifest, Opened, PROMPTS_FOLDER, RunFolder,
+    RunLog, UnitId,
 };
 use results::settings::{Group, RunSettings};
 use rustix::io::Errno;
@@ -262,7 +260,7 @@ impl RunPlan {
         documents.copy_to(&folder.dir().join(DOCUMENTS_FOLDER))?;
         drop(documents);
         self.books.write(folder.dir())?;
-        let remaining = Remaining::of(&self.episodes, &finished)?;
+        let remaining = Remaining::of(&self.books.cases.book, &self.episodes, &finished)?;
         let missing = &remaining.missing;
         if settings.log_prompts {
             let logged = folder.dir().join(PROMPTS_FOLDER);
@@ -334,13 +332,8 @@ impl RunPlan {
         };
         let prompts = settings.out.join(PROMPTS_FOLDER);
         let prompts = settings.log_prompts.then(|| session_folder(&prompts, folder.session()));
-        let mut attach = launch::attach(
-            settings,
-            books,
-            &missing,
-            (run, memories),
-            prompts.as_deref(),
-        )?;
+        let mut attach =
+            launch::attach(settings, books, &missing, (run, memories), prompts.as_deref())?;
         let trace = options.trace.as_deref().map(RunTrace::create).transpose()?;
         attach.spans = trace.as_ref().map(|trace| trace.spans().to_owned());
         if settings.warm_views {
@@ -357,16 +350,7 @@ impl RunPlan {
             launch::ship_embeddings(&mut pipeline_options, file);
         }
         let rules = launch::rules(settings, memories)?;
-        let World { warehouse, cases, .. } = World::load(settings.assets.as_deref())?;
-        let streams = books.streams.as_ref().map(|text| {
-            Streams::new(&warehouse, &cases, StreamSet::parse(text, &warehouse, &cases)?)
-        });
-        let streams = streams.transpose()?;
-        let count = attach.lanes as usize;
-        let mut lanes = Lanes::new(&books.cases.book, (&warehouse, &cases), rules, count);
-        if let Some(streams) = &streams {
-            lanes = lanes.in_streams(streams);
-        }
+        let mut lanes = Lanes::new(books, rules, attach.lanes as usize);
         for (sequence, position, experience) in learned {
             lanes.remember(sequence, position, experience);
         }

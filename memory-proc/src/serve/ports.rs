@@ -1,9 +1,9 @@
 //! The queues of the memory process: to and from its neighbours, and to and from each external memory.
 
 use shm_types::message::{
-    ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore, ExternalStored,
-    MemoryEpisodeConfig, Observation, Recall, RecallTrace, Role, SnapshotReport, Stop, View,
-    ViewRequest,
+    EpisodeResult, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore,
+    ExternalStored, MemoryEpisodeConfig, Observation, Recall, RecallTrace, Role, SnapshotReport,
+    Stop, View, ViewRequest,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
@@ -15,6 +15,8 @@ use crate::external::ToExternal;
 /// Senders, receivers and notifiers of this process.
 pub(super) struct Ports {
     pub(super) configs: Receiver<MemoryEpisodeConfig>,
+    /// How episodes that are learned from have ended.
+    pub(super) results: Receiver<EpisodeResult>,
     pub(super) observations: Receiver<Observation>,
     pub(super) views: Receiver<View>,
     pub(super) stops: Receiver<Stop>,
@@ -82,6 +84,7 @@ impl Ports {
     pub(super) fn new(bus: &Bus) -> Result<Self, BusError> {
         Ok(Self {
             configs: bus.receiver()?,
+            results: bus.receiver()?,
             observations: bus.receiver()?,
             views: bus.receiver()?,
             stops: bus.receiver()?,

@@ -9,11 +9,12 @@ use bytemuck::Zeroable;
 use domain::{ExternalName, MemoryKind};
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::{
-    Decision, ErrorReport, Heartbeat, MemoryEpisodeConfig, Observation, PolicyEpisodeConfig,
-    RecallTrace, Role, ShutdownReport, SnapshotReport, StepCommand, Stop,
+    Decision, EpisodeResult, ErrorReport, Heartbeat, MemoryEpisodeConfig, PolicyEpisodeConfig,
+    RecallTrace, Role, ShutdownReport, SnapshotReport, StepCommand, StepReport, Stop,
+    WorldEpisodeConfig,
 };
 use shm_types::process::{ProcessWatch, monotonic_ns};
-use shm_types::{Bus, BusError, HandshakeReceiver, Notifier, Receiver, Sender};
+use shm_types::{Bus, BusError, HandshakeReceiver, NoteReceiver, Notifier, Receiver, Sender};
 use supervise::Children;
 
 use super::vital_signs::VitalSigns;
@@ -38,7 +39,9 @@ pub(super) struct Generation {
     pub(super) external: Vec<(Participant, ProcessWatch)>,
     pub(super) memory_configs: Option<Sender<MemoryEpisodeConfig>>,
     pub(super) policy_configs: Option<Sender<PolicyEpisodeConfig>>,
+    pub(super) world_configs: Sender<WorldEpisodeConfig>,
     pub(super) commands: Sender<StepCommand>,
+    pub(super) results: Option<Sender<EpisodeResult>>,
     pub(super) stops: Sender<Stop>,
     pub(super) inbox: Inbox,
     /// What the heartbeats of the simulator and of memory say.
@@ -53,7 +56,9 @@ pub(super) struct Generation {
 
 /// Everything that arrives.
 pub(super) struct Inbox {
-    pub(super) observations: Receiver<Observation>,
+    pub(super) reports: Receiver<StepReport>,
+    /// The facts of episodes that have ended.
+    pub(super) facts: NoteReceiver,
     pub(super) traces: Receiver<RecallTrace>,
     pub(super) snapshots: Receiver<SnapshotReport>,
     pub(super) heartbeats: Receiver<Heartbeat>,
@@ -71,6 +76,13 @@ struct TurnReport {
     halted: Option<String>,
     /// Whether more messages may wait.
     has_more: bool,
+}
+
+/// What a turn of the loop sends.
+#[derive(Default)]
+struct NextMessages {
+    commands: Vec<StepCommand>,
+    results: Vec<EpisodeResult>,
 }
 
 impl Generation {
@@ -125,7 +137,7 @@ impl Generation {
                     return Err(Failure::Policy(error.to_string()));
                 }
             }
-            retry(self.commands.send(&opening.command))?;
+            retry(self.world_configs.send(&opening.world))?;
             began = true;
         }
         if began { self.notify(Role::Sim) } else { Ok(()) }
@@ -134,7 +146,7 @@ impl Generation {
     /// Takes the waiting messages, decisions up to one batch, sends what follows, and notifies the simulator once.
     fn turn(&mut self, run: &mut PipelineRun<'_, '_>) -> Result<TurnReport, Failure> {
         let batch = self.bus.attach().batch_len();
-        let (mut commands, report) = self.receive(run, batch)?;
+        let (NextMessages { mut commands, results }, report) = self.receive(run, batch)?;
         let sent_ns = monotonic_ns();
         for command in &mut commands {
             command.sent_ns = sent_ns;
@@ -143,10 +155,14 @@ impl Generation {
         if !commands.is_empty() {
             self.notify(Role::Sim)?;
         }
+        if let (Some(sender), false) = (&self.results, results.is_empty()) {
+            results.iter().try_for_each(|result| retry(sender.send(result)))?;
+            self.notify(Role::Memory)?;
+        }
         Ok(report)
     }
 
-    /// Takes the waiting messages, decisions up to `batch`, and records what they say. Returns the commands that follow.
+    /// Takes the waiting messages, decisions up to `batch`, and records what they say. Returns the messages that follow.
     ///
     /// A message refers only to messages that were sent before it. So the queues are emptied from the last answer of
     /// a step to the first, and handled in the opposite order.
@@ -154,16 +170,17 @@ impl Generation {
         &mut self,
         run: &mut PipelineRun<'_, '_>,
         batch: usize,
-    ) -> Result<(Vec<StepCommand>, TurnReport), Failure> {
+    ) -> Result<(NextMessages, TurnReport), Failure> {
         let decisions = self.inbox.decisions.drain_some(batch)?;
         let snapshots = self.inbox.snapshots.drain()?;
         let traces = self.inbox.traces.drain()?;
-        let observations = self.inbox.observations.drain()?;
+        let reports = self.inbox.reports.drain()?;
+        let facts = self.inbox.facts.drain()?;
         let has_more = decisions.len() == batch;
         let lanes = &mut *run.lanes;
         lanes.set_time(monotonic_ns());
-        let mut turns = Vec::with_capacity(decisions.len() + observations.len() + snapshots.len());
-        turns.extend(observations.iter().map(|observation| lanes.observed(observation)));
+        let mut turns = Vec::with_capacity(decisions.len() + reports.len() + snapshots.len());
+        turns.extend(reports.iter().map(|report| lanes.reported(report, &facts)));
         for trace in &traces {
             if !run.options.memories.is_empty()
                 && let Some(MemoryKind::External(name)) = lanes.memory_of(trace.lane, trace.episode)
@@ -186,9 +203,9 @@ impl Generation {
         for request in lanes.take_answered() {
             halted = run.observer.answered(&request)?.or(halted);
         }
-        let commands = follow_up(run, turns)?;
-        let report = TurnReport { steps: commands.len() as u64, halted, has_more };
-        Ok((commands, report))
+        let next = follow_up(run, turns)?;
+        let report = TurnReport { steps: next.commands.len() as u64, halted, has_more };
+        Ok((next, report))
     }
 
     /// Records the answers and the facts that have arrived since the last turn: what answers cost was spent.
@@ -271,18 +288,18 @@ impl Generation {
     }
 }
 
-/// Records what is finished and what failed; returns the commands to send. What is finished comes first: a command
-/// that cannot be sent, or a broken simulator, ends the generation.
+/// Records what is finished and what failed; returns the messages to send. What is finished comes first: a message that
+/// cannot be sent ends the generation.
 fn follow_up(
     run: &mut PipelineRun<'_, '_>,
     turns: Vec<Result<Turn, AnswerError>>,
-) -> Result<Vec<StepCommand>, Failure> {
-    let mut commands = Vec::new();
-    let mut failure = None;
+) -> Result<NextMessages, Failure> {
+    let mut next = NextMessages::default();
     for turn in turns {
         match turn {
             Ok(Turn::Wait) => {}
-            Ok(Turn::Command(command)) => commands.push(command),
+            Ok(Turn::Command(command)) => next.commands.push(command),
+            Ok(Turn::Learn(result)) => next.results.push(result),
             Ok(Turn::Finished(finished)) => {
                 let attempt = run.queue.attempt(&finished.episode);
                 run.queue.finish(&finished.episode);
@@ -292,9 +309,6 @@ fn follow_up(
                     run.observer.memory_state(name, &MemoryState::Ready)?;
                 }
                 run.observer.finished(&finished, attempt)?;
-            }
-            Err(error @ AnswerError::Disagrees { .. }) => {
-                failure = Some(Failure::Retry(error.to_string()));
             }
             Err(error) => {
                 run.observer.problem(&error.to_string());
@@ -306,7 +320,7 @@ fn follow_up(
             }
         }
     }
-    failure.map_or(Ok(commands), Err)
+    Ok(next)
 }
 
 /// A failed delivery is worth another generation: a process is dying or hangs.

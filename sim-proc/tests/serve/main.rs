@@ -12,17 +12,21 @@ use std::sync::mpsc::{Receiver as Permissions, channel};
 
 use anyhow::Result;
 use bytemuck::Zeroable;
-use conformance::messages::reset;
+use case_book::EpisodeFacts;
+use conformance::messages;
 use domain::{Action, Feedback, Heading, Pose};
 use shm_types::FrameControl;
-use shm_types::message::{FrameId, NO_FRAME, ShutdownReport, StepCommand, ViewRequest, WirePose};
+use shm_types::message::{
+    EpisodeEnd, FrameId, NO_FRAME, ShutdownReport, StepCommand, ViewRequest, WirePose,
+    WorldEpisodeConfig,
+};
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use sim_proc::renderer::{Backend, Renderer, ViewSpec};
-use warehouse::{CaseSet, ELSEWHERE_VARIANT, Variant, Warehouse, step};
+use warehouse::{CaseSet, ELSEWHERE_VARIANT, TrajectoryKind, Variant, Warehouse, step};
 
 use rig::{
     CodeWorker, SMALL, act, code, code_with, elsewhere, error_report, fatal_error, is_near, poses,
-    setup, shown_code, shows_stock, simulator, simulator_with, small, worlds,
+    reset, setup, shown_code, shows_stock, simulator, simulator_with, small, worlds,
 };
 
 #[test]
@@ -35,10 +39,12 @@ fn episodes_run_by_the_dynamics_and_show_what_is_there() {
     let mut pose = case.blocked.start;
     let mut shown = BTreeSet::new();
     for lane in 0..4 {
-        sim.command(&reset(lane, 10 + u64::from(lane), 4, pose));
+        let config = messages::world_config(lane, 10 + u64::from(lane), 4, 3);
+        sim.command(&WorldEpisodeConfig { start: 1, ..config });
     }
+    let length = case.replay(&Warehouse::shipped(), TrajectoryKind::Blocked).length.unwrap();
     let mut feedback = Feedback::Start;
-    for (n, &action) in case.blocked.actions.iter().enumerate() {
+    for (n, &action) in case.blocked.actions[..length as usize].iter().enumerate() {
         let observations = sim.observe(4);
         let lanes: BTreeSet<u32> = observations.iter().map(|o| o.lane).collect();
         assert_eq!(lanes, BTreeSet::from([0, 1, 2, 3]));
@@ -46,8 +52,8 @@ fn episodes_run_by_the_dynamics_and_show_what_is_there() {
             assert_eq!((o.pose, o.feedback), (pose.into(), feedback as u8));
             assert_eq!((o.step, o.episode, o.last), (n as u32, 10 + u64::from(o.lane), 0));
             assert_eq!(o.frame, observations[0].frame, "one view, one frame");
-            assert!(o.woken_ns <= o.stepped_ns && o.stepped_ns <= o.rendered_ns);
-            assert!(o.rendered_ns <= o.sent_ns);
+            assert!(o.report.woken_ns <= o.report.stepped_ns && o.report.stepped_ns <= o.report.rendered_ns);
+            assert!(o.report.rendered_ns <= o.report.sent_ns);
         }
         assert_eq!(shown_code(&mut sim, observations[0].frame), code(&variant, pose));
         shown.insert(observations[0].frame);
@@ -57,16 +63,17 @@ fn episodes_run_by_the_dynamics_and_show_what_is_there() {
             sim.command(&command);
         }
     }
-    sim.observe(4);
-    let steps = case.blocked.actions.len() as u32;
-    for lane in 0..4 {
-        let mut command = act(lane, 10 + u64::from(lane), steps + 1, Action::TurnLeft);
-        command.last = 1;
-        let over = sim.ask(&command);
-        assert_eq!((over.last, over.frame, over.lane), (1, NO_FRAME, lane));
+    for over in sim.observe(4) {
+        assert_eq!((over.last, over.frame, over.step), (1, NO_FRAME, length));
+        assert_eq!(over.report.ended, EpisodeEnd::Complete as u8);
+        assert_eq!(over.report.sub_goals, over.report.required);
     }
+    let notes = sim.neighbours.facts.drain().unwrap();
+    assert_eq!(notes.len(), 4);
+    let facts: EpisodeFacts = serde_json::from_slice(notes[3].bytes.as_ref().unwrap()).unwrap();
+    assert_eq!((facts.start_pose, facts.final_pose), (case.blocked.start, pose));
     let shutdown_report = sim.stop();
-    assert_eq!(shutdown_report.frames_rendered, shown.len() as u64 + 1);
+    assert_eq!(shutdown_report.frames_rendered, shown.len() as u64);
     assert_eq!(
         (shutdown_report.error_reports, shutdown_report.pixel_bytes_copied),
         (0, shutdown_report.frames_rendered)
@@ -262,15 +269,20 @@ fn invalid_messages_are_reported_and_the_run_continues() {
     let mut sim = simulator(|_| {});
     let pose = poses()[0];
     let nowhere = WirePose([200, 200, 0, 0]);
-    for (command, said) in [
-        (StepCommand { lane: 9, ..reset(0, 1, 0, pose) }, "there are 4 lanes"),
-        (StepCommand { kind: 77, ..reset(0, 1, 0, pose) }, "77 is not a step kind"),
+    let good = reset(0, 1, 0, pose);
+    for (config, said) in [
+        (WorldEpisodeConfig { lane: 9, ..good }, "there are 4 lanes"),
+        (WorldEpisodeConfig { case: 7777, ..good }, "there is no case 7777"),
         (reset(0, 1, 4000, pose), "variant 4000 is not one of"),
-        (
-            StepCommand { start: nowhere, ..reset(0, 1, 0, pose) },
-            "an agent cannot stand at 200,200,N",
-        ),
-        (act(0, 1, 1, Action::Forward), "the lane is in no episode"),
+    ] {
+        sim.command(&config);
+        let error_report = error_report(&mut sim);
+        assert!(error_report.contains(said), "{error_report}");
+    }
+    let forward = act(0, 1, 1, Action::Forward);
+    for (command, said) in [
+        (StepCommand { kind: 77, ..forward }, "77 is not a step kind"),
+        (forward, "the lane is in no episode"),
     ] {
         sim.command(&command);
         let error_report = error_report(&mut sim);
@@ -354,14 +366,14 @@ fn no_lane_waits_for_the_view_of_another() {
     for episode in 3..13 {
         let seen = sim.ask(&reset(0, episode, 0, here));
         assert_eq!((seen.lane, seen.episode, seen.frame), (0, episode, resident));
-        assert_eq!(seen.rendered_ns, seen.stepped_ns, "the view was resident");
+        assert_eq!(seen.report.rendered_ns, seen.report.stepped_ns, "the view was resident");
     }
-    assert_eq!(sim.neighbours.observations.next().unwrap(), None, "lane 1's view is not drawn yet");
+    assert_eq!(sim.neighbours.reports.next().unwrap(), None, "lane 1's view is not drawn yet");
 
     go_on.send(()).unwrap();
     let seen = sim.observe(1)[0];
     assert_eq!((seen.lane, seen.episode, seen.pose), (1, 2, elsewhere.into()));
-    assert!(seen.stepped_ns < seen.rendered_ns);
+    assert!(seen.report.stepped_ns < seen.report.rendered_ns);
     assert_eq!(shown_code(&mut sim, seen.frame), code(&Variant::UNCHANGED, elsewhere));
     assert_eq!(sim.stop().frames_rendered, 2);
 }
@@ -383,9 +395,9 @@ fn no_lane_waits_until_evicted_frames_are_released() {
         sim.release(view.frame);
     }
     sim.pin(poses[chunks]);
-    sim.command(&StepCommand { episode: 2, ..here });
+    sim.command(&WorldEpisodeConfig { episode: 2, ..here });
     sim.notify();
-    let seen = sim.until(|neighbours| neighbours.observations.next().unwrap());
+    let seen = sim.until(|neighbours| neighbours.reports.next().unwrap());
     assert_eq!((seen.episode, seen.frame), (2, resident));
     assert_eq!(sim.neighbours.views.next().unwrap(), None, "there is no slot for it");
 
@@ -404,7 +416,7 @@ fn warm_views_are_not_rendered_again() {
     let poses = poses();
     for (episode, &pose) in poses.iter().enumerate().step_by(7) {
         let seen = sim.ask(&reset(0, episode as u64, 0, pose));
-        assert_eq!(seen.rendered_ns, seen.stepped_ns, "{pose} was resident");
+        assert_eq!(seen.report.rendered_ns, seen.report.stepped_ns, "{pose} was resident");
         assert_eq!(shown_code(&mut sim, seen.frame), code(&Variant::UNCHANGED, pose));
     }
     let shutdown_report = sim.stop();

@@ -6,14 +6,16 @@ use anyhow::Result;
 use conformance::messages;
 use conformance::testing::SimRig;
 use domain::{Action, Cell, Pose};
-use shm_types::message::{FrameId, RequestId, Role, StepCommand, WirePose};
+use shm_types::message::{FrameId, RequestId, Role, StepCommand, WirePose, WorldEpisodeConfig};
 use shm_types::{Attach, Bus, FrameSize};
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use sim_proc::renderer::{Backend, RenderSettings, ViewSpec, VisibleChanges};
 use sim_proc::serve::serve;
 use sim_proc::view_control::every_pose;
 use sim_proc::worlds::Worlds;
-use warehouse::{CaseSet, Elsewhere, StockChange, Variant, Warehouse, WorldChange, WorldState};
+use warehouse::{
+    Case, CaseSet, Elsewhere, StockChange, Trajectory, Variant, Warehouse, WorldChange, WorldState,
+};
 
 /// Fills a slot with pixels that encode the pose, the stock and the number of nearby closed cells.
 pub(crate) struct CodeWorker;
@@ -84,10 +86,27 @@ pub(crate) fn states() -> Vec<WorldState> {
     vec![state(&[], 3), state(&CaseSet::shipped().cases[3].barricade, 3), state(&[], 4)]
 }
 
+/// The worlds of the shipped cases and of [`states`]. Beside the shipped cases there is one for each of [`poses`], which begins
+/// there.
 pub(crate) fn worlds() -> Worlds {
     let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
     cases.elsewhere = Some(elsewhere());
-    Worlds::new(&warehouse, &cases, states())
+    let worlds = Worlds::new(&warehouse, &cases, states());
+    // Its task takes two items, so that no episode ends where it begins.
+    let first = cases.case("t06-01").unwrap().clone();
+    let at = |pose| {
+        let original = Trajectory { start: pose, ..first.original.clone() };
+        Case { original, ..first.clone() }
+    };
+    let of_poses: Vec<Case> = poses().into_iter().map(at).collect();
+    worlds.with_cases(cases.cases.iter().chain(&of_poses))
+}
+
+/// The config that begins an episode at `pose`.
+pub(crate) fn reset(lane: u32, episode: u64, variant: u32, pose: Pose) -> WorldEpisodeConfig {
+    let place = poses().iter().position(|known| *known == pose).unwrap();
+    let case = (CaseSet::shipped().cases.len() + place) as u32;
+    messages::world_config(lane, episode, variant, case)
 }
 
 /// The other warehouse.

@@ -20,8 +20,7 @@ use orchestrator::pipeline::{Ending, PipelineOptions, run_episodes};
 use orchestrator::progress::ProgressDisplay;
 use orchestrator::session::RunSession;
 use orchestrator::status::EpisodeCounts;
-use orchestrator::streams::{Remaining, Streams};
-use warehouse::{CaseSet, StreamSet};
+use orchestrator::streams::Remaining;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use results::log::{
@@ -208,7 +207,8 @@ fn session(
     let opened = RunFolder::open(&settings.out, manifest, false)?;
     let Opened { mut folder, finished, requests, .. } = opened;
     books.write(folder.dir())?;
-    let Remaining { missing, learned } = Remaining::of(&scenario.episodes, &finished)?;
+    let Remaining { missing, learned } =
+        Remaining::of(&books.cases.book, &scenario.episodes, &finished)?;
     if missing.is_empty() {
         return Ok(SessionEnd::NothingMissing);
     }
@@ -216,12 +216,10 @@ fn session(
     names.borrow_mut().push(run.name());
     let mut settings = settings.clone();
     settings.frame_budget = None;
-    let mut attach =
-        launch::attach(&settings, books, &missing, (&run, &scenario.memories), None)?;
+    let mut attach = launch::attach(&settings, books, &missing, (&run, &scenario.memories), None)?;
     let most = (settings.keyframes, settings.memory_image_budget());
     // Decided by all episodes, so that it is the same in every session.
-    let demand =
-        Demand::of(
+    let demand = Demand::of(
         &attach,
         (&books.cases.book, &books.demonstrations.book),
         &scenario.episodes,
@@ -229,16 +227,8 @@ fn session(
     );
     attach.frame_capacity = demand.least(attach.lanes) + plan.spare_frames;
     let rules = launch::rules(&settings, &scenario.memories)?;
-    let (warehouse, cases) = CaseSet::with_warehouse(Some(&scenario.assets))?;
-    let streams = books.streams.as_ref().map(|text| {
-        Streams::new(&warehouse, &cases, StreamSet::parse(text, &warehouse, &cases)?)
-    });
-    let streams = streams.transpose()?;
-    let count = attach.lanes as usize;
-    let mut lanes = Lanes::new(&books.cases.book, (&warehouse, &cases), rules, count);
-    if let Some(streams) = &streams {
-        lanes = lanes.in_streams(streams);
-    }
+    let streams = books.streams.as_ref();
+    let mut lanes = Lanes::new(books, rules, attach.lanes as usize);
     for (sequence, position, experience) in learned {
         lanes.remember(sequence, position, experience);
     }
@@ -258,7 +248,7 @@ fn session(
             files: Files {
                 assets: scenario.assets.clone(),
                 demonstrations: folder.dir().join(DEMONSTRATIONS_FILE),
-                snapshots: streams.as_ref().map(|_| folder.dir().join(SNAPSHOTS_FOLDER)),
+                snapshots: streams.map(|_| folder.dir().join(SNAPSHOTS_FOLDER)),
                 caches: place.caches(),
             },
             plant,
