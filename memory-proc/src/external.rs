@@ -20,7 +20,7 @@ use shm_types::message::{
 };
 use shm_types::{BankContent, MemoryDescription, Note, NoteTooLong};
 
-use crate::bank::{BankSteps, Collecting, KnownView, MemoryBank, Viewpoint};
+use crate::bank::{BankSteps, Collecting, KnownView, MemoryBank, ViewId};
 use crate::demonstrations::DemonstrationLibrary;
 use crate::engine::LaneProgress;
 use crate::episode::{
@@ -269,7 +269,7 @@ impl ExternalMemories {
     pub(crate) fn publish(
         &mut self,
         id: u64,
-        view: impl Fn(Viewpoint) -> Option<KnownView>,
+        view: impl Fn(ViewId) -> Option<KnownView>,
         now_ns: u64,
     ) {
         let Some(bank) = self.banks.get_mut(&id) else { return };

@@ -64,7 +64,6 @@ pub(crate) struct Recording {
 #[serde(deny_unknown_fields)]
 pub(crate) struct StoredExperience {
     position: u32,
-    variant: u32,
     instruction: String,
     poses: Vec<Pose>,
     /// The codes of the feedback.
@@ -84,7 +83,6 @@ impl StoredExperience {
         let letter = |action: &Option<Action>| action.map_or(NO_LETTER, Action::letter);
         Self {
             position: lived.case,
-            variant: lived.variant,
             instruction: lived.instruction.clone(),
             poses: lived.poses.clone(),
             feedback: lived.feedback.iter().map(|feedback| *feedback as u8).collect(),
@@ -93,8 +91,8 @@ impl StoredExperience {
         }
     }
 
-    /// The episode; `None` if its parts do not belong together.
-    pub(crate) fn lived(self) -> Option<RememberedDemonstration> {
+    /// The episode, of this sequence; `None` if its parts do not belong together.
+    pub(crate) fn lived(self, sequence: u64) -> Option<RememberedDemonstration> {
         let action = |letter| match letter {
             NO_LETTER => Some(None),
             letter => Action::from_letter(letter).map(Some),
@@ -104,7 +102,7 @@ impl StoredExperience {
         let lived = RememberedDemonstration {
             case: self.position,
             number: EXPERIENCE,
-            variant: self.variant,
+            views: RememberedDemonstration::lived_views(sequence, self.position, &self.poses),
             stages: (0..self.poses.len() as u32).map(stage).collect(),
             feedback: feedback.collect::<Option<_>>()?,
             actions: self.actions.chars().map(action).collect::<Option<_>>()?,
@@ -480,8 +478,11 @@ impl SequenceMemory {
                         .then_some(recording.is_complete),
                     sub_goals: (part.feedback == FeedbackLevel::SubGoals).then_some(&sub_goals),
                 };
-                let lived = Arc::new(recording.lived.clone());
-                Arc::make_mut(&mut self.bank).demonstrations.push(lived);
+                let lived = &recording.lived;
+                let views =
+                    RememberedDemonstration::lived_views(part.sequence, lived.case, &lived.poses);
+                let lived = RememberedDemonstration { views, ..lived.clone() };
+                Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(lived));
                 let own = self.begin_snapshot(folder, part.sequence)?;
                 match &mut self.memory {
                     KeptMemory::BuiltIn(memory) => {
@@ -540,7 +541,7 @@ impl SequenceMemory {
         let found = folder.find(part.sequence, part.snapshot)?;
         let failed = |what: String| format!("snapshot {}: {what}", found.display());
         for (number, stored) in read_experiences(&found).map_err(&failed)?.into_iter().enumerate() {
-            let lived = stored.lived().ok_or_else(|| {
+            let lived = stored.lived(part.sequence).ok_or_else(|| {
                 failed(format!("episode {number} of {EXPERIENCE_FILE} has parts that do not fit"))
             })?;
             Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(lived));

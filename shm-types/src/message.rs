@@ -294,15 +294,16 @@ messages! {
     }
 
     /// Memory to simulator: pin or release a view.
-    ViewRequest, "memtransfer.ViewRequest", "view-request", 24 bytes,
+    ViewRequest, "memtransfer.ViewRequest", "view-request", 32 bytes,
         [Memory] to [Sim], Frames {
         /// For a release: the frame. To pin: [`NO_FRAME`].
         frame: FrameId,
-        /// To pin: the view's pose.
-        pose: WirePose,
-        /// To pin: the view's world variant, as in [`StepCommand`], or 4294967295 for the other warehouse, in which no
-        /// episode takes place.
-        variant: u32,
+        /// To pin: 0 for a view of a demonstration; otherwise the sequence of an episode that a memory has learned from.
+        sequence: u64,
+        /// To pin: the index of the demonstration in the run's demonstrations, or the episode's position in its sequence.
+        demonstration: u32,
+        /// To pin: the step.
+        step: u32,
         /// A [`ViewRequestKind`] code.
         kind: u8,
         /// Zero.
@@ -310,14 +311,16 @@ messages! {
     }
 
     /// Simulator to memory: the requested view is resident and pinned until it is released.
-    View, "memtransfer.View", "view", 16 bytes,
+    View, "memtransfer.View", "view", 24 bytes,
         [Sim] to [Memory], Frames {
         /// The view's frame.
         frame: FrameId,
-        /// The requested pose.
-        pose: WirePose,
-        /// The requested world variant.
-        variant: u32,
+        /// As requested.
+        sequence: u64,
+        /// As requested.
+        demonstration: u32,
+        /// As requested.
+        step: u32,
     }
 
     /// Simulator to memory, policy and external memories: drop this frame. No running episode and no memory refers to it.
