@@ -18,7 +18,7 @@ use crate::embedding_cache::{CacheError, EmbeddingCache};
 use crate::episode::{EpisodeMemory, MemoryEpisode, PendingObservation, PendingStage, Reason};
 use crate::external::{BankState, ExternalMemories, ToExternal, query_message};
 use crate::items::{Assembler, DocumentSupplier};
-use crate::sequences::{Bound, SequenceEpisode, SequenceMemories};
+use crate::sequences::{Binding, SequenceMemories};
 use crate::snapshots::SnapshotFolder;
 use crate::views::{Arrival, PinnedView};
 use crate::demonstrations::DemonstrationLibrary;
@@ -81,8 +81,8 @@ pub(crate) enum LaneProgress {
     Learned(SnapshotReport),
     /// Its episode cannot go on.
     Failed(Reason),
-    /// There is none.
-    Gone,
+    /// There is none: its episode is over.
+    EpisodeOver,
 }
 
 impl<I: Clone> Engine<I> {
@@ -379,7 +379,7 @@ impl<I: Clone> Engine<I> {
                     }
                 }
                 LaneProgress::Failed(why) => self.fail(lane, why),
-                LaneProgress::Gone => {}
+                LaneProgress::EpisodeOver => {}
             }
         }
         self.admit();
@@ -393,73 +393,59 @@ impl<I: Clone> Engine<I> {
         clock: impl Fn() -> u64,
         documents: &mut dyn DocumentSupplier,
     ) -> anyhow::Result<LaneProgress> {
-        let Self { lanes, views, externals, sequences, library, .. } = self;
+        let running = self.lanes[lane as usize].running.as_ref();
         // The episode may have ended without an answer.
-        let Some(episode) = &mut lanes[lane as usize].running else {
-            return Ok(LaneProgress::Gone);
+        let Some(episode) = running.filter(|running| running.pending.is_some()) else {
+            return Ok(LaneProgress::EpisodeOver);
         };
-        let is_new = |part: &SequenceEpisode| !part.begun;
-        if episode.pending.is_some() && episode.stream.as_ref().is_some_and(is_new) {
-            let mut bound = sequences.bind(episode, library, documents, (externals, clock()))?;
-            if let Bound::Waiting = bound {
+        if episode.stream.as_ref().is_some_and(|part| !part.begun) {
+            match self.bind(lane, clock(), documents)? {
+                Binding::Ready => {}
+                Binding::Waiting => return Ok(LaneProgress::Waiting),
+                Binding::Refused(reason) => return Ok(LaneProgress::Failed(reason)),
+            }
+        }
+        let Self { lanes, views, externals, sequences, .. } = self;
+        let Some(episode) = &mut lanes[lane as usize].running else {
+            return Ok(LaneProgress::EpisodeOver);
+        };
+        match episode.pending.as_ref().map(|pending| &pending.stage) {
+            None => Ok(LaneProgress::EpisodeOver),
+            Some(PendingStage::Ended | PendingStage::Saving) => {
+                Ok(learn(episode, sequences, (externals, clock())))
+            }
+            Some(&PendingStage::Asked { since_ns }) => {
+                Ok(externals.wait(episode, since_ns, clock()))
+            }
+            Some(PendingStage::Answered(_)) => supply(episode, views, clock, documents),
+            Some(PendingStage::New) => {
+                match ask(episode, views, (sequences, externals), &clock, documents)? {
+                    Some(progress) => Ok(progress),
+                    None => supply(episode, views, clock, documents),
+                }
+            }
+        }
+    }
+
+    /// Gives the episode of a lane the memory of its sequence.
+    fn bind(
+        &mut self,
+        lane: u32,
+        now_ns: u64,
+        documents: &mut dyn DocumentSupplier,
+    ) -> anyhow::Result<Binding> {
+        let Self { lanes, views, externals, sequences, library, .. } = self;
+        let Some(episode) = &mut lanes[lane as usize].running else { return Ok(Binding::Waiting) };
+        match sequences.bind(episode, library, documents, (externals, now_ns))? {
+            Binding::Waiting => {
                 for collecting in sequences.unfinished_banks() {
                     views.collect(collecting, true);
                 }
                 // All views may be those of another bank.
-                bound = sequences.bind(episode, library, documents, (externals, clock()))?;
+                sequences.bind(episode, library, documents, (externals, now_ns))
             }
-            match bound {
-                Bound::Yes => {}
-                Bound::Waiting => return Ok(LaneProgress::Waiting),
-                Bound::Failed(why) => return Ok(LaneProgress::Failed(why)),
-            }
+            binding => Ok(binding),
         }
-        let Some(pending) = &episode.pending else { return Ok(LaneProgress::Gone) };
-        match pending.stage {
-            PendingStage::Ended | PendingStage::Saving => {
-                return Ok(match sequences.learn(episode, (externals, clock())) {
-                    Ok(Some(report)) => LaneProgress::Learned(report),
-                    Ok(None) => {
-                        if let Some(pending) = &mut episode.pending {
-                            pending.stage = PendingStage::Saving;
-                        }
-                        LaneProgress::Waiting
-                    }
-                    Err(why) => LaneProgress::Failed(why),
-                });
-            }
-            PendingStage::Answered(_) => {}
-            PendingStage::Asked { since_ns } => {
-                return Ok(externals.wait(episode, since_ns, clock()));
-            }
-            PendingStage::New => {
-                let embedding = pending.content.map(|content| views.embeddings.get(&content));
-                if embedding == Some(None) || !episode.admitted {
-                    return Ok(LaneProgress::Waiting);
-                }
-                let embedding = embedding.flatten();
-                if episode.external().is_some() {
-                    return Ok(externals.ask(episode, embedding, clock()));
-                }
-                let mut ready = episode.ready;
-                let is_ready = views.are_known(episode.view_ids(), &mut ready, episode.embeds);
-                episode.ready = ready;
-                if !is_ready {
-                    return Ok(LaneProgress::Waiting);
-                }
-                let embeds = episode.embeds;
-                let view = |view_id| views.known(view_id, embeds);
-                let shared = episode.stream.as_ref().map(|part| sequences.of(part.sequence));
-                if let Some(None) = shared {
-                    return Ok(LaneProgress::Failed("its memory is gone".into()));
-                }
-                let shared = shared.flatten();
-                let answer = episode.ask_built_in(shared, embedding, view, documents, &clock)?;
-                let Some(pending) = &mut episode.pending else { return Ok(LaneProgress::Gone) };
-                pending.stage = PendingStage::Answered(Box::new(answer));
-            }
-        }
-        supply(episode, views, clock, documents)
     }
 
     /// Gets the banks of external memories as far as they can get now.
@@ -554,6 +540,63 @@ impl<I: Clone> Engine<I> {
     }
 }
 
+/// Has the memory of an episode that is over learn from it.
+fn learn(
+    episode: &mut MemoryEpisode,
+    sequences: &mut SequenceMemories,
+    externals: (&mut ExternalMemories, u64),
+) -> LaneProgress {
+    match sequences.learn(episode, externals) {
+        Ok(Some(report)) => LaneProgress::Learned(report),
+        Ok(None) => {
+            if let Some(pending) = &mut episode.pending {
+                pending.stage = PendingStage::Saving;
+            }
+            LaneProgress::Waiting
+        }
+        Err(reason) => LaneProgress::Failed(reason),
+    }
+}
+
+/// Asks the memory of an episode about its pending observation, once everything that it needs is there. `None` when it has
+/// answered.
+///
+/// # Errors
+/// When a document is missing, or a built-in memory cannot be built or fails.
+fn ask<I: Clone>(
+    episode: &mut MemoryEpisode,
+    views: &EmbeddedViews<I>,
+    (sequences, externals): (&mut SequenceMemories, &mut ExternalMemories),
+    clock: &impl Fn() -> u64,
+    documents: &mut dyn DocumentSupplier,
+) -> anyhow::Result<Option<LaneProgress>> {
+    let content = episode.pending.as_ref().and_then(|pending| pending.content);
+    let embedding = content.and_then(|content| views.embeddings.get(&content));
+    let is_embedded = content.is_none() || embedding.is_some();
+    if !is_embedded || !episode.admitted {
+        return Ok(Some(LaneProgress::Waiting));
+    }
+    if episode.external().is_some() {
+        return Ok(Some(externals.ask(episode, embedding, clock())));
+    }
+    let (mut ready, embeds) = (episode.ready, episode.embeds);
+    let is_ready = views.are_known(episode.view_ids(), &mut ready, embeds);
+    episode.ready = ready;
+    if !is_ready {
+        return Ok(Some(LaneProgress::Waiting));
+    }
+    let shared = match episode.stream.as_ref().map(|part| sequences.of(part.sequence)) {
+        Some(None) => return Ok(Some(LaneProgress::Failed("its memory is gone".into()))),
+        shared => shared.flatten(),
+    };
+    let view = |view_id| views.known(view_id, embeds);
+    let answer = episode.ask_built_in(shared, embedding, view, documents, clock)?;
+    if let Some(pending) = &mut episode.pending {
+        pending.stage = PendingStage::Answered(Box::new(answer));
+    }
+    Ok(None)
+}
+
 /// Puts the recall for the answer to an episode's pending observation together, once the views that it names are resident.
 ///
 /// # Errors
@@ -564,8 +607,8 @@ fn supply<I: Clone>(
     clock: impl Fn() -> u64,
     documents: &mut dyn DocumentSupplier,
 ) -> anyhow::Result<LaneProgress> {
-    let Some(mut pending) = episode.pending.take() else { return Ok(LaneProgress::Gone) };
-    let PendingStage::Answered(answer) = &mut pending.stage else { return Ok(LaneProgress::Gone) };
+    let Some(mut pending) = episode.pending.take() else { return Ok(LaneProgress::EpisodeOver) };
+    let PendingStage::Answered(answer) = &mut pending.stage else { return Ok(LaneProgress::EpisodeOver) };
     let is_known = episode.last.as_ref().is_some_and(|last| Arc::ptr_eq(&last.0, &answer.checked));
     if !is_known {
         let view_ids = &answer.checked.view_ids;
@@ -607,7 +650,7 @@ fn supply<I: Clone>(
         let assembled = assembler.assemble(&answer.checked, frame)?;
         episode.last = Some((answer.checked.clone(), assembled));
     }
-    let Some((_, assembled)) = &episode.last else { return Ok(LaneProgress::Gone) };
+    let Some((_, assembled)) = &episode.last else { return Ok(LaneProgress::EpisodeOver) };
     let messages = episode.messages(pending.received_ns, answer, assembled, clock());
     Ok(LaneProgress::Answered(Box::new(messages)))
 }
