@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
+use case_book::{Demonstration, DemonstrationBook};
 use conformance::messages;
 use conformance::testing::SimRig;
-use domain::{Action, Cell, Pose};
+use domain::{Action, Cell, DemonstrationKind, Heading, Pose};
 use shm_types::message::{FrameId, RequestId, Role, StepCommand, WirePose, WorldEpisodeConfig};
 use shm_types::{Attach, Bus, FrameSize};
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
@@ -102,6 +103,32 @@ pub(crate) fn worlds() -> Worlds {
     worlds.with_cases(cases.cases.iter().chain(&of_poses))
 }
 
+/// For each variant of [`worlds`], and one that there is not, a demonstration whose steps are in all [`poses`], and in one where
+/// no agent can stand.
+fn demonstrations() -> DemonstrationBook {
+    let nowhere = Pose::new(200, 200, Heading::N);
+    let poses: Vec<Pose> = poses().into_iter().chain([nowhere]).collect();
+    let variants = 0..=worlds().variant_count() as u32;
+    let of_variant = |variant| Demonstration {
+        case: 0,
+        kind: DemonstrationKind::Original,
+        variant,
+        instruction: String::new(),
+        poses: poses.clone(),
+        feedback: Vec::new(),
+        sub_goals: Vec::new(),
+        actions: Vec::new(),
+        views: Vec::new(),
+    };
+    let demonstrations = variants.map(of_variant).collect();
+    DemonstrationBook { demonstrations, ..DemonstrationBook::default() }
+}
+
+/// The step of [`demonstrations`] at `pose`.
+pub(crate) fn step_at(pose: Pose) -> u32 {
+    poses().iter().position(|known| *known == pose).unwrap() as u32
+}
+
 /// The config that begins an episode at `pose`.
 pub(crate) fn reset(lane: u32, episode: u64, variant: u32, pose: Pose) -> WorldEpisodeConfig {
     let place = poses().iter().position(|known| *known == pose).unwrap();
@@ -126,7 +153,7 @@ pub(crate) fn simulator_with(
     SimRig::in_thread(change, move |folder| {
         let bus = Bus::join(Attach::read(folder)?, Role::Sim)?;
         let open = || open(bus.attach().frame);
-        serve(&bus, worlds(), warm_views, open)
+        serve(&bus, worlds(), demonstrations(), warm_views, open)
     })
 }
 

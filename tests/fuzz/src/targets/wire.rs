@@ -151,7 +151,7 @@ pub(crate) fn orchestrator(input: &[u8]) {
             _ => Ok(Turn::Wait),
         };
         match turn {
-            Ok(Turn::Wait | Turn::Learn(_)) => {}
+            Ok(Turn::Wait) => {}
             Ok(Turn::Command(command)) => {
                 steps[command.lane as usize] = Some(sim.step(&command));
             }

@@ -119,7 +119,8 @@ fn take_part(
         Role::Sim => {
             let bus = Bus::join(Attach::read(&root)?, Role::Sim)?;
             let views = ViewFolder::open(&files.caches, &worlds, &RenderSettings::default())?;
-            serve(&bus, worlds, false, || Ok(render_setup(views)))
+            let demonstrations = BookFile::<DemonstrationBook>::read(&files.demonstrations)?.book;
+            serve(&bus, worlds, demonstrations, false, || Ok(render_setup(views)))
         }
         Role::Memory => {
             let settings = ServeSettings {
