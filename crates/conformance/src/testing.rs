@@ -539,10 +539,15 @@ impl MemoryRig {
             1 => NO_FRAME,
             _ => self.neighbours.publish(seen.pose.try_into().unwrap()),
         };
-        let Observation { episode, lane, step, .. } = seen;
+        self.observe_as(Observation { frame, ..seen });
+    }
+
+    /// Sends the report of a step and this observation.
+    pub fn observe_as(&self, seen: Observation) {
+        let Observation { episode, lane, step, frame, .. } = seen;
         let report = StepReport { episode, lane, step, frame, ..Zeroable::zeroed() };
         self.neighbours.send(&report).unwrap();
-        self.neighbours.observe(&Observation { frame, ..seen }).unwrap();
+        self.neighbours.observe(&seen).unwrap();
         self.notify();
     }
 

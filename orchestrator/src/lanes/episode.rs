@@ -314,7 +314,7 @@ impl ActiveEpisode {
     }
 
     /// Whether a memory learns from it.
-    pub(super) const fn learns(&self) -> bool {
+    pub(super) fn learns(&self) -> bool {
         self.result.episode.learns()
     }
 

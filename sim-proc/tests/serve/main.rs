@@ -17,7 +17,7 @@ use conformance::messages;
 use domain::{Action, Feedback, Heading, Pose};
 use shm_types::FrameControl;
 use shm_types::message::{
-    EpisodeEnd, FrameId, NO_FRAME, ShutdownReport, StepCommand, ViewRequest, WirePose,
+    EpisodeEnd, FrameId, NO_FRAME, ShutdownReport, StepCommand, ViewRequest,
     WorldEpisodeConfig,
 };
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
@@ -26,7 +26,7 @@ use warehouse::{CaseSet, ELSEWHERE_VARIANT, TrajectoryKind, Variant, Warehouse, 
 
 use rig::{
     CodeWorker, SMALL, act, code, code_with, elsewhere, error_report, fatal_error, is_near, poses,
-    reset, setup, shown_code, shows_stock, simulator, simulator_with, small, worlds,
+    reset, setup, shown_code, shows_stock, simulator, simulator_with, small, worlds, step_at,
 };
 
 #[test]

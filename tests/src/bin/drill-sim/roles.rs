@@ -11,6 +11,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
+use case_book::{BookFile, DemonstrationBook};
 use domain::Action;
 use memory_proc::embedding_cache::EmbeddingCache;
 use memory_proc::encoder::{Encoder, EncoderFacts, Image, Provider};
