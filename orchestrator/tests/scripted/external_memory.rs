@@ -173,10 +173,7 @@ fn run_with_memory(
             let (attach, over) = (scratch.attach(), &over);
             scope.spawn(move || in_each_generation(attach, over, is_memory, serve));
         };
-        each(
-            false,
-            Box::new(|run| run.sim()),
-        );
+        each(false, Box::new(|run| run.sim()));
         each(false, Box::new(move |run| host(run, about_external)));
         each(false, Box::new(|run| run.policy(|_, decision| decision)));
         each(true, Box::new(move |run| external_memory(run, turn)));

@@ -9,8 +9,7 @@ use bytemuck::Zeroable;
 use shm_types::attach::Wait;
 use shm_types::message::{
     Decision, ErrorReport, Handshake, Observation, Role, ShutdownReport, StepCommand, StepReport,
-    Stop,
-    read_text,
+    Stop, read_text,
 };
 use shm_types::{Attach, BusError, ErrorReporter};
 

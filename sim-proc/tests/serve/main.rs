@@ -52,7 +52,10 @@ fn episodes_run_by_the_dynamics_and_show_what_is_there() {
             assert_eq!((o.pose, o.feedback), (pose.into(), feedback as u8));
             assert_eq!((o.step, o.episode, o.last), (n as u32, 10 + u64::from(o.lane), 0));
             assert_eq!(o.frame, observations[0].frame, "one view, one frame");
-            assert!(o.report.woken_ns <= o.report.stepped_ns && o.report.stepped_ns <= o.report.rendered_ns);
+            assert!(
+                o.report.woken_ns <= o.report.stepped_ns
+                    && o.report.stepped_ns <= o.report.rendered_ns
+            );
             assert!(o.report.rendered_ns <= o.report.sent_ns);
         }
         assert_eq!(shown_code(&mut sim, observations[0].frame), code(&variant, pose));
@@ -454,9 +457,8 @@ fn the_renderer_writes_into_the_frame_store() {
     let mut renderer = Renderer::new(&Warehouse::shipped(), small(None)).unwrap();
     let case = CaseSet::shipped().cases[0].clone();
     let variant = Variant::closing(case.barricade.iter().copied());
-    let mut command = reset(0, 1, 1, case.blocked.start);
+    let mut seen = sim.ask(&reset(0, 1, 1, case.blocked.start));
     for (&action, step) in case.blocked.actions.iter().zip(1..) {
-        let seen = sim.ask(&command);
         let pose = Pose::try_from(seen.pose).unwrap();
         let view = ViewSpec { pose, variant: &variant, stock: 0 };
         let expected = renderer.render_image(view).unwrap();
@@ -464,7 +466,7 @@ fn the_renderer_writes_into_the_frame_store() {
             let frame = store.get(seen.frame).unwrap().unwrap();
             assert!(frame.pixels() == expected.as_bytes(), "{pose}");
         }
-        command = act(0, 1, step, action);
+        seen = sim.ask(&act(0, 1, step, action));
     }
     let ShutdownReport { frames_rendered, frames_evicted, pixel_bytes_copied, .. } = sim.stop();
     assert!(frames_rendered > 6 && frames_evicted >= frames_rendered - 6);
@@ -490,9 +492,8 @@ fn views_that_another_simulator_has_rendered_are_read_from_files() {
             move |_| RenderSetup::open(&worlds(), settings, Some(&root)),
         );
         sim.handshake();
-        let mut command = reset(0, 1, 1, case.blocked.start);
+        let mut seen = sim.ask(&reset(0, 1, 1, case.blocked.start));
         for (&action, step) in case.blocked.actions.iter().zip(1..) {
-            let seen = sim.ask(&command);
             let pose = Pose::try_from(seen.pose).unwrap();
             let view = ViewSpec { pose, variant: &variant, stock: 0 };
             let expected = renderer.render_image(view).unwrap();
@@ -500,7 +501,7 @@ fn views_that_another_simulator_has_rendered_are_read_from_files() {
             assert!(frame.pixels() == expected.as_bytes(), "{pose}");
             let hash = blake3::hash(expected.as_bytes());
             assert_eq!(frame.content_hash()[..], hash.as_bytes()[..16]);
-            command = act(0, 1, step, action);
+            seen = sim.ask(&act(0, 1, step, action));
         }
         sim.stop();
     };
@@ -551,22 +552,20 @@ fn views_of_the_other_warehouse_are_those_of_a_simulator_that_is_started_in_it()
     let (task, shown) = other.demonstration(0).unwrap();
     let replay = shown.replay(other.warehouse(), task, &Variant::UNCHANGED);
     assert!(replay.poses.iter().any(|pose| !tested.layout.is_free(pose.cell)));
-    let mut command = reset(0, 1, ELSEWHERE_VARIANT, shown.start);
-    let actions = shown.actions.iter().copied().map(Some).chain([None]);
-    for ((pose, action), step) in replay.poses.into_iter().zip(actions).zip(1..) {
-        let seen = sim.ask(&command);
-        assert_eq!(Pose::try_from(seen.pose), Ok(pose));
+    for (pose, step) in replay.poses.into_iter().zip(1_u32..) {
+        let variant = ELSEWHERE_VARIANT;
+        let request = ViewRequest { pose: pose.into(), variant, ..Zeroable::zeroed() };
+        sim.neighbours.send(&request).unwrap();
+        let view = sim.view();
         for store in &mut sim.neighbours.stores {
-            let frame = store.get(seen.frame).unwrap().unwrap();
+            let frame = store.get(view.frame).unwrap().unwrap();
             assert!(frame.pixels() == render(&mut renderer, pose).as_bytes(), "{pose}");
         }
+        sim.release(view.frame);
         if tested.layout.is_free(pose.cell) {
             let seen = sim.ask(&reset(1, 100 + u64::from(step), 0, pose));
             let frame = sim.neighbours.stores[0].get(seen.frame).unwrap().unwrap();
             assert!(frame.pixels() == render(&mut here, pose).as_bytes(), "{pose}");
-        }
-        if let Some(action) = action {
-            command = act(0, 1, step, action);
         }
     }
     sim.stop();

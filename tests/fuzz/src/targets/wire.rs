@@ -21,29 +21,24 @@ use shm_types::documents::{Content, Document};
 use shm_types::fuzzing::{check_bank, document, document_bytes};
 use shm_types::message::{
     DocumentId, ExternalAnswer, Handshake, MAX_EXTERNAL_MEMORIES, MAX_ITEMS, MAX_SOURCES,
-    MAX_STEPS, NO_FRAME, Observation, RequestId, Role, StepReport, WirePose, read_text, write_text,
+    MAX_STEPS, Observation, RequestId, Role, StepReport, WirePose, read_text, write_text,
 };
 use shm_types::notes::{Note, NoteHeader};
+use warehouse::CaseSet;
 use warehouse::case_book::write_books;
-use warehouse::{CaseSet, Variant, Warehouse, step};
 
 use crate::input::Input;
 
-struct World {
-    warehouse: Warehouse,
-    cases: CaseSet,
-}
-
-fn world() -> &'static World {
-    static WORLD: OnceLock<World> = OnceLock::new();
-    WORLD.get_or_init(|| World { warehouse: Warehouse::shipped(), cases: CaseSet::shipped() })
+fn cases() -> &'static CaseSet {
+    static CASES: OnceLock<CaseSet> = OnceLock::new();
+    CASES.get_or_init(CaseSet::shipped)
 }
 
 /// The case book, on blocked routes too.
 fn books() -> &'static Books {
     static BOOKS: OnceLock<Books> = OnceLock::new();
     BOOKS.get_or_init(|| {
-        let cases = world().cases.cases.iter().map(|case| case.id.clone()).collect();
+        let cases = cases().cases.iter().map(|case| case.id.clone()).collect();
         let demonstrations = vec![Demonstrations::ORIGINAL];
         let request =
             BookRequest { cases, demonstrations, blocked: true, ..BookRequest::default() };
@@ -87,8 +82,8 @@ fn planned(choice: u8) -> PlannedEpisode {
         variation: Variation::STANDARD,
         arm: Arm::Frozen,
     };
-    let case_index = usize::from(choice / 3) % world().cases.cases.len();
-    let case = world().cases.cases[case_index].id.clone();
+    let case_index = usize::from(choice / 3) % cases().cases.len();
+    let case = cases().cases[case_index].id.clone();
     PlannedEpisode {
         key: EpisodeKey { condition, run: 1, place: None, case },
         case_index,
