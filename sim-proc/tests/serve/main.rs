@@ -26,7 +26,7 @@ use warehouse::{CaseSet, ELSEWHERE_VARIANT, TrajectoryKind, Variant, Warehouse, 
 
 use rig::{
     CodeWorker, SMALL, act, code, code_with, elsewhere, error_report, fatal_error, is_near, poses,
-    reset, setup, shown_code, shows_stock, simulator, simulator_with, small, worlds, step_at,
+    elsewhere_demonstration, reset, setup, shown_code, shows_stock, simulator, simulator_with, small, worlds, step_at,
 };
 
 #[test]
@@ -552,10 +552,8 @@ fn views_of_the_other_warehouse_are_those_of_a_simulator_that_is_started_in_it()
     let (task, shown) = other.demonstration(0).unwrap();
     let replay = shown.replay(other.warehouse(), task, &Variant::UNCHANGED);
     assert!(replay.poses.iter().any(|pose| !tested.layout.is_free(pose.cell)));
-    for (pose, step) in replay.poses.into_iter().zip(1_u32..) {
-        let variant = ELSEWHERE_VARIANT;
-        let request = ViewRequest { pose: pose.into(), variant, ..Zeroable::zeroed() };
-        sim.neighbours.send(&request).unwrap();
+    for (pose, step) in replay.poses.into_iter().zip(0_u32..) {
+        sim.pin(elsewhere_demonstration(), step);
         let view = sim.view();
         for store in &mut sim.neighbours.stores {
             let frame = store.get(view.frame).unwrap().unwrap();
