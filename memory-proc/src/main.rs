@@ -326,7 +326,8 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
         } => {
             die_with_parent(parent_id()).context("cannot tie this process to its parent")?;
             let files = [("--assets", assets), ("--elsewhere", elsewhere)];
-            let given = files.into_iter().filter_map(|(flag, file)| Some([flag.into(), file?.into()]));
+            let given =
+                files.into_iter().filter_map(|(flag, file)| Some([flag.into(), file?.into()]));
             let (recipe, mut builder) = builder.builder()?;
             let settings = BuildSettings {
                 demonstrations,

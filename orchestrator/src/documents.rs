@@ -96,7 +96,8 @@ pub enum BuildStage {
 /// # Errors
 /// When none is given and the environment names no cache folder.
 pub fn document_folder(path: Option<&Path>) -> Result<DocumentFolder> {
-    let path = path.map_or_else(|| Ok(cache_folder()?.join("documents")), |path| Ok(path.to_owned()));
+    let path =
+        path.map_or_else(|| Ok(cache_folder()?.join("documents")), |path| Ok(path.to_owned()));
     path.map(DocumentFolder::new)
 }
 
@@ -296,11 +297,11 @@ fn lock(
 
 #[cfg(test)]
 mod tests {
-    use documents::{BuildAccount, DocumentFile, Provenance};
     use case_book::BookRequest;
+    use documents::{BuildAccount, DocumentFile, Provenance};
     use domain::{Appearance, Demonstrations, Representation};
-    use warehouse::case_book::write_books;
     use results::conditions::{Route, Start, Variation};
+    use warehouse::case_book::write_books;
 
     use super::*;
 

@@ -4,8 +4,7 @@ use std::collections::BTreeMap;
 
 use anyhow::Result;
 use documents::{
-    DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, Sources,
-    StoredDocument,
+    DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, Sources, StoredDocument,
 };
 use orchestrator::books::Books;
 use orchestrator::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};

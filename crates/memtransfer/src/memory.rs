@@ -6,8 +6,8 @@ use anyhow::{Context, Result, bail};
 use case_book::{BookRequest, ElsewhereRequest};
 use clap::{Args, Subcommand, ValueEnum};
 use documents::{
-    DocumentFile, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe,
-    Sources, StoredDocument, kind,
+    DocumentFile, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe, Sources,
+    StoredDocument, kind,
 };
 use domain::{Appearance, Demonstrations, DocumentKind};
 use llm::{Servers, Source};
@@ -294,7 +294,8 @@ fn ls(args: LsArgs) -> Result<Exit> {
         bail!("{} is no folder", folder.display());
     }
     let folder = document_folder(args.documents.as_deref())?;
-    let stored = folder.files().with_context(|| format!("cannot list {}", folder.path().display()))?;
+    let stored =
+        folder.files().with_context(|| format!("cannot list {}", folder.path().display()))?;
     // Without a seed, those of another world cannot be told from outdated ones.
     let sets = stored.into_iter().map(|(name, _)| name.demonstrations);
     let sets: Vec<Demonstrations> = sets.filter(|set| !set.take_place_elsewhere()).collect();

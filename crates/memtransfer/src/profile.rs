@@ -303,7 +303,8 @@ impl Profiler<'_> {
         };
         let purpose = if way.is_warm_up { " (to fill the caches)" } else { "" };
         args.progress(format_args!("{}: {} episodes{purpose}", run.name(), episodes.len()));
-        let Some(supply) = RunDocuments::of(&settings, &selected.books, true).supply(signals, args.quiet)?
+        let Some(supply) =
+            RunDocuments::of(&settings, &selected.books, true).supply(signals, args.quiet)?
         else {
             return Ok(None);
         };

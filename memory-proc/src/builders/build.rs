@@ -84,7 +84,9 @@ fn read_views(
         .args(["views", "--size", &format!("{size}x{size}"), "--demonstrations"])
         .arg(&settings.demonstrations)
         .args(&settings.world)
-        .args(settings.appearance.flags().into_iter().flat_map(|(flag, value)| [flag.into(), value]))
+        .args(
+            settings.appearance.flags().into_iter().flat_map(|(flag, value)| [flag.into(), value]),
+        )
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()

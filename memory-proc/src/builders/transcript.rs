@@ -91,8 +91,8 @@ pub(super) fn sha256(transcripts: &[Transcript]) -> String {
 mod tests {
     use case_book::{BookRequest, ElsewhereRequest};
     use domain::{Appearance, Heading};
-    use warehouse::{CaseSet, Warehouse};
     use warehouse::case_book::write_books;
+    use warehouse::{CaseSet, Warehouse};
 
     use super::*;
 

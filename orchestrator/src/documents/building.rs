@@ -54,16 +54,17 @@ pub(super) fn build(
     let (sender, lines) = mpsc::channel();
     let read = move || output.lines().map_while(Result::ok).try_for_each(|line| sender.send(line));
     let reading = thread::Builder::new().spawn(read).context("cannot start a thread");
-    let is_stopped = reading.is_err() || loop {
-        match lines.recv_timeout(TICK) {
-            Ok(line) => stage_of(&line).into_iter().for_each(&mut *report),
-            Err(RecvTimeoutError::Disconnected) => break false,
-            Err(RecvTimeoutError::Timeout) => {}
-        }
-        if stop.load(Ordering::Relaxed) {
-            break true;
-        }
-    };
+    let is_stopped = reading.is_err()
+        || loop {
+            match lines.recv_timeout(TICK) {
+                Ok(line) => stage_of(&line).into_iter().for_each(&mut *report),
+                Err(RecvTimeoutError::Disconnected) => break false,
+                Err(RecvTimeoutError::Timeout) => {}
+            }
+            if stop.load(Ordering::Relaxed) {
+                break true;
+            }
+        };
     if is_stopped {
         child.kill().context("cannot stop memory-proc")?;
     }

@@ -15,7 +15,8 @@ use sim_proc::serve::serve;
 use sim_proc::view_control::every_pose;
 use sim_proc::worlds::Worlds;
 use warehouse::{
-    Case, CaseSet, ELSEWHERE_VARIANT, Elsewhere, StockChange, Trajectory, Variant, Warehouse, WorldChange, WorldState,
+    Case, CaseSet, ELSEWHERE_VARIANT, Elsewhere, StockChange, Trajectory, Variant, Warehouse,
+    WorldChange, WorldState,
 };
 
 /// Fills a slot with pixels that encode the pose, the stock and the number of nearby closed cells.
