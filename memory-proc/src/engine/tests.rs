@@ -191,7 +191,7 @@ fn unusable_messages_are_refused_with_a_reason() {
         "4 is not a heading",
     );
     let pose = Pose::new(0, 0, Heading::N);
-    let view_id = ViewId { sequence: 0, number: 0, step: 3 };
+    let view_id = ViewId { sequence: 9, number: 0, step: 3 };
     let unexpected = rig.engine.view(view_id, 9, [0; 16], pose);
     assert!(unexpected.unwrap_err().to_string().contains("which was not requested"));
     assert_eq!(Feedback::Start as u8, first.feedback);

@@ -75,7 +75,7 @@ pub(super) struct Rig {
     /// Frames that the simulator may have evicted.
     pub(super) gone: BTreeSet<FrameId>,
     /// Where the views of episodes that were learned from are seen.
-    pub(super) lived: BTreeMap<ViewId, Pose>,
+    lived: BTreeMap<ViewId, Pose>,
     /// By episode and step: sub-goals completed so far, and whether the task is.
     progress: RefCell<BTreeMap<(u64, u32), (u16, bool)>>,
 }
@@ -186,6 +186,23 @@ impl Rig {
         let report =
             StepReport { episode, lane, step, sub_goals, ended, ..bytemuck::Zeroable::zeroed() };
         self.engine.step_report(&report)
+    }
+
+    /// Notes where the views of an episode are seen if a memory learns from it, and may ask for them.
+    pub(super) fn remember(&mut self, script: &Script) {
+        let MemoryEpisodeConfig { sequence, position: number, learns, .. } = script.config;
+        if learns == 0 {
+            return;
+        }
+        let view = |step| ViewId { sequence, number, step };
+        let poses = (0..).zip(&script.observations);
+        self.lived.extend(poses.map(|(step, seen)| (view(step), seen.pose.try_into().unwrap())));
+    }
+
+    /// The rig after a restart of the process.
+    pub(super) fn restarted(&mut self, engine: Engine<Pose>) -> Self {
+        let (lived, progress) = (std::mem::take(&mut self.lived), self.progress.take());
+        Self { lived, progress: RefCell::new(progress), ..Self::with(engine) }
     }
 
     /// Where a view is seen.
@@ -314,11 +331,7 @@ impl Rig {
                         continue;
                     };
                     self.engine.config(&script.config).unwrap();
-                    let MemoryEpisodeConfig { sequence, position: number, .. } = script.config;
-                    let lived = (0..).zip(&script.observations);
-                    self.lived.extend(lived.map(|(step, seen)| {
-                        (ViewId { sequence, number, step }, seen.pose.try_into().unwrap())
-                    }));
+                    self.remember(script);
                     coming = script.observations.iter().copied().collect();
                 }
                 let seen = coming.pop_front().unwrap();

@@ -77,21 +77,20 @@ struct StreamRig {
 impl StreamRig {
     fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let rig = Self::engine(folder.path());
+        let rig = Rig::with(Self::engine(folder.path()));
         Self { rig, folder, last: SnapshotId::default(), next_id: 0 }
     }
 
-    fn engine(folder: &Path) -> Rig {
+    fn engine(folder: &Path) -> Engine<Pose> {
         let externals = ExternalMemories::new(BTreeMap::new(), ExternalLimits::default());
         let snapshots = SnapshotFolder::new(folder.to_owned());
         let embeddings = EmbeddingCache::in_memory();
-        Rig::with(Engine::new(library(), 2, 300, embeddings, externals, Some(snapshots)))
+        Engine::new(library(), 2, 300, embeddings, externals, Some(snapshots))
     }
 
     /// The process is started again.
     fn restart(&mut self) {
-        let lived = std::mem::take(&mut self.rig.lived);
-        self.rig = Rig { lived, ..Self::engine(self.folder.path()) };
+        self.rig = self.rig.restarted(Self::engine(self.folder.path()));
     }
 
     /// An episode of the sequence, from the test start of a case.
