@@ -93,7 +93,7 @@ pub struct EpisodeCase {
 impl EpisodeCase {
     fn new(case: &Case) -> Self {
         Self {
-            task: case.task.clone(),
+            task: case.task,
             original: case.original.start,
             new: case.test.start,
             blocked: case.blocked.start,
