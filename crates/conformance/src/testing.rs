@@ -458,6 +458,8 @@ pub struct MemoryNeighbours {
     pub shown: HashMap<FrameId, Pose>,
     /// Views that memory has released.
     pub released: usize,
+    /// Those of the orchestrator.
+    reports: Receiver<StepReport>,
     recalls: Receiver<Recall>,
     traces: Receiver<RecallTrace>,
     requests: Receiver<ViewRequest>,
@@ -483,6 +485,7 @@ impl SubjectNeighbours for MemoryNeighbours {
             demonstrations: Vec::new(),
             shown: HashMap::new(),
             released: 0,
+            reports: neighbours.bus(&[Role::Orchestrator]).receiver()?,
             recalls: neighbours.receiver()?,
             traces: neighbours.receiver()?,
             requests: neighbours.receiver()?,
@@ -492,6 +495,7 @@ impl SubjectNeighbours for MemoryNeighbours {
     }
 
     fn respond(&mut self) {
+        self.reports.drain().unwrap();
         for request in self.requests.drain().unwrap() {
             if request.kind == ViewRequestKind::Pin as u8 {
                 let ViewRequest { sequence, demonstration, step, .. } = request;
