@@ -21,7 +21,7 @@ use shm_types::message::{
 };
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use sim_proc::renderer::{Backend, Renderer, ViewSpec};
-use warehouse::{CaseSet, ELSEWHERE_VARIANT, TrajectoryKind, Variant, Warehouse, step};
+use warehouse::{CaseSet, TrajectoryKind, Variant, Warehouse, step};
 
 use rig::{
     CodeWorker, SMALL, act, code, code_with, elsewhere, elsewhere_demonstration, error_report,
@@ -304,7 +304,7 @@ fn invalid_messages_are_reported_and_the_run_continues() {
         assert!(error_report.contains(said), "{error_report}");
     }
     assert_eq!(sim.ask(&reset(0, 1, 0, pose)).feedback, Feedback::Start as u8);
-    assert_eq!(sim.stop().error_reports, 8);
+    assert_eq!(sim.stop().error_reports, 11);
 }
 
 #[test]
