@@ -10,17 +10,26 @@ use shm_types::BankContent;
 use shm_types::banks::{BankDemonstration, BankStep};
 use shm_types::message::{FrameId, NO_ACTION, NO_FRAME};
 
-pub use warehouse::Viewpoint;
+use crate::demonstrations::RememberedDemonstration;
 
-use crate::demonstrations::ReplayedDemonstration;
+/// Names a view by a step that shows it. Steps that are known to show the same have the same name: the first of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ViewId {
+    /// The sequence of an episode that was learned from; 0 for a demonstration of the book.
+    pub sequence: u64,
+    /// The index of the demonstration, or the position of the episode in its sequence.
+    pub number: u32,
+    /// The step.
+    pub step: u32,
+}
 
-/// Demonstrations, and where their views are seen from.
+/// Demonstrations, and their views.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct ReplayedBank {
+pub struct MemoryBank {
     /// The demonstrations, numbered from 0.
-    pub demonstrations: Vec<Arc<ReplayedDemonstration>>,
-    /// The viewpoints of those that the bank was made of, each once, sorted.
-    pub viewpoints: Vec<Viewpoint>,
+    pub demonstrations: Vec<Arc<RememberedDemonstration>>,
+    /// The views of those that the bank was made of, each once, sorted.
+    pub view_ids: Vec<ViewId>,
 }
 
 /// What is known about a remembered view.
@@ -34,29 +43,27 @@ pub struct KnownView {
     pub embedding: Option<Embedding>,
 }
 
-impl ReplayedBank {
+impl MemoryBank {
     /// A bank of these demonstrations.
-    pub fn new(demonstrations: impl IntoIterator<Item: Into<Arc<ReplayedDemonstration>>>) -> Self {
-        let demonstrations: Vec<Arc<ReplayedDemonstration>> =
+    pub fn new(
+        demonstrations: impl IntoIterator<Item: Into<Arc<RememberedDemonstration>>>,
+    ) -> Self {
+        let demonstrations: Vec<Arc<RememberedDemonstration>> =
             demonstrations.into_iter().map(Into::into).collect();
-        let mut viewpoints: Vec<Viewpoint> =
-            demonstrations.iter().flat_map(|demonstration| demonstration.viewpoints()).collect();
-        viewpoints.sort_unstable();
-        viewpoints.dedup();
-        Self { demonstrations, viewpoints }
+        let mut view_ids: Vec<ViewId> =
+            demonstrations.iter().flat_map(|demonstration| demonstration.views.clone()).collect();
+        view_ids.sort_unstable();
+        view_ids.dedup();
+        Self { demonstrations, view_ids }
     }
 
     /// The steps of all demonstrations with what is known about their views. `None` while a view is not known.
-    pub fn with_views(
-        &self,
-        view: impl Fn(Viewpoint) -> Option<KnownView>,
-    ) -> Option<BankSteps<'_>> {
+    pub fn with_views(&self, view: impl Fn(ViewId) -> Option<KnownView>) -> Option<BankSteps<'_>> {
         let mut found = BankSteps::without_views(self);
         let mut embeddings = Embeddings::new();
-        let viewpoints =
-            self.demonstrations.iter().flat_map(|demonstration| demonstration.viewpoints());
-        for (at, viewpoint) in viewpoints.enumerate() {
-            let KnownView { frame, content, embedding } = view(viewpoint)?;
+        let views = self.demonstrations.iter().flat_map(|demonstration| &demonstration.views);
+        for (at, &view_id) in views.enumerate() {
+            let KnownView { frame, content, embedding } = view(view_id)?;
             found.frames.push(frame);
             found.steps[at].content_hash = content;
             if let Some(embedding) = embedding {
@@ -74,14 +81,14 @@ const PINNED_AT_ONCE: usize = 64;
 /// The views of a bank that is too large to be pinned as a whole.
 #[derive(Debug, Default)]
 pub(crate) struct Collecting {
-    pub(crate) found: HashMap<Viewpoint, KnownView>,
-    pub(crate) waiting: VecDeque<Viewpoint>,
-    pub(crate) pinned: Vec<Viewpoint>,
+    pub(crate) found: HashMap<ViewId, KnownView>,
+    pub(crate) waiting: VecDeque<ViewId>,
+    pub(crate) pinned: Vec<ViewId>,
 }
 
 impl Collecting {
-    pub(crate) fn new(bank: &ReplayedBank) -> Self {
-        let waiting = bank.viewpoints.iter().copied().collect();
+    pub(crate) fn new(bank: &MemoryBank) -> Self {
+        let waiting = bank.view_ids.iter().copied().collect();
         Self { found: HashMap::new(), waiting, pinned: Vec::new() }
     }
 
@@ -98,7 +105,7 @@ impl Collecting {
 /// The steps of a bank's demonstrations, one demonstration after the other, with their views.
 #[derive(Debug)]
 pub struct BankSteps<'a> {
-    bank: &'a ReplayedBank,
+    bank: &'a MemoryBank,
     steps: Vec<DemonstrationStep>,
     embeddings: Arc<Embeddings>,
     frames: Vec<FrameId>,
@@ -109,7 +116,7 @@ pub type Embeddings = HashMap<ContentHash, Embedding>;
 
 impl<'a> BankSteps<'a> {
     /// The steps without views.
-    pub fn without_views(bank: &'a ReplayedBank) -> Self {
+    pub fn without_views(bank: &'a MemoryBank) -> Self {
         let steps = bank.demonstrations.iter().flat_map(|demonstration| {
             let states = demonstration.poses.iter().zip(&demonstration.feedback).enumerate();
             states.map(|(at, (&pose, &feedback))| DemonstrationStep {
@@ -123,7 +130,7 @@ impl<'a> BankSteps<'a> {
     }
 
     /// Each demonstration with its place in the lists.
-    fn places(&self) -> impl Iterator<Item = (&'a ReplayedDemonstration, Range<usize>)> {
+    fn places(&self) -> impl Iterator<Item = (&'a RememberedDemonstration, Range<usize>)> {
         let mut first = 0;
         self.bank.demonstrations.iter().map(move |demonstration| {
             let place = first..first + demonstration.poses.len();

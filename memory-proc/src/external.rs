@@ -19,10 +19,9 @@ use shm_types::message::{
     NOT_MEASURED, shortened_reason, write_text,
 };
 use shm_types::{BankContent, MemoryDescription, Note, NoteTooLong};
-use warehouse::{CaseSet, Warehouse};
 
-use crate::bank::{BankSteps, Collecting, KnownView, ReplayedBank, Viewpoint};
-use crate::demonstrations;
+use crate::bank::{BankSteps, Collecting, KnownView, MemoryBank, ViewId};
+use crate::demonstrations::DemonstrationLibrary;
 use crate::engine::LaneProgress;
 use crate::episode::{
     EpisodeMemory, ExternalBank, MemoryEpisode, PendingObservation, PendingStage, Reason,
@@ -122,7 +121,7 @@ pub(crate) struct HostBank {
     index: u8,
     /// The case, unless the bank is of all cases, and the set; `None`: it belongs to a sequence.
     of: Option<(Option<u32>, Demonstrations)>,
-    pub(crate) bank: Arc<ReplayedBank>,
+    pub(crate) bank: Arc<MemoryBank>,
     pub(crate) pins_bank: bool,
     pub(crate) embeds: bool,
     with_frames: bool,
@@ -187,8 +186,7 @@ impl ExternalMemories {
         &mut self,
         config: &MemoryEpisodeConfig,
         set: Demonstrations,
-        warehouse: &Warehouse,
-        cases: &CaseSet,
+        library: &DemonstrationLibrary,
     ) -> Result<ExternalBank, String> {
         let &MemoryEpisodeConfig { external: index, case, .. } = config;
         let &MemoryDescription { scope, embeddings: embeds, frames, .. } =
@@ -199,12 +197,12 @@ impl ExternalMemories {
             Some((&id, _)) => id,
             None => {
                 let chosen = match scope {
-                    Scope::Case => demonstrations::selected(warehouse, cases, case, set.bits()),
-                    Scope::All => demonstrations::of_all_cases(warehouse, cases, set.bits()),
+                    Scope::Case => library.of_case(case, set),
+                    Scope::All => library.of_all_cases(set),
                 };
                 let chosen =
                     chosen.ok_or_else(|| format!("demonstrations {set}, which do not exist"))?;
-                let bank = Arc::new(ReplayedBank::new(chosen));
+                let bank = Arc::new(MemoryBank::new(chosen));
                 let pins_bank = scope == Scope::Case && (embeds || frames);
                 let with_frames = pins_bank && frames;
                 let state = match scope {
@@ -271,7 +269,7 @@ impl ExternalMemories {
     pub(crate) fn publish(
         &mut self,
         id: u64,
-        view: impl Fn(Viewpoint) -> Option<KnownView>,
+        view: impl Fn(ViewId) -> Option<KnownView>,
         now_ns: u64,
     ) {
         let Some(bank) = self.banks.get_mut(&id) else { return };
@@ -319,7 +317,7 @@ impl ExternalMemories {
     pub(crate) fn publish_for_sequence(
         &mut self,
         index: u8,
-        bank: &Arc<ReplayedBank>,
+        bank: &Arc<MemoryBank>,
         steps: BankSteps<'_>,
         now_ns: u64,
     ) -> u64 {
@@ -441,7 +439,7 @@ impl ExternalMemories {
         &mut self,
         id: u64,
         outcome: Result<u64, Reason>,
-    ) -> Option<Arc<ReplayedBank>> {
+    ) -> Option<Arc<MemoryBank>> {
         let bank = self.banks.get_mut(&id)?;
         self.unbuilt.remove(&id);
         let state = match outcome {
@@ -474,7 +472,7 @@ impl ExternalMemories {
         now_ns: u64,
     ) -> LaneProgress {
         let EpisodeMemory::External { index, bank: id, begun } = episode.memory else {
-            return LaneProgress::Gone;
+            return LaneProgress::EpisodeOver;
         };
         match self.is_built(id) {
             Ok(true) => {}
@@ -486,7 +484,7 @@ impl ExternalMemories {
             episode.memory = EpisodeMemory::External { index, bank: id, begun: true };
         }
         let (Some(now), Some(pending)) = (&episode.current, &episode.pending) else {
-            return LaneProgress::Gone;
+            return LaneProgress::EpisodeOver;
         };
         let query = query_message(episode, now, embedding, false);
         self.outbox.push((index, ToExternal::Query(query)));
@@ -520,7 +518,7 @@ impl ExternalMemories {
     /// Waits for the answer to the question of `since_ns`, as long as the time limit allows.
     pub(crate) fn wait(&self, episode: &MemoryEpisode, since_ns: u64, now_ns: u64) -> LaneProgress {
         let limit = self.limits.answer;
-        let Some((index, _)) = episode.external() else { return LaneProgress::Gone };
+        let Some((index, _)) = episode.external() else { return LaneProgress::EpisodeOver };
         let since_ns = self.last_busy_ns.get(&index).map_or(since_ns, |last| since_ns.max(*last));
         if u128::from(now_ns.saturating_sub(since_ns)) <= limit.as_nanos() {
             return LaneProgress::Waiting;

@@ -15,8 +15,8 @@ use shm_types::message::{
     NO_DOCUMENT, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, TrajectoryStep,
 };
 
-use crate::bank::{ReplayedBank, Viewpoint};
-use crate::demonstrations::ReplayedDemonstration;
+use crate::bank::{MemoryBank, ViewId};
+use crate::demonstrations::RememberedDemonstration;
 
 /// Publishes the documents that recalls name.
 pub trait DocumentSupplier {
@@ -71,8 +71,8 @@ pub struct CheckedAnswer {
     pub asked: Amount,
     /// What is supplied.
     pub supplied: Amount,
-    /// Where the views that are supplied are seen from, each once.
-    pub viewpoints: Vec<Viewpoint>,
+    /// The views that are supplied, each once.
+    pub view_ids: Vec<ViewId>,
 }
 
 /// One item of a recall: the memory's items with these numbers. Several only if they are whole demonstrations that the
@@ -91,7 +91,7 @@ impl CheckedAnswer {
     /// When an item names something that is not in the bank, or there are too many items or sources.
     pub fn new(
         given: Vec<MemoryItem>,
-        bank: &ReplayedBank,
+        bank: &MemoryBank,
         budgets: Budgets,
     ) -> Result<Self, String> {
         let mut sources = 0;
@@ -102,7 +102,7 @@ impl CheckedAnswer {
             return Err(format!("it has {sources} sources, and at most {MAX_SOURCES} are allowed"));
         }
         let (mut asked, mut supplied) = (Amount::default(), Amount::default());
-        let (mut kept, mut viewpoints) = (Vec::new(), Vec::new());
+        let (mut kept, mut view_ids) = (Vec::new(), Vec::new());
         for (number, item) in given.iter().enumerate() {
             let Amount { images, text, .. } = amount(item);
             asked.items += 1;
@@ -115,17 +115,17 @@ impl CheckedAnswer {
                 supplied.images += images;
                 supplied.text += text;
                 kept.push(number);
-                viewpoints.extend(views(item, bank));
+                view_ids.extend(views(item, bank));
             }
         }
-        viewpoints.sort_unstable();
-        viewpoints.dedup();
+        view_ids.sort_unstable();
+        view_ids.dedup();
         let parts = parts(&given, &kept, bank);
         if parts.len() > MAX_ITEMS {
             let count = parts.len();
             return Err(format!("it has {count} items, and at most {MAX_ITEMS} are allowed"));
         }
-        Ok(Self { given, parts, asked, supplied, viewpoints })
+        Ok(Self { given, parts, asked, supplied, view_ids })
     }
 
     /// Whether a memory gave just these items.
@@ -135,7 +135,7 @@ impl CheckedAnswer {
 }
 
 /// The items of the recall for the kept ones of `given`.
-fn parts(given: &[MemoryItem], kept: &[usize], bank: &ReplayedBank) -> Vec<Part> {
+fn parts(given: &[MemoryItem], kept: &[usize], bank: &MemoryBank) -> Vec<Part> {
     let is_frame = |&&number: &&usize| matches!(given[number], MemoryItem::Frame { .. });
     let mut room = MAX_STEPS.saturating_sub(kept.iter().filter(is_frame).count());
     let mut parts: Vec<Part> = Vec::new();
@@ -175,7 +175,7 @@ impl Part {
 }
 
 /// Checks the references of an item; returns the number of its sources.
-fn check(item: &MemoryItem, bank: &ReplayedBank) -> Result<usize, String> {
+fn check(item: &MemoryItem, bank: &MemoryBank) -> Result<usize, String> {
     match item {
         MemoryItem::Text { sources, .. } => {
             sources.iter().try_for_each(|source| demonstration(source, bank).map(drop))?;
@@ -224,8 +224,8 @@ fn finite(distance: Option<f32>) -> Result<usize, String> {
 /// The demonstration of a source, if it has these steps.
 fn demonstration<'b>(
     source: &Source,
-    bank: &'b ReplayedBank,
-) -> Result<&'b ReplayedDemonstration, String> {
+    bank: &'b MemoryBank,
+) -> Result<&'b RememberedDemonstration, String> {
     let &Source { demonstration: number, first, count } = source;
     let all = &bank.demonstrations;
     let demonstration = all.get(number as usize).ok_or_else(|| {
@@ -255,9 +255,9 @@ fn amount(item: &MemoryItem) -> Amount {
     Amount { items: 1, images: short(images), text: short(text) }
 }
 
-/// Where the views that a checked item shows are seen from.
-fn views(item: &MemoryItem, bank: &ReplayedBank) -> Vec<Viewpoint> {
-    let at = |of: u32, step: u32| bank.demonstrations[of as usize].viewpoint(step);
+/// The views that a checked item shows.
+fn views(item: &MemoryItem, bank: &MemoryBank) -> Vec<ViewId> {
+    let at = |of: u32, step: u32| bank.demonstrations[of as usize].views[step as usize];
     match item {
         MemoryItem::Text { .. } | MemoryItem::Steps { views: Views::None, .. } => Vec::new(),
         MemoryItem::Steps { source, views: Views::All, .. } => {
@@ -294,7 +294,7 @@ pub type PublishedTexts = HashMap<Arc<str>, (DocumentId, u32)>;
 /// Puts recalls together.
 pub struct Assembler<'a> {
     /// The demonstrations that the memory was built from.
-    pub bank: &'a ReplayedBank,
+    pub bank: &'a MemoryBank,
     /// Lane and number of the episode.
     pub episode: (u32, u64),
     /// The texts that were published for the episode.
@@ -311,7 +311,7 @@ impl Assembler<'_> {
     pub fn assemble(
         &mut self,
         answer: &CheckedAnswer,
-        frame: impl Fn(Viewpoint) -> Option<FrameId>,
+        frame: impl Fn(ViewId) -> Option<FrameId>,
     ) -> anyhow::Result<AssembledRecall> {
         self.publish_texts(answer)?;
         let trajectories = self.publish_trajectories(answer, &frame)?;
@@ -391,7 +391,7 @@ impl Assembler<'_> {
     fn publish_trajectories(
         &mut self,
         answer: &CheckedAnswer,
-        frame: &impl Fn(Viewpoint) -> Option<FrameId>,
+        frame: &impl Fn(ViewId) -> Option<FrameId>,
     ) -> anyhow::Result<DocumentId> {
         let long = answer.parts.iter().filter(|part| part.kind == ItemKind::Trajectory);
         let mut steps = Vec::new();
@@ -415,7 +415,7 @@ impl Assembler<'_> {
     fn steps(
         &self,
         item: &MemoryItem,
-        frame: &impl Fn(Viewpoint) -> Option<FrameId>,
+        frame: &impl Fn(ViewId) -> Option<FrameId>,
     ) -> Vec<SegmentStep> {
         let (source, views, actions) = match item {
             MemoryItem::Text { .. } => return Vec::new(),
@@ -433,7 +433,7 @@ impl Assembler<'_> {
                 Views::All => true,
                 Views::Keyframes(shown) => shown.binary_search(&at).is_ok(),
             };
-            let view = is_shown.then(|| frame(demonstration.viewpoint(at))).flatten();
+            let view = is_shown.then(|| frame(demonstration.views[at as usize])).flatten();
             let action = demonstration.actions.get(at as usize).copied().flatten();
             let action = action.filter(|_| actions && at < last);
             SegmentStep {
@@ -488,7 +488,7 @@ impl AssembledRecall {
         (first, count)
     }
 
-    fn add_sources(&mut self, item: &MemoryItem, bank: &ReplayedBank, number: u8, kind: ItemKind) {
+    fn add_sources(&mut self, item: &MemoryItem, bank: &MemoryBank, number: u8, kind: ItemKind) {
         let (sources, distance) = match item {
             MemoryItem::Text { sources, .. } => (sources.clone(), None),
             MemoryItem::Steps { source, distance, .. } => (vec![*source], *distance),
@@ -497,7 +497,7 @@ impl AssembledRecall {
             }
         };
         for Source { demonstration, first, count } in sources {
-            let &ReplayedDemonstration { case, number: of, .. } =
+            let &RememberedDemonstration { case, number: of, .. } =
                 &*bank.demonstrations[demonstration as usize];
             self.sources[self.sources_len as usize] = RecalledSource {
                 case,

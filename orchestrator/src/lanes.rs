@@ -14,8 +14,8 @@ use case_book::{CaseBook, LearnedEpisode};
 use domain::{ExternalName, MemoryKind};
 use results::log::{EpisodeRecord, RecallTotals, Stages};
 use shm_types::message::{
-    Decision, EpisodeResult, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, PolicyEpisodeConfig,
-    RecallTrace, Role, SnapshotReport, StepCommand, StepReport, WorldEpisodeConfig,
+    Decision, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, PolicyEpisodeConfig, RecallTrace, Role,
+    SnapshotReport, StepCommand, StepReport, WorldEpisodeConfig,
 };
 use shm_types::notes::Note;
 
@@ -114,8 +114,6 @@ pub enum Turn {
     Wait,
     /// This command is to be sent.
     Command(StepCommand),
-    /// Memory is to be told how an episode that it learns from has ended.
-    Learn(EpisodeResult),
     /// The episode is finished and its lane free.
     Finished(Box<FinishedEpisode>),
 }
@@ -228,10 +226,8 @@ impl<'w> Lanes<'w> {
             return Ok(Turn::Wait);
         };
         if active.reported(context, report, notes)? {
-            return Ok(match active.result_for_memory() {
-                Some(result) => Turn::Learn(result),
-                None => self.finish(lane)?,
-            });
+            // A memory that learns from it reports when it has.
+            return if active.learns() { Ok(Turn::Wait) } else { self.finish(lane) };
         }
         let turn = if context.rules.expert {
             Some(active.expert_step(context)?)

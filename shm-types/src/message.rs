@@ -198,9 +198,10 @@ macro_rules! message_table {
         reserved: u8,
     }
 
-    /// Simulator to orchestrator, before each [`Observation`]: how far the episode is, and when the step was taken.
+    /// Simulator to orchestrator and memory, before each [`Observation`]: how far the episode is, and when the step was taken. A
+    /// memory is told of it what the feedback level of its config says, and only after the episode.
     StepReport, "memtransfer.StepReport", "step-report", 80 bytes,
-        [Sim] to [Orchestrator], Lanes {
+        [Sim] to [Memory Orchestrator], Lanes {
         /// The episode.
         episode: u64,
         /// The frame of the observation: [`NO_FRAME`] if the episode has ended.
@@ -231,23 +232,6 @@ macro_rules! message_table {
         conflict: u8,
         /// Zero.
         reserved: [u8; 2],
-    }
-
-    /// Orchestrator to memory: how an episode that a memory learns from has ended.
-    EpisodeResult, "memtransfer.EpisodeResult", "episode-result", 72 bytes,
-        [Orchestrator] to [Memory], Lanes {
-        /// The episode.
-        episode: u64,
-        /// The lane.
-        lane: u32,
-        /// Entries of `sub_goals` in use.
-        sub_goals_len: u32,
-        /// The steps at which sub-goals were completed, in order.
-        sub_goals: [u16; MAX_SUB_GOALS],
-        /// 1 if the task is complete.
-        success: u8,
-        /// Zero.
-        reserved: [u8; 7],
     }
 
     /// Orchestrator to memory, before an episode begins: its memory.
@@ -333,15 +317,16 @@ macro_rules! message_table {
     }
 
     /// Memory to simulator: pin or release a view.
-    ViewRequest, "memtransfer.ViewRequest", "view-request", 24 bytes,
+    ViewRequest, "memtransfer.ViewRequest", "view-request", 32 bytes,
         [Memory] to [Sim], Frames {
         /// For a release: the frame. To pin: [`NO_FRAME`].
         frame: FrameId,
-        /// To pin: the view's pose.
-        pose: WirePose,
-        /// To pin: the view's world variant, as in [`WorldEpisodeConfig`], or 4294967295 for the other warehouse, in which no
-        /// episode takes place.
-        variant: u32,
+        /// To pin: 0 for a view of a demonstration; otherwise the sequence of an episode that a memory has learned from.
+        sequence: u64,
+        /// To pin: the index of the demonstration in the run's demonstrations, or the episode's position in its sequence.
+        demonstration: u32,
+        /// To pin: the step.
+        step: u32,
         /// A [`ViewRequestKind`] code.
         kind: u8,
         /// Zero.
@@ -349,14 +334,16 @@ macro_rules! message_table {
     }
 
     /// Simulator to memory: the requested view is resident and pinned until it is released.
-    View, "memtransfer.View", "view", 16 bytes,
+    View, "memtransfer.View", "view", 24 bytes,
         [Sim] to [Memory], Frames {
         /// The view's frame.
         frame: FrameId,
-        /// The requested pose.
-        pose: WirePose,
-        /// The requested world variant.
-        variant: u32,
+        /// As requested.
+        sequence: u64,
+        /// As requested.
+        demonstration: u32,
+        /// As requested.
+        step: u32,
     }
 
     /// Simulator to memory, policy and external memories: drop this frame. No running episode and no memory refers to it.

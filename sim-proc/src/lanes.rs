@@ -6,6 +6,7 @@ use shm_types::message::{EpisodeEnd, StepCommand, StepKind, WorldEpisodeConfig, 
 use warehouse::{Progress, step};
 
 use crate::event_recorder::EventRecorder;
+use crate::lived::LivedEpisodes;
 use crate::worlds::{WorldParts, Worlds};
 
 /// What follows from the beginning of an episode, or from a command.
@@ -50,12 +51,19 @@ struct SimulatedEpisode {
 pub struct SimulatedLanes {
     worlds: Worlds,
     lanes: Vec<Option<SimulatedEpisode>>,
+    /// The episodes that memories learn from.
+    lived: LivedEpisodes,
 }
 
 impl SimulatedLanes {
-    /// `lanes` idle lanes in `worlds`.
-    pub fn new(worlds: Worlds, lanes: usize) -> Self {
-        Self { worlds, lanes: vec![None; lanes] }
+    /// `lanes` idle lanes in `worlds`, after the episodes `lived` that memories have learned from before.
+    pub fn new(lived: LivedEpisodes, worlds: Worlds, lanes: usize) -> Self {
+        Self { worlds, lanes: vec![None; lanes], lived }
+    }
+
+    /// The episodes that memories learn from.
+    pub fn lived(&self) -> &LivedEpisodes {
+        &self.lived
     }
 
     /// The worlds.
@@ -88,6 +96,9 @@ impl SimulatedLanes {
         let begun = self.begun(config);
         let (episode, stepped) =
             begun.map_err(|problem| format!("episode {episode} in lane {lane}: {problem}"))?;
+        if let Some(of) = episode.learned_as() {
+            self.lived.begin(of, episode.world, episode.pose);
+        }
         self.lanes[lane as usize] = Some(episode);
         Ok(stepped)
     }
@@ -152,6 +163,9 @@ impl SimulatedLanes {
             return Err(format!("the lane is in episode {} after step {step}", config.episode));
         }
         let mut stepped = episode.step(&self.worlds, action);
+        if let Some(of) = episode.learned_as() {
+            self.lived.step(of, stepped.pose);
+        }
         if stepped.ended != EpisodeEnd::GoesOn {
             stepped.facts = lane.take().map(|episode| episode.facts(&self.worlds));
         }
@@ -160,6 +174,12 @@ impl SimulatedLanes {
 }
 
 impl SimulatedEpisode {
+    /// The sequence and the position of an episode that a memory learns from.
+    fn learned_as(&self) -> Option<(u64, u32)> {
+        let WorldEpisodeConfig { sequence, position, learns, .. } = self.config;
+        (learns != 0).then_some((sequence, position))
+    }
+
     /// Takes a step.
     fn step(&mut self, worlds: &Worlds, action: Option<Action>) -> Stepped {
         self.step += 1;
@@ -239,7 +259,11 @@ mod tests {
 
     fn lanes() -> SimulatedLanes {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-        SimulatedLanes::new(Worlds::new(&warehouse, &cases, Vec::new()), 2)
+        SimulatedLanes::new(
+            LivedEpisodes::default(),
+            Worlds::new(&warehouse, &cases, Vec::new()),
+            2,
+        )
     }
 
     fn config(lane: u32, episode: u64) -> WorldEpisodeConfig {

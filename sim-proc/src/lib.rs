@@ -13,6 +13,7 @@ pub mod book_command;
 pub mod event_recorder;
 pub mod first_views;
 pub mod lanes;
+pub mod lived;
 pub mod render_pool;
 pub mod render_workers;
 pub mod renderer;

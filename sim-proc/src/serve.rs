@@ -13,13 +13,14 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use bytemuck::Zeroable;
+use case_book::DemonstrationBook;
 use domain::{Feedback, Pose};
 use rustc_hash::FxHashMap;
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::{
     EpisodeEnd, Eviction, Handshake, Heartbeat, NO_ACTION, NO_DOCUMENT, NO_FRAME, Observation,
     Role, ShutdownReport, StepCommand, StepReport, Stop, View, ViewRequest, ViewRequestKind,
-    WirePose, WorldEpisodeConfig,
+    WorldEpisodeConfig,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
@@ -28,6 +29,7 @@ use shm_types::{
 };
 
 use crate::lanes::{SimulatedLanes, Stepped};
+use crate::lived::LivedEpisodes;
 use crate::render_pool::{
     FindChanges, RenderPool, RenderRequest, RenderSetup, RenderedBatch, RenderedView,
 };
@@ -50,7 +52,7 @@ const SLOT_PATIENCE: Duration = Duration::from_secs(30);
 /// How often to check whether the consumers of frames have connected.
 const CONSUMER_POLL: Duration = Duration::from_millis(1);
 
-/// Serves the run that `bus` has joined until the orchestrator stops it. `open` opens the renderers after the simulator's
+/// Serves the run that `bus` has joined, whose memories ask for views of `demonstrations`, until the orchestrator stops it. `open` opens the renderers after the simulator's
 /// queues exist, so other processes may send meanwhile. With `warm_views`, every view of the unchanged world is rendered
 /// before the handshake; this changes when things happen and nothing else.
 ///
@@ -60,10 +62,11 @@ const CONSUMER_POLL: Duration = Duration::from_millis(1);
 pub fn serve(
     bus: &Bus,
     worlds: Worlds,
+    demonstrations: DemonstrationBook,
     warm_views: bool,
     open: impl FnOnce() -> Result<RenderSetup>,
 ) -> Result<()> {
-    let mut simulator = Simulator::new(bus, worlds)?;
+    let mut simulator = Simulator::new(bus, worlds, demonstrations)?;
     let outcome = open().and_then(|setup| simulator.serve_until_stop(setup, warm_views));
     if let Err(error) = &outcome {
         simulator.reporter.report(error);
@@ -83,8 +86,8 @@ struct Pending {
 enum PendingView {
     /// An observation, what the orchestrator is told of the step, and the facts of the episode that ends with it, as JSON.
     Step(Observation, StepReport, Option<String>),
-    /// Pose and world variant of a requested view.
-    View(WirePose, u32),
+    /// The request of a view.
+    View(ViewRequest),
 }
 
 struct Simulator<'a> {
@@ -104,6 +107,7 @@ struct Simulator<'a> {
     heartbeats: Heartbeats,
     spans: Spans,
     lanes: SimulatedLanes,
+    demonstrations: DemonstrationBook,
     control: ViewControl,
     views: ViewCache,
     pending: Vec<Pending>,
@@ -123,7 +127,7 @@ struct Rendering {
 }
 
 impl<'a> Simulator<'a> {
-    fn new(bus: &'a Bus, worlds: Worlds) -> Result<Self> {
+    fn new(bus: &'a Bus, worlds: Worlds, demonstrations: DemonstrationBook) -> Result<Self> {
         let attach = bus.attach();
         let (lanes, window) = (attach.lanes as usize, attach.window as usize);
         Ok(Self {
@@ -143,7 +147,8 @@ impl<'a> Simulator<'a> {
             heartbeats: Heartbeats::new(bus)?,
             spans: Spans::open(attach, Role::Sim, 0).context("cannot write spans for the trace")?,
             control: ViewControl::new(attach.frame_control, worlds.layout()),
-            lanes: SimulatedLanes::new(worlds, lanes),
+            lanes: SimulatedLanes::new(LivedEpisodes::read(&attach.root, &worlds)?, worlds, lanes),
+            demonstrations,
             views: ViewCache::new(attach.frame_capacity as usize, lanes, window),
             pending: Vec::new(),
             no_slot_since: None,
@@ -267,13 +272,11 @@ impl<'a> Simulator<'a> {
         let problem = |problem: &dyn Display| format!("view request: {problem}");
         match ViewRequestKind::try_from(request.kind).map_err(|unknown| problem(&unknown))? {
             ViewRequestKind::Pin => {
-                let pose = Pose::try_from(request.pose).map_err(|unknown| problem(&unknown))?;
-                let world =
-                    self.lanes.standing(request.variant, pose).map_err(|bad| problem(&bad))?;
+                let (world, pose) = self.place_of(request).map_err(|bad| problem(&bad))?;
                 let view = self.control.view_for_memory(world, pose);
                 let view = self.with_same_pixels(view, rendering);
                 self.views.pin_for_memory(view);
-                let answer = PendingView::View(pose.into(), request.variant);
+                let answer = PendingView::View(*request);
                 self.pending.push(Pending { view: Some(view), answer });
             }
             ViewRequestKind::Release => {
@@ -281,6 +284,22 @@ impl<'a> Simulator<'a> {
             }
         }
         Ok(())
+    }
+
+    /// The world and the pose in which the requested view is seen.
+    fn place_of(&self, request: &ViewRequest) -> Result<(WorldParts, Pose), String> {
+        let &ViewRequest { sequence, demonstration: number, step, .. } = request;
+        if sequence != 0 {
+            let seen = self.lanes.lived().view((sequence, number), step);
+            return seen.ok_or_else(|| {
+                format!("there is no step {step} of episode {number} of sequence {sequence}")
+            });
+        }
+        let of = self.demonstrations.demonstrations.get(number as usize);
+        let seen = of.and_then(|of| Some((of.variant, *of.poses.get(step as usize)?)));
+        let (variant, pose) =
+            seen.ok_or_else(|| format!("there is no step {step} of demonstration {number}"))?;
+        Ok((self.lanes.standing(variant, pose)?, pose))
     }
 
     /// Begins episodes, and executes at most as many commands as a turn may take. Returns whether more may be waiting.
@@ -391,8 +410,9 @@ impl<'a> Simulator<'a> {
             let frame = view.map_or(Some(NO_FRAME), |view| self.views.frame(view));
             match (frame, answer) {
                 (None, answer) => self.pending.push(Pending { view, answer }),
-                (Some(frame), PendingView::View(pose, variant)) => {
-                    self.resident.send(&View { frame, pose, variant })?;
+                (Some(frame), PendingView::View(request)) => {
+                    let ViewRequest { sequence, demonstration, step, .. } = request;
+                    self.resident.send(&View { frame, sequence, demonstration, step })?;
                     self.wakeups.add(Role::Memory);
                 }
                 (Some(frame), PendingView::Step(observation, report, facts)) => {

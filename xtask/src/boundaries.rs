@@ -10,14 +10,20 @@ use crate::workspace::Workspace;
 /// Crates that must not link another, directly or through others.
 const MUST_NOT_LINK: &[(&[&str], &[&str], &str)] = &[
     (
-        &["domain", "peer", "plates", "policy-proc"],
+        &[
+            "documents",
+            "domain",
+            "memory-proc",
+            "orchestrator",
+            "peer",
+            "plates",
+            "policy-proc",
+            "report",
+            "results",
+            "settings",
+        ],
         &["warehouse"],
-        "a policy sees its requests and nothing else, so what it is built from must not know the map",
-    ),
-    (
-        &["results"],
-        &["warehouse"],
-        "a run is checked and scored from the case book in its folder: only the world knows the world",
+        "only the world knows the world: others have the case book that it writes, and a policy its requests",
     ),
     (
         &["domain", "export", "replay", "report", "results", "search", "viewer", "warehouse"],

@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 
 use anyhow::Result;
 use documents::{
-    DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, StoredDocument,
+    DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, Sources, StoredDocument,
 };
+use orchestrator::books::Books;
 use orchestrator::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};
 use orchestrator::progress::BuildProgress;
 use results::log::{DOCUMENTS_FOLDER, DocumentFacts, RunFolder};
@@ -23,9 +24,8 @@ pub(super) struct RunDocuments {
 }
 
 impl RunDocuments {
-    /// The documents of a run with `settings`, which starts over if `fresh`, and whose tasks may be demonstrated in the
-    /// world with the file `elsewhere`.
-    pub(super) fn of(settings: &RunSettings, elsewhere: Option<&str>, fresh: bool) -> Self {
+    /// The documents of a run with `settings` and `books`, which starts over if `fresh`.
+    pub(super) fn of(settings: &RunSettings, books: &Books, fresh: bool) -> Self {
         let (folder, selection) = match &settings.documents {
             DocumentSource::Extractive => (None, DocumentSelection::Recipe(Recipe::Extractive)),
             DocumentSource::Model(name) => (None, DocumentSelection::Model(name.clone())),
@@ -33,10 +33,13 @@ impl RunDocuments {
         };
         let request = DocumentRequest {
             folder,
+            sources: Sources::new(
+                books.demonstrations.book.clone(),
+                settings.frame_size,
+                settings.appearance(),
+            ),
             assets: settings.assets.clone(),
-            elsewhere: elsewhere.map(str::to_owned),
-            frame_size: settings.frame_size,
-            appearance: settings.appearance(),
+            elsewhere: books.elsewhere.clone(),
             selection,
             server: ModelServer::default(),
         };

@@ -156,7 +156,7 @@ impl Basis<'_> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     #[test]
@@ -181,7 +181,7 @@ mod tests {
         resolve([flags]).unwrap().settings
     }
 
-    fn books() -> Books {
+    pub(crate) fn books() -> Books {
         let books = write_books(&BookRequest::default()).unwrap();
         Books {
             cases: BookFile::new(books.cases).unwrap(),

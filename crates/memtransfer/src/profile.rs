@@ -303,12 +303,15 @@ impl Profiler<'_> {
         };
         let purpose = if way.is_warm_up { " (to fill the caches)" } else { "" };
         args.progress(format_args!("{}: {} episodes{purpose}", run.name(), episodes.len()));
-        let Some(supply) = RunDocuments::of(&settings, None, true).supply(signals, args.quiet)?
+        let Some(supply) =
+            RunDocuments::of(&settings, &selected.books, true).supply(signals, args.quiet)?
         else {
             return Ok(None);
         };
         supply.copy_to(&settings.out.join(DOCUMENTS_FOLDER))?;
         drop(supply);
+        std::fs::create_dir_all(&settings.out)?;
+        selected.books.write(&settings.out)?;
         let (folder, children) = match started {
             Some(started) => (started.run, started.children),
             None => {

@@ -216,8 +216,7 @@ impl RunPlan {
         options: &RunOptions,
         signals: &Signals,
     ) -> Result<Option<ReadyDocuments>> {
-        let elsewhere = self.books.elsewhere.as_deref();
-        RunDocuments::of(&self.settings, elsewhere, options.fresh).supply(signals, options.quiet)
+        RunDocuments::of(&self.settings, &self.books, options.fresh).supply(signals, options.quiet)
     }
 
     /// Whether a memory of the run matches views.

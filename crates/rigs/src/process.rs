@@ -427,10 +427,10 @@ impl SimRig {
         self.observe(1)[0]
     }
 
-    /// Asks for the view of `pose`, as memory. Does not notify.
-    pub fn pin(&self, pose: Pose) {
+    /// Asks for the view of a step of a demonstration, as memory. Does not notify.
+    pub fn pin(&self, demonstration: u32, step: u32) {
         let (kind, frame) = (ViewRequestKind::Pin as u8, NO_FRAME);
-        let request = ViewRequest { frame, pose: pose.into(), kind, ..Zeroable::zeroed() };
+        let request = ViewRequest { frame, demonstration, step, kind, ..Zeroable::zeroed() };
         self.neighbours.send(&request).unwrap();
     }
 
@@ -452,10 +452,14 @@ impl SimRig {
 pub struct MemoryNeighbours {
     /// The documents of the policy.
     pub documents: DocumentStore,
+    /// The poses of the demonstrations.
+    pub demonstrations: Vec<Vec<Pose>>,
     /// The pose of each frame.
     pub shown: HashMap<FrameId, Pose>,
     /// Views that memory has released.
     pub released: usize,
+    /// Those of the orchestrator.
+    reports: Receiver<StepReport>,
     recalls: Receiver<Recall>,
     traces: Receiver<RecallTrace>,
     requests: Receiver<ViewRequest>,
@@ -478,8 +482,10 @@ impl SubjectNeighbours for MemoryNeighbours {
         let neighbours = Neighbours::join(attach, Role::Memory)?;
         Ok(Self {
             documents: DocumentStore::new(neighbours.bus(&[Role::Policy]))?,
+            demonstrations: Vec::new(),
             shown: HashMap::new(),
             released: 0,
+            reports: neighbours.bus(&[Role::Orchestrator]).receiver()?,
             recalls: neighbours.receiver()?,
             traces: neighbours.receiver()?,
             requests: neighbours.receiver()?,
@@ -489,13 +495,16 @@ impl SubjectNeighbours for MemoryNeighbours {
     }
 
     fn respond(&mut self) {
+        self.reports.drain().unwrap();
         for request in self.requests.drain().unwrap() {
             if request.kind == ViewRequestKind::Pin as u8 {
-                let frame = self.publish(Pose::try_from(request.pose).unwrap());
-                self.send(&View { frame, pose: request.pose, variant: request.variant }).unwrap();
+                let ViewRequest { sequence, demonstration, step, .. } = request;
+                let frame =
+                    self.publish(self.demonstrations[demonstration as usize][step as usize]);
+                self.send(&View { frame, sequence, demonstration, step }).unwrap();
                 self.notify().unwrap();
             } else {
-                assert_eq!(Pose::try_from(request.pose), Ok(self.shown[&request.frame]));
+                assert!(self.shown.contains_key(&request.frame));
                 self.released += 1;
             }
         }
@@ -535,7 +544,15 @@ impl MemoryRig {
             1 => NO_FRAME,
             _ => self.neighbours.publish(seen.pose.try_into().unwrap()),
         };
-        self.neighbours.observe(&Observation { frame, ..seen }).unwrap();
+        self.observe_as(Observation { frame, ..seen });
+    }
+
+    /// Sends the report of a step and this observation.
+    pub fn observe_as(&self, seen: Observation) {
+        let Observation { episode, lane, step, frame, .. } = seen;
+        let report = StepReport { episode, lane, step, frame, ..Zeroable::zeroed() };
+        self.neighbours.send(&report).unwrap();
+        self.neighbours.observe(&seen).unwrap();
         self.notify();
     }
 

@@ -13,9 +13,9 @@ use bytemuck::Zeroable;
 use case_book::EpisodeFacts;
 use domain::{Action, Feedback, Heading, Pose};
 use shm_types::message::{
-    Decision, EpisodeEnd, EpisodeResult, Handshake, MemoryEpisodeConfig, NO_ACTION, NO_DOCUMENT,
-    NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RequestId, Role, ShutdownReport,
-    StepCommand, StepKind, StepReport, Stop, WorldEpisodeConfig, read_text,
+    Decision, EpisodeEnd, Handshake, MemoryEpisodeConfig, NO_ACTION, NO_DOCUMENT, NO_FRAME,
+    Observation, PolicyEpisodeConfig, Recall, RequestId, Role, ShutdownReport, StepCommand,
+    StepKind, StepReport, Stop, WorldEpisodeConfig, read_text,
 };
 use shm_types::{Attach, Bus, BusError, NotePublisher, Notifier, Sender};
 
@@ -148,13 +148,13 @@ impl ScriptedRun<'_> {
     pub fn memory(&self) {
         let mut ports = None;
         self.serve(Role::Memory, |process| {
-            let (configs, results, observations) = ports.get_or_insert_with(|| {
+            let (configs, reports, observations) = ports.get_or_insert_with(|| {
                 let configs = process.bus.receiver::<MemoryEpisodeConfig>().unwrap();
-                let results = process.bus.receiver::<EpisodeResult>().unwrap();
-                (configs, results, process.bus.receiver::<Observation>().unwrap())
+                let reports = process.bus.receiver::<StepReport>().unwrap();
+                (configs, reports, process.bus.receiver::<Observation>().unwrap())
             });
             configs.drain().unwrap();
-            results.drain().unwrap();
+            reports.drain().unwrap();
             for observation in observations.drain().unwrap() {
                 if observation.last == 0 {
                     process.send(&recall_trace(request(&observation)), &[]);

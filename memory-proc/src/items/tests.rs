@@ -9,8 +9,8 @@ use crate::representation::testing::{TestDocuments, demonstration};
 const FORWARD: u8 = Action::Forward as u8;
 
 /// Demonstrations of 10, 5 and 61 steps.
-fn bank() -> ReplayedBank {
-    ReplayedBank::new(vec![demonstration(0, 5, 9), demonstration(3, 7, 4), demonstration(1, 0, 60)])
+fn bank() -> MemoryBank {
+    MemoryBank::new(vec![demonstration(0, 5, 9), demonstration(3, 7, 4), demonstration(1, 0, 60)])
 }
 
 const AMPLE: Budgets = Budgets { images: 200, text: 200 };
@@ -47,10 +47,9 @@ fn assembled(
     let bank = bank();
     let answer = CheckedAnswer::new(items, &bank, AMPLE).unwrap();
     let mut assembler = Assembler { bank: &bank, episode: (1, 7), texts, documents };
-    let frame = |viewpoint: Viewpoint| {
-        let pose = viewpoint.pose;
-        assert!(answer.viewpoints.contains(&viewpoint), "{pose} was not asked for");
-        Some(1000 + u64::from(pose.cell.y))
+    let frame = |view_id: ViewId| {
+        assert!(answer.view_ids.contains(&view_id), "{view_id:?} was not asked for");
+        Some(1000 + u64::from(view_id.step))
     };
     assembler.assemble(&answer, frame).unwrap()
 }

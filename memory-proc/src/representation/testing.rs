@@ -9,19 +9,23 @@ use shm_types::documents::Content;
 use shm_types::message::DocumentId;
 
 use super::MemorySettings;
-use crate::bank::{BankSteps, KnownView, ReplayedBank};
-use crate::demonstrations::ReplayedDemonstration;
+use crate::bank::{BankSteps, KnownView, MemoryBank, ViewId};
+use crate::demonstrations::RememberedDemonstration;
 use crate::items::DocumentSupplier;
 
 /// A demonstration of case 8: north from (3, `from`) for `steps` steps; sub-goal 1 is completed at step 2.
-pub(crate) fn demonstration(number: u16, from: u8, steps: u8) -> ReplayedDemonstration {
+pub(crate) fn demonstration(number: u16, from: u8, steps: u8) -> RememberedDemonstration {
     let all = 0..=steps;
-    ReplayedDemonstration {
+    RememberedDemonstration {
         case: 8,
         number,
-        variant: 0,
         instruction: "Find a cone.".to_owned(),
         poses: all.clone().map(|t| Pose::new(3, from + t, Heading::N)).collect(),
+        // Named by the row.
+        views: all
+            .clone()
+            .map(|t| ViewId { sequence: 0, number: 0, step: (from + t).into() })
+            .collect(),
         feedback: all
             .clone()
             .map(|t| if t == 0 { Feedback::Start } else { Feedback::Moved })
@@ -46,9 +50,9 @@ pub(crate) fn settings() -> MemorySettings {
 /// Builds a memory without views.
 pub(crate) fn build(
     memory: &mut dyn Memory,
-    demonstrations: &[ReplayedDemonstration],
+    demonstrations: &[RememberedDemonstration],
 ) -> Result<(), MemoryError> {
-    let bank = ReplayedBank::new(demonstrations.to_vec());
+    let bank = MemoryBank::new(demonstrations.to_vec());
     memory.build(&BankSteps::without_views(&bank).demonstrations())
 }
 
@@ -56,11 +60,11 @@ pub(crate) fn build(
 pub(crate) fn build_with_views<M: Memory>(
     new: impl FnOnce(&MemorySettings) -> M,
     settings: &MemorySettings,
-    demonstrations: &[ReplayedDemonstration],
+    demonstrations: &[RememberedDemonstration],
     view: impl Fn(Pose) -> KnownView,
 ) -> M {
-    let bank = ReplayedBank::new(demonstrations.to_vec());
-    let steps = bank.with_views(|viewpoint| Some(view(viewpoint.pose))).unwrap();
+    let bank = MemoryBank::new(demonstrations.to_vec());
+    let steps = bank.with_views(|of| Some(view(Pose::new(3, of.step as u8, Heading::N)))).unwrap();
     let mut memory = new(&MemorySettings { embeddings: steps.embeddings(), ..settings.clone() });
     memory.build(&steps.demonstrations()).unwrap();
     memory

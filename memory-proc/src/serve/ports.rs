@@ -1,9 +1,9 @@
 //! The queues of the memory process: to and from its neighbours, and to and from each external memory.
 
 use shm_types::message::{
-    EpisodeResult, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore,
-    ExternalStored, MemoryEpisodeConfig, Observation, Recall, RecallTrace, Role, SnapshotReport,
-    Stop, View, ViewRequest,
+    ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore, ExternalStored,
+    MemoryEpisodeConfig, Observation, Recall, RecallTrace, Role, SnapshotReport, StepReport, Stop,
+    View, ViewRequest,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
@@ -15,9 +15,8 @@ use crate::external::ToExternal;
 /// Senders, receivers and notifiers of this process.
 pub(super) struct Ports {
     pub(super) configs: Receiver<MemoryEpisodeConfig>,
-    /// How episodes that are learned from have ended.
-    pub(super) results: Receiver<EpisodeResult>,
     pub(super) observations: Receiver<Observation>,
+    pub(super) reports: Receiver<StepReport>,
     pub(super) views: Receiver<View>,
     pub(super) stops: Receiver<Stop>,
     pub(super) frames: FrameStore,
@@ -84,8 +83,8 @@ impl Ports {
     pub(super) fn new(bus: &Bus) -> Result<Self, BusError> {
         Ok(Self {
             configs: bus.receiver()?,
-            results: bus.receiver()?,
             observations: bus.receiver()?,
+            reports: bus.receiver()?,
             views: bus.receiver()?,
             stops: bus.receiver()?,
             frames: FrameStore::new(bus)?,

@@ -10,9 +10,9 @@ use results::log::{
     BlockedRecord, Ending, EpisodeRecord, RecallTotals, Stages, StreamRecord, Unread,
 };
 use shm_types::message::{
-    Decision, EXTERNAL, EpisodeEnd, EpisodeResult, MAX_SUB_GOALS, MemoryEpisodeConfig, NO_ACTION,
-    NO_FRAME, NOT_MEASURED, PolicyEpisodeConfig, RecallTrace, Role, SnapshotReport, StepCommand,
-    StepKind, StepReport, WorldEpisodeConfig, read_flag, write_text,
+    Decision, EXTERNAL, EpisodeEnd, MemoryEpisodeConfig, NO_ACTION, NO_FRAME, NOT_MEASURED,
+    PolicyEpisodeConfig, RecallTrace, Role, SnapshotReport, StepCommand, StepKind, StepReport,
+    WorldEpisodeConfig, read_flag, write_text,
 };
 use shm_types::notes::Note;
 
@@ -313,24 +313,9 @@ impl ActiveEpisode {
         Ok(true)
     }
 
-    /// What memory is told of the episode, which has ended, if it learns from it.
-    pub(super) fn result_for_memory(&self) -> Option<EpisodeResult> {
-        let FinishedEpisode { episode, record, lane, id, .. } = &self.result;
-        if !episode.learns() {
-            return None;
-        }
-        let mut sub_goals = [0; MAX_SUB_GOALS];
-        for (told, &step) in sub_goals.iter_mut().zip(&record.sub_goals) {
-            *told = step as u16;
-        }
-        Some(EpisodeResult {
-            episode: *id,
-            lane: *lane,
-            sub_goals_len: record.sub_goals.len().min(MAX_SUB_GOALS) as u32,
-            sub_goals,
-            success: record.is_success().into(),
-            ..Zeroable::zeroed()
-        })
+    /// Whether a memory learns from it.
+    pub(super) fn learns(&self) -> bool {
+        self.result.episode.learns()
     }
 
     /// Takes memory's report that it has learned, with which the episode is over.

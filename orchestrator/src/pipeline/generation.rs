@@ -9,9 +9,8 @@ use bytemuck::Zeroable;
 use domain::{ExternalName, MemoryKind};
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::{
-    Decision, EpisodeResult, ErrorReport, Heartbeat, MemoryEpisodeConfig, PolicyEpisodeConfig,
-    RecallTrace, Role, ShutdownReport, SnapshotReport, StepCommand, StepReport, Stop,
-    WorldEpisodeConfig,
+    Decision, ErrorReport, Heartbeat, MemoryEpisodeConfig, PolicyEpisodeConfig, RecallTrace, Role,
+    ShutdownReport, SnapshotReport, StepCommand, StepReport, Stop, WorldEpisodeConfig,
 };
 use shm_types::process::{ProcessWatch, monotonic_ns};
 use shm_types::{Bus, BusError, HandshakeReceiver, NoteReceiver, Notifier, Receiver, Sender};
@@ -41,7 +40,6 @@ pub(super) struct Generation {
     pub(super) policy_configs: Option<Sender<PolicyEpisodeConfig>>,
     pub(super) world_configs: Sender<WorldEpisodeConfig>,
     pub(super) commands: Sender<StepCommand>,
-    pub(super) results: Option<Sender<EpisodeResult>>,
     pub(super) stops: Sender<Stop>,
     pub(super) inbox: Inbox,
     /// What the heartbeats of the simulator and of memory say.
@@ -76,13 +74,6 @@ struct TurnReport {
     halted: Option<String>,
     /// Whether more messages may wait.
     has_more: bool,
-}
-
-/// What a turn of the loop sends.
-#[derive(Default)]
-struct NextMessages {
-    commands: Vec<StepCommand>,
-    results: Vec<EpisodeResult>,
 }
 
 impl Generation {
@@ -146,7 +137,7 @@ impl Generation {
     /// Takes the waiting messages, decisions up to one batch, sends what follows, and notifies the simulator once.
     fn turn(&mut self, run: &mut PipelineRun<'_, '_>) -> Result<TurnReport, Failure> {
         let batch = self.bus.attach().batch_len();
-        let (NextMessages { mut commands, results }, report) = self.receive(run, batch)?;
+        let (mut commands, report) = self.receive(run, batch)?;
         let sent_ns = monotonic_ns();
         for command in &mut commands {
             command.sent_ns = sent_ns;
@@ -155,14 +146,10 @@ impl Generation {
         if !commands.is_empty() {
             self.notify(Role::Sim)?;
         }
-        if let (Some(sender), false) = (&self.results, results.is_empty()) {
-            results.iter().try_for_each(|result| retry(sender.send(result)))?;
-            self.notify(Role::Memory)?;
-        }
         Ok(report)
     }
 
-    /// Takes the waiting messages, decisions up to `batch`, and records what they say. Returns the messages that follow.
+    /// Takes the waiting messages, decisions up to `batch`, and records what they say. Returns the commands that follow.
     ///
     /// A message refers only to messages that were sent before it. So the queues are emptied from the last answer of
     /// a step to the first, and handled in the opposite order.
@@ -170,7 +157,7 @@ impl Generation {
         &mut self,
         run: &mut PipelineRun<'_, '_>,
         batch: usize,
-    ) -> Result<(NextMessages, TurnReport), Failure> {
+    ) -> Result<(Vec<StepCommand>, TurnReport), Failure> {
         let decisions = self.inbox.decisions.drain_some(batch)?;
         let snapshots = self.inbox.snapshots.drain()?;
         let traces = self.inbox.traces.drain()?;
@@ -203,9 +190,9 @@ impl Generation {
         for request in lanes.take_answered() {
             halted = run.observer.answered(&request)?.or(halted);
         }
-        let next = follow_up(run, turns)?;
-        let report = TurnReport { steps: next.commands.len() as u64, halted, has_more };
-        Ok((next, report))
+        let commands = follow_up(run, turns)?;
+        let report = TurnReport { steps: commands.len() as u64, halted, has_more };
+        Ok((commands, report))
     }
 
     /// Records the answers and the facts that have arrived since the last turn: what answers cost was spent.
@@ -288,18 +275,17 @@ impl Generation {
     }
 }
 
-/// Records what is finished and what failed; returns the messages to send. What is finished comes first: a message that
+/// Records what is finished and what failed; returns the commands to send. What is finished comes first: a message that
 /// cannot be sent ends the generation.
 fn follow_up(
     run: &mut PipelineRun<'_, '_>,
     turns: Vec<Result<Turn, AnswerError>>,
-) -> Result<NextMessages, Failure> {
-    let mut next = NextMessages::default();
+) -> Result<Vec<StepCommand>, Failure> {
+    let mut commands = Vec::new();
     for turn in turns {
         match turn {
             Ok(Turn::Wait) => {}
-            Ok(Turn::Command(command)) => next.commands.push(command),
-            Ok(Turn::Learn(result)) => next.results.push(result),
+            Ok(Turn::Command(command)) => commands.push(command),
             Ok(Turn::Finished(finished)) => {
                 let attempt = run.queue.attempt(&finished.episode);
                 run.queue.finish(&finished.episode);
@@ -320,7 +306,7 @@ fn follow_up(
             }
         }
     }
-    Ok(next)
+    Ok(commands)
 }
 
 /// A failed delivery is worth another generation: a process is dying or hangs.

@@ -46,7 +46,6 @@ impl Generation {
         };
         let takes_part = |role| attach.participants.contains(&role);
         let memory_configs = takes_part(Role::Memory).then(|| bus.sender()).transpose()?;
-        let results = takes_part(Role::Memory).then(|| bus.sender()).transpose()?;
         let policy_configs = takes_part(Role::Policy).then(|| bus.sender()).transpose()?;
         let notifiers =
             attach.participants.iter().map(|&role| Ok((role.into(), bus.notifier(role)?)));
@@ -67,7 +66,6 @@ impl Generation {
             policy_configs,
             world_configs,
             commands,
-            results,
             stops,
             inbox,
             vital_signs: VitalSigns::new(monotonic_ns()),

@@ -17,16 +17,16 @@ use conformance::messages;
 use domain::{Action, Feedback, Heading, Pose};
 use shm_types::FrameControl;
 use shm_types::message::{
-    EpisodeEnd, FrameId, NO_FRAME, ShutdownReport, StepCommand, ViewRequest, WirePose,
-    WorldEpisodeConfig,
+    EpisodeEnd, FrameId, NO_FRAME, ShutdownReport, StepCommand, ViewRequest, WorldEpisodeConfig,
 };
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use sim_proc::renderer::{Backend, Renderer, ViewSpec};
-use warehouse::{CaseSet, ELSEWHERE_VARIANT, TrajectoryKind, Variant, Warehouse, step};
+use warehouse::{CaseSet, TrajectoryKind, Variant, Warehouse, step};
 
 use rig::{
-    CodeWorker, SMALL, act, code, code_with, elsewhere, error_report, fatal_error, is_near, poses,
-    reset, setup, shown_code, shows_stock, simulator, simulator_with, small, worlds,
+    CodeWorker, SMALL, act, code, code_with, elsewhere, elsewhere_demonstration, error_report,
+    fatal_error, is_near, poses, reset, setup, shown_code, shows_stock, simulator, simulator_with,
+    small, step_at, worlds,
 };
 
 #[test]
@@ -141,11 +141,12 @@ fn lanes_and_memory_see_the_world_state_they_name() {
             let expected = code_with(stock, closed, pose);
             let frame = sim.ask(&reset(lane, 4 * n + u64::from(lane), variant, pose)).frame;
             assert_eq!(shown_code(&mut sim, frame), expected, "variant {variant} at {pose}");
-            let request = ViewRequest { pose: pose.into(), variant, ..Zeroable::zeroed() };
-            sim.neighbours.send(&request).unwrap();
-            sim.notify();
+            sim.pin(variant, step_at(pose));
             let view = sim.view();
-            assert_eq!((view.frame, view.variant), (frame, variant));
+            assert_eq!(
+                (view.frame, view.demonstration, view.step),
+                (frame, variant, step_at(pose))
+            );
             sim.release(frame);
             frames.push(frame);
             seen.insert(expected);
@@ -160,8 +161,7 @@ fn lanes_and_memory_see_the_world_state_they_name() {
         (state(3), poses()[0], "variant 104 is not one of 104"),
         (state(1), Pose { cell: closed.closed()[0], heading: Heading::N }, "an agent cannot stand"),
     ] {
-        let request = ViewRequest { pose: pose.into(), variant, ..Zeroable::zeroed() };
-        sim.neighbours.send(&request).unwrap();
+        sim.pin(variant, step_at(pose));
         let report = error_report(&mut sim);
         assert!(report.contains(said), "{report}");
     }
@@ -174,12 +174,12 @@ fn memory_gets_the_views_it_requests_until_it_releases_them() {
     let poses = poses();
     let held: Vec<Pose> = poses[..40].to_vec();
     for &pose in &held {
-        sim.pin(pose);
+        sim.pin(0, step_at(pose));
     }
     let mut frames = BTreeMap::new();
     while frames.len() < held.len() {
         let view = sim.view();
-        frames.insert(Pose::try_from(view.pose).unwrap(), view.frame);
+        frames.insert(poses[view.step as usize], view.frame);
     }
     assert_eq!(frames.keys().copied().collect::<BTreeSet<_>>(), held.iter().copied().collect());
 
@@ -196,7 +196,7 @@ fn memory_gets_the_views_it_requests_until_it_releases_them() {
     // A view that is resident is answered with the same frame, also to a lane.
     let (&pose, &frame) = frames.first_key_value().unwrap();
     assert_eq!(sim.ask(&reset(1, 2, 0, pose)).frame, frame);
-    sim.pin(pose);
+    sim.pin(0, step_at(pose));
     assert_eq!(sim.view().frame, frame);
     sim.release(frame);
     for &frame in frames.values() {
@@ -254,7 +254,7 @@ fn controls_change_what_lanes_see_and_only_one_what_memory_gets() {
             assert_ne!(pixel, code(&Variant::UNCHANGED, pose));
             assert_eq!(pixel == [128, 128, 128, 255], control != FrameControl::Swapped);
             shown.insert(seen.frame);
-            sim.pin(pose);
+            sim.pin(0, step_at(pose));
             let view = sim.view();
             let supplied = shown_code(&mut sim, view.frame);
             match control {
@@ -271,7 +271,7 @@ fn controls_change_what_lanes_see_and_only_one_what_memory_gets() {
 fn invalid_messages_are_reported_and_the_run_continues() {
     let mut sim = simulator(|_| {});
     let pose = poses()[0];
-    let nowhere = WirePose([200, 200, 0, 0]);
+    let last = poses().len() as u32;
     let good = reset(0, 1, 0, pose);
     for (config, said) in [
         (WorldEpisodeConfig { lane: 9, ..good }, "there are 4 lanes"),
@@ -293,7 +293,10 @@ fn invalid_messages_are_reported_and_the_run_continues() {
     }
     for (request, said) in [
         (ViewRequest { kind: 9, ..Zeroable::zeroed() }, "9 is not a view request kind"),
-        (ViewRequest { pose: nowhere, ..Zeroable::zeroed() }, "an agent cannot stand at 200,200,N"),
+        (ViewRequest { step: last, ..Zeroable::zeroed() }, "an agent cannot stand at 200,200,N"),
+        (ViewRequest { step: last + 1, ..Zeroable::zeroed() }, "of demonstration 0"),
+        (ViewRequest { demonstration: 4000, ..Zeroable::zeroed() }, "step 0 of demonstration 4000"),
+        (ViewRequest { sequence: 3, ..Zeroable::zeroed() }, "step 0 of episode 0 of sequence 3"),
         (ViewRequest { frame: 5, kind: 1, ..Zeroable::zeroed() }, "frame 5 is released"),
     ] {
         sim.neighbours.send(&request).unwrap();
@@ -301,7 +304,7 @@ fn invalid_messages_are_reported_and_the_run_continues() {
         assert!(error_report.contains(said), "{error_report}");
     }
     assert_eq!(sim.ask(&reset(0, 1, 0, pose)).feedback, Feedback::Start as u8);
-    assert_eq!(sim.stop().error_reports, 8);
+    assert_eq!(sim.stop().error_reports, 11);
 }
 
 #[test]
@@ -393,11 +396,11 @@ fn no_lane_waits_until_evicted_frames_are_released() {
     // Memory and policy are at work and do not look at evictions.
     let chunks = sim.neighbours.attach().frame_chunks() as usize;
     for &pose in &poses[1..chunks] {
-        sim.pin(pose);
+        sim.pin(0, step_at(pose));
         let view = sim.view();
         sim.release(view.frame);
     }
-    sim.pin(poses[chunks]);
+    sim.pin(0, chunks as u32);
     sim.command(&WorldEpisodeConfig { episode: 2, ..here });
     sim.notify();
     let seen = sim.until(|neighbours| neighbours.reports.next().unwrap());
@@ -552,10 +555,8 @@ fn views_of_the_other_warehouse_are_those_of_a_simulator_that_is_started_in_it()
     let (task, shown) = other.demonstration(0).unwrap();
     let replay = shown.replay(other.warehouse(), task, &Variant::UNCHANGED);
     assert!(replay.poses.iter().any(|pose| !tested.layout.is_free(pose.cell)));
-    for (pose, step) in replay.poses.into_iter().zip(1_u32..) {
-        let variant = ELSEWHERE_VARIANT;
-        let request = ViewRequest { pose: pose.into(), variant, ..Zeroable::zeroed() };
-        sim.neighbours.send(&request).unwrap();
+    for (pose, step) in replay.poses.into_iter().zip(0_u32..) {
+        sim.pin(elsewhere_demonstration(), step);
         let view = sim.view();
         for store in &mut sim.neighbours.stores {
             let frame = store.get(view.frame).unwrap().unwrap();

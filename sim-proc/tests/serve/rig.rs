@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
+use case_book::{Demonstration, DemonstrationBook};
 use conformance::messages;
-use domain::{Action, Cell, Pose};
+use domain::{Action, Cell, DemonstrationKind, Heading, Pose};
 use rigs::process::SimRig;
 use shm_types::message::{FrameId, RequestId, Role, StepCommand, WirePose, WorldEpisodeConfig};
 use shm_types::{Attach, Bus, FrameSize};
@@ -14,7 +15,8 @@ use sim_proc::serve::serve;
 use sim_proc::view_control::every_pose;
 use sim_proc::worlds::Worlds;
 use warehouse::{
-    Case, CaseSet, Elsewhere, StockChange, Trajectory, Variant, Warehouse, WorldChange, WorldState,
+    Case, CaseSet, ELSEWHERE_VARIANT, Elsewhere, StockChange, Trajectory, Variant, Warehouse,
+    WorldChange, WorldState,
 };
 
 /// Fills a slot with pixels that encode the pose, the stock and the number of nearby closed cells.
@@ -102,6 +104,41 @@ pub(crate) fn worlds() -> Worlds {
     worlds.with_cases(cases.cases.iter().chain(&of_poses))
 }
 
+/// The index of the first demonstration of [`elsewhere`] among [`demonstrations`].
+pub(crate) fn elsewhere_demonstration() -> u32 {
+    worlds().variant_count() as u32 + 1
+}
+
+/// For each variant of [`worlds`], and one that there is not, a demonstration whose steps are in all [`poses`], and in one where
+/// no agent can stand; then the first of [`elsewhere`].
+fn demonstrations() -> DemonstrationBook {
+    let nowhere = Pose::new(200, 200, Heading::N);
+    let poses: Vec<Pose> = poses().into_iter().chain([nowhere]).collect();
+    let variants = (0..elsewhere_demonstration()).map(|variant| (variant, poses.clone()));
+    let elsewhere = elsewhere();
+    let (task, shown) = elsewhere.demonstration(0).unwrap();
+    let shown = shown.replay(elsewhere.warehouse(), task, &Variant::UNCHANGED).poses;
+    let demonstration = |(variant, poses)| Demonstration {
+        case: 0,
+        kind: DemonstrationKind::Original,
+        variant,
+        instruction: String::new(),
+        poses,
+        feedback: Vec::new(),
+        sub_goals: Vec::new(),
+        actions: Vec::new(),
+        views: Vec::new(),
+    };
+    let all = variants.chain([(ELSEWHERE_VARIANT, shown)]);
+    let demonstrations = all.map(demonstration).collect();
+    DemonstrationBook { demonstrations, ..DemonstrationBook::default() }
+}
+
+/// The step of [`demonstrations`] at `pose`.
+pub(crate) fn step_at(pose: Pose) -> u32 {
+    poses().iter().position(|known| *known == pose).unwrap() as u32
+}
+
 /// The config that begins an episode at `pose`.
 pub(crate) fn reset(lane: u32, episode: u64, variant: u32, pose: Pose) -> WorldEpisodeConfig {
     let place = poses().iter().position(|known| *known == pose).unwrap();
@@ -126,7 +163,7 @@ pub(crate) fn simulator_with(
     SimRig::in_thread(change, move |folder| {
         let bus = Bus::join(Attach::read(folder)?, Role::Sim)?;
         let open = || open(bus.attach().frame);
-        serve(&bus, worlds(), warm_views, open)
+        serve(&bus, worlds(), demonstrations(), warm_views, open)
     })
 }
 

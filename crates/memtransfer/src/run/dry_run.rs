@@ -15,7 +15,7 @@ use crate::run_plan::RunPlan;
 /// What would run: conditions, episodes, requests, and the estimated cost of a model.
 pub(super) fn describe(plan: &RunPlan, fresh: bool) -> Result<String> {
     let RunPlan { settings, books, episodes, prices, .. } = plan;
-    let documents = RunDocuments::of(settings, books.elsewhere.as_deref(), fresh);
+    let documents = RunDocuments::of(settings, books, fresh);
     let done = if fresh { Vec::new() } else { finished(plan, &documents)? };
     let is_done = |episode: &PlannedEpisode| {
         let key = episode.key.to_string();

@@ -1,12 +1,16 @@
 //! A scripted simulator, orchestrator, encoder and documents around one engine.
 
+use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 
+use case_book::BookRequest;
 use domain::{Demonstrations, Pose, Representation};
 use shm_types::documents::Content;
 use shm_types::message::{
-    ItemKind, NO_ACTION, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, ViewRequestKind,
+    EpisodeEnd, ItemKind, NO_ACTION, NO_FRAME, RecalledItem, RecalledSource, SegmentStep,
+    ViewRequestKind,
 };
+use warehouse::case_book::write_books;
 use warehouse::{CaseSet, History, TrajectoryKind, Warehouse};
 
 use super::super::*;
@@ -54,10 +58,12 @@ impl Answer {
 }
 
 pub(super) struct Rig {
+    pub(super) warehouse: Warehouse,
+    pub(super) cases: CaseSet,
     pub(super) engine: Engine<Pose>,
     /// Pose of frame `i + 1`.
     pub(super) frames: Vec<Pose>,
-    pub(super) arriving: VecDeque<Viewpoint>,
+    pub(super) arriving: VecDeque<ViewId>,
     pub(super) embedding: Vec<ContentHash>,
     pub(super) pins: usize,
     pub(super) releases: usize,
@@ -68,6 +74,10 @@ pub(super) struct Rig {
     pub(super) asked: BTreeSet<Pose>,
     /// Frames that the simulator may have evicted.
     pub(super) gone: BTreeSet<FrameId>,
+    /// Where the views of episodes that were learned from are seen.
+    lived: BTreeMap<ViewId, Pose>,
+    /// By episode and step: sub-goals completed so far, and whether the task is.
+    progress: RefCell<BTreeMap<(u64, u32), (u16, bool)>>,
 }
 
 impl Rig {
@@ -77,14 +87,15 @@ impl Rig {
     }
 
     pub(super) fn with_externals(lanes: u32, room: usize, externals: ExternalMemories) -> Self {
-        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-        let embeddings = EmbeddingCache::in_memory();
-        let worlds = WorldStates::unchanging(warehouse, cases);
-        Self::with(Engine::new(worlds, lanes, room, embeddings, externals, None))
+        let book = write_books(&BookRequest::default()).unwrap().demonstrations;
+        let (library, embeddings) = (DemonstrationLibrary::new(book), EmbeddingCache::in_memory());
+        Self::with(Engine::new(library, lanes, room, embeddings, externals, None))
     }
 
     pub(super) fn with(engine: Engine<Pose>) -> Self {
         Self {
+            warehouse: Warehouse::shipped(),
+            cases: CaseSet::shipped(),
             engine,
             frames: Vec::new(),
             arriving: VecDeque::new(),
@@ -96,6 +107,8 @@ impl Rig {
             documents: TestDocuments::default(),
             asked: BTreeSet::new(),
             gone: BTreeSet::new(),
+            lived: BTreeMap::new(),
+            progress: RefCell::default(),
         }
     }
 
@@ -108,12 +121,9 @@ impl Rig {
         kind: TrajectoryKind,
         representation: Representation,
     ) -> Script {
-        let (case_index, case) = (case, &self.engine.worlds.cases.cases[case as usize]);
-        let replay = case.trajectory(kind).replay(
-            &self.engine.worlds.warehouse,
-            &case.task,
-            &warehouse::Variant::UNCHANGED,
-        );
+        let (case_index, case) = (case, &self.cases.cases[case as usize]);
+        let unchanged = warehouse::Variant::UNCHANGED;
+        let replay = case.trajectory(kind).replay(&self.warehouse, &case.task, &unchanged);
         let actions = &case.trajectory(kind).actions;
         let last = replay.poses.len() - 1;
         let observation = |step: usize| Observation {
@@ -127,6 +137,10 @@ impl Rig {
             last: u8::from(step == last),
             ..bytemuck::Zeroable::zeroed()
         };
+        let progress = (0..).zip(&replay.stages).map(|(step, &stage)| {
+            ((id, step), (stage as u16, step as usize == last && replay.length.is_some()))
+        });
+        self.progress.borrow_mut().extend(progress);
         Script {
             config: MemoryEpisodeConfig {
                 episode: id,
@@ -155,6 +169,7 @@ impl Rig {
     pub(super) fn observe(&mut self, mut seen: Observation) -> Result<(), String> {
         let pose = Pose::try_from(seen.pose).unwrap();
         seen.frame = if seen.last == 1 { NO_FRAME } else { self.frame(pose) };
+        self.report(&seen)?;
         if let Some(frame) = self.engine.observe(&seen, 1)? {
             assert_eq!(frame, seen.frame);
             self.engine.current_view(seen.lane, content(pose), pose);
@@ -162,19 +177,52 @@ impl Rig {
         Ok(())
     }
 
+    /// Reports the step of an observation.
+    pub(super) fn report(&mut self, seen: &Observation) -> Result<(), String> {
+        let known = self.progress.borrow().get(&(seen.episode, seen.step)).copied();
+        let (sub_goals, is_complete) = known.unwrap_or_default();
+        let ended = if is_complete { EpisodeEnd::Complete } else { EpisodeEnd::GoesOn } as u8;
+        let Observation { episode, lane, step, .. } = *seen;
+        let report =
+            StepReport { episode, lane, step, sub_goals, ended, ..bytemuck::Zeroable::zeroed() };
+        self.engine.step_report(&report)
+    }
+
+    /// Notes where the views of an episode are seen if a memory learns from it, and may ask for them.
+    pub(super) fn remember(&mut self, script: &Script) {
+        let MemoryEpisodeConfig { sequence, position: number, learns, .. } = script.config;
+        if learns == 0 {
+            return;
+        }
+        let view = |step| ViewId { sequence, number, step };
+        let poses = (0..).zip(&script.observations);
+        self.lived.extend(poses.map(|(step, seen)| (view(step), seen.pose.try_into().unwrap())));
+    }
+
+    /// The rig after a restart of the process.
+    pub(super) fn restarted(&mut self, engine: Engine<Pose>) -> Self {
+        let (lived, progress) = (std::mem::take(&mut self.lived), self.progress.take());
+        Self { lived, progress: RefCell::new(progress), ..Self::with(engine) }
+    }
+
+    /// Where a view is seen.
+    fn pose(&self, view: ViewId) -> Pose {
+        match view.sequence {
+            0 => self.engine.library.pose(view),
+            _ => self.lived[&view],
+        }
+    }
+
     /// Processes one of the pending events, chosen by `choice`. Returns whether there was one.
     pub(super) fn work(&mut self, choice: usize) -> bool {
         for request in self.engine.take_view_requests() {
             if request.kind == ViewRequestKind::Pin as u8 {
                 self.pins += 1;
-                let pose = Pose::try_from(request.pose).unwrap();
-                self.asked.insert(pose);
-                self.arriving.push_back(Viewpoint { variant: request.variant, pose });
+                let ViewRequest { sequence, demonstration: number, step, .. } = request;
+                let view_id = ViewId { sequence, number, step };
+                self.asked.insert(self.pose(view_id));
+                self.arriving.push_back(view_id);
             } else {
-                assert_eq!(
-                    self.frames[request.frame as usize - 1],
-                    request.pose.try_into().unwrap()
-                );
                 self.releases += 1;
                 self.gone.insert(request.frame);
             }
@@ -193,10 +241,10 @@ impl Rig {
             let content = self.embedding.remove(choice);
             self.embedded += 1;
             self.engine.add_embedding(content, embedding(content)).unwrap();
-        } else if let Some(viewpoint) = self.arriving.pop_front() {
-            let pose = viewpoint.pose;
+        } else if let Some(view_id) = self.arriving.pop_front() {
+            let pose = self.pose(view_id);
             let frame = self.frame(pose);
-            self.engine.view(viewpoint, frame, content(pose), pose).unwrap();
+            self.engine.view(view_id, frame, content(pose), pose).unwrap();
         }
         true
     }
@@ -283,6 +331,7 @@ impl Rig {
                         continue;
                     };
                     self.engine.config(&script.config).unwrap();
+                    self.remember(script);
                     coming = script.observations.iter().copied().collect();
                 }
                 let seen = coming.pop_front().unwrap();
@@ -321,9 +370,9 @@ pub(super) fn replay_set(
     case: usize,
     set: Demonstrations,
 ) -> Vec<ReplayedDemonstration> {
-    let cases = &rig.engine.worlds.cases;
+    let cases = &rig.cases;
     let demonstration = |of: History| {
-        let found = cases.demonstrated(&rig.engine.worlds.warehouse, of).expect("a demonstration");
+        let found = cases.demonstrated(&rig.warehouse, of).expect("a demonstration");
         let actions = found.trajectory.actions.iter();
         let poses = found.replay().poses;
         let actions = actions.map(|&action| action as u8).chain([NO_ACTION]).collect();

@@ -6,8 +6,8 @@ use bytemuck::Zeroable;
 use case_book::{BookFile, BookRequest, EpisodeFacts};
 use conformance::messages;
 use domain::{Action, Arm, DocumentKind, Feedback, Heading, Pose, Representation};
-use memory_proc::bank::{ReplayedBank, Viewpoint};
-use memory_proc::demonstrations::ReplayedDemonstration;
+use memory_proc::bank::{MemoryBank, ViewId};
+use memory_proc::demonstrations::RememberedDemonstration;
 use memory_proc::items::{Assembler, Budgets, CheckedAnswer, DocumentSupplier, PublishedTexts};
 use orchestrator::books::Books;
 use orchestrator::lanes::{AnswerError, Lanes, Rules, Turn};
@@ -146,7 +146,7 @@ pub(crate) fn orchestrator(input: &[u8]) {
             _ => Ok(Turn::Wait),
         };
         match turn {
-            Ok(Turn::Wait | Turn::Learn(_)) => {}
+            Ok(Turn::Wait) => {}
             Ok(Turn::Command(command)) => {
                 steps[command.lane as usize] = Some(sim.step(&command));
             }
@@ -196,19 +196,20 @@ impl DocumentSupplier for Published {
     }
 }
 
-fn bank() -> &'static ReplayedBank {
-    static BANK: OnceLock<ReplayedBank> = OnceLock::new();
-    let made = |(number, steps): (u16, u8)| ReplayedDemonstration {
+fn bank() -> &'static MemoryBank {
+    static BANK: OnceLock<MemoryBank> = OnceLock::new();
+    let made = |(number, steps): (u16, u8)| RememberedDemonstration {
         case: 8,
         number,
-        variant: 0,
+        // Named by the row.
+        views: (0..=steps).map(|y| ViewId { sequence: 0, number: 0, step: y.into() }).collect(),
         instruction: "Find a cone.".to_owned(),
         poses: (0..=steps).map(|y| Pose::new(3, y, Heading::N)).collect(),
         feedback: vec![Feedback::Moved; usize::from(steps) + 1],
         stages: vec![0; usize::from(steps) + 1],
         actions: vec![Some(Action::Forward); usize::from(steps)],
     };
-    BANK.get_or_init(|| ReplayedBank::new([(0, 9), (3, 4), (1, 60)].map(made)))
+    BANK.get_or_init(|| MemoryBank::new([(0, 9), (3, 4), (1, 60)].map(made)))
 }
 
 /// An external memory's answer, up to the recall: within the budgets, and every part of it exists.
@@ -238,7 +239,7 @@ pub(crate) fn memory(input: &[u8]) {
     let (mut texts, mut documents) = (PublishedTexts::new(), Published::default());
     let mut assembler =
         Assembler { bank: bank(), episode: (1, 7), texts: &mut texts, documents: &mut documents };
-    let frame = |at: Viewpoint| Some(1 + u64::from(at.pose.cell.y));
+    let frame = |at: ViewId| Some(1 + u64::from(at.step));
     let recall = assembler.assemble(&checked, frame).unwrap();
     assert!(recall.items_len as usize <= MAX_ITEMS && recall.steps_len as usize <= MAX_STEPS);
     assert!(recall.sources_len as usize <= MAX_SOURCES);

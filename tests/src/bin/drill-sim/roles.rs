@@ -11,6 +11,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
+use case_book::{BookFile, DemonstrationBook};
 use domain::Action;
 use memory_proc::embedding_cache::EmbeddingCache;
 use memory_proc::encoder::{Encoder, EncoderFacts, Image, Provider};
@@ -47,7 +48,7 @@ pub(crate) struct InProcess {
 #[derive(Clone)]
 pub(crate) struct Files {
     pub(crate) assets: PathBuf,
-    pub(crate) streams: Option<PathBuf>,
+    pub(crate) demonstrations: PathBuf,
     pub(crate) snapshots: Option<PathBuf>,
     /// Embeddings and views of earlier sessions.
     pub(crate) caches: PathBuf,
@@ -119,16 +120,16 @@ fn take_part(
         Role::Sim => {
             let bus = Bus::join(Attach::read(&root)?, Role::Sim)?;
             let views = ViewFolder::open(&files.caches, &worlds, &RenderSettings::default())?;
-            serve(&bus, worlds, false, || Ok(render_setup(views)))
+            let demonstrations = BookFile::<DemonstrationBook>::read(&files.demonstrations)?.book;
+            serve(&bus, worlds, demonstrations, false, || Ok(render_setup(views)))
         }
         Role::Memory => {
             let settings = ServeSettings {
                 attach: root,
+                demonstrations: files.demonstrations.clone(),
                 assets: Some(files.assets.clone()),
                 documents: None,
                 encoder: None,
-                streams: files.streams.clone(),
-                elsewhere: None,
                 snapshots: files.snapshots.clone(),
                 shipped_embeddings: None,
                 limits: ExternalLimits::default(),

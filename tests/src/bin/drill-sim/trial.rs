@@ -10,6 +10,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
+use case_book::DEMONSTRATIONS_FILE;
 use orchestrator::budget::Budget;
 use orchestrator::frame_budget::Demand;
 use orchestrator::lanes::Lanes;
@@ -23,8 +24,8 @@ use orchestrator::streams::Remaining;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use results::log::{
-    EPISODES_FILE, LOGS_FOLDER, Opened, RunFolder, RunLog, SNAPSHOTS_FOLDER, STREAMS_FILE,
-    SessionEvent, SessionRecord, TIMINGS_FILE, read_journal,
+    EPISODES_FILE, LOGS_FOLDER, Opened, RunFolder, RunLog, SNAPSHOTS_FOLDER, SessionEvent,
+    SessionRecord, TIMINGS_FILE, read_journal,
 };
 use results::settings::RunSettings;
 use shm_types::RunDir;
@@ -246,7 +247,7 @@ fn session(
             worlds: scenario.worlds.clone(),
             files: Files {
                 assets: scenario.assets.clone(),
-                streams: streams.map(|_| folder.dir().join(STREAMS_FILE)),
+                demonstrations: folder.dir().join(DEMONSTRATIONS_FILE),
                 snapshots: streams.map(|_| folder.dir().join(SNAPSHOTS_FOLDER)),
                 caches: place.caches(),
             },

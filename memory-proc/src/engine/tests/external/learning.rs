@@ -25,6 +25,7 @@ fn stream_episode(
     let mut asked = Vec::new();
     let mut source = 0;
     rig.rig.engine.config(&script.config).unwrap();
+    rig.rig.remember(script);
     for seen in &script.observations {
         rig.rig.observe(*seen).unwrap();
         let queries = rig.queries();
@@ -53,9 +54,9 @@ fn an_external_memory_learns_is_saved_and_loaded() {
         let externals = ExternalMemories::new([(2, known)].into(), limits);
         let snapshots = SnapshotFolder::new(folder.path().to_owned());
         let embeddings = EmbeddingCache::in_memory();
-        let worlds = streams::worlds();
+        let library = streams::library();
         ExternalRig::with(Rig::with(Engine::new(
-            worlds,
+            library,
             2,
             300,
             embeddings,
@@ -102,6 +103,7 @@ fn an_external_memory_learns_is_saved_and_loaded() {
     assert_eq!((asked.len(), source), (next.observations.len(), EXPERIENCE));
     assert_eq!((rig.episodes[1].learning, rig.episodes[1].bank), (2, begun.bank));
     let mut rig = start();
+    rig.rig.remember(&lesson);
     assert_eq!(stream_episode(&mut rig, &next, 3).1, EXPERIENCE);
     // One that cannot save ends its episode without a result.
     let other = in_stream(&rig, 3, true, report.snapshot);
