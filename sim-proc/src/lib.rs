@@ -9,6 +9,7 @@
 //! - [`first_views`]: whether a case begins with a view of a target.
 //! - [`serve_command`], [`views_command`] and [`book_command`]: the command line.
 
+pub mod act_command;
 pub mod book_command;
 pub mod first_views;
 pub mod lanes;

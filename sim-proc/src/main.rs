@@ -4,6 +4,7 @@
 use std::process::ExitCode;
 
 use clap::Parser;
+use sim_proc::act_command::{self, ActArgs};
 use sim_proc::book_command::{self, BookArgs};
 use sim_proc::first_views::{self, FirstViewsArgs};
 use sim_proc::serve_command::{self, ServeArgs};
@@ -23,6 +24,8 @@ enum Command {
     Serve(ServeArgs),
     /// Write the views that stdin names to stdout, as pixels. Started by `memtransfer render` and `memtransfer view`.
     Views(ViewsArgs),
+    /// Act out the episodes that stdin names, as JSON. Started by `memtransfer view`, `show`, `export` and `validate`.
+    Act(ActArgs),
     /// Render the first views of cases, which must show no target. Started by `memtransfer validate`.
     FirstViews(FirstViewsArgs),
     /// Write the case book of a run: what it knows about cases and demonstrations. Started by `memtransfer run`.
@@ -34,6 +37,7 @@ fn main() -> ExitCode {
         match program::parse::<SimulatorCli>().command {
             Command::Serve(args) => serve_command::run(args)?,
             Command::Views(args) => views_command::run(&args)?,
+            Command::Act(args) => act_command::run(&args)?,
             Command::FirstViews(args) => first_views::run(&args)?,
             Command::Book(args) => book_command::run(&args)?,
         }

@@ -7,8 +7,9 @@
 //!   stale in which variant;
 //! - [`DemonstrationBook`], for memory: demonstrations only. No test reference, no rule of a variant, no goal.
 //!
-//! Both are identified by their content ([`BookFile`]).
+//! Both are identified by their content ([`BookFile`]). What is asked about single episodes is in [`act`].
 
+pub mod act;
 mod cases;
 mod demonstrations;
 mod file;
@@ -25,3 +26,9 @@ pub use demonstrations::{
 };
 pub use file::{BookError, BookFile, CASE_BOOK_FILE, DEMONSTRATIONS_FILE};
 pub use request::{BookRequest, ElsewhereRequest, StreamsRequest};
+
+/// The number on the wire of the world variant that is the other warehouse.
+pub const ELSEWHERE_VARIANT: u32 = u32::MAX;
+
+/// The number in place of a world variant's for a view that shows no world: uniform grey.
+pub const GREY_VARIANT: u32 = u32::MAX - 1;

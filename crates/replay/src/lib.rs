@@ -1,66 +1,91 @@
-//! What the log leaves out of an episode and a page or an export needs: the world it took place in ([`RunWorld`]), the
-//! views of its poses ([`frames`]), and which episodes to take ([`Selection`]).
+//! The world and the cases of a run: built in, or read from a folder of assets.
 
-mod assets;
-mod changes;
-pub mod frames;
-mod selection;
-mod world;
-
-pub use assets::World;
-pub use selection::Selection;
-pub use world::RunWorld;
-
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use anyhow::Result;
-use results::conditions::Frames;
-use results::log::RunLog;
+use results::log::ELSEWHERE_HASH;
+use warehouse::case_file::CASES_FILE;
+use warehouse::{AssetError, CaseSet, Elsewhere, ElsewhereError, Warehouse};
 
-/// What a reader of views must know about a run whose frames were a control.
-pub fn control_notice(frames: Frames) -> Option<String> {
-    let supplied = match frames {
-        Frames::Rendered => return None,
-        Frames::Blank | Frames::Swapped => "what memory supplied was left as it is",
-        Frames::BlankAll => "those of memory too, and memory supplied no texts",
-    };
-    Some(format!(
-        "The frames of this run are the control `{frames}`: views show what the policy was shown, not what is there; {supplied}."
-    ))
+/// Files whose contents determine the outcome of a run: name of the hash, file, built-in text.
+const HASHED: [(&str, &str, &[u8]); 4] = [
+    ("layout", "layout.toml", include_bytes!("../../../assets/layout.toml")),
+    ("catalogue", "catalogue.toml", include_bytes!("../../../assets/catalogue.toml")),
+    ("cases", CASES_FILE, include_bytes!("../../../assets/cases.toml")),
+    ("models", "models.toml", include_bytes!("../../../assets/models.toml")),
+];
+
+/// The warehouse, its cases, and the hashes that identify them.
+#[derive(Debug, Clone)]
+pub struct World {
+    /// The warehouse.
+    pub warehouse: Warehouse,
+    /// The cases.
+    pub cases: CaseSet,
+    /// BLAKE3 hashes of the files, as hexadecimal digits, by name.
+    pub hashes: BTreeMap<String, String>,
 }
 
-/// A run, and the worlds that it took place in.
-#[derive(Debug)]
-pub struct RecordedRun {
-    /// The run's log.
-    pub log: RunLog,
-    /// The worlds of its episodes.
-    pub world: RunWorld,
-    /// What the user must know about it.
-    pub notices: Vec<String>,
-}
-
-impl RecordedRun {
-    /// Reads the run in the folder `dir`, and its worlds.
+impl World {
+    /// Reads the assets in the folder `assets`, or takes the built-in ones.
     ///
     /// # Errors
-    /// When `dir` holds no run, or a file of its world cannot be used.
-    pub fn read(dir: &Path) -> Result<Self> {
-        let log = RunLog::read(dir)?;
-        let World { warehouse, cases, hashes } =
-            World::load(log.manifest.settings.assets.as_deref())?;
-        let world = RunWorld::new(&log, warehouse, cases)?;
-        let differs = |name: &&str| log.manifest.hashes.get(*name) != hashes.get(*name);
-        let changed: Vec<&str> =
-            ["layout", "catalogue", "cases"].into_iter().filter(differs).collect();
-        let mut notices: Vec<String> =
-            control_notice(log.manifest.settings.frames).into_iter().collect();
-        if !changed.is_empty() {
-            notices.push(format!(
-                "This program has another {} than the run had: maps, views and demonstrations may be others.",
-                changed.join(", another ")
-            ));
+    /// When a file cannot be read or is invalid.
+    pub fn load(assets: Option<&Path>) -> Result<Self, AssetError> {
+        let (warehouse, cases) = CaseSet::with_warehouse(assets)?;
+        let mut hashes = BTreeMap::new();
+        for (name, file, built_in) in HASHED {
+            let own = assets.map(|dir| dir.join(file)).filter(|path| path.exists());
+            let hash = match own {
+                None => blake3::hash(built_in),
+                Some(path) => {
+                    let unreadable = |source| AssetError::Unreadable {
+                        file: path.display().to_string(),
+                        source,
+                    };
+                    blake3::hash(&durable::input::read(&path).map_err(unreadable)?)
+                }
+            };
+            hashes.insert(name.to_owned(), hash.to_hex().to_string());
         }
-        Ok(Self { log, world, notices })
+        Ok(Self { warehouse, cases, hashes })
+    }
+
+    /// Adds the other warehouse in which tasks are demonstrated: the one in the folder `assets`, or one drawn from `seed`.
+    ///
+    /// # Errors
+    /// When a file cannot be used, or the tasks cannot be demonstrated there.
+    pub fn add_elsewhere(
+        &mut self,
+        assets: Option<&Path>,
+        seed: u64,
+    ) -> Result<(), ElsewhereError> {
+        let Self { warehouse, cases, hashes } = self;
+        let elsewhere = match assets {
+            Some(dir) => Elsewhere::load(dir, warehouse, cases, seed)?,
+            None => Elsewhere::generate(warehouse, cases, seed)?,
+        };
+        let hash = blake3::hash(elsewhere.to_text().as_bytes()).to_hex().to_string();
+        hashes.insert(ELSEWHERE_HASH.to_owned(), hash);
+        cases.elsewhere = Some(elsewhere);
+        Ok(())
+    }
+
+    /// The ids of all cases, in the order of the case file.
+    pub fn case_ids(&self) -> Vec<&str> {
+        self.cases.cases.iter().map(|case| case.id.as_str()).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_built_in_world_and_a_copy_of_it_have_the_same_hashes() {
+        let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets");
+        let (built_in, read) = (World::load(None).unwrap(), World::load(Some(&assets)).unwrap());
+        assert_eq!(built_in.hashes, read.hashes);
+        assert_eq!(built_in.case_ids(), read.case_ids());
     }
 }

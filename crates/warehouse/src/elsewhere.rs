@@ -15,8 +15,7 @@ use crate::generate_world::GeneratedWorld;
 use crate::task::Task;
 use crate::world::{CATALOGUE_FILE, LAYOUT_FILE, Warehouse};
 
-/// The number on the wire of the world variant that is the other warehouse.
-pub const ELSEWHERE_VARIANT: u32 = u32::MAX;
+pub use case_book::ELSEWHERE_VARIANT;
 
 /// Warehouses that are drawn until one fits.
 const TRIES: u64 = 20;

@@ -8,12 +8,13 @@
 //! - [`Elsewhere`]: another warehouse, in which the tasks of cases are demonstrated.
 //! - [`WorldState`]: a warehouse after changes; [`stream`]: blocks of cases with events between them.
 //! - [`plan`]: expert trajectories and the fewest steps; [`sight`]: which items are in view, computed on the floor plan.
-//! - [`case_book`]: what a run knows about the cases, as data.
+//! - [`case_book`]: what a run knows about the cases, as data; [`act`]: episodes and demonstrations, acted out for others.
 //! - [`GeneratedWorld`]: a warehouse from a seed; [`CaseSet::generate`]: cases from a seed; [`validate`](mod@validate): every constraint checked by replay; [`map`]:
 //!   maps as SVG.
 //!
 //! All arithmetic is in integers on a grid, so every machine computes the same.
 
+pub mod act;
 pub mod asset;
 pub mod case;
 pub mod case_book;
@@ -44,6 +45,7 @@ pub mod task;
 mod testing;
 pub mod validate;
 mod world;
+mod worlds;
 
 pub use asset::AssetError;
 pub use case::{Case, CaseSet, History, Replay, Trajectory, TrajectoryKind};
@@ -65,3 +67,4 @@ pub use swapped::{GREY_VARIANT, SwappedPoses, every_pose};
 pub use task::{Phase, Task};
 pub use validate::validate;
 pub use world::{CATALOGUE_FILE, Item, LAYOUT_FILE, Warehouse};
+pub use worlds::{RunWorlds, RunWorldsError};
