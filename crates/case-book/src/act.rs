@@ -22,6 +22,8 @@ pub enum ActRequest {
     Demonstrations(DemonstrationsRequest),
     /// The floor of a variant, from above: [`ActAnswer::Scene`].
     Scene(u32),
+    /// For each of these poses in a variant, the one whose view the control `swapped` shows: [`ActAnswer::Swapped`].
+    Swapped(u32, Vec<Pose>),
 }
 
 /// An answer.
@@ -36,6 +38,8 @@ pub enum ActAnswer {
     Demonstrations(Vec<ActedDemonstration>),
     /// To [`ActRequest::Scene`].
     Scene(Scene),
+    /// To [`ActRequest::Swapped`].
+    Swapped(Vec<Pose>),
     /// The request cannot be met, and why.
     Error(String),
 }
@@ -52,6 +56,13 @@ pub struct WorldDescription {
     pub blocked: Vec<u32>,
     /// The variant of each world state of the streams, by its number.
     pub states: Vec<u32>,
+}
+
+impl WorldDescription {
+    /// The ids of all cases, in their order.
+    pub fn case_ids(&self) -> Vec<&str> {
+        self.cases.iter().map(|case| case.id.as_str()).collect()
+    }
 }
 
 /// A recorded episode.
@@ -79,8 +90,6 @@ pub struct EpisodeRequest {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EpisodeParts {
-    /// [`ActedEpisode::shown`].
-    pub swapped: bool,
     /// [`ActedEpisode::events`].
     pub events: bool,
     /// [`ActedEpisode::reference`].
@@ -120,8 +129,6 @@ pub struct ActedEpisode {
     pub sub_goals: Vec<u32>,
     /// Sub-goals of the whole task.
     pub required: u32,
-    /// By step, the pose whose view the control `swapped` shows.
-    pub shown: Option<Vec<Pose>>,
     /// What happened beside.
     pub events: Option<EpisodeEvents>,
     /// What the expert does from the same begin; absent if the task cannot be completed.

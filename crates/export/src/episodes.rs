@@ -71,7 +71,7 @@ impl Episodes {
     /// # Errors
     /// When the renderer does not start.
     pub fn new(run: RecordedRun, program: &WorldProgram, timing: Timing) -> Result<Self> {
-        let RecordedRun { log, world, notices: _ } = run;
+        let RecordedRun { log, world, .. } = run;
         let format = ViewFormat { edge: timing.edge, quality: QUALITY };
         let renderer = ViewRenderer::start(program, &view_arguments(&log), format)?;
         Ok(Self { log, world, timing, renderer })

@@ -37,6 +37,7 @@ mod view;
 mod work;
 
 use std::fmt::Display;
+use std::ffi::OsString;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -44,7 +45,8 @@ use std::process::ExitCode;
 use ::report::table::{WIDTH, wrap};
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
-use replay::World;
+use supervise::{QUIET_DRIVER, sibling};
+use world_client::WorldProgram;
 
 /// A benchmark of embodied memory: a hundred navigation cases in a rendered warehouse, run by four
 /// processes over shared memory.
@@ -119,6 +121,11 @@ enum MemtransferVerb {
     Generate(generate::GenerateArgs),
     /// Check what a run needs on this machine, and say how to get what is missing
     Doctor(doctor::DoctorArgs),
+}
+
+/// The program that knows the world.
+fn world_program() -> anyhow::Result<WorldProgram> {
+    Ok(WorldProgram { path: sibling("sim-proc")?, variable: QUIET_DRIVER })
 }
 
 /// Writes a file that a user has named, and makes its folder.
@@ -247,8 +254,10 @@ struct WorldArgs {
 }
 
 impl WorldArgs {
-    fn load(&self) -> anyhow::Result<World> {
-        Ok(World::load(self.assets.as_deref())?)
+    /// The flags for the program that knows the world.
+    fn flags(&self) -> Vec<OsString> {
+        let assets = self.assets.iter();
+        assets.flat_map(|dir| [OsString::from("--assets"), dir.into()]).collect()
     }
 }
 

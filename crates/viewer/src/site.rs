@@ -131,6 +131,7 @@ fn kind_of(name: &str) -> &'static str {
 pub(crate) struct RunPages {
     pub(crate) log: RunLog,
     pub(crate) world: RunWorld,
+    access: WorldAccess,
     pub(crate) conditions: Vec<Condition>,
     notices: Vec<String>,
     /// By key.
@@ -185,7 +186,7 @@ impl LazyRenderer {
 
 impl RunPages {
     fn new(run: RecordedRun, program: &WorldProgram, is_served: bool) -> Result<Self> {
-        let RecordedRun { log, world, notices } = run;
+        let RecordedRun { log, world, access, notices } = run;
         let settings = &log.manifest.settings;
         let arguments = view_arguments(&log);
         let growth = is_served.then(|| Growth::new(&log));
@@ -200,6 +201,7 @@ impl RunPages {
         let mut pages = Self {
             log,
             world,
+            access,
             conditions,
             notices,
             timings: BTreeMap::new(),
@@ -429,7 +431,7 @@ impl RunPages {
     /// Reads everything again, because the run was started afresh, or has conditions that it did not have.
     fn start_afresh(&mut self) -> Result<()> {
         let restarts = self.growth.as_ref().map_or(0, |growth| growth.restarts);
-        let run = RecordedRun::read(&self.log.dir, self.world.access())?;
+        let run = RecordedRun::read(&self.log.dir, &self.access)?;
         *self = Self::new(run, &self.renderer.program, true)?;
         if let Some(growth) = &mut self.growth {
             growth.restarts = restarts + 1;

@@ -53,6 +53,9 @@ impl Stage {
                 self.demonstrations(request).map(ActAnswer::Demonstrations)
             }
             ActRequest::Scene(variant) => self.scene(*variant).map(ActAnswer::Scene),
+            ActRequest::Swapped(variant, poses) => {
+                self.swapped(*variant, poses).map(ActAnswer::Swapped)
+            }
         };
         answer.unwrap_or_else(ActAnswer::Error)
     }
@@ -110,14 +113,9 @@ impl Stage {
             true => self.reference(request, index, listed, begin)?,
             false => None,
         };
-        let shown = parts.swapped.then(|| {
-            let swapped = self.swapped.get_or_insert_with(|| SwappedPoses::new(&self.worlds.warehouse.layout));
-            steps.poses.iter().map(|pose| swapped.shown(variant, *pose)).collect()
-        });
         Ok(ActedEpisode {
             task: task.task_type().number(),
             instruction: task.instruction(&warehouse.catalogue),
-            shown,
             events: parts.events.then(|| events(&state, &task, actions, &steps)),
             reference,
             scenery,
@@ -218,6 +216,13 @@ impl Stage {
             && state.is_some_and(|state| !state.completes(&trajectory, &case.task));
         let acted = demonstration(case, history.kind, found.variant, &place, found.task, trajectory);
         Some(ActedDemonstration { is_stale, ..acted })
+    }
+
+    fn swapped(&mut self, variant: u32, poses: &[Pose]) -> Result<Vec<Pose>, Refusal> {
+        let state = self.variant(variant)?;
+        let layout = &self.worlds.warehouse.layout;
+        let swapped = self.swapped.get_or_insert_with(|| SwappedPoses::new(layout));
+        Ok(poses.iter().map(|pose| swapped.shown(&state.variant, *pose)).collect())
     }
 
     fn scene(&mut self, variant: u32) -> Result<Scene, Refusal> {

@@ -10,7 +10,7 @@ use domain::Pose;
 use jpeg_encoder::{ColorType, Encoder};
 use results::log::RunLog;
 
-use crate::program::{WorldProgram, world_arguments};
+use crate::program::{WorldFiles, WorldProgram};
 
 /// Size and quality of the JPEG files of views.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,7 +35,7 @@ pub struct ViewRenderer {
 
 /// The arguments of the renderer that say what the world of the run `log` is, and how it looks.
 pub fn view_arguments(log: &RunLog) -> Vec<OsString> {
-    let mut arguments = world_arguments(log);
+    let mut arguments = WorldFiles::of(log).arguments();
     for (name, value) in log.manifest.settings.appearance().flags() {
         arguments.extend([name.into(), value.into()]);
     }

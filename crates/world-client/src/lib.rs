@@ -14,7 +14,7 @@ mod timeline;
 mod world;
 
 pub use check::{Difference, check_run};
-pub use program::{Asker, WorldAccess, WorldProgram, world_arguments};
+pub use program::{Asker, WorldAccess, WorldFiles, WorldProgram};
 pub use selection::Selection;
 pub use timeline::{EpisodeEvent, EpisodeTimeline, EventLevel, TimelineStep};
 pub use world::RunWorld;
@@ -44,6 +44,8 @@ pub struct RecordedRun {
     pub log: RunLog,
     /// The worlds of its episodes.
     pub world: RunWorld,
+    /// How they were found.
+    pub access: WorldAccess,
     /// What the user must know about it.
     pub notices: Vec<String>,
 }
@@ -57,7 +59,7 @@ impl RecordedRun {
         let log = RunLog::read(dir)?;
         let world = RunWorld::new(&log, access)?;
         let notices = control_notice(log.manifest.settings.frames).into_iter().collect();
-        let mut run = Self { log, world, notices };
+        let mut run = Self { log, world, access: access.clone(), notices };
         let changed = run.changed_assets().join(", another ");
         if !changed.is_empty() {
             run.notices.push(format!(

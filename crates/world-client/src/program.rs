@@ -8,7 +8,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::rc::Rc;
 
 use anyhow::{Context, Result, bail};
-use case_book::act::{ActAnswer, ActRequest};
+use case_book::act::{ActAnswer, ActRequest, WorldDescription};
 use results::log::{ELSEWHERE_FILE, ELSEWHERE_HASH, RunLog, STREAMS_FILE};
 
 /// The program that knows the world, `sim-proc`, and a variable that it needs.
@@ -58,7 +58,7 @@ impl Asker {
     }
 
     /// Asks. What cannot be answered is an error.
-    pub(crate) fn ask(&mut self, request: &ActRequest) -> Result<ActAnswer> {
+    pub fn ask(&mut self, request: &ActRequest) -> Result<ActAnswer> {
         match (self.0)(request)? {
             ActAnswer::Error(problem) => bail!(problem),
             answer => Ok(answer),
@@ -66,28 +66,52 @@ impl Asker {
     }
 }
 
-/// The arguments that say what the world of the run `log` is.
-pub fn world_arguments(log: &RunLog) -> Vec<OsString> {
-    let settings = &log.manifest.settings;
-    let mut arguments: Vec<OsString> = Vec::new();
-    let mut flag = |name: &str, value: OsString| arguments.extend([name.into(), value]);
-    if let Some(assets) = &settings.assets {
-        flag("--assets", assets.into());
+/// What the world of `asker` is.
+pub(crate) fn describe(asker: &mut Asker) -> Result<WorldDescription> {
+    match asker.ask(&ActRequest::World)? {
+        ActAnswer::World(description) => Ok(description),
+        _ => bail!("the world describes something else"),
     }
-    if settings.stream.is_some() {
-        flag("--streams", log.dir.join(STREAMS_FILE).into());
+}
+
+/// The files of the world of a run.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct WorldFiles {
+    /// The folder of its assets; `None`: the built-in ones.
+    pub assets: Option<PathBuf>,
+    /// Its streams.
+    pub streams: Option<PathBuf>,
+    /// Its other world, in which tasks are demonstrated.
+    pub elsewhere: Option<PathBuf>,
+}
+
+impl WorldFiles {
+    /// Those of the run `log`.
+    pub fn of(log: &RunLog) -> Self {
+        let settings = &log.manifest.settings;
+        let has_elsewhere = log.manifest.hashes.contains_key(ELSEWHERE_HASH);
+        Self {
+            assets: settings.assets.clone(),
+            streams: settings.stream.is_some().then(|| log.dir.join(STREAMS_FILE)),
+            elsewhere: has_elsewhere.then(|| log.dir.join(ELSEWHERE_FILE)),
+        }
     }
-    if log.manifest.hashes.contains_key(ELSEWHERE_HASH) {
-        flag("--elsewhere", log.dir.join(ELSEWHERE_FILE).into());
+
+    /// As arguments of the program.
+    pub(crate) fn arguments(self) -> Vec<OsString> {
+        let Self { assets, streams, elsewhere } = self;
+        let flags =
+            [("--assets", assets), ("--streams", streams), ("--elsewhere", elsewhere)].into_iter();
+        let given = flags.filter_map(|(name, file)| Some([name.into(), file?.into()]));
+        given.flatten().collect()
     }
-    arguments
 }
 
 impl WorldProgram {
     /// Access to the worlds of runs through this program.
     pub fn access(&self) -> WorldAccess {
         let program = self.clone();
-        WorldAccess::new(move |log| program.asker(&world_arguments(log)))
+        WorldAccess::new(move |log| program.asker(&WorldFiles::of(log).arguments()))
     }
 
     /// Starts it to answer about the world that `arguments` say.
@@ -97,6 +121,35 @@ impl WorldProgram {
     pub fn asker(&self, arguments: &[OsString]) -> Result<Asker> {
         let mut running = RunningStage::start(self, arguments)?;
         Ok(Asker::new(move |request| running.ask(request)))
+    }
+
+    /// Describes the world that `arguments` say.
+    ///
+    /// # Errors
+    /// When it cannot be used.
+    pub fn describe(&self, arguments: &[OsString]) -> Result<WorldDescription> {
+        describe(&mut self.asker(arguments)?)
+    }
+
+    /// What it prints with `verb` and `arguments`, and whether all is well: status 1 says that it is not.
+    ///
+    /// # Errors
+    /// When it cannot be started, and what it gives as the reason for another status.
+    pub fn print(&self, verb: &str, arguments: &[OsString]) -> Result<(String, bool)> {
+        let output = self.command(verb).args(arguments).stdin(Stdio::null()).output();
+        let output = output.with_context(|| format!("cannot start {}", self.path.display()))?;
+        let messages = String::from_utf8_lossy(&output.stderr);
+        match output.status.code() {
+            Some(status @ (0 | 1)) => {
+                eprint!("{messages}");
+                Ok((String::from_utf8(output.stdout)?, status == 0))
+            }
+            _ if messages.is_empty() => bail!("{}: {}", self.path.display(), output.status),
+            _ => {
+                let reason = messages.trim_end();
+                bail!("{}", reason.strip_prefix("sim-proc: ").unwrap_or(reason))
+            }
+        }
     }
 
     /// It with `verb` and its variable.

@@ -71,26 +71,29 @@ impl<'a> EpisodeTimeline<'a> {
     pub fn new(world: &RunWorld, record: &'a EpisodeRecord, parts: EpisodeParts) -> Result<Self> {
         let variant = world.variant(record)?;
         let acted = world.act(record, parts)?;
-        Ok(Self::of(world, record, variant, acted))
+        let views = world.seen(variant, &acted.poses)?;
+        Ok(Self::of(record, variant, acted, views))
     }
 
-    fn of(world: &RunWorld, record: &'a EpisodeRecord, variant: u32, acted: ActedEpisode) -> Self {
+    fn of(
+        record: &'a EpisodeRecord,
+        variant: u32,
+        acted: ActedEpisode,
+        views: Vec<ViewKey>,
+    ) -> Self {
         let words = |column: &'a Option<String>| column.as_deref().unwrap_or_default().split_whitespace();
         let (mut retrieved, mut distances) = (words(&record.retrieved), words(&record.distances));
         let mut actions = record.actions.chars();
-        let steps = (0..).zip(acted.poses.iter().zip(&acted.feedback));
-        let steps = steps.map(|(step, (&pose, &feedback))| {
-            let shown = acted.shown.as_ref().and_then(|shown| shown.get(step as usize));
-            TimelineStep {
-                step,
-                pose,
-                feedback,
-                action: actions.next().and_then(Action::from_letter),
-                sub_goals: record.sub_goals.iter().filter(|met| **met <= step).count(),
-                retrieved: retrieved.next(),
-                distances: distances.next(),
-                view: world.seen(variant, pose, shown.copied()),
-            }
+        let moments = (0..).zip(acted.poses).zip(acted.feedback).zip(views);
+        let steps = moments.map(|(((step, pose), feedback), view)| TimelineStep {
+            step,
+            pose,
+            feedback,
+            action: actions.next().and_then(Action::from_letter),
+            sub_goals: record.sub_goals.iter().filter(|met| **met <= step).count(),
+            retrieved: retrieved.next(),
+            distances: distances.next(),
+            view,
         });
         Self {
             record,

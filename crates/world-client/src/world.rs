@@ -6,21 +6,20 @@ use std::rc::Rc;
 
 use anyhow::{Context, Result, bail};
 use case_book::act::{
-    ActAnswer, ActRequest, ActedDemonstration, ActedEpisode, DemonstrationsRequest, EpisodeParts,
-    EpisodeRequest, Scene, StreamBlockPlace, WorldDescription,
+    ActAnswer, ActRequest, ActedDemonstration, ActedEpisode, ActedReference, DemonstrationsRequest,
+    EpisodeParts, EpisodeRequest, Scene, StreamBlockPlace, WorldDescription,
 };
 use case_book::{CaseFacts, GREY_VARIANT};
-use domain::{Action, Pose};
-use results::conditions::{Frames, Route};
+use domain::{Action, Pose, Route, Start};
+use results::conditions::Frames;
 use results::log::{EpisodeRecord, RunLog};
 
 use crate::frames::ViewKey;
-use crate::program::{Asker, WorldAccess};
+use crate::program::{Asker, WorldAccess, describe};
 
 /// The world of a run: its cases, and answers about its episodes.
 #[derive(Debug)]
 pub struct RunWorld {
-    access: WorldAccess,
     asker: RefCell<Asker>,
     description: WorldDescription,
     /// What frames showed.
@@ -35,32 +34,26 @@ impl RunWorld {
     /// # Errors
     /// When a file of the run's world cannot be used.
     pub fn new(log: &RunLog, access: &WorldAccess) -> Result<Self> {
-        let mut asker = access.asker(log)?;
-        let ActAnswer::World(description) = asker.ask(&ActRequest::World)? else {
-            bail!("the world describes something else");
-        };
-        Ok(Self {
-            access: access.clone(),
-            asker: RefCell::new(asker),
-            description,
-            frames: log.manifest.settings.frames,
-            scenes: RefCell::default(),
-        })
+        Self::of(access.asker(log)?, log.manifest.settings.frames)
     }
 
-    /// How it was found.
-    pub fn access(&self) -> &WorldAccess {
-        &self.access
+    /// The world that `asker` answers about, with these frames.
+    ///
+    /// # Errors
+    /// When it does not answer.
+    pub fn of(mut asker: Asker, frames: Frames) -> Result<Self> {
+        let description = describe(&mut asker)?;
+        Ok(Self {
+            asker: RefCell::new(asker),
+            description,
+            frames,
+            scenes: RefCell::default(),
+        })
     }
 
     /// What it is.
     pub fn description(&self) -> &WorldDescription {
         &self.description
-    }
-
-    /// The ids of all cases, in their order.
-    pub fn case_ids(&self) -> Vec<&str> {
-        self.description.cases.iter().map(|case| case.id.as_str()).collect()
     }
 
     /// The index of the case with this id.
@@ -94,14 +87,24 @@ impl RunWorld {
         })
     }
 
-    /// The view that the policy was shown at `pose` in the world variant `variant`, where the control `swapped` shows that of
-    /// `shown`.
-    pub fn seen(&self, variant: u32, pose: Pose, shown: Option<Pose>) -> ViewKey {
-        match self.frames {
-            Frames::Rendered => (variant, pose),
-            Frames::Blank | Frames::BlankAll => (GREY_VARIANT, pose),
-            Frames::Swapped => (variant, shown.unwrap_or(pose)),
-        }
+    /// The views that the policy was shown at `poses` in the world variant `variant`: others than the true ones where frames
+    /// were a control.
+    ///
+    /// # Errors
+    /// When there is no such variant.
+    pub fn seen(&self, variant: u32, poses: &[Pose]) -> Result<Vec<ViewKey>> {
+        let of = |variant, poses: &[Pose]| poses.iter().map(|pose| (variant, *pose)).collect();
+        Ok(match self.frames {
+            Frames::Rendered => of(variant, poses),
+            Frames::Blank | Frames::BlankAll => of(GREY_VARIANT, poses),
+            Frames::Swapped => {
+                let request = ActRequest::Swapped(variant, poses.to_vec());
+                let ActAnswer::Swapped(shown) = self.asker.borrow_mut().ask(&request)? else {
+                    bail!("the world swaps something else");
+                };
+                of(variant, &shown)
+            }
+        })
     }
 
     /// The view from `pose` in the world variant `variant` that memory was given.
@@ -143,12 +146,38 @@ impl RunWorld {
                 place: stream.place,
                 block: stream.block,
             }),
-            parts: EpisodeParts { swapped: self.frames == Frames::Swapped, ..parts },
+            parts,
         };
+        self.episode(request)
+    }
+
+    fn episode(&self, request: EpisodeRequest) -> Result<ActedEpisode> {
         match self.asker.borrow_mut().ask(&ActRequest::Episode(request))? {
             ActAnswer::Episode(acted) => Ok(*acted),
             _ => bail!("the world acts out something else"),
         }
+    }
+
+    /// What the expert does from a start of a case.
+    ///
+    /// # Errors
+    /// When there is no such case or variant.
+    pub fn reference(
+        &self,
+        case: &str,
+        variant: u32,
+        of: (Start, Route),
+    ) -> Result<ActedReference> {
+        let request = EpisodeRequest {
+            case: case.to_owned(),
+            variant,
+            reference: Some(of),
+            begin: None,
+            actions: Vec::new(),
+            stream: None,
+            parts: EpisodeParts { reference: true, ..EpisodeParts::default() },
+        };
+        self.episode(request)?.reference.context("there is no reference")
     }
 
     /// Acts out demonstrations.
