@@ -17,9 +17,7 @@ use sim_proc::view_source::ViewSource;
 use sim_proc::worlds::Worlds;
 use warehouse::RunWorlds;
 use warehouse::act::Stage;
-use world_client::{
-    Asker, EpisodeTimeline, RecordedRun as Recorded, WorldAccess, WorldFiles,
-};
+use world_client::{Asker, EpisodeTimeline, RecordedRun as Recorded, WorldAccess, WorldFiles};
 
 /// A run folder, its worlds, and a renderer once a view is asked for. No `sim-proc` lies beside the package, so both answer in
 /// this process.
@@ -97,10 +95,11 @@ impl RecordedRun {
     /// Reads the run in `folder`. Views have the run's size, or width and height in pixels of `size_px`.
     #[new]
     fn new(folder: PathBuf, size_px: Option<(u32, u32)>) -> PyResult<Self> {
-        let run = Recorded::read(&folder, &access()).map_err(|error| match error.downcast_ref() {
-            Some(LogError::NoRun(_)) => PyFileNotFoundError::new_err(error.to_string()),
-            _ => invalid(&error),
-        })?;
+        let run =
+            Recorded::read(&folder, &access()).map_err(|error| match error.downcast_ref() {
+                Some(LogError::NoRun(_)) => PyFileNotFoundError::new_err(error.to_string()),
+                _ => invalid(&error),
+            })?;
         let of_run = run.log.manifest.settings.frame_size;
         let (width_px, height_px) = size_px.unwrap_or((of_run, of_run));
         let settings = RenderSettings {

@@ -5,9 +5,7 @@ use std::hash::Hash;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use warehouse::{
-    CaseSet, ELSEWHERE_VARIANT, Layout, RunWorlds, Variant, Warehouse, WorldState,
-};
+use warehouse::{CaseSet, ELSEWHERE_VARIANT, Layout, RunWorlds, Variant, Warehouse, WorldState};
 
 use crate::renderer::VisibleChanges;
 

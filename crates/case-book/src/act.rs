@@ -5,7 +5,9 @@
 
 use std::collections::BTreeMap;
 
-use domain::{Action, Cell, DemonstrationKind, Demonstrations, Feedback, Pose, Route, Start, StreamOrder};
+use domain::{
+    Action, Cell, DemonstrationKind, Demonstrations, Feedback, Pose, Route, Start, StreamOrder,
+};
 use serde::{Deserialize, Serialize};
 
 use crate::cases::{CaseFacts, WorldFacts};

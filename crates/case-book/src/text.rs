@@ -57,9 +57,7 @@ pub(crate) mod answers {
     ) -> Result<Vec<Option<Action>>, D::Error> {
         let text = String::deserialize(from)?;
         let answer = |letter| match Action::from_letter(letter) {
-            None if letter != '?' => {
-                Err(D::Error::custom(format!("{letter:?} is not an action")))
-            }
+            None if letter != '?' => Err(D::Error::custom(format!("{letter:?} is not an action"))),
             action => Ok(action),
         };
         text.chars().map(answer).collect()

@@ -3,9 +3,10 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
+use super::{Exit, WorldArgs, print, print_json, world_program};
 use anyhow::{Context, bail};
-use clap::{Args, Subcommand};
 use case_book::{BookRequest, CaseFacts, StreamsRequest};
+use clap::{Args, Subcommand};
 use domain::{Route, Start, TaskType};
 use report::table::table;
 use results::conditions::Condition;
@@ -16,7 +17,6 @@ use results::settings::{RunSettings, StreamSettings};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use settings::{Layer, SHIPPED_SUITES, resolve, select_cases};
-use super::{Exit, WorldArgs, print, print_json, world_program};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -36,8 +36,8 @@ mod validate;
 mod view;
 mod work;
 
-use std::fmt::Display;
 use std::ffi::OsString;
+use std::fmt::Display;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

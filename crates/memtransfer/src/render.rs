@@ -5,8 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use clap::Args;
 use case_book::act::DemonstrationsRequest;
+use clap::Args;
 use domain::{Appearance, DemonstrationKind, Demonstrations, Pose, Route, Start};
 use png_file::{Channels, encode};
 use program::AppearanceArgs;

@@ -6,9 +6,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
+use case_book::act::EpisodeParts;
 use clap::Args;
 use domain::names::UnknownName;
-use case_book::act::EpisodeParts;
 use domain::prompt_log::RecordedItem;
 use results::log::{EpisodeRecord, RunLog};
 use results::policy::PolicyLabel;

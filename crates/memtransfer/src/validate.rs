@@ -56,7 +56,8 @@ fn check(dir: &Path, is_json: bool) -> anyhow::Result<Exit> {
         }))?;
     } else {
         let lines = differences.iter().map(|one| format!("FAIL {one}\n"));
-        let lines: String = lines.chain(damaged.iter().map(|one| format!("FAIL {one}\n"))).collect();
+        let lines: String =
+            lines.chain(damaged.iter().map(|one| format!("FAIL {one}\n"))).collect();
         print(&format!(
             "{lines}{episodes} episodes, {} differences, {} damaged lines",
             differences.len(),

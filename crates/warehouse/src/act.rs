@@ -92,9 +92,9 @@ impl Stage {
         let index = self.case(&request.case)?;
         let case = &self.worlds.cases.cases[index];
         let task = case.task;
-        let listed = request.reference.map(|(start, route)| {
-            case.trajectory(TrajectoryKind::reference(start, route)).clone()
-        });
+        let listed = request
+            .reference
+            .map(|(start, route)| case.trajectory(TrajectoryKind::reference(start, route)).clone());
         let begin = request.begin.or(listed.as_ref().map(|listed| listed.start));
         let begin = begin.ok_or("an episode needs a begin, or a reference that has one")?;
         let WorldState { warehouse, variant } = &*state;
@@ -202,7 +202,11 @@ impl Stage {
     }
 
     /// A demonstration where it takes place; whether it is stale is judged in `state`.
-    fn demonstrated(&self, history: History, state: Option<&Rc<WorldState>>) -> Option<ActedDemonstration> {
+    fn demonstrated(
+        &self,
+        history: History,
+        state: Option<&Rc<WorldState>>,
+    ) -> Option<ActedDemonstration> {
         let RunWorlds { warehouse, cases, .. } = &self.worlds;
         let found = cases.demonstrated(warehouse, history)?;
         let case = &cases.cases[history.case];
@@ -212,9 +216,10 @@ impl Stage {
         };
         let trajectory = found.trajectory.clone();
         let can_be_stale = history.kind != DemonstrationKind::Elsewhere;
-        let is_stale = can_be_stale
-            && state.is_some_and(|state| !state.completes(&trajectory, &case.task));
-        let acted = demonstration(case, history.kind, found.variant, &place, found.task, trajectory);
+        let is_stale =
+            can_be_stale && state.is_some_and(|state| !state.completes(&trajectory, &case.task));
+        let acted =
+            demonstration(case, history.kind, found.variant, &place, found.task, trajectory);
         Some(ActedDemonstration { is_stale, ..acted })
     }
 
@@ -293,7 +298,8 @@ fn events(
         let cell = pose.cell;
         if at.replace(cell) != Some(cell) {
             let before = targets.iter().filter(|(_, item)| item.standpoint == cell);
-            let visit = |(letter, _): &(char, &Item)| format!("{taken}{letter}@{},{}", cell.x, cell.y);
+            let visit =
+                |(letter, _): &(char, &Item)| format!("{taken}{letter}@{},{}", cell.x, cell.y);
             events.visits.extend(before.map(visit));
         }
         let is_last = taken > 0 && taken as usize == actions.len();
@@ -323,11 +329,15 @@ fn events(
 /// By step, the cells that came into view for the first time.
 fn came_into_view(warehouse: &Warehouse, poses: &[Pose]) -> Vec<Vec<Cell>> {
     let mut known = HashSet::new();
-    let new = |pose: &Pose| cells(&warehouse.layout, *pose).filter(|cell| known.insert(*cell)).collect();
+    let new =
+        |pose: &Pose| cells(&warehouse.layout, *pose).filter(|cell| known.insert(*cell)).collect();
     poses.iter().map(new).collect()
 }
 
-fn lettered_targets<'w>(task: &Task, warehouse: &'w Warehouse) -> impl Iterator<Item = (char, &'w Item)> {
+fn lettered_targets<'w>(
+    task: &Task,
+    warehouse: &'w Warehouse,
+) -> impl Iterator<Item = (char, &'w Item)> {
     let lettered = |item| Some((task.letter(warehouse, item)?, item));
     task.targets(warehouse).into_iter().filter_map(lettered)
 }

@@ -87,7 +87,8 @@ impl RunWorlds {
 
     /// The variant with this number; `None` if there is none. The other warehouse is one.
     pub fn variant(&self, number: u32) -> Option<WorldState> {
-        let state = |warehouse: &Warehouse, variant| WorldState { warehouse: warehouse.clone(), variant };
+        let state =
+            |warehouse: &Warehouse, variant| WorldState { warehouse: warehouse.clone(), variant };
         if number == ELSEWHERE_VARIANT {
             let other = self.cases.elsewhere.as_ref()?;
             return Some(state(other.warehouse(), Variant::UNCHANGED));

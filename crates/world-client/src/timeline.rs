@@ -81,7 +81,8 @@ impl<'a> EpisodeTimeline<'a> {
         acted: ActedEpisode,
         views: Vec<ViewKey>,
     ) -> Self {
-        let words = |column: &'a Option<String>| column.as_deref().unwrap_or_default().split_whitespace();
+        let words =
+            |column: &'a Option<String>| column.as_deref().unwrap_or_default().split_whitespace();
         let (mut retrieved, mut distances) = (words(&record.retrieved), words(&record.distances));
         let mut actions = record.actions.chars();
         let moments = (0..).zip(acted.poses).zip(acted.feedback).zip(views);

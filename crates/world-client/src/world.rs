@@ -43,12 +43,7 @@ impl RunWorld {
     /// When it does not answer.
     pub fn of(mut asker: Asker, frames: Frames) -> Result<Self> {
         let description = describe(&mut asker)?;
-        Ok(Self {
-            asker: RefCell::new(asker),
-            description,
-            frames,
-            scenes: RefCell::default(),
-        })
+        Ok(Self { asker: RefCell::new(asker), description, frames, scenes: RefCell::default() })
     }
 
     /// What it is.
@@ -184,7 +179,10 @@ impl RunWorld {
     ///
     /// # Errors
     /// When there is no such case or variant.
-    pub fn demonstrations(&self, request: DemonstrationsRequest) -> Result<Vec<ActedDemonstration>> {
+    pub fn demonstrations(
+        &self,
+        request: DemonstrationsRequest,
+    ) -> Result<Vec<ActedDemonstration>> {
         match self.asker.borrow_mut().ask(&ActRequest::Demonstrations(request))? {
             ActAnswer::Demonstrations(acted) => Ok(acted),
             _ => bail!("the world acts out something else"),
@@ -199,7 +197,8 @@ impl RunWorld {
         if let Some(known) = self.scenes.borrow().get(&variant) {
             return Ok(Rc::clone(known));
         }
-        let ActAnswer::Scene(scene) = self.asker.borrow_mut().ask(&ActRequest::Scene(variant))? else {
+        let ActAnswer::Scene(scene) = self.asker.borrow_mut().ask(&ActRequest::Scene(variant))?
+        else {
             bail!("the world shows something else");
         };
         let scene = Rc::new(scene);

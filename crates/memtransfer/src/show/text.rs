@@ -2,10 +2,10 @@
 
 use std::fmt::Write;
 
+use domain::Action;
 use domain::prompt_log::{RecordedItem, RecordedPart, RecordedView};
 use report::table::table;
 use results::source::{SourceStep, distances, sources};
-use domain::Action;
 use results::step_view::{RecordedPrompt, facts, title};
 use world_client::TimelineStep;
 

@@ -415,7 +415,8 @@ impl DemonstrationCollector<'_> {
         let world = self.world;
         let acted = world.act(past, EpisodeParts::default())?;
         let is_stale = past.is_success() && {
-            let here = world.act_in(past, self.variant, past.start_pose, EpisodeParts::default())?;
+            let here =
+                world.act_in(past, self.variant, past.start_pose, EpisodeParts::default())?;
             here.sub_goals.len() < here.required as usize
         };
         let demonstration = DemonstrationData {

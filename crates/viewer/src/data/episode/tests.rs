@@ -103,7 +103,8 @@ fn every_step_has_a_pose_a_view_of_its_world_and_what_came_into_view() {
 
 #[test]
 fn a_source_that_its_case_does_not_have_is_left_out() {
-    let shown = serde_json::to_value(episode("LLL", Some("w2 t99-01:o1 t01-02:a3"), |_| ())).unwrap();
+    let shown =
+        serde_json::to_value(episode("LLL", Some("w2 t99-01:o1 t01-02:a3"), |_| ())).unwrap();
     let titles = shown["demonstrations"].as_array().unwrap().iter().map(|one| &one["title"]);
     let titles: Vec<&Value> = titles.collect();
     assert_eq!(titles, ["original demonstration", "after demonstration of t01-02"]);
