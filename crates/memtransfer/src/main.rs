@@ -198,19 +198,10 @@ fn main() -> ExitCode {
         // `memtransfer ls cases | head` is not an error.
         Err(error) if program::is_closed_pipe(&error) => Exit::Complete.into(),
         Err(error) => {
-            say!("memtransfer: {}", program::with_advice(&in_one_line(&error)));
+            say!("memtransfer: {}", program::with_advice(&program::in_one_line(&error)));
             Exit::Error.into()
         }
     }
-}
-
-/// An error and its causes, without causes that an error's own message contains.
-fn in_one_line(error: &anyhow::Error) -> String {
-    error.chain().fold(String::new(), |line, cause| match cause.to_string() {
-        cause if line.is_empty() => cause,
-        cause if line.contains(&cause) => line,
-        cause => format!("{line}: {cause}"),
-    })
 }
 
 /// Prints a text to stdout, with a line end, and without characters that steer a terminal.
@@ -294,14 +285,6 @@ mod tests {
                 assert!(text.lines().all(|line| line.chars().count() <= 100), "{name}: {text}");
             }
         }
-    }
-
-    #[test]
-    fn causes_are_not_repeated() {
-        let missing = || io::Error::new(io::ErrorKind::NotFound, "no such file");
-        let own = anyhow::Error::from(missing()).context("cannot read x: no such file");
-        assert_eq!(in_one_line(&own), "cannot read x: no such file");
-        assert_eq!(in_one_line(&own.context("no suite")), "no suite: cannot read x: no such file");
     }
 
     #[test]
