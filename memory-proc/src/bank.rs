@@ -10,15 +10,24 @@ use shm_types::BankContent;
 use shm_types::banks::{BankDemonstration, BankStep};
 use shm_types::message::{FrameId, NO_ACTION, NO_FRAME};
 
-pub use warehouse::Viewpoint;
+use domain::Pose;
 
-use crate::demonstrations::ReplayedDemonstration;
+use crate::demonstrations::RememberedDemonstration;
+
+/// Where a view is seen from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Viewpoint {
+    /// The world variant.
+    pub variant: u32,
+    /// The pose.
+    pub pose: Pose,
+}
 
 /// Demonstrations, and where their views are seen from.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct ReplayedBank {
+pub struct MemoryBank {
     /// The demonstrations, numbered from 0.
-    pub demonstrations: Vec<Arc<ReplayedDemonstration>>,
+    pub demonstrations: Vec<Arc<RememberedDemonstration>>,
     /// The viewpoints of those that the bank was made of, each once, sorted.
     pub viewpoints: Vec<Viewpoint>,
 }
@@ -34,10 +43,12 @@ pub struct KnownView {
     pub embedding: Option<Embedding>,
 }
 
-impl ReplayedBank {
+impl MemoryBank {
     /// A bank of these demonstrations.
-    pub fn new(demonstrations: impl IntoIterator<Item: Into<Arc<ReplayedDemonstration>>>) -> Self {
-        let demonstrations: Vec<Arc<ReplayedDemonstration>> =
+    pub fn new(
+        demonstrations: impl IntoIterator<Item: Into<Arc<RememberedDemonstration>>>,
+    ) -> Self {
+        let demonstrations: Vec<Arc<RememberedDemonstration>> =
             demonstrations.into_iter().map(Into::into).collect();
         let mut viewpoints: Vec<Viewpoint> =
             demonstrations.iter().flat_map(|demonstration| demonstration.viewpoints()).collect();
@@ -80,7 +91,7 @@ pub(crate) struct Collecting {
 }
 
 impl Collecting {
-    pub(crate) fn new(bank: &ReplayedBank) -> Self {
+    pub(crate) fn new(bank: &MemoryBank) -> Self {
         let waiting = bank.viewpoints.iter().copied().collect();
         Self { found: HashMap::new(), waiting, pinned: Vec::new() }
     }
@@ -98,7 +109,7 @@ impl Collecting {
 /// The steps of a bank's demonstrations, one demonstration after the other, with their views.
 #[derive(Debug)]
 pub struct BankSteps<'a> {
-    bank: &'a ReplayedBank,
+    bank: &'a MemoryBank,
     steps: Vec<DemonstrationStep>,
     embeddings: Arc<Embeddings>,
     frames: Vec<FrameId>,
@@ -109,7 +120,7 @@ pub type Embeddings = HashMap<ContentHash, Embedding>;
 
 impl<'a> BankSteps<'a> {
     /// The steps without views.
-    pub fn without_views(bank: &'a ReplayedBank) -> Self {
+    pub fn without_views(bank: &'a MemoryBank) -> Self {
         let steps = bank.demonstrations.iter().flat_map(|demonstration| {
             let states = demonstration.poses.iter().zip(&demonstration.feedback).enumerate();
             states.map(|(at, (&pose, &feedback))| DemonstrationStep {
@@ -123,7 +134,7 @@ impl<'a> BankSteps<'a> {
     }
 
     /// Each demonstration with its place in the lists.
-    fn places(&self) -> impl Iterator<Item = (&'a ReplayedDemonstration, Range<usize>)> {
+    fn places(&self) -> impl Iterator<Item = (&'a RememberedDemonstration, Range<usize>)> {
         let mut first = 0;
         self.bank.demonstrations.iter().map(move |demonstration| {
             let place = first..first + demonstration.poses.len();

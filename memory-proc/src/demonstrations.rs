@@ -1,22 +1,20 @@
 //! Demonstrations: the expert's views, actions and progress, step by step (specification, section 4).
 //!
-//! A demonstration is stored as actions and replayed here with the warehouse's dynamics, in the world where it takes place.
-//! Its views are named by pose and world variant.
-//!
-//! Memories are built from demonstrations only. No [`DemonstrationKind`](domain::DemonstrationKind) is a test reference: those
-//! never get into a memory, whatever a set of cases contains. A memory that learns also has the episodes that it learned
-//! from, in the form of demonstrations.
+//! They come from the demonstration book, which the world has written for the run ([`DemonstrationBook`]). Memories are built
+//! from them only: the book holds no test reference. A memory that learns also has the episodes that it learned from, in the
+//! form of demonstrations.
 
 use std::collections::HashSet;
+use std::sync::Arc;
 
-use domain::{Action, Demonstrations, Feedback, Pose};
-use warehouse::{CaseSet, History, Warehouse};
+use case_book::{Demonstration, DemonstrationBook};
+use domain::{Action, Arm, Demonstrations, Feedback, Pose};
 
 use crate::bank::Viewpoint;
 
-/// A replayed demonstration, or an episode that a memory has learned from.
+/// A demonstration, or an episode that a memory has learned from.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct ReplayedDemonstration {
+pub struct RememberedDemonstration {
     /// Its case's index; of an episode, its position in its sequence.
     pub case: u32,
     /// Its [code](domain::DemonstrationKind); [`EXPERIENCE`](shm_types::message::EXPERIENCE) for an episode.
@@ -25,7 +23,7 @@ pub struct ReplayedDemonstration {
     pub variant: u32,
     /// Its task.
     pub instruction: String,
-    /// The expert's pose after `t` steps.
+    /// The pose after `t` steps.
     pub poses: Vec<Pose>,
     /// The feedback to action `t - 1`; [`Feedback::Start`] first.
     pub feedback: Vec<Feedback>,
@@ -35,10 +33,21 @@ pub struct ReplayedDemonstration {
     pub actions: Vec<Option<Action>>,
 }
 
-impl ReplayedDemonstration {
+impl RememberedDemonstration {
     /// Where its views are seen from.
     pub fn viewpoints(&self) -> impl Iterator<Item = Viewpoint> + '_ {
         self.poses.iter().map(|&pose| Viewpoint { variant: self.variant, pose })
+    }
+
+    /// The steps at which sub-goals were completed.
+    pub fn sub_goals(&self) -> Vec<u32> {
+        let mut completed = 0;
+        let mut steps = Vec::new();
+        for (at, &stage) in (0..).zip(&self.stages) {
+            steps.extend((completed..stage).map(|_| at));
+            completed = stage;
+        }
+        steps
     }
 
     /// Where the view of a step is seen from.
@@ -50,90 +59,191 @@ impl ReplayedDemonstration {
     }
 }
 
-/// Replays the demonstrations of a set, given as [`Demonstrations::bits`], for the case at `index`. A mixed set includes
-/// demonstrations of other cases, each with its own case's task. `None` when there is no such case or set, or one of the
-/// demonstrations does not exist.
-pub fn selected(
-    warehouse: &Warehouse,
-    cases: &CaseSet,
-    index: u32,
-    selection: u32,
-) -> Option<Vec<ReplayedDemonstration>> {
-    cases.cases.get(index as usize)?;
-    let histories = cases.histories(index as usize, Demonstrations::from_bits(selection)?);
-    histories.into_iter().map(|history| replayed(warehouse, cases, history)).collect()
+impl From<Demonstration> for RememberedDemonstration {
+    fn from(of: Demonstration) -> Self {
+        Self {
+            stages: of.stages(),
+            case: of.case,
+            number: of.kind as u16,
+            variant: of.variant,
+            instruction: of.instruction,
+            poses: of.poses,
+            feedback: of.feedback,
+            actions: of.actions.into_iter().map(Some).collect(),
+        }
+    }
 }
 
-/// Replays the demonstrations that a set names for any case, each once, in the order of the cases. `None` as for
-/// [`selected`].
-pub fn of_all_cases(
-    warehouse: &Warehouse,
-    cases: &CaseSet,
-    selection: u32,
-) -> Option<Vec<ReplayedDemonstration>> {
-    let selection = Demonstrations::from_bits(selection)?;
-    histories(warehouse, cases, cases.histories_of_all(selection).into_iter())
+/// All demonstrations of a run, and which of them each bank holds.
+#[derive(Debug)]
+pub struct DemonstrationLibrary {
+    book: DemonstrationBook,
+    /// Those of the book, by index.
+    demonstrations: Vec<Arc<RememberedDemonstration>>,
 }
 
-/// Replays these demonstrations, each once. `None` when one of them does not exist.
-pub(crate) fn histories(
-    warehouse: &Warehouse,
-    cases: &CaseSet,
-    histories: impl Iterator<Item = History>,
-) -> Option<Vec<ReplayedDemonstration>> {
-    let mut known = HashSet::new();
-    let each_once = histories.filter(|history| known.insert(*history));
-    each_once.map(|history| replayed(warehouse, cases, history)).collect()
+/// What a bank is made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) struct BankOrigin {
+    stream: u32,
+    set: Demonstrations,
+    kind: OriginKind,
 }
 
-/// Replays a demonstration. `None` when it does not exist.
-pub(crate) fn replayed(
-    warehouse: &Warehouse,
-    cases: &CaseSet,
-    history: History,
-) -> Option<ReplayedDemonstration> {
-    let of = cases.demonstrated(warehouse, history)?;
-    let replay = of.replay();
-    Some(ReplayedDemonstration {
-        case: history.case as u32,
-        number: history.kind as u16,
-        variant: of.variant,
-        instruction: of.instruction(),
-        poses: replay.poses,
-        feedback: replay.feedback,
-        stages: replay.stages,
-        actions: of.trajectory.actions.iter().copied().map(Some).collect(),
-    })
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+enum OriginKind {
+    /// The demonstrations of the stream's cases.
+    Demonstrated,
+    /// The cases' irrelevant histories.
+    Irrelevant,
+    /// Demonstrations of the cases by an expert who knows the world of this block.
+    Planned { block: u32 },
+    /// Outside of streams: the bank of this case; `None`: the one that most cases have.
+    OfCase { case: Option<u32> },
+}
+
+impl BankOrigin {
+    /// The bank of an arm in a block of a stream, from the demonstrations `set` of its cases.
+    pub(crate) const fn new(arm: Arm, stream: u32, block: u32, set: Demonstrations) -> Self {
+        let kind = match arm {
+            Arm::Frozen | Arm::Learning => OriginKind::Demonstrated,
+            Arm::Wrong => OriginKind::Irrelevant,
+            Arm::Oracle => OriginKind::Planned { block },
+        };
+        Self { stream, set, kind }
+    }
+}
+
+impl DemonstrationLibrary {
+    /// The demonstrations of `book`.
+    pub fn new(mut book: DemonstrationBook) -> Self {
+        let demonstrations = std::mem::take(&mut book.demonstrations).into_iter();
+        let demonstrations = demonstrations.map(|of| Arc::new(of.into())).collect();
+        Self { book, demonstrations }
+    }
+
+    /// The number of cases.
+    pub(crate) fn case_count(&self) -> usize {
+        self.book.cases.len()
+    }
+
+    /// The instruction that an episode of a case carries out; `None` if there is no such case.
+    pub(crate) fn instruction(&self, case: u32) -> Option<&str> {
+        self.book.cases.get(case as usize).map(|case| case.instruction.as_str())
+    }
+
+    /// Whether episodes of the run can take place in this world variant as part of a stream.
+    pub(crate) fn has_variant(&self, variant: u32) -> bool {
+        self.book.variants.contains_key(&variant)
+    }
+
+    /// The demonstrations of a set for the case with this index. `None` as for [`DemonstrationBook::of_case`].
+    pub fn of_case(
+        &self,
+        case: u32,
+        set: Demonstrations,
+    ) -> Option<Vec<Arc<RememberedDemonstration>>> {
+        self.book.of_case(case, set).map(|indices| self.listed(&indices))
+    }
+
+    /// The demonstrations that a set names for any case, each once, in the order of the cases. `None` as for
+    /// [`of_case`](Self::of_case).
+    pub fn of_all_cases(&self, set: Demonstrations) -> Option<Vec<Arc<RememberedDemonstration>>> {
+        self.book.of_all_cases(set).map(|indices| self.listed(&indices))
+    }
+
+    fn listed(&self, indices: &[u32]) -> Vec<Arc<RememberedDemonstration>> {
+        indices.iter().map(|index| self.demonstrations[*index as usize].clone()).collect()
+    }
+
+    /// Where the bank `set` of a case outside of streams comes from.
+    pub(crate) fn bank_of_case(&self, case: u32, set: Demonstrations) -> BankOrigin {
+        let common = set.bank_size().and_then(|size| self.book.common_bank(size));
+        let is_common = self.book.of_case(case, set) == common;
+        let kind = OriginKind::OfCase { case: (!is_common).then_some(case) };
+        BankOrigin { stream: 0, set, kind }
+    }
+
+    /// The demonstrations of a bank, each once, in the order of the cases.
+    ///
+    /// # Errors
+    /// When there is no such stream or block, or nothing that the bank could be made of.
+    pub(crate) fn of_bank(
+        &self,
+        origin: BankOrigin,
+    ) -> Result<Vec<Arc<RememberedDemonstration>>, String> {
+        let BankOrigin { stream: number, set, kind } = origin;
+        let stream = || {
+            let count = self.book.streams.len();
+            self.book.streams.get(number as usize).ok_or_else(|| {
+                format!(
+                    "stream {number} of {count}: is memory-proc started with the run's --demonstrations?"
+                )
+            })
+        };
+        let indices: Option<Vec<u32>> = match kind {
+            OriginKind::OfCase { case: Some(case) } => self.book.of_case(case, set),
+            OriginKind::OfCase { case: None } => {
+                set.bank_size().and_then(|size| self.book.common_bank(size))
+            }
+            OriginKind::Demonstrated => {
+                let of = stream()?.cases.iter().map(|&case| self.book.of_case(case, set));
+                of.collect::<Option<Vec<_>>>().map(|of| of.into_iter().flatten().collect())
+            }
+            OriginKind::Irrelevant => {
+                let of = &stream()?.cases;
+                let cases = of.iter().filter_map(|&case| self.book.cases.get(case as usize));
+                let other = cases.flat_map(|case| case.irrelevant.iter().copied());
+                // What is irrelevant to one case of the stream may be a demonstration of another.
+                let is_other =
+                    |index: &u32| !of.contains(&self.demonstrations[*index as usize].case);
+                Some(other.filter(is_other).collect())
+            }
+            OriginKind::Planned { block } => stream()?.planned.get(block as usize).map(|planned| {
+                let of_set = |index: &&u32| {
+                    let number = self.demonstrations[**index as usize].number;
+                    set.own().any(|kind| kind as u16 == number)
+                };
+                planned.iter().filter(of_set).copied().collect()
+            }),
+        };
+        let mut known = HashSet::new();
+        let indices = indices.unwrap_or_default().into_iter();
+        let indices: Vec<u32> = indices.filter(|index| known.insert(*index)).collect();
+        if indices.is_empty() {
+            return Err(match kind {
+                OriginKind::OfCase { .. } => format!("there is no bank {set}"),
+                _ => format!("stream {number} has no demonstrations of the set {set} ({kind:?})"),
+            });
+        }
+        Ok(self.listed(&indices))
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use domain::{DemonstrationKind, Mixture};
-    use warehouse::{ELSEWHERE_VARIANT, Elsewhere};
+    use case_book::{BookRequest, ElsewhereRequest};
+    use domain::DemonstrationKind;
+    use warehouse::case_book::write_books;
+    use warehouse::{CaseSet, ELSEWHERE_VARIANT, Warehouse};
 
     use super::*;
+
+    fn library(elsewhere: Option<ElsewhereRequest>) -> DemonstrationLibrary {
+        let request = BookRequest { elsewhere, ..BookRequest::default() };
+        DemonstrationLibrary::new(write_books(&request).unwrap().demonstrations)
+    }
 
     #[test]
     fn a_demonstration_of_another_case_completes_that_case_s_task() {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-        for (set, mixture) in [
-            (Demonstrations::IRRELEVANT, Mixture::Irrelevant),
-            (Demonstrations::CONFUSABLE, Mixture::Confusable),
-        ] {
+        let library = library(None);
+        for set in [Demonstrations::IRRELEVANT, Demonstrations::CONFUSABLE] {
             for index in 0..cases.cases.len() {
-                let chosen = selected(&warehouse, &cases, index as u32, set.bits()).unwrap();
-                assert_eq!(chosen.len(), 4);
-                for (demonstration, kind) in
-                    chosen.iter().zip([DemonstrationKind::Original, DemonstrationKind::Opposite])
-                {
-                    assert_eq!(
-                        (demonstration.case, demonstration.number),
-                        (index as u32, kind as u16)
-                    );
-                }
-                for (demonstration, history) in
-                    chosen[2..].iter().zip(cases.cases[index].mixed(mixture))
-                {
+                let chosen = library.of_case(index as u32, set).unwrap();
+                let histories = cases.histories(index, set);
+                assert_eq!((chosen.len(), histories.len()), (4, 4));
+                for (demonstration, history) in chosen.iter().zip(histories) {
                     assert_eq!(
                         (demonstration.case, demonstration.number),
                         (history.case as u32, history.kind as u16)
@@ -142,6 +252,7 @@ mod tests {
                     let replay = of.replay();
                     assert!(replay.length.is_some() && demonstration.stages == replay.stages);
                     assert_eq!(demonstration.poses, replay.poses);
+                    assert_eq!(demonstration.instruction, of.instruction());
                     let actions: Vec<_> = demonstration.actions.iter().copied().flatten().collect();
                     assert_eq!(actions, of.trajectory.actions);
                 }
@@ -151,33 +262,25 @@ mod tests {
 
     #[test]
     fn a_demonstration_elsewhere_is_seen_in_the_other_warehouse() {
-        let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
-        let set = Demonstrations::ELSEWHERE.bits();
-        assert_eq!(selected(&warehouse, &cases, 0, set), None, "there is no other warehouse");
-        cases.elsewhere = Elsewhere::generate(&warehouse, &cases, 1).ok();
-        let other = cases.elsewhere.as_ref().unwrap().warehouse();
-        let all = of_all_cases(&warehouse, &cases, set).unwrap();
-        assert_eq!(all.len(), cases.cases.len());
-        for (index, demonstration) in all.iter().enumerate() {
-            let task = &cases.cases[index].task;
-            assert_eq!(demonstration.instruction, task.instruction(&warehouse.catalogue));
+        let set = Demonstrations::ELSEWHERE;
+        assert_eq!(library(None).of_case(0, set), None, "there is no other warehouse");
+        let library = library(Some(ElsewhereRequest { assets: None, seed: 1 }));
+        let all = library.of_all_cases(set).unwrap();
+        assert_eq!(all.len(), library.case_count());
+        for (index, demonstration) in (0..).zip(&all) {
+            assert_eq!(Some(&*demonstration.instruction), library.instruction(index));
             assert_eq!(demonstration.number, DemonstrationKind::Elsewhere as u16);
             assert!(demonstration.viewpoints().all(|of| of.variant == ELSEWHERE_VARIANT));
-            assert!(demonstration.poses.iter().all(|pose| other.layout.is_free(pose.cell)));
-            let chosen = selected(&warehouse, &cases, index as u32, set);
-            assert_eq!(chosen, Some(vec![demonstration.clone()]));
+            assert_eq!(library.of_case(index, set), Some(vec![demonstration.clone()]));
         }
-        // Where the expert went here, which references do too, makes no difference there.
-        let demonstrated = all.iter().flat_map(|demonstration| &demonstration.poses);
-        assert!(demonstrated.clone().any(|pose| !warehouse.layout.is_free(pose.cell)));
     }
 
     #[test]
-    fn unknown_cases_and_sets_are_refused() {
-        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-        let all = Demonstrations::ALL.bits();
-        assert_eq!(selected(&warehouse, &cases, 100, all), None);
-        assert_eq!(selected(&warehouse, &cases, 0, 1 << 4), None);
-        assert_eq!(selected(&warehouse, &cases, 0, 0), Some(Vec::new()));
+    fn unknown_cases_and_empty_sets() {
+        let library = library(None);
+        assert_eq!(library.of_case(100, Demonstrations::ALL), None);
+        assert_eq!(library.of_case(0, Demonstrations::NONE), Some(Vec::new()));
+        let missing = library.of_bank(library.bank_of_case(0, Demonstrations::bank(401)));
+        assert_eq!(missing.unwrap_err(), "there is no bank bank-401");
     }
 }

@@ -13,6 +13,7 @@ use std::collections::{BTreeMap, BTreeSet, HashSet, VecDeque};
 use std::sync::Arc;
 
 use crate::bank::Viewpoint;
+use crate::demonstrations::DemonstrationLibrary;
 use crate::embedded_views::EmbeddedViews;
 use crate::embedding_cache::{CacheError, EmbeddingCache};
 use crate::episode::{EpisodeMemory, MemoryEpisode, PendingObservation, PendingStage, Reason};
@@ -21,7 +22,6 @@ use crate::items::{Assembler, DocumentSupplier};
 use crate::sequences::{Bound, SequenceEpisode, SequenceMemories};
 use crate::snapshots::SnapshotFolder;
 use crate::views::{Arrival, PinnedView};
-use crate::worlds::WorldStates;
 use search::{ContentHash, Embedding};
 use shm_types::message::{
     FrameId, MemoryEpisodeConfig, Observation, Recall, RecallTrace, SnapshotReport, ViewRequest,
@@ -29,7 +29,7 @@ use shm_types::message::{
 
 /// The lanes of a run. `I` is a source of a frame's pixels, which the engine passes on to the encoder.
 pub struct Engine<I> {
-    worlds: WorldStates,
+    library: DemonstrationLibrary,
     lanes: Vec<EngineLane>,
     /// Lanes with a pending observation.
     pending: BTreeSet<u32>,
@@ -86,7 +86,7 @@ impl<I: Clone> Engine<I> {
     /// Creates an engine for `lanes` lanes, with room for `views` demonstration views. Without a folder for `snapshots`, no
     /// memory can learn.
     pub fn new(
-        worlds: WorldStates,
+        library: DemonstrationLibrary,
         lanes: u32,
         views: usize,
         embeddings: EmbeddingCache,
@@ -94,7 +94,7 @@ impl<I: Clone> Engine<I> {
         snapshots: Option<SnapshotFolder>,
     ) -> Self {
         Self {
-            worlds,
+            library,
             lanes: (0..lanes).map(|_| EngineLane::default()).collect(),
             pending: BTreeSet::new(),
             views: EmbeddedViews::new(views, embeddings),
@@ -113,12 +113,12 @@ impl<I: Clone> Engine<I> {
     /// # Errors
     /// When a value in the message is invalid, or its views do not fit.
     pub fn config(&mut self, config: &MemoryEpisodeConfig) -> Result<(), String> {
-        let Self { externals, worlds, .. } = self;
+        let Self { externals, library, .. } = self;
         let external = |set| match config.sequence {
-            0 => externals.bank(config, set, &worlds.warehouse, &worlds.cases),
+            0 => externals.bank(config, set, library),
             _ => externals.of_stream(config),
         };
-        let episode = MemoryEpisode::announced(config, worlds, external)?;
+        let episode = MemoryEpisode::announced(config, library, external)?;
         if episode.learns() && !self.sequences.can_save() {
             return Err(format!(
                 "config of episode {}: its memory learns, and memory-proc was started without --snapshots",
@@ -176,7 +176,7 @@ impl<I: Clone> Engine<I> {
         }
         let running = running.as_mut().filter(|running| running.id == seen.episode);
         let running = running.ok_or_else(unknown)?;
-        running.observe(seen, &self.worlds)?;
+        running.observe(seen)?;
         let stage = if is_last { PendingStage::Ended } else { PendingStage::New };
         running.pending = Some(PendingObservation { received_ns, content: None, stage });
         if running.embeds && !is_last {
@@ -190,7 +190,7 @@ impl<I: Clone> Engine<I> {
     fn pass_on_last(&mut self, done: &mut MemoryEpisode, seen: &Observation) {
         let EpisodeMemory::External { index, begun: true, .. } = done.memory else { return };
         // What is wrong with the message changes nothing any more.
-        let _ = done.observe(seen, &self.worlds);
+        let _ = done.observe(seen);
         if let Some(now) = &done.current {
             let query = query_message(done, now, None, true);
             self.externals.outbox.push((index, ToExternal::Query(query)));
@@ -369,20 +369,20 @@ impl<I: Clone> Engine<I> {
         clock: impl Fn() -> u64,
         documents: &mut dyn DocumentSupplier,
     ) -> anyhow::Result<LaneProgress> {
-        let Self { lanes, views, externals, sequences, worlds, .. } = self;
+        let Self { lanes, views, externals, sequences, library, .. } = self;
         // The episode may have ended without an answer.
         let Some(episode) = &mut lanes[lane as usize].running else {
             return Ok(LaneProgress::Gone);
         };
         let is_new = |part: &SequenceEpisode| !part.begun;
         if episode.pending.is_some() && episode.stream.as_ref().is_some_and(is_new) {
-            let mut bound = sequences.bind(episode, worlds, documents, (externals, clock()))?;
+            let mut bound = sequences.bind(episode, library, documents, (externals, clock()))?;
             if let Bound::Waiting = bound {
                 for collecting in sequences.unfinished_banks() {
                     views.collect(collecting, true);
                 }
                 // All views may be those of another bank.
-                bound = sequences.bind(episode, worlds, documents, (externals, clock()))?;
+                bound = sequences.bind(episode, library, documents, (externals, clock()))?;
             }
             match bound {
                 Bound::Yes => {}

@@ -12,16 +12,14 @@ use peer::memory::{Memory, MemoryItem, Query, Step};
 use search::{ContentHash, Embedding};
 use shm_types::message::{
     EXPERIENCE, EXTERNAL, FrameId, MAX_ITEMS, MAX_SEGMENT, MemoryEpisodeConfig, NO_ACTION,
-    NO_FRAME, NOT_MEASURED, Observation, Recall, RecallTrace,
+    NO_FRAME, NOT_MEASURED, Observation, Recall, RecallTrace, TASK_COMPLETE,
 };
-use warehouse::Progress;
 
-use crate::bank::{BankSteps, KnownView, ReplayedBank, Viewpoint};
-use crate::demonstrations::{self, ReplayedDemonstration};
+use crate::bank::{BankSteps, KnownView, MemoryBank, Viewpoint};
+use crate::demonstrations::{BankOrigin, DemonstrationLibrary, RememberedDemonstration};
 use crate::items::{AssembledRecall, Budgets, CheckedAnswer, DocumentSupplier, PublishedTexts};
 use crate::representation::{MemorySettings, built_in};
 use crate::sequences::{KeptMemory, Recording, SequenceEpisode, SequenceMemory};
-use crate::worlds::{BankOrigin, WorldStates};
 
 /// Why something cannot go on.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -103,7 +101,7 @@ pub(crate) struct MemoryEpisode {
     /// Its part in a stream; `None` outside of streams.
     pub(crate) stream: Option<SequenceEpisode>,
     /// What the memory can name: the demonstrations that it is built from. In a stream: from the first step on.
-    pub(crate) bank: Arc<ReplayedBank>,
+    pub(crate) bank: Arc<MemoryBank>,
     /// Whether all views of the bank are pinned while the episode runs.
     pub(crate) pins_bank: bool,
     /// Whether the memory uses embeddings.
@@ -117,7 +115,6 @@ pub(crate) struct MemoryEpisode {
     pub(crate) budgets: Budgets,
     pub(crate) seed: u64,
     pub(crate) repeat: u32,
-    pub(crate) case: u32,
     pub(crate) instruction: String,
     /// The current step, from the first observation on.
     pub(crate) current: Option<CurrentStep>,
@@ -134,13 +131,14 @@ pub(crate) struct CurrentStep {
     pub(crate) feedback: Feedback,
     pub(crate) action: Option<Action>,
     pub(crate) frame: FrameId,
-    progress: Progress,
+    /// Sub-goals completed so far.
+    stage: u32,
 }
 
 /// What an external memory needs of an episode's bank.
 pub(crate) struct ExternalBank {
     pub(crate) id: u64,
-    pub(crate) bank: Arc<ReplayedBank>,
+    pub(crate) bank: Arc<MemoryBank>,
     pub(crate) pins_bank: bool,
     pub(crate) embeds: bool,
 }
@@ -149,22 +147,22 @@ impl MemoryEpisode {
     /// The episode that a message announces. `external` finds the bank of an external memory.
     pub(crate) fn announced(
         config: &MemoryEpisodeConfig,
-        worlds: &WorldStates,
+        library: &DemonstrationLibrary,
         external: impl FnOnce(Demonstrations) -> Result<ExternalBank, String>,
     ) -> Result<Self, String> {
         let MemoryEpisodeConfig { case, demonstrations, lane, .. } = *config;
         let refused = |what: String| format!("config of episode {}: {what}", config.episode);
-        let WorldStates { warehouse, cases, .. } = worlds;
         let unknown = || {
             refused(format!(
                 "case {case} with demonstrations {demonstrations:#b}, but there are {} cases, and no such set for \
-                 them; are both processes started with the same assets?",
-                cases.cases.len()
+                 them; are both processes started with the same demonstrations?",
+                library.case_count()
             ))
         };
         let set = Demonstrations::from_bits(demonstrations).ok_or_else(unknown)?;
-        cases.cases.get(case as usize).ok_or_else(unknown)?;
-        let none = cases.histories(case as usize, set).is_empty();
+        let chosen = library.of_case(case, set).ok_or_else(unknown)?;
+        let instruction = library.instruction(case).ok_or_else(unknown)?;
+        let none = chosen.is_empty();
         // Memories of large banks are shared, as those of sequences are.
         let is_shared = config.sequence != 0 || set.bank_size().is_some();
         let (memory, bank, pins_bank, embeds) = if config.representation == EXTERNAL {
@@ -186,20 +184,17 @@ impl MemoryEpisode {
             if is_shared && !none {
                 (memory, Arc::default(), false, embeds)
             } else {
-                let chosen = demonstrations::selected(warehouse, cases, case, demonstrations)
-                    .ok_or_else(unknown)?;
-                (memory, Arc::new(ReplayedBank::new(chosen)), embeds, embeds)
+                (memory, Arc::new(MemoryBank::new(chosen)), embeds, embeds)
             }
         };
-        let instruction = cases.cases[case as usize].task.instruction(&warehouse.catalogue);
         let stream = match &memory {
             // A memory of no demonstrations has nothing that could persist.
             _ if none => None,
             _ if config.sequence != 0 => {
-                Some(stream_part(config, set, worlds, &instruction).map_err(refused)?)
+                Some(stream_part(config, set, library, instruction).map_err(refused)?)
             }
             EpisodeMemory::BuiltIn { representation, settings, .. } if is_shared => {
-                Some(bank_part(config, set, worlds, (*representation, settings)))
+                Some(bank_part(config, set, library, (*representation, settings)))
             }
             _ => None,
         };
@@ -217,8 +212,7 @@ impl MemoryEpisode {
             budgets: Budgets { images: config.image_budget.into(), text: config.text_budget },
             seed: config.seed,
             repeat: config.repeat,
-            case,
-            instruction,
+            instruction: instruction.to_owned(),
             current: None,
             pending: None,
             last: None,
@@ -232,11 +226,7 @@ impl MemoryEpisode {
     }
 
     /// Checks and takes the next observation.
-    pub(crate) fn observe(
-        &mut self,
-        seen: &Observation,
-        worlds: &WorldStates,
-    ) -> Result<(), String> {
+    pub(crate) fn observe(&mut self, seen: &Observation) -> Result<(), String> {
         let Observation { episode, step, frame, .. } = *seen;
         let broken =
             |what: String| format!("observation of episode {episode}, step {step}: {what}");
@@ -254,31 +244,18 @@ impl MemoryEpisode {
         if step != expected {
             return Err(broken(format!("expected step {expected}")));
         }
-        let mut progress = match self.current.take() {
-            Some(now) => now.progress,
-            None => {
-                let task = &worlds.cases.cases[self.case as usize].task;
-                let variant = self.stream.as_ref().map_or(0, |part| part.variant);
-                let (warehouse, _) = worlds
-                    .state(variant)
-                    .ok_or_else(|| broken(format!("there is no world variant {variant}")))?;
-                Progress::new(warehouse, task, pose.cell)
-            }
-        };
-        if step > 0 {
-            progress.visit(pose.cell);
-        }
+        let stage = u32::from(seen.progress & !TASK_COMPLETE);
         let recording = self.stream.as_mut().and_then(|part| part.recording.as_mut());
         if let Some(Recording { lived, is_complete }) = recording {
             lived.poses.push(pose);
             lived.feedback.push(feedback);
-            lived.stages.push(progress.stage());
+            lived.stages.push(stage);
             if step > 0 {
                 lived.actions.push(action);
             }
-            *is_complete = progress.is_complete();
+            *is_complete = seen.progress & TASK_COMPLETE != 0;
         }
-        self.current = Some(CurrentStep { step, pose, feedback, action, frame, progress });
+        self.current = Some(CurrentStep { step, pose, feedback, action, frame, stage });
         Ok(())
     }
 
@@ -449,7 +426,7 @@ impl CurrentStep {
             window: &[],
             image_budget: budgets.images,
             text_budget: budgets.text,
-            stage: Some(self.progress.stage()),
+            stage: Some(self.stage),
         }
     }
 }
@@ -479,14 +456,14 @@ pub(crate) fn build_built_in(
 fn stream_part(
     config: &MemoryEpisodeConfig,
     set: Demonstrations,
-    worlds: &WorldStates,
+    library: &DemonstrationLibrary,
     instruction: &str,
 ) -> Result<SequenceEpisode, String> {
     let arm = Arm::try_from(config.arm).map_err(|error| error.to_string())?;
     let feedback = FeedbackLevel::try_from(config.feedback).map_err(|error| error.to_string())?;
-    if worlds.state(config.variant).is_none() {
+    if !library.has_variant(config.variant) {
         return Err(format!(
-            "there is no world variant {}: is memory-proc started with the run's --streams?",
+            "there is no world variant {}: is memory-proc started with the run's --demonstrations?",
             config.variant
         ));
     }
@@ -495,15 +472,14 @@ fn stream_part(
         sequence: config.sequence,
         snapshot: config.snapshot,
         origin: BankOrigin::new(arm, config.stream, config.block, set),
-        variant: config.variant,
         feedback,
         recording: learns.then(|| Recording {
-            lived: ReplayedDemonstration {
+            lived: RememberedDemonstration {
                 case: config.position,
                 number: EXPERIENCE,
                 variant: config.variant,
                 instruction: instruction.to_owned(),
-                ..ReplayedDemonstration::default()
+                ..RememberedDemonstration::default()
             },
             is_complete: false,
         }),
@@ -515,10 +491,10 @@ fn stream_part(
 fn bank_part(
     config: &MemoryEpisodeConfig,
     set: Demonstrations,
-    worlds: &WorldStates,
+    library: &DemonstrationLibrary,
     (representation, settings): (Representation, &MemorySettings),
 ) -> SequenceEpisode {
-    let origin = BankOrigin::bank(&worlds.cases, config.case, set);
+    let origin = library.bank_of_case(config.case, set);
     let MemorySettings { horizon, segment, hits, keyframes, .. } = settings;
     let mut hasher = DefaultHasher::new();
     (origin, representation as u8, horizon, *segment as u8, hits, keyframes).hash(&mut hasher);
@@ -527,7 +503,6 @@ fn bank_part(
         sequence: hasher.finish() | 1 << 63,
         snapshot: Default::default(),
         origin,
-        variant: config.variant,
         feedback: FeedbackLevel::None,
         recording: None,
         begun: false,

@@ -19,10 +19,9 @@ use shm_types::message::{
     NOT_MEASURED, shortened_reason, write_text,
 };
 use shm_types::{BankContent, MemoryDescription, Note, NoteTooLong};
-use warehouse::{CaseSet, Warehouse};
 
-use crate::bank::{BankSteps, Collecting, KnownView, ReplayedBank, Viewpoint};
-use crate::demonstrations;
+use crate::bank::{BankSteps, Collecting, KnownView, MemoryBank, Viewpoint};
+use crate::demonstrations::DemonstrationLibrary;
 use crate::engine::LaneProgress;
 use crate::episode::{
     EpisodeMemory, ExternalBank, MemoryEpisode, PendingObservation, PendingStage, Reason,
@@ -122,7 +121,7 @@ pub(crate) struct HostBank {
     index: u8,
     /// The case, unless the bank is of all cases, and the set; `None`: it belongs to a sequence.
     of: Option<(Option<u32>, Demonstrations)>,
-    pub(crate) bank: Arc<ReplayedBank>,
+    pub(crate) bank: Arc<MemoryBank>,
     pub(crate) pins_bank: bool,
     pub(crate) embeds: bool,
     with_frames: bool,
@@ -187,8 +186,7 @@ impl ExternalMemories {
         &mut self,
         config: &MemoryEpisodeConfig,
         set: Demonstrations,
-        warehouse: &Warehouse,
-        cases: &CaseSet,
+        library: &DemonstrationLibrary,
     ) -> Result<ExternalBank, String> {
         let &MemoryEpisodeConfig { external: index, case, .. } = config;
         let &MemoryDescription { scope, embeddings: embeds, frames, .. } =
@@ -199,12 +197,12 @@ impl ExternalMemories {
             Some((&id, _)) => id,
             None => {
                 let chosen = match scope {
-                    Scope::Case => demonstrations::selected(warehouse, cases, case, set.bits()),
-                    Scope::All => demonstrations::of_all_cases(warehouse, cases, set.bits()),
+                    Scope::Case => library.of_case(case, set),
+                    Scope::All => library.of_all_cases(set),
                 };
                 let chosen =
                     chosen.ok_or_else(|| format!("demonstrations {set}, which do not exist"))?;
-                let bank = Arc::new(ReplayedBank::new(chosen));
+                let bank = Arc::new(MemoryBank::new(chosen));
                 let pins_bank = scope == Scope::Case && (embeds || frames);
                 let with_frames = pins_bank && frames;
                 let state = match scope {
@@ -319,7 +317,7 @@ impl ExternalMemories {
     pub(crate) fn publish_for_sequence(
         &mut self,
         index: u8,
-        bank: &Arc<ReplayedBank>,
+        bank: &Arc<MemoryBank>,
         steps: BankSteps<'_>,
         now_ns: u64,
     ) -> u64 {
@@ -441,7 +439,7 @@ impl ExternalMemories {
         &mut self,
         id: u64,
         outcome: Result<u64, Reason>,
-    ) -> Option<Arc<ReplayedBank>> {
+    ) -> Option<Arc<MemoryBank>> {
         let bank = self.banks.get_mut(&id)?;
         self.unbuilt.remove(&id);
         let state = match outcome {

@@ -3,9 +3,8 @@
 use peer::memory::MemoryItem;
 use shm_types::message::ExternalAnswer;
 
-use crate::demonstrations::ReplayedDemonstration;
+use crate::demonstrations::RememberedDemonstration;
 use crate::sequences::StoredExperience;
-use crate::worlds::WorldStates;
 
 /// The items of an external memory's answer with the note `note`, whose references are not checked yet.
 ///
@@ -15,18 +14,15 @@ pub fn answered_items(answer: &ExternalAnswer, note: &[u8]) -> Result<Vec<Memory
     crate::external::read_items(answer, note)
 }
 
-/// The episodes that a snapshot's file of experiences holds, replayed.
+/// The episodes that a snapshot's file of experiences holds.
 ///
 /// # Errors
-/// When the file is not valid, or an episode cannot take place in `worlds`.
-pub fn experiences(
-    text: &[u8],
-    worlds: &WorldStates,
-) -> Result<Vec<ReplayedDemonstration>, String> {
+/// When the file is not valid.
+pub fn experiences(text: &[u8]) -> Result<Vec<RememberedDemonstration>, String> {
     let experiences: Vec<StoredExperience> =
         serde_json::from_slice(text).map_err(|error| error.to_string())?;
-    let replayed = experiences.iter().map(|experience| experience.replayed(worlds));
-    replayed.collect::<Option<_>>().ok_or_else(|| "an episode cannot take place".to_owned())
+    let lived = experiences.into_iter().map(StoredExperience::lived);
+    lived.collect::<Option<_>>().ok_or_else(|| "an episode has parts that do not fit".to_owned())
 }
 
 /// The vector, scaled to length 1.

@@ -15,8 +15,8 @@ use shm_types::message::{
     NO_DOCUMENT, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, TrajectoryStep,
 };
 
-use crate::bank::{ReplayedBank, Viewpoint};
-use crate::demonstrations::ReplayedDemonstration;
+use crate::bank::{MemoryBank, Viewpoint};
+use crate::demonstrations::RememberedDemonstration;
 
 /// Publishes the documents that recalls name.
 pub trait DocumentSupplier {
@@ -91,7 +91,7 @@ impl CheckedAnswer {
     /// When an item names something that is not in the bank, or there are too many items or sources.
     pub fn new(
         given: Vec<MemoryItem>,
-        bank: &ReplayedBank,
+        bank: &MemoryBank,
         budgets: Budgets,
     ) -> Result<Self, String> {
         let mut sources = 0;
@@ -135,7 +135,7 @@ impl CheckedAnswer {
 }
 
 /// The items of the recall for the kept ones of `given`.
-fn parts(given: &[MemoryItem], kept: &[usize], bank: &ReplayedBank) -> Vec<Part> {
+fn parts(given: &[MemoryItem], kept: &[usize], bank: &MemoryBank) -> Vec<Part> {
     let is_frame = |&&number: &&usize| matches!(given[number], MemoryItem::Frame { .. });
     let mut room = MAX_STEPS.saturating_sub(kept.iter().filter(is_frame).count());
     let mut parts: Vec<Part> = Vec::new();
@@ -175,7 +175,7 @@ impl Part {
 }
 
 /// Checks the references of an item; returns the number of its sources.
-fn check(item: &MemoryItem, bank: &ReplayedBank) -> Result<usize, String> {
+fn check(item: &MemoryItem, bank: &MemoryBank) -> Result<usize, String> {
     match item {
         MemoryItem::Text { sources, .. } => {
             sources.iter().try_for_each(|source| demonstration(source, bank).map(drop))?;
@@ -224,8 +224,8 @@ fn finite(distance: Option<f32>) -> Result<usize, String> {
 /// The demonstration of a source, if it has these steps.
 fn demonstration<'b>(
     source: &Source,
-    bank: &'b ReplayedBank,
-) -> Result<&'b ReplayedDemonstration, String> {
+    bank: &'b MemoryBank,
+) -> Result<&'b RememberedDemonstration, String> {
     let &Source { demonstration: number, first, count } = source;
     let all = &bank.demonstrations;
     let demonstration = all.get(number as usize).ok_or_else(|| {
@@ -256,7 +256,7 @@ fn amount(item: &MemoryItem) -> Amount {
 }
 
 /// Where the views that a checked item shows are seen from.
-fn views(item: &MemoryItem, bank: &ReplayedBank) -> Vec<Viewpoint> {
+fn views(item: &MemoryItem, bank: &MemoryBank) -> Vec<Viewpoint> {
     let at = |of: u32, step: u32| bank.demonstrations[of as usize].viewpoint(step);
     match item {
         MemoryItem::Text { .. } | MemoryItem::Steps { views: Views::None, .. } => Vec::new(),
@@ -294,7 +294,7 @@ pub type PublishedTexts = HashMap<Arc<str>, (DocumentId, u32)>;
 /// Puts recalls together.
 pub struct Assembler<'a> {
     /// The demonstrations that the memory was built from.
-    pub bank: &'a ReplayedBank,
+    pub bank: &'a MemoryBank,
     /// Lane and number of the episode.
     pub episode: (u32, u64),
     /// The texts that were published for the episode.
@@ -488,7 +488,7 @@ impl AssembledRecall {
         (first, count)
     }
 
-    fn add_sources(&mut self, item: &MemoryItem, bank: &ReplayedBank, number: u8, kind: ItemKind) {
+    fn add_sources(&mut self, item: &MemoryItem, bank: &MemoryBank, number: u8, kind: ItemKind) {
         let (sources, distance) = match item {
             MemoryItem::Text { sources, .. } => (sources.clone(), None),
             MemoryItem::Steps { source, distance, .. } => (vec![*source], *distance),
@@ -497,7 +497,7 @@ impl AssembledRecall {
             }
         };
         for Source { demonstration, first, count } in sources {
-            let &ReplayedDemonstration { case, number: of, .. } =
+            let &RememberedDemonstration { case, number: of, .. } =
                 &*bank.demonstrations[demonstration as usize];
             self.sources[self.sources_len as usize] = RecalledSource {
                 case,

@@ -35,4 +35,3 @@ mod sequences;
 pub mod serve;
 pub mod snapshots;
 mod views;
-pub mod worlds;

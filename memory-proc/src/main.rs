@@ -1,6 +1,7 @@
 //! The memory process.
 
 use std::num::{NonZeroU32, NonZeroUsize};
+use std::os::unix::process::parent_id;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
@@ -20,6 +21,7 @@ use memory_proc::search_profile::{self, ProfileSettings};
 use memory_proc::serve::{EncoderSettings, ServeSettings, serve};
 use program::AppearanceArgs;
 use search::synthetic::SyntheticVectors;
+use shm_types::process::die_with_parent;
 
 /// The memory of MemTransfer: embeds frames, builds the representations, retrieves.
 #[derive(Parser)]
@@ -36,15 +38,12 @@ enum MemoryProcVerb {
         /// The run's folder, which holds attach.json
         #[arg(long, value_name = "DIR")]
         attach: PathBuf,
+        /// The run's demonstrations
+        #[arg(long, value_name = "FILE")]
+        demonstrations: PathBuf,
         /// The documents that summary, semantic and hybrid memory supply
         #[arg(long, value_name = "DIR")]
         documents: Option<PathBuf>,
-        /// The run's streams: the worlds and blocks in which memories persist
-        #[arg(long, value_name = "FILE")]
-        streams: Option<PathBuf>,
-        /// The other warehouse in which tasks are demonstrated
-        #[arg(long, value_name = "FILE")]
-        elsewhere: Option<PathBuf>,
         /// The folder for snapshots of memories that learn
         #[arg(long, value_name = "DIR")]
         snapshots: Option<PathBuf>,
@@ -100,15 +99,18 @@ enum MemoryProcVerb {
     },
     /// Build documents from demonstrations. Started by `memtransfer memory build`
     Build {
-        /// The run's folder, which holds attach.json
-        #[arg(long, value_name = "DIR")]
-        attach: PathBuf,
-        /// Folder of layout, catalogue and cases [default: the built-in ones]
+        /// The demonstrations
+        #[arg(long, value_name = "FILE")]
+        demonstrations: PathBuf,
+        /// Folder of the world's assets [default: the built-in ones]
         #[arg(long, value_name = "DIR")]
         assets: Option<PathBuf>,
-        /// The other warehouse in which tasks are demonstrated
+        /// The other world in which tasks are demonstrated
         #[arg(long, value_name = "FILE")]
         elsewhere: Option<PathBuf>,
+        /// Width and height of the frames, in pixels
+        #[arg(long, value_name = "PIXELS")]
+        frame_size: u32,
         #[command(flatten)]
         appearance: AppearanceArgs,
         /// The folder that the documents are written to
@@ -219,7 +221,7 @@ impl BuilderArguments {
 
 #[derive(Args)]
 struct EncoderArguments {
-    /// Folder of layout, catalogue, cases and model manifest [default: the built-in ones]
+    /// Folder of the model manifest [default: the built-in one]
     #[arg(long, value_name = "DIR")]
     assets: Option<PathBuf>,
     /// The encoder, by its name in the model manifest [default: the manifest's]
@@ -275,9 +277,8 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
     match verb {
         MemoryProcVerb::Serve {
             attach,
+            demonstrations,
             documents,
-            streams,
-            elsewhere,
             snapshots,
             no_encoder,
             shipped_embeddings,
@@ -292,12 +293,11 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
             let encoder = if no_encoder { None } else { Some(encoder.settings()?) };
             let settings = ServeSettings {
                 attach,
+                demonstrations,
                 assets,
                 documents,
                 encoder,
                 shipped_embeddings,
-                streams,
-                elsewhere,
                 snapshots,
                 limits,
             };
@@ -315,19 +315,30 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
             search_profile::write_vectors(&vectors.vectors()?, entries.get(), queries, &mut out)
         }
         MemoryProcVerb::Build {
-            attach,
+            demonstrations,
             assets,
             elsewhere,
+            frame_size,
             appearance,
             documents,
             wanted,
             builder,
         } => {
-            let appearance = appearance.into();
+            die_with_parent(parent_id()).context("cannot tie this process to its parent")?;
+            let files = [("--assets", assets), ("--elsewhere", elsewhere)];
+            let given =
+                files.into_iter().filter_map(|(flag, file)| Some([flag.into(), file?.into()]));
             let (recipe, mut builder) = builder.builder()?;
-            let settings =
-                BuildSettings { attach, assets, elsewhere, appearance, documents, wanted, recipe };
-            build::build(&settings, builder.as_mut())
+            let settings = BuildSettings {
+                demonstrations,
+                world: given.flatten().collect(),
+                frame_size,
+                appearance: appearance.into(),
+                documents,
+                wanted,
+                recipe,
+            };
+            build::build(&settings, builder.as_mut(), std::io::stdout().lock())
         }
     }
 }

@@ -21,15 +21,13 @@ use domain::{Action, Feedback, FeedbackLevel, Pose};
 use peer::memory::{Episode, EpisodeEnd, Memory};
 use serde::{Deserialize, Serialize};
 use shm_types::message::{EXPERIENCE, SnapshotId, SnapshotReport};
-use warehouse::{Progress, step};
 
-use crate::bank::{BankSteps, Collecting, ReplayedBank};
-use crate::demonstrations::ReplayedDemonstration;
+use crate::bank::{BankSteps, Collecting, MemoryBank};
+use crate::demonstrations::{BankOrigin, DemonstrationLibrary, RememberedDemonstration};
 use crate::episode::{EpisodeMemory, MemoryEpisode, PendingStage, Reason, build_built_in};
 use crate::external::ExternalMemories;
 use crate::items::DocumentSupplier;
 use crate::snapshots::SnapshotFolder;
-use crate::worlds::{BankOrigin, WorldStates};
 
 /// Banks that are kept when no memory waits for them.
 const KEPT_BANKS: usize = 16;
@@ -47,7 +45,6 @@ pub(crate) struct SequenceEpisode {
     /// The snapshot that it begins with; zero: the memory as it was built.
     pub(crate) snapshot: SnapshotId,
     pub(crate) origin: BankOrigin,
-    pub(crate) variant: u32,
     pub(crate) feedback: FeedbackLevel,
     /// What has happened so far, if the memory learns from it.
     pub(crate) recording: Option<Recording>,
@@ -58,32 +55,22 @@ pub(crate) struct SequenceEpisode {
 /// An episode so far, as the demonstration that it becomes.
 #[derive(Debug)]
 pub(crate) struct Recording {
-    pub(crate) lived: ReplayedDemonstration,
+    pub(crate) lived: RememberedDemonstration,
     pub(crate) is_complete: bool,
 }
 
-impl Recording {
-    /// The steps at which sub-goals were completed.
-    fn sub_goals(&self) -> Vec<u32> {
-        let mut reached = 0;
-        let mut steps = Vec::new();
-        for (at, &stage) in (0..).zip(&self.lived.stages) {
-            steps.extend((reached..stage).map(|_| at));
-            reached = stage;
-        }
-        steps
-    }
-}
-
-/// An episode that a memory has learned from, as it is stored: it is acted out again when it is read.
+/// An episode that a memory has learned from, as it is stored.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct StoredExperience {
-    case: u32,
-    variant: u32,
     position: u32,
-    /// Column, row, heading.
-    start: [u8; 3],
+    variant: u32,
+    instruction: String,
+    poses: Vec<Pose>,
+    /// The codes of the feedback.
+    feedback: Vec<u8>,
+    /// The steps at which sub-goals were completed.
+    sub_goals: Vec<u32>,
     /// The letters of the actions; [`NO_LETTER`] where there was none.
     actions: String,
 }
@@ -92,59 +79,47 @@ pub(crate) struct StoredExperience {
 const NO_LETTER: char = '-';
 
 impl StoredExperience {
-    /// An episode of a case, as it was lived.
-    fn new(case: u32, lived: &ReplayedDemonstration) -> Self {
+    /// An episode, as it was lived.
+    fn new(lived: &RememberedDemonstration) -> Self {
         let letter = |action: &Option<Action>| action.map_or(NO_LETTER, Action::letter);
-        let Pose { cell, heading } = lived.poses[0];
         Self {
-            case,
-            variant: lived.variant,
             position: lived.case,
-            start: [cell.x, cell.y, heading as u8],
+            variant: lived.variant,
+            instruction: lived.instruction.clone(),
+            poses: lived.poses.clone(),
+            feedback: lived.feedback.iter().map(|feedback| *feedback as u8).collect(),
+            sub_goals: lived.sub_goals(),
             actions: lived.actions.iter().map(letter).collect(),
         }
     }
 
-    /// Acts it out again.
-    pub(crate) fn replayed(&self, worlds: &WorldStates) -> Option<ReplayedDemonstration> {
-        let case = worlds.cases.cases.get(self.case as usize)?;
-        let (warehouse, variant) = worlds.state(self.variant)?;
-        let [x, y, heading] = self.start;
-        let mut pose = Pose::new(x, y, heading.try_into().ok()?);
-        let mut progress = Progress::new(warehouse, &case.task, pose.cell);
-        let mut made = ReplayedDemonstration {
+    /// The episode; `None` if its parts do not belong together.
+    pub(crate) fn lived(self) -> Option<RememberedDemonstration> {
+        let action = |letter| match letter {
+            NO_LETTER => Some(None),
+            letter => Action::from_letter(letter).map(Some),
+        };
+        let feedback = self.feedback.iter().map(|code| Feedback::try_from(*code).ok());
+        let stage = |step: u32| self.sub_goals.iter().filter(|at| **at <= step).count() as u32;
+        let lived = RememberedDemonstration {
             case: self.position,
             number: EXPERIENCE,
             variant: self.variant,
-            instruction: case.task.instruction(&worlds.warehouse.catalogue),
-            poses: vec![pose],
-            feedback: vec![Feedback::Start],
-            stages: vec![progress.stage()],
-            actions: Vec::new(),
+            stages: (0..self.poses.len() as u32).map(stage).collect(),
+            feedback: feedback.collect::<Option<_>>()?,
+            actions: self.actions.chars().map(action).collect::<Option<_>>()?,
+            instruction: self.instruction,
+            poses: self.poses,
         };
-        for letter in self.actions.chars() {
-            let action = match letter {
-                NO_LETTER => None,
-                letter => Some(Action::from_letter(letter)?),
-            };
-            let mut feedback = Feedback::NotUnderstood;
-            if let Some(action) = action {
-                (pose, feedback) = step(&warehouse.layout, &variant, pose, action);
-            }
-            progress.visit(pose.cell);
-            made.poses.push(pose);
-            made.feedback.push(feedback);
-            made.stages.push(progress.stage());
-            made.actions.push(action);
-        }
-        Some(made)
+        let states = lived.poses.len();
+        ((lived.feedback.len(), lived.actions.len() + 1) == (states, states)).then_some(lived)
     }
 }
 
 /// The bank of a stream, and the embeddings of its views.
 #[derive(Debug)]
 pub(crate) struct StreamBank {
-    bank: Arc<ReplayedBank>,
+    bank: Arc<MemoryBank>,
     pub(crate) collecting: Collecting,
 }
 
@@ -162,8 +137,7 @@ impl StreamBank {
 pub(crate) struct SequenceMemory {
     origin: BankOrigin,
     /// The demonstrations that it was built from, then the episodes that it has learned from.
-    pub(crate) bank: Arc<ReplayedBank>,
-    experiences: Vec<StoredExperience>,
+    pub(crate) bank: Arc<MemoryBank>,
     snapshot: SnapshotId,
     /// The episode that it learns from now: until that ends it is in no state that a snapshot has.
     learning: Option<u64>,
@@ -261,7 +235,7 @@ impl SequenceMemories {
     pub(crate) fn bind(
         &mut self,
         episode: &mut MemoryEpisode,
-        worlds: &WorldStates,
+        library: &DemonstrationLibrary,
         documents: &mut dyn DocumentSupplier,
         (externals, now_ns): (&mut ExternalMemories, u64),
     ) -> anyhow::Result<Bound> {
@@ -277,7 +251,7 @@ impl SequenceMemories {
         if !self.memories.get(&sequence).is_some_and(is_usable) {
             self.drop_memory(sequence);
             let of = (&episode.memory, episode.embeds);
-            match self.create(part, of, worlds, documents, (&mut *externals, now_ns))? {
+            match self.create(part, of, library, documents, (&mut *externals, now_ns))? {
                 Ok(Some(memory)) => {
                     drop(self.memories.insert(sequence, memory));
                     // Its episode may be given up before it begins: it can be dropped from now on.
@@ -349,11 +323,11 @@ impl SequenceMemories {
         &mut self,
         part: &SequenceEpisode,
         (memory, embeds): (&EpisodeMemory, bool),
-        worlds: &WorldStates,
+        library: &DemonstrationLibrary,
         documents: &mut dyn DocumentSupplier,
         (externals, now_ns): (&mut ExternalMemories, u64),
     ) -> anyhow::Result<Result<Option<SequenceMemory>, String>> {
-        let known = match self.bank(part.origin, embeds, worlds) {
+        let known = match self.bank(part.origin, embeds, library) {
             Ok(known) => known,
             Err(why) => return Ok(Err(why)),
         };
@@ -373,13 +347,12 @@ impl SequenceMemories {
         let mut made = SequenceMemory {
             origin: part.origin,
             bank: known.bank.clone(),
-            experiences: Vec::new(),
             snapshot: SnapshotId::default(),
             learning: None,
             users: BTreeSet::new(),
             memory,
         };
-        let loaded = made.load(self.snapshots.as_ref(), part, worlds);
+        let loaded = made.load(self.snapshots.as_ref(), part);
         if let (Err(_), KeptMemory::External { bank, .. }) = (&loaded, &made.memory) {
             self.dropped.push(*bank);
         }
@@ -391,13 +364,13 @@ impl SequenceMemories {
         &mut self,
         origin: BankOrigin,
         embeds: bool,
-        worlds: &WorldStates,
+        library: &DemonstrationLibrary,
     ) -> Result<&StreamBank, String> {
         let key = (origin, embeds);
         let made = match self.banks.iter().position(|(known, _)| *known == key) {
             Some(at) => self.banks.remove(at),
             None => {
-                let bank = Arc::new(ReplayedBank::new(worlds.demonstrations(origin)?));
+                let bank = Arc::new(MemoryBank::new(library.of_bank(origin)?));
                 let collecting =
                     if embeds { Collecting::new(&bank) } else { Collecting::default() };
                 (key, StreamBank { bank, collecting })
@@ -498,7 +471,7 @@ impl SequenceMemory {
                 }
             }
             _ => {
-                let sub_goals = recording.sub_goals();
+                let sub_goals = recording.lived.sub_goals();
                 let end = EpisodeEnd {
                     lane: episode.lane,
                     episode: episode.id,
@@ -507,7 +480,6 @@ impl SequenceMemory {
                         .then_some(recording.is_complete),
                     sub_goals: (part.feedback == FeedbackLevel::SubGoals).then_some(&sub_goals),
                 };
-                self.experiences.push(StoredExperience::new(episode.case, &recording.lived));
                 let lived = Arc::new(recording.lived.clone());
                 Arc::make_mut(&mut self.bank).demonstrations.push(lived);
                 let own = self.begin_snapshot(folder, part.sequence)?;
@@ -541,7 +513,10 @@ impl SequenceMemory {
     fn begin_snapshot(&self, folder: &SnapshotFolder, sequence: u64) -> Result<PathBuf, String> {
         let unfinished = folder.begin(sequence)?;
         let path = unfinished.join(EXPERIENCE_FILE);
-        let written = serde_json::to_vec(&self.experiences).map_err(|error| error.to_string())?;
+        let all = self.bank.demonstrations.iter();
+        let experiences = all.filter(|of| of.number == EXPERIENCE);
+        let stored: Vec<_> = experiences.map(|of| StoredExperience::new(of)).collect();
+        let written = serde_json::to_vec(&stored).map_err(|error| error.to_string())?;
         durable::write_file(&path, &written)
             .map_err(|error| format!("cannot write {}: {error}", path.display()))?;
         let own = unfinished.join(MEMORY_FOLDER);
@@ -555,7 +530,6 @@ impl SequenceMemory {
         &mut self,
         folder: Option<&SnapshotFolder>,
         part: &SequenceEpisode,
-        worlds: &WorldStates,
     ) -> Result<(), String> {
         if part.snapshot == SnapshotId::default() {
             return Ok(());
@@ -565,14 +539,11 @@ impl SequenceMemory {
         )?;
         let found = folder.find(part.sequence, part.snapshot)?;
         let failed = |what: String| format!("snapshot {}: {what}", found.display());
-        self.experiences = read_experiences(&found).map_err(&failed)?;
-        for (number, experience) in self.experiences.iter().enumerate() {
-            let made = experience.replayed(worlds).ok_or_else(|| {
-                failed(format!(
-                    "episode {number} of {EXPERIENCE_FILE} cannot take place in this run"
-                ))
+        for (number, stored) in read_experiences(&found).map_err(&failed)?.into_iter().enumerate() {
+            let lived = stored.lived().ok_or_else(|| {
+                failed(format!("episode {number} of {EXPERIENCE_FILE} has parts that do not fit"))
             })?;
-            Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(made));
+            Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(lived));
         }
         let own = found.join(MEMORY_FOLDER);
         match &mut self.memory {

@@ -16,6 +16,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use bytemuck::Zeroable;
+use case_book::{BookFile, DemonstrationBook};
 use domain::{Pose, Representation};
 use shm_types::clock::{Instant, sleep};
 use shm_types::description::memory_folder;
@@ -28,16 +29,15 @@ use shm_types::{
     Attach, AttachError, Bus, BusError, DocumentPublisher, ErrorReporter, Frame, FrameError,
     MemoryDescription, Spans,
 };
-use warehouse::{CaseSet, Elsewhere, StreamSet};
 
 use crate::bank::Viewpoint;
+use crate::demonstrations::DemonstrationLibrary;
 use crate::document_loader::DocumentLoader;
 use crate::embedding_cache::EmbeddingCache;
 use crate::encoder::{Embedded, Encoder};
 use crate::engine::{Engine, EpisodeFailure};
 use crate::external::{ExternalLimits, ExternalMemories};
 use crate::snapshots::SnapshotFolder;
-use crate::worlds::WorldStates;
 use encoder::{facts, open_encoder};
 use ports::Ports;
 
@@ -60,7 +60,9 @@ pub(crate) const LAST_WORDS: Duration = Duration::from_millis(500);
 pub struct ServeSettings {
     /// The run's folder, which holds `attach.json`.
     pub attach: PathBuf,
-    /// Folder of layout, catalogue, cases and model manifest; `None`: the built-in ones.
+    /// The file of the run's demonstrations.
+    pub demonstrations: PathBuf,
+    /// Folder of the model manifest; `None`: the built-in one.
     pub assets: Option<PathBuf>,
     /// The run's documents; `None`: no memory of the run supplies any.
     pub documents: Option<PathBuf>,
@@ -68,10 +70,6 @@ pub struct ServeSettings {
     pub encoder: Option<EncoderSettings>,
     /// The file of embeddings that came with a plan; `None`: there is none.
     pub shipped_embeddings: Option<PathBuf>,
-    /// The file of the run's streams; `None`: the run has none.
-    pub streams: Option<PathBuf>,
-    /// The file of the other warehouse in which tasks are demonstrated; `None`: there is none.
-    pub elsewhere: Option<PathBuf>,
     /// The folder of the snapshots of memories that learn; `None`: no memory of the run learns.
     pub snapshots: Option<PathBuf>,
     /// How long external memories may take.
@@ -83,7 +81,7 @@ pub struct ServeSettings {
 /// Messages that cannot be used are reported and dropped.
 ///
 /// # Errors
-/// When the run cannot be joined, its transport fails, the assets or the encoder cannot be used, or a document is
+/// When the run cannot be joined, its transport fails, the demonstrations or the encoder cannot be used, or a document is
 /// missing. Errors after joining are reported to the orchestrator as well.
 pub fn serve(settings: &ServeSettings) -> anyhow::Result<()> {
     let bus = join(&settings.attach)?;
@@ -155,25 +153,19 @@ impl<'a> MemoryServer<'a> {
     ) -> anyhow::Result<Self> {
         let documents =
             DocumentLoader::new(settings.documents.clone(), DocumentPublisher::new(bus)?);
-        let (warehouse, mut cases) = CaseSet::with_warehouse(settings.assets.as_deref())?;
-        if let Some(file) = &settings.elsewhere {
-            cases.elsewhere = Some(Elsewhere::read(file, &warehouse, &cases)?);
-        }
+        let book = BookFile::<DemonstrationBook>::read(&settings.demonstrations)?.book;
         let attach = bus.attach();
         let room = room_for_views(attach);
         let externals = external_memories(attach, settings.limits, encoder.as_ref())?;
-        let worlds = match &settings.streams {
-            None => WorldStates::unchanging(warehouse, cases),
-            Some(file) => {
-                let text = durable::input::read_text(file)
-                    .with_context(|| format!("cannot read {}", file.display()))?;
-                let streams = StreamSet::parse(&text, &warehouse, &cases)
-                    .with_context(|| file.display().to_string())?;
-                WorldStates::new(warehouse, cases, streams)?
-            }
-        };
         let snapshots = settings.snapshots.clone().map(SnapshotFolder::new);
-        let engine = Engine::new(worlds, attach.lanes, room, embeddings, externals, snapshots);
+        let engine = Engine::new(
+            DemonstrationLibrary::new(book),
+            attach.lanes,
+            room,
+            embeddings,
+            externals,
+            snapshots,
+        );
         let spans = Spans::open(attach, Role::Memory, 0).context("cannot record spans")?;
         let facts = encoder.as_ref().map_or_else(Vec::new, |encoder| facts(encoder.facts()));
         bus.sender()?.send(&Handshake::new(Role::Memory, facts)?)?;

@@ -4,13 +4,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
-use std::path::Path;
+use std::fs;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::Duration;
 
 use bytemuck::Zeroable;
+use case_book::{BookFile, BookRequest, DEMONSTRATIONS_FILE};
 use conformance::testing::MemoryRig;
 use documents::{BuildAccount, DocumentFile, DocumentFolder, Provenance};
 use domain::{Demonstrations, DocumentKind, Representation, SegmentContent};
@@ -27,6 +29,7 @@ use shm_types::message::{
     Role,
 };
 use tempfile::TempDir;
+use warehouse::case_book::write_books;
 use warehouse::{Case, CaseSet, Replay, TrajectoryKind, Warehouse};
 
 /// The index of the external memory.
@@ -78,8 +81,17 @@ fn memory_with(arguments: &[&OsStr]) -> MemoryRig {
     MemoryRig::in_process(change, |folder| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_memory-proc"));
         command.arg("serve").arg("--attach").arg(folder).args(arguments);
+        command.arg("--demonstrations").arg(demonstrations_in(folder));
         command
     })
+}
+
+/// Writes the demonstrations of the shipped cases into `folder`. Returns the file.
+fn demonstrations_in(folder: &Path) -> PathBuf {
+    let file = folder.join(DEMONSTRATIONS_FILE);
+    let book = write_books(&BookRequest::default()).unwrap().demonstrations;
+    fs::write(&file, BookFile::new(book).unwrap().text).unwrap();
+    file
 }
 
 /// The observation at `step` of a case's trajectory of this kind.
@@ -340,6 +352,7 @@ fn memory_with_external(method: Scripted, arguments: &[&str]) -> MemoryRig {
         }
         let mut command = Command::new(env!("CARGO_BIN_EXE_memory-proc"));
         command.arg("serve").arg("--attach").arg(run).args(arguments);
+        command.arg("--demonstrations").arg(demonstrations_in(run));
         command
     })
 }

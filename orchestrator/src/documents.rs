@@ -1,7 +1,7 @@
 //! The documents that a run needs, and building missing ones before it begins.
 //!
 //! The crate `documents` knows what a document is, where it lies and whether it fits. Here missing documents are built by
-//! a simulator and a memory process (`building`). One build at a time runs in a folder; others wait for it.
+//! a memory process (`building`). One build at a time runs in a folder; others wait for it.
 
 mod building;
 
@@ -16,10 +16,9 @@ use documents::{
     DocumentFolder, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe, Sources,
     StoredDocument,
 };
-use domain::{Appearance, cache_folder};
+use domain::cache_folder;
 use results::conditions::Condition;
 use results::log::DocumentFacts;
-use warehouse::Elsewhere;
 
 /// Locked while documents are built in a folder.
 const LOCK_FILE: &str = "lock";
@@ -46,14 +45,12 @@ pub fn needed<'a>(conditions: impl IntoIterator<Item = &'a Condition>) -> Vec<Do
 pub struct DocumentRequest {
     /// Their folder; `None`: `documents` in the cache folder.
     pub folder: Option<PathBuf>,
-    /// Folder of layout, catalogue and cases; `None`: the built-in ones.
+    /// The demonstrations that they are made from, and how the world looks.
+    pub sources: Sources,
+    /// Folder of the world's assets; `None`: the built-in ones.
     pub assets: Option<PathBuf>,
-    /// The other warehouse in which tasks are demonstrated, if there is one.
-    pub elsewhere: Option<Elsewhere>,
-    /// Width and height of the frames that they are made from.
-    pub frame_size: u32,
-    /// How the world looks in the frames.
-    pub appearance: Appearance,
+    /// The world's file of the other world in which tasks are demonstrated, if there is one.
+    pub elsewhere: Option<String>,
     /// Which documents are acceptable. Missing ones are built if this is a recipe.
     pub selection: DocumentSelection,
     /// How a model is asked.
@@ -86,12 +83,22 @@ pub struct ReadyDocuments {
 pub enum BuildStage {
     /// Another process builds in the folder.
     Waiting,
-    /// The processes start.
+    /// The process starts.
     Starting,
     /// Views are rendered and read: done, of all.
     Views(u64, u64),
     /// A document is written: parts done, of all.
     Writing(u64, u64),
+}
+
+/// The folder of documents at `path`; `None`: `documents` in the cache folder.
+///
+/// # Errors
+/// When none is given and the environment names no cache folder.
+pub fn document_folder(path: Option<&Path>) -> Result<DocumentFolder> {
+    let path =
+        path.map_or_else(|| Ok(cache_folder()?.join("documents")), |path| Ok(path.to_owned()));
+    path.map(DocumentFolder::new)
 }
 
 impl DocumentRequest {
@@ -100,21 +107,16 @@ impl DocumentRequest {
     /// # Errors
     /// When none is given and the environment names no cache folder.
     pub fn folder(&self) -> Result<DocumentFolder> {
-        let path = match &self.folder {
-            Some(path) => path.clone(),
-            None => cache_folder()?.join("documents"),
-        };
-        Ok(DocumentFolder::new(path))
+        document_folder(self.folder.as_deref())
     }
 
     /// The wanted documents, as they are in the folder.
     ///
     /// # Errors
-    /// When the folder or the assets cannot be read.
+    /// When the folder cannot be read.
     pub fn find(&self, wanted: &[DocumentName]) -> Result<Vec<StoredDocument>> {
-        let (folder, sources) = (self.folder()?, self.sources()?);
-        let find =
-            |&name: &DocumentName| folder.find(name, &self.selection, &sources, self.frame());
+        let folder = self.folder()?;
+        let find = |&name: &DocumentName| folder.find(name, &self.selection, &self.sources);
         let found: std::io::Result<_> = wanted.iter().map(find).collect();
         found.with_context(|| format!("cannot list {}", folder.path().display()))
     }
@@ -122,10 +124,10 @@ impl DocumentRequest {
     /// All documents in the folder.
     ///
     /// # Errors
-    /// When the folder or the assets cannot be read.
+    /// When the folder cannot be read.
     pub fn list(&self) -> Result<Vec<StoredDocument>> {
-        let (folder, sources) = (self.folder()?, self.sources()?);
-        let listed = folder.list(&sources, self.frame());
+        let folder = self.folder()?;
+        let listed = folder.list(&self.sources);
         listed.with_context(|| format!("cannot list {}", folder.path().display()))
     }
 
@@ -206,15 +208,6 @@ impl DocumentRequest {
             kind.word(),
             out.collect::<String>(),
         )
-    }
-
-    fn sources(&self) -> Result<Sources> {
-        let sources = Sources::load(self.assets.as_deref())?.seen_with(self.appearance);
-        Ok(sources.with_elsewhere(self.elsewhere.clone()))
-    }
-
-    fn frame(&self) -> [u32; 2] {
-        [self.frame_size; 2]
     }
 
     /// The flags of `memory-proc build` for a recipe.
@@ -304,10 +297,11 @@ fn lock(
 
 #[cfg(test)]
 mod tests {
+    use case_book::BookRequest;
     use documents::{BuildAccount, DocumentFile, Provenance};
-    use domain::Demonstrations;
-    use domain::Representation;
+    use domain::{Appearance, Demonstrations, Representation};
     use results::conditions::{Route, Start, Variation};
+    use warehouse::case_book::write_books;
 
     use super::*;
 
@@ -334,12 +328,12 @@ mod tests {
 
     /// A request for documents of the shipped warehouse in `folder`.
     fn request(folder: &Path, selection: DocumentSelection) -> DocumentRequest {
+        let demonstrations = write_books(&BookRequest::default()).unwrap().demonstrations;
         DocumentRequest {
             folder: Some(folder.to_owned()),
+            sources: Sources::new(demonstrations, 448, Appearance::STANDARD),
             assets: None,
             elsewhere: None,
-            frame_size: 448,
-            appearance: Appearance::STANDARD,
             selection,
             server: ModelServer::default(),
         }
@@ -367,7 +361,7 @@ mod tests {
             builder: Recipe::Extractive.builder().to_owned(),
             builder_version: Recipe::Extractive.version(),
             inputs_sha256: String::new(),
-            sources_sha256: request.sources().unwrap().sha256(name.demonstrations, request.frame()),
+            sources_sha256: request.sources.sha256(name.demonstrations),
             text_sha256: String::new(),
             trajectories: 1,
             views: 1,

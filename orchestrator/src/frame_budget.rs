@@ -3,15 +3,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::{Result, ensure};
-use domain::Cell;
+use case_book::{CaseBook, DemonstrationBook};
 use domain::representation::Trajectories;
 use results::conditions::{Condition, Route};
 use shm_types::attach::MAX_FRAMES;
 use shm_types::{Attach, FrameSize};
-use warehouse::{CaseSet, Viewpoint, Warehouse};
 
 use crate::plan::PlannedEpisode;
-use crate::streams::Streams;
 
 /// Free shared memory left to other programs, as far as it is not more than [`SHARE_LEFT`] of what is free.
 const HEADROOM_BYTES: u64 = 64 << 20;
@@ -44,7 +42,7 @@ impl Demand {
     /// of an external memory's answer, which may come from any case. The memory of a stream is built from all its cases.
     pub fn of(
         attach: &Attach,
-        (warehouse, cases, streams): (&Warehouse, &CaseSet, Option<&Streams>),
+        (book, demonstrations): (&CaseBook, &DemonstrationBook),
         episodes: &[PlannedEpisode],
         (keyframes, images): (u32, u32),
     ) -> Self {
@@ -56,23 +54,22 @@ impl Demand {
                 let set =
                     (stream, stream.map_or(episode.case_index, |_| 0), condition.demonstrations);
                 *views_of.entry(set).or_insert_with(|| {
-                    let of_stream = stream.zip(streams);
-                    let bank: Vec<usize> = match of_stream {
-                        Some((stream, streams)) => {
-                            let listed = streams.set.streams[stream as usize].cases();
-                            listed.into_iter().map(|case| case as usize).collect()
-                        }
-                        None => vec![episode.case_index],
+                    let of_stream =
+                        stream.and_then(|stream| demonstrations.streams.get(stream as usize));
+                    let cases = match of_stream {
+                        Some(stream) => stream.cases.clone(),
+                        None => vec![episode.case_index as u32],
                     };
-                    let histories = bank.into_iter().flat_map(|case| cases.histories(case, set.2));
-                    let of = histories.filter_map(|of| cases.demonstrated(warehouse, of));
-                    let views: BTreeSet<Viewpoint> = of.flat_map(|of| of.viewpoints()).collect();
+                    let named =
+                        cases.into_iter().filter_map(|case| demonstrations.of_case(case, set.2));
+                    let of = named.flatten().map(|of| &demonstrations.demonstrations[of as usize]);
+                    let views: BTreeSet<u32> = of.flat_map(|of| of.views.iter().copied()).collect();
                     views.len() as u32
                 })
             };
             // A bank is not pinned as a whole, but what each lane recalls is.
             let is_bank = condition.demonstrations.bank_size().is_some();
-            let recalled = (BANK_VIEWS + attach.lanes * images).min(every_view(warehouse));
+            let recalled = (BANK_VIEWS + attach.lanes * images).min(book.world.views);
             match condition.memory.describe().map(|info| info.trajectories) {
                 Some(Trajectories::Nothing) => 0,
                 Some(Trajectories::Whole) if is_bank => attach.lanes * keyframes,
@@ -86,20 +83,18 @@ impl Demand {
             condition.route == Route::Blocked || condition.demonstrations.take_place_after()
         };
         let blocked = episodes.iter().filter(|episode| is_closed(&episode.key.condition));
-        let barricades: BTreeSet<&[Cell]> =
-            blocked.map(|episode| &*cases.cases[episode.case_index].barricade).collect();
+        let blocked: BTreeSet<usize> = blocked.map(|episode| episode.case_index).collect();
         let states: BTreeSet<u32> =
             episodes.iter().filter_map(|episode| Some(episode.part?.world)).collect();
-        let elsewhere = cases.elsewhere.as_ref().filter(|_| {
-            let condition = |episode: &PlannedEpisode| episode.key.condition;
-            episodes.iter().any(|e| condition(e).demonstrations.take_place_elsewhere())
-        });
-        let worlds = (1 + barricades.len() + states.len()) as u32;
+        let is_elsewhere =
+            |episode: &PlannedEpisode| episode.key.condition.demonstrations.take_place_elsewhere();
+        let elsewhere =
+            if episodes.iter().any(is_elsewhere) { book.world.elsewhere_views } else { 0 };
+        let worlds = (1 + blocked.len() + states.len()) as u32;
         Self {
             per_lane: attach.window + 2,
             remembered: remembered.max().unwrap_or(0),
-            all_views: worlds * every_view(warehouse)
-                + elsewhere.map_or(0, |other| every_view(other.warehouse())),
+            all_views: worlds * book.world.views + elsewhere,
         }
     }
 
@@ -107,11 +102,6 @@ impl Demand {
     pub const fn least(&self, lanes: u32) -> u32 {
         lanes * self.per_lane + self.remembered
     }
-}
-
-/// Views of the unchanged warehouse.
-pub fn every_view(warehouse: &Warehouse) -> u32 {
-    4 * warehouse.layout.free_cells().count() as u32
 }
 
 /// The number of frames for the run in `attach`: `given`, else the largest useful number that fits into `free` bytes
@@ -202,10 +192,11 @@ mod tests {
     use domain::Representation;
     use results::conditions::Demonstrations;
     use shm_types::RunDir;
-    use warehouse::{Elsewhere, History};
 
     use super::*;
     use crate::plan::plan;
+    use crate::selection::SelectedCases;
+    use crate::testing::selected;
 
     fn attach() -> Attach {
         let base = tempfile::tempdir().unwrap();
@@ -267,37 +258,40 @@ mod tests {
 
     #[test]
     fn the_other_warehouse_has_views_of_its_own() {
-        let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
-        cases.elsewhere = Elsewhere::generate(&warehouse, &cases, 1).ok();
+        let SelectedCases { books, .. } =
+            selected(&[("memory", "episodic"), ("demos", "4,elsewhere"), ("limit", "1")]);
+        let (book, demonstrations) = (&books.cases.book, &books.demonstrations.book);
         let demand = |condition: &str| {
             let conditions = [(condition.parse().unwrap(), 1)];
             let episodes: Vec<_> = plan(&conditions, &[0], &["t01-01"], 1).collect();
-            Demand::of(&attach(), (&warehouse, &cases, None), &episodes, (40, 40))
+            Demand::of(&attach(), (book, demonstrations), &episodes, (40, 40))
         };
-        let of = History { case: 0, kind: domain::DemonstrationKind::Elsewhere };
         let elsewhere = demand("episodic/new/unchanged/elsewhere");
-        let views: BTreeSet<Viewpoint> =
-            cases.demonstrated(&warehouse, of).unwrap().viewpoints().collect();
+        let of = demonstrations.cases[0].elsewhere.unwrap();
+        let views: BTreeSet<u32> =
+            demonstrations.demonstrations[of as usize].views.iter().copied().collect();
         assert_eq!(elsewhere.remembered as usize, views.len());
-        let other = cases.elsewhere.as_ref().unwrap().warehouse();
-        assert_eq!(elsewhere.all_views, every_view(&warehouse) + every_view(other));
-        assert_eq!(demand("episodic/new/unchanged/4").all_views, every_view(&warehouse));
+        assert!(book.world.elsewhere_views > 0);
+        assert_eq!(elsewhere.all_views, book.world.views + book.world.elsewhere_views);
+        assert_eq!(demand("episodic/new/unchanged/4").all_views, book.world.views);
     }
 
     #[test]
     fn the_demand_includes_the_views_that_memory_pins() {
-        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let SelectedCases { books, .. } =
+            selected(&[("demos", "4,original"), ("routes", "blocked")]);
+        let (book, demonstrations) = (&books.cases.book, &books.demonstrations.book);
         let attach = attach();
         let remembered = |conditions: &[&str]| {
             let is_blocked = conditions.iter().any(|written| written.contains("blocked"));
             let conditions: Vec<(Condition, u32)> =
                 conditions.iter().map(|written| (written.parse().unwrap(), 1)).collect();
-            let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
+            let ids = book.ids();
             let episodes: Vec<_> = plan(&conditions, &[0, 60], &ids, 1).collect();
-            let demand = Demand::of(&attach, (&warehouse, &cases, None), &episodes, (40, 40));
-            // The two cases close different passages.
+            let demand = Demand::of(&attach, (book, demonstrations), &episodes, (40, 40));
+            // Each case closes its passage.
             let worlds = if is_blocked { 3 } else { 1 };
-            assert_eq!(demand.all_views, worlds * every_view(&warehouse));
+            assert_eq!(demand.all_views, worlds * book.world.views);
             demand.remembered
         };
         let views = |set: Demonstrations| {

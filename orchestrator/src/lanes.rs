@@ -11,6 +11,7 @@
 
 use std::collections::BTreeMap;
 
+use case_book::CaseBook;
 use domain::{Action, ExternalName, MemoryKind};
 use results::log::{EpisodeRecord, RecallTotals, Stages};
 use shm_types::message::{
@@ -135,6 +136,7 @@ pub struct PendingAnswer {
 /// What the steps of all episodes use.
 #[derive(Debug)]
 struct Context<'w> {
+    book: &'w CaseBook,
     warehouse: &'w Warehouse,
     cases: &'w CaseSet,
     rules: Rules,
@@ -184,9 +186,15 @@ pub struct Lanes<'w> {
 
 impl<'w> Lanes<'w> {
     /// `count` free lanes.
-    pub fn new(warehouse: &'w Warehouse, cases: &'w CaseSet, rules: Rules, count: usize) -> Self {
+    pub fn new(
+        book: &'w CaseBook,
+        (warehouse, cases): (&'w Warehouse, &'w CaseSet),
+        rules: Rules,
+        count: usize,
+    ) -> Self {
         Self {
             context: Context {
+                book,
                 warehouse,
                 cases,
                 rules,

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use case_book::DEMONSTRATIONS_FILE;
 use domain::MemoryKind;
 use results::conditions::{Condition, Frames, PolicyKind};
 use results::log::{DOCUMENTS_FOLDER, ELSEWHERE_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE};
@@ -15,14 +16,13 @@ use shm_types::process::shared_memory_space;
 use shm_types::{Attach, FrameControl, FrameSize, RunDir, Wait};
 use supervise::{Launch, System};
 
+use crate::books::Books;
 use crate::external_memory::ExternalMemory;
 use crate::frame_budget::{self, Demand};
 use crate::lanes::{ExternalNames, Rules};
 use crate::machine::memory_available;
 use crate::pipeline::PipelineOptions;
 use crate::plan::PlannedEpisode;
-use crate::streams::Streams;
-use replay::World;
 
 /// The flag of `policy-proc` that names a model's server.
 const BASE_URL: &str = "--base-url";
@@ -108,7 +108,7 @@ pub fn rules(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Rule
 /// When there is too little shared memory.
 pub fn attach(
     settings: &RunSettings,
-    (world, streams): (&World, Option<&Streams>),
+    books: &Books,
     episodes: &[PlannedEpisode],
     (run, memories): (&RunDir, &[ExternalMemory]),
     prompts: Option<&Path>,
@@ -133,13 +133,13 @@ pub fn attach(
         prompts: prompts.map(std::path::absolute).transpose()?,
         ..run.attach()
     };
-    let World { warehouse, cases, .. } = world;
     let most = (settings.keyframes, settings.memory_image_budget());
-    let demand = Demand::of(&attach, (warehouse, cases, streams), episodes, most);
+    let book = &books.cases.book;
+    let demand = Demand::of(&attach, (book, &books.demonstrations.book), episodes, most);
     let (free, _) = shared_memory_space().context("cannot tell how much shared memory is free")?;
     let given = settings.frame_budget;
     attach.frame_capacity = frame_budget::choose(&attach, demand, given, free, memory_available())?;
-    let every_view = frame_budget::every_view(warehouse);
+    let every_view = book.world.views;
     if settings.warm_views && attach.frame_capacity < every_view {
         bail!(
             "--warm-views needs room for {every_view} frames, and there is room for {}: make shared memory larger \
@@ -167,8 +167,8 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     let elsewhere = ("--elsewhere", path(&elsewhere));
     let mut renderer = vec![
         assets,
-        streams.clone(),
-        elsewhere.clone(),
+        streams,
+        elsewhere,
         ("--backend", settings.backend.clone()),
         ("--adapter", settings.adapter.clone()),
     ];
@@ -183,9 +183,9 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     }
     let snapshots = settings.stream.is_some().then(|| settings.out.join(SNAPSHOTS_FOLDER));
     let timeout = (!memories.is_empty()).then(|| settings.memory_timeout.to_string());
+    let demonstrations = settings.out.join(DEMONSTRATIONS_FILE).display().to_string();
     let flags = [
-        streams,
-        elsewhere,
+        ("--demonstrations", Some(demonstrations)),
         ("--snapshots", path(&snapshots)),
         ("--documents", Some(settings.out.join(DOCUMENTS_FOLDER).display().to_string())),
         ("--memory-timeout", timeout),

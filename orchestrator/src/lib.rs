@@ -1,6 +1,7 @@
 //! Executes runs: plan, lanes, child processes, status.
 //!
-//! - Before a run: [`plan`] (episodes and their seeds), [`selection`] (of a world's cases and streams), [`units`] (parts
+//! - Before a run: [`books`] (what the world tells about cases), [`plan`] (episodes and their
+//!   seeds), [`selection`] (of cases and streams), [`units`] (parts
 //!   for other machines) and [`store`] (what they need, by content), [`scratch`] (what killed programs left),
 //!   [`streams`] (world states and references),
 //!   [`documents`] (built where they are missing), [`external_memory`] (started, and asked for their names), [`launch`]
@@ -15,6 +16,7 @@
 //! `memtransfer`.
 
 mod answers;
+pub mod books;
 pub mod budget;
 pub mod command_files;
 pub mod documents;
@@ -36,5 +38,7 @@ pub mod session;
 pub mod status;
 pub mod store;
 pub mod streams;
+#[cfg(test)]
+mod testing;
 pub mod trace;
 pub mod units;

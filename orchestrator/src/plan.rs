@@ -4,14 +4,12 @@
 //! Pure: the same settings and cases give the same list on every machine. Which of them are finished is in the
 //! run folder ([`results::log`]).
 
-use domain::{Arm, FeedbackLevel, StreamOrder};
-use results::conditions::Condition;
+use case_book::{CaseBook, StreamFacts, StreamsFacts};
+use domain::{Action, Arm, FeedbackLevel, Pose, StreamOrder};
+use results::conditions::{Condition, Route};
 use results::key::{EpisodeKey, StreamPlace};
 use results::settings::StreamSettings;
 use shm_types::message::SnapshotId;
-use warehouse::{CaseSet, StreamSet, TrajectoryKind, Warehouse};
-
-use crate::streams::Streams;
 
 /// One episode of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -54,20 +52,28 @@ impl PlannedEpisode {
         self.part.map(|part| part.sequence)
     }
 
-    /// The steps in which its reference completes the task; 0 if it does not.
-    pub fn reference_length(
-        &self,
-        warehouse: &Warehouse,
-        cases: &CaseSet,
-        streams: Option<&Streams>,
-    ) -> u32 {
-        if let Some((part, streams)) = self.part.zip(streams) {
-            return streams.case(part.world, self.case_index).length;
+    /// What the expert does in it, as `book` has it.
+    pub fn expert<'b>(&self, book: &'b CaseBook) -> Option<Expert<'b>> {
+        if let Some(part) = self.part {
+            let found = book.streams.as_ref()?.case(part.world, self.case_index as u32)?;
+            return Some(Expert {
+                begin: found.begin,
+                actions: &found.actions,
+                length: found.length,
+            });
         }
         let Condition { start, route, .. } = self.key.condition;
-        let reference = TrajectoryKind::reference(start, route);
-        let replay = cases.cases[self.case_index].replay(warehouse, reference);
-        replay.length.unwrap_or(0)
+        let found = book.cases.get(self.case_index)?.reference(start, route)?;
+        Some(Expert { begin: found.begin, actions: &found.actions, length: found.length })
+    }
+
+    /// The number of the variant that it takes place in.
+    pub fn variant(&self, book: &CaseBook) -> u32 {
+        match self.part {
+            Some(part) => book.streams.as_ref().and_then(|of| of.variant(part.world)).unwrap_or(0),
+            None if self.key.condition.route == Route::Blocked => 1 + self.case_index as u32,
+            None => 0,
+        }
     }
 
     /// Whether its memory learns from it.
@@ -75,6 +81,17 @@ impl PlannedEpisode {
         self.key.condition.arm == Arm::Learning
             && self.part.is_some_and(|part| part.round.is_some())
     }
+}
+
+/// The expert's trajectory of an episode.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Expert<'b> {
+    /// The state in which it begins.
+    pub begin: Pose,
+    /// The actions. They may go on after the task is complete.
+    pub actions: &'b [Action],
+    /// The steps in which they complete the task, l_i.
+    pub length: u32,
 }
 
 /// The episodes of a run, in the order in which they are started.
@@ -102,7 +119,7 @@ pub fn plan<'a>(
     })
 }
 
-/// The episodes of a run that consists of the streams of `set`, sequence by sequence: for every run, stream and order the
+/// The episodes of a run that consists of `streams`, sequence by sequence: for every run, stream and order the
 /// conditions next to each other, so any beginning of the list compares them on the same streams.
 ///
 /// A sequence evaluates the cases of every block, if evaluations are asked for; then, block by block in its order, it learns
@@ -110,7 +127,7 @@ pub fn plan<'a>(
 /// those that do not learn.
 pub fn plan_streams<'a>(
     conditions: &'a [(Condition, u32)],
-    set: &'a StreamSet,
+    streams: &'a StreamsFacts,
     settings: &'a StreamSettings,
     ids: &'a [&'a str],
     master_seed: u64,
@@ -122,15 +139,14 @@ pub fn plan_streams<'a>(
             orders.push(order);
         }
     }
-    let streams = 0..set.streams.len() as u32;
     let visits = (1..=most_runs).flat_map(move |run| {
         let orders = orders.clone();
         let of_run =
             move |stream| orders.clone().into_iter().map(move |order| (run, stream, order));
-        streams.clone().flat_map(of_run)
+        (0..).zip(&streams.streams).flat_map(of_run)
     });
-    visits.flat_map(move |(run, stream, order)| {
-        let steps = steps(set, settings, stream, order);
+    visits.flat_map(move |(run, (stream, facts), order)| {
+        let steps = steps(facts, settings, order);
         let repeated = conditions.iter().filter(move |(_, runs)| run <= *runs);
         repeated.flat_map(move |&(condition, _)| {
             let sequence = (0..).zip(&steps).map(|(position, &(case, part))| {
@@ -149,17 +165,15 @@ pub fn plan_streams<'a>(
 
 /// The case and the part of every episode of a sequence; parts lack the id of the sequence.
 fn steps(
-    set: &StreamSet,
+    stream: &StreamFacts,
     settings: &StreamSettings,
-    stream: u32,
     order: StreamOrder,
 ) -> Vec<(u32, StreamPart)> {
-    let blocks = &set.streams[stream as usize].blocks;
-    let order = set.order(stream, order);
+    let order = stream.order(order);
     let mut steps = Vec::new();
     let mut visit = |place: usize, after: usize, round: Option<u32>| {
         let block = order[place];
-        let drawn = &blocks[block as usize];
+        let drawn = &stream.blocks[block as usize];
         let part = StreamPart {
             sequence: 0,
             block,
@@ -193,6 +207,10 @@ pub fn sequence_id(name: &str) -> u64 {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
+    use case_book::StreamBlock;
+
     use super::*;
 
     fn conditions() -> Vec<(Condition, u32)> {
@@ -236,15 +254,12 @@ mod tests {
         insta::assert_snapshot!(key.seed(7), @"7419264810186364379");
     }
 
-    use warehouse::WorldChange;
-    use warehouse::stream::{Block, Stream};
-
     /// A stream of two blocks with one case each.
-    fn set() -> StreamSet {
-        let block = |case| Block { world: case, cases: vec![case], events: Vec::new() };
-        let worlds = vec![WorldChange::default(); 2];
-        let streams = vec![Stream { blocks: vec![block(0), block(1)] }];
-        StreamSet { seed: 1, worlds, streams }
+    fn streams() -> StreamsFacts {
+        let block = |case| StreamBlock { world: case, cases: vec![case] };
+        let stream = StreamFacts { blocks: vec![block(0), block(1)], shuffled: vec![1, 0] };
+        let (variants, states) = (vec![2, 3], vec![BTreeMap::new(); 2]);
+        StreamsFacts { hash: String::new(), streams: vec![stream], variants, states }
     }
 
     fn in_streams(
@@ -265,7 +280,7 @@ mod tests {
         let conditions: Vec<(Condition, u32)> =
             conditions.iter().map(|written| (written.parse().unwrap(), 1)).collect();
         let episodes: Vec<_> =
-            plan_streams(&conditions, &set(), &settings, &["a", "b"], 1).collect();
+            plan_streams(&conditions, &streams(), &settings, &["a", "b"], 1).collect();
         assert_eq!(episodes.len(), settings.all_episodes() * conditions.len());
         episodes
     }

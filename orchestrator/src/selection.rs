@@ -1,45 +1,74 @@
-//! What a run's settings select: the world, some of its cases, and the streams.
+//! What a run's settings select: some of the world's cases, and the streams.
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
+use case_book::{BookRequest, CaseBook, ElsewhereRequest, StreamsRequest};
+use domain::{Arm, Demonstrations};
+use results::conditions::Route;
 use results::settings::RunSettings;
-
-use crate::plan::{PlannedEpisode, plan, plan_streams};
-use crate::streams::Streams;
-use replay::World;
 use settings::select_cases;
 
-/// The world of a run, and which of its cases take part.
-#[derive(Debug)]
+use crate::books::Books;
+use crate::plan::{PlannedEpisode, plan, plan_streams};
+
+/// The case book of a run, and which of its cases take part.
+#[derive(Debug, Clone)]
 pub struct SelectedCases {
-    /// The world.
-    pub world: World,
+    /// The case book.
+    pub books: Books,
     /// Indices of the cases.
     pub cases: Vec<usize>,
-    /// The streams, for a run that consists of streams.
-    pub streams: Option<Streams>,
 }
 
 impl SelectedCases {
-    /// What `settings` select.
+    /// What `settings` select in the world.
     ///
     /// # Errors
-    /// When assets cannot be used, there is no such case, or no streams can be drawn.
+    /// When assets cannot be used, there is no such case or bank, or no streams can be drawn.
     pub fn of(settings: &RunSettings) -> Result<Self> {
-        let mut world = World::load(settings.assets.as_deref())?;
-        if settings.demonstrates_elsewhere() {
-            world.add_elsewhere(settings.elsewhere.as_deref(), settings.seed)?;
-        }
-        let cases = select_cases(&world.case_ids(), &settings.cases, settings.limit)?;
-        let streams = match &settings.stream {
-            Some(stream) => Some(Streams::draw(&world, stream, &cases, settings.seed)?),
-            None => None,
-        };
-        Ok(Self { world, cases, streams })
+        Self::written_by(Books::of_world, settings)
+    }
+
+    /// What `settings` select of books that `write` writes.
+    ///
+    /// # Errors
+    /// As [`of`](Self::of), and those of `write`.
+    pub fn written_by(
+        write: impl Fn(&BookRequest) -> Result<Books>,
+        settings: &RunSettings,
+    ) -> Result<Self> {
+        // Which cases there are is known to the world alone.
+        let assets = settings.assets.clone();
+        let every = write(&BookRequest { assets: assets.clone(), ..BookRequest::default() })?;
+        let ids = every.cases.book.ids();
+        let cases = select_cases(&ids, &settings.cases, settings.limit)?;
+        let demonstrations = demonstrations(settings);
+        check_banks(&demonstrations, every.demonstrations.book.largest_bank())?;
+        let books = write(&BookRequest {
+            assets,
+            cases: cases.iter().map(|&case| ids[case].to_owned()).collect(),
+            demonstrations,
+            blocked: settings.groups.iter().any(|group| group.routes.contains(&Route::Blocked)),
+            elsewhere: settings.demonstrates_elsewhere().then(|| ElsewhereRequest {
+                assets: settings.elsewhere.clone(),
+                seed: settings.seed,
+            }),
+            streams: settings.stream.as_ref().map(|stream| StreamsRequest {
+                rules: stream.rules(),
+                seed: settings.seed,
+                planned: settings.groups.iter().any(|group| group.arms.contains(&Arm::Oracle)),
+            }),
+        })?;
+        Ok(Self { books, cases })
+    }
+
+    /// The cases of the world.
+    pub fn book(&self) -> &CaseBook {
+        &self.books.cases.book
     }
 
     /// The number of episodes of a run with `settings`.
     pub fn count(&self, settings: &RunSettings) -> usize {
-        match self.streams {
+        match self.book().streams {
             Some(_) => self.with_episodes(settings, |episodes| episodes.count()),
             None => {
                 self.cases.len()
@@ -54,12 +83,35 @@ impl SelectedCases {
         settings: &RunSettings,
         each: impl FnOnce(&mut dyn Iterator<Item = PlannedEpisode>) -> T,
     ) -> T {
-        let (runs, ids) = (settings.runs(), self.world.case_ids());
-        match self.streams.as_ref().zip(settings.stream.as_ref()) {
+        let (runs, ids) = (settings.runs(), self.book().ids());
+        match self.book().streams.as_ref().zip(settings.stream.as_ref()) {
             Some((streams, stream)) => {
-                each(&mut plan_streams(&runs, &streams.set, stream, &ids, settings.seed))
+                each(&mut plan_streams(&runs, streams, stream, &ids, settings.seed))
             }
             None => each(&mut plan(&runs, &self.cases, &ids, settings.seed)),
         }
     }
+}
+
+/// The sets of demonstrations that the groups name, each once.
+fn demonstrations(settings: &RunSettings) -> Vec<Demonstrations> {
+    let mut found = Vec::new();
+    for &set in settings.groups.iter().flat_map(|group| &group.demos) {
+        if !found.contains(&set) {
+            found.push(set);
+        }
+    }
+    found
+}
+
+/// Checks that the cases have as many demonstrations as each bank holds.
+fn check_banks(sets: &[Demonstrations], most: usize) -> Result<()> {
+    for set in sets {
+        ensure!(
+            usize::from(set.bank_size().unwrap_or(0)) <= most,
+            "{set}: the largest bank is bank-{most}, four demonstrations of each case; a world with more cases has a larger one \
+             (`memtransfer generate world --cases N`, then --assets)"
+        );
+    }
+    Ok(())
 }

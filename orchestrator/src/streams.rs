@@ -5,16 +5,11 @@ use std::collections::BTreeMap;
 
 use anyhow::{Context, Result, bail};
 use results::log::EpisodeRecord;
-use results::settings::StreamSettings;
 use shm_types::message::SnapshotId;
 use warehouse::{CaseSet, StreamSet, Trajectory, Warehouse, WorldState};
 
 use crate::lanes::Experience;
 use crate::plan::{PlannedEpisode, StreamPart};
-use replay::World;
-
-/// Name of the hash of the streams in a run's manifest.
-pub const STREAMS_HASH: &str = "streams";
 
 /// The streams of a run and their worlds.
 #[derive(Debug, Clone)]
@@ -38,21 +33,6 @@ pub struct CaseInWorld {
 }
 
 impl Streams {
-    /// Draws the streams of a run with the cases `among`.
-    ///
-    /// # Errors
-    /// When no streams can be drawn.
-    pub fn draw(
-        world: &World,
-        settings: &StreamSettings,
-        among: &[usize],
-        seed: u64,
-    ) -> Result<Self> {
-        let World { warehouse, cases, .. } = world;
-        let set = StreamSet::draw(warehouse, cases, among, seed, &settings.rules())?;
-        Self::new(warehouse, cases, set)
-    }
-
     /// The streams of `set`.
     ///
     /// # Errors
@@ -90,11 +70,6 @@ impl Streams {
     /// A case in a world that has a block with it.
     pub fn case(&self, world: u32, case: usize) -> &CaseInWorld {
         &self.cases[&(world, case as u32)]
-    }
-
-    /// The hash that identifies the streams: BLAKE3 of their file, as hexadecimal digits.
-    pub fn hash(&self) -> String {
-        blake3::hash(self.set.to_text().as_bytes()).to_hex().to_string()
     }
 }
 

@@ -3,15 +3,13 @@
 //! A unit has consecutive episodes of the run; in streams, whole sequences. Episodes of a case follow each other, so a unit
 //! renders the views of its cases once. It is a run with a run folder of its own.
 
-use std::collections::HashMap;
 use std::fs;
 use std::io::Write;
 use std::ops::Range;
 use std::path::Path;
 
 use anyhow::{Context, Error, Result, anyhow, bail, ensure};
-use replay::World;
-use results::conditions::{Condition, PolicyKind};
+use results::conditions::PolicyKind;
 use results::log::{Manifest, PlannedFacts, UnitEpisode, UnitId};
 use results::settings::RunSettings;
 use serde::{Deserialize, Serialize};
@@ -177,26 +175,15 @@ impl UnitPlan {
         episodes: impl Iterator<Item = PlannedEpisode>,
     ) -> impl Iterator<Item = UnitEpisode> {
         let size = self.unit_episodes;
-        let World { warehouse, cases, .. } = &selection.world;
-        let streams = selection.streams.as_ref();
-        // Of a case outside of streams: its references are the same in all conditions with this start and route.
-        let mut lengths = HashMap::new();
-        let mut length = move |episode: &PlannedEpisode| {
-            let of = || episode.reference_length(warehouse, cases, streams);
-            let Condition { start, route, .. } = episode.key.condition;
-            match episode.part {
-                Some(_) => of(),
-                None => *lengths.entry((episode.case_index, start, route)).or_insert_with(of),
-            }
-        };
+        let book = selection.book();
         let numbered = (0_u32..).zip(episodes);
         numbered.map(move |(number, episode)| UnitEpisode {
             key: episode.key.to_string(),
             unit: number / size,
             facts: PlannedFacts {
-                task: cases.cases[episode.case_index].task.task_type().number(),
+                task: book.cases[episode.case_index].task,
                 seed: episode.seed,
-                reference: length(&episode),
+                reference: episode.expert(book).map_or(0, |expert| expert.length),
             },
         })
     }
@@ -210,7 +197,8 @@ impl ReadPlan {
     /// When it has more or fewer.
     pub fn check_episodes(&self, selection: &SelectedCases, path: &Path) -> Result<()> {
         let Manifest { episodes, settings, hashes, .. } = &self.plan.manifest;
-        if selection.world.hashes.iter().any(|(name, hash)| hashes.get(name) != Some(hash)) {
+        if selection.books.world_hashes().iter().any(|(name, hash)| hashes.get(name) != Some(hash))
+        {
             return Ok(());
         }
         let selected = selection.count(settings);
@@ -253,6 +241,7 @@ mod tests {
     use results::log::testing::manifest;
 
     use super::*;
+    use crate::testing::select;
     use settings::{Layer, resolve};
 
     fn settings(flags: &[(&str, &str)]) -> RunSettings {
@@ -261,7 +250,7 @@ mod tests {
 
     /// The plan of a run, and the keys of each of its units, as `merge` divides them.
     fn divided(settings: RunSettings, unit_episodes: u32) -> (ReadPlan, Vec<Vec<String>>) {
-        let selection = SelectedCases::of(&settings).unwrap();
+        let selection = select(&settings);
         let episodes = selection.count(&settings) as u32;
         let plan = UnitPlan::new(Manifest { settings, episodes, ..manifest() }, unit_episodes);
         let mut units = vec![Vec::new(); plan.units as usize];
@@ -280,7 +269,7 @@ mod tests {
                 let keys = episodes.map(|episode| episode.key.to_string());
                 keys.skip(range.start).take(range.len()).collect()
             };
-            SelectedCases::of(&settings).unwrap().with_episodes(&settings, keys)
+            select(&settings).with_episodes(&settings, keys)
         };
         (0..plan.plan.units).map(unit).collect()
     }
@@ -328,8 +317,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("plan.json");
         let settings = settings(&[("limit", "2"), ("memory", "working"), ("starts", "new")]);
-        let selection = SelectedCases::of(&settings).unwrap();
-        let hashes = selection.world.hashes.clone();
+        let selection = select(&settings);
+        let hashes = selection.books.hashes();
         let manifest = Manifest { settings, hashes, episodes: 2, ..manifest() };
         UnitPlan::new(manifest, 1).write(&path).unwrap();
         let written = fs::read_to_string(&path).unwrap();
@@ -373,7 +362,7 @@ mod tests {
         for (from, to) in [("\"limit\": 2", "\"limit\": 1"), ("\"limit\": 2", "\"limit\": 3")] {
             fs::write(&path, written.replacen(from, to, 1)).unwrap();
             let edited = read().unwrap();
-            let selection = SelectedCases::of(&edited.plan.manifest.settings).unwrap();
+            let selection = select(&edited.plan.manifest.settings);
             let error = edited.check_episodes(&selection, Path::new("plan.json")).unwrap_err();
             assert!(
                 error.to_string().contains("plan.json: `episodes` is 2, and its settings select"),

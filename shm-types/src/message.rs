@@ -63,6 +63,9 @@ pub const MAX_INSTRUCTION: usize = 232;
 /// The `action` code for "no action".
 pub const NO_ACTION: u8 = u8::MAX;
 
+/// Added to the number of sub-goals in `progress` when the task is complete.
+pub const TASK_COMPLETE: u8 = 1 << 7;
+
 /// The representation code of an external memory.
 pub const EXTERNAL: u8 = u8::MAX;
 
@@ -169,8 +172,10 @@ messages! {
         action: u8,
         /// 1 when the episode ends with this step: nothing is rendered and no decision follows.
         last: u8,
+        /// Sub-goals completed so far, plus [`TASK_COMPLETE`] if the task is.
+        progress: u8,
         /// Zero.
-        reserved: [u8; 5],
+        reserved: [u8; 4],
     }
 
     /// Simulator to memory, policy and orchestrator: the state after a step.
@@ -202,8 +207,8 @@ messages! {
         action: u8,
         /// 1 when the episode is over.
         last: u8,
-        /// Zero.
-        reserved: u8,
+        /// Sub-goals completed so far, plus [`TASK_COMPLETE`] if the task is.
+        progress: u8,
     }
 
     /// Orchestrator to memory, before a reset: the memory of the lane's next episode.

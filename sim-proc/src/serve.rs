@@ -327,7 +327,7 @@ impl<'a> Simulator<'a> {
             feedback: feedback as u8,
             action: if acted { command.action } else { NO_ACTION },
             last: u8::from(ends),
-            reserved: 0,
+            progress: command.progress,
         };
         self.pending.push(Pending { view, answer: PendingView::Observation(observation) });
         Ok(())

@@ -1,8 +1,10 @@
 //! `sim-proc views`: renders the views that another program names, for as long as it asks.
 
 use std::io::{BufRead, Write};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result};
+use case_book::{BookFile, DemonstrationBook};
 use domain::Pose;
 
 use crate::renderer::RenderSettings;
@@ -18,6 +20,10 @@ pub struct ViewsArgs {
     /// Width and height of an image in pixels; the width is a multiple of 64.
     #[arg(long, value_name = "WxH", default_value = "448x448", value_parser = parse_size)]
     size: (u32, u32),
+
+    /// The demonstrations of a run. A line then names a view by the index of a demonstration and a step: `17 3`.
+    #[arg(long, value_name = "FILE")]
+    demonstrations: Option<PathBuf>,
 
     #[command(flatten)]
     worlds: WorldsArgs,
@@ -42,13 +48,21 @@ pub fn run(args: &ViewsArgs) -> Result<()> {
         ..RenderSettings::default()
     });
     let mut views = ViewSource::new(args.worlds.load()?, settings)?;
+    let book = args.demonstrations.as_deref().map(BookFile::<DemonstrationBook>::read);
+    let book = book.transpose()?.map(|file| file.book);
+    let named = |line: &str| {
+        let (first, second) = line.split_once(' ')?;
+        let Some(book) = &book else { return Some((first.parse().ok()?, second.parse().ok()?)) };
+        let of = book.demonstrations.get(first.parse::<usize>().ok()?)?;
+        Some((of.variant, *of.poses.get(second.parse::<usize>().ok()?)?))
+    };
     let mut stdout = std::io::stdout().lock();
     for line in std::io::stdin().lock().lines() {
         let line = line.context("cannot read the names of views")?;
-        let (variant, pose) = line
-            .split_once(' ')
-            .and_then(|(variant, pose)| Some((variant.parse().ok()?, pose.parse::<Pose>().ok()?)))
-            .with_context(|| format!("{line:?} is no view: write VARIANT X,Y,H"))?;
+        let (variant, pose): (u32, Pose) = named(&line).with_context(|| {
+            let form = if book.is_some() { "DEMONSTRATION STEP" } else { "VARIANT X,Y,H" };
+            format!("{line:?} is no view: write {form}")
+        })?;
         let image = views.render(variant, pose)?;
         // A pipe that closed means that no more views are wanted.
         if stdout.write_all(image.as_bytes()).and_then(|()| stdout.flush()).is_err() {

@@ -132,22 +132,21 @@ impl DocumentFolder {
         self.0.join(format!("{}-{demonstrations}.json", kind.word()))
     }
 
-    /// All documents in the folder, by name; none when there is no such folder. Those that were not made from `sources`
-    /// with frames of this size are outdated.
+    /// All documents in the folder, by name; none when there is no such folder. Those that were not made from `sources` are
+    /// outdated.
     ///
     /// # Errors
     /// When the folder cannot be read.
-    pub fn list(&self, sources: &Sources, frame: [u32; 2]) -> io::Result<Vec<StoredDocument>> {
-        let mut found: Vec<StoredDocument> = self
-            .files()?
-            .into_iter()
-            .map(|(name, file)| load(name, file, &sources.sha256(name.demonstrations, frame)))
+    pub fn list(&self, sources: &Sources) -> io::Result<Vec<StoredDocument>> {
+        let files = self.files()?.into_iter();
+        let mut found: Vec<StoredDocument> = files
+            .map(|(name, file)| load(name, file, &sources.sha256(name.demonstrations)))
             .collect();
         found.sort_by(|a, b| (a.name, &a.file).cmp(&(b.name, &b.file)));
         Ok(found)
     }
 
-    /// The document of this name that is acceptable and was made from `sources` with frames of this size.
+    /// The document of this name that is acceptable and was made from `sources`.
     ///
     /// When several are, the result is broken and its problem names them. When none is, the result is missing, and its
     /// file is where the recipe's document would be.
@@ -159,9 +158,8 @@ impl DocumentFolder {
         name: DocumentName,
         selection: &DocumentSelection,
         sources: &Sources,
-        frame: [u32; 2],
     ) -> io::Result<StoredDocument> {
-        let sources_sha256 = sources.sha256(name.demonstrations, frame);
+        let sources_sha256 = sources.sha256(name.demonstrations);
         if let DocumentSelection::Recipe(recipe) = selection {
             let file = self.file(name, &recipe.address(name, &sources_sha256));
             return Ok(load(name, file, &sources_sha256));
@@ -217,8 +215,11 @@ impl DocumentFolder {
         }
     }
 
-    /// Names and files of everything that is named like a document.
-    fn files(&self) -> io::Result<Vec<(DocumentName, PathBuf)>> {
+    /// Names and files of everything that is named like a document; none when there is no such folder.
+    ///
+    /// # Errors
+    /// When the folder cannot be read.
+    pub fn files(&self) -> io::Result<Vec<(DocumentName, PathBuf)>> {
         let entries = match fs::read_dir(&self.0) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
             entries => entries?,
@@ -291,22 +292,28 @@ fn summarized<S: Serializer>(document: &Option<DocumentFile>, to: S) -> Result<S
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use domain::Demonstrations;
 
     use super::*;
     use crate::ModelRecipe;
     use crate::file::tests::provenance;
+    use crate::sources::tests::sources;
 
-    const FRAME: [u32; 2] = [448, 448];
+    const FRAME: u32 = 448;
+    const SMALL: u32 = 224;
 
     struct Bench {
         folder: tempfile::TempDir,
-        sources: Sources,
+        /// By frame size.
+        sources: BTreeMap<u32, Sources>,
     }
 
     impl Bench {
         fn new() -> Self {
-            Self { folder: tempfile::tempdir().unwrap(), sources: Sources::load(None).unwrap() }
+            let sources = [FRAME, SMALL].map(|size| (size, sources(size)));
+            Self { folder: tempfile::tempdir().unwrap(), sources: sources.into() }
         }
 
         fn folder(&self) -> DocumentFolder {
@@ -314,11 +321,11 @@ mod tests {
         }
 
         /// Builds `summary/4` by a recipe for frames of one size.
-        fn build(&self, recipe: &Recipe, frame: [u32; 2], text: &str) -> PathBuf {
+        fn build(&self, recipe: &Recipe, frame: u32, text: &str) -> PathBuf {
             let made = Provenance {
                 builder: recipe.builder().to_owned(),
                 builder_version: recipe.version(),
-                sources_sha256: self.sources.sha256(Demonstrations::ALL, frame),
+                sources_sha256: self.sources[&frame].sha256(Demonstrations::ALL),
                 ..provenance()
             };
             let path = self.folder().file(made.name(), &made.address());
@@ -326,8 +333,8 @@ mod tests {
             path
         }
 
-        fn find(&self, selection: &DocumentSelection, frame: [u32; 2]) -> StoredDocument {
-            self.folder().find(provenance().name(), selection, &self.sources, frame).unwrap()
+        fn find(&self, selection: &DocumentSelection, frame: u32) -> StoredDocument {
+            self.folder().find(provenance().name(), selection, &self.sources[&frame]).unwrap()
         }
     }
 
@@ -338,24 +345,23 @@ mod tests {
     #[test]
     fn building_by_another_model_or_frame_size_keeps_every_document() {
         let bench = Bench::new();
-        let small = [224, 224];
         bench.build(&model("A"), FRAME, "by A");
         bench.build(&model("B"), FRAME, "by B");
-        bench.build(&model("A"), small, "by A, small");
+        bench.build(&model("A"), SMALL, "by A, small");
         bench.build(&Recipe::Extractive, FRAME, "extractive");
-        bench.build(&Recipe::Extractive, small, "extractive, small");
+        bench.build(&Recipe::Extractive, SMALL, "extractive, small");
         for (recipe, frame, expected) in [
             (model("A"), FRAME, "by A"),
             (model("B"), FRAME, "by B"),
-            (model("A"), small, "by A, small"),
+            (model("A"), SMALL, "by A, small"),
             (Recipe::Extractive, FRAME, "extractive"),
-            (Recipe::Extractive, small, "extractive, small"),
+            (Recipe::Extractive, SMALL, "extractive, small"),
         ] {
             let found = bench.find(&DocumentSelection::Recipe(recipe), frame);
             assert_eq!(found.state, DocumentState::Current);
             assert_eq!(found.document.unwrap().text, expected);
         }
-        let listed = bench.folder().list(&bench.sources, FRAME).unwrap();
+        let listed = bench.folder().list(&bench.sources[&FRAME]).unwrap();
         let outdated = listed.iter().filter(|stored| stored.state == DocumentState::Outdated);
         assert_eq!((listed.len(), outdated.count()), (5, 2));
     }
@@ -383,7 +389,7 @@ mod tests {
         let bench = Bench::new();
         let selection = DocumentSelection::Recipe(Recipe::Extractive);
         assert_eq!(bench.find(&selection, FRAME).state, DocumentState::Missing);
-        let path = bench.build(&Recipe::Extractive, [224, 224], "small");
+        let path = bench.build(&Recipe::Extractive, SMALL, "small");
         assert_eq!(bench.find(&selection, FRAME).state, DocumentState::Missing);
         assert_eq!(bench.find(&DocumentSelection::Any, FRAME).state, DocumentState::Outdated);
         fs::write(bench.folder.path().join("notes.json"), "mine").unwrap();

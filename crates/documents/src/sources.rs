@@ -1,156 +1,139 @@
 //! The sources of documents: the selected demonstrations of all cases, in a world that is rendered.
 
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
-use anyhow::{Context, Result};
-use domain::{Appearance, Demonstrations, hex};
-use sha2::{Digest, Sha256};
-use warehouse::{CaseSet, Demonstrated, Elsewhere, Viewpoint, Warehouse};
+use case_book::{Demonstration, DemonstrationBook, ViewPlace};
+use domain::{Appearance, Demonstrations};
 
 use crate::sha256_of_parts;
 
-/// The files that determine what a view shows, and their built-in content.
-const WORLD_FILES: [(&str, &[u8]); 2] = [
-    ("layout.toml", include_bytes!("../../../assets/layout.toml")),
-    ("catalogue.toml", include_bytes!("../../../assets/catalogue.toml")),
-];
-
-/// The world and its cases.
-#[derive(Debug)]
+/// The demonstrations of a world, and how it is rendered.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sources {
-    /// The world.
-    pub warehouse: Warehouse,
-    /// Its cases.
-    pub cases: CaseSet,
-    /// SHA-256 of the world's files, in hexadecimal digits.
-    world_sha256: String,
+    book: Arc<DemonstrationBook>,
     /// How the world looks in frames.
     appearance: Appearance,
+    /// Width and height of the frames.
+    frame_size: u32,
 }
 
 impl Sources {
-    /// Loads the folder `assets`, or the built-in assets.
-    ///
-    /// # Errors
-    /// When a file cannot be read or is invalid.
-    pub fn load(assets: Option<&Path>) -> Result<Self> {
-        let read = |(name, built_in): (&str, &[u8])| match assets {
-            None => Ok(built_in.to_owned()),
-            Some(folder) => {
-                let path = folder.join(name);
-                durable::input::read(&path)
-                    .with_context(|| format!("cannot read {}", path.display()))
-            }
-        };
-        let files: Vec<Vec<u8>> = WORLD_FILES.into_iter().map(read).collect::<Result<_>>()?;
-        let (warehouse, cases) = CaseSet::with_warehouse(assets)?;
-        let world_sha256 = sha256_of_files(files);
-        Ok(Self { warehouse, cases, world_sha256, appearance: Appearance::STANDARD })
+    /// The demonstrations of `book`, in square frames of this size with this appearance.
+    pub fn new(
+        book: impl Into<Arc<DemonstrationBook>>,
+        frame_size: u32,
+        appearance: Appearance,
+    ) -> Self {
+        Self { book: book.into(), appearance, frame_size }
     }
 
-    /// The same sources, with the other warehouse in which tasks are demonstrated, if there is one.
-    pub fn with_elsewhere(mut self, elsewhere: Option<Elsewhere>) -> Self {
-        self.cases.elsewhere = elsewhere;
-        self
+    /// All demonstrations.
+    pub fn book(&self) -> &DemonstrationBook {
+        &self.book
     }
 
-    /// SHA-256, in hexadecimal digits, of the files of the world in which the demonstrations of `selection` take place.
-    fn world_of(&self, selection: Demonstrations) -> String {
-        match self.cases.elsewhere.as_ref().filter(|_| selection.take_place_elsewhere()) {
-            None => self.world_sha256.clone(),
-            Some(elsewhere) => sha256_of_files(elsewhere.files()),
-        }
+    /// Width and height of the frames, in pixels.
+    pub fn frame_size(&self) -> u32 {
+        self.frame_size
     }
 
-    /// The same sources, in frames with this appearance.
-    pub fn seen_with(self, appearance: Appearance) -> Self {
-        Self { appearance, ..self }
+    /// How the world looks in frames.
+    pub fn appearance(&self) -> Appearance {
+        self.appearance
     }
 
     /// The demonstrations that `selection` names for any case, each once: in the order of the cases, and for each
-    /// case in the order of its own set.
-    pub fn demonstrations(&self, selection: Demonstrations) -> Vec<Demonstrated<'_>> {
-        let histories = self.cases.histories_of_all(selection).into_iter();
-        histories.filter_map(|of| self.cases.demonstrated(&self.warehouse, of)).collect()
+    /// case in the order of its own set. None where the book lacks one of them.
+    pub fn demonstrations(&self, selection: Demonstrations) -> Vec<&Demonstration> {
+        let indices = self.book.of_all_cases(selection).unwrap_or_default().into_iter();
+        indices.map(|index| &self.book.demonstrations[index as usize]).collect()
     }
 
-    /// Where the views in the demonstrations of `selection` are seen from, sorted.
-    pub fn viewpoints(&self, selection: Demonstrations) -> Vec<Viewpoint> {
-        let demonstrations = self.demonstrations(selection);
-        let mut viewpoints: Vec<Viewpoint> =
-            demonstrations.iter().flat_map(Demonstrated::viewpoints).collect();
-        viewpoints.sort_unstable();
-        viewpoints.dedup();
-        viewpoints
+    /// The different views in the demonstrations of `selection`, by number: where each is seen first.
+    pub fn views(&self, selection: Demonstrations) -> BTreeMap<u32, ViewPlace> {
+        let mut views = BTreeMap::new();
+        for demonstration in self.book.of_all_cases(selection).unwrap_or_default() {
+            let of = &self.book.demonstrations[demonstration as usize];
+            for (step, &view) in (0..).zip(&of.views) {
+                views.entry(view).or_insert(ViewPlace { demonstration, step });
+            }
+        }
+        views
     }
 
     /// SHA-256, in hexadecimal digits, of everything that determines the demonstrations of `selection` and their views
-    /// and is known without rendering: layout, catalogue, the demonstrations, the cells that are closed where one takes place,
-    /// the frames' width and height, their appearance if it is not the standard one, and this program's version, which stands
-    /// for how the world is drawn and how plates are read.
+    /// and is known without rendering: what can be seen in the variants in which they take place, the demonstrations, the
+    /// frames' size, their appearance if it is not the standard one, and this program's version, which stands for how the
+    /// world is drawn and how plates are read.
     ///
-    /// Test references and other barricades are left out: a document does not depend on them.
-    pub fn sha256(&self, selection: Demonstrations, frame: [u32; 2]) -> String {
-        let frame = format!("{} x {}", frame[0], frame[1]);
+    /// Test references and other variants are left out: a document does not depend on them.
+    pub fn sha256(&self, selection: Demonstrations) -> String {
+        let Self { book, appearance, frame_size } = self;
+        let demonstrations = self.demonstrations(selection);
+        let variants: BTreeSet<u32> = demonstrations.iter().map(|of| of.variant).collect();
+        let hashes: Vec<&str> = variants
+            .iter()
+            .map(|variant| book.variants.get(variant).map_or("", String::as_str))
+            .collect();
         let mut parts = vec![
-            "memtransfer sources v1".to_owned(),
+            "memtransfer sources v2".to_owned(),
             env!("CARGO_PKG_VERSION").to_owned(),
-            self.world_of(selection),
-            frame,
+            hashes.join(" "),
+            format!("{frame_size} x {frame_size}"),
         ];
-        if self.appearance != Appearance::STANDARD {
-            parts.push(self.appearance.to_string());
+        if *appearance != Appearance::STANDARD {
+            parts.push(appearance.to_string());
         }
-        for demonstrated in self.demonstrations(selection) {
-            let Demonstrated { trajectory, closed, .. } = &demonstrated;
-            parts.push(demonstrated.instruction());
-            parts.push(trajectory.start.to_string());
-            parts.push(trajectory.actions.iter().map(|action| action.letter()).collect());
-            if !closed.is_empty() {
-                let cells: Vec<String> = closed.iter().map(ToString::to_string).collect();
-                parts.push(format!("closed {}", cells.join(" ")));
-            }
+        for of in demonstrations {
+            parts.push(of.instruction.clone());
+            parts.push(of.poses[0].to_string());
+            parts.push(of.actions.iter().map(|action| action.letter()).collect());
         }
         sha256_of_parts(parts.iter().map(String::as_str))
     }
 }
 
-/// The SHA-256 of the SHA-256 of each file, in hexadecimal digits.
-fn sha256_of_files(files: impl IntoIterator<Item: AsRef<[u8]>>) -> String {
-    let mut hasher = Sha256::new();
-    files.into_iter().for_each(|file| hasher.update(Sha256::digest(file)));
-    hex(&hasher.finalize())
-}
-
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
+    use case_book::{BookRequest, ElsewhereRequest};
     use warehouse::ELSEWHERE_VARIANT;
+    use warehouse::case_book::write_books;
 
     use super::*;
 
-    const FRAME: [u32; 2] = [448, 448];
+    const FRAME: u32 = 448;
 
-    fn sources() -> Sources {
-        Sources::load(None).unwrap()
+    fn book(seed_of_elsewhere: Option<u64>) -> DemonstrationBook {
+        let elsewhere = seed_of_elsewhere.map(|seed| ElsewhereRequest { assets: None, seed });
+        let demonstrations = vec![Demonstrations::AFTER];
+        let request = BookRequest { demonstrations, elsewhere, ..BookRequest::default() };
+        write_books(&request).unwrap().demonstrations
+    }
+
+    pub(crate) fn sources(frame_size: u32) -> Sources {
+        Sources::new(book(None), frame_size, Appearance::STANDARD)
     }
 
     #[test]
-    fn a_copy_of_the_built_in_assets_is_the_same_source() {
-        let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets");
-        let (built_in, read) = (sources(), Sources::load(Some(&assets)).unwrap());
-        let hash = |sources: &Sources| sources.sha256(Demonstrations::ALL, FRAME);
-        assert_eq!(hash(&built_in), hash(&read));
-        assert_ne!(hash(&built_in), built_in.sha256(Demonstrations::ALL, [224, 224]));
-        assert_ne!(hash(&built_in), built_in.sha256(Demonstrations::ORIGINAL, FRAME));
-        let seeded = sources().seen_with(Appearance { seed: 7, ..Appearance::STANDARD });
-        assert_ne!(hash(&built_in), hash(&seeded));
-        assert_eq!(hash(&built_in), hash(&seeded.seen_with(Appearance::STANDARD)));
+    fn everything_that_a_view_depends_on_counts() {
+        let standard = sources(FRAME);
+        let hash = standard.sha256(Demonstrations::ALL);
+        assert_eq!(hash, sources(FRAME).sha256(Demonstrations::ALL));
+        assert_ne!(hash, sources(224).sha256(Demonstrations::ALL));
+        assert_ne!(hash, standard.sha256(Demonstrations::ORIGINAL));
+        let seeded = Appearance { seed: 7, ..Appearance::STANDARD };
+        assert_ne!(hash, Sources::new(book(None), FRAME, seeded).sha256(Demonstrations::ALL));
+        let mut stocked = book(None);
+        stocked.variants.insert(0, "other items".to_owned());
+        let stocked = Sources::new(stocked, FRAME, Appearance::STANDARD);
+        assert_ne!(hash, stocked.sha256(Demonstrations::ALL));
     }
 
     #[test]
     fn every_demonstration_of_a_set_is_listed_once() {
-        let sources = sources();
-        let cases = sources.cases.cases.len();
+        let sources = sources(FRAME);
+        let cases = sources.book.cases.len();
         let count = |selection| sources.demonstrations(selection).len();
         assert_eq!(count(Demonstrations::NONE), 0);
         assert_eq!(count(Demonstrations::ORIGINAL), cases);
@@ -158,39 +141,47 @@ mod tests {
         // Every case's own two; the others belong to some case, too.
         assert!((2 * cases..4 * cases).contains(&count(Demonstrations::IRRELEVANT)));
         assert_eq!(count(Demonstrations::BEFORE_AFTER), 2 * cases);
+        assert_eq!(count(Demonstrations::ELSEWHERE), 0, "there is no other warehouse");
+    }
+
+    #[test]
+    fn views_with_one_number_show_the_same_and_are_listed_once() {
+        let sources = sources(FRAME);
+        let views = sources.views(Demonstrations::ALL);
+        let poses: BTreeSet<_> =
+            sources.demonstrations(Demonstrations::ALL).iter().flat_map(|of| &of.poses).collect();
+        assert_eq!(views.len(), poses.len(), "all take place in one variant");
+        for (view, ViewPlace { demonstration, step }) in views {
+            let of = &sources.book.demonstrations[demonstration as usize];
+            assert_eq!(of.views[step as usize], view);
+        }
     }
 
     #[test]
     fn documents_of_the_other_warehouse_depend_on_it_alone() {
-        let seen = |seed| {
-            let Sources { warehouse, cases, .. } = sources();
-            sources().with_elsewhere(Elsewhere::generate(&warehouse, &cases, seed).ok())
-        };
-        let hash = |of: &Sources, selection| of.sha256(selection, FRAME);
-        let (one, two) = (seen(1), seen(2));
+        let seen = |seed| Sources::new(book(seed), FRAME, Appearance::STANDARD);
+        let (one, two) = (seen(Some(1)), seen(Some(2)));
         let elsewhere = Demonstrations::ELSEWHERE;
-        assert_eq!(hash(&one, elsewhere), hash(&seen(1), elsewhere));
-        assert_ne!(hash(&one, elsewhere), hash(&two, elsewhere));
-        assert_eq!(hash(&one, Demonstrations::ALL), hash(&sources(), Demonstrations::ALL));
-        let viewpoints = one.viewpoints(elsewhere);
-        assert!(viewpoints.iter().all(|viewpoint| viewpoint.variant == ELSEWHERE_VARIANT));
+        assert_eq!(one.sha256(elsewhere), seen(Some(1)).sha256(elsewhere));
+        assert_ne!(one.sha256(elsewhere), two.sha256(elsewhere));
+        assert_eq!(one.sha256(Demonstrations::ALL), seen(None).sha256(Demonstrations::ALL));
+        let demonstrations = one.demonstrations(elsewhere);
+        assert!(demonstrations.iter().all(|of| of.variant == ELSEWHERE_VARIANT));
     }
 
     #[test]
     fn a_demonstration_after_the_event_depends_on_what_is_closed() {
-        let (sources, mut other) = (sources(), sources());
-        let hash = |of: &Sources, selection| of.sha256(selection, FRAME);
-        let passage = other.cases.cases[7].barricade.clone();
-        other.cases.cases[8].barricade = passage;
-        assert_eq!(hash(&sources, Demonstrations::ALL), hash(&other, Demonstrations::ALL));
+        let (sources, mut other) = (sources(FRAME), book(None));
+        other.variants.insert(9, other.variants[&8].clone());
+        let other = Sources::new(other, FRAME, Appearance::STANDARD);
+        assert_eq!(sources.sha256(Demonstrations::ALL), other.sha256(Demonstrations::ALL));
         for selection in [Demonstrations::AFTER, Demonstrations::BEFORE_AFTER] {
-            assert_ne!(hash(&sources, selection), hash(&other, selection));
+            assert_ne!(sources.sha256(selection), other.sha256(selection));
         }
         assert_ne!(
-            hash(&sources, Demonstrations::AFTER_BEFORE),
-            hash(&sources, Demonstrations::BEFORE_AFTER)
+            sources.sha256(Demonstrations::AFTER_BEFORE),
+            sources.sha256(Demonstrations::BEFORE_AFTER)
         );
-        let after = sources.viewpoints(Demonstrations::AFTER);
-        assert!(after.iter().all(|viewpoint| viewpoint.variant > 0));
+        assert!(sources.demonstrations(Demonstrations::AFTER).iter().all(|of| of.variant > 0));
     }
 }

@@ -12,6 +12,7 @@ use domain::cache_folder;
 use llm::{Endpoint, Servers, Source};
 use orchestrator::documents::needed;
 use orchestrator::scratch::{self, ScratchFolder};
+use orchestrator::selection::SelectedCases;
 use results::settings::RunSettings;
 use rustix::fs::{Access, access};
 use rustix::io::Errno;
@@ -335,7 +336,7 @@ fn endpoint(
     command.args(["probe", "--json", "--model", model, "--base-url", &server.base()]);
     command.args(["--base-url-from", servers.source.word()]);
     let settings = settings(model)?;
-    let documents = RunDocuments::of(&settings, None, false);
+    let documents = RunDocuments::of(&settings, &SelectedCases::of(&settings)?.books, false);
     command.args(request_size(&settings, &documents));
     let output = supervise::output(&mut command, stop)?.context(STOPPED)?;
     if output.stdout.is_empty() {
@@ -436,7 +437,7 @@ mod tests {
         ]);
         let flags = Layer::flags([("policy", "openai"), ("model", "m")]);
         let settings = resolve([environment.unwrap(), flags.unwrap()]).unwrap().settings;
-        let documents = RunDocuments::of(&settings, None, false);
+        let documents = RunDocuments::of(&settings, &crate::estimate::tests::books(), false);
         insta::assert_snapshot!(
             request_size(&settings, &documents).join(" "),
             @"--frame-size 128 --document-chars 0 --keyframes 40 --window 9 --image-budget 12 --image-format png --request-timeout 77"

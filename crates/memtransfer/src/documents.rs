@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 
 use anyhow::Result;
 use documents::{
-    DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, StoredDocument,
+    DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, Sources, StoredDocument,
 };
+use orchestrator::books::Books;
 use orchestrator::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};
 use orchestrator::progress::BuildProgress;
 use results::log::{DOCUMENTS_FOLDER, DocumentFacts, RunFolder};
 use results::settings::{DocumentSource, RunSettings};
-use warehouse::Elsewhere;
 
 use crate::signals::Signals;
 
@@ -24,8 +24,8 @@ pub(super) struct RunDocuments {
 }
 
 impl RunDocuments {
-    /// The documents of a run with `settings`, which starts over if `fresh`, and whose tasks may be demonstrated `elsewhere`.
-    pub(super) fn of(settings: &RunSettings, elsewhere: Option<&Elsewhere>, fresh: bool) -> Self {
+    /// The documents of a run with `settings` and `books`, which starts over if `fresh`.
+    pub(super) fn of(settings: &RunSettings, books: &Books, fresh: bool) -> Self {
         let (folder, selection) = match &settings.documents {
             DocumentSource::Extractive => (None, DocumentSelection::Recipe(Recipe::Extractive)),
             DocumentSource::Model(name) => (None, DocumentSelection::Model(name.clone())),
@@ -33,10 +33,13 @@ impl RunDocuments {
         };
         let request = DocumentRequest {
             folder,
+            sources: Sources::new(
+                books.demonstrations.book.clone(),
+                settings.frame_size,
+                settings.appearance(),
+            ),
             assets: settings.assets.clone(),
-            elsewhere: elsewhere.cloned(),
-            frame_size: settings.frame_size,
-            appearance: settings.appearance(),
+            elsewhere: books.elsewhere.clone(),
             selection,
             server: ModelServer::default(),
         };

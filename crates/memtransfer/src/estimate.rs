@@ -9,17 +9,16 @@ use std::collections::BTreeMap;
 
 use documents::DocumentName;
 use domain::representation::Trajectories;
+use orchestrator::books::Books;
 use orchestrator::documents::needed;
 use orchestrator::plan::PlannedEpisode;
 use prompt::tokens;
-use replay::World;
 use results::conditions::Condition;
 use results::cost::ModelPrices;
 use results::cost::Money;
 use results::log::EpisodeRecord;
 use results::settings::{ModelSettings, RunSettings};
 use results::usage::UsageTotals;
-use warehouse::TrajectoryKind;
 
 /// Characters of a prompt that are always there: rules, task, the current pose and feedback.
 const ALWAYS: u64 = 2420;
@@ -78,7 +77,7 @@ pub(crate) struct Basis<'a> {
     /// How the model is asked.
     pub model: &'a ModelSettings,
     /// The cases.
-    pub world: &'a World,
+    pub books: &'a Books,
     /// Bytes of the existing documents.
     pub documents: &'a BTreeMap<DocumentName, u64>,
     /// Episodes that the run folder has.
@@ -101,7 +100,7 @@ impl Basis<'_> {
         });
         let measured_each = prompt.filter(|_| requests > 0).map(|prompt| prompt / requests);
         RunEstimate {
-            requests: measured.unwrap_or_else(|| self.bounds(condition, missing)),
+            requests: measured.unwrap_or_else(|| self.bounds(missing)),
             images_each: self.images(condition),
             prompt_each: measured_each.or_else(|| self.prompt(condition, missing)),
             answer_each: u64::from(self.model.answer_tokens),
@@ -110,13 +109,11 @@ impl Basis<'_> {
         }
     }
 
-    fn bounds(&self, condition: &Condition, missing: &[&PlannedEpisode]) -> [u64; 2] {
-        let World { warehouse, cases, .. } = self.world;
+    fn bounds(&self, missing: &[&PlannedEpisode]) -> [u64; 2] {
         let max_steps = self.settings.max_steps;
         let reference = |episode: &&PlannedEpisode| {
-            let from = TrajectoryKind::reference(condition.start, condition.route);
-            let length = cases.cases[episode.case_index].replay(warehouse, from).length;
-            u64::from(length.unwrap_or(max_steps).min(max_steps))
+            let expert = episode.expert(&self.books.cases.book);
+            u64::from(expert.map_or(max_steps, |expert| expert.length).min(max_steps))
         };
         [missing.iter().map(reference).sum(), missing.len() as u64 * u64::from(max_steps)]
     }
@@ -151,15 +148,15 @@ impl Basis<'_> {
 
     /// Actions of the demonstrations that an episode remembers.
     fn demonstrated(&self, condition: &Condition, episode: &PlannedEpisode) -> u64 {
-        let World { warehouse, cases, .. } = self.world;
-        let histories = cases.histories(episode.case_index, condition.demonstrations);
-        let of = histories.into_iter().filter_map(|of| cases.demonstrated(warehouse, of));
-        of.map(|of| of.trajectory.actions.len() as u64).sum()
+        let book = &self.books.demonstrations.book;
+        let named = book.of_case(episode.case_index as u32, condition.demonstrations);
+        let of = named.into_iter().flatten().map(|of| &book.demonstrations[of as usize]);
+        of.map(|of| of.actions.len() as u64).sum()
     }
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     #[test]
@@ -173,31 +170,44 @@ mod tests {
         let system = system.chars().count() as u64;
         assert!((ALWAYS / 2..ALWAYS * 2).contains(&system), "{system} characters of rules alone");
     }
+    use case_book::{BookFile, BookRequest};
     use orchestrator::plan::plan;
     use results::log::testing::record;
     use settings::{Layer, resolve};
+    use warehouse::case_book::write_books;
 
     fn settings() -> RunSettings {
         let flags = Layer::flags([("policy", "openai"), ("model", "m")]).unwrap();
         resolve([flags]).unwrap().settings
     }
 
+    pub(crate) fn books() -> Books {
+        let books = write_books(&BookRequest::default()).unwrap();
+        Books {
+            cases: BookFile::new(books.cases).unwrap(),
+            demonstrations: BookFile::new(books.demonstrations).unwrap(),
+            streams: None,
+            elsewhere: None,
+        }
+    }
+
     #[test]
     fn bounds_come_from_references_and_figures_from_finished_episodes() {
-        let (settings, world) = (settings(), World::load(None).unwrap());
+        let (settings, books) = (settings(), books());
         let model = settings.model.as_ref().unwrap();
         let condition: Condition = "episodic/original/unchanged/original".parse().unwrap();
-        let ids = world.case_ids();
+        let ids = books.cases.book.ids();
         let episodes: Vec<_> = plan(&[(condition, 1)], &[0, 1], &ids, 1).collect();
         let missing: Vec<&PlannedEpisode> = episodes.iter().collect();
         let documents = BTreeMap::new();
         let mut done = [record("t01-01", true)];
         done[0].prompt_tokens = Some(12_000);
         let basis =
-            |done| Basis { settings: &settings, model, world: &world, documents: &documents, done };
+            |done| Basis { settings: &settings, model, books: &books, documents: &documents, done };
         let found = basis(&[]).estimate(&condition, &missing);
         // A demonstration may turn to the rack after its last step that counts.
-        let actions = |case: usize| world.cases.cases[case].original.actions.len() as u64;
+        let actions =
+            |case: usize| books.demonstrations.book.demonstrations[4 * case].actions.len() as u64;
         let [least, most] = found.requests;
         assert!(least.abs_diff(actions(0) + actions(1)) <= 2, "{least}");
         assert_eq!(most, 400);
@@ -219,7 +229,7 @@ mod tests {
         // A summary of 42,136 characters has 18,700 tokens.
         let documents = BTreeMap::from([(needed([&summary])[0], 42_136)]);
         let basis =
-            Basis { settings: &settings, model, world: &world, documents: &documents, done: &[] };
+            Basis { settings: &settings, model, books: &books, documents: &documents, done: &[] };
         let prompt_each = basis.estimate(&summary, &missing).prompt_each.unwrap();
         let others = (2420 + 6 * 88) / 4 + 7 * 256;
         assert!((18_000..19_000).contains(&(prompt_each - others)), "{prompt_each}");

@@ -45,6 +45,7 @@ use std::process::ExitCode;
 use ::report::table::{WIDTH, wrap};
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
+use program::in_one_line;
 use supervise::{QUIET_DRIVER, sibling};
 use world_client::WorldProgram;
 
@@ -198,7 +199,7 @@ fn main() -> ExitCode {
         // `memtransfer ls cases | head` is not an error.
         Err(error) if program::is_closed_pipe(&error) => Exit::Complete.into(),
         Err(error) => {
-            say!("memtransfer: {}", program::with_advice(&program::in_one_line(&error)));
+            say!("memtransfer: {}", program::with_advice(&in_one_line(&error)));
             Exit::Error.into()
         }
     }

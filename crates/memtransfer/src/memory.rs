@@ -3,16 +3,17 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use case_book::{BookRequest, ElsewhereRequest};
 use clap::{Args, Subcommand, ValueEnum};
 use documents::{
-    DocumentFile, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe,
+    DocumentFile, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe, Sources,
     StoredDocument, kind,
 };
 use domain::{Appearance, Demonstrations, DocumentKind};
 use llm::{Servers, Source};
-use orchestrator::documents::{DocumentRequest, ModelServer};
+use orchestrator::books::Books;
+use orchestrator::documents::{DocumentRequest, ModelServer, document_folder};
 use orchestrator::progress::BuildProgress;
-use replay::World;
 use report::table::table;
 use results::settings::Drawn;
 use serde_json::json;
@@ -211,13 +212,16 @@ impl MadeFor {
             appearance_seed,
         } = self;
         let of_run = variable("seed")?.and_then(|seed| seed.as_u64());
-        let elsewhere = if demos.iter().any(|set| set.take_place_elsewhere()) {
-            let mut world = World::load(assets.as_deref())?;
-            world.add_elsewhere(elsewhere.as_deref(), seed.or(of_run).unwrap_or(SEED))?;
-            world.cases.elsewhere
-        } else {
-            None
-        };
+        let take_place_elsewhere = demos.iter().any(|set| set.take_place_elsewhere());
+        let books = Books::of_world(&BookRequest {
+            assets: assets.clone(),
+            demonstrations: demos.to_vec(),
+            elsewhere: take_place_elsewhere.then(|| ElsewhereRequest {
+                assets: elsewhere,
+                seed: seed.or(of_run).unwrap_or(SEED),
+            }),
+            ..BookRequest::default()
+        })?;
         let size = variable("frame-size")?.and_then(|size| u32::try_from(size.as_u64()?).ok());
         let frame_size = frame_size.or(size).unwrap_or(FrameSize::DEFAULT.width);
         let drawn = variable("labels")?.and_then(|word| word.as_str()?.parse().ok());
@@ -227,8 +231,14 @@ impl MadeFor {
             seed: appearance_seed.or(seed).unwrap_or_default(),
             ..Appearance::STANDARD
         };
-        let server = ModelServer::default();
-        Ok(DocumentRequest { folder, assets, elsewhere, frame_size, appearance, selection, server })
+        Ok(DocumentRequest {
+            folder,
+            sources: Sources::new(books.demonstrations.book, frame_size, appearance),
+            assets,
+            elsewhere: books.elsewhere,
+            selection,
+            server: ModelServer::default(),
+        })
     }
 }
 
@@ -283,7 +293,13 @@ fn ls(args: LsArgs) -> Result<Exit> {
     if let Some(folder) = args.documents.as_deref().filter(|folder| !folder.is_dir()) {
         bail!("{} is no folder", folder.display());
     }
-    let request = args.made_for.request(args.documents, DocumentSelection::Any, &[])?;
+    let folder = document_folder(args.documents.as_deref())?;
+    let stored =
+        folder.files().with_context(|| format!("cannot list {}", folder.path().display()))?;
+    // Without a seed, those of another world cannot be told from outdated ones.
+    let sets = stored.into_iter().map(|(name, _)| name.demonstrations);
+    let sets: Vec<Demonstrations> = sets.filter(|set| !set.take_place_elsewhere()).collect();
+    let request = args.made_for.request(args.documents, DocumentSelection::Any, &sets)?;
     let documents = request.list()?;
     if args.json {
         print_json(&documents)?;

@@ -55,9 +55,9 @@ pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
     let settings = here(&read.plan.manifest.settings, args)?;
     let selection = SelectedCases::of(&settings);
     let selection = selection.with_context(|| format!("cannot use {}", args.plan.display()))?;
-    let hashes = &selection.world.hashes;
+    let hashes = selection.books.world_hashes();
     if let Some((name, _)) =
-        hashes.iter().find(|(name, hash)| read.plan.manifest.hashes.get(*name) != Some(hash))
+        hashes.iter().find(|(name, hash)| read.plan.manifest.hashes.get(*name) != Some(*hash))
     {
         bail!("the {name} here is not that of the plan: give its folder with --assets");
     }

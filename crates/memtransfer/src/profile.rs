@@ -13,14 +13,14 @@ use orchestrator::lanes::Lanes;
 use orchestrator::launch;
 use orchestrator::machine::{Machine, floors};
 use orchestrator::pipeline;
-use orchestrator::plan::plan;
 use orchestrator::profile::recorder::AccessRecorder;
 use orchestrator::profile::search;
+use orchestrator::selection::SelectedCases;
 use replay::World;
 use results::conditions::representation;
 use results::log::DOCUMENTS_FOLDER;
 use results::settings::RunSettings;
-use settings::{Layer, resolve, select_cases, variable};
+use settings::{Layer, resolve, variable};
 use shm_types::message::Role;
 use shm_types::{RunDir, registry};
 use supervise::Children;
@@ -288,13 +288,12 @@ impl Profiler<'_> {
         let told = memories.iter().map(|memory| (memory.name, memory.description.learns));
         settings.add_external_memories(&told.collect::<Vec<_>>());
         let memories = memories.to_vec();
-        let ids = world.case_ids();
-        let cases = select_cases(&ids, &settings.cases, settings.limit)?;
+        let selected = SelectedCases::of(&settings)?;
         ensure!(
             settings.stream.is_none(),
             "`memtransfer profile` measures single episodes: choose a suite without streams, such as quick"
         );
-        let episodes: Vec<_> = plan(&settings.runs(), &cases, &ids, settings.seed).collect();
+        let episodes: Vec<_> = selected.with_episodes(&settings, |episodes| episodes.collect());
         let mut run = AccessRun {
             caches: way.caches,
             lanes: way.lanes,
@@ -306,12 +305,15 @@ impl Profiler<'_> {
         };
         let purpose = if way.is_warm_up { " (to fill the caches)" } else { "" };
         args.progress(format_args!("{}: {} episodes{purpose}", run.name(), episodes.len()));
-        let Some(supply) = RunDocuments::of(&settings, None, true).supply(signals, args.quiet)?
+        let Some(supply) =
+            RunDocuments::of(&settings, &selected.books, true).supply(signals, args.quiet)?
         else {
             return Ok(None);
         };
         supply.copy_to(&settings.out.join(DOCUMENTS_FOLDER))?;
         drop(supply);
+        std::fs::create_dir_all(&settings.out)?;
+        selected.books.write(&settings.out)?;
         let (folder, children) = match started {
             Some(started) => (started.run, started.children),
             None => {
@@ -321,13 +323,18 @@ impl Profiler<'_> {
             }
         };
         let attach =
-            launch::attach(&settings, (world, None), &episodes, (&folder, &memories), None)?;
+            launch::attach(&settings, &selected.books, &episodes, (&folder, &memories), None)?;
         let mut options = launch::pipeline_options(&settings, &memories, logs)?;
         for launch in options.launches.iter_mut().filter(|launch| launch.role == Role::Memory) {
             launch.env.push(("MEMTRANSFER_CACHE".into(), scratch.cache().into()));
         }
         let rules = launch::rules(&settings, &memories)?;
-        let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
+        let mut lanes = Lanes::new(
+            selected.book(),
+            (&world.warehouse, &world.cases),
+            rules,
+            attach.lanes as usize,
+        );
         let mut recorder = AccessRecorder::default();
         let stop = signals.stop();
         let ending = pipeline::run_episodes(

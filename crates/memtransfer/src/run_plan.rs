@@ -5,17 +5,17 @@ use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use anyhow::{Result, anyhow, bail, ensure};
 use build_commit::COMMIT;
 use domain::prompt_log::session_folder;
 use domain::representation::Trajectories;
 use domain::{ExternalName, cache_folder, shell_word};
 use llm::Servers;
+use orchestrator::books::Books;
 use orchestrator::budget::Budget;
 use orchestrator::command_files::command_files;
 use orchestrator::documents::ReadyDocuments;
 use orchestrator::external_memory::{self, ExternalMemory, StartedMemories};
-use orchestrator::frame_budget;
 use orchestrator::lanes::Lanes;
 use orchestrator::launch;
 use orchestrator::monitor::Monitor;
@@ -25,20 +25,21 @@ use orchestrator::progress::{ProgressDisplay, say};
 use orchestrator::selection::SelectedCases;
 use orchestrator::session::RunSession;
 use orchestrator::status::EpisodeCounts;
-use orchestrator::streams::{Remaining, STREAMS_HASH, Streams};
+use orchestrator::streams::{Remaining, Streams};
 use orchestrator::trace::RunTrace;
 use replay::World;
 use results::conditions::{Demonstrations, Route, Start};
 use results::cost::ModelPrices;
 use results::log::{
-    DOCUMENTS_FOLDER, ELSEWHERE_FILE, FORMAT, LOGS_FOLDER, LogError, Manifest, Opened,
-    PROMPTS_FOLDER, RunFolder, RunLog, STREAMS_FILE, UnitId,
+    DOCUMENTS_FOLDER, FORMAT, LOGS_FOLDER, LogError, Manifest, Opened, PROMPTS_FOLDER, RunFolder,
+    RunLog, UnitId,
 };
 use results::settings::{Group, RunSettings};
 use rustix::io::Errno;
 use shm_types::message::{MAX_SOURCES, WIRE_VERSION};
 use shm_types::{RunDir, registry};
 use supervise::Children;
+use warehouse::StreamSet;
 
 use super::documents::RunDocuments;
 use super::run::flags::RunOptions;
@@ -62,9 +63,8 @@ pub(super) const ALL: Range<usize> = 0..usize::MAX;
 /// A run before it starts: its settings and the episodes that follow from them.
 pub(super) struct RunPlan {
     pub(super) settings: RunSettings,
-    pub(super) world: World,
-    /// The streams, for a run that consists of streams.
-    streams: Option<Streams>,
+    /// What the world tells about its cases.
+    pub(super) books: Books,
     pub(super) episodes: Vec<PlannedEpisode>,
     /// The unit of a plan that it is.
     pub(super) unit: Option<UnitId>,
@@ -101,16 +101,8 @@ fn is_disk_full(error: &anyhow::Error) -> bool {
     })
 }
 
-/// Checks that the cases have as many demonstrations as each bank holds, and that every memory can name them.
-fn check_banks(settings: &RunSettings, World { cases, .. }: &World) -> Result<()> {
-    let most = cases.largest_bank();
-    for set in settings.groups.iter().flat_map(|group| &group.demos) {
-        ensure!(
-            usize::from(set.bank_size().unwrap_or(0)) <= most,
-            "{set}: the largest bank is bank-{most}, four demonstrations of each case; a world with more cases has a larger one \
-             (`memtransfer generate world --cases N`, then --assets)"
-        );
-    }
+/// Checks that every memory can name the demonstrations of its bank.
+fn check_banks(settings: &RunSettings) -> Result<()> {
     for condition in settings.conditions() {
         let size = condition.demonstrations.bank_size().unwrap_or(0);
         let info = condition.memory.describe();
@@ -143,7 +135,7 @@ impl RunPlan {
             );
         }
         let selection = SelectedCases::of(&settings)?;
-        check_banks(&settings, &selection.world)?;
+        check_banks(&settings)?;
         let mut started = None;
         if purpose == Purpose::DryRun {
             name_memories_of_folder(&mut settings)?;
@@ -164,11 +156,10 @@ impl RunPlan {
             settings.model.as_ref().and_then(|model| Some((model, model.prices.as_ref()?)));
         let prices =
             priced.map(|(model, file)| ModelPrices::read(file, &model.model)).transpose()?;
-        let SelectedCases { world, streams, .. } = selection;
+        let SelectedCases { books, .. } = selection;
         Ok(Some(Self {
             settings,
-            world,
-            streams,
+            books,
             episodes,
             unit: None,
             shipped_embeddings: None,
@@ -194,14 +185,12 @@ impl RunPlan {
         if !sizes.any(|size| size.is_some()) {
             return BTreeMap::new();
         }
-        let cases = self.world.cases.cases.iter();
-        cases.map(|case| (case.id.clone(), case.task.task_type().number())).collect()
+        let cases = self.books.cases.book.cases.iter();
+        cases.map(|case| (case.id.clone(), case.task)).collect()
     }
 
     /// The run's manifest.
     pub(super) fn manifest(&self) -> Result<Manifest> {
-        let mut hashes = self.world.hashes.clone();
-        hashes.extend(self.streams.iter().map(|streams| (STREAMS_HASH.to_owned(), streams.hash())));
         let memories = self.memories().iter();
         let memories = memories.map(|memory| Ok((memory.name, memory.facts()?)));
         let policy_cmd = self.settings.policy_cmd.as_deref();
@@ -211,7 +200,7 @@ impl RunPlan {
             wire_version: WIRE_VERSION,
             commit: COMMIT.map(str::to_owned),
             settings: self.settings.clone(),
-            hashes,
+            hashes: self.books.hashes(),
             tasks: self.tasks(),
             documents: BTreeMap::new(),
             memories: memories.collect::<Result<_>>()?,
@@ -229,8 +218,7 @@ impl RunPlan {
         options: &RunOptions,
         signals: &Signals,
     ) -> Result<Option<ReadyDocuments>> {
-        let elsewhere = self.world.cases.elsewhere.as_ref();
-        RunDocuments::of(&self.settings, elsewhere, options.fresh).supply(signals, options.quiet)
+        RunDocuments::of(&self.settings, &self.books, options.fresh).supply(signals, options.quiet)
     }
 
     /// Whether a memory of the run matches views.
@@ -273,12 +261,7 @@ impl RunPlan {
         notes.iter().for_each(|note| say(note));
         documents.copy_to(&folder.dir().join(DOCUMENTS_FOLDER))?;
         drop(documents);
-        if let Some(streams) = &self.streams {
-            replace(&folder.dir().join(STREAMS_FILE), &streams.set.to_text())?;
-        }
-        if let Some(elsewhere) = &self.world.cases.elsewhere {
-            replace(&folder.dir().join(ELSEWHERE_FILE), &elsewhere.to_text())?;
-        }
+        self.books.write(folder.dir())?;
         let remaining = Remaining::of(&self.episodes, &finished)?;
         let missing = &remaining.missing;
         if settings.log_prompts {
@@ -325,7 +308,7 @@ impl RunPlan {
         options: &RunOptions,
         signals: &Signals,
     ) -> Result<Option<String>> {
-        let Self { settings, world, streams, started, unit, shipped_embeddings, .. } = self;
+        let Self { settings, books, started, unit, shipped_embeddings, .. } = self;
         if let Some(model) = &settings.model {
             let given = model.base_url.as_deref().map(|url| (url, options.base_url_source));
             let servers = Servers::from_environment(given, Path::new("."))?;
@@ -351,17 +334,12 @@ impl RunPlan {
         };
         let prompts = settings.out.join(PROMPTS_FOLDER);
         let prompts = settings.log_prompts.then(|| session_folder(&prompts, folder.session()));
-        let mut attach = launch::attach(
-            settings,
-            (world, streams.as_ref()),
-            &missing,
-            (run, memories),
-            prompts.as_deref(),
-        )?;
+        let mut attach =
+            launch::attach(settings, books, &missing, (run, memories), prompts.as_deref())?;
         let trace = options.trace.as_deref().map(RunTrace::create).transpose()?;
         attach.spans = trace.as_ref().map(|trace| trace.spans().to_owned());
         if settings.warm_views {
-            let views = frame_budget::every_view(&world.warehouse);
+            let views = books.cases.book.world.views;
             progress.note(&format!("rendering {views} views before the first step"));
         }
         let mut pipeline_options =
@@ -374,8 +352,14 @@ impl RunPlan {
             launch::ship_embeddings(&mut pipeline_options, file);
         }
         let rules = launch::rules(settings, memories)?;
-        let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
-        if let Some(streams) = streams {
+        let World { warehouse, cases, .. } = World::load(settings.assets.as_deref())?;
+        let streams = books.streams.as_ref().map(|text| {
+            Streams::new(&warehouse, &cases, StreamSet::parse(text, &warehouse, &cases)?)
+        });
+        let streams = streams.transpose()?;
+        let count = attach.lanes as usize;
+        let mut lanes = Lanes::new(&books.cases.book, (&warehouse, &cases), rules, count);
+        if let Some(streams) = &streams {
             lanes = lanes.in_streams(streams);
         }
         for (sequence, position, experience) in learned {
@@ -518,12 +502,6 @@ pub(super) fn stopped_before_episodes(signals: &Signals, meanwhile: &str) -> Exi
 pub(super) fn same_command() -> String {
     let arguments = std::env::args_os().filter(|argument| argument != "--fresh");
     arguments.map(shell_word).collect::<Vec<_>>().join(" ")
-}
-
-/// Writes a text file of the run: beside the earlier one, which may have another name elsewhere, and renamed.
-fn replace(path: &Path, text: &str) -> Result<()> {
-    let replaced = durable::replace(path, &path.with_extension("json.new"), text.as_bytes());
-    replaced.with_context(|| format!("cannot write {}", path.display()))
 }
 
 #[cfg(test)]

@@ -186,7 +186,7 @@ fn of_plan(error: Error) -> Error {
 
 /// Checks that the documents that are here already are those of the plan. Others are built, or the run says what is missing.
 fn check_documents(run: &RunPlan, ReadPlan { plan, .. }: &ReadPlan) -> Result<()> {
-    let here = RunDocuments::of(&run.settings, run.world.cases.elsewhere.as_ref(), false);
+    let here = RunDocuments::of(&run.settings, &run.books, false);
     for (name, facts) in here.facts_now() {
         let Some(there) = plan.manifest.documents.get(&name) else { continue };
         if there.sha256 != facts.sha256 {

@@ -36,7 +36,8 @@ pub use files::{
 pub use folder::{Opened, RunFolder};
 pub use journal::{DamagedLine, Journal, JournalContents, JournalTail, damaged_file, read_journal};
 pub use manifest::{
-    Difference, DocumentFacts, ELSEWHERE_HASH, ExternalMemoryFacts, FORMAT, Manifest, UnitId,
+    CASE_BOOK_HASH, DEMONSTRATIONS_HASH, Difference, DocumentFacts, ELSEWHERE_HASH,
+    ExternalMemoryFacts, FORMAT, Manifest, STREAMS_HASH, UnitId,
 };
 pub use merge::{
     FactDifference, MergeError, PlannedFacts, UnitEpisode, UnitFolders, finish_unit, merge,
@@ -53,6 +54,8 @@ pub mod testing;
 
 use std::io;
 use std::path::{Path, PathBuf};
+
+use case_book::BookError;
 
 /// Why a run folder cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -78,6 +81,9 @@ pub enum LogError {
         /// What is wrong with it.
         problem: String,
     },
+    /// The case book cannot be used.
+    #[error("{0}. Records are checked with it: restore it, or run into another --out")]
+    BrokenBook(#[from] BookError),
     /// The folder holds a run with other settings, or of other code.
     #[error(
         "{} holds a run with other settings or code:\n{}\nUse the same settings and code to continue it, remove it to start over (as `run \

@@ -20,12 +20,16 @@ pub struct WorldProgram {
     pub variable: (&'static str, &'static str),
 }
 
+type Answer = dyn FnMut(&ActRequest) -> Result<ActAnswer>;
+
 /// Answers requests about the worlds of one run.
-pub struct Asker(Box<dyn FnMut(&ActRequest) -> Result<ActAnswer>>);
+pub struct Asker(Box<Answer>);
+
+type FindAsker = dyn Fn(&RunLog) -> Result<Asker>;
 
 /// How to find the [`Asker`] of a run.
 #[derive(Clone)]
-pub struct WorldAccess(Rc<dyn Fn(&RunLog) -> Result<Asker>>);
+pub struct WorldAccess(Rc<FindAsker>);
 
 impl fmt::Debug for Asker {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -2,7 +2,7 @@
 //!
 //! - [`Transcript`]: a demonstration as a builder sees it;
 //! - [`DocumentBuilder`]: writes a text from transcripts; [`Extractive`] needs no model, [`ModelBuilder`] asks one;
-//! - [`build`](mod@build): the process that renders views, reads them and has documents written.
+//! - [`build`](mod@build): has views rendered, reads them and has documents written.
 //!
 //! A builder gets transcripts only. A [`Transcript`] holds no map, catalogue, test reference or case name, so none of
 //! them can get into a document (specification, sections 2 and 4).

@@ -6,12 +6,12 @@
 
 use std::sync::Arc;
 
+use case_book::Demonstration;
 use documents::Sources;
 use domain::{Action, Demonstrations, Feedback, Pose, hex};
 use plates::Landmark;
 use search::ContentHash;
 use sha2::{Digest, Sha256};
-use warehouse::{Demonstrated, Viewpoint};
 
 /// One demonstration.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -46,28 +46,25 @@ pub struct FrameReading {
     pub landmarks: Vec<Landmark>,
 }
 
-/// The demonstrations of `selection`, given what is seen from each viewpoint. `None` when `seen` does not know one.
+/// The demonstrations of `selection`, given what is seen in the view with each number. `None` when `seen` does not know one.
 pub fn transcripts(
     sources: &Sources,
     selection: Demonstrations,
-    seen: impl Fn(Viewpoint) -> Option<Arc<FrameReading>>,
+    seen: impl Fn(u32) -> Option<Arc<FrameReading>>,
 ) -> Option<Vec<Transcript>> {
-    sources.demonstrations(selection).iter().map(|of| transcript(of, &seen)).collect()
+    sources.demonstrations(selection).into_iter().map(|of| transcript(of, &seen)).collect()
 }
 
 fn transcript(
-    of: &Demonstrated<'_>,
-    seen: impl Fn(Viewpoint) -> Option<Arc<FrameReading>>,
+    of: &Demonstration,
+    seen: impl Fn(u32) -> Option<Arc<FrameReading>>,
 ) -> Option<Transcript> {
-    let variant = of.variant;
-    let replay = of.replay();
-    let actions = of.trajectory.actions.iter().copied().map(Some).chain([None]);
-    let states = replay.poses.into_iter().zip(replay.feedback).zip(replay.stages);
-    let steps = states.zip(actions).map(|(((pose, feedback), completed), action)| {
-        let seen = seen(Viewpoint { variant, pose })?;
-        Some(TranscriptStep { pose, feedback, seen, completed, action })
+    let actions = of.actions.iter().copied().map(Some).chain([None]);
+    let states = of.poses.iter().zip(&of.feedback).zip(of.stages()).zip(&of.views);
+    let steps = states.zip(actions).map(|((((&pose, &feedback), completed), &view), action)| {
+        Some(TranscriptStep { pose, feedback, seen: seen(view)?, completed, action })
     });
-    Some(Transcript { instruction: of.instruction(), steps: steps.collect::<Option<_>>()? })
+    Some(Transcript { instruction: of.instruction.clone(), steps: steps.collect::<Option<_>>()? })
 }
 
 /// SHA-256, in hexadecimal digits, of everything in `transcripts`. Equal demonstrations have equal hashes, whatever
@@ -92,9 +89,10 @@ pub(super) fn sha256(transcripts: &[Transcript]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use domain::Heading;
-
-    use warehouse::Elsewhere;
+    use case_book::{BookRequest, ElsewhereRequest};
+    use domain::{Appearance, Heading};
+    use warehouse::case_book::write_books;
+    use warehouse::{CaseSet, Warehouse};
 
     use super::*;
 
@@ -135,52 +133,62 @@ mod tests {
         assert!(hashes.iter().all(|hash| hash.len() == 64));
     }
 
-    fn sources() -> Sources {
-        Sources::load(None).unwrap()
+    fn sources(assets: Option<&std::path::Path>) -> Sources {
+        let request = BookRequest {
+            assets: assets.map(Into::into),
+            elsewhere: Some(ElsewhereRequest { assets: None, seed: 1 }),
+            ..BookRequest::default()
+        };
+        let book = write_books(&request).unwrap().demonstrations;
+        Sources::new(book, 448, Appearance::STANDARD)
     }
 
     /// References cannot get into a document: nothing that a document depends on changes with them.
     #[test]
     fn test_references_and_barricades_make_no_difference() {
-        let (mut sources, mut other) = (sources(), sources());
-        for case in &mut other.cases.cases {
+        let mut cases = CaseSet::shipped();
+        let passage = cases.cases[0].barricade.clone();
+        for case in &mut cases.cases {
             case.test = case.original.clone();
             case.blocked = case.distant.clone();
-            case.barricade.clear();
+            case.barricade.clone_from(&passage);
             case.id.push('x');
         }
-        for sources in [&mut sources, &mut other] {
-            let elsewhere = Elsewhere::generate(&sources.warehouse, &sources.cases, 1).unwrap();
-            sources.cases.elsewhere = Some(elsewhere);
+        let assets = concat!(env!("CARGO_MANIFEST_DIR"), "/../assets");
+        let folder = tempfile::tempdir().unwrap();
+        for file in ["layout.toml", "catalogue.toml"] {
+            let copied = std::path::Path::new(assets).join(file);
+            std::fs::copy(copied, folder.path().join(file)).unwrap();
         }
+        let text = cases.to_toml(&Warehouse::shipped().catalogue);
+        std::fs::write(folder.path().join("cases.toml"), text).unwrap();
+        let (sources, other) = (sources(None), sources(Some(folder.path())));
         let nothing = |_| Some(Arc::default());
         for word in
             ["original", "opposite", "nearby+distant", "4", "irrelevant", "confusable", "elsewhere"]
         {
             let selection: Demonstrations = word.parse().unwrap();
-            assert_eq!(sources.viewpoints(selection), other.viewpoints(selection));
             assert_eq!(
                 transcripts(&sources, selection, nothing),
                 transcripts(&other, selection, nothing)
             );
-            let hash = |sources: &Sources| sources.sha256(selection, [448, 448]);
-            assert_eq!(hash(&sources), hash(&other));
+            assert_eq!(sources.sha256(selection), other.sha256(selection));
         }
     }
 
     #[test]
     fn a_transcript_is_the_demonstration_and_needs_every_view() {
-        let sources = sources();
+        let sources = sources(None);
         let nothing = |_| Some(Arc::default());
         let all = transcripts(&sources, Demonstrations::ORIGINAL, nothing).unwrap();
-        let case = &sources.cases.cases[0];
+        let demonstration = sources.demonstrations(Demonstrations::ORIGINAL)[0];
         let Transcript { instruction, steps } = &all[0];
-        assert_eq!(*instruction, case.task.instruction(&sources.warehouse.catalogue));
+        assert_eq!(*instruction, demonstration.instruction);
         let actions: Vec<_> = steps.iter().filter_map(|step| step.action).collect();
-        assert_eq!(actions, case.original.actions);
-        assert_eq!((steps[0].pose, steps[0].completed), (case.original.start, 0));
+        assert_eq!(actions, demonstration.actions);
+        assert_eq!((steps[0].pose, steps[0].completed), (demonstration.poses[0], 0));
         assert!(steps[steps.len() - 1].completed > 0);
-        let but_one = |seen: Viewpoint| (seen.pose != steps[3].pose).then(Arc::default);
+        let but_one = |view| (view != demonstration.views[3]).then(Arc::default);
         assert_eq!(transcripts(&sources, Demonstrations::ORIGINAL, but_one), None);
     }
 }

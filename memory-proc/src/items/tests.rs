@@ -9,8 +9,8 @@ use crate::representation::testing::{TestDocuments, demonstration};
 const FORWARD: u8 = Action::Forward as u8;
 
 /// Demonstrations of 10, 5 and 61 steps.
-fn bank() -> ReplayedBank {
-    ReplayedBank::new(vec![demonstration(0, 5, 9), demonstration(3, 7, 4), demonstration(1, 0, 60)])
+fn bank() -> MemoryBank {
+    MemoryBank::new(vec![demonstration(0, 5, 9), demonstration(3, 7, 4), demonstration(1, 0, 60)])
 }
 
 const AMPLE: Budgets = Budgets { images: 200, text: 200 };

@@ -93,7 +93,7 @@ mod tests {
     use super::super::testing::{build, build_with_views, demonstration, recall, settings};
     use super::*;
     use crate::bank::KnownView;
-    use crate::demonstrations::ReplayedDemonstration;
+    use crate::demonstrations::RememberedDemonstration;
     use domain::{Heading, Pose};
     use search::Embedding;
 
@@ -105,7 +105,7 @@ mod tests {
         KnownView { frame: row.into(), content: [row; 16], embedding }
     }
 
-    fn memory(demonstrations: &[ReplayedDemonstration], settings: &MemorySettings) -> Episodic {
+    fn memory(demonstrations: &[RememberedDemonstration], settings: &MemorySettings) -> Episodic {
         build_with_views(Episodic::new, settings, demonstrations, view)
     }
 

@@ -9,14 +9,14 @@ use shm_types::documents::Content;
 use shm_types::message::DocumentId;
 
 use super::MemorySettings;
-use crate::bank::{BankSteps, KnownView, ReplayedBank};
-use crate::demonstrations::ReplayedDemonstration;
+use crate::bank::{BankSteps, KnownView, MemoryBank};
+use crate::demonstrations::RememberedDemonstration;
 use crate::items::DocumentSupplier;
 
 /// A demonstration of case 8: north from (3, `from`) for `steps` steps; sub-goal 1 is completed at step 2.
-pub(crate) fn demonstration(number: u16, from: u8, steps: u8) -> ReplayedDemonstration {
+pub(crate) fn demonstration(number: u16, from: u8, steps: u8) -> RememberedDemonstration {
     let all = 0..=steps;
-    ReplayedDemonstration {
+    RememberedDemonstration {
         case: 8,
         number,
         variant: 0,
@@ -46,9 +46,9 @@ pub(crate) fn settings() -> MemorySettings {
 /// Builds a memory without views.
 pub(crate) fn build(
     memory: &mut dyn Memory,
-    demonstrations: &[ReplayedDemonstration],
+    demonstrations: &[RememberedDemonstration],
 ) -> Result<(), MemoryError> {
-    let bank = ReplayedBank::new(demonstrations.to_vec());
+    let bank = MemoryBank::new(demonstrations.to_vec());
     memory.build(&BankSteps::without_views(&bank).demonstrations())
 }
 
@@ -56,10 +56,10 @@ pub(crate) fn build(
 pub(crate) fn build_with_views<M: Memory>(
     new: impl FnOnce(&MemorySettings) -> M,
     settings: &MemorySettings,
-    demonstrations: &[ReplayedDemonstration],
+    demonstrations: &[RememberedDemonstration],
     view: impl Fn(Pose) -> KnownView,
 ) -> M {
-    let bank = ReplayedBank::new(demonstrations.to_vec());
+    let bank = MemoryBank::new(demonstrations.to_vec());
     let steps = bank.with_views(|viewpoint| Some(view(viewpoint.pose))).unwrap();
     let mut memory = new(&MemorySettings { embeddings: steps.embeddings(), ..settings.clone() });
     memory.build(&steps.demonstrations()).unwrap();

@@ -1,31 +1,31 @@
-//! Builds documents: starts a simulator and a memory process and follows their progress.
+//! Builds documents: starts `memory-proc build` and follows its progress.
 
+use std::fs::{self, File};
+use std::io::{BufRead, BufReader};
 use std::path::Path;
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::thread;
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use bytemuck::Zeroable;
-use shm_types::message::{ErrorReport, Heartbeat, Role, ShutdownReport, Stop, read_text};
-use shm_types::process::check_shared_memory;
-use shm_types::{Attach, Bus, FrameSize, HandshakeReceiver, Receiver, RunDir, registry};
-
+use case_book::{BookFile, DEMONSTRATIONS_FILE};
 use documents::{DocumentFolder, DocumentName, Recipe};
+use results::log::ELSEWHERE_FILE;
+use shm_types::message::Role;
+use supervise::Launch;
 
 use super::{BuildStage, DocumentRequest};
-use crate::launch::SHUTDOWN_TIMEOUT;
-use supervise::{Children, Launch};
+use crate::scratch::ScratchFolder;
 
-/// Views that are rendered before they are read.
-const VIEWS_AHEAD: u32 = 64;
-
-/// How often processes and signals are checked.
+/// How often signals are looked for.
 const TICK: Duration = Duration::from_millis(50);
 
 /// Builds documents in `folder`. Returns false when stopped.
 ///
 /// # Errors
-/// When the processes cannot be started, or one of them fails.
+/// When the process cannot be started, or fails.
 pub(super) fn build(
     request: &DocumentRequest,
     recipe: &Recipe,
@@ -34,143 +34,88 @@ pub(super) fn build(
     stop: &AtomicBool,
     report: &mut dyn FnMut(BuildStage),
 ) -> Result<bool> {
-    let base = registry::default_base();
-    registry::clean(&base)?;
-    let run = RunDir::create(&base)?;
-    let mut attach = Attach {
-        participants: vec![Role::Sim, Role::Memory],
-        window: 0,
-        frame: FrameSize { width: request.frame_size, height: request.frame_size },
-        ..run.attach()
-    };
-    // An idle lane may pin two views.
-    attach.frame_capacity = VIEWS_AHEAD + 2 * attach.lanes;
-    check_shared_memory(attach.shared_memory_bytes())?;
-    attach.write(&attach.root)?;
-    let bus = Bus::join(attach, Role::Orchestrator)?;
-    let (handshakes, heartbeats) = (bus.handshake_receiver()?, bus.receiver()?);
-    let (error_reports, shutdown_reports) = (bus.receiver()?, bus.receiver()?);
     report(BuildStage::Starting);
-    let launches = launches(request, recipe, folder.path(), names, run.path())?;
-    let children = Children::start(&launches, &folder.path().join("logs"))?;
-    let build = Build {
-        children,
-        handshakes,
-        heartbeats,
-        error_reports,
-        shutdown_reports,
-        bus: &bus,
-        last_report: None,
-    };
-    build.run(stop, report)
+    let scratch = ScratchFolder::new().context("cannot create a temporary folder")?;
+    let Launch { program, args, env, .. } =
+        launch(request, recipe, folder.path(), names, scratch.path())?;
+    let logs = folder.path().join("logs");
+    let log = logs.join("memory.log");
+    let created = fs::create_dir_all(&logs).and_then(|()| File::create(&log));
+    let errors = created.with_context(|| format!("cannot create {}", log.display()))?;
+    let mut child = Command::new(&program)
+        .args(args)
+        .envs(env)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(errors)
+        .spawn()
+        .with_context(|| format!("cannot start {}", program.display()))?;
+    let output = BufReader::new(child.stdout.take().context("a child process without output")?);
+    let (sender, lines) = mpsc::channel();
+    let read = move || output.lines().map_while(Result::ok).try_for_each(|line| sender.send(line));
+    let reading = thread::Builder::new().spawn(read).context("cannot start a thread");
+    let is_stopped = reading.is_err()
+        || loop {
+            match lines.recv_timeout(TICK) {
+                Ok(line) => stage_of(&line).into_iter().for_each(&mut *report),
+                Err(RecvTimeoutError::Disconnected) => break false,
+                Err(RecvTimeoutError::Timeout) => {}
+            }
+            if stop.load(Ordering::Relaxed) {
+                break true;
+            }
+        };
+    if is_stopped {
+        child.kill().context("cannot stop memory-proc")?;
+    }
+    let status = child.wait().context("cannot wait for memory-proc")?;
+    reading?;
+    if !is_stopped && !status.success() {
+        let messages = durable::input::read_text(&log).unwrap_or_default();
+        let last =
+            messages.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("no message");
+        bail!("memory-proc ended ({status}): {last}\nIts log: {}", log.display());
+    }
+    Ok(!is_stopped)
 }
 
-fn launches(
+/// The stage that a line of the process's output tells.
+fn stage_of(line: &str) -> Option<BuildStage> {
+    let mut words = line.split(' ');
+    let (stage, done, total) = (words.next()?, words.next()?.parse(), words.next()?.parse());
+    match stage {
+        "views" => Some(BuildStage::Views(done.ok()?, total.ok()?)),
+        "parts" => Some(BuildStage::Writing(done.ok()?, total.ok()?)),
+        _ => None,
+    }
+}
+
+/// The process, with its files in the folder `files`.
+fn launch(
     request: &DocumentRequest,
     recipe: &Recipe,
     folder: &Path,
     names: &[DocumentName],
-    root: &Path,
-) -> Result<Vec<Launch>> {
-    let elsewhere = match &request.elsewhere {
-        None => None,
-        Some(elsewhere) => {
-            let file = root.join("elsewhere.json");
-            std::fs::write(&file, elsewhere.to_text())
-                .with_context(|| format!("cannot write {}", file.display()))?;
-            Some(file)
-        }
+    files: &Path,
+) -> Result<Launch> {
+    let write = |name: &str, text: &str| {
+        let path = files.join(name);
+        fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
+        Ok::<_, anyhow::Error>(path.display().to_string())
     };
-    let launch = |role, program| {
-        let verb = if role == Role::Sim { "serve" } else { "build" };
-        let mut args = vec![verb.into(), "--attach".into(), root.into()];
-        if let Some(assets) = &request.assets {
-            args.extend(["--assets".into(), assets.into()]);
-        }
-        if let Some(file) = &elsewhere {
-            args.extend(["--elsewhere".into(), file.into()]);
-        }
-        for (flag, value) in request.appearance.flags() {
-            args.extend([flag.into(), value.into()]);
-        }
-        Launch::sibling(role, program, args)
-    };
-    let sim = launch(Role::Sim, "sim-proc")?;
-    let mut memory = launch(Role::Memory, "memory-proc")?;
-    memory.args.extend(["--documents".into(), folder.into()]);
+    let DocumentRequest { sources, assets, elsewhere, .. } = request;
+    let book = BookFile::new(sources.book())?;
+    let elsewhere = elsewhere.as_ref().map(|text| write(ELSEWHERE_FILE, text)).transpose()?;
     let names: Vec<String> = names.iter().map(DocumentName::to_string).collect();
-    memory.args.extend(["--wanted".into(), names.join(",").into()]);
-    Ok(vec![sim, memory.with_flags(request.builder_flags(recipe))])
-}
-
-/// A build that is running. Fields are dropped in order: processes end before the services that they use.
-struct Build<'a> {
-    children: Children,
-    handshakes: HandshakeReceiver,
-    heartbeats: Receiver<Heartbeat>,
-    error_reports: Receiver<ErrorReport>,
-    shutdown_reports: Receiver<ShutdownReport>,
-    bus: &'a Bus,
-    /// The last reported stage.
-    last_report: Option<BuildStage>,
-}
-
-impl Build<'_> {
-    fn run(mut self, stop: &AtomicBool, report: &mut dyn FnMut(BuildStage)) -> Result<bool> {
-        let mut error = None;
-        loop {
-            self.bus.listener().wait(TICK)?;
-            if stop.load(Ordering::Relaxed) {
-                return Ok(false);
-            }
-            self.handshakes.drain()?;
-            for heartbeat in self.heartbeats.drain()? {
-                if heartbeat.role == Role::Memory as u32 {
-                    self.report(heartbeat, report);
-                }
-            }
-            for report in self.error_reports.drain()? {
-                error = read_text(&report.text, report.text_len).ok().map(str::to_owned);
-            }
-            let reports = self.shutdown_reports.drain()?;
-            if reports.iter().any(|report| report.role == Role::Memory as u32) {
-                self.finish()?;
-                return Ok(true);
-            }
-            if let Some(exit) = self.children.exited() {
-                let error = error.map(|text| format!("{text}; ")).unwrap_or_default();
-                bail!("{error}{exit}");
-            }
-        }
-    }
-
-    /// Reports progress: of views until all are read, then of parts of documents.
-    fn report(&mut self, heartbeat: Heartbeat, report: &mut dyn FnMut(BuildStage)) {
-        let (done, total) = (heartbeat.done, heartbeat.done.saturating_add(heartbeat.waiting));
-        let all_read = match self.last_report {
-            Some(BuildStage::Writing(..)) => true,
-            Some(BuildStage::Views(done, total)) => done == total,
-            _ => false,
-        };
-        let stage = if all_read {
-            BuildStage::Writing(done, total)
-        } else {
-            BuildStage::Views(done, total)
-        };
-        self.last_report = Some(stage);
-        report(stage);
-    }
-
-    fn finish(self) -> Result<()> {
-        self.bus.sender()?.send(&Stop::zeroed())?;
-        for role in [Role::Sim, Role::Memory] {
-            self.bus.notifier(role)?.notify()?;
-        }
-        let deadline = Instant::now() + SHUTDOWN_TIMEOUT;
-        while Instant::now() < deadline && self.shutdown_reports.drain()?.is_empty() {
-            self.bus.listener().wait(TICK)?;
-        }
-        self.children.wait_or_kill(SHUTDOWN_TIMEOUT);
-        Ok(())
-    }
+    let flags = [
+        ("--demonstrations", Some(write(DEMONSTRATIONS_FILE, &book.text)?)),
+        ("--assets", assets.as_ref().map(|path| path.display().to_string())),
+        ("--elsewhere", elsewhere),
+        ("--frame-size", Some(sources.frame_size().to_string())),
+        ("--documents", Some(folder.display().to_string())),
+        ("--wanted", Some(names.join(","))),
+    ];
+    let appearance = sources.appearance().flags().map(|(flag, value)| (flag, Some(value)));
+    let launch = Launch::sibling(Role::Memory, "memory-proc", vec!["build".into()])?;
+    Ok(launch.with_flags(flags).with_flags(appearance).with_flags(request.builder_flags(recipe)))
 }

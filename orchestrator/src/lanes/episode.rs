@@ -11,7 +11,7 @@ use results::log::{
 use shm_types::message::{
     Decision, EXTERNAL, FrameId, MemoryEpisodeConfig, NO_ACTION, NO_FRAME, NOT_MEASURED,
     Observation, PolicyEpisodeConfig, RecallTrace, Role, SnapshotReport, StepCommand, StepKind,
-    WirePose, write_text,
+    TASK_COMPLETE, WirePose, write_text,
 };
 use warehouse::{Progress, TrajectoryKind, Variant, step};
 
@@ -100,7 +100,7 @@ impl ActiveEpisode {
             seed: episode.seed,
             ending: Ending::OutOfSteps,
             steps: 0,
-            reference: episode.reference_length(context.warehouse, cases, context.streams),
+            reference: episode.expert(context.book).map_or(0, |expert| expert.length),
             actions: String::new(),
             sub_goals: vec![0; progress.stage() as usize],
             required: progress.total(),
@@ -485,6 +485,8 @@ impl ActiveEpisode {
             kind: kind as u8,
             action: self.last_action,
             last: u8::from(self.awaited == Awaited::LastObservation),
+            progress: self.progress.stage() as u8
+                | if self.progress.is_complete() { TASK_COMPLETE } else { 0 },
             ..Zeroable::zeroed()
         }
     }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Result;
+use case_book::{BookRequest, CaseBook};
 use conformance::scripted;
 use conformance::testing::ScratchRun;
 use domain::ExternalName;
@@ -12,6 +13,17 @@ use orchestrator::lanes::{AnsweredRequest, FinishedEpisode, Rules};
 use orchestrator::pipeline::{Facts, MemoryState, Observer, Participant, PipelineOptions};
 use shm_types::message::MAX_EXTERNAL_MEMORIES;
 use supervise::{Launch, System};
+use warehouse::CaseSet;
+use warehouse::case_book::write_books;
+
+/// The shipped cases, on blocked routes too.
+pub(crate) fn book() -> CaseBook {
+    let cases = CaseSet::shipped().cases.into_iter().map(|case| case.id).collect();
+    let demonstrations = ["original", "4", "irrelevant", "confusable"];
+    let demonstrations = demonstrations.map(|set| set.parse().unwrap()).into();
+    let request = BookRequest { cases, demonstrations, blocked: true, ..BookRequest::default() };
+    write_books(&request).unwrap().cases
+}
 
 pub(crate) const MAX_STEPS: u32 = 10;
 

@@ -24,7 +24,7 @@ use shm_types::{Attach, Bus, MemoryDescription};
 use supervise::{Children, Launch};
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
-use crate::common::{RULES, Seen, options};
+use crate::common::{RULES, Seen, book, options};
 
 const TICK: Duration = Duration::from_millis(20);
 const LANES: u32 = 4;
@@ -149,14 +149,14 @@ fn run_with_memory(
         attach.lanes = LANES;
         attach.external_memories = vec![0];
     });
-    let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+    let (book, warehouse, cases) = (book(), Warehouse::shipped(), CaseSet::shipped());
     let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
     let conditions = ["working/original/unchanged/none", "top-3/original/unchanged/original"];
     let conditions = conditions.map(|name| (Condition::logged(name).unwrap(), 1));
     let episodes = plan(&conditions, &[0, 1, 2, 3], &ids, 1);
     let mut rules = RULES;
     rules.external_memories[0] = Some(MEMORY.parse().unwrap());
-    let mut lanes = Lanes::new(&warehouse, &cases, rules, LANES as usize);
+    let mut lanes = Lanes::new(&book, (&warehouse, &cases), rules, LANES as usize);
     let script = format!(
         "cd $MEMTRANSFER_ATTACH; echo '{}' > d; mv d {DESCRIPTION_FILE}; {script}",
         r#"{"name": "top-3"}"#
@@ -212,11 +212,11 @@ fn check_only_the_memory_suffers(seen: &Seen, ending: &Ending, said: &[&str]) {
 fn the_orchestrator_creates_its_services_before_others_can_join() {
     let scratch = ScratchRun::new(&Role::CHILDREN, |attach| attach.external_memories = vec![0]);
     Attach::withdraw(&scratch.attach().root).unwrap();
-    let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+    let (book, warehouse, cases) = (book(), Warehouse::shipped(), CaseSet::shipped());
     let conditions = [(Condition::logged("working/original/unchanged/none").unwrap(), 1)];
     let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
     let episodes = plan(&conditions, &[0], &ids, 1);
-    let mut lanes = Lanes::new(&warehouse, &cases, RULES, 1);
+    let mut lanes = Lanes::new(&book, (&warehouse, &cases), RULES, 1);
     let options = PipelineOptions {
         external_policy: true,
         memories: vec![memory(None)],

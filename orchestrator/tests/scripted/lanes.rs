@@ -1,6 +1,7 @@
 //! Lanes against a scripted simulator, memory and policy: no process, no shared memory.
 
 use bytemuck::Zeroable;
+use case_book::{CaseBook, CaseInState, StreamsFacts};
 use conformance::messages::{self, recall_trace};
 use conformance::scripted::{ScriptedSim, request};
 use domain::{
@@ -23,8 +24,8 @@ use crate::common;
 
 const RULES: Rules = Rules { max_steps: 200, ..common::RULES };
 
-fn world() -> (Warehouse, CaseSet) {
-    (Warehouse::shipped(), CaseSet::shipped())
+fn world() -> (CaseBook, Warehouse, CaseSet) {
+    (common::book(), Warehouse::shipped(), CaseSet::shipped())
 }
 
 fn episode(cases: &CaseSet, case_index: usize, start: Start, route: Route) -> PlannedEpisode {
@@ -69,7 +70,7 @@ fn run(
     case: usize,
     answer: impl Fn(usize) -> Option<Action>,
 ) -> FinishedEpisode {
-    let (_, cases) = world();
+    let (_, _, cases) = world();
     run_with_recall(rules, episode(&cases, case, start, route), answer, trace)
 }
 
@@ -80,8 +81,8 @@ fn run_with_recall(
     answer: impl Fn(usize) -> Option<Action>,
     recall: impl Fn(&Observation) -> RecallTrace,
 ) -> FinishedEpisode {
-    let (warehouse, cases) = world();
-    let mut lanes = Lanes::new(&warehouse, &cases, rules, 1);
+    let (book, warehouse, cases) = world();
+    let mut lanes = Lanes::new(&book, (&warehouse, &cases), rules, 1);
     let opening = lanes.begin(0, episode);
     let mut sim = sim(&warehouse, &cases);
     let mut command = opening.command;
@@ -113,7 +114,7 @@ fn run_with_recall(
 #[test]
 fn the_expert_completes_every_case_from_every_start_with_the_reference_s_length() {
     let rules = Rules { expert: true, ..RULES };
-    let (_, cases) = world();
+    let (_, _, cases) = world();
     for case in 0..cases.cases.len() {
         for (start, route) in [
             (Start::Original, Route::Unchanged),
@@ -155,7 +156,7 @@ fn an_episode_ends_at_the_limit_and_counts_what_happened() {
 
 #[test]
 fn the_log_says_whose_demonstration_each_match_is_of() {
-    let (_, cases) = world();
+    let (_, _, cases) = world();
     let mut episode = episode(&cases, 20, Start::New, Route::Unchanged);
     for (demonstrations, mixture) in [
         (Demonstrations::IRRELEVANT, Mixture::Irrelevant),
@@ -193,7 +194,7 @@ fn the_log_says_whose_demonstration_each_match_is_of() {
 
 #[test]
 fn a_try_to_enter_the_barricade_is_recorded() {
-    let (_, cases) = world();
+    let (_, _, cases) = world();
     // The unblocked reference runs into the passage that was closed on it.
     for (index, case) in cases.cases.iter().enumerate() {
         let actions = &case.test.actions;
@@ -207,8 +208,8 @@ fn a_try_to_enter_the_barricade_is_recorded() {
 
 #[test]
 fn an_episode_config_follows_from_its_condition() {
-    let (warehouse, cases) = world();
-    let mut lanes = Lanes::new(&warehouse, &cases, RULES, 1);
+    let (book, warehouse, cases) = world();
+    let mut lanes = Lanes::new(&book, (&warehouse, &cases), RULES, 1);
     let mut told = |condition: &str| {
         let condition: Condition = condition.parse().unwrap();
         let case = cases.cases[3].id.clone();
@@ -253,10 +254,11 @@ fn an_episode_config_follows_from_its_condition() {
 
 /// Two lanes with an episode each; the first observation of lane 0.
 fn two_lanes<'w>(
+    book: &'w CaseBook,
     warehouse: &'w Warehouse,
     cases: &'w CaseSet,
 ) -> (Lanes<'w>, EpisodeOpening, Observation) {
-    let mut lanes = Lanes::new(warehouse, cases, RULES, 2);
+    let mut lanes = Lanes::new(book, (warehouse, cases), RULES, 2);
     let opening = lanes.begin(0, episode(cases, 0, Start::Original, Route::Unchanged));
     lanes.begin(1, episode(cases, 1, Start::Original, Route::Unchanged));
     let mut sim = sim(warehouse, cases);
@@ -266,8 +268,8 @@ fn two_lanes<'w>(
 
 #[test]
 fn answers_out_of_turn_are_errors_and_change_nothing() {
-    let (warehouse, cases) = world();
-    let (mut lanes, opening, observation) = two_lanes(&warehouse, &cases);
+    let (book, warehouse, cases) = world();
+    let (mut lanes, opening, observation) = two_lanes(&book, &warehouse, &cases);
     let answer = decision(&observation, Action::Forward);
     let ahead = Decision { step: 1, ..answer };
     assert!(matches!(
@@ -299,8 +301,8 @@ fn answers_out_of_turn_are_errors_and_change_nothing() {
 
 #[test]
 fn progress_of_memory_restarts_the_wait_for_it() {
-    let (warehouse, cases) = world();
-    let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
+    let (book, warehouse, cases) = world();
+    let (mut lanes, _, observation) = two_lanes(&book, &warehouse, &cases);
     lanes.observed(&observation).unwrap();
     let busy_ns = lanes.pending(0)[0].since_ns + 1_000_000_000_000;
     let [memory, sim] = lanes.pending(busy_ns)[..] else { panic!("both lanes wait") };
@@ -310,8 +312,8 @@ fn progress_of_memory_restarts_the_wait_for_it() {
 
 #[test]
 fn an_answer_may_overtake_what_it_answers() {
-    let (warehouse, cases) = world();
-    let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
+    let (book, warehouse, cases) = world();
+    let (mut lanes, _, observation) = two_lanes(&book, &warehouse, &cases);
     let (answer, trace) = (decision(&observation, Action::Forward), trace(&observation));
     assert!(matches!(lanes.decided(&answer), Ok(Turn::Wait)));
     assert!(lanes.has_early_decision());
@@ -328,8 +330,8 @@ fn an_answer_may_overtake_what_it_answers() {
 
 #[test]
 fn the_cost_of_an_answer_is_counted_once() {
-    let (warehouse, cases) = world();
-    let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
+    let (book, warehouse, cases) = world();
+    let (mut lanes, _, observation) = two_lanes(&book, &warehouse, &cases);
     let asked = Decision {
         attempts: 2,
         prompt_tokens: 900,
@@ -350,8 +352,8 @@ fn the_cost_of_an_answer_is_counted_once() {
 
 #[test]
 fn figures_that_a_policy_does_not_measure_are_not_counted() {
-    let (warehouse, cases) = world();
-    let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
+    let (book, warehouse, cases) = world();
+    let (mut lanes, _, observation) = two_lanes(&book, &warehouse, &cases);
     let unmeasured = Decision {
         attempts: NOT_MEASURED,
         images: NOT_MEASURED,
@@ -366,8 +368,8 @@ fn figures_that_a_policy_does_not_measure_are_not_counted() {
 
 #[test]
 fn an_invalid_answer_costs_its_own_episode_and_no_other() {
-    let (warehouse, cases) = world();
-    let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
+    let (book, warehouse, cases) = world();
+    let (mut lanes, _, observation) = two_lanes(&book, &warehouse, &cases);
     lanes.observed(&observation).unwrap();
     lanes.recalled(&trace(&observation)).unwrap();
     let good = decision(&observation, Action::Forward);
@@ -383,8 +385,8 @@ fn an_invalid_answer_costs_its_own_episode_and_no_other() {
 
 #[test]
 fn a_simulator_that_disagrees_is_found() {
-    let (warehouse, cases) = world();
-    let (_, opening, observation) = two_lanes(&warehouse, &cases);
+    let (book, warehouse, cases) = world();
+    let (_, opening, observation) = two_lanes(&book, &warehouse, &cases);
     let elsewhere = Pose::try_from(opening.command.start).unwrap();
     let elsewhere = Pose { heading: elsewhere.heading.right(), ..elsewhere };
     for wrong in [
@@ -393,7 +395,7 @@ fn a_simulator_that_disagrees_is_found() {
         Observation { feedback: Feedback::Moved as u8, ..observation },
         Observation { frame: 0, ..observation },
     ] {
-        let (mut lanes, _, _) = two_lanes(&warehouse, &cases);
+        let (mut lanes, _, _) = two_lanes(&book, &warehouse, &cases);
         assert!(matches!(lanes.observed(&wrong), Err(AnswerError::Disagrees { .. })), "{wrong:?}");
     }
 }
@@ -441,7 +443,7 @@ fn learn(
     sources: &[RecalledSource],
     snapshot: [u8; 16],
 ) -> FinishedEpisode {
-    let (warehouse, _) = world();
+    let (_, warehouse, _) = world();
     let part = episode.part.unwrap();
     let actions = streams.case(part.world, episode.case_index).reference.actions.clone();
     let opening = lanes.begin(0, episode);
@@ -483,7 +485,7 @@ fn learn(
 
 #[test]
 fn an_episode_of_a_stream_takes_place_in_its_world_and_ends_with_its_snapshot() {
-    let (warehouse, cases) = world();
+    let (mut book, warehouse, cases) = world();
     // A case whose original demonstration and test reference both use the passage.
     let case = (0..cases.cases.len())
         .find(|&index| {
@@ -494,7 +496,19 @@ fn an_episode_of_a_stream_takes_place_in_its_world_and_ends_with_its_snapshot() 
         })
         .unwrap();
     let streams = streams(&warehouse, &cases, case);
-    let mut lanes = Lanes::new(&warehouse, &cases, RULES, 1).in_streams(&streams);
+    let of_world = |world| CaseInState {
+        begin: streams.case(world, case).reference.start,
+        actions: streams.case(world, case).reference.actions.clone(),
+        length: streams.case(world, case).length,
+        invalidated: streams.case(world, case).invalidated,
+    };
+    book.streams = Some(StreamsFacts {
+        hash: String::new(),
+        streams: Vec::new(),
+        variants: vec![0, 102],
+        states: [0, 1].map(|world| [(case as u32, of_world(world))].into()).into(),
+    });
+    let mut lanes = Lanes::new(&book, (&warehouse, &cases), RULES, 1).in_streams(&streams);
     let own = source(case as u32, 0);
     let first = learn(&mut lanes, &streams, learning(&cases, case, 0), &[own], [1; 16]);
     let record = &first.record;
@@ -522,7 +536,7 @@ fn an_episode_of_a_stream_takes_place_in_its_world_and_ends_with_its_snapshot() 
     let remaining = Remaining::of(&planned, std::slice::from_ref(&first.record)).unwrap();
     assert_eq!(remaining.missing.len(), 1);
     assert_eq!(remaining.missing[0].part.unwrap().snapshot, [1; 16]);
-    let mut resumed = Lanes::new(&warehouse, &cases, RULES, 1).in_streams(&streams);
+    let mut resumed = Lanes::new(&book, (&warehouse, &cases), RULES, 1).in_streams(&streams);
     for (sequence, position, experience) in remaining.learned {
         resumed.remember(sequence, position, experience);
     }

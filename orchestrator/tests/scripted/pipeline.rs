@@ -13,7 +13,7 @@ use shm_types::message::{Decision, Role};
 use supervise::{Children, Launch};
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
-use crate::common::{MAX_STEPS, RULES, Seen, options};
+use crate::common::{MAX_STEPS, RULES, Seen, book, options};
 
 const LANES: u32 = 4;
 /// The case whose episode the policy spoils.
@@ -42,11 +42,11 @@ fn run_with_policy(
     mut change: impl FnMut(bool, Decision, &AtomicBool) -> Decision + Send,
 ) -> (Seen, Ending) {
     let scratch = ScratchRun::new(&Role::CHILDREN, |attach| attach.lanes = LANES);
-    let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+    let (book, warehouse, cases) = (book(), Warehouse::shipped(), CaseSet::shipped());
     let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
     let conditions = [("working/original/unchanged/none".parse().unwrap(), 1)];
     let episodes = plan(&conditions, &[0, 1, 2, 3, 4, 5, 6, 7], &ids, 1);
-    let mut lanes = Lanes::new(&warehouse, &cases, RULES, LANES as usize);
+    let mut lanes = Lanes::new(&book, (&warehouse, &cases), RULES, LANES as usize);
     // The peers are threads; the process that the pipeline watches only has to live.
     let options = options(&scratch, vec![simulator("exec sleep 300")], Duration::from_secs(2));
     let mut seen = Seen::default();
@@ -118,11 +118,11 @@ fn answers_that_wait_when_the_run_is_stopped_are_recorded() {
 /// error.
 fn run_with_simulator(script: &str) -> (u32, String) {
     let scratch = ScratchRun::new(&[Role::Sim], |attach| attach.lanes = 1);
-    let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+    let (book, warehouse, cases) = (book(), Warehouse::shipped(), CaseSet::shipped());
     let conditions = [("working/original/unchanged/none".parse().unwrap(), 1)];
     let episodes = plan(&conditions, &[0], &["t01-01"], 1);
     let rules = Rules { expert: true, ..RULES };
-    let mut lanes = Lanes::new(&warehouse, &cases, rules, 1);
+    let mut lanes = Lanes::new(&book, (&warehouse, &cases), rules, 1);
     let options = options(&scratch, vec![simulator(script)], Duration::from_secs(2));
     let (mut seen, stop) = (Seen::default(), AtomicBool::new(false));
     let (attach, none) = (scratch.attach(), Children::default());

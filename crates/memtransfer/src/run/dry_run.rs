@@ -14,8 +14,8 @@ use crate::run_plan::RunPlan;
 
 /// What would run: conditions, episodes, requests, and the estimated cost of a model.
 pub(super) fn describe(plan: &RunPlan, fresh: bool) -> Result<String> {
-    let RunPlan { settings, world, episodes, prices, .. } = plan;
-    let documents = RunDocuments::of(settings, world.cases.elsewhere.as_ref(), fresh);
+    let RunPlan { settings, books, episodes, prices, .. } = plan;
+    let documents = RunDocuments::of(settings, books, fresh);
     let done = if fresh { Vec::new() } else { finished(plan, &documents)? };
     let is_done = |episode: &PlannedEpisode| {
         let key = episode.key.to_string();
@@ -25,7 +25,7 @@ pub(super) fn describe(plan: &RunPlan, fresh: bool) -> Result<String> {
     let basis = settings.model.as_ref().map(|model| Basis {
         settings,
         model,
-        world,
+        books,
         documents: &sizes,
         done: &done,
     });

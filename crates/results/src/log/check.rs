@@ -4,11 +4,12 @@
 //! so a damaged or edited record contradicts itself.
 
 use std::collections::BTreeSet;
+use std::path::Path;
 
 use domain::{Action, Arm, ExternalName};
 
 use super::known::KnownFacts;
-use super::{BlockedRecord, Ending, EpisodeRecord, Manifest, StreamRecord};
+use super::{BlockedRecord, Ending, EpisodeRecord, LogError, Manifest, StreamRecord};
 use crate::conditions::{Condition, Route};
 
 /// More blocks than any stream has.
@@ -16,14 +17,18 @@ const MOST_BLOCKS: u32 = 1 << 16;
 
 /// Checks that records agree with themselves and with their run: its memories, its seed and, where they are known, its
 /// cases; and that none occurs twice.
+///
+/// # Errors
+/// When the case book in the run's folder `dir` cannot be used.
 pub(super) fn check_records(
+    dir: &Path,
     manifest: &Manifest,
-) -> impl FnMut(&EpisodeRecord) -> Result<(), String> + use<> {
+) -> Result<impl FnMut(&EpisodeRecord) -> Result<(), String> + use<>, LogError> {
     let max_steps = manifest.settings.max_steps;
     let memories: BTreeSet<ExternalName> = manifest.memories.keys().copied().collect();
     let mut seen = BTreeSet::new();
-    let mut known = KnownFacts::of(manifest);
-    move |record| {
+    let known = KnownFacts::of(dir, manifest)?;
+    Ok(move |record: &EpisodeRecord| {
         record.check(max_steps)?;
         known.check(record)?;
         if let Some(name) = record.memory.external()
@@ -33,7 +38,7 @@ pub(super) fn check_records(
         }
         let is_new = seen.insert(record.key.clone());
         if is_new { Ok(()) } else { Err(format!("{} occurs twice", record.key)) }
-    }
+    })
 }
 
 impl EpisodeRecord {

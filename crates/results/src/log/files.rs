@@ -15,6 +15,8 @@ pub const REQUESTS_FILE: &str = "requests.jsonl";
 pub(super) const ERRORS_FILE: &str = "errors.jsonl";
 pub(super) const SESSIONS_FILE: &str = "sessions.jsonl";
 pub(super) const LATENCY_FILE: &str = "latency.jsonl";
+pub(super) use case_book::{CASE_BOOK_FILE, DEMONSTRATIONS_FILE};
+
 /// The streams, of a run that consists of streams.
 pub const STREAMS_FILE: &str = "streams.json";
 /// The other warehouse, if tasks are demonstrated in one.
@@ -43,7 +45,7 @@ const REPORT_IDS: &str = concat!(
 /// memories.
 const RUN_NAMES: [&str; 13] = [
     "(manifest|status)\\.json\\.new",
-    "status\\.json|(streams|elsewhere)\\.json(\\.new)?",
+    "status\\.json|(case-book|demonstrations|streams|elsewhere)\\.json(\\.new)?",
     "(episodes|timings|requests|errors|sessions|latency)(\\.damaged)?\\.jsonl",
     "episodes\\.jsonl\\.new",
     "logs/((sim|memory|policy)\\.log(\\.new)?)?",

@@ -90,9 +90,9 @@ impl RunFolder {
             }
             None => manifest,
         };
+        let check = check_records(dir, &manifest)?;
         manifest.write(dir)?;
 
-        let check = check_records(&manifest);
         let (episodes, finished) = journal(&dir.join(EPISODES_FILE), check, &mut notes)?;
         let (timings, _) = journal(&dir.join(TIMINGS_FILE), unchecked, &mut notes)?;
         let (requests, asked) = journal(&dir.join(REQUESTS_FILE), unchecked, &mut notes)?;

@@ -22,6 +22,15 @@ const READABLE: RangeInclusive<u32> = 2..=FORMAT;
 /// The name of the hash of the other warehouse in which tasks are demonstrated.
 pub const ELSEWHERE_HASH: &str = "elsewhere";
 
+/// The name of the hash of the streams.
+pub const STREAMS_HASH: &str = "streams";
+
+/// The name of the hash of the case book.
+pub const CASE_BOOK_HASH: &str = "case-book";
+
+/// The name of the hash of the demonstrations.
+pub const DEMONSTRATIONS_HASH: &str = "demonstrations";
+
 /// Name of the file in a run folder.
 pub(super) const MANIFEST_FILE: &str = "manifest.json";
 
@@ -293,11 +302,20 @@ impl Manifest {
                 of_there.insert(CODE_OF_POLICY.to_owned(), theirs.into());
             }
         }
-        // A run can grow by demonstrations in another warehouse.
-        let elsewhere = contents_of(ELSEWHERE_HASH);
-        if !(here.contains_key(&elsewhere) && of_there.contains_key(&elsewhere)) {
-            here.remove(&elsewhere);
-            of_there.remove(&elsewhere);
+        // A run can grow: by demonstrations in another warehouse, and its books by cases and conditions.
+        let is_grown = |name| {
+            let selected = |of: &Self| {
+                let RunSettings { cases, limit, groups, .. } = &of.settings;
+                (cases.clone(), *limit, groups.clone())
+            };
+            name != ELSEWHERE_HASH && selected(self) != selected(there)
+        };
+        for name in [ELSEWHERE_HASH, CASE_BOOK_HASH, DEMONSTRATIONS_HASH] {
+            let key = contents_of(name);
+            if is_grown(name) || !(here.contains_key(&key) && of_there.contains_key(&key)) {
+                here.remove(&key);
+                of_there.remove(&key);
+            }
         }
         let shown = |value: Option<&Value>| value.map_or("not set".to_owned(), Value::to_string);
         let mut keys: Vec<&String> = here.keys().chain(of_there.keys()).collect();

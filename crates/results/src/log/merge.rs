@@ -18,8 +18,9 @@ use serde::de::DeserializeOwned;
 
 use super::existing::lock;
 use super::files::{
-    DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, PROMPTS_FOLDER,
-    REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE, TIMINGS_FILE, run_names,
+    CASE_BOOK_FILE, DEMONSTRATIONS_FILE, DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE,
+    ERRORS_FILE, LATENCY_FILE, PROMPTS_FOLDER, REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER,
+    STREAMS_FILE, TIMINGS_FILE, run_names,
 };
 use super::manifest::MANIFEST_FILE;
 use super::{
@@ -309,7 +310,8 @@ impl<'a> MergedRun<'a> {
             Ok(())
         })?;
         durable::check_no_links(dir).map_err(system("read", dir))?;
-        for name in [DOCUMENTS_FOLDER, SNAPSHOTS_FOLDER, STREAMS_FILE, ELSEWHERE_FILE] {
+        let files = [CASE_BOOK_FILE, DEMONSTRATIONS_FILE, STREAMS_FILE, ELSEWHERE_FILE];
+        for name in [DOCUMENTS_FOLDER, SNAPSHOTS_FOLDER].into_iter().chain(files) {
             copy(&dir.join(name), &self.dir.join(name))?;
         }
         let (theirs, ours) = (dir.join(PROMPTS_FOLDER), self.dir.join(PROMPTS_FOLDER));

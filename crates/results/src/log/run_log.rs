@@ -63,7 +63,7 @@ impl RunLog {
         }
         let manifest = Manifest::read(dir)?;
         let mut damaged = Vec::new();
-        let check = check_records(&manifest);
+        let check = check_records(dir, &manifest)?;
         let mut episodes = read(dir, EPISODES_FILE, check, &mut damaged)?;
         episodes.sort_by(|a: &EpisodeRecord, b| a.key.cmp(&b.key));
         let timings: Vec<EpisodeTimings> = read(dir, TIMINGS_FILE, unchecked, &mut damaged)?;

@@ -2,9 +2,11 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
-use domain::{Action, Cell, Demonstrations, Feedback, Pose};
+use case_book::BookRequest;
+use domain::{Action, Appearance, Cell, Demonstrations, Feedback, Pose};
 use plates::painter::PlateAisle;
 use proptest::prelude::*;
+use warehouse::case_book::write_books;
 use warehouse::{CaseSet, TrajectoryKind, Warehouse};
 
 use super::*;
@@ -208,7 +210,8 @@ proptest! {
 /// plates are read here, so every position comes from a route.)
 #[test]
 fn cells_of_test_references_do_not_occur() {
-    let sources = Sources::load(None).unwrap();
+    let book = write_books(&BookRequest::default()).unwrap().demonstrations;
+    let sources = Sources::new(book, 448, Appearance::STANDARD);
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
     let cells = |kinds: &[TrajectoryKind]| -> BTreeSet<Cell> {
         let replays = cases

@@ -2,11 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use case_book::BookRequest;
 use domain::{Demonstrations, Pose, Representation};
 use shm_types::documents::Content;
 use shm_types::message::{
-    ItemKind, NO_ACTION, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, ViewRequestKind,
+    ItemKind, NO_ACTION, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, TASK_COMPLETE,
+    ViewRequestKind,
 };
+use warehouse::case_book::write_books;
 use warehouse::{CaseSet, History, TrajectoryKind, Warehouse};
 
 use super::super::*;
@@ -54,6 +57,8 @@ impl Answer {
 }
 
 pub(super) struct Rig {
+    pub(super) warehouse: Warehouse,
+    pub(super) cases: CaseSet,
     pub(super) engine: Engine<Pose>,
     /// Pose of frame `i + 1`.
     pub(super) frames: Vec<Pose>,
@@ -77,14 +82,15 @@ impl Rig {
     }
 
     pub(super) fn with_externals(lanes: u32, room: usize, externals: ExternalMemories) -> Self {
-        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-        let embeddings = EmbeddingCache::in_memory();
-        let worlds = WorldStates::unchanging(warehouse, cases);
-        Self::with(Engine::new(worlds, lanes, room, embeddings, externals, None))
+        let book = write_books(&BookRequest::default()).unwrap().demonstrations;
+        let (library, embeddings) = (DemonstrationLibrary::new(book), EmbeddingCache::in_memory());
+        Self::with(Engine::new(library, lanes, room, embeddings, externals, None))
     }
 
     pub(super) fn with(engine: Engine<Pose>) -> Self {
         Self {
+            warehouse: Warehouse::shipped(),
+            cases: CaseSet::shipped(),
             engine,
             frames: Vec::new(),
             arriving: VecDeque::new(),
@@ -108,12 +114,9 @@ impl Rig {
         kind: TrajectoryKind,
         representation: Representation,
     ) -> Script {
-        let (case_index, case) = (case, &self.engine.worlds.cases.cases[case as usize]);
-        let replay = case.trajectory(kind).replay(
-            &self.engine.worlds.warehouse,
-            &case.task,
-            &warehouse::Variant::UNCHANGED,
-        );
+        let (case_index, case) = (case, &self.cases.cases[case as usize]);
+        let unchanged = warehouse::Variant::UNCHANGED;
+        let replay = case.trajectory(kind).replay(&self.warehouse, &case.task, &unchanged);
         let actions = &case.trajectory(kind).actions;
         let last = replay.poses.len() - 1;
         let observation = |step: usize| Observation {
@@ -125,6 +128,8 @@ impl Rig {
             feedback: replay.feedback[step] as u8,
             action: if step == 0 { NO_ACTION } else { actions[step - 1] as u8 },
             last: u8::from(step == last),
+            progress: replay.stages[step] as u8
+                | if step == last && replay.length.is_some() { TASK_COMPLETE } else { 0 },
             ..bytemuck::Zeroable::zeroed()
         };
         Script {
@@ -321,9 +326,9 @@ pub(super) fn replay_set(
     case: usize,
     set: Demonstrations,
 ) -> Vec<ReplayedDemonstration> {
-    let cases = &rig.engine.worlds.cases;
+    let cases = &rig.cases;
     let demonstration = |of: History| {
-        let found = cases.demonstrated(&rig.engine.worlds.warehouse, of).expect("a demonstration");
+        let found = cases.demonstrated(&rig.warehouse, of).expect("a demonstration");
         let actions = found.trajectory.actions.iter();
         let poses = found.replay().poses;
         let actions = actions.map(|&action| action as u8).chain([NO_ACTION]).collect();

@@ -4,31 +4,63 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use case_book::{BookRequest, Demonstration, DemonstrationBook, StreamDemonstrations};
 use domain::Representation::{self, Adaptive, Episodic, Working};
-use domain::{Action, Arm, Cell, Demonstrations, Feedback, FeedbackLevel, Mixture, Pose};
+use domain::{Action, Arm, DemonstrationKind, Demonstrations, Feedback, FeedbackLevel, Pose};
 use shm_types::message::{EXPERIENCE, SnapshotId};
 use tempfile::TempDir;
-use warehouse::stream::{Block, Stream, StreamSet};
-use warehouse::{CaseSet, TrajectoryKind, Variant, Warehouse, WorldChange};
+use warehouse::case_book::write_books;
+use warehouse::plan::{Planner, Prices};
+use warehouse::{CaseSet, TrajectoryKind, Variant, Warehouse};
 
 use super::super::*;
 use super::rig::{Rig, Script};
+use crate::demonstrations::BankOrigin;
 use crate::external::{ExternalLimits, ExternalMemories};
 
-/// The cases of the stream, and the block in whose world the test passage of the first is closed.
+/// The cases of the stream.
 const CASES: [u32; 3] = [3, 5, 20];
 
-pub(super) fn worlds() -> WorldStates {
+/// The world variant of the second block.
+const CLOSED: u32 = 102;
+
+/// A run with one stream of two blocks; in the world of the second, the test passage of the first case is closed.
+pub(super) fn library() -> DemonstrationLibrary {
+    DemonstrationLibrary::new(book())
+}
+
+fn book() -> DemonstrationBook {
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-    let mut closed: Vec<Cell> = cases.cases[3].barricade.clone();
-    closed.sort_unstable();
-    let block = |world| Block { world, cases: CASES.to_vec(), events: Vec::new() };
-    let streams = StreamSet {
-        seed: 1,
-        worlds: vec![WorldChange::default(), WorldChange { closed, stock: Vec::new() }],
-        streams: vec![Stream { blocks: vec![block(0), block(1)] }],
-    };
-    WorldStates::new(warehouse, cases, streams).unwrap()
+    let closed = Variant::closing(cases.cases[3].barricade.iter().copied());
+    let planner = Planner::new(&warehouse, closed.clone(), Prices::EXPERT);
+    let mut book = write_books(&BookRequest::default()).unwrap().demonstrations;
+    let planned = CASES.map(|number| {
+        let case = &cases.cases[number as usize];
+        let trajectory = planner.plan(case.original.start, &case.task).unwrap();
+        let replay = trajectory.replay(&warehouse, &case.task, &closed);
+        assert!(!replay.poses.iter().any(|pose| closed.is_closed(pose.cell)));
+        let states = replay.poses.len() as u32;
+        book.demonstrations.push(Demonstration {
+            case: number,
+            kind: DemonstrationKind::Original,
+            variant: CLOSED,
+            instruction: book.cases[number as usize].instruction.clone(),
+            poses: replay.poses,
+            feedback: replay.feedback,
+            sub_goals: replay.goal_steps,
+            actions: trajectory.actions,
+            // None is one of the unchanged world.
+            views: (0..states).map(|step| 100_000 + 1000 * number + step).collect(),
+        });
+        book.demonstrations.len() as u32 - 1
+    });
+    let original = CASES.map(|number| book.cases[number as usize].own[0]);
+    book.streams.push(StreamDemonstrations {
+        cases: CASES.to_vec(),
+        planned: vec![original.to_vec(), planned.to_vec()],
+    });
+    book.variants.insert(CLOSED, "closed".to_owned());
+    book
 }
 
 /// A run with a stream, its folder of snapshots, and what has been reported.
@@ -50,7 +82,7 @@ impl StreamRig {
         let externals = ExternalMemories::new(BTreeMap::new(), ExternalLimits::default());
         let snapshots = SnapshotFolder::new(folder.to_owned());
         let embeddings = EmbeddingCache::in_memory();
-        Rig::with(Engine::new(worlds(), 2, 300, embeddings, externals, Some(snapshots)))
+        Rig::with(Engine::new(library(), 2, 300, embeddings, externals, Some(snapshots)))
     }
 
     /// The process is started again.
@@ -121,12 +153,10 @@ impl StreamRig {
 
 #[test]
 fn an_arm_decides_what_the_memory_is_built_from() {
-    let all = worlds();
-    let bank = |arm, block| {
-        all.demonstrations(crate::worlds::BankOrigin::new(arm, 0, block, Demonstrations::ORIGINAL))
-    };
+    let all = library();
+    let bank = |arm, block| all.of_bank(BankOrigin::new(arm, 0, block, Demonstrations::ORIGINAL));
     let of =
-        |made: &[std::sync::Arc<crate::demonstrations::ReplayedDemonstration>]| -> Vec<(u32, u16, u32)> {
+        |made: &[std::sync::Arc<crate::demonstrations::RememberedDemonstration>]| -> Vec<(u32, u16, u32)> {
             made.iter().map(|made| (made.case, made.number, made.variant)).collect()
         };
     let original = [(3, 0, 0), (5, 0, 0), (20, 0, 0)];
@@ -134,32 +164,18 @@ fn an_arm_decides_what_the_memory_is_built_from() {
         assert_eq!(of(&bank(arm, block).unwrap()), original, "{arm:?}");
     }
     let planned = bank(Arm::Oracle, 1).unwrap();
-    assert_eq!(of(&planned), original.map(|(case, number, _)| (case, number, 102)));
-    let (_, variant) = all.state(102).unwrap();
-    assert!(variant != Variant::UNCHANGED);
-    for (made, case) in planned.iter().zip(CASES) {
-        assert!(!made.poses.iter().any(|pose| variant.is_closed(pose.cell)));
-        assert!(!made.feedback.contains(&Feedback::Blocked));
-        let cases = &all.cases.cases;
-        let total = warehouse::Progress::new(
-            &all.warehouse,
-            &cases[case as usize].task,
-            made.poses[0].cell,
-        );
-        assert_eq!(*made.stages.last().unwrap(), total.total());
-    }
-    let wrong = bank(Arm::Wrong, 0).unwrap();
+    assert_eq!(of(&planned), original.map(|(case, number, _)| (case, number, CLOSED)));
+    let (book, wrong) = (book(), bank(Arm::Wrong, 0).unwrap());
     assert!((1..=6).contains(&wrong.len()));
     for made in wrong {
         assert!(!CASES.contains(&made.case));
-        let irrelevant = CASES
-            .iter()
-            .flat_map(|&case| all.cases.cases[case as usize].mixed(Mixture::Irrelevant));
-        let names = |of: warehouse::History| (of.case as u32, of.kind as u16);
-        assert!(irrelevant.map(names).any(|of| of == (made.case, made.number)));
+        let irrelevant =
+            CASES.iter().flat_map(|&case| book.cases[case as usize].irrelevant.clone());
+        let mut irrelevant = irrelevant.map(|index| &book.demonstrations[index as usize]);
+        assert!(irrelevant.any(|of| (of.case, of.kind as u16) == (made.case, made.number)));
     }
-    let unknown = crate::worlds::BankOrigin::new(Arm::Frozen, 1, 0, Demonstrations::ORIGINAL);
-    assert!(all.demonstrations(unknown).unwrap_err().contains("stream 1 of 1"));
+    let unknown = BankOrigin::new(Arm::Frozen, 1, 0, Demonstrations::ORIGINAL);
+    assert!(all.of_bank(unknown).unwrap_err().contains("stream 1 of 1"));
 }
 
 #[test]
@@ -270,7 +286,7 @@ fn a_torn_or_missing_snapshot_is_never_loaded() {
 }
 
 #[test]
-fn an_experience_is_acted_out_again_as_it_was() {
+fn an_experience_is_read_again_as_it_was() {
     let mut run = StreamRig::new();
     let mut lesson = run.learning(20);
     lesson.config.variant = 102;

@@ -71,7 +71,7 @@ fn check(
 #[test]
 fn nothing_is_supplied_but_the_selected_demonstrations() {
     let mut rig = Rig::new(1, 2000);
-    let cases = rig.engine.worlds.cases.cases.len();
+    let cases = rig.cases.cases.len();
     for case in 0..cases {
         for set in SETS {
             let demonstrations = replay_set(&rig, case, set);

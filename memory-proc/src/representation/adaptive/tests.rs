@@ -23,7 +23,7 @@ fn at(x: u8, y: u8) -> Pose {
 
 /// A memory of demonstrations north along column 3, each from a row for some steps, of [`TASK`].
 fn memory(routes: &[(u8, u8)]) -> Adaptive {
-    let demonstrations: Vec<demonstrations::ReplayedDemonstration> =
+    let demonstrations: Vec<demonstrations::RememberedDemonstration> =
         routes.iter().map(|&(from, steps)| demonstration(0, from, steps)).collect();
     let view = |pose: Pose| KnownView {
         frame: 1,

@@ -5,15 +5,15 @@ use proptest::prelude::*;
 
 use super::super::testing::{build, demonstration, recall};
 use super::*;
-use crate::bank::{BankSteps, ReplayedBank};
-use crate::demonstrations::ReplayedDemonstration;
+use crate::bank::{BankSteps, MemoryBank};
+use crate::demonstrations::RememberedDemonstration;
 use domain::{Feedback, Pose};
 
 /// A demonstration that takes `actions`, completing a sub-goal at each of `goals`; pose `t` is unlike any other.
-fn acted(actions: &str, goals: &[usize]) -> ReplayedDemonstration {
+fn acted(actions: &str, goals: &[usize]) -> RememberedDemonstration {
     let actions: Vec<Action> = actions.chars().filter_map(Action::from_letter).collect();
     let steps = 0..=actions.len();
-    ReplayedDemonstration {
+    RememberedDemonstration {
         case: 0,
         number: 0,
         variant: 0,
@@ -26,8 +26,8 @@ fn acted(actions: &str, goals: &[usize]) -> ReplayedDemonstration {
 }
 
 /// The steps of `share` keyframes.
-fn chosen(demonstration: &ReplayedDemonstration, share: usize) -> Vec<usize> {
-    let bank = ReplayedBank::new(vec![demonstration.clone()]);
+fn chosen(demonstration: &RememberedDemonstration, share: usize) -> Vec<usize> {
+    let bank = MemoryBank::new(vec![demonstration.clone()]);
     keyframes(&BankSteps::without_views(&bank).demonstrations()[0], share)
 }
 
@@ -75,7 +75,7 @@ fn the_budget_is_shared_fairly() {
 }
 
 /// The keyframes of each demonstration.
-fn supplied(demonstrations: &[ReplayedDemonstration], keyframes: usize) -> Vec<Vec<u32>> {
+fn supplied(demonstrations: &[RememberedDemonstration], keyframes: usize) -> Vec<Vec<u32>> {
     let mut memory = FullContext::new(keyframes);
     build(&mut memory, demonstrations).unwrap();
     let items = recall(&mut memory, None, 0, 3).unwrap();
@@ -109,7 +109,7 @@ proptest! {
         ),
         budget in 0..60_usize,
     ) {
-        let demonstrations: Vec<ReplayedDemonstration> = demonstrations
+        let demonstrations: Vec<RememberedDemonstration> = demonstrations
             .iter()
             .map(|(actions, goals)| acted(actions, &goals.iter().copied().collect::<Vec<_>>()))
             .collect();
@@ -117,7 +117,7 @@ proptest! {
         let all: usize = demonstrations.iter().map(|demonstration| demonstration.poses.len()).sum();
         let shares: Vec<usize> = shown.iter().map(Vec::len).collect();
         prop_assert_eq!(shares.iter().sum::<usize>(), budget.min(all), "the whole budget, and never more");
-        let bank = ReplayedBank::new(demonstrations.clone());
+        let bank = MemoryBank::new(demonstrations.clone());
         let steps = BankSteps::without_views(&bank);
         for (number, demonstration) in steps.demonstrations().iter().enumerate() {
             let length = demonstration.steps.len();

@@ -6,14 +6,12 @@ use std::sync::{Arc, OnceLock};
 use documents::DocumentFile;
 use domain::{Action, Feedback, Heading, Pose, Representation, SegmentContent};
 use llm::fuzzing;
-use memory_proc::bank::ReplayedBank;
+use memory_proc::bank::MemoryBank;
 use memory_proc::embedding_cache::{EmbeddingCache, stored};
 use memory_proc::representation::{MemorySettings, built_in};
-use memory_proc::worlds::WorldStates;
 use peer::memory::{Query, Step};
 use png_file::{Channels, RgbaImage, encode};
 use prompt::{UnreadAnswer, read_answer};
-use warehouse::{CaseSet, Warehouse};
 
 use crate::files::{with_files, with_folder};
 
@@ -106,10 +104,10 @@ pub(crate) fn document(input: &[u8]) {
 pub(crate) fn snapshot(input: &[u8]) {
     with_files(&[], &["adaptive.json", "views.f32", "experience.json"], input, |folder| {
         if let Ok(text) = fs::read(folder.join("experience.json")) {
-            let replayed = memory_proc::fuzzing::experiences(&text, worlds());
-            for demonstration in replayed.into_iter().flatten() {
+            let lived = memory_proc::fuzzing::experiences(&text);
+            for demonstration in lived.into_iter().flatten() {
                 assert_eq!(demonstration.poses.len(), demonstration.actions.len() + 1);
-                let _ = ReplayedBank::new([demonstration]);
+                let _ = MemoryBank::new([demonstration]);
             }
         }
         let settings = MemorySettings {
@@ -152,12 +150,4 @@ pub(crate) fn snapshot(input: &[u8]) {
         };
         assert_eq!(memory.recall(&query), loaded.recall(&query));
     });
-}
-
-fn worlds() -> &'static WorldStates {
-    thread_local! {
-        static WORLDS: &'static WorldStates =
-            Box::leak(Box::new(WorldStates::unchanging(Warehouse::shipped(), CaseSet::shipped())));
-    }
-    WORLDS.with(|worlds| *worlds)
 }

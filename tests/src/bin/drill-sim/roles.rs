@@ -47,7 +47,7 @@ pub(crate) struct InProcess {
 #[derive(Clone)]
 pub(crate) struct Files {
     pub(crate) assets: PathBuf,
-    pub(crate) streams: Option<PathBuf>,
+    pub(crate) demonstrations: PathBuf,
     pub(crate) snapshots: Option<PathBuf>,
     /// Embeddings and views of earlier sessions.
     pub(crate) caches: PathBuf,
@@ -124,11 +124,10 @@ fn take_part(
         Role::Memory => {
             let settings = ServeSettings {
                 attach: root,
+                demonstrations: files.demonstrations.clone(),
                 assets: Some(files.assets.clone()),
                 documents: None,
                 encoder: None,
-                streams: files.streams.clone(),
-                elsewhere: None,
                 snapshots: files.snapshots.clone(),
                 shipped_embeddings: None,
                 limits: ExternalLimits::default(),

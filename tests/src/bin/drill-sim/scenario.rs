@@ -5,19 +5,32 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use case_book::{BookFile, BookRequest};
+use orchestrator::books::Books;
 use orchestrator::external_memory::ExternalMemory;
 use orchestrator::plan::PlannedEpisode;
 use orchestrator::selection::SelectedCases;
-use orchestrator::streams::STREAMS_HASH;
 use results::log::{FORMAT, Manifest};
 use results::settings::RunSettings;
 use settings::{Layer, resolve};
 use shm_types::message::WIRE_VERSION;
 use sim_proc::worlds::Worlds;
+use warehouse::case_book::write_books;
 use warehouse::case_file::CASES_FILE;
-use warehouse::{CATALOGUE_FILE, CaseSet, GeneratedWorld, LAYOUT_FILE};
+use warehouse::{CATALOGUE_FILE, CaseSet, GeneratedWorld, LAYOUT_FILE, StreamSet};
 
 use crate::external;
+
+/// The case book, written in this process.
+fn write(request: &BookRequest) -> Result<Books> {
+    let books = write_books(request)?;
+    Ok(Books {
+        cases: BookFile::new(books.cases)?,
+        demonstrations: BookFile::new(books.demonstrations)?,
+        streams: books.streams,
+        elsewhere: books.elsewhere,
+    })
+}
 
 /// The seed of the warehouse.
 const WORLD_SEED: u64 = 3;
@@ -153,26 +166,23 @@ impl Scenario {
         let flags = flags.iter().map(|(key, value)| (*key, &**value)).chain(command);
         let layer = Layer::flags(flags)?;
         let mut settings = resolve([layer]).context(name)?.settings;
-        let selected = SelectedCases::of(&settings).context(name)?;
+        let selected = SelectedCases::written_by(write, &settings).context(name)?;
         let memories = if is_external { vec![external::memory()?] } else { Vec::new() };
         let told = memories.iter().map(|memory| (memory.name, memory.description.learns));
         settings.add_external_memories(&told.collect::<Vec<_>>());
         let episodes = selected.with_episodes(&settings, |episodes| episodes.collect());
-        let states = match &selected.streams {
-            Some(streams) => streams.set.states(&selected.world.warehouse)?,
+        let (warehouse, cases) = CaseSet::with_warehouse(Some(assets))?;
+        let states = match &selected.books.streams {
+            Some(text) => StreamSet::parse(text, &warehouse, &cases)?.states(&warehouse)?,
             None => Vec::new(),
         };
-        let world = &selected.world;
-        let worlds = Worlds::new(&world.warehouse, &world.cases, states);
+        let worlds = Worlds::new(&warehouse, &cases, states);
         let assets = assets.to_owned();
         Ok(Self { name, settings, memories, selected, episodes, worlds, assets })
     }
 
     /// The run's manifest.
     pub(crate) fn manifest(&self) -> Result<Manifest> {
-        let mut hashes = self.selected.world.hashes.clone();
-        let streams = self.selected.streams.iter();
-        hashes.extend(streams.map(|streams| (STREAMS_HASH.to_owned(), streams.hash())));
         let memories = self.memories.iter();
         let memories = memories.map(|memory| Ok((memory.name, memory.facts()?)));
         Ok(Manifest {
@@ -181,7 +191,7 @@ impl Scenario {
             wire_version: WIRE_VERSION,
             commit: None,
             settings: self.settings.clone(),
-            hashes,
+            hashes: self.selected.books.hashes(),
             tasks: BTreeMap::new(),
             documents: BTreeMap::new(),
             memories: memories.collect::<Result<_>>()?,

@@ -10,6 +10,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
+use case_book::DEMONSTRATIONS_FILE;
 use orchestrator::budget::Budget;
 use orchestrator::frame_budget::Demand;
 use orchestrator::lanes::Lanes;
@@ -19,17 +20,18 @@ use orchestrator::pipeline::{Ending, PipelineOptions, run_episodes};
 use orchestrator::progress::ProgressDisplay;
 use orchestrator::session::RunSession;
 use orchestrator::status::EpisodeCounts;
-use orchestrator::streams::Remaining;
+use orchestrator::streams::{Remaining, Streams};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use results::log::{
-    EPISODES_FILE, LOGS_FOLDER, Opened, RunFolder, RunLog, SNAPSHOTS_FOLDER, STREAMS_FILE,
-    SessionEvent, SessionRecord, TIMINGS_FILE, read_journal,
+    EPISODES_FILE, LOGS_FOLDER, Opened, RunFolder, RunLog, SNAPSHOTS_FOLDER, SessionEvent,
+    SessionRecord, TIMINGS_FILE, read_journal,
 };
 use results::settings::RunSettings;
 use shm_types::RunDir;
 use shm_types::message::Role;
 use supervise::{Children, Launch};
+use warehouse::{CaseSet, StreamSet};
 
 use crate::Plant;
 use crate::faults::{Plan, Process, Trouble};
@@ -197,8 +199,7 @@ fn session(
     (scheduler, plant): (&Arc<Scheduler>, Option<Plant>),
     (place, names): (&Place, &RefCell<Vec<String>>),
 ) -> Result<SessionEnd> {
-    let world = &scenario.selected.world;
-    let streams = scenario.selected.streams.as_ref();
+    let books = &scenario.selected.books;
     if RunFolder::has_episodes(&settings.out) {
         let keys = scenario.episodes.iter().map(|episode| episode.key.to_string()).collect();
         RunLog::read(&settings.out)?.check_planned(&keys)?;
@@ -206,9 +207,7 @@ fn session(
     let manifest = scenario.manifest()?;
     let opened = RunFolder::open(&settings.out, manifest, false)?;
     let Opened { mut folder, finished, requests, .. } = opened;
-    if let Some(streams) = streams {
-        fs::write(folder.dir().join(STREAMS_FILE), streams.set.to_text())?;
-    }
+    books.write(folder.dir())?;
     let Remaining { missing, learned } = Remaining::of(&scenario.episodes, &finished)?;
     if missing.is_empty() {
         return Ok(SessionEnd::NothingMissing);
@@ -217,16 +216,26 @@ fn session(
     names.borrow_mut().push(run.name());
     let mut settings = settings.clone();
     settings.frame_budget = None;
-    let mut attach =
-        launch::attach(&settings, (world, streams), &missing, (&run, &scenario.memories), None)?;
+    let mut attach = launch::attach(&settings, books, &missing, (&run, &scenario.memories), None)?;
     let most = (settings.keyframes, settings.memory_image_budget());
     // Decided by all episodes, so that it is the same in every session.
-    let demand =
-        Demand::of(&attach, (&world.warehouse, &world.cases, streams), &scenario.episodes, most);
+    let demand = Demand::of(
+        &attach,
+        (&books.cases.book, &books.demonstrations.book),
+        &scenario.episodes,
+        most,
+    );
     attach.frame_capacity = demand.least(attach.lanes) + plan.spare_frames;
     let rules = launch::rules(&settings, &scenario.memories)?;
-    let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
-    if let Some(streams) = streams {
+    let (warehouse, cases) = CaseSet::with_warehouse(Some(&scenario.assets))?;
+    let streams = books
+        .streams
+        .as_ref()
+        .map(|text| Streams::new(&warehouse, &cases, StreamSet::parse(text, &warehouse, &cases)?));
+    let streams = streams.transpose()?;
+    let count = attach.lanes as usize;
+    let mut lanes = Lanes::new(&books.cases.book, (&warehouse, &cases), rules, count);
+    if let Some(streams) = &streams {
         lanes = lanes.in_streams(streams);
     }
     for (sequence, position, experience) in learned {
@@ -247,8 +256,8 @@ fn session(
             worlds: scenario.worlds.clone(),
             files: Files {
                 assets: scenario.assets.clone(),
-                streams: streams.map(|_| folder.dir().join(STREAMS_FILE)),
-                snapshots: streams.map(|_| folder.dir().join(SNAPSHOTS_FOLDER)),
+                demonstrations: folder.dir().join(DEMONSTRATIONS_FILE),
+                snapshots: streams.as_ref().map(|_| folder.dir().join(SNAPSHOTS_FOLDER)),
                 caches: place.caches(),
             },
             plant,

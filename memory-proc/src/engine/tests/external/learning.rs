@@ -53,9 +53,9 @@ fn an_external_memory_learns_is_saved_and_loaded() {
         let externals = ExternalMemories::new([(2, known)].into(), limits);
         let snapshots = SnapshotFolder::new(folder.path().to_owned());
         let embeddings = EmbeddingCache::in_memory();
-        let worlds = streams::worlds();
+        let library = streams::library();
         ExternalRig::with(Rig::with(Engine::new(
-            worlds,
+            library,
             2,
             300,
             embeddings,

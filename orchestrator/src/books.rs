@@ -1,0 +1,112 @@
+//! The case book of a run, which the world writes: `sim-proc book`.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, bail};
+use case_book::{
+    BookFile, BookRequest, CASE_BOOK_FILE, CaseBook, DEMONSTRATIONS_FILE, DemonstrationBook,
+};
+use results::log::{
+    CASE_BOOK_HASH, DEMONSTRATIONS_HASH, ELSEWHERE_FILE, ELSEWHERE_HASH, STREAMS_FILE, STREAMS_HASH,
+};
+
+/// The program of the world.
+const PROGRAM: &str = "sim-proc";
+
+/// The files of a case book.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Books {
+    /// What the orchestrator knows about cases.
+    pub cases: BookFile<CaseBook>,
+    /// What memory knows about them.
+    pub demonstrations: BookFile<DemonstrationBook>,
+    /// The world's own file of the streams, for a run that consists of some.
+    pub streams: Option<String>,
+    /// The world's own file of the other world in which tasks are demonstrated, if there is one.
+    pub elsewhere: Option<String>,
+}
+
+impl Books {
+    /// Those that the world writes for `request`.
+    ///
+    /// # Errors
+    /// When the world's program is missing or cannot write them; with what it printed.
+    pub fn of_world(request: &BookRequest) -> Result<Self> {
+        let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+        let (asked, out) = (folder.path().join("request.json"), folder.path().join("out"));
+        fs::write(&asked, serde_json::to_vec(request)?)
+            .with_context(|| format!("cannot write {}", asked.display()))?;
+        let mut command = Command::new(supervise::sibling(PROGRAM)?);
+        command.arg("book").arg("--request").arg(&asked).arg("--out").arg(&out);
+        let ended = command.stdin(Stdio::null()).output();
+        let ended = ended.with_context(|| format!("cannot start {PROGRAM}"))?;
+        if !ended.status.success() {
+            let printed = String::from_utf8_lossy(&ended.stderr);
+            let printed = printed.trim().trim_start_matches("error: ");
+            match printed.is_empty() {
+                true => bail!("{PROGRAM} book ended with {}", ended.status),
+                false => bail!("{printed}"),
+            }
+        }
+        Self::read(&out)
+    }
+
+    /// Those in the folder `folder`.
+    ///
+    /// # Errors
+    /// When a file cannot be read, or is not part of a case book.
+    pub fn read(folder: &Path) -> Result<Self> {
+        let text = |name: &str| {
+            let path = folder.join(name);
+            let read = path.exists().then(|| durable::input::read_text(&path)).transpose();
+            read.with_context(|| format!("cannot read {}", path.display()))
+        };
+        Ok(Self {
+            cases: BookFile::read(&folder.join(CASE_BOOK_FILE))?,
+            demonstrations: BookFile::read(&folder.join(DEMONSTRATIONS_FILE))?,
+            streams: text(STREAMS_FILE)?,
+            elsewhere: text(ELSEWHERE_FILE)?,
+        })
+    }
+
+    /// Writes them into the folder of a run: each beside the earlier one, and renamed.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn write(&self, folder: &Path) -> Result<()> {
+        let files = [
+            (CASE_BOOK_FILE, Some(&self.cases.text)),
+            (DEMONSTRATIONS_FILE, Some(&self.demonstrations.text)),
+            (STREAMS_FILE, self.streams.as_ref()),
+            (ELSEWHERE_FILE, self.elsewhere.as_ref()),
+        ];
+        for (name, text) in files {
+            let Some(text) = text else { continue };
+            let path = folder.join(name);
+            durable::replace(&path, &path.with_extension("json.new"), text.as_bytes())
+                .with_context(|| format!("cannot write {}", path.display()))?;
+        }
+        Ok(())
+    }
+
+    /// Hashes of what the world was made from, and of the other world, by name.
+    pub fn world_hashes(&self) -> BTreeMap<String, String> {
+        let mut hashes = self.cases.book.world.hashes.clone();
+        let elsewhere = self.elsewhere.iter().map(|text| blake3::hash(text.as_bytes()));
+        hashes.extend(elsewhere.map(|hash| (ELSEWHERE_HASH.to_owned(), hash.to_hex().to_string())));
+        hashes
+    }
+
+    /// The hashes of a run's manifest: those of the world, of the streams and of the books.
+    pub fn hashes(&self) -> BTreeMap<String, String> {
+        let mut hashes = self.world_hashes();
+        let streams = self.cases.book.streams.iter();
+        hashes.extend(streams.map(|streams| (STREAMS_HASH.to_owned(), streams.hash.clone())));
+        hashes.insert(CASE_BOOK_HASH.to_owned(), self.cases.hash.clone());
+        hashes.insert(DEMONSTRATIONS_HASH.to_owned(), self.demonstrations.hash.clone());
+        hashes
+    }
+}
