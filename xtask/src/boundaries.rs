@@ -15,9 +15,14 @@ const MUST_NOT_LINK: &[(&[&str], &[&str], &str)] = &[
         "a policy sees its requests and nothing else, so what it is built from must not know the map",
     ),
     (
-        &["domain", "export", "replay", "report", "results", "search", "viewer", "warehouse"],
+        &["domain", "export", "report", "results", "search", "viewer", "warehouse", "world-client"],
         &["iceoryx2"],
         "reading a run folder and computing the world must not need shared memory",
+    ),
+    (
+        &["export", "report", "results", "viewer", "world-client"],
+        &["warehouse"],
+        "one process knows the world: what shows or checks an episode asks `sim-proc`",
     ),
     (
         &["memory-proc", "policy-proc", "sim-proc"],
