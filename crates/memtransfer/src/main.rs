@@ -92,7 +92,7 @@ enum MemtransferVerb {
     Top(top::TopArgs),
     /// List cases, histories, tasks, items, suites, conditions, streams or runs
     Ls(list::ListArgs),
-    /// Check every constraint on warehouse and cases
+    /// Check every constraint on warehouse and cases, or the log of a run
     Validate(validate::ValidateArgs),
     /// Draw the warehouse, or a case, from above as SVG
     Map(map::MapArgs),

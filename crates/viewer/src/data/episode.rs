@@ -368,6 +368,9 @@ impl DemonstrationCollector<'_> {
         set: Demonstrations,
         more: Vec<(String, DemonstrationKind)>,
     ) -> Result<Vec<ActedDemonstration>> {
+        if set == Demonstrations::NONE && more.is_empty() {
+            return Ok(Vec::new());
+        }
         self.world.demonstrations(DemonstrationsRequest {
             case: self.record.case.clone(),
             set,
