@@ -377,3 +377,98 @@ fn demonstration(
         targets: targets(task, &state.warehouse),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use case_book::act::EpisodeParts;
+    use domain::{Demonstrations, Route, Start};
+
+    use super::*;
+
+    /// An episode from a case's original start on a route that takes these steps.
+    fn request(case: &str, variant: u32, actions: Vec<Option<Action>>) -> EpisodeRequest {
+        EpisodeRequest {
+            case: case.to_owned(),
+            variant,
+            reference: Some((Start::Original, Route::Unchanged)),
+            begin: None,
+            actions,
+            stream: None,
+            parts: EpisodeParts { events: true, reference: true, scenery: true },
+        }
+    }
+
+    #[test]
+    fn visits_first_sights_and_sub_goals_are_told() {
+        let mut stage = Stage::new(RunWorlds::read(None, None, None).unwrap());
+        let told = ["t01-01", "t06-01", "t09-01"].map(|id| {
+            let reference = stage.episode(&request(id, 0, Vec::new())).unwrap().reference.unwrap();
+            let steps = reference.actions.iter().take(reference.length as usize);
+            let steps = steps.map(|action| Some(*action)).collect();
+            let acted = stage.episode(&request(id, 0, steps)).unwrap();
+            let EpisodeEvents { visits, first_seen, blocked_moves, .. } = acted.events.unwrap();
+            assert_eq!((acted.sub_goals.len() as u32, blocked_moves.len()), (acted.required, 0));
+            format!("{id} {:?}: visits {}; seen {first_seen:?}", acted.sub_goals, visits.join(" "))
+        });
+        assert_eq!(
+            told,
+            [
+                r#"t01-01 [16]: visits 16A@9,9; seen {"A": 11}"#,
+                r#"t06-01 [22, 57]: visits 22A@6,28 57B@6,1; seen {"A": 8, "B": 52}"#,
+                r#"t09-01 [5, 21, 38]: visits 5A@14,11 21B@9,9 38A@14,11; seen {"A": 1, "B": 16}"#,
+            ]
+        );
+    }
+
+    #[test]
+    fn a_try_to_enter_a_closed_cell_and_an_answer_that_was_not_read_leave_the_agent_in_place() {
+        let worlds = RunWorlds::read(None, None, None).unwrap();
+        let case = worlds.cases.cases[0].clone();
+        let closed = case.barricade[0];
+        let beside = domain::Heading::ALL.into_iter().find_map(|heading| {
+            let cell = closed.step(heading.opposite())?;
+            let is_free = worlds.warehouse.layout.is_free(cell) && !case.barricade.contains(&cell);
+            is_free.then_some(Pose { cell, heading })
+        });
+        let mut stage = Stage::new(worlds);
+        let steps = vec![None, Some(Action::Forward)];
+        let mut acted = |variant| {
+            let request =
+                EpisodeRequest { begin: beside, ..request(&case.id, variant, steps.clone()) };
+            stage.episode(&request).unwrap()
+        };
+        let blocked = acted(1);
+        let events = blocked.events.unwrap();
+        assert_eq!(blocked.poses, [beside.unwrap(); 3]);
+        assert_eq!(blocked.feedback[1..], [Feedback::NotUnderstood, Feedback::Blocked]);
+        assert_eq!((events.blocked_moves, events.tried_closed_at), (vec![2], Some(2)));
+        assert_eq!(blocked.scenery.unwrap().closed, case.barricade);
+        assert_eq!(acted(0).poses[2].cell, closed);
+    }
+
+    #[test]
+    fn demonstrations_are_those_of_the_set_and_more_and_what_does_not_exist_is_left_out() {
+        let mut stage = Stage::new(RunWorlds::read(None, None, None).unwrap());
+        let of = |case: &str, kind| (case.to_owned(), kind);
+        let acted = stage.demonstrations(&DemonstrationsRequest {
+            case: "t01-01".to_owned(),
+            set: Demonstrations::ORIGINAL,
+            more: vec![
+                of("t01-01", DemonstrationKind::Original),
+                of("t01-02", DemonstrationKind::After),
+                of("t01-02", DemonstrationKind::Elsewhere),
+                of("t99-01", DemonstrationKind::Original),
+            ],
+            variant: 1,
+            planned: false,
+        });
+        let acted = acted.unwrap();
+        let named: Vec<_> = acted.iter().map(|one| (one.case.as_str(), one.kind)).collect();
+        let expected =
+            [("t01-01", DemonstrationKind::Original), ("t01-02", DemonstrationKind::After)];
+        assert_eq!(named, expected);
+        assert_eq!((acted[0].variant, acted[1].variant), (0, 2));
+        assert!(acted.iter().all(|one| one.poses.len() == one.actions.len() + 1));
+        assert!(acted[0].is_stale, "the passage of the first case is on its way");
+    }
+}
