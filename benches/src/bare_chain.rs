@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, bail, ensure};
 use bytemuck::Zeroable;
 use shm_types::message::{
-    Decision, Message, Observation, Recall, RecallTrace, Role, StepCommand, Stop,
+    Decision, Message, Observation, Recall, RecallTrace, Role, StepCommand, StepReport, Stop,
 };
 use shm_types::{Attach, Bus, RunDir};
 
@@ -32,7 +32,7 @@ pub fn steps_per_second(session: &BenchSession<'_>, lanes: u32, length: Duration
     let attach = Attach { lanes, ..run.attach() };
     attach.write(run.path())?;
     let bus = Bus::join(attach, Role::Orchestrator)?;
-    let observations = bus.receiver::<Observation>()?;
+    let reports = bus.receiver::<StepReport>()?;
     let traces = bus.receiver::<RecallTrace>()?;
     let decisions = bus.receiver::<Decision>()?;
     let (commands, stops) = (bus.sender::<StepCommand>()?, bus.sender::<Stop>()?);
@@ -56,7 +56,7 @@ pub fn steps_per_second(session: &BenchSession<'_>, lanes: u32, length: Duration
         bus.listener().wait(LONGEST_SLEEP)?;
         let decided = decisions.drain()?;
         traces.drain()?;
-        observations.drain()?;
+        reports.drain()?;
         let now = Instant::now();
         if decided.is_empty() {
             ensure!(now - last_received < PATIENCE, "no message for {} s", PATIENCE.as_secs());
@@ -88,7 +88,7 @@ pub fn steps_per_second(session: &BenchSession<'_>, lanes: u32, length: Duration
         bus.listener().wait(LONGEST_SLEEP)?;
         in_flight = in_flight.saturating_sub(decisions.drain()?.len());
         traces.drain()?;
-        observations.drain()?;
+        reports.drain()?;
     }
     stops.send(&Stop::zeroed())?;
     notifiers.iter().try_for_each(shm_types::Notifier::notify)?;
@@ -121,13 +121,14 @@ fn relay<M: Message>(
     Ok(())
 }
 
-/// Plays the simulator: answers a command with an observation.
+/// Plays the simulator: answers a command with a report and an observation.
 pub(crate) fn sim(arguments: &[String]) -> Result<()> {
     let bus = join(arguments, Role::Sim)?;
-    let observations = bus.sender()?;
+    let (reports, observations) = (bus.sender()?, bus.sender()?);
     observations.wait_for_receivers(PATIENCE)?;
     relay(&bus, Role::Memory, |commands| {
         for &StepCommand { episode, lane, step, .. } in commands {
+            reports.send(&StepReport { episode, lane, step, ..StepReport::zeroed() })?;
             observations.send(&Observation { episode, lane, step, ..Observation::zeroed() })?;
         }
         Ok(())

@@ -11,7 +11,7 @@ use iceoryx2::node::{Node, NodeBuilder};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{FileName, PortFactory as _, SemanticString, SignalHandlingMode, ipc};
-use shm_types::message::{Observation, Role, StepCommand};
+use shm_types::message::{Role, StepCommand, StepReport};
 use shm_types::process::SHARED_MEMORY;
 use shm_types::{Attach, Bus, Receiver, RunDir, Sender};
 
@@ -40,7 +40,7 @@ fn run(session: &BenchSession<'_>) -> Result<Vec<Measurement>> {
             .beside("iceoryx2 0.10", theirs)
             .target(Target::RatioAtMost(1.5))
             .parameter("bytes there", size_of::<StepCommand>())
-            .parameter("bytes back", size_of::<Observation>()),
+            .parameter("bytes back", size_of::<StepReport>()),
     ])
 }
 
@@ -76,13 +76,16 @@ fn poll<T>(mut look: impl FnMut() -> Result<Option<T>>) -> Result<T> {
     }
 }
 
+/// The kind of the command after which the other end ends.
+const LAST: u8 = u8::MAX;
+
 /// Round trips through our wire types with another process.
 fn wire(session: &BenchSession<'_>, batches: u32) -> Result<f64> {
     let run = RunDir::create(session.registry())?;
     let attach = Attach { participants: vec![Role::Sim], ..run.attach() };
     attach.write(run.path())?;
     let bus = Bus::join(attach, Role::Orchestrator)?;
-    let answers: Receiver<Observation> = bus.receiver()?;
+    let answers: Receiver<StepReport> = bus.receiver()?;
     let commands: Sender<StepCommand> = bus.sender()?;
     let other = BenchProcess::start(session, "wire-echo", &[run.path().display().to_string()])?;
     commands.wait_for_receivers(PATIENCE)?;
@@ -94,7 +97,7 @@ fn wire(session: &BenchSession<'_>, batches: u32) -> Result<f64> {
         ensure!(answer.episode == command.episode, "an answer to another message");
         Ok(())
     })?;
-    commands.send(&StepCommand { last: 1, ..command })?;
+    commands.send(&StepCommand { kind: LAST, ..command })?;
     other.finish()?;
     Ok(found)
 }
@@ -104,11 +107,11 @@ pub(crate) fn wire_echo(arguments: &[String]) -> Result<()> {
     let [folder] = arguments else { bail!("the run folder is missing") };
     let bus = Bus::join(Attach::read(Path::new(folder))?, Role::Sim)?;
     let commands: Receiver<StepCommand> = bus.receiver()?;
-    let answers: Sender<Observation> = bus.sender()?;
-    let mut answer = Observation::zeroed();
+    let answers: Sender<StepReport> = bus.sender()?;
+    let mut answer = StepReport::zeroed();
     loop {
         let command = poll(|| Ok(commands.next()?))?;
-        if command.last == 1 {
+        if command.kind == LAST {
             return Ok(());
         }
         answer.episode = command.episode;
@@ -119,7 +122,7 @@ pub(crate) fn wire_echo(arguments: &[String]) -> Result<()> {
 /// The ports of iceoryx2's ping-pong: services as its benchmark creates them.
 struct Raw {
     there: Publisher<ipc::Service, StepCommand, ()>,
-    back: Subscriber<ipc::Service, Observation, ()>,
+    back: Subscriber<ipc::Service, StepReport, ()>,
     _node: Node<ipc::Service>,
 }
 
@@ -177,7 +180,7 @@ fn iceoryx2(session: &BenchSession<'_>, batches: u32) -> Result<f64> {
     let _cleaner = Cleaner(&prefix);
     let node = raw_node(&prefix, session.registry())?;
     let (there, back) =
-        (raw_service!(node, "there", StepCommand), raw_service!(node, "back", Observation));
+        (raw_service!(node, "there", StepCommand), raw_service!(node, "back", StepReport));
     let raw = Raw {
         back: back.subscriber_builder().create().map_err(iceoryx2_error)?,
         there: there.publisher_builder().create().map_err(iceoryx2_error)?,
@@ -207,7 +210,7 @@ fn iceoryx2(session: &BenchSession<'_>, batches: u32) -> Result<f64> {
         ensure!(answer.episode == command.episode, "an answer to another message");
         Ok(())
     })?;
-    send(StepCommand { last: 1, ..command })?;
+    send(StepCommand { kind: LAST, ..command })?;
     other.finish()?;
     Ok(found)
 }
@@ -217,13 +220,13 @@ pub(crate) fn iceoryx2_echo(arguments: &[String]) -> Result<()> {
     let [prefix, folder] = arguments else { bail!("prefix and folder are missing") };
     let node = raw_node(prefix, Path::new(folder))?;
     let (there, back) =
-        (raw_service!(node, "there", StepCommand), raw_service!(node, "back", Observation));
+        (raw_service!(node, "there", StepCommand), raw_service!(node, "back", StepReport));
     let commands = there.subscriber_builder().create().map_err(iceoryx2_error)?;
     let answers = back.publisher_builder().create().map_err(iceoryx2_error)?;
-    let mut answer = Observation::zeroed();
+    let mut answer = StepReport::zeroed();
     loop {
         let command = poll(|| commands.receive().map_err(iceoryx2_error))?;
-        if command.last == 1 {
+        if command.kind == LAST {
             return Ok(());
         }
         answer.episode = command.episode;

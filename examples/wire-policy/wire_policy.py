@@ -13,7 +13,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION = 11
+WIRE_VERSION = 12
 ROLES = ("orchestrator", "sim", "memory", "policy", "external-memory")
 POLICY = ROLES.index("policy")
 FORWARD, TURN_LEFT, NO_ACTION = 0, 4, 255
@@ -54,9 +54,8 @@ ShutdownReport = struct("ShutdownReport", 48, """role: u32, external: u32, frame
     frames_evicted: u64, frames_received: u64, pixel_bytes_copied: u64, error_reports: u64""")
 PolicyEpisodeConfig = struct("PolicyEpisodeConfig", 264, """episode: u64, seed: u64, lane: u32, instruction_len: u32,
     repeat: u32, starts_as_demonstrated: u8, window: u8, demonstrated_elsewhere: u8, reserved: u8, instruction: u8 x 232""")
-Observation = struct("Observation", 72, """episode: u64, frame: u64, commanded_ns: u64, woken_ns: u64,
-    stepped_ns: u64, rendered_ns: u64, sent_ns: u64, lane: u32, step: u32, pose: WirePose, feedback: u8, action: u8,
-    last: u8, reserved: u8""")
+Observation = struct("Observation", 32, """episode: u64, frame: u64, lane: u32, step: u32, pose: WirePose,
+    feedback: u8, action: u8, last: u8, reserved: u8""")
 Recall = struct("Recall", 1064, """episode: u64, received_ns: u64, sent_ns: u64, lane: u32, step: u32, items_len: u32,
     steps_len: u32, items: RecalledItem x 8, steps: SegmentStep x 48""")
 Decision = struct("Decision", 272, """episode: u64, received_ns: u64, started_ns: u64, prompted_ns: u64, sent_ns: u64,
@@ -93,7 +92,7 @@ class Run:
         self.shutdown_reports = publisher(self.service("shutdown-report", ShutdownReport, 3 + self.memories, 1, "few"))
         subscribe = lambda *service: self.service(*service).subscriber_builder().create()
         self.configs = subscribe("policy-config", PolicyEpisodeConfig, 1, 1, "lanes")
-        self.observations = subscribe("observation", Observation, 1, 3, "lanes")
+        self.observations = subscribe("observation", Observation, 1, 2, "lanes")
         self.recalls = subscribe("recall", Recall, 1, 1, "lanes")
         self.stops = subscribe("stop", Stop, 1, 3 + self.memories, "few")
         self.evictions = subscribe("eviction", Eviction, 1, 2 + self.memories, "frames")

@@ -10,26 +10,26 @@ use shm_types::BankContent;
 use shm_types::banks::{BankDemonstration, BankStep};
 use shm_types::message::{FrameId, NO_ACTION, NO_FRAME};
 
-use domain::Pose;
-
 use crate::demonstrations::RememberedDemonstration;
 
-/// Where a view is seen from.
+/// Names a view by a step that shows it. Steps that are known to show the same have the same name: the first of them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Viewpoint {
-    /// The world variant.
-    pub variant: u32,
-    /// The pose.
-    pub pose: Pose,
+pub struct ViewId {
+    /// The sequence of an episode that was learned from; 0 for a demonstration of the book.
+    pub sequence: u64,
+    /// The index of the demonstration, or the position of the episode in its sequence.
+    pub number: u32,
+    /// The step.
+    pub step: u32,
 }
 
-/// Demonstrations, and where their views are seen from.
+/// Demonstrations, and their views.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct MemoryBank {
     /// The demonstrations, numbered from 0.
     pub demonstrations: Vec<Arc<RememberedDemonstration>>,
-    /// The viewpoints of those that the bank was made of, each once, sorted.
-    pub viewpoints: Vec<Viewpoint>,
+    /// The views of those that the bank was made of, each once, sorted.
+    pub view_ids: Vec<ViewId>,
 }
 
 /// What is known about a remembered view.
@@ -50,24 +50,23 @@ impl MemoryBank {
     ) -> Self {
         let demonstrations: Vec<Arc<RememberedDemonstration>> =
             demonstrations.into_iter().map(Into::into).collect();
-        let mut viewpoints: Vec<Viewpoint> =
-            demonstrations.iter().flat_map(|demonstration| demonstration.viewpoints()).collect();
-        viewpoints.sort_unstable();
-        viewpoints.dedup();
-        Self { demonstrations, viewpoints }
+        let mut view_ids: Vec<ViewId> =
+            demonstrations.iter().flat_map(|demonstration| demonstration.views.clone()).collect();
+        view_ids.sort_unstable();
+        view_ids.dedup();
+        Self { demonstrations, view_ids }
     }
 
     /// The steps of all demonstrations with what is known about their views. `None` while a view is not known.
     pub fn with_views(
         &self,
-        view: impl Fn(Viewpoint) -> Option<KnownView>,
+        view: impl Fn(ViewId) -> Option<KnownView>,
     ) -> Option<BankSteps<'_>> {
         let mut found = BankSteps::without_views(self);
         let mut embeddings = Embeddings::new();
-        let viewpoints =
-            self.demonstrations.iter().flat_map(|demonstration| demonstration.viewpoints());
-        for (at, viewpoint) in viewpoints.enumerate() {
-            let KnownView { frame, content, embedding } = view(viewpoint)?;
+        let views = self.demonstrations.iter().flat_map(|demonstration| &demonstration.views);
+        for (at, &view_id) in views.enumerate() {
+            let KnownView { frame, content, embedding } = view(view_id)?;
             found.frames.push(frame);
             found.steps[at].content_hash = content;
             if let Some(embedding) = embedding {
@@ -85,14 +84,14 @@ const PINNED_AT_ONCE: usize = 64;
 /// The views of a bank that is too large to be pinned as a whole.
 #[derive(Debug, Default)]
 pub(crate) struct Collecting {
-    pub(crate) found: HashMap<Viewpoint, KnownView>,
-    pub(crate) waiting: VecDeque<Viewpoint>,
-    pub(crate) pinned: Vec<Viewpoint>,
+    pub(crate) found: HashMap<ViewId, KnownView>,
+    pub(crate) waiting: VecDeque<ViewId>,
+    pub(crate) pinned: Vec<ViewId>,
 }
 
 impl Collecting {
     pub(crate) fn new(bank: &MemoryBank) -> Self {
-        let waiting = bank.viewpoints.iter().copied().collect();
+        let waiting = bank.view_ids.iter().copied().collect();
         Self { found: HashMap::new(), waiting, pinned: Vec::new() }
     }
 

@@ -4,13 +4,13 @@
 //! from them only: the book holds no test reference. A memory that learns also has the episodes that it learned from, in the
 //! form of demonstrations.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use case_book::{Demonstration, DemonstrationBook};
 use domain::{Action, Arm, Demonstrations, Feedback, Pose};
 
-use crate::bank::Viewpoint;
+use crate::bank::ViewId;
 
 /// A demonstration, or an episode that a memory has learned from.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -19,8 +19,6 @@ pub struct RememberedDemonstration {
     pub case: u32,
     /// Its [code](domain::DemonstrationKind); [`EXPERIENCE`](shm_types::message::EXPERIENCE) for an episode.
     pub number: u16,
-    /// The world variant in which it takes place.
-    pub variant: u32,
     /// Its task.
     pub instruction: String,
     /// The pose after `t` steps.
@@ -29,16 +27,13 @@ pub struct RememberedDemonstration {
     pub feedback: Vec<Feedback>,
     /// Sub-goals completed after `t` steps.
     pub stages: Vec<u32>,
+    /// The view after `t` steps.
+    pub views: Vec<ViewId>,
     /// Action `t` leads from pose `t` to pose `t + 1`: one fewer than poses. `None` where an agent has taken none.
     pub actions: Vec<Option<Action>>,
 }
 
 impl RememberedDemonstration {
-    /// Where its views are seen from.
-    pub fn viewpoints(&self) -> impl Iterator<Item = Viewpoint> + '_ {
-        self.poses.iter().map(|&pose| Viewpoint { variant: self.variant, pose })
-    }
-
     /// The steps at which sub-goals were completed.
     pub fn sub_goals(&self) -> Vec<u32> {
         let mut completed = 0;
@@ -50,27 +45,13 @@ impl RememberedDemonstration {
         steps
     }
 
-    /// Where the view of a step is seen from.
-    ///
-    /// # Panics
-    /// When there is no such step.
-    pub fn viewpoint(&self, step: u32) -> Viewpoint {
-        Viewpoint { variant: self.variant, pose: self.poses[step as usize] }
-    }
-}
-
-impl From<Demonstration> for RememberedDemonstration {
-    fn from(of: Demonstration) -> Self {
-        Self {
-            stages: of.stages(),
-            case: of.case,
-            number: of.kind as u16,
-            variant: of.variant,
-            instruction: of.instruction,
-            poses: of.poses,
-            feedback: of.feedback,
-            actions: of.actions.into_iter().map(Some).collect(),
-        }
+    /// The views of an episode that was learned from: of its steps in one pose, the first one's.
+    pub(crate) fn lived_views(sequence: u64, position: u32, poses: &[Pose]) -> Vec<ViewId> {
+        let mut first = HashMap::new();
+        let steps = (0..).zip(poses);
+        let view =
+            |(step, pose)| ViewId { sequence, number: position, step: *first.entry(pose).or_insert(step) };
+        steps.map(view).collect()
     }
 }
 
@@ -117,9 +98,31 @@ impl BankOrigin {
 impl DemonstrationLibrary {
     /// The demonstrations of `book`.
     pub fn new(mut book: DemonstrationBook) -> Self {
-        let demonstrations = std::mem::take(&mut book.demonstrations).into_iter();
-        let demonstrations = demonstrations.map(|of| Arc::new(of.into())).collect();
+        let mut first = HashMap::new();
+        let mut remembered = |(number, of): (u32, Demonstration)| {
+            let views = (0..).zip(&of.views).map(|(step, &view)| {
+                *first.entry(view).or_insert(ViewId { sequence: 0, number, step })
+            });
+            Arc::new(RememberedDemonstration {
+                case: of.case,
+                number: of.kind as u16,
+                views: views.collect(),
+                stages: of.stages(),
+                instruction: of.instruction,
+                poses: of.poses,
+                feedback: of.feedback,
+                actions: of.actions.into_iter().map(Some).collect(),
+            })
+        };
+        let demonstrations = (0..).zip(std::mem::take(&mut book.demonstrations));
+        let demonstrations = demonstrations.map(&mut remembered).collect();
         Self { book, demonstrations }
+    }
+
+    /// The pose in which a view of the book is seen.
+    #[cfg(test)]
+    pub(crate) fn pose(&self, view: ViewId) -> Pose {
+        self.demonstrations[view.number as usize].poses[view.step as usize]
     }
 
     /// The number of cases.
@@ -223,9 +226,9 @@ impl DemonstrationLibrary {
 #[cfg(test)]
 mod tests {
     use case_book::{BookRequest, ElsewhereRequest};
-    use domain::DemonstrationKind;
+    use domain::{DemonstrationKind, Heading};
     use warehouse::case_book::write_books;
-    use warehouse::{CaseSet, ELSEWHERE_VARIANT, Warehouse};
+    use warehouse::{CaseSet, Warehouse};
 
     use super::*;
 
@@ -261,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn a_demonstration_elsewhere_is_seen_in_the_other_warehouse() {
+    fn demonstrations_elsewhere_are_of_every_case() {
         let set = Demonstrations::ELSEWHERE;
         assert_eq!(library(None).of_case(0, set), None, "there is no other warehouse");
         let library = library(Some(ElsewhereRequest { assets: None, seed: 1 }));
@@ -270,9 +273,26 @@ mod tests {
         for (index, demonstration) in (0..).zip(&all) {
             assert_eq!(Some(&*demonstration.instruction), library.instruction(index));
             assert_eq!(demonstration.number, DemonstrationKind::Elsewhere as u16);
-            assert!(demonstration.viewpoints().all(|of| of.variant == ELSEWHERE_VARIANT));
+            assert_eq!(demonstration.views.len(), demonstration.poses.len());
             assert_eq!(library.of_case(index, set), Some(vec![demonstration.clone()]));
         }
+    }
+
+    #[test]
+    fn steps_that_show_the_same_have_one_name() {
+        let library = library(None);
+        let all = library.of_all_cases(Demonstrations::ALL).unwrap();
+        let states: Vec<_> = all.iter().flat_map(|of| of.poses.iter().zip(&of.views)).collect();
+        let mut of_pose = HashMap::new();
+        for (pose, view) in &states {
+            assert_eq!(of_pose.entry(pose).or_insert(view), &view, "all take place in one variant");
+        }
+        let views: HashSet<_> = of_pose.values().collect();
+        assert_eq!(views.len(), of_pose.len());
+        let [north, east] = [Heading::N, Heading::E].map(|heading| Pose::new(1, 1, heading));
+        let lived = RememberedDemonstration::lived_views(7, 3, &[north, east, north]);
+        let steps: Vec<_> = lived.iter().map(|of| (of.sequence, of.number, of.step)).collect();
+        assert_eq!(steps, [(7, 3, 0), (7, 3, 1), (7, 3, 0)]);
     }
 
     #[test]

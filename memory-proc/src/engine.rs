@@ -12,19 +12,20 @@ mod external;
 use std::collections::{BTreeMap, BTreeSet, HashSet, VecDeque};
 use std::sync::Arc;
 
-use crate::bank::Viewpoint;
-use crate::demonstrations::DemonstrationLibrary;
+use crate::bank::ViewId;
 use crate::embedded_views::EmbeddedViews;
 use crate::embedding_cache::{CacheError, EmbeddingCache};
 use crate::episode::{EpisodeMemory, MemoryEpisode, PendingObservation, PendingStage, Reason};
 use crate::external::{BankState, ExternalMemories, ToExternal, query_message};
 use crate::items::{Assembler, DocumentSupplier};
-use crate::sequences::{Bound, SequenceEpisode, SequenceMemories};
+use crate::sequences::{Binding, SequenceMemories};
 use crate::snapshots::SnapshotFolder;
 use crate::views::{Arrival, PinnedView};
+use crate::demonstrations::DemonstrationLibrary;
 use search::{ContentHash, Embedding};
 use shm_types::message::{
-    FrameId, MemoryEpisodeConfig, Observation, Recall, RecallTrace, SnapshotReport, ViewRequest,
+    FrameId, MemoryEpisodeConfig, Observation, Recall, RecallTrace, SnapshotReport, StepReport,
+    ViewRequest,
 };
 
 /// The lanes of a run. `I` is a source of a frame's pixels, which the engine passes on to the encoder.
@@ -49,6 +50,8 @@ pub struct Engine<I> {
 
 #[derive(Default)]
 struct EngineLane {
+    /// The reports of steps whose observations have not been taken, in order.
+    reports: VecDeque<StepReport>,
     /// The episode whose steps are observed.
     running: Option<MemoryEpisode>,
     /// The announced episode that has not begun.
@@ -78,8 +81,8 @@ pub(crate) enum LaneProgress {
     Learned(SnapshotReport),
     /// Its episode cannot go on.
     Failed(Reason),
-    /// There is none.
-    Gone,
+    /// There is none: its episode is over.
+    EpisodeOver,
 }
 
 impl<I: Clone> Engine<I> {
@@ -125,7 +128,7 @@ impl<I: Clone> Engine<I> {
                 config.episode
             ));
         }
-        let (needed, room) = (episode.viewpoints().len(), self.views.pinned.room());
+        let (needed, room) = (episode.view_ids().len(), self.views.pinned.room());
         if needed > room {
             return Err(format!(
                 "config of episode {}: its memory needs {needed} views and there is room for {room}: raise \
@@ -148,6 +151,19 @@ impl<I: Clone> Engine<I> {
         Ok(())
     }
 
+    /// Takes the report of a step, before its observation.
+    ///
+    /// # Errors
+    /// When there is no such lane.
+    pub fn step_report(&mut self, report: &StepReport) -> Result<(), String> {
+        let StepReport { lane, episode, .. } = *report;
+        let known = self.lanes.get_mut(lane as usize);
+        let known =
+            known.ok_or_else(|| format!("step report of episode {episode} in lane {lane}"))?;
+        known.reports.push_back(*report);
+        Ok(())
+    }
+
     /// Takes an observation. Returns its frame if the lane's memory uses the current view, which then has to be passed to
     /// [`Self::current_view`].
     ///
@@ -161,6 +177,13 @@ impl<I: Clone> Engine<I> {
         let unknown =
             || format!("observation of unknown episode {} in lane {}", seen.episode, seen.lane);
         let lane = self.lanes.get_mut(seen.lane as usize).ok_or_else(unknown)?;
+        let is_of_step = |report: &StepReport| (report.episode, report.step) == (seen.episode, seen.step);
+        // Those before it belong to observations that could not be used.
+        let report = lane.reports.iter().position(is_of_step);
+        let report = report.and_then(|at| lane.reports.drain(..=at).next_back());
+        let report = report.ok_or_else(|| {
+            format!("observation of episode {}, step {}, without a step report", seen.episode, seen.step)
+        })?;
         if let Some(next) = lane.next.take_if(|next| next.id == seen.episode)
             && let Some(abandoned) = lane.running.replace(next)
         {
@@ -170,13 +193,13 @@ impl<I: Clone> Engine<I> {
         let is_last = seen.last == 1;
         let done = running.take_if(|own| own.id == seen.episode && is_last && !own.learns());
         if let Some(mut done) = done {
-            self.pass_on_last(&mut done, seen);
+            self.pass_on_last(&mut done, seen, &report);
             self.close(done);
             return Ok(None);
         }
         let running = running.as_mut().filter(|running| running.id == seen.episode);
         let running = running.ok_or_else(unknown)?;
-        running.observe(seen)?;
+        running.observe(seen, &report)?;
         let stage = if is_last { PendingStage::Ended } else { PendingStage::New };
         running.pending = Some(PendingObservation { received_ns, content: None, stage });
         if running.embeds && !is_last {
@@ -187,10 +210,10 @@ impl<I: Clone> Engine<I> {
     }
 
     /// Passes on the last observation of an episode to its external memory, if that knows of the episode.
-    fn pass_on_last(&mut self, done: &mut MemoryEpisode, seen: &Observation) {
+    fn pass_on_last(&mut self, done: &mut MemoryEpisode, seen: &Observation, report: &StepReport) {
         let EpisodeMemory::External { index, begun: true, .. } = done.memory else { return };
         // What is wrong with the message changes nothing any more.
-        let _ = done.observe(seen);
+        let _ = done.observe(seen, report);
         if let Some(now) = &done.current {
             let query = query_message(done, now, None, true);
             self.externals.outbox.push((index, ToExternal::Query(query)));
@@ -214,22 +237,23 @@ impl<I: Clone> Engine<I> {
     /// When it was not requested.
     pub fn view(
         &mut self,
-        viewpoint: Viewpoint,
+        view_id: ViewId,
         frame: FrameId,
         content: ContentHash,
         image: I,
     ) -> Result<(), String> {
-        match self.views.pinned.arrived(viewpoint, PinnedView { frame, content, image }) {
+        match self.views.pinned.arrived(view_id, PinnedView { frame, content, image }) {
             Arrival::Needed { embedded: true } if self.views.embeddings.get(&content).is_none() => {
-                self.views.background.push_back(viewpoint);
+                self.views.background.push_back(view_id);
             }
             Arrival::Needed { .. } => {}
             // That leaves room for another.
             Arrival::Dismissed => self.admit(),
             Arrival::Unexpected => {
-                let Viewpoint { variant, pose } = viewpoint;
+                let ViewId { sequence, number, step } = view_id;
                 return Err(format!(
-                    "view of {pose} in variant {variant} as frame {frame}, which was not requested"
+                    "view of step {step} of demonstration {number} of sequence {sequence} as frame {frame}, which was \
+                     not requested"
                 ));
             }
         }
@@ -270,9 +294,9 @@ impl<I: Clone> Engine<I> {
                 return Some((content, image));
             }
         }
-        while let Some(viewpoint) = self.views.background.pop_front() {
+        while let Some(view_id) = self.views.background.pop_front() {
             let view =
-                self.views.pinned.get(viewpoint).map(|view| (view.content, view.image.clone()));
+                self.views.pinned.get(view_id).map(|view| (view.content, view.image.clone()));
             if let Some((content, image)) = view
                 && self.start_embedding(content)
             {
@@ -355,7 +379,7 @@ impl<I: Clone> Engine<I> {
                     }
                 }
                 LaneProgress::Failed(why) => self.fail(lane, why),
-                LaneProgress::Gone => {}
+                LaneProgress::EpisodeOver => {}
             }
         }
         self.admit();
@@ -369,73 +393,59 @@ impl<I: Clone> Engine<I> {
         clock: impl Fn() -> u64,
         documents: &mut dyn DocumentSupplier,
     ) -> anyhow::Result<LaneProgress> {
-        let Self { lanes, views, externals, sequences, library, .. } = self;
+        let running = self.lanes[lane as usize].running.as_ref();
         // The episode may have ended without an answer.
-        let Some(episode) = &mut lanes[lane as usize].running else {
-            return Ok(LaneProgress::Gone);
+        let Some(episode) = running.filter(|running| running.pending.is_some()) else {
+            return Ok(LaneProgress::EpisodeOver);
         };
-        let is_new = |part: &SequenceEpisode| !part.begun;
-        if episode.pending.is_some() && episode.stream.as_ref().is_some_and(is_new) {
-            let mut bound = sequences.bind(episode, library, documents, (externals, clock()))?;
-            if let Bound::Waiting = bound {
+        if episode.stream.as_ref().is_some_and(|part| !part.begun) {
+            match self.bind(lane, clock(), documents)? {
+                Binding::Ready => {}
+                Binding::Waiting => return Ok(LaneProgress::Waiting),
+                Binding::Refused(reason) => return Ok(LaneProgress::Failed(reason)),
+            }
+        }
+        let Self { lanes, views, externals, sequences, .. } = self;
+        let Some(episode) = &mut lanes[lane as usize].running else {
+            return Ok(LaneProgress::EpisodeOver);
+        };
+        match episode.pending.as_ref().map(|pending| &pending.stage) {
+            None => Ok(LaneProgress::EpisodeOver),
+            Some(PendingStage::Ended | PendingStage::Saving) => {
+                Ok(learn(episode, sequences, (externals, clock())))
+            }
+            Some(&PendingStage::Asked { since_ns }) => {
+                Ok(externals.wait(episode, since_ns, clock()))
+            }
+            Some(PendingStage::Answered(_)) => supply(episode, views, clock, documents),
+            Some(PendingStage::New) => {
+                match ask(episode, views, (sequences, externals), &clock, documents)? {
+                    Some(progress) => Ok(progress),
+                    None => supply(episode, views, clock, documents),
+                }
+            }
+        }
+    }
+
+    /// Gives the episode of a lane the memory of its sequence.
+    fn bind(
+        &mut self,
+        lane: u32,
+        now_ns: u64,
+        documents: &mut dyn DocumentSupplier,
+    ) -> anyhow::Result<Binding> {
+        let Self { lanes, views, externals, sequences, library, .. } = self;
+        let Some(episode) = &mut lanes[lane as usize].running else { return Ok(Binding::Waiting) };
+        match sequences.bind(episode, library, documents, (externals, now_ns))? {
+            Binding::Waiting => {
                 for collecting in sequences.unfinished_banks() {
                     views.collect(collecting, true);
                 }
                 // All views may be those of another bank.
-                bound = sequences.bind(episode, library, documents, (externals, clock()))?;
+                sequences.bind(episode, library, documents, (externals, now_ns))
             }
-            match bound {
-                Bound::Yes => {}
-                Bound::Waiting => return Ok(LaneProgress::Waiting),
-                Bound::Failed(why) => return Ok(LaneProgress::Failed(why)),
-            }
+            binding => Ok(binding),
         }
-        let Some(pending) = &episode.pending else { return Ok(LaneProgress::Gone) };
-        match pending.stage {
-            PendingStage::Ended | PendingStage::Saving => {
-                return Ok(match sequences.learn(episode, (externals, clock())) {
-                    Ok(Some(report)) => LaneProgress::Learned(report),
-                    Ok(None) => {
-                        if let Some(pending) = &mut episode.pending {
-                            pending.stage = PendingStage::Saving;
-                        }
-                        LaneProgress::Waiting
-                    }
-                    Err(why) => LaneProgress::Failed(why),
-                });
-            }
-            PendingStage::Answered(_) => {}
-            PendingStage::Asked { since_ns } => {
-                return Ok(externals.wait(episode, since_ns, clock()));
-            }
-            PendingStage::New => {
-                let embedding = pending.content.map(|content| views.embeddings.get(&content));
-                if embedding == Some(None) || !episode.admitted {
-                    return Ok(LaneProgress::Waiting);
-                }
-                let embedding = embedding.flatten();
-                if episode.external().is_some() {
-                    return Ok(externals.ask(episode, embedding, clock()));
-                }
-                let mut ready = episode.ready;
-                let is_ready = views.are_known(episode.viewpoints(), &mut ready, episode.embeds);
-                episode.ready = ready;
-                if !is_ready {
-                    return Ok(LaneProgress::Waiting);
-                }
-                let embeds = episode.embeds;
-                let view = |viewpoint| views.known(viewpoint, embeds);
-                let shared = episode.stream.as_ref().map(|part| sequences.of(part.sequence));
-                if let Some(None) = shared {
-                    return Ok(LaneProgress::Failed("its memory is gone".into()));
-                }
-                let shared = shared.flatten();
-                let answer = episode.ask_built_in(shared, embedding, view, documents, &clock)?;
-                let Some(pending) = &mut episode.pending else { return Ok(LaneProgress::Gone) };
-                pending.stage = PendingStage::Answered(Box::new(answer));
-            }
-        }
-        supply(episode, views, clock, documents)
     }
 
     /// Gets the banks of external memories as far as they can get now.
@@ -455,7 +465,7 @@ impl<I: Clone> Engine<I> {
             let Self { externals, views, .. } = self;
             let limit = externals.limits.build;
             let Some(bank) = externals.banks.get_mut(&id) else { continue };
-            let (wanted, embeds, viewpoints) = (bank.users > 0, bank.embeds, &bank.bank.viewpoints);
+            let (wanted, embeds, view_ids) = (bank.users > 0, bank.embeds, &bank.bank.view_ids);
             match &mut bank.state {
                 BankState::Building { since_ns, .. } => {
                     if clock().saturating_sub(*since_ns) > limit.as_nanos() as u64 {
@@ -470,17 +480,17 @@ impl<I: Clone> Engine<I> {
                 BankState::Waiting { ready } if wanted => {
                     if !bank.pins_bank {
                         externals.publish(id, |_| None, clock());
-                    } else if views.are_known(viewpoints, ready, embeds) {
+                    } else if views.are_known(view_ids, ready, embeds) {
                         // Pinned until it is built, whatever becomes of the episodes.
-                        views.pinned.try_pin(viewpoints, embeds);
-                        externals.publish(id, |viewpoint| views.known(viewpoint, embeds), clock());
+                        views.pinned.try_pin(view_ids, embeds);
+                        externals.publish(id, |view_id| views.known(view_id, embeds), clock());
                     }
                 }
                 BankState::Collecting(collecting) => {
                     views.collect(collecting, wanted);
                     if collecting.is_complete() {
                         let found = std::mem::take(&mut collecting.found);
-                        externals.publish(id, |viewpoint| found.get(&viewpoint).cloned(), clock());
+                        externals.publish(id, |view_id| found.get(&view_id).cloned(), clock());
                     }
                 }
                 BankState::Waiting { .. } | BankState::Ready { .. } | BankState::Failed(_) => {}
@@ -491,7 +501,7 @@ impl<I: Clone> Engine<I> {
     /// Ends the building of a bank.
     fn finish_bank(&mut self, id: u64, outcome: Result<u64, Reason>) {
         if let Some(bank) = self.externals.finish(id, outcome) {
-            self.views.pinned.release(&bank.viewpoints);
+            self.views.pinned.release(&bank.view_ids);
             self.admit();
         }
     }
@@ -507,7 +517,7 @@ impl<I: Clone> Engine<I> {
             let lane = &mut self.lanes[lane as usize];
             let mut episodes = [&mut lane.running, &mut lane.next].into_iter().flatten();
             if let Some(episode) = episodes.find(|episode| episode.id == id) {
-                if !self.views.try_pin(episode.viewpoints(), episode.embeds) {
+                if !self.views.try_pin(episode.view_ids(), episode.embeds) {
                     return;
                 }
                 episode.admitted = true;
@@ -519,7 +529,7 @@ impl<I: Clone> Engine<I> {
     /// Drops an episode that has left its lane.
     fn close(&mut self, episode: MemoryEpisode) {
         if episode.admitted {
-            self.views.pinned.release(episode.viewpoints());
+            self.views.pinned.release(episode.view_ids());
         }
         self.views.pinned.release(&episode.recalled);
         self.sequences.release(&episode);
@@ -528,6 +538,63 @@ impl<I: Clone> Engine<I> {
         }
         self.admit();
     }
+}
+
+/// Has the memory of an episode that is over learn from it.
+fn learn(
+    episode: &mut MemoryEpisode,
+    sequences: &mut SequenceMemories,
+    externals: (&mut ExternalMemories, u64),
+) -> LaneProgress {
+    match sequences.learn(episode, externals) {
+        Ok(Some(report)) => LaneProgress::Learned(report),
+        Ok(None) => {
+            if let Some(pending) = &mut episode.pending {
+                pending.stage = PendingStage::Saving;
+            }
+            LaneProgress::Waiting
+        }
+        Err(reason) => LaneProgress::Failed(reason),
+    }
+}
+
+/// Asks the memory of an episode about its pending observation, once everything that it needs is there. `None` when it has
+/// answered.
+///
+/// # Errors
+/// When a document is missing, or a built-in memory cannot be built or fails.
+fn ask<I: Clone>(
+    episode: &mut MemoryEpisode,
+    views: &EmbeddedViews<I>,
+    (sequences, externals): (&mut SequenceMemories, &mut ExternalMemories),
+    clock: &impl Fn() -> u64,
+    documents: &mut dyn DocumentSupplier,
+) -> anyhow::Result<Option<LaneProgress>> {
+    let content = episode.pending.as_ref().and_then(|pending| pending.content);
+    let embedding = content.and_then(|content| views.embeddings.get(&content));
+    let is_embedded = content.is_none() || embedding.is_some();
+    if !is_embedded || !episode.admitted {
+        return Ok(Some(LaneProgress::Waiting));
+    }
+    if episode.external().is_some() {
+        return Ok(Some(externals.ask(episode, embedding, clock())));
+    }
+    let (mut ready, embeds) = (episode.ready, episode.embeds);
+    let is_ready = views.are_known(episode.view_ids(), &mut ready, embeds);
+    episode.ready = ready;
+    if !is_ready {
+        return Ok(Some(LaneProgress::Waiting));
+    }
+    let shared = match episode.stream.as_ref().map(|part| sequences.of(part.sequence)) {
+        Some(None) => return Ok(Some(LaneProgress::Failed("its memory is gone".into()))),
+        shared => shared.flatten(),
+    };
+    let view = |view_id| views.known(view_id, embeds);
+    let answer = episode.ask_built_in(shared, embedding, view, documents, clock)?;
+    if let Some(pending) = &mut episode.pending {
+        pending.stage = PendingStage::Answered(Box::new(answer));
+    }
+    Ok(None)
 }
 
 /// Puts the recall for the answer to an episode's pending observation together, once the views that it names are resident.
@@ -540,13 +607,13 @@ fn supply<I: Clone>(
     clock: impl Fn() -> u64,
     documents: &mut dyn DocumentSupplier,
 ) -> anyhow::Result<LaneProgress> {
-    let Some(mut pending) = episode.pending.take() else { return Ok(LaneProgress::Gone) };
-    let PendingStage::Answered(answer) = &mut pending.stage else { return Ok(LaneProgress::Gone) };
+    let Some(mut pending) = episode.pending.take() else { return Ok(LaneProgress::EpisodeOver) };
+    let PendingStage::Answered(answer) = &mut pending.stage else { return Ok(LaneProgress::EpisodeOver) };
     let is_known = episode.last.as_ref().is_some_and(|last| Arc::ptr_eq(&last.0, &answer.checked));
     if !is_known {
-        let viewpoints = &answer.checked.viewpoints;
+        let view_ids = &answer.checked.view_ids;
         if !episode.pins_bank && !answer.pinned {
-            let (needed, room) = (viewpoints.len(), views.pinned.room());
+            let (needed, room) = (view_ids.len(), views.pinned.room());
             if needed > room {
                 episode.pending = Some(pending);
                 let why = format!(
@@ -555,20 +622,20 @@ fn supply<I: Clone>(
                 );
                 return Ok(LaneProgress::Failed(why.into()));
             }
-            let mut is_pinned = views.try_pin(viewpoints, false);
+            let mut is_pinned = views.try_pin(view_ids, false);
             let earlier = std::mem::take(&mut episode.recalled);
             views.pinned.release(&earlier);
             if !is_pinned {
                 episode.last = None;
-                is_pinned = views.try_pin(viewpoints, false);
+                is_pinned = views.try_pin(view_ids, false);
             }
             if is_pinned {
-                episode.recalled.clone_from(viewpoints);
+                episode.recalled.clone_from(view_ids);
                 answer.pinned = true;
             }
         }
         let is_resident = (episode.pins_bank || answer.pinned)
-            && viewpoints.iter().all(|&viewpoint| views.pinned.get(viewpoint).is_some());
+            && view_ids.iter().all(|&view_id| views.pinned.get(view_id).is_some());
         if !is_resident {
             episode.pending = Some(pending);
             return Ok(LaneProgress::Waiting);
@@ -579,11 +646,11 @@ fn supply<I: Clone>(
             texts: &mut episode.texts,
             documents,
         };
-        let frame = |viewpoint| views.pinned.get(viewpoint).map(|view| view.frame);
+        let frame = |view_id| views.pinned.get(view_id).map(|view| view.frame);
         let assembled = assembler.assemble(&answer.checked, frame)?;
         episode.last = Some((answer.checked.clone(), assembled));
     }
-    let Some((_, assembled)) = &episode.last else { return Ok(LaneProgress::Gone) };
+    let Some((_, assembled)) = &episode.last else { return Ok(LaneProgress::EpisodeOver) };
     let messages = episode.messages(pending.received_ns, answer, assembled, clock());
     Ok(LaneProgress::Answered(Box::new(messages)))
 }

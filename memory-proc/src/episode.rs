@@ -11,11 +11,11 @@ use domain::{
 use peer::memory::{Memory, MemoryItem, Query, Step};
 use search::{ContentHash, Embedding};
 use shm_types::message::{
-    EXPERIENCE, EXTERNAL, FrameId, MAX_ITEMS, MAX_SEGMENT, MemoryEpisodeConfig, NO_ACTION,
-    NO_FRAME, NOT_MEASURED, Observation, Recall, RecallTrace, TASK_COMPLETE,
+    EXPERIENCE, EXTERNAL, EpisodeEnd, FrameId, MAX_ITEMS, MAX_SEGMENT, MemoryEpisodeConfig, NO_ACTION,
+    NO_FRAME, NOT_MEASURED, Observation, Recall, RecallTrace, StepReport,
 };
 
-use crate::bank::{BankSteps, KnownView, MemoryBank, Viewpoint};
+use crate::bank::{BankSteps, KnownView, MemoryBank, ViewId};
 use crate::demonstrations::{BankOrigin, DemonstrationLibrary, RememberedDemonstration};
 use crate::items::{AssembledRecall, Budgets, CheckedAnswer, DocumentSupplier, PublishedTexts};
 use crate::representation::{MemorySettings, built_in};
@@ -111,7 +111,7 @@ pub(crate) struct MemoryEpisode {
     /// The first so many views of a pinned bank are ready.
     pub(crate) ready: usize,
     /// Views that are pinned for the last recall.
-    pub(crate) recalled: Vec<Viewpoint>,
+    pub(crate) recalled: Vec<ViewId>,
     pub(crate) budgets: Budgets,
     pub(crate) seed: u64,
     pub(crate) repeat: u32,
@@ -221,12 +221,16 @@ impl MemoryEpisode {
     }
 
     /// The views that have to be resident while the episode runs.
-    pub(crate) fn viewpoints(&self) -> &[Viewpoint] {
-        if self.pins_bank { &self.bank.viewpoints } else { &[] }
+    pub(crate) fn view_ids(&self) -> &[ViewId] {
+        if self.pins_bank { &self.bank.view_ids } else { &[] }
     }
 
-    /// Checks and takes the next observation.
-    pub(crate) fn observe(&mut self, seen: &Observation) -> Result<(), String> {
+    /// Checks and takes the next observation, with the report of its step.
+    pub(crate) fn observe(
+        &mut self,
+        seen: &Observation,
+        report: &StepReport,
+    ) -> Result<(), String> {
         let Observation { episode, step, frame, .. } = *seen;
         let broken =
             |what: String| format!("observation of episode {episode}, step {step}: {what}");
@@ -244,7 +248,7 @@ impl MemoryEpisode {
         if step != expected {
             return Err(broken(format!("expected step {expected}")));
         }
-        let stage = u32::from(seen.progress & !TASK_COMPLETE);
+        let stage = u32::from(report.sub_goals);
         let recording = self.stream.as_mut().and_then(|part| part.recording.as_mut());
         if let Some(Recording { lived, is_complete }) = recording {
             lived.poses.push(pose);
@@ -253,7 +257,7 @@ impl MemoryEpisode {
             if step > 0 {
                 lived.actions.push(action);
             }
-            *is_complete = seen.progress & TASK_COMPLETE != 0;
+            *is_complete = report.ended == EpisodeEnd::Complete as u8;
         }
         self.current = Some(CurrentStep { step, pose, feedback, action, frame, stage });
         Ok(())
@@ -269,7 +273,7 @@ impl MemoryEpisode {
         &mut self,
         shared: Option<&mut SequenceMemory>,
         embedding: Option<&Embedding>,
-        view: impl Fn(Viewpoint) -> Option<KnownView>,
+        view: impl Fn(ViewId) -> Option<KnownView>,
         documents: &mut dyn DocumentSupplier,
         clock: impl Fn() -> u64,
     ) -> anyhow::Result<MemoryAnswer> {
@@ -477,7 +481,6 @@ fn stream_part(
             lived: RememberedDemonstration {
                 case: config.position,
                 number: EXPERIENCE,
-                variant: config.variant,
                 instruction: instruction.to_owned(),
                 ..RememberedDemonstration::default()
             },

@@ -20,7 +20,7 @@ use shm_types::message::{
 };
 use shm_types::{BankContent, MemoryDescription, Note, NoteTooLong};
 
-use crate::bank::{BankSteps, Collecting, KnownView, MemoryBank, Viewpoint};
+use crate::bank::{BankSteps, Collecting, KnownView, MemoryBank, ViewId};
 use crate::demonstrations::DemonstrationLibrary;
 use crate::engine::LaneProgress;
 use crate::episode::{
@@ -269,7 +269,7 @@ impl ExternalMemories {
     pub(crate) fn publish(
         &mut self,
         id: u64,
-        view: impl Fn(Viewpoint) -> Option<KnownView>,
+        view: impl Fn(ViewId) -> Option<KnownView>,
         now_ns: u64,
     ) {
         let Some(bank) = self.banks.get_mut(&id) else { return };
@@ -472,7 +472,7 @@ impl ExternalMemories {
         now_ns: u64,
     ) -> LaneProgress {
         let EpisodeMemory::External { index, bank: id, begun } = episode.memory else {
-            return LaneProgress::Gone;
+            return LaneProgress::EpisodeOver;
         };
         match self.is_built(id) {
             Ok(true) => {}
@@ -484,7 +484,7 @@ impl ExternalMemories {
             episode.memory = EpisodeMemory::External { index, bank: id, begun: true };
         }
         let (Some(now), Some(pending)) = (&episode.current, &episode.pending) else {
-            return LaneProgress::Gone;
+            return LaneProgress::EpisodeOver;
         };
         let query = query_message(episode, now, embedding, false);
         self.outbox.push((index, ToExternal::Query(query)));
@@ -518,7 +518,7 @@ impl ExternalMemories {
     /// Waits for the answer to the question of `since_ns`, as long as the time limit allows.
     pub(crate) fn wait(&self, episode: &MemoryEpisode, since_ns: u64, now_ns: u64) -> LaneProgress {
         let limit = self.limits.answer;
-        let Some((index, _)) = episode.external() else { return LaneProgress::Gone };
+        let Some((index, _)) = episode.external() else { return LaneProgress::EpisodeOver };
         let since_ns = self.last_busy_ns.get(&index).map_or(since_ns, |last| since_ns.max(*last));
         if u128::from(now_ns.saturating_sub(since_ns)) <= limit.as_nanos() {
             return LaneProgress::Waiting;

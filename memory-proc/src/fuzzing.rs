@@ -21,7 +21,7 @@ pub fn answered_items(answer: &ExternalAnswer, note: &[u8]) -> Result<Vec<Memory
 pub fn experiences(text: &[u8]) -> Result<Vec<RememberedDemonstration>, String> {
     let experiences: Vec<StoredExperience> =
         serde_json::from_slice(text).map_err(|error| error.to_string())?;
-    let lived = experiences.into_iter().map(StoredExperience::lived);
+    let lived = experiences.into_iter().map(|stored| stored.lived(1));
     lived.collect::<Option<_>>().ok_or_else(|| "an episode has parts that do not fit".to_owned())
 }
 

@@ -15,7 +15,7 @@ use shm_types::message::{
     NO_DOCUMENT, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, TrajectoryStep,
 };
 
-use crate::bank::{MemoryBank, Viewpoint};
+use crate::bank::{MemoryBank, ViewId};
 use crate::demonstrations::RememberedDemonstration;
 
 /// Publishes the documents that recalls name.
@@ -71,8 +71,8 @@ pub struct CheckedAnswer {
     pub asked: Amount,
     /// What is supplied.
     pub supplied: Amount,
-    /// Where the views that are supplied are seen from, each once.
-    pub viewpoints: Vec<Viewpoint>,
+    /// The views that are supplied, each once.
+    pub view_ids: Vec<ViewId>,
 }
 
 /// One item of a recall: the memory's items with these numbers. Several only if they are whole demonstrations that the
@@ -102,7 +102,7 @@ impl CheckedAnswer {
             return Err(format!("it has {sources} sources, and at most {MAX_SOURCES} are allowed"));
         }
         let (mut asked, mut supplied) = (Amount::default(), Amount::default());
-        let (mut kept, mut viewpoints) = (Vec::new(), Vec::new());
+        let (mut kept, mut view_ids) = (Vec::new(), Vec::new());
         for (number, item) in given.iter().enumerate() {
             let Amount { images, text, .. } = amount(item);
             asked.items += 1;
@@ -115,17 +115,17 @@ impl CheckedAnswer {
                 supplied.images += images;
                 supplied.text += text;
                 kept.push(number);
-                viewpoints.extend(views(item, bank));
+                view_ids.extend(views(item, bank));
             }
         }
-        viewpoints.sort_unstable();
-        viewpoints.dedup();
+        view_ids.sort_unstable();
+        view_ids.dedup();
         let parts = parts(&given, &kept, bank);
         if parts.len() > MAX_ITEMS {
             let count = parts.len();
             return Err(format!("it has {count} items, and at most {MAX_ITEMS} are allowed"));
         }
-        Ok(Self { given, parts, asked, supplied, viewpoints })
+        Ok(Self { given, parts, asked, supplied, view_ids })
     }
 
     /// Whether a memory gave just these items.
@@ -255,9 +255,9 @@ fn amount(item: &MemoryItem) -> Amount {
     Amount { items: 1, images: short(images), text: short(text) }
 }
 
-/// Where the views that a checked item shows are seen from.
-fn views(item: &MemoryItem, bank: &MemoryBank) -> Vec<Viewpoint> {
-    let at = |of: u32, step: u32| bank.demonstrations[of as usize].viewpoint(step);
+/// The views that a checked item shows.
+fn views(item: &MemoryItem, bank: &MemoryBank) -> Vec<ViewId> {
+    let at = |of: u32, step: u32| bank.demonstrations[of as usize].views[step as usize];
     match item {
         MemoryItem::Text { .. } | MemoryItem::Steps { views: Views::None, .. } => Vec::new(),
         MemoryItem::Steps { source, views: Views::All, .. } => {
@@ -311,7 +311,7 @@ impl Assembler<'_> {
     pub fn assemble(
         &mut self,
         answer: &CheckedAnswer,
-        frame: impl Fn(Viewpoint) -> Option<FrameId>,
+        frame: impl Fn(ViewId) -> Option<FrameId>,
     ) -> anyhow::Result<AssembledRecall> {
         self.publish_texts(answer)?;
         let trajectories = self.publish_trajectories(answer, &frame)?;
@@ -391,7 +391,7 @@ impl Assembler<'_> {
     fn publish_trajectories(
         &mut self,
         answer: &CheckedAnswer,
-        frame: &impl Fn(Viewpoint) -> Option<FrameId>,
+        frame: &impl Fn(ViewId) -> Option<FrameId>,
     ) -> anyhow::Result<DocumentId> {
         let long = answer.parts.iter().filter(|part| part.kind == ItemKind::Trajectory);
         let mut steps = Vec::new();
@@ -415,7 +415,7 @@ impl Assembler<'_> {
     fn steps(
         &self,
         item: &MemoryItem,
-        frame: &impl Fn(Viewpoint) -> Option<FrameId>,
+        frame: &impl Fn(ViewId) -> Option<FrameId>,
     ) -> Vec<SegmentStep> {
         let (source, views, actions) = match item {
             MemoryItem::Text { .. } => return Vec::new(),
@@ -433,7 +433,7 @@ impl Assembler<'_> {
                 Views::All => true,
                 Views::Keyframes(shown) => shown.binary_search(&at).is_ok(),
             };
-            let view = is_shown.then(|| frame(demonstration.viewpoint(at))).flatten();
+            let view = is_shown.then(|| frame(demonstration.views[at as usize])).flatten();
             let action = demonstration.actions.get(at as usize).copied().flatten();
             let action = action.filter(|_| actions && at < last);
             SegmentStep {

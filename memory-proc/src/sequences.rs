@@ -14,6 +14,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::task::Poll;
 
 use anyhow::Context;
 use bytemuck::Zeroable;
@@ -64,7 +65,6 @@ pub(crate) struct Recording {
 #[serde(deny_unknown_fields)]
 pub(crate) struct StoredExperience {
     position: u32,
-    variant: u32,
     instruction: String,
     poses: Vec<Pose>,
     /// The codes of the feedback.
@@ -84,7 +84,6 @@ impl StoredExperience {
         let letter = |action: &Option<Action>| action.map_or(NO_LETTER, Action::letter);
         Self {
             position: lived.case,
-            variant: lived.variant,
             instruction: lived.instruction.clone(),
             poses: lived.poses.clone(),
             feedback: lived.feedback.iter().map(|feedback| *feedback as u8).collect(),
@@ -93,8 +92,8 @@ impl StoredExperience {
         }
     }
 
-    /// The episode; `None` if its parts do not belong together.
-    pub(crate) fn lived(self) -> Option<RememberedDemonstration> {
+    /// The episode, of this sequence; `None` if its parts do not belong together.
+    pub(crate) fn lived(self, sequence: u64) -> Option<RememberedDemonstration> {
         let action = |letter| match letter {
             NO_LETTER => Some(None),
             letter => Action::from_letter(letter).map(Some),
@@ -104,7 +103,7 @@ impl StoredExperience {
         let lived = RememberedDemonstration {
             case: self.position,
             number: EXPERIENCE,
-            variant: self.variant,
+            views: RememberedDemonstration::lived_views(sequence, self.position, &self.poses),
             stages: (0..self.poses.len() as u32).map(stage).collect(),
             feedback: feedback.collect::<Option<_>>()?,
             actions: self.actions.chars().map(action).collect::<Option<_>>()?,
@@ -168,13 +167,13 @@ impl KeptMemory {
 }
 
 /// Whether an episode has its memory.
-pub(crate) enum Bound {
+pub(crate) enum Binding {
     /// It has.
-    Yes,
-    /// Views of the bank are not known yet.
+    Ready,
+    /// Views of the bank are not known yet, or an external memory is being built.
     Waiting,
     /// It cannot have it.
-    Failed(Reason),
+    Refused(Reason),
 }
 
 /// The memories of the sequences that run, and the banks of their streams.
@@ -238,9 +237,9 @@ impl SequenceMemories {
         library: &DemonstrationLibrary,
         documents: &mut dyn DocumentSupplier,
         (externals, now_ns): (&mut ExternalMemories, u64),
-    ) -> anyhow::Result<Bound> {
+    ) -> anyhow::Result<Binding> {
         let Some(part) = &mut episode.stream else {
-            return Ok(Bound::Failed("it is no part of a stream".into()));
+            return Ok(Binding::Refused("it is no part of a stream".into()));
         };
         let sequence = part.sequence;
         let is_usable = |memory: &SequenceMemory| {
@@ -252,16 +251,16 @@ impl SequenceMemories {
             self.drop_memory(sequence);
             let of = (&episode.memory, episode.embeds);
             match self.create(part, of, library, documents, (&mut *externals, now_ns))? {
-                Ok(Some(memory)) => {
+                Poll::Ready(Ok(memory)) => {
                     drop(self.memories.insert(sequence, memory));
                     // Its episode may be given up before it begins: it can be dropped from now on.
                     self.note_use(sequence);
                 }
-                Ok(None) => return Ok(Bound::Waiting),
-                Err(why) => return Ok(Bound::Failed(why.into())),
+                Poll::Ready(Err(reason)) => return Ok(Binding::Refused(reason.into())),
+                Poll::Pending => return Ok(Binding::Waiting),
             }
         }
-        let Some(known) = self.memories.get_mut(&sequence) else { return Ok(Bound::Waiting) };
+        let Some(known) = self.memories.get_mut(&sequence) else { return Ok(Binding::Waiting) };
         let learns = part.recording.is_some();
         match (&mut known.memory, &mut episode.memory) {
             (KeptMemory::BuiltIn(memory), _) => memory.begin_episode(&Episode {
@@ -277,14 +276,14 @@ impl SequenceMemories {
             (KeptMemory::External { bank: id, to_load }, EpisodeMemory::External { bank, .. }) => {
                 match is_loaded(*id, to_load, externals, now_ns) {
                     Ok(true) => *bank = *id,
-                    Ok(false) => return Ok(Bound::Waiting),
+                    Ok(false) => return Ok(Binding::Waiting),
                     Err(why) => {
                         self.drop_memory(sequence);
-                        return Ok(Bound::Failed(why));
+                        return Ok(Binding::Refused(why));
                     }
                 }
             }
-            _ => return Ok(Bound::Failed("its sequence has another memory".into())),
+            _ => return Ok(Binding::Refused("its sequence has another memory".into())),
         }
         known.users.insert(episode.id);
         known.learning = learns.then_some(episode.id);
@@ -292,7 +291,7 @@ impl SequenceMemories {
         episode.bank = known.bank.clone();
         self.note_use(sequence);
         self.drop_unused();
-        Ok(Bound::Yes)
+        Ok(Binding::Ready)
     }
 
     /// Makes the memory of `sequence` the one that was used last.
@@ -317,8 +316,8 @@ impl SequenceMemories {
         }
     }
 
-    /// The memory of a sequence as its snapshot has it; an external one is built and loads on its own. `Ok(Ok(None))` while
-    /// views of its bank are not known.
+    /// The memory of a sequence as its snapshot has it, or why there is none; an external one is built and loads on its own.
+    /// Pending while views of its bank are not known.
     fn create(
         &mut self,
         part: &SequenceEpisode,
@@ -326,13 +325,13 @@ impl SequenceMemories {
         library: &DemonstrationLibrary,
         documents: &mut dyn DocumentSupplier,
         (externals, now_ns): (&mut ExternalMemories, u64),
-    ) -> anyhow::Result<Result<Option<SequenceMemory>, String>> {
+    ) -> anyhow::Result<Poll<Result<SequenceMemory, String>>> {
         let known = match self.bank(part.origin, embeds, library) {
             Ok(known) => known,
-            Err(why) => return Ok(Err(why)),
+            Err(reason) => return Ok(Poll::Ready(Err(reason))),
         };
         if !known.collecting.is_complete() {
-            return Ok(Ok(None));
+            return Ok(Poll::Pending);
         }
         let steps = known.steps(embeds).context("a view of the bank is missing")?;
         let memory = match memory {
@@ -356,7 +355,7 @@ impl SequenceMemories {
         if let (Err(_), KeptMemory::External { bank, .. }) = (&loaded, &made.memory) {
             self.dropped.push(*bank);
         }
-        Ok(loaded.map(|()| Some(made)))
+        Ok(Poll::Ready(loaded.map(|()| made)))
     }
 
     /// The bank of a stream.
@@ -480,8 +479,11 @@ impl SequenceMemory {
                         .then_some(recording.is_complete),
                     sub_goals: (part.feedback == FeedbackLevel::SubGoals).then_some(&sub_goals),
                 };
-                let lived = Arc::new(recording.lived.clone());
-                Arc::make_mut(&mut self.bank).demonstrations.push(lived);
+                let lived = &recording.lived;
+                let views =
+                    RememberedDemonstration::lived_views(part.sequence, lived.case, &lived.poses);
+                let lived = RememberedDemonstration { views, ..lived.clone() };
+                Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(lived));
                 let own = self.begin_snapshot(folder, part.sequence)?;
                 match &mut self.memory {
                     KeptMemory::BuiltIn(memory) => {
@@ -540,7 +542,7 @@ impl SequenceMemory {
         let found = folder.find(part.sequence, part.snapshot)?;
         let failed = |what: String| format!("snapshot {}: {what}", found.display());
         for (number, stored) in read_experiences(&found).map_err(&failed)?.into_iter().enumerate() {
-            let lived = stored.lived().ok_or_else(|| {
+            let lived = stored.lived(part.sequence).ok_or_else(|| {
                 failed(format!("episode {number} of {EXPERIENCE_FILE} has parts that do not fit"))
             })?;
             Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(lived));

@@ -17,7 +17,7 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use bytemuck::Zeroable;
 use case_book::{BookFile, DemonstrationBook};
-use domain::{Pose, Representation};
+use domain::Representation;
 use shm_types::clock::{Instant, sleep};
 use shm_types::description::memory_folder;
 use shm_types::message::{
@@ -30,7 +30,7 @@ use shm_types::{
     MemoryDescription, Spans,
 };
 
-use crate::bank::Viewpoint;
+use crate::bank::ViewId;
 use crate::demonstrations::DemonstrationLibrary;
 use crate::document_loader::DocumentLoader;
 use crate::embedding_cache::EmbeddingCache;
@@ -237,23 +237,23 @@ impl<'a> MemoryServer<'a> {
         let observations = self.ports.observations.drain_some(most)?;
         let more = observations.len() == most;
         let received_ns = monotonic_ns();
+        let reports = self.ports.reports.drain()?;
         let views = self.ports.views.drain()?;
         for config in self.ports.configs.drain()? {
             let outcome = self.can_serve(&config).and_then(|()| self.engine.config(&config));
             self.report_unusable(outcome);
         }
-        for View { frame, pose, variant } in views {
-            match Pose::try_from(pose) {
-                Err(error) => self.reporter.report(format_args!("view as frame {frame}: {error}")),
-                Ok(pose) => {
-                    if let Some(image) = self.find_frame(frame, &format_args!("view of {pose}"))? {
-                        let content = image.content_hash();
-                        let viewpoint = Viewpoint { variant, pose };
-                        let outcome = self.engine.view(viewpoint, frame, content, image);
-                        self.report_unusable(outcome);
-                    }
-                }
+        for View { frame, sequence, demonstration, step } in views {
+            let view_id = ViewId { sequence, number: demonstration, step };
+            let what = format_args!("view of step {step} of demonstration {demonstration}");
+            if let Some(image) = self.find_frame(frame, &what)? {
+                let outcome = self.engine.view(view_id, frame, image.content_hash(), image);
+                self.report_unusable(outcome);
             }
+        }
+        for report in reports {
+            let outcome = self.engine.step_report(&report);
+            self.report_unusable(outcome);
         }
         for seen in observations {
             let Observation { episode, lane, step, .. } = seen;

@@ -12,10 +12,10 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::Duration;
 
 use bytemuck::Zeroable;
-use case_book::{BookFile, BookRequest, DEMONSTRATIONS_FILE};
+use case_book::{BookFile, BookRequest, DEMONSTRATIONS_FILE, DemonstrationBook};
 use conformance::testing::MemoryRig;
 use documents::{BuildAccount, DocumentFile, DocumentFolder, Provenance};
-use domain::{Demonstrations, DocumentKind, Representation, SegmentContent};
+use domain::{Demonstrations, DocumentKind, Pose, Representation, SegmentContent};
 use memory_proc::embedding_cache::stored;
 use memory_proc::paths::CacheFolder;
 use peer::memory::{
@@ -78,20 +78,26 @@ fn memory(cache: &Path) -> MemoryRig {
 /// Memory with these arguments, among its neighbours.
 fn memory_with(arguments: &[&OsStr]) -> MemoryRig {
     let change = |attach: &mut Attach| (attach.frame_capacity, attach.lanes) = (400, 2);
-    MemoryRig::in_process(change, |folder| {
+    let book = write_books(&BookRequest::default()).unwrap().demonstrations;
+    let mut rig = MemoryRig::in_process(change, |folder| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_memory-proc"));
         command.arg("serve").arg("--attach").arg(folder).args(arguments);
-        command.arg("--demonstrations").arg(demonstrations_in(folder));
+        command.arg("--demonstrations").arg(written_into(folder, &book));
         command
-    })
+    });
+    rig.neighbours.demonstrations = poses_of(book);
+    rig
 }
 
-/// Writes the demonstrations of the shipped cases into `folder`. Returns the file.
-fn demonstrations_in(folder: &Path) -> PathBuf {
+/// Writes the demonstrations into `folder`. Returns the file.
+fn written_into(folder: &Path, book: &DemonstrationBook) -> PathBuf {
     let file = folder.join(DEMONSTRATIONS_FILE);
-    let book = write_books(&BookRequest::default()).unwrap().demonstrations;
     fs::write(&file, BookFile::new(book).unwrap().text).unwrap();
     file
+}
+
+fn poses_of(book: DemonstrationBook) -> Vec<Vec<Pose>> {
+    book.demonstrations.into_iter().map(|of| of.poses).collect()
 }
 
 /// The observation at `step` of a case's trajectory of this kind.
@@ -168,8 +174,7 @@ fn a_run_is_answered_with_reports_of_unusable_messages() {
     assert_eq!(rig.error_report().1, "observation of unknown episode 99 in lane 0");
     rig.begin(&MemoryEpisodeConfig { episode: 13, case: 4000, ..config });
     assert!(rig.error_report().1.starts_with("config of episode 13: case 4000"));
-    rig.neighbours.send(&Observation { episode: 11, frame: 1 << 50, ..seen(4) }).unwrap();
-    rig.notify();
+    rig.observe_as(Observation { episode: 11, frame: 1 << 50, ..seen(4) });
     assert!(rig.error_report().1.contains("is not in the store"));
 
     rig.observe(Observation { episode: 11, last: 1, ..seen(4) });
@@ -342,7 +347,8 @@ fn memory_with_external(method: Scripted, arguments: &[&str]) -> MemoryRig {
         (attach.frame_capacity, attach.lanes) = (400, 2);
         attach.external_memories = vec![INDEX];
     };
-    MemoryRig::in_process(change, |run| {
+    let book = write_books(&BookRequest::default()).unwrap().demonstrations;
+    let mut rig = MemoryRig::in_process(change, |run| {
         let folder = memory_folder(run, INDEX);
         std::fs::create_dir(&folder).unwrap();
         let path = folder.clone();
@@ -352,9 +358,11 @@ fn memory_with_external(method: Scripted, arguments: &[&str]) -> MemoryRig {
         }
         let mut command = Command::new(env!("CARGO_BIN_EXE_memory-proc"));
         command.arg("serve").arg("--attach").arg(run).args(arguments);
-        command.arg("--demonstrations").arg(demonstrations_in(run));
+        command.arg("--demonstrations").arg(written_into(run, &book));
         command
-    })
+    });
+    rig.neighbours.demonstrations = poses_of(book);
+    rig
 }
 
 #[test]

@@ -1,27 +1,27 @@
 //! Lanes: N episodes at once, each a small state machine. Pure: messages in, messages out.
 //!
-//! A lane waits for at most one answer. A [`StepCommand`] asks the simulator, whose [`Observation`] reaches memory
-//! and policy as well; when memory's [`RecallTrace`] and the policy's [`Decision`] are here, the next command goes
-//! out or the episode is finished. The dynamics are a pure function, so the step that ends an episode is known
-//! before it is taken: its command says so (`last`), no view is rendered for it and no decision made. What the
-//! simulator reports is compared with the prediction.
+//! A lane waits for at most one answer. A [`WorldEpisodeConfig`] or a [`StepCommand`] asks the simulator, which shows
+//! memory and policy the state and tells the orchestrator how far the episode is ([`StepReport`]). When memory's
+//! [`RecallTrace`] and the policy's [`Decision`] are here, the next command goes out. The world knows the task and
+//! the step limit: it says when an episode has ended, and sends its facts.
 //!
 //! Every answer names its episode by an id that is used once. An answer to an earlier episode of the lane is
 //! late, and ignored.
 
 use std::collections::BTreeMap;
 
-use case_book::CaseBook;
-use domain::{Action, ExternalName, MemoryKind};
+use case_book::{CaseBook, LearnedEpisode};
+use domain::{ExternalName, MemoryKind};
 use results::log::{EpisodeRecord, RecallTotals, Stages};
 use shm_types::message::{
-    Decision, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, Observation, PolicyEpisodeConfig,
-    RecallTrace, Role, SnapshotReport, StepCommand,
+    Decision, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, PolicyEpisodeConfig,
+    RecallTrace, Role, SnapshotReport, StepCommand, StepReport, WorldEpisodeConfig,
 };
-use warehouse::{CaseSet, Trajectory, Warehouse, WorldState};
+use shm_types::notes::Note;
 
+use crate::books::Books;
 use crate::plan::PlannedEpisode;
-use crate::streams::Streams;
+use crate::streams::Experience;
 
 mod answer_error;
 mod episode;
@@ -104,7 +104,7 @@ pub struct EpisodeOpening {
     /// For the policy.
     pub policy: PolicyEpisodeConfig,
     /// For the simulator.
-    pub command: StepCommand,
+    pub world: WorldEpisodeConfig,
 }
 
 /// What follows from a message.
@@ -136,41 +136,16 @@ pub struct PendingAnswer {
 /// What the steps of all episodes use.
 #[derive(Debug)]
 struct Context<'w> {
-    book: &'w CaseBook,
-    warehouse: &'w Warehouse,
-    cases: &'w CaseSet,
+    books: &'w Books,
     rules: Rules,
     now_ns: u64,
-    /// The streams, if the run consists of some.
-    streams: Option<&'w Streams>,
     /// By sequence and position: the episodes that a memory has learned from.
     experience: BTreeMap<u64, BTreeMap<u32, Experience>>,
 }
 
-/// An episode that a memory has learned from, as a source of what it recalls.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Experience {
-    /// The case.
-    pub case_index: usize,
-    /// Its actions. Steps without one are left out: they changed nothing.
-    pub trajectory: Trajectory,
-    /// Whether it completed its task.
-    pub is_complete: bool,
-}
-
-impl Experience {
-    /// The episode of case number `case_index` with this record.
-    pub fn of(case_index: usize, record: &EpisodeRecord) -> Self {
-        let actions = record.actions.chars().filter_map(Action::from_letter).collect();
-        let trajectory = Trajectory { start: record.start_pose, actions };
-        Self { case_index, trajectory, is_complete: record.is_success() }
-    }
-}
-
 impl Context<'_> {
-    /// The world state of an episode in a stream.
-    fn state(&self, episode: &PlannedEpisode) -> Option<&WorldState> {
-        episode.part.zip(self.streams).map(|(part, streams)| streams.state(part.world))
+    fn book(&self) -> &CaseBook {
+        &self.books.cases.book
     }
 }
 
@@ -186,22 +161,9 @@ pub struct Lanes<'w> {
 
 impl<'w> Lanes<'w> {
     /// `count` free lanes.
-    pub fn new(
-        book: &'w CaseBook,
-        (warehouse, cases): (&'w Warehouse, &'w CaseSet),
-        rules: Rules,
-        count: usize,
-    ) -> Self {
+    pub fn new(books: &'w Books, rules: Rules, count: usize) -> Self {
         Self {
-            context: Context {
-                book,
-                warehouse,
-                cases,
-                rules,
-                now_ns: 0,
-                streams: None,
-                experience: BTreeMap::new(),
-            },
+            context: Context { books, rules, now_ns: 0, experience: BTreeMap::new() },
             lanes: std::iter::repeat_with(|| None).take(count).collect(),
             last_id: 0,
             answered: Vec::new(),
@@ -209,15 +171,18 @@ impl<'w> Lanes<'w> {
         }
     }
 
-    /// The same lanes for the episodes of `streams`.
-    pub fn in_streams(mut self, streams: &'w Streams) -> Self {
-        self.context.streams = Some(streams);
-        self
-    }
-
     /// Adds an episode that is in the log and that the memory of its sequence has learned from.
     pub fn remember(&mut self, sequence: u64, position: u32, experience: Experience) {
         self.context.experience.entry(sequence).or_default().insert(position, experience);
+    }
+
+    /// The episodes that memories have learned from, for a simulator that starts now.
+    pub fn learned_episodes(&self) -> Vec<LearnedEpisode> {
+        let sequences = self.context.experience.iter();
+        let all = sequences.flat_map(|(&sequence, of)| {
+            of.iter().map(move |(&position, of)| of.as_learned(sequence, position))
+        });
+        all.collect()
     }
 
     /// Sets the time, CLOCK_MONOTONIC, that holds until the next call: reading the clock for every message would
@@ -250,18 +215,19 @@ impl<'w> Lanes<'w> {
         opening
     }
 
-    /// Takes the simulator's answer.
+    /// Takes the simulator's answer. The facts of episodes that have ended are among `notes`.
     ///
     /// # Errors
-    /// When it cannot be used. After [`AnswerError::Disagrees`] the simulator is broken.
-    pub fn observed(&mut self, observation: &Observation) -> Result<Turn, AnswerError> {
-        let &Observation { lane, episode, .. } = observation;
+    /// When it cannot be used. After [`AnswerError::Invalid`] the episode cannot go on: [`Lanes::give_up`].
+    pub fn reported(&mut self, report: &StepReport, notes: &[Note]) -> Result<Turn, AnswerError> {
+        let &StepReport { lane, episode, .. } = report;
         let (context, stepped) = (&self.context, &mut self.stepped);
         let Some(active) = find(&mut self.lanes, Role::Sim, lane, episode)? else {
             return Ok(Turn::Wait);
         };
-        if active.observed(context, observation)? {
-            return Ok(self.finish(lane));
+        if active.reported(context, report, notes)? {
+            // A memory that learns from it reports when it has.
+            return if active.learns() { Ok(Turn::Wait) } else { self.finish(lane) };
         }
         let turn = if context.rules.expert {
             Some(active.expert_step(context)?)
@@ -306,20 +272,30 @@ impl<'w> Lanes<'w> {
         let Some(active) = find(&mut self.lanes, Role::Memory, lane, episode)? else {
             return Ok(Turn::Wait);
         };
-        Ok(if active.learned(report)? { self.finish(lane) } else { Turn::Wait })
+        active.learned(report)?;
+        self.finish(lane)
     }
 
     /// Ends the episode of a lane.
-    fn finish(&mut self, lane: u32) -> Turn {
-        let Some(active) = self.lanes[lane as usize].take() else { return Turn::Wait };
-        let finished = active.finish(&self.context);
+    ///
+    /// # Errors
+    /// When what the simulator has told contradicts itself.
+    fn finish(&mut self, lane: u32) -> Result<Turn, AnswerError> {
+        let Some(active) = &self.lanes[lane as usize] else { return Ok(Turn::Wait) };
+        let finished = active.clone().finish(&self.context);
+        let step = finished.record.steps;
+        let checked = finished.record.check(self.context.rules.max_steps);
+        checked.map_err(|problem| AnswerError::Invalid { role: Role::Sim, lane, step, problem })?;
+        self.lanes[lane as usize] = None;
         let FinishedEpisode { episode, record, .. } = &finished;
         if let (true, Some(part), Some(place)) = (episode.learns(), episode.part, episode.key.place)
         {
-            let experience = Experience::of(episode.case_index, record);
-            self.remember(part.sequence, place.position, experience);
+            let variant = episode.variant(self.context.book());
+            if let Some(experience) = Experience::of(episode.case_index, variant, record) {
+                self.remember(part.sequence, place.position, experience);
+            }
         }
-        Turn::Finished(Box::new(finished))
+        Ok(Turn::Finished(Box::new(finished)))
     }
 
     /// Whether a decision arrived before what it is based on, which is on its way.

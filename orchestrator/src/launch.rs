@@ -165,10 +165,13 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     let streams = ("--streams", path(&streams));
     let elsewhere = settings.demonstrates_elsewhere().then(|| settings.out.join(ELSEWHERE_FILE));
     let elsewhere = ("--elsewhere", path(&elsewhere));
+    let demonstrations = settings.out.join(DEMONSTRATIONS_FILE).display().to_string();
+    let demonstrations = ("--demonstrations", Some(demonstrations));
     let mut renderer = vec![
         assets,
         streams,
         elsewhere,
+        demonstrations.clone(),
         ("--backend", settings.backend.clone()),
         ("--adapter", settings.adapter.clone()),
     ];
@@ -183,9 +186,8 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     }
     let snapshots = settings.stream.is_some().then(|| settings.out.join(SNAPSHOTS_FOLDER));
     let timeout = (!memories.is_empty()).then(|| settings.memory_timeout.to_string());
-    let demonstrations = settings.out.join(DEMONSTRATIONS_FILE).display().to_string();
     let flags = [
-        ("--demonstrations", Some(demonstrations)),
+        demonstrations,
         ("--snapshots", path(&snapshots)),
         ("--documents", Some(settings.out.join(DOCUMENTS_FOLDER).display().to_string())),
         ("--memory-timeout", timeout),

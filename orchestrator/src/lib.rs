@@ -6,8 +6,7 @@
 //!   [`streams`] (world states and references),
 //!   [`documents`] (built where they are missing), [`external_memory`] (started, and asked for their names), [`launch`]
 //!   (which processes, with which limits), [`frame_budget`] (room in shared memory).
-//! - During a run: [`lanes`] (episodes step by step, pure), [`event_recorder`] (what an episode's record needs beside
-//!   its steps), [`pipeline`] (through the processes), [`session`] (into the run folder), [`budget`] (when to stop).
+//! - During a run: [`lanes`] (episodes step by step, pure), [`pipeline`] (through the processes), [`session`] (into the run folder), [`budget`] (when to stop).
 //! - What is shown: [`latency`] (histograms), [`status`] and [`monitor`] (the live status), [`progress`], [`trace`]
 //!   (for Perfetto).
 //! - Measurements: [`machine`], [`profile`].
@@ -20,7 +19,6 @@ pub mod books;
 pub mod budget;
 pub mod command_files;
 pub mod documents;
-pub mod event_recorder;
 pub mod external_memory;
 pub mod frame_budget;
 pub mod lanes;

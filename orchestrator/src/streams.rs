@@ -1,75 +1,52 @@
-//! The streams of a run: world states, what follows from them for the cases that take place there, and where an interrupted
-//! run goes on.
+//! What memories have learned from, and where an interrupted run goes on.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::{Context, Result, bail};
+use case_book::{CaseBook, LearnedEpisode};
+use domain::Start;
 use results::log::EpisodeRecord;
 use shm_types::message::SnapshotId;
-use warehouse::{CaseSet, StreamSet, Trajectory, Warehouse, WorldState};
 
-use crate::lanes::Experience;
 use crate::plan::{PlannedEpisode, StreamPart};
 
-/// The streams of a run and their worlds.
-#[derive(Debug, Clone)]
-pub struct Streams {
-    /// The streams, as drawn.
-    pub set: StreamSet,
-    states: Vec<WorldState>,
-    /// By world and case, for the cases of each world's blocks.
-    cases: BTreeMap<(u32, u32), CaseInWorld>,
-}
-
-/// A case in a world state.
+/// An episode that a memory has learned from, as a source of what it recalls.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct CaseInWorld {
-    /// The expert's trajectory from the test start.
-    pub reference: Trajectory,
-    /// The steps in which it completes the task.
-    pub length: u32,
-    /// Whether the case's original demonstration, replayed here, does not complete the task.
-    pub invalidated: bool,
+pub struct Experience {
+    case_index: usize,
+    start: Start,
+    variant: u32,
+    actions: String,
+    /// Whether it completed its task.
+    pub is_complete: bool,
+    /// The variants of the run's streams in which its actions complete its task.
+    pub completes_in: BTreeSet<u32>,
 }
 
-impl Streams {
-    /// The streams of `set`.
-    ///
-    /// # Errors
-    /// When they do not fit the warehouse and the cases, or a case cannot be solved.
-    pub fn new(warehouse: &Warehouse, cases: &CaseSet, set: StreamSet) -> Result<Self> {
-        set.check(warehouse, cases)?;
-        let states = set.states(warehouse)?;
-        let mut listed: Vec<(u32, u32)> = Vec::new();
-        for block in set.streams.iter().flat_map(|stream| &stream.blocks) {
-            listed.extend(block.cases.iter().map(|&case| (block.world, case)));
-        }
-        listed.sort_unstable();
-        let mut known = BTreeMap::new();
-        for of_world in listed.chunk_by(|one, next| one.0 == next.0) {
-            let state = &states[of_world[0].0 as usize];
-            let expert = state.expert();
-            for &(world, case) in of_world {
-                let found = &cases.cases[case as usize];
-                let reference = state.reference(&expert, &found.task, found.test.start);
-                let (reference, length) = reference.with_context(|| {
-                    format!("case {} cannot be solved in world {world} of the streams", found.id)
-                })?;
-                let invalidated = !state.completes(&found.original, &found.task);
-                known.insert((world, case), CaseInWorld { reference, length, invalidated });
-            }
-        }
-        Ok(Self { set, states, cases: known })
+impl Experience {
+    /// The episode of case number `case_index` in `variant` with this record. `None` if that does not say where its actions
+    /// complete its task.
+    pub fn of(case_index: usize, variant: u32, record: &EpisodeRecord) -> Option<Self> {
+        Some(Self {
+            case_index,
+            start: record.start,
+            variant,
+            actions: record.actions.clone(),
+            is_complete: record.is_success(),
+            completes_in: record.stream.as_ref()?.completes_in.clone()?,
+        })
     }
 
-    /// The state of world `world`.
-    pub fn state(&self, world: u32) -> &WorldState {
-        &self.states[world as usize]
-    }
-
-    /// A case in a world that has a block with it.
-    pub fn case(&self, world: u32, case: usize) -> &CaseInWorld {
-        &self.cases[&(world, case as u32)]
+    /// As the simulator is told of it.
+    pub fn as_learned(&self, sequence: u64, position: u32) -> LearnedEpisode {
+        LearnedEpisode {
+            sequence,
+            position,
+            case: self.case_index as u32,
+            start: self.start,
+            variant: self.variant,
+            actions: self.actions.clone(),
+        }
     }
 }
 
@@ -83,11 +60,15 @@ pub struct Remaining {
 }
 
 impl Remaining {
-    /// What is left of `planned` beside the records `finished`.
+    /// What is left of `planned`, of the cases in `book`, beside the records `finished`.
     ///
     /// # Errors
-    /// When the log lacks an episode of a sequence and has a later one.
-    pub fn of(planned: &[PlannedEpisode], finished: &[EpisodeRecord]) -> Result<Self> {
+    /// When the log lacks an episode of a sequence and has a later one, or an earlier version has written it.
+    pub fn of(
+        book: &CaseBook,
+        planned: &[PlannedEpisode],
+        finished: &[EpisodeRecord],
+    ) -> Result<Self> {
         let finished: BTreeMap<&str, &EpisodeRecord> =
             finished.iter().map(|record| (record.key.as_str(), record)).collect();
         let mut remaining = Self::default();
@@ -121,7 +102,14 @@ impl Remaining {
             if let Some(found) = stream.snapshot.as_deref().and_then(read_snapshot) {
                 *snapshot = found;
             }
-            let experience = Experience::of(episode.case_index, record);
+            let experience = Experience::of(episode.case_index, episode.variant(book), record);
+            let experience = experience.with_context(|| {
+                format!(
+                    "{} does not say where its actions complete its task, because an earlier version has written it: remove \
+                     the folder to start over (as `run --fresh` does)",
+                    record.key
+                )
+            })?;
             remaining.learned.push((part.sequence, stream.position, experience));
         }
         Ok(remaining)

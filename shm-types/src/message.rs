@@ -24,7 +24,7 @@ mod route;
 mod text;
 
 pub use codes::{
-    CODE_SETS, EpisodeOutcome, ErrorReportKind, ItemKind, Learning, Role, StepKind,
+    CODE_SETS, EpisodeEnd, EpisodeOutcome, ErrorReportKind, ItemKind, Learning, Role, StepKind,
     ViewRequestKind, read_action, read_flag,
 };
 pub use counts::DecisionCounts;
@@ -34,7 +34,7 @@ pub use route::{Description, Message, Traffic};
 pub use text::{MAX_REASON_BYTES, read_text, shortened_reason, write_text};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 11;
+pub const WIRE_VERSION: u32 = 12;
 
 /// Longest window of past steps.
 pub const MAX_WINDOW: usize = 32;
@@ -62,9 +62,6 @@ pub const MAX_INSTRUCTION: usize = 232;
 
 /// The `action` code for "no action".
 pub const NO_ACTION: u8 = u8::MAX;
-
-/// Added to the number of sub-goals in `progress` when the task is complete.
-pub const TASK_COMPLETE: u8 = 1 << 7;
 
 /// The representation code of an external memory.
 pub const EXTERNAL: u8 = u8::MAX;
@@ -150,8 +147,38 @@ macro_rules! messages {
 }
 
 messages! {
-    /// Orchestrator to simulator: reset a lane, or act in it.
-    StepCommand, "memtransfer.StepCommand", "command", 40 bytes,
+    /// Orchestrator to simulator: the lane's next episode, which begins at once.
+    WorldEpisodeConfig, "memtransfer.WorldEpisodeConfig", "world-config", 56 bytes,
+        [Orchestrator] to [Sim], Lanes {
+        /// The episode.
+        episode: u64,
+        /// Seed for random choices of the world: that of the policy's config.
+        seed: u64,
+        /// Identifies the sequence of episodes of a stream that share a memory; 0 outside of streams.
+        sequence: u64,
+        /// When the orchestrator sent it.
+        sent_ns: u64,
+        /// The lane.
+        lane: u32,
+        /// Index of the case.
+        case: u32,
+        /// World variant: 0 is the unchanged world; in `1 + case index` that case's passage is closed; after these come the
+        /// states of the run's streams.
+        variant: u32,
+        /// Steps after which the episode ends.
+        max_steps: u32,
+        /// In a stream: the episode's position in its sequence, from 0.
+        position: u32,
+        /// Where it begins: 0 at the case's original start, 1 at its new one.
+        start: u8,
+        /// 1 if a memory learns from the episode, and may ask for its views later.
+        learns: u8,
+        /// Zero.
+        reserved: [u8; 2],
+    }
+
+    /// Orchestrator to simulator: act in a lane.
+    StepCommand, "memtransfer.StepCommand", "command", 32 bytes,
         [Orchestrator] to [Sim], Lanes {
         /// The episode.
         episode: u64,
@@ -159,32 +186,49 @@ messages! {
         sent_ns: u64,
         /// The lane.
         lane: u32,
-        /// Steps taken after this command: 0 for a reset.
+        /// Steps taken after this command, from 1.
         step: u32,
-        /// World variant: 0 is the unchanged world; in `1 + case index` that case's passage is closed; after these come the
-        /// states of the run's streams.
-        variant: u32,
-        /// For a reset: the start pose. Otherwise ignored.
-        start: WirePose,
         /// A [`StepKind`] code.
         kind: u8,
         /// For an act: the [`Action`](domain::Action) code. Otherwise [`NO_ACTION`].
         action: u8,
-        /// 1 when the episode ends with this step: nothing is rendered and no decision follows.
-        last: u8,
-        /// Sub-goals completed so far, plus [`TASK_COMPLETE`] if the task is.
-        progress: u8,
         /// Zero.
-        reserved: [u8; 4],
+        reserved: [u8; 6],
     }
 
-    /// Simulator to memory, policy and orchestrator: the state after a step.
-    Observation, "memtransfer.Observation", "observation", 72 bytes,
-        [Sim] to [Memory Policy Orchestrator], Lanes {
+    /// Simulator to memory and policy: the state at the beginning of an episode and after each step.
+    Observation, "memtransfer.Observation", "observation", 32 bytes,
+        [Sim] to [Memory Policy], Lanes {
         /// The episode.
         episode: u64,
         /// The agent's view; [`NO_FRAME`] if `last` is 1.
         frame: FrameId,
+        /// The lane.
+        lane: u32,
+        /// Steps taken so far.
+        step: u32,
+        /// The agent's pose.
+        pose: WirePose,
+        /// Code of the [`Feedback`](domain::Feedback) to the last action.
+        feedback: u8,
+        /// Code of the last action, or [`NO_ACTION`].
+        action: u8,
+        /// 1 when the episode is over.
+        last: u8,
+        /// Zero.
+        reserved: u8,
+    }
+
+    /// Simulator to orchestrator and memory, before each [`Observation`]: how far the episode is, and when the step was taken. A
+    /// memory is told of it what the feedback level of its config says, and only after the episode.
+    StepReport, "memtransfer.StepReport", "step-report", 80 bytes,
+        [Sim] to [Memory Orchestrator], Lanes {
+        /// The episode.
+        episode: u64,
+        /// The frame of the observation: [`NO_FRAME`] if the episode has ended.
+        frame: FrameId,
+        /// The note with the facts of the episode, published before, if it has ended; otherwise [`NO_DOCUMENT`].
+        facts: DocumentId,
         /// When the orchestrator sent the command.
         commanded_ns: u64,
         /// When the simulator received the command.
@@ -199,19 +243,19 @@ messages! {
         lane: u32,
         /// Steps taken so far.
         step: u32,
-        /// The agent's pose.
-        pose: WirePose,
-        /// Code of the [`Feedback`](domain::Feedback) to the last action.
-        feedback: u8,
-        /// Code of the last action, or [`NO_ACTION`].
-        action: u8,
-        /// 1 when the episode is over.
-        last: u8,
-        /// Sub-goals completed so far, plus [`TASK_COMPLETE`] if the task is.
-        progress: u8,
+        /// Sub-goals completed so far.
+        sub_goals: u16,
+        /// All sub-goals of the task.
+        required: u16,
+        /// An [`EpisodeEnd`] code.
+        ended: u8,
+        /// 1 if the agent ran in this step into what the variant has changed.
+        conflict: u8,
+        /// Zero.
+        reserved: [u8; 2],
     }
 
-    /// Orchestrator to memory, before a reset: the memory of the lane's next episode.
+    /// Orchestrator to memory, before an episode begins: its memory.
     MemoryEpisodeConfig, "memtransfer.MemoryEpisodeConfig", "memory-config", 88 bytes,
         [Orchestrator] to [Memory], Lanes {
         /// The episode.
@@ -245,7 +289,7 @@ messages! {
         external: u8,
         /// The repetition of the run, from 1.
         repeat: u32,
-        /// World variant of the episode, as in [`StepCommand`].
+        /// World variant of the episode, as in [`WorldEpisodeConfig`].
         variant: u32,
         /// Identifies the memory that persists from episode to episode of a stream; 0 outside of streams, where every
         /// episode has a memory of its own.
@@ -268,7 +312,7 @@ messages! {
         reserved: u8,
     }
 
-    /// Orchestrator to policy, before a reset: the lane's next episode.
+    /// Orchestrator to policy, before an episode begins: the episode.
     PolicyEpisodeConfig, "memtransfer.PolicyEpisodeConfig", "policy-config", 264 bytes,
         [Orchestrator] to [Policy], Lanes {
         /// The episode.
@@ -294,15 +338,16 @@ messages! {
     }
 
     /// Memory to simulator: pin or release a view.
-    ViewRequest, "memtransfer.ViewRequest", "view-request", 24 bytes,
+    ViewRequest, "memtransfer.ViewRequest", "view-request", 32 bytes,
         [Memory] to [Sim], Frames {
         /// For a release: the frame. To pin: [`NO_FRAME`].
         frame: FrameId,
-        /// To pin: the view's pose.
-        pose: WirePose,
-        /// To pin: the view's world variant, as in [`StepCommand`], or 4294967295 for the other warehouse, in which no
-        /// episode takes place.
-        variant: u32,
+        /// To pin: 0 for a view of a demonstration; otherwise the sequence of an episode that a memory has learned from.
+        sequence: u64,
+        /// To pin: the index of the demonstration in the run's demonstrations, or the episode's position in its sequence.
+        demonstration: u32,
+        /// To pin: the step.
+        step: u32,
         /// A [`ViewRequestKind`] code.
         kind: u8,
         /// Zero.
@@ -310,14 +355,16 @@ messages! {
     }
 
     /// Simulator to memory: the requested view is resident and pinned until it is released.
-    View, "memtransfer.View", "view", 16 bytes,
+    View, "memtransfer.View", "view", 24 bytes,
         [Sim] to [Memory], Frames {
         /// The view's frame.
         frame: FrameId,
-        /// The requested pose.
-        pose: WirePose,
-        /// The requested world variant.
-        variant: u32,
+        /// As requested.
+        sequence: u64,
+        /// As requested.
+        demonstration: u32,
+        /// As requested.
+        step: u32,
     }
 
     /// Simulator to memory, policy and external memories: drop this frame. No running episode and no memory refers to it.

@@ -1,7 +1,7 @@
-//! Notes: the texts of an external memory's answers, published before the answer that names them.
+//! Notes: texts of any length that belong to one message, published before the message that names them: those of an
+//! external memory's answers, and the facts of an episode that has ended.
 //!
-//! A note belongs to one answer. The host copies what it supplies into [documents](crate::documents) and keeps no note
-//! after its answer.
+//! The host copies what an answer supplies into [documents](crate::documents) and keeps no note after its answer.
 
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
@@ -15,8 +15,11 @@ use crate::layout::wire_struct;
 use crate::message::{DocumentId, Role, Traffic};
 use crate::transport::{BusError, Ipc, delivered, receiver};
 
-/// First part of the name of the service that carries notes; the index of the external memory follows.
+/// First part of the name of the service that carries an external memory's notes; its index follows.
 pub const NOTE_SERVICE: &str = "note";
+
+/// Name of the service that carries the simulator's notes: the facts of episodes, each a JSON object.
+pub const FACTS_SERVICE: &str = "episode-facts";
 
 /// A note is longer than a document can be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -36,17 +39,17 @@ wire_struct! {
     NoteHeader: Eq Default, "memtransfer.NoteHeader", 24 bytes {
         /// The note's id, which its sender never uses twice; not [`NO_DOCUMENT`](crate::message::NO_DOCUMENT).
         id: DocumentId,
-        /// The episode of the answer; 0 for the failure to build a bank.
+        /// The episode; 0 for the failure to build a bank.
         episode: u64,
-        /// The lane of the answer.
+        /// The lane.
         lane: u32,
         /// Zero.
         reserved: u32,
     }
 }
 
-fn service(bus: &Bus, index: u8) -> Result<PortFactory<Ipc, [u8], NoteHeader>, BusError> {
-    bus.builder(&format!("{NOTE_SERVICE}-{index}"))?
+fn service(bus: &Bus, name: &str) -> Result<PortFactory<Ipc, [u8], NoteHeader>, BusError> {
+    bus.builder(name)?
         .publish_subscribe::<[u8]>()
         .user_header::<NoteHeader>()
         .enable_safe_overflow(false)
@@ -60,7 +63,7 @@ fn service(bus: &Bus, index: u8) -> Result<PortFactory<Ipc, [u8], NoteHeader>, B
         .map_err(|e| BusError::open("cannot open the service of notes", e))
 }
 
-/// Publishes notes; for an external memory.
+/// Publishes notes.
 #[derive(Debug)]
 pub struct NotePublisher {
     publisher: Publisher<Ipc, [u8], NoteHeader>,
@@ -68,13 +71,26 @@ pub struct NotePublisher {
 }
 
 impl NotePublisher {
-    /// A publisher.
+    /// The publisher of an external memory.
     ///
     /// # Errors
     /// When this process is not an external memory, or the service cannot be opened.
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
         bus.allowed(&[Role::ExternalMemory], NOTE_SERVICE, "send")?;
-        let publisher = service(bus, bus.index())?
+        Self::open(bus, &format!("{NOTE_SERVICE}-{}", bus.index()))
+    }
+
+    /// The publisher of the facts of episodes.
+    ///
+    /// # Errors
+    /// When this process is not the simulator, or the service cannot be opened.
+    pub fn of_facts(bus: &Bus) -> Result<Self, BusError> {
+        bus.allowed(&[Role::Sim], FACTS_SERVICE, "send")?;
+        Self::open(bus, FACTS_SERVICE)
+    }
+
+    fn open(bus: &Bus, name: &str) -> Result<Self, BusError> {
+        let publisher = service(bus, name)?
             .publisher_builder()
             .initial_max_slice_len(INITIAL_BYTES)
             .allocation_strategy(AllocationStrategy::PowerOfTwo)
@@ -85,10 +101,10 @@ impl NotePublisher {
         Ok(Self { publisher, published: 0 })
     }
 
-    /// Publishes the bytes of a note for an answer, and returns its id.
+    /// Publishes the bytes of a note for a message, and returns its id.
     ///
     /// # Errors
-    /// When it is longer than [`MAX_DOCUMENT_BYTES`], or memory does not receive it.
+    /// When it is longer than [`MAX_DOCUMENT_BYTES`], or it is not received.
     pub fn publish(
         &mut self,
         lane: u32,
@@ -105,7 +121,7 @@ impl NotePublisher {
     /// As [`Self::publish`], without the check of the length: for programs that test what the host makes of it.
     ///
     /// # Errors
-    /// When memory does not receive it.
+    /// When it is not received.
     pub fn publish_of_any_length(
         &mut self,
         lane: u32,
@@ -132,7 +148,7 @@ pub struct Note {
     pub bytes: Result<Vec<u8>, NoteTooLong>,
 }
 
-/// Receives the notes of one external memory; for memory.
+/// Receives the notes of one process.
 #[derive(Debug)]
 pub struct NoteReceiver {
     subscriber: Subscriber<Ipc, [u8], NoteHeader>,
@@ -146,7 +162,20 @@ impl NoteReceiver {
     /// When this process is not the memory, or the service cannot be opened.
     pub fn new(bus: &Bus, index: u8) -> Result<Self, BusError> {
         bus.allowed(&[Role::Memory], NOTE_SERVICE, "receive")?;
-        let subscriber = receiver(&service(bus, index)?, "cannot receive notes")?;
+        Self::open(bus, &format!("{NOTE_SERVICE}-{index}"))
+    }
+
+    /// A receiver of the facts of all episodes that end from now on.
+    ///
+    /// # Errors
+    /// When this process is not the orchestrator, or the service cannot be opened.
+    pub fn of_facts(bus: &Bus) -> Result<Self, BusError> {
+        bus.allowed(&[Role::Orchestrator], FACTS_SERVICE, "receive")?;
+        Self::open(bus, FACTS_SERVICE)
+    }
+
+    fn open(bus: &Bus, name: &str) -> Result<Self, BusError> {
+        let subscriber = receiver(&service(bus, name)?, "cannot receive notes")?;
         Ok(Self { subscriber, most: bus.attach().queue_len(Traffic::Lanes) })
     }
 

@@ -1,14 +1,16 @@
-//! The lanes: which episode each runs, where its agent stands, and how commands change that.
+//! The lanes: which episode each runs, how far it is, and how commands change that.
 
-use domain::UnknownCode;
-use domain::{Action, Feedback, Pose};
-use shm_types::message::{StepCommand, StepKind};
-use warehouse::step;
+use case_book::EpisodeFacts;
+use domain::{Action, Cell, Feedback, Pose, Start, UnknownCode};
+use shm_types::message::{EpisodeEnd, StepCommand, StepKind, WorldEpisodeConfig, read_flag};
+use warehouse::{Progress, step};
 
+use crate::event_recorder::EventRecorder;
+use crate::lived::LivedEpisodes;
 use crate::worlds::{WorldParts, Worlds};
 
-/// The outcome of a command.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// What follows from the beginning of an episode, or from a command.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Stepped {
     /// The lane.
     pub lane: usize,
@@ -18,18 +20,30 @@ pub struct Stepped {
     pub pose: Pose,
     /// The response to the action.
     pub feedback: Feedback,
-    /// Whether an episode has begun.
-    pub begins: bool,
-    /// Whether the episode has ended.
-    pub ends: bool,
+    /// Sub-goals completed so far.
+    pub sub_goals: u32,
+    /// All sub-goals of the task.
+    pub required: u32,
+    /// Whether the agent tried to enter a cell that the variant closes.
+    pub conflict: bool,
+    /// Whether the episode has ended, and how.
+    pub ended: EpisodeEnd,
+    /// The facts of the episode, if it has ended.
+    pub facts: Option<EpisodeFacts>,
 }
 
-#[derive(Debug, Clone, Copy)]
+/// An episode under way.
+#[derive(Debug, Clone)]
 struct SimulatedEpisode {
-    episode: u64,
-    step: u32,
+    config: WorldEpisodeConfig,
     world: WorldParts,
+    start: Pose,
     pose: Pose,
+    step: u32,
+    progress: Progress,
+    events: EventRecorder,
+    blocked_moves: Vec<u32>,
+    actions: Vec<Action>,
 }
 
 /// All lanes of a run, and the worlds that their episodes are in.
@@ -37,12 +51,19 @@ struct SimulatedEpisode {
 pub struct SimulatedLanes {
     worlds: Worlds,
     lanes: Vec<Option<SimulatedEpisode>>,
+    /// The episodes that memories learn from.
+    lived: LivedEpisodes,
 }
 
 impl SimulatedLanes {
-    /// `lanes` idle lanes in `worlds`.
-    pub fn new(worlds: Worlds, lanes: usize) -> Self {
-        Self { worlds, lanes: vec![None; lanes] }
+    /// `lanes` idle lanes in `worlds`, after the episodes `lived` that memories have learned from before.
+    pub fn new(lived: LivedEpisodes, worlds: Worlds, lanes: usize) -> Self {
+        Self { worlds, lanes: vec![None; lanes], lived }
+    }
+
+    /// The episodes that memories learn from.
+    pub fn lived(&self) -> &LivedEpisodes {
+        &self.lived
     }
 
     /// The worlds.
@@ -66,106 +87,187 @@ impl SimulatedLanes {
         Ok(world)
     }
 
-    /// Executes a command.
+    /// Begins an episode, in place of the one that the lane may be in.
+    ///
+    /// # Errors
+    /// What is wrong with it. The lane is unchanged then.
+    pub fn begin(&mut self, config: &WorldEpisodeConfig) -> Result<Stepped, String> {
+        let &WorldEpisodeConfig { lane, episode, .. } = config;
+        let begun = self.begun(config);
+        let (episode, stepped) =
+            begun.map_err(|problem| format!("episode {episode} in lane {lane}: {problem}"))?;
+        if let Some(of) = episode.learned_as() {
+            self.lived.begin(of, episode.world, episode.pose);
+        }
+        self.lanes[lane as usize] = Some(episode);
+        Ok(stepped)
+    }
+
+    fn begun(&self, config: &WorldEpisodeConfig) -> Result<(SimulatedEpisode, Stepped), String> {
+        let &WorldEpisodeConfig { lane, case, variant, start, .. } = config;
+        let count = self.lanes.len();
+        if lane as usize >= count {
+            return Err(format!("there are {count} lanes"));
+        }
+        let is_new = read_flag(start).map_err(|unknown| unknown.to_string())?;
+        let start = if is_new { Start::New } else { Start::Original };
+        let case = self.worlds.case(case).ok_or_else(|| format!("there is no case {case}"))?;
+        let pose = case.start(start, variant == 1 + config.case);
+        let world = self.standing(variant, pose)?;
+        let warehouse = self.worlds.warehouse(world);
+        let mut events = EventRecorder::new(warehouse, &case.task);
+        events.stands(0, pose);
+        events.looks(warehouse, 0, pose);
+        let episode = SimulatedEpisode {
+            config: *config,
+            world,
+            start: pose,
+            pose,
+            step: 0,
+            progress: Progress::new(warehouse, &case.task, pose.cell),
+            events,
+            blocked_moves: Vec::new(),
+            actions: Vec::new(),
+        };
+        let stepped = episode.stepped(Feedback::Start, false, EpisodeEnd::GoesOn);
+        Ok((episode, stepped))
+    }
+
+    /// Executes a command. `None` if it is about an earlier episode of the lane.
     ///
     /// # Errors
     /// What is wrong, if the command is invalid or out of order. The lane is unchanged then.
-    pub fn apply(&mut self, command: &StepCommand) -> Result<Stepped, String> {
+    pub fn apply(&mut self, command: &StepCommand) -> Result<Option<Stepped>, String> {
         let &StepCommand { lane, episode, step, .. } = command;
         self.try_apply(command).map_err(|problem| {
             format!("command for lane {lane}, episode {episode}, step {step}: {problem}")
         })
     }
 
-    fn try_apply(&mut self, command: &StepCommand) -> Result<Stepped, String> {
-        let (lane, count) = (command.lane as usize, self.lanes.len());
-        let now = *self.lanes.get(lane).ok_or_else(|| format!("there are {count} lanes"))?;
+    fn try_apply(&mut self, command: &StepCommand) -> Result<Option<Stepped>, String> {
+        let count = self.lanes.len();
+        let lane = self.lanes.get_mut(command.lane as usize);
+        let lane = lane.ok_or_else(|| format!("there are {count} lanes"))?;
         let text = |unknown: UnknownCode| unknown.to_string();
-        let kind = StepKind::try_from(command.kind).map_err(text)?;
-        let (next, feedback) = match kind {
-            StepKind::Reset => (self.reset(command, now)?, Feedback::Start),
-            StepKind::Act => {
-                let action = Action::try_from(command.action).map_err(text)?;
-                let now = following(command, now)?;
-                let closed = self.worlds.closed(now.world);
-                let layout = self.worlds.layout_of(now.world);
-                let (pose, feedback) = step(layout, closed, now.pose, action);
-                (SimulatedEpisode { pose, step: command.step, ..now }, feedback)
-            }
-            StepKind::Stay => {
-                let now = following(command, now)?;
-                (SimulatedEpisode { step: command.step, ..now }, Feedback::NotUnderstood)
-            }
+        let action = match StepKind::try_from(command.kind).map_err(text)? {
+            StepKind::Act => Some(Action::try_from(command.action).map_err(text)?),
+            StepKind::Stay => None,
         };
-        let ends = command.last != 0;
-        self.lanes[lane] = (!ends).then_some(next);
-        let SimulatedEpisode { world, pose, .. } = next;
-        Ok(Stepped { lane, world, pose, feedback, begins: kind == StepKind::Reset, ends })
-    }
-
-    fn reset(
-        &self,
-        command: &StepCommand,
-        now: Option<SimulatedEpisode>,
-    ) -> Result<SimulatedEpisode, String> {
-        let &StepCommand { episode, step, variant, .. } = command;
-        let pose = Pose::try_from(command.start).map_err(|unknown| unknown.to_string())?;
-        let world = self.standing(variant, pose)?;
-        if step != 0 {
-            return Err(out_of_order(now));
+        let Some(episode) = lane else { return Err("the lane is in no episode".to_owned()) };
+        if command.episode < episode.config.episode {
+            return Ok(None);
         }
-        Ok(SimulatedEpisode { episode, step, world, pose })
+        let next = (episode.config.episode, episode.step.checked_add(1));
+        if (command.episode, Some(command.step)) != next {
+            let SimulatedEpisode { config, step, .. } = episode;
+            return Err(format!("the lane is in episode {} after step {step}", config.episode));
+        }
+        let mut stepped = episode.step(&self.worlds, action);
+        if let Some(of) = episode.learned_as() {
+            self.lived.step(of, stepped.pose);
+        }
+        if stepped.ended != EpisodeEnd::GoesOn {
+            stepped.facts = lane.take().map(|episode| episode.facts(&self.worlds));
+        }
+        Ok(Some(stepped))
     }
 }
 
-/// The lane's episode, if `command` is its next one.
-fn following(
-    command: &StepCommand,
-    now: Option<SimulatedEpisode>,
-) -> Result<SimulatedEpisode, String> {
-    now.filter(|now| {
-        now.episode == command.episode && now.step.checked_add(1) == Some(command.step)
-    })
-    .ok_or_else(|| out_of_order(now))
-}
+impl SimulatedEpisode {
+    /// The sequence and the position of an episode that a memory learns from.
+    fn learned_as(&self) -> Option<(u64, u32)> {
+        let WorldEpisodeConfig { sequence, position, learns, .. } = self.config;
+        (learns != 0).then_some((sequence, position))
+    }
 
-fn out_of_order(now: Option<SimulatedEpisode>) -> String {
-    match now {
-        None => "the lane is in no episode".to_owned(),
-        Some(SimulatedEpisode { episode, step, .. }) => {
-            format!("the lane is in episode {episode} after step {step}")
+    /// Takes a step.
+    fn step(&mut self, worlds: &Worlds, action: Option<Action>) -> Stepped {
+        self.step += 1;
+        let closed = worlds.closed(self.world);
+        let mut conflict = false;
+        let feedback = match action {
+            Some(action) => {
+                conflict = entered(self.pose, action).is_some_and(|cell| closed.is_closed(cell));
+                self.actions.push(action);
+                let feedback;
+                let layout = worlds.layout_of(self.world);
+                (self.pose, feedback) = step(layout, closed, self.pose, action);
+                feedback
+            }
+            None => Feedback::NotUnderstood,
+        };
+        if feedback == Feedback::Blocked {
+            self.blocked_moves.push(self.step);
+        }
+        self.events.stands(self.step, self.pose);
+        self.progress.visit(self.pose.cell);
+        let ended = if self.progress.is_complete() {
+            EpisodeEnd::Complete
+        } else if self.step >= self.config.max_steps {
+            EpisodeEnd::StepLimit
+        } else {
+            // What the last step leads to is not shown.
+            self.events.looks(worlds.warehouse(self.world), self.step, self.pose);
+            EpisodeEnd::GoesOn
+        };
+        self.stepped(feedback, conflict, ended)
+    }
+
+    fn stepped(&self, feedback: Feedback, conflict: bool, ended: EpisodeEnd) -> Stepped {
+        Stepped {
+            lane: self.config.lane as usize,
+            world: self.world,
+            pose: self.pose,
+            feedback,
+            sub_goals: self.progress.stage(),
+            required: self.progress.total(),
+            conflict,
+            ended,
+            facts: None,
         }
     }
+
+    /// The facts of the episode, which has ended.
+    fn facts(self, worlds: &Worlds) -> EpisodeFacts {
+        let Self { config, start, pose, events, blocked_moves, actions, .. } = self;
+        EpisodeFacts {
+            start_pose: start,
+            final_pose: pose,
+            visits: events.visits,
+            first_seen: events.first_seen,
+            blocked_moves,
+            completes_in: (config.learns != 0)
+                .then(|| worlds.completed_in(config.case, start, actions)),
+        }
+    }
+}
+
+/// The cell that `action` tries to enter from `pose`, if it is a move.
+fn entered(pose: Pose, action: Action) -> Option<Cell> {
+    pose.cell.step(pose.heading.turned(action.move_direction()?))
 }
 
 #[cfg(test)]
 mod tests {
     use bytemuck::Zeroable;
-    use domain::Heading;
+    use domain::Route;
     use proptest::prelude::*;
-    use shm_types::message::{NO_ACTION, WirePose};
-    use warehouse::{CaseSet, Warehouse};
+    use shm_types::message::NO_ACTION;
+    use warehouse::{CaseSet, TrajectoryKind, Warehouse};
 
     use super::*;
 
     fn lanes() -> SimulatedLanes {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-        SimulatedLanes::new(Worlds::new(&warehouse, &cases, Vec::new()), 2)
+        SimulatedLanes::new(
+            LivedEpisodes::default(),
+            Worlds::new(&warehouse, &cases, Vec::new()),
+            2,
+        )
     }
 
-    fn start(lanes: &SimulatedLanes) -> Pose {
-        Pose { cell: lanes.worlds.layout().free_cells().next().unwrap(), heading: Heading::N }
-    }
-
-    fn reset(lanes: &SimulatedLanes, lane: u32, episode: u64) -> StepCommand {
-        StepCommand {
-            lane,
-            episode,
-            start: WirePose::from(start(lanes)),
-            kind: StepKind::Reset as u8,
-            action: NO_ACTION,
-            ..Zeroable::zeroed()
-        }
+    fn config(lane: u32, episode: u64) -> WorldEpisodeConfig {
+        WorldEpisodeConfig { lane, episode, max_steps: 200, ..Zeroable::zeroed() }
     }
 
     fn act(lane: u32, episode: u64, step: u32, action: Action) -> StepCommand {
@@ -173,62 +275,135 @@ mod tests {
         StepCommand { lane, episode, step, kind, action, ..Zeroable::zeroed() }
     }
 
+    fn stay(lane: u32, episode: u64, step: u32) -> StepCommand {
+        let (kind, action) = (StepKind::Stay as u8, NO_ACTION);
+        StepCommand { lane, episode, step, kind, action, ..Zeroable::zeroed() }
+    }
+
     #[test]
-    fn an_episode_runs_by_the_dynamics_and_ends() {
+    fn an_episode_runs_by_the_dynamics_and_ends_at_its_limit() {
         let mut lanes = lanes();
-        let from = start(&lanes);
-        let begun = lanes.apply(&reset(&lanes, 1, 7)).unwrap();
-        assert_eq!((begun.pose, begun.feedback, begun.begins), (from, Feedback::Start, true));
-        let turned = lanes.apply(&act(1, 7, 1, Action::TurnLeft)).unwrap();
-        assert_eq!(turned.pose, Pose { heading: Heading::W, ..from });
-        assert_eq!((turned.feedback, turned.begins, turned.ends), (Feedback::Turned, false, false));
-        let stay =
-            StepCommand { kind: StepKind::Stay as u8, last: 1, ..act(1, 7, 2, Action::Forward) };
-        let stayed = lanes.apply(&stay).unwrap();
+        let from = CaseSet::shipped().cases[0].original.start;
+        let begun = lanes.begin(&WorldEpisodeConfig { max_steps: 2, ..config(1, 7) }).unwrap();
+        assert_eq!((begun.pose, begun.feedback, begun.sub_goals), (from, Feedback::Start, 0));
+        let turned = lanes.apply(&act(1, 7, 1, Action::TurnLeft)).unwrap().unwrap();
+        assert_eq!(turned.pose, Pose { heading: from.heading.left(), ..from });
+        assert_eq!((turned.feedback, turned.ended), (Feedback::Turned, EpisodeEnd::GoesOn));
+        let stayed = lanes.apply(&stay(1, 7, 2)).unwrap().unwrap();
         assert_eq!((stayed.pose, stayed.feedback), (turned.pose, Feedback::NotUnderstood));
-        assert!(stayed.ends);
+        assert_eq!(stayed.ended, EpisodeEnd::StepLimit);
+        let facts = stayed.facts.unwrap();
+        assert_eq!((facts.start_pose, facts.final_pose), (from, turned.pose));
+        assert_eq!((facts.completes_in, facts.blocked_moves.len()), (None, 0));
         let error = lanes.apply(&act(1, 7, 3, Action::Forward)).unwrap_err();
         assert_eq!(error, "command for lane 1, episode 7, step 3: the lane is in no episode");
     }
 
     #[test]
-    fn invalid_commands_are_reported_and_change_nothing() {
+    fn the_expert_completes_every_case_and_what_is_closed_is_told() {
+        let (mut lanes, cases) = (lanes(), CaseSet::shipped());
+        let tested = [
+            (Start::Original, Route::Unchanged),
+            (Start::New, Route::Unchanged),
+            (Start::New, Route::Blocked),
+        ];
+        let mut episode = 0;
+        for (number, case) in (0..).zip(&cases.cases) {
+            for (start, route) in tested {
+                let from = TrajectoryKind::reference(start, route);
+                let (expert, closed) = (case.trajectory(from), route == Route::Blocked);
+                let replay = case.replay(&Warehouse::shipped(), from);
+                episode += 1;
+                let variant = if closed { 1 + number } else { 0 };
+                let start = start as u8;
+                let config = WorldEpisodeConfig {
+                    case: number,
+                    variant,
+                    start,
+                    learns: 1,
+                    ..config(0, episode)
+                };
+                assert_eq!(lanes.begin(&config).unwrap().pose, expert.start);
+                let mut last = None;
+                for (step, &action) in (1..).zip(&expert.actions) {
+                    let stepped = lanes.apply(&act(0, episode, step, action)).unwrap().unwrap();
+                    assert_eq!(stepped.pose, replay.poses[step as usize]);
+                    assert!(!stepped.conflict);
+                    if stepped.ended != EpisodeEnd::GoesOn {
+                        assert_eq!(Some(step), replay.length, "{}", case.id);
+                        last = Some(stepped);
+                        break;
+                    }
+                }
+                let last = last.unwrap();
+                assert_eq!((last.ended, last.sub_goals), (EpisodeEnd::Complete, last.required));
+                let facts = last.facts.unwrap();
+                // Only a return is no visit: it may lead to any cell.
+                assert!(!facts.visits.is_empty() && !facts.first_seen.is_empty());
+                assert_eq!(facts.completes_in, Some([].into()), "there are no streams");
+            }
+            // The unblocked reference runs into the passage that was closed on it.
+            episode += 1;
+            let variant = 1 + number;
+            let config =
+                WorldEpisodeConfig { case: number, variant, start: 1, ..config(0, episode) };
+            lanes.begin(&config).unwrap();
+            let steps = (1..).zip(&case.test.actions);
+            let mut stepped =
+                steps.map(|(step, &action)| lanes.apply(&act(0, episode, step, action)).unwrap());
+            assert!(stepped.any(|stepped| stepped.unwrap().conflict), "{}", case.id);
+        }
+    }
+
+    #[test]
+    fn invalid_messages_are_reported_and_change_nothing() {
         let mut lanes = lanes();
-        let good = reset(&lanes, 0, 7);
-        lanes.apply(&good).unwrap();
-        let rack = WirePose([0xff, 0, 0, 0]);
-        for (command, said) in [
+        let good = config(0, 7);
+        lanes.begin(&good).unwrap();
+        for (config, problem) in [
+            (WorldEpisodeConfig { lane: 2, ..good }, "there are 2 lanes"),
+            (WorldEpisodeConfig { variant: 999, ..good }, "variant 999 is not one of 101"),
+            (WorldEpisodeConfig { case: 999, ..good }, "there is no case 999"),
+            (WorldEpisodeConfig { start: 2, ..good }, "2 is not a flag"),
+        ] {
+            let error = lanes.begin(&config).unwrap_err();
+            assert!(error.contains(problem), "{error}");
+        }
+        let good = act(0, 7, 1, Action::Left);
+        for (command, problem) in [
             (StepCommand { lane: 2, ..good }, "there are 2 lanes"),
             (StepCommand { kind: 9, ..good }, "9 is not a step kind"),
-            (StepCommand { variant: 999, ..good }, "variant 999 is not one of 101"),
-            (StepCommand { start: rack, ..good }, "an agent cannot stand at 255,0,N"),
-            (StepCommand { start: WirePose([0, 0, 4, 0]), ..good }, "4 is not a heading"),
-            (StepCommand { step: 1, ..good }, "the lane is in episode 7 after step 0"),
-            (StepCommand { action: 7, ..act(0, 7, 1, Action::Left) }, "7 is not an action"),
+            (StepCommand { action: 7, ..good }, "7 is not an action"),
             (act(0, 8, 1, Action::Left), "the lane is in episode 7 after step 0"),
             (act(0, 7, 2, Action::Left), "the lane is in episode 7 after step 0"),
             (act(1, 7, 1, Action::Left), "the lane is in no episode"),
         ] {
             let error = lanes.apply(&command).unwrap_err();
-            assert!(error.contains(said), "{error}");
+            assert!(error.contains(problem), "{error}");
         }
+        assert_eq!(lanes.apply(&act(0, 6, 9, Action::Left)), Ok(None), "it is late");
         assert!(lanes.apply(&act(0, 7, 1, Action::TurnLeft)).is_ok());
     }
 
     proptest! {
         #[test]
-        fn no_command_panics_and_an_agent_stands_on_free_floor(
-            commands in proptest::collection::vec((0..3_u32, 0..2_u64, 0..4_u32, 0..3_u32,
-                any::<[u8; 4]>(), 0..4_u8, 0..9_u8, 0..2_u8), 0..64)
+        fn no_message_panics_and_an_agent_stands_on_free_floor(
+            messages in proptest::collection::vec((0..3_u32, 0..2_u64, 0..4_u32, 0..3_u32,
+                0..101_u32, 0..3_u8, 0..3_u8, 0..9_u8, any::<bool>()), 0..64)
         ) {
             let mut lanes = lanes();
-            for (lane, episode, step, variant, start, kind, action, last) in commands {
-                let [x, y, heading, zero] = start;
-                let start = WirePose([x % 17, y % 31, heading % 5, zero]);
-                let command = StepCommand {
-                    lane, episode, step, variant, start, kind, action, last, ..Zeroable::zeroed()
+            for (lane, episode, step, variant, case, start, kind, action, begins) in messages {
+                let stepped = if begins {
+                    let limits = config(lane, episode);
+                    let config =
+                        WorldEpisodeConfig { variant, case, start, learns: start, ..limits };
+                    lanes.begin(&config).map(Some)
+                } else {
+                    let command =
+                        StepCommand { lane, episode, step, kind, action, ..Zeroable::zeroed() };
+                    lanes.apply(&command)
                 };
-                if let Ok(stepped) = lanes.apply(&command) {
+                if let Ok(Some(stepped)) = stepped {
                     let closed = lanes.worlds.closed(stepped.world);
                     prop_assert!(lanes.worlds.layout().is_free(stepped.pose.cell));
                     prop_assert!(!closed.is_closed(stepped.pose.cell));

@@ -11,8 +11,10 @@
 
 pub mod act_command;
 pub mod book_command;
+pub mod event_recorder;
 pub mod first_views;
 pub mod lanes;
+pub mod lived;
 pub mod render_pool;
 pub mod render_workers;
 pub mod renderer;

@@ -13,19 +13,23 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use bytemuck::Zeroable;
-use domain::Pose;
+use case_book::DemonstrationBook;
+use domain::{Feedback, Pose};
 use rustc_hash::FxHashMap;
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::{
-    Eviction, Handshake, Heartbeat, NO_ACTION, NO_FRAME, Observation, Role, ShutdownReport,
-    StepCommand, StepKind, Stop, View, ViewRequest, ViewRequestKind, WirePose,
+    EpisodeEnd, Eviction, Handshake, Heartbeat, NO_ACTION, NO_DOCUMENT, NO_FRAME, Observation,
+    Role, ShutdownReport, StepCommand, StepReport, Stop, View, ViewRequest, ViewRequestKind,
+    WorldEpisodeConfig,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
-    Bus, BusError, ErrorReporter, FrameError, FramePublisher, Heartbeats, Receiver, Sender, Spans,
+    Bus, BusError, ErrorReporter, FrameError, FramePublisher, Heartbeats, NotePublisher, Receiver,
+    Sender, Spans,
 };
 
 use crate::lanes::{SimulatedLanes, Stepped};
+use crate::lived::LivedEpisodes;
 use crate::render_pool::{
     FindChanges, RenderPool, RenderRequest, RenderSetup, RenderedBatch, RenderedView,
 };
@@ -48,7 +52,7 @@ const SLOT_PATIENCE: Duration = Duration::from_secs(30);
 /// How often to check whether the consumers of frames have connected.
 const CONSUMER_POLL: Duration = Duration::from_millis(1);
 
-/// Serves the run that `bus` has joined until the orchestrator stops it. `open` opens the renderers after the simulator's
+/// Serves the run that `bus` has joined, whose memories ask for views of `demonstrations`, until the orchestrator stops it. `open` opens the renderers after the simulator's
 /// queues exist, so other processes may send meanwhile. With `warm_views`, every view of the unchanged world is rendered
 /// before the handshake; this changes when things happen and nothing else.
 ///
@@ -58,10 +62,11 @@ const CONSUMER_POLL: Duration = Duration::from_millis(1);
 pub fn serve(
     bus: &Bus,
     worlds: Worlds,
+    demonstrations: DemonstrationBook,
     warm_views: bool,
     open: impl FnOnce() -> Result<RenderSetup>,
 ) -> Result<()> {
-    let mut simulator = Simulator::new(bus, worlds)?;
+    let mut simulator = Simulator::new(bus, worlds, demonstrations)?;
     let outcome = open().and_then(|setup| simulator.serve_until_stop(setup, warm_views));
     if let Err(error) = &outcome {
         simulator.reporter.report(error);
@@ -79,17 +84,21 @@ struct Pending {
 
 #[derive(Debug)]
 enum PendingView {
-    Observation(Observation),
-    /// Pose and world variant of a requested view.
-    View(WirePose, u32),
+    /// An observation, what the orchestrator is told of the step, and the facts of the episode that ends with it, as JSON.
+    Step(Observation, StepReport, Option<String>),
+    /// The request of a view.
+    View(ViewRequest),
 }
 
 struct Simulator<'a> {
     bus: &'a Bus,
+    configs: Receiver<WorldEpisodeConfig>,
     commands: Receiver<StepCommand>,
     requests: Receiver<ViewRequest>,
     stops: Receiver<Stop>,
     observations: Sender<Observation>,
+    reports: Sender<StepReport>,
+    facts: NotePublisher,
     resident: Sender<View>,
     evictions: Sender<Eviction>,
     wakeups: Wakeups,
@@ -98,6 +107,7 @@ struct Simulator<'a> {
     heartbeats: Heartbeats,
     spans: Spans,
     lanes: SimulatedLanes,
+    demonstrations: DemonstrationBook,
     control: ViewControl,
     views: ViewCache,
     pending: Vec<Pending>,
@@ -117,15 +127,18 @@ struct Rendering {
 }
 
 impl<'a> Simulator<'a> {
-    fn new(bus: &'a Bus, worlds: Worlds) -> Result<Self> {
+    fn new(bus: &'a Bus, worlds: Worlds, demonstrations: DemonstrationBook) -> Result<Self> {
         let attach = bus.attach();
         let (lanes, window) = (attach.lanes as usize, attach.window as usize);
         Ok(Self {
             bus,
+            configs: bus.receiver()?,
             commands: bus.receiver()?,
             requests: bus.receiver()?,
             stops: bus.receiver()?,
             observations: bus.sender()?,
+            reports: bus.sender()?,
+            facts: NotePublisher::of_facts(bus)?,
             resident: bus.sender()?,
             evictions: bus.sender()?,
             wakeups: Wakeups::new(bus)?,
@@ -134,7 +147,8 @@ impl<'a> Simulator<'a> {
             heartbeats: Heartbeats::new(bus)?,
             spans: Spans::open(attach, Role::Sim, 0).context("cannot write spans for the trace")?,
             control: ViewControl::new(attach.frame_control, worlds.layout()),
-            lanes: SimulatedLanes::new(worlds, lanes),
+            lanes: SimulatedLanes::new(LivedEpisodes::read(&attach.root, &worlds)?, worlds, lanes),
+            demonstrations,
             views: ViewCache::new(attach.frame_capacity as usize, lanes, window),
             pending: Vec::new(),
             no_slot_since: None,
@@ -258,13 +272,11 @@ impl<'a> Simulator<'a> {
         let problem = |problem: &dyn Display| format!("view request: {problem}");
         match ViewRequestKind::try_from(request.kind).map_err(|unknown| problem(&unknown))? {
             ViewRequestKind::Pin => {
-                let pose = Pose::try_from(request.pose).map_err(|unknown| problem(&unknown))?;
-                let world =
-                    self.lanes.standing(request.variant, pose).map_err(|bad| problem(&bad))?;
+                let (world, pose) = self.place_of(request).map_err(|bad| problem(&bad))?;
                 let view = self.control.view_for_memory(world, pose);
                 let view = self.with_same_pixels(view, rendering);
                 self.views.pin_for_memory(view);
-                let answer = PendingView::View(pose.into(), request.variant);
+                let answer = PendingView::View(*request);
                 self.pending.push(Pending { view: Some(view), answer });
             }
             ViewRequestKind::Release => {
@@ -274,35 +286,65 @@ impl<'a> Simulator<'a> {
         Ok(())
     }
 
-    /// Executes at most as many commands as a turn may take. Returns whether more may be waiting.
-    fn take_commands(&mut self, rendering: &mut Rendering) -> Result<bool, BusError> {
-        let woken_ns = monotonic_ns();
-        let most = self.bus.attach().batch_len();
-        let mut taken = 0;
-        while taken < most
-            && let Some(command) = self.commands.next()?
-        {
-            if let Err(bad) = self.take_command(&command, woken_ns, rendering) {
-                self.reporter.report(bad);
-            }
-            taken += 1;
+    /// The world and the pose in which the requested view is seen.
+    fn place_of(&self, request: &ViewRequest) -> Result<(WorldParts, Pose), String> {
+        let &ViewRequest { sequence, demonstration: number, step, .. } = request;
+        if sequence != 0 {
+            let seen = self.lanes.lived().view((sequence, number), step);
+            return seen.ok_or_else(|| {
+                format!("there is no step {step} of episode {number} of sequence {sequence}")
+            });
         }
-        Ok(taken == most)
+        let of = self.demonstrations.demonstrations.get(number as usize);
+        let seen = of.and_then(|of| Some((of.variant, *of.poses.get(step as usize)?)));
+        let (variant, pose) =
+            seen.ok_or_else(|| format!("there is no step {step} of demonstration {number}"))?;
+        Ok((self.lanes.standing(variant, pose)?, pose))
     }
 
-    fn take_command(
+    /// Begins episodes, and executes at most as many commands as a turn may take. Returns whether more may be waiting.
+    fn take_commands(&mut self, rendering: &mut Rendering) -> Result<bool> {
+        let woken_ns = monotonic_ns();
+        let most = self.bus.attach().batch_len();
+        // The config of an episode is sent before its commands.
+        let commands = self.commands.drain_some(most)?;
+        for config in self.configs.drain()? {
+            let WorldEpisodeConfig { episode, lane, sent_ns: commanded_ns, .. } = config;
+            let report = StepReport { episode, lane, commanded_ns, woken_ns, ..Zeroable::zeroed() };
+            match self.lanes.begin(&config) {
+                Ok(stepped) => self.answer_later(stepped, report, NO_ACTION, rendering)?,
+                Err(bad) => self.reporter.report(bad),
+            }
+        }
+        for command in &commands {
+            let &StepCommand { episode, lane, step, sent_ns: commanded_ns, action, .. } = command;
+            let report =
+                StepReport { episode, lane, step, commanded_ns, woken_ns, ..Zeroable::zeroed() };
+            match self.lanes.apply(command) {
+                Ok(None) => {}
+                Ok(Some(stepped)) => self.answer_later(stepped, report, action, rendering)?,
+                Err(bad) => self.reporter.report(bad),
+            }
+        }
+        Ok(commands.len() == most)
+    }
+
+    /// Prepares the answer to a config or a command, about which `report` says whose it is, once its view is resident.
+    fn answer_later(
         &mut self,
-        command: &StepCommand,
-        woken_ns: u64,
+        stepped: Stepped,
+        report: StepReport,
+        action: u8,
         rendering: &mut Rendering,
-    ) -> Result<(), String> {
-        let Stepped { lane, world, pose, feedback, begins, ends } = self.lanes.apply(command)?;
+    ) -> Result<()> {
+        let Stepped { lane, world, pose, feedback, sub_goals, required, conflict, .. } = stepped;
         let stepped_ns = monotonic_ns();
-        if begins || ends {
+        let ends = stepped.ended != EpisodeEnd::GoesOn;
+        if report.step == 0 || ends {
             self.views.clear_lane(lane);
-            // Drop observations of an abandoned episode.
+            // Drop answers about an abandoned episode.
             self.pending.retain(|Pending { answer, .. }| {
-                !matches!(answer, PendingView::Observation(waiting) if waiting.lane == command.lane)
+                !matches!(answer, PendingView::Step(_, waiting, _) if waiting.lane == report.lane)
             });
         }
         let view = (!ends).then(|| {
@@ -312,24 +354,28 @@ impl<'a> Simulator<'a> {
             view
         });
         let is_resident = view.is_none_or(|view| self.views.frame(view).is_some());
-        let acted = command.kind == StepKind::Act as u8;
-        let observation = Observation {
-            episode: command.episode,
-            frame: NO_FRAME,
-            commanded_ns: command.sent_ns,
-            woken_ns,
+        let report = StepReport {
             stepped_ns,
             rendered_ns: if is_resident { stepped_ns } else { 0 },
-            sent_ns: 0,
-            lane: command.lane,
-            step: command.step,
+            sub_goals: sub_goals as u16,
+            required: required as u16,
+            ended: stepped.ended as u8,
+            conflict: conflict.into(),
+            ..report
+        };
+        let observation = Observation {
+            episode: report.episode,
+            frame: NO_FRAME,
+            lane: report.lane,
+            step: report.step,
             pose: pose.into(),
             feedback: feedback as u8,
-            action: if acted { command.action } else { NO_ACTION },
-            last: u8::from(ends),
-            progress: command.progress,
+            action: if feedback == Feedback::NotUnderstood { NO_ACTION } else { action },
+            last: ends.into(),
+            reserved: 0,
         };
-        self.pending.push(Pending { view, answer: PendingView::Observation(observation) });
+        let facts = stepped.facts.map(|facts| serde_json::to_string(&facts)).transpose()?;
+        self.pending.push(Pending { view, answer: PendingView::Step(observation, report, facts) });
         Ok(())
     }
 
@@ -364,13 +410,18 @@ impl<'a> Simulator<'a> {
             let frame = view.map_or(Some(NO_FRAME), |view| self.views.frame(view));
             match (frame, answer) {
                 (None, answer) => self.pending.push(Pending { view, answer }),
-                (Some(frame), PendingView::View(pose, variant)) => {
-                    self.resident.send(&View { frame, pose, variant })?;
+                (Some(frame), PendingView::View(request)) => {
+                    let ViewRequest { sequence, demonstration, step, .. } = request;
+                    self.resident.send(&View { frame, sequence, demonstration, step })?;
                     self.wakeups.add(Role::Memory);
                 }
-                (Some(frame), PendingView::Observation(observation)) => {
-                    let observation = Observation { frame, sent_ns: monotonic_ns(), ..observation };
-                    self.observations.send(&observation)?;
+                (Some(frame), PendingView::Step(observation, report, facts)) => {
+                    let StepReport { lane, episode, .. } = report;
+                    let publish = |text: String| self.facts.publish(lane, episode, text.as_bytes());
+                    let facts = facts.map_or(Ok(NO_DOCUMENT), publish)?;
+                    let sent_ns = monotonic_ns();
+                    self.reports.send(&StepReport { frame, facts, sent_ns, ..report })?;
+                    self.observations.send(&Observation { frame, ..observation })?;
                     self.wakeups.add_for_observation(observation.last != 0);
                 }
             }
@@ -431,10 +482,10 @@ impl<'a> Simulator<'a> {
         self.frames_rendered += 1;
         for Pending { view: awaited, answer } in &mut self.pending {
             if *awaited == Some(view)
-                && let PendingView::Observation(observation) = answer
+                && let PendingView::Step(_, report, _) = answer
             {
                 // The view may have been rendered before the agent arrived.
-                observation.rendered_ns = rendered_ns.max(observation.stepped_ns);
+                report.rendered_ns = rendered_ns.max(report.stepped_ns);
             }
         }
         Ok(())

@@ -5,6 +5,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
+use case_book::{BookFile, DemonstrationBook};
 use shm_types::message::Role;
 use shm_types::process::{check_shared_memory, die_with_parent};
 use shm_types::{Attach, Bus};
@@ -24,6 +25,10 @@ pub struct ServeArgs {
     /// The run's folder, which holds attach.json.
     #[arg(long, value_name = "DIR")]
     attach: PathBuf,
+
+    /// The run's demonstrations, whose views memory asks for.
+    #[arg(long, value_name = "FILE")]
+    demonstrations: PathBuf,
 
     #[command(flatten)]
     worlds: WorldsArgs,
@@ -59,6 +64,7 @@ pub fn run(args: ServeArgs) -> Result<()> {
         sleep(Duration::from_millis(50));
     }
     let worlds = args.worlds.load()?;
+    let demonstrations = BookFile::<DemonstrationBook>::read(&args.demonstrations)?.book;
     let settings = args.renderer.apply(RenderSettings {
         width_px: attach.frame.width,
         height_px: attach.frame.height,
@@ -66,7 +72,7 @@ pub fn run(args: ServeArgs) -> Result<()> {
     });
     let bus = Bus::join(attach, Role::Sim).context("cannot join the run")?;
     let rendered = worlds.clone();
-    serve(&bus, worlds, args.warm_views, || {
+    serve(&bus, worlds, demonstrations, args.warm_views, || {
         RenderSetup::open(&rendered, settings, args.views.as_deref())
     })
     .context("the simulator failed")

@@ -1,11 +1,15 @@
 //! The worlds of a run: the hall and what stands on its shelves, and which passages are closed.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::hash::Hash;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use warehouse::{CaseSet, ELSEWHERE_VARIANT, Layout, RunWorlds, Variant, Warehouse, WorldState};
+use domain::{Action, Pose, Start};
+use warehouse::{
+    Case, CaseSet, ELSEWHERE_VARIANT, Layout, RunWorlds, Task, Trajectory, Variant, Warehouse,
+    WorldState,
+};
 
 use crate::renderer::VisibleChanges;
 
@@ -69,6 +73,39 @@ impl WorldParts {
     }
 }
 
+/// A case as the world that executes its episodes knows it.
+#[derive(Debug, Clone)]
+pub struct EpisodeCase {
+    /// The task.
+    pub task: Task,
+    /// Where its original demonstration starts.
+    original: Pose,
+    /// Where it is tested.
+    new: Pose,
+    /// The same in its blocked variant.
+    blocked: Pose,
+}
+
+impl EpisodeCase {
+    fn new(case: &Case) -> Self {
+        Self {
+            task: case.task.clone(),
+            original: case.original.start,
+            new: case.test.start,
+            blocked: case.blocked.start,
+        }
+    }
+
+    /// Where an episode from `start` begins; in a stream and in the unchanged world, or in the case's own blocked variant.
+    pub const fn start(&self, start: Start, is_blocked: bool) -> Pose {
+        match (start, is_blocked) {
+            (Start::Original, _) => self.original,
+            (Start::New, false) => self.new,
+            (Start::New, true) => self.blocked,
+        }
+    }
+}
+
 /// All worlds of a run, and their parts, each once.
 #[derive(Debug, Clone)]
 pub struct Worlds {
@@ -80,6 +117,10 @@ pub struct Worlds {
     variants: Vec<WorldParts>,
     /// The warehouse in which tasks are only demonstrated, if there is one.
     elsewhere: Option<WorldParts>,
+    /// The cases that episodes are of.
+    cases: Vec<EpisodeCase>,
+    /// The numbers of the variants that streams take place in; none without streams.
+    of_streams: Vec<u32>,
 }
 
 impl Worlds {
@@ -87,6 +128,12 @@ impl Worlds {
     /// cases.
     pub fn new(warehouse: &Warehouse, cases: &CaseSet, states: Vec<WorldState>) -> Self {
         let closing = |cells: &[domain::Cell]| Variant::closing(cells.iter().copied());
+        let first = 1 + cases.cases.len() as u32;
+        // A state without a change has the number of the unchanged world.
+        let of_streams = match states.len() as u32 {
+            0 => Vec::new(),
+            count => std::iter::once(0).chain(first..first + count).collect(),
+        };
         let mut parts = vec![(warehouse.clone(), Variant::UNCHANGED)];
         parts.extend(cases.cases.iter().map(|c| (warehouse.clone(), closing(&c.barricade))));
         parts.extend(states.into_iter().map(|state| (state.warehouse, state.variant)));
@@ -103,7 +150,8 @@ impl Worlds {
             stocks.push(elsewhere.warehouse().clone());
             WorldParts { stock: stocks.len() as u32 - 1, closing: 0 }
         });
-        Self { stocks, closings, variants, elsewhere }
+        let cases = cases.cases.iter().map(EpisodeCase::new).collect();
+        Self { stocks, closings, variants, elsewhere, cases, of_streams }
     }
 
     /// The floor plan of the warehouse that is tested.
@@ -143,6 +191,38 @@ impl Worlds {
         self.variants.get(number as usize).copied()
     }
 
+    /// The hall of `world`, and what stands on its shelves.
+    ///
+    /// # Panics
+    /// When `world` is not one of these.
+    pub fn warehouse(&self, world: WorldParts) -> &Warehouse {
+        &self.stocks[world.stock as usize]
+    }
+
+    /// The same worlds with these cases, without a change of their variants.
+    pub fn with_cases<'a>(mut self, cases: impl IntoIterator<Item = &'a Case>) -> Self {
+        self.cases = cases.into_iter().map(EpisodeCase::new).collect();
+        self
+    }
+
+    /// Case number `case`, if there is one.
+    pub fn case(&self, case: u32) -> Option<&EpisodeCase> {
+        self.cases.get(case as usize)
+    }
+
+    /// The variants of the run's streams in which `actions` from `start` complete the task of case number `case`.
+    pub fn completed_in(&self, case: u32, start: Pose, actions: Vec<Action>) -> BTreeSet<u32> {
+        let Some(case) = self.case(case) else { return BTreeSet::new() };
+        let trajectory = Trajectory { start, actions };
+        let completes = |number: &u32| {
+            self.variant(*number).is_some_and(|world| {
+                let (warehouse, closed) = (self.warehouse(world), self.closed(world));
+                trajectory.replay(warehouse, &case.task, closed).length.is_some()
+            })
+        };
+        self.of_streams.iter().copied().filter(completes).collect()
+    }
+
     /// The closed passages of `world`.
     ///
     /// # Panics
@@ -169,7 +249,7 @@ fn distinct<T, K: Eq + Hash>(all: Vec<T>, key: impl Fn(&T) -> K) -> (Vec<T>, Vec
 mod tests {
     use domain::{Cell, DemonstrationKind, Demonstrations};
     use shm_types::layout::WireLayout;
-    use shm_types::message::{MemoryEpisodeConfig, RecalledSource, ViewRequest};
+    use shm_types::message::{MemoryEpisodeConfig, RecalledSource};
     use warehouse::{Elsewhere, StockChange, WorldChange};
 
     use super::*;
@@ -269,7 +349,5 @@ mod tests {
         ] {
             assert!(set.contains(&told), "{told:?} is not in {set:?}");
         }
-        let variant = doc(ViewRequest::LAYOUT, "variant");
-        assert!(variant.contains(&ELSEWHERE_VARIANT.to_string()), "{variant}");
     }
 }

@@ -20,7 +20,7 @@ const MUST_NOT_LINK: &[(&[&str], &[&str], &str)] = &[
         "reading a run folder and computing the world must not need shared memory",
     ),
     (
-        &["export", "report", "results", "viewer", "world-client"],
+        &["export", "memtransfer", "report", "results", "viewer", "world-client"],
         &["warehouse"],
         "one process knows the world: what shows or checks an episode asks `sim-proc`",
     ),

@@ -7,11 +7,15 @@
 //!   stale in which variant;
 //! - [`DemonstrationBook`], for memory: demonstrations only. No test reference, no rule of a variant, no goal.
 //!
-//! Both are identified by their content ([`BookFile`]). What is asked about single episodes is in [`act`].
+//! Both are identified by their content ([`BookFile`]).
+//!
+//! What the world tells and is told about single episodes is data as well: [`EpisodeFacts`], [`LearnedEpisode`], and for those
+//! who show episodes [`act`].
 
 pub mod act;
 mod cases;
 mod demonstrations;
+mod episodes;
 mod file;
 mod request;
 #[cfg(test)]
@@ -24,6 +28,7 @@ pub use cases::{
 pub use demonstrations::{
     CaseDemonstrations, Demonstration, DemonstrationBook, StreamDemonstrations, ViewPlace,
 };
+pub use episodes::{EpisodeFacts, LEARNED_FILE, LearnedEpisode};
 pub use file::{BookError, BookFile, CASE_BOOK_FILE, DEMONSTRATIONS_FILE};
 pub use request::{BookRequest, ElsewhereRequest, StreamsRequest};
 

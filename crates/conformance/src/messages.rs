@@ -5,7 +5,7 @@ use domain::{Action, Feedback, Heading, Outcome, Pose};
 use shm_types::message::{
     Decision, DocumentId, ExternalEpisode, ExternalQuery, FrameId, ItemKind, NO_ACTION, NO_FRAME,
     NOT_MEASURED, Observation, PolicyEpisodeConfig, Recall, RecallTrace, RecalledItem, RequestId,
-    SegmentStep, StepCommand, StepKind, WirePose, write_text,
+    SegmentStep, StepCommand, StepKind, StepReport, WirePose, WorldEpisodeConfig, write_text,
 };
 use shm_types::process::monotonic_ns;
 
@@ -18,10 +18,9 @@ pub fn config(lane: u32, episode: u64, instruction: &str) -> PolicyEpisodeConfig
     config
 }
 
-/// The command that begins an episode at `start`.
-pub fn reset(lane: u32, episode: u64, variant: u32, start: Pose) -> StepCommand {
-    let (kind, start) = (StepKind::Reset as u8, start.into());
-    StepCommand { lane, episode, variant, start, kind, action: NO_ACTION, ..Zeroable::zeroed() }
+/// The config that begins an episode of case number `case` at its original start, in `variant`.
+pub fn world_config(lane: u32, episode: u64, variant: u32, case: u32) -> WorldEpisodeConfig {
+    WorldEpisodeConfig { lane, episode, variant, case, max_steps: 200, ..Zeroable::zeroed() }
 }
 
 /// The command to act.
@@ -38,7 +37,6 @@ pub fn observation(id: RequestId, frame: FrameId) -> Observation {
         0 => (Feedback::Start, NO_ACTION),
         _ => (Feedback::Moved, Action::Forward as u8),
     };
-    let now = monotonic_ns();
     Observation {
         lane,
         episode,
@@ -47,11 +45,25 @@ pub fn observation(id: RequestId, frame: FrameId) -> Observation {
         pose: WirePose::from(Pose::new(3, 4, Heading::E)),
         feedback: feedback as u8,
         action,
+        ..Zeroable::zeroed()
+    }
+}
+
+/// The report about a step that goes before its observation, of a task with one sub-goal.
+pub fn report(of: &Observation) -> StepReport {
+    let &Observation { lane, episode, step, frame, .. } = of;
+    let now = monotonic_ns();
+    StepReport {
+        lane,
+        episode,
+        step,
+        frame,
         commanded_ns: now,
         woken_ns: now,
         stepped_ns: now,
         rendered_ns: now,
         sent_ns: now,
+        required: 1,
         ..Zeroable::zeroed()
     }
 }

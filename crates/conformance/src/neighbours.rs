@@ -25,8 +25,6 @@ pub struct Neighbours {
     pub error_reports: Receiver<ErrorReport>,
     /// Shutdown reports of the subject.
     pub shutdown_reports: Receiver<ShutdownReport>,
-    /// Observations as the orchestrator receives them: the subject's, or those sent here.
-    pub observations: Receiver<Observation>,
     subject: Notifier,
     orchestrator: Bus,
     others: Vec<Bus>,
@@ -45,7 +43,6 @@ impl Neighbours {
             handshakes: orchestrator.handshake_receiver()?,
             error_reports: orchestrator.receiver()?,
             shutdown_reports: orchestrator.receiver()?,
-            observations: orchestrator.receiver()?,
             subject: match attach.external_memories.first() {
                 Some(&index) => orchestrator.external_memory_notifier(index)?,
                 None => orchestrator.notifier(subject)?,
@@ -95,7 +92,6 @@ impl Neighbours {
     /// # Errors
     /// When it cannot be delivered.
     pub fn observe(&self, observation: &Observation) -> Result<(), BusError> {
-        self.observations.drain()?;
         self.send(observation)
     }
 

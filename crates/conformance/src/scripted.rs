@@ -4,60 +4,100 @@
 
 use std::any::{Any, TypeId};
 use std::cell::RefCell;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::sleep;
 use std::time::Duration;
 
 use bytemuck::Zeroable;
+use case_book::EpisodeFacts;
 use domain::{Action, Feedback, Heading, Pose};
 use shm_types::message::{
-    Decision, Handshake, MemoryEpisodeConfig, NO_FRAME, Observation, PolicyEpisodeConfig, Recall,
-    RequestId, Role, ShutdownReport, StepCommand, StepKind, Stop, read_text,
+    Decision, EpisodeEnd, Handshake, MemoryEpisodeConfig, NO_ACTION, NO_DOCUMENT,
+    NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RequestId, Role, ShutdownReport,
+    StepCommand, StepKind, StepReport, Stop, WorldEpisodeConfig, read_text,
 };
-use shm_types::{Attach, Bus, BusError, Notifier, Sender};
+use shm_types::{Attach, Bus, BusError, NotePublisher, Notifier, Sender};
 
-use crate::messages::{decision, observation, recall, recall_trace};
+use crate::messages::{decision, observation, recall, recall_trace, report};
 
 /// The fact `kind` in the handshake of a scripted process.
 pub const KIND: &str = "scripted";
 
 const TICK: Duration = Duration::from_millis(20);
 
-/// A simulator without pixels. `F` is its dynamics: the pose and the feedback after an action in a variant of the world.
-#[derive(Debug)]
-pub struct ScriptedSim<F> {
-    dynamics: F,
-    poses: BTreeMap<u32, Pose>,
+/// A simulator without pixels, in which every move is blocked and no task is ever complete: episodes end at their step limit.
+#[derive(Debug, Default)]
+pub struct ScriptedSim {
+    episodes: BTreeMap<u32, ScriptedEpisode>,
 }
 
-impl<F: FnMut(u32, Pose, Action) -> (Pose, Feedback)> ScriptedSim<F> {
-    /// A simulator with these dynamics.
-    pub fn new(dynamics: F) -> Self {
-        Self { dynamics, poses: BTreeMap::new() }
+/// An episode in a scripted simulator.
+#[derive(Debug)]
+struct ScriptedEpisode {
+    config: WorldEpisodeConfig,
+    pose: Pose,
+    blocked_moves: Vec<u32>,
+}
+
+/// What a scripted simulator answers.
+#[derive(Debug, Clone)]
+pub struct ScriptedStep {
+    /// For the orchestrator.
+    pub report: StepReport,
+    /// For memory and policy.
+    pub observation: Observation,
+    /// The facts of the episode, if it has ended.
+    pub facts: Option<EpisodeFacts>,
+}
+
+impl ScriptedSim {
+    /// Begins an episode.
+    pub fn begin(&mut self, config: &WorldEpisodeConfig) -> ScriptedStep {
+        let &WorldEpisodeConfig { lane, episode, .. } = config;
+        let (pose, blocked_moves) = (Pose::new(3, 4, Heading::E), Vec::new());
+        self.episodes.insert(lane, ScriptedEpisode { config: *config, pose, blocked_moves });
+        self.answer(RequestId { lane, episode, step: 0 }, Feedback::Start, NO_ACTION)
     }
 
-    /// The observation after a command.
-    pub fn observe(&mut self, command: &StepCommand) -> Observation {
-        let &StepCommand { lane, episode, step, last, action, .. } = command;
-        let pose = self.poses.entry(lane).or_insert(Pose::new(0, 0, Heading::N));
+    /// Executes a command.
+    pub fn step(&mut self, command: &StepCommand) -> ScriptedStep {
+        let &StepCommand { lane, episode, step, action, .. } = command;
+        let of = self.episodes.get_mut(&lane).unwrap();
         let feedback = match StepKind::try_from(command.kind).unwrap() {
-            StepKind::Reset => {
-                *pose = command.start.try_into().unwrap();
-                Feedback::Start
-            }
             StepKind::Stay => Feedback::NotUnderstood,
-            StepKind::Act => {
-                let action = Action::try_from(action).unwrap();
-                let feedback;
-                (*pose, feedback) = (self.dynamics)(command.variant, *pose, action);
-                feedback
-            }
+            StepKind::Act => match Action::try_from(action).unwrap().turn_quarters() {
+                Some(quarters) => {
+                    of.pose.heading = of.pose.heading.turned(quarters);
+                    Feedback::Turned
+                }
+                None => {
+                    of.blocked_moves.push(step);
+                    Feedback::Blocked
+                }
+            },
         };
-        let frame = if last == 1 { NO_FRAME } else { 1 };
-        let (pose, feedback) = ((*pose).into(), feedback as u8);
-        let id = RequestId { lane, episode, step };
-        Observation { pose, feedback, action, last, ..observation(id, frame) }
+        self.answer(RequestId { lane, episode, step }, feedback, action)
+    }
+
+    fn answer(&self, id: RequestId, feedback: Feedback, action: u8) -> ScriptedStep {
+        let ScriptedEpisode { config, pose, blocked_moves } = &self.episodes[&id.lane];
+        let ends = id.step >= config.max_steps;
+        let frame = if ends { NO_FRAME } else { 1 };
+        let (pose, feedback, last) = (*pose, feedback as u8, ends.into());
+        let observation =
+            Observation { pose: pose.into(), feedback, action, last, ..observation(id, frame) };
+        let facts = ends.then(|| EpisodeFacts {
+            start_pose: Pose::new(3, 4, Heading::E),
+            final_pose: pose,
+            visits: Vec::new(),
+            first_seen: BTreeMap::new(),
+            blocked_moves: blocked_moves.clone(),
+            completes_in: (config.learns == 1).then(BTreeSet::new),
+        });
+        let ended = if ends { EpisodeEnd::StepLimit } else { EpisodeEnd::GoesOn } as u8;
+        let report = StepReport { ended, ..report(&observation) };
+        ScriptedStep { report, observation, facts }
     }
 }
 
@@ -78,12 +118,28 @@ pub struct ScriptedRun<'a> {
 
 impl ScriptedRun<'_> {
     /// A simulator.
-    pub fn sim<F: FnMut(u32, Pose, Action) -> (Pose, Feedback)>(&self, mut sim: ScriptedSim<F>) {
-        let mut commands = None;
+    pub fn sim(&self) {
+        let mut sim = ScriptedSim::default();
+        let mut ports = None;
         self.serve(Role::Sim, |process| {
-            let commands = commands.get_or_insert_with(|| process.bus.receiver().unwrap());
-            for command in commands.drain().unwrap() {
-                process.send(&sim.observe(&command), &[Role::Memory, Role::Orchestrator]);
+            let (configs, commands, notes) = ports.get_or_insert_with(|| {
+                let configs = process.bus.receiver::<WorldEpisodeConfig>().unwrap();
+                let commands = process.bus.receiver::<StepCommand>().unwrap();
+                (configs, commands, NotePublisher::of_facts(&process.bus).unwrap())
+            });
+            let commands = commands.drain().unwrap();
+            let mut steps: Vec<_> =
+                configs.drain().unwrap().iter().map(|config| sim.begin(config)).collect();
+            steps.extend(commands.iter().map(|command| sim.step(command)));
+            for ScriptedStep { mut report, observation, facts } in steps {
+                if let Some(facts) = facts {
+                    let text = serde_json::to_string(&facts).unwrap();
+                    // An orchestrator that has left does not get it.
+                    let sent = notes.publish(report.lane, report.episode, text.as_bytes());
+                    report.facts = sent.unwrap_or(NO_DOCUMENT);
+                }
+                process.send(&report, &[Role::Orchestrator]);
+                process.send(&observation, &[Role::Memory]);
             }
         });
     }
@@ -92,11 +148,13 @@ impl ScriptedRun<'_> {
     pub fn memory(&self) {
         let mut ports = None;
         self.serve(Role::Memory, |process| {
-            let (configs, observations) = ports.get_or_insert_with(|| {
+            let (configs, reports, observations) = ports.get_or_insert_with(|| {
                 let configs = process.bus.receiver::<MemoryEpisodeConfig>().unwrap();
-                (configs, process.bus.receiver::<Observation>().unwrap())
+                let reports = process.bus.receiver::<StepReport>().unwrap();
+                (configs, reports, process.bus.receiver::<Observation>().unwrap())
             });
             configs.drain().unwrap();
+            reports.drain().unwrap();
             for observation in observations.drain().unwrap() {
                 if observation.last == 0 {
                     process.send(&recall_trace(request(&observation)), &[]);

@@ -16,11 +16,12 @@ use domain::Pose;
 use shm_types::documents::Content;
 use shm_types::message::{
     Decision, DocumentId, ErrorReport, ErrorReportKind, FrameId, Handshake, MemoryEpisodeConfig,
-    NO_DOCUMENT, NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecallTrace, Role,
-    ShutdownReport, StepCommand, View, ViewRequest, ViewRequestKind, read_text,
+    Message, NO_DOCUMENT, NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecallTrace, Role,
+    ShutdownReport, StepReport, View, ViewRequest, ViewRequestKind, read_text,
 };
 use shm_types::{
-    Attach, BusError, DocumentStore, FramePublisher, FrameSize, FrameStore, Receiver, RunDir,
+    Attach, BusError, DocumentStore, FramePublisher, FrameSize, FrameStore, NoteReceiver, Receiver,
+    RunDir,
 };
 use tempfile::TempDir;
 
@@ -339,6 +340,10 @@ pub struct SimNeighbours {
     pub stores: [FrameStore; 2],
     /// Observations as memory and policy receive them.
     observers: [Receiver<Observation>; 2],
+    /// What the orchestrator is told.
+    pub reports: Receiver<StepReport>,
+    /// The facts of episodes.
+    pub facts: NoteReceiver,
     neighbours: Neighbours,
 }
 
@@ -360,8 +365,27 @@ impl SubjectNeighbours for SimNeighbours {
             views: memory.receiver()?,
             stores: [FrameStore::new(memory)?, FrameStore::new(policy)?],
             observers: [memory.receiver()?, policy.receiver()?],
+            reports: neighbours.receiver()?,
+            facts: NoteReceiver::of_facts(neighbours.bus(&[Role::Orchestrator]))?,
             neighbours,
         })
+    }
+}
+
+/// What a simulator has answered.
+#[derive(Debug, Clone, Copy)]
+pub struct Seen {
+    /// To memory and policy.
+    pub observation: Observation,
+    /// To the orchestrator.
+    pub report: StepReport,
+}
+
+impl Deref for Seen {
+    type Target = Observation;
+
+    fn deref(&self) -> &Observation {
+        &self.observation
     }
 }
 
@@ -369,22 +393,27 @@ impl SubjectNeighbours for SimNeighbours {
 pub type SimRig = Rig<SimNeighbours>;
 
 impl SimRig {
-    /// Sends a command. Does not notify.
-    pub fn command(&self, command: &StepCommand) {
+    /// Sends a config or a command. Does not notify.
+    pub fn command<M: Message>(&self, command: &M) {
         self.neighbours.send(command).unwrap();
     }
 
-    /// Wakes the simulator and waits for `count` observations, which all three receivers must get.
-    pub fn observe(&mut self, count: usize) -> Vec<Observation> {
+    /// Wakes the simulator and waits for `count` answers: a report, then an observation, which both receivers must get.
+    pub fn observe(&mut self, count: usize) -> Vec<Seen> {
         self.notify();
         let mut seen = Vec::new();
         while seen.len() < count {
-            let observation = self.until(|neighbours| neighbours.observations.next().unwrap());
-            for other in 0..2 {
-                let same = self.until(|neighbours| neighbours.observers[other].next().unwrap());
-                assert_eq!(same, observation);
-            }
-            seen.push(observation);
+            let report = self.until(|neighbours| neighbours.reports.next().unwrap());
+            let [observation, same] =
+                [0, 1].map(|at| self.until(|neighbours| neighbours.observers[at].next().unwrap()));
+            assert_eq!(same, observation);
+            let StepReport { lane, episode, step, frame, .. } = report;
+            assert_eq!(
+                (lane, episode, step),
+                (observation.lane, observation.episode, observation.step)
+            );
+            assert_eq!(frame, observation.frame);
+            seen.push(Seen { observation, report });
         }
         for store in &mut self.neighbours.stores {
             store.apply_evictions().unwrap();
@@ -392,16 +421,16 @@ impl SimRig {
         seen
     }
 
-    /// Sends a command and waits for its observation.
-    pub fn ask(&mut self, command: &StepCommand) -> Observation {
+    /// Sends a config or a command and waits for its answer.
+    pub fn ask<M: Message>(&mut self, command: &M) -> Seen {
         self.command(command);
         self.observe(1)[0]
     }
 
-    /// Asks for the view of `pose`, as memory. Does not notify.
-    pub fn pin(&self, pose: Pose) {
+    /// Asks for the view of a step of a demonstration, as memory. Does not notify.
+    pub fn pin(&self, demonstration: u32, step: u32) {
         let (kind, frame) = (ViewRequestKind::Pin as u8, NO_FRAME);
-        let request = ViewRequest { frame, pose: pose.into(), kind, ..Zeroable::zeroed() };
+        let request = ViewRequest { frame, demonstration, step, kind, ..Zeroable::zeroed() };
         self.neighbours.send(&request).unwrap();
     }
 
@@ -423,6 +452,8 @@ impl SimRig {
 pub struct MemoryNeighbours {
     /// The documents of the policy.
     pub documents: DocumentStore,
+    /// The poses of the demonstrations.
+    pub demonstrations: Vec<Vec<Pose>>,
     /// The pose of each frame.
     pub shown: HashMap<FrameId, Pose>,
     /// Views that memory has released.
@@ -449,6 +480,7 @@ impl SubjectNeighbours for MemoryNeighbours {
         let neighbours = Neighbours::join(attach, Role::Memory)?;
         Ok(Self {
             documents: DocumentStore::new(neighbours.bus(&[Role::Policy]))?,
+            demonstrations: Vec::new(),
             shown: HashMap::new(),
             released: 0,
             recalls: neighbours.receiver()?,
@@ -462,11 +494,12 @@ impl SubjectNeighbours for MemoryNeighbours {
     fn respond(&mut self) {
         for request in self.requests.drain().unwrap() {
             if request.kind == ViewRequestKind::Pin as u8 {
-                let frame = self.publish(Pose::try_from(request.pose).unwrap());
-                self.send(&View { frame, pose: request.pose, variant: request.variant }).unwrap();
+                let ViewRequest { sequence, demonstration, step, .. } = request;
+                let frame = self.publish(self.demonstrations[demonstration as usize][step as usize]);
+                self.send(&View { frame, sequence, demonstration, step }).unwrap();
                 self.notify().unwrap();
             } else {
-                assert_eq!(Pose::try_from(request.pose), Ok(self.shown[&request.frame]));
+                assert!(self.shown.contains_key(&request.frame));
                 self.released += 1;
             }
         }
@@ -506,7 +539,15 @@ impl MemoryRig {
             1 => NO_FRAME,
             _ => self.neighbours.publish(seen.pose.try_into().unwrap()),
         };
-        self.neighbours.observe(&Observation { frame, ..seen }).unwrap();
+        self.observe_as(Observation { frame, ..seen });
+    }
+
+    /// Sends the report of a step and this observation.
+    pub fn observe_as(&self, seen: Observation) {
+        let Observation { episode, lane, step, frame, .. } = seen;
+        let report = StepReport { episode, lane, step, frame, ..Zeroable::zeroed() };
+        self.neighbours.send(&report).unwrap();
+        self.neighbours.observe(&seen).unwrap();
         self.notify();
     }
 

@@ -8,6 +8,7 @@ mod cache;
 pub mod camera;
 pub mod codes;
 mod demonstrations;
+pub mod events;
 mod hex;
 mod labels;
 pub mod memory_kind;

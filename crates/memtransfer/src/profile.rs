@@ -16,7 +16,6 @@ use orchestrator::pipeline;
 use orchestrator::profile::recorder::AccessRecorder;
 use orchestrator::profile::search;
 use orchestrator::selection::SelectedCases;
-use replay::World;
 use results::conditions::representation;
 use results::log::DOCUMENTS_FOLDER;
 use results::settings::RunSettings;
@@ -169,7 +168,7 @@ pub(super) fn run(args: &ProfileArgs) -> Result<Exit> {
     let signals = Signals::listen().context("cannot listen to signals")?;
     let unix_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     let scratch = Scratch::make(&args.out)?;
-    let profiler = Profiler { args, extent: &extent, world: World::load(None)?, scratch, signals };
+    let profiler = Profiler { args, extent: &extent, scratch, signals };
     args.progress("the machine's floors");
     let mut profile = Profile {
         schema: SCHEMA,
@@ -239,7 +238,6 @@ fn ways(args: &ProfileArgs, extent: &Extent) -> Vec<RunWay> {
 struct Profiler<'a> {
     args: &'a ProfileArgs,
     extent: &'a Extent,
-    world: World,
     scratch: Scratch,
     signals: Signals,
 }
@@ -276,7 +274,7 @@ impl Profiler<'_> {
 
     /// Runs episodes; `None` when a signal asked to stop. Returns what was measured, and problems.
     fn measure(&self, way: RunWay) -> Result<Option<(AccessRun, Vec<String>)>> {
-        let Self { args, world, scratch, signals, .. } = self;
+        let Self { args, scratch, signals, .. } = self;
         let mut settings = self.settings(way)?;
         let logs = scratch.folder.join("logs");
         let note = &mut |note: &str| args.progress(note);
@@ -329,12 +327,7 @@ impl Profiler<'_> {
             launch.env.push(("MEMTRANSFER_CACHE".into(), scratch.cache().into()));
         }
         let rules = launch::rules(&settings, &memories)?;
-        let mut lanes = Lanes::new(
-            selected.book(),
-            (&world.warehouse, &world.cases),
-            rules,
-            attach.lanes as usize,
-        );
+        let mut lanes = Lanes::new(&selected.books, rules, attach.lanes as usize);
         let mut recorder = AccessRecorder::default();
         let stop = signals.stop();
         let ending = pipeline::run_episodes(

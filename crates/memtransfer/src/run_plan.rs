@@ -25,9 +25,8 @@ use orchestrator::progress::{ProgressDisplay, say};
 use orchestrator::selection::SelectedCases;
 use orchestrator::session::RunSession;
 use orchestrator::status::EpisodeCounts;
-use orchestrator::streams::{Remaining, Streams};
+use orchestrator::streams::Remaining;
 use orchestrator::trace::RunTrace;
-use replay::World;
 use results::conditions::{Demonstrations, Route, Start};
 use results::cost::ModelPrices;
 use results::log::{
@@ -39,7 +38,6 @@ use rustix::io::Errno;
 use shm_types::message::{MAX_SOURCES, WIRE_VERSION};
 use shm_types::{RunDir, registry};
 use supervise::Children;
-use warehouse::StreamSet;
 
 use super::documents::RunDocuments;
 use super::run::flags::RunOptions;
@@ -262,7 +260,7 @@ impl RunPlan {
         documents.copy_to(&folder.dir().join(DOCUMENTS_FOLDER))?;
         drop(documents);
         self.books.write(folder.dir())?;
-        let remaining = Remaining::of(&self.episodes, &finished)?;
+        let remaining = Remaining::of(&self.books.cases.book, &self.episodes, &finished)?;
         let missing = &remaining.missing;
         if settings.log_prompts {
             let logged = folder.dir().join(PROMPTS_FOLDER);
@@ -352,16 +350,7 @@ impl RunPlan {
             launch::ship_embeddings(&mut pipeline_options, file);
         }
         let rules = launch::rules(settings, memories)?;
-        let World { warehouse, cases, .. } = World::load(settings.assets.as_deref())?;
-        let streams = books.streams.as_ref().map(|text| {
-            Streams::new(&warehouse, &cases, StreamSet::parse(text, &warehouse, &cases)?)
-        });
-        let streams = streams.transpose()?;
-        let count = attach.lanes as usize;
-        let mut lanes = Lanes::new(&books.cases.book, (&warehouse, &cases), rules, count);
-        if let Some(streams) = &streams {
-            lanes = lanes.in_streams(streams);
-        }
+        let mut lanes = Lanes::new(books, rules, attach.lanes as usize);
         for (sequence, position, experience) in learned {
             lanes.remember(sequence, position, experience);
         }

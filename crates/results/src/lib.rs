@@ -8,7 +8,7 @@ pub mod compare;
 pub mod conditions;
 pub mod cost;
 pub mod date;
-pub mod events;
+pub use domain::events;
 pub mod key;
 pub mod latency;
 pub mod log;

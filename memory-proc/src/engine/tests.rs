@@ -174,12 +174,13 @@ fn unusable_messages_are_refused_with_a_reason() {
     rig.engine.config(&config).unwrap();
     let first = script.observations[0];
     let refuse = |rig: &mut Rig, bad: Observation, expected: &str| {
-        let error = rig.engine.observe(&bad, 1).unwrap_err().to_string();
+        let reported = rig.report(&bad).and_then(|()| rig.engine.observe(&bad, 1).map(drop));
+        let error = reported.unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
     };
     let first = Observation { frame: 1, ..first };
     refuse(&mut rig, Observation { episode: 8, ..first }, "unknown episode 8 in lane 0");
-    refuse(&mut rig, Observation { lane: 7, ..first }, "unknown episode 1 in lane 7");
+    refuse(&mut rig, Observation { lane: 7, ..first }, "episode 1 in lane 7");
     refuse(&mut rig, Observation { step: 1, ..first }, "step 1: expected step 0");
     refuse(&mut rig, Observation { action: 7, ..first }, "7 is not an action");
     refuse(&mut rig, Observation { feedback: 5, ..first }, "5 is not a feedback");
@@ -190,7 +191,8 @@ fn unusable_messages_are_refused_with_a_reason() {
         "4 is not a heading",
     );
     let pose = Pose::new(0, 0, Heading::N);
-    let unexpected = rig.engine.view(Viewpoint { variant: 0, pose }, 9, [0; 16], pose);
+    let view_id = ViewId { sequence: 0, number: 0, step: 3 };
+    let unexpected = rig.engine.view(view_id, 9, [0; 16], pose);
     assert!(unexpected.unwrap_err().to_string().contains("which was not requested"));
     assert_eq!(Feedback::Start as u8, first.feedback);
     rig.play(&[], std::iter::repeat_n(1, 4000));
@@ -298,6 +300,7 @@ proptest! {
                     last: g % 2,
                     ..bytemuck::Zeroable::zeroed()
                 };
+                let _ = rig.report(&seen);
                 if let Ok(Some(_)) = rig.engine.observe(&seen, 1) {
                     let pose = Pose::try_from(pose).unwrap();
                     rig.engine.current_view(lane, content(pose), pose);

@@ -47,10 +47,9 @@ fn assembled(
     let bank = bank();
     let answer = CheckedAnswer::new(items, &bank, AMPLE).unwrap();
     let mut assembler = Assembler { bank: &bank, episode: (1, 7), texts, documents };
-    let frame = |viewpoint: Viewpoint| {
-        let pose = viewpoint.pose;
-        assert!(answer.viewpoints.contains(&viewpoint), "{pose} was not asked for");
-        Some(1000 + u64::from(pose.cell.y))
+    let frame = |view_id: ViewId| {
+        assert!(answer.view_ids.contains(&view_id), "{view_id:?} was not asked for");
+        Some(1000 + u64::from(view_id.step))
     };
     assembler.assemble(&answer, frame).unwrap()
 }

@@ -9,7 +9,7 @@ use shm_types::documents::Content;
 use shm_types::message::DocumentId;
 
 use super::MemorySettings;
-use crate::bank::{BankSteps, KnownView, MemoryBank};
+use crate::bank::{BankSteps, KnownView, MemoryBank, ViewId};
 use crate::demonstrations::RememberedDemonstration;
 use crate::items::DocumentSupplier;
 
@@ -19,9 +19,10 @@ pub(crate) fn demonstration(number: u16, from: u8, steps: u8) -> RememberedDemon
     RememberedDemonstration {
         case: 8,
         number,
-        variant: 0,
         instruction: "Find a cone.".to_owned(),
         poses: all.clone().map(|t| Pose::new(3, from + t, Heading::N)).collect(),
+        // Named by the row.
+        views: all.clone().map(|t| ViewId { sequence: 0, number: 0, step: (from + t).into() }).collect(),
         feedback: all
             .clone()
             .map(|t| if t == 0 { Feedback::Start } else { Feedback::Moved })
@@ -60,7 +61,7 @@ pub(crate) fn build_with_views<M: Memory>(
     view: impl Fn(Pose) -> KnownView,
 ) -> M {
     let bank = MemoryBank::new(demonstrations.to_vec());
-    let steps = bank.with_views(|viewpoint| Some(view(viewpoint.pose))).unwrap();
+    let steps = bank.with_views(|of| Some(view(Pose::new(3, of.step as u8, Heading::N)))).unwrap();
     let mut memory = new(&MemorySettings { embeddings: steps.embeddings(), ..settings.clone() });
     memory.build(&steps.demonstrations()).unwrap();
     memory

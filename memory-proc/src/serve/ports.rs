@@ -2,8 +2,8 @@
 
 use shm_types::message::{
     ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore, ExternalStored,
-    MemoryEpisodeConfig, Observation, Recall, RecallTrace, Role, SnapshotReport, Stop, View,
-    ViewRequest,
+    MemoryEpisodeConfig, Observation, Recall, RecallTrace, Role, SnapshotReport, StepReport, Stop,
+    View, ViewRequest,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
@@ -16,6 +16,7 @@ use crate::external::ToExternal;
 pub(super) struct Ports {
     pub(super) configs: Receiver<MemoryEpisodeConfig>,
     pub(super) observations: Receiver<Observation>,
+    pub(super) reports: Receiver<StepReport>,
     pub(super) views: Receiver<View>,
     pub(super) stops: Receiver<Stop>,
     pub(super) frames: FrameStore,
@@ -83,6 +84,7 @@ impl Ports {
         Ok(Self {
             configs: bus.receiver()?,
             observations: bus.receiver()?,
+            reports: bus.receiver()?,
             views: bus.receiver()?,
             stops: bus.receiver()?,
             frames: FrameStore::new(bus)?,

@@ -28,18 +28,6 @@ pub enum AnswerError {
         /// The step.
         step: u32,
     },
-    /// The simulator's world differs from the orchestrator's.
-    #[error("the simulator reports {found} for step {step} of lane {lane}, expected {expected}")]
-    Disagrees {
-        /// The lane.
-        lane: u32,
-        /// The step.
-        step: u32,
-        /// What the simulator reported.
-        found: String,
-        /// What follows from the dynamics.
-        expected: String,
-    },
     /// Its content is invalid, and the episode cannot go on.
     #[error("the {} process sent an invalid answer to step {step} of lane {lane}: {problem}", role.word())]
     Invalid {

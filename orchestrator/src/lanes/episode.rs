@@ -3,38 +3,30 @@
 use std::collections::BTreeMap;
 
 use bytemuck::Zeroable;
-use domain::{Action, Cell, Feedback, MemoryKind, Outcome, Pose, hex};
+use case_book::EpisodeFacts;
+use domain::{Action, Heading, MemoryKind, Outcome, Pose, Start, hex};
 use results::conditions::Route;
 use results::log::{
     BlockedRecord, Ending, EpisodeRecord, RecallTotals, Stages, StreamRecord, Unread,
 };
 use shm_types::message::{
-    Decision, EXTERNAL, FrameId, MemoryEpisodeConfig, NO_ACTION, NO_FRAME, NOT_MEASURED,
-    Observation, PolicyEpisodeConfig, RecallTrace, Role, SnapshotReport, StepCommand, StepKind,
-    TASK_COMPLETE, WirePose, write_text,
+    Decision, EXTERNAL, EpisodeEnd, MemoryEpisodeConfig, NO_ACTION,
+    NO_FRAME, NOT_MEASURED, PolicyEpisodeConfig, RecallTrace, Role, SnapshotReport, StepCommand,
+    StepKind, StepReport, WorldEpisodeConfig, read_flag, write_text,
 };
-use warehouse::{Progress, TrajectoryKind, Variant, step};
+use shm_types::notes::Note;
 
 use super::retrieved::Retrieved;
 use super::{
     AnswerError, AnsweredRequest, Context, EpisodeOpening, FinishedEpisode, PendingAnswer, Stamps,
 };
-use crate::event_recorder::EventRecorder;
 use crate::plan::{PlannedEpisode, StreamPart};
 
 /// An episode under way.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct ActiveEpisode {
-    variant_code: u32,
-    variant: Variant,
-    /// The reference's actions, for the expert.
-    reference: Vec<Action>,
-    progress: Progress,
-    events: EventRecorder,
-    /// Pose and feedback once the open command is done.
-    pose: Pose,
-    feedback: Feedback,
-    last_action: u8,
+    /// The number of the variant that it takes place in.
+    variant: u32,
     awaited: Awaited,
     /// When the awaited answer was asked for.
     since_ns: u64,
@@ -50,13 +42,14 @@ pub(super) struct ActiveEpisode {
     result: FinishedEpisode,
 }
 
+/// Where an episode begins of which the case book has no reference, until the simulator tells.
+const NOWHERE: Pose = Pose::new(0, 0, Heading::N);
+
 /// The answer that the episode waits for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Awaited {
-    /// The simulator's; the episode goes on.
-    Observation,
-    /// The simulator's; the episode ends with it.
-    LastObservation,
+    /// The simulator's.
+    Report,
     /// The policy's.
     Decision,
     /// Memory's report that it has learned; the episode ends with it.
@@ -66,22 +59,13 @@ enum Awaited {
 impl ActiveEpisode {
     /// `episode` before its first step.
     pub(super) fn new(context: &Context<'_>, id: u64, lane: u32, episode: PlannedEpisode) -> Self {
-        let Context { cases, rules, now_ns, .. } = context;
-        let state = context.state(&episode);
-        let warehouse = state.map_or(context.warehouse, |state| &state.warehouse);
-        let case = &cases.cases[episode.case_index];
+        let (rules, book) = (&context.rules, context.book());
+        let case = &book.cases[episode.case_index];
         let condition = episode.key.condition;
-        let from = TrajectoryKind::reference(condition.start, condition.route);
-        let in_world = episode
-            .part
-            .zip(context.streams)
-            .map(|(part, streams)| streams.case(part.world, episode.case_index));
-        let trajectory = in_world.map_or(case.trajectory(from), |found| &found.reference);
-        let start = trajectory.start;
-        let progress = Progress::new(warehouse, &case.task, start.cell);
-        let mut events = EventRecorder::new(warehouse, &case.task);
-        events.stands(0, start);
-        events.looks(warehouse, 0, start);
+        let expert = episode.expert(book);
+        let in_world = episode.part.zip(book.streams.as_ref());
+        let in_world = in_world
+            .and_then(|(part, streams)| streams.case(part.world, episode.case_index as u32));
         let is_blocked = condition.route == Route::Blocked;
         let has_policy = !rules.expert;
         let record = EpisodeRecord {
@@ -96,21 +80,21 @@ impl ActiveEpisode {
             arm: condition.arm,
             run: episode.key.run,
             case: episode.key.case.clone(),
-            task: case.task.task_type().number(),
+            task: case.task,
             seed: episode.seed,
             ending: Ending::OutOfSteps,
             steps: 0,
-            reference: episode.expert(context.book).map_or(0, |expert| expert.length),
+            reference: expert.map_or(0, |expert| expert.length),
             actions: String::new(),
-            sub_goals: vec![0; progress.stage() as usize],
-            required: progress.total(),
+            sub_goals: Vec::new(),
+            required: 0,
             visits: Vec::new(),
             first_seen: BTreeMap::new(),
             blocked_moves: Vec::new(),
             tried_closed: is_blocked.then_some(false),
             tried_closed_at: None,
-            start_pose: start,
-            final_pose: start,
+            start_pose: expert.map_or(NOWHERE, |expert| expert.begin),
+            final_pose: expert.map_or(NOWHERE, |expert| expert.begin),
             requests: has_policy.then_some(0),
             images: has_policy.then_some(0),
             images_dropped: 0,
@@ -119,11 +103,7 @@ impl ActiveEpisode {
             memory_tokens: has_policy.then_some(0),
             unread: Unread::default(),
             blocked: is_blocked.then(|| BlockedRecord {
-                invalidated: case
-                    .original
-                    .replay(warehouse, &case.task, &case.variant(from))
-                    .length
-                    .is_none(),
+                invalidated: case.invalidated_when_blocked,
                 ..BlockedRecord::default()
             }),
             retrieved: None,
@@ -145,28 +125,20 @@ impl ActiveEpisode {
                     feedback,
                     world,
                     invalidated: in_world.is_some_and(|found| found.invalidated),
-                    reference_actions: trajectory.actions.iter().map(|a| a.letter()).collect(),
+                    reference_actions: in_world.map_or_else(String::new, |found| {
+                        found.actions.iter().map(|action| action.letter()).collect()
+                    }),
                     retrievals: 0,
                     stale: 0,
                     snapshot: None,
                     store_bytes: None,
+                    completes_in: None,
                 }
             }),
         };
         Self {
-            variant_code: match episode.part.zip(context.streams) {
-                Some((part, streams)) => streams.set.variant(part.world, cases.cases.len()),
-                None if is_blocked => 1 + episode.case_index as u32,
-                None => 0,
-            },
-            variant: state.map_or_else(|| case.variant(from), |state| state.variant.clone()),
-            reference: if rules.expert { trajectory.actions.clone() } else { Vec::new() },
-            progress,
-            events,
-            pose: start,
-            feedback: Feedback::Start,
-            last_action: NO_ACTION,
-            awaited: Awaited::Observation,
+            variant: episode.variant(book),
+            awaited: Awaited::Report,
             since_ns: 0,
             stamps: Stamps::new(id, lane, condition.memory),
             trace: None,
@@ -180,7 +152,7 @@ impl ActiveEpisode {
                 recalls: RecallTotals::default(),
                 lane,
                 id,
-                started_ns: *now_ns,
+                started_ns: context.now_ns,
                 ended_ns: 0,
                 unusable: 0,
             },
@@ -219,9 +191,8 @@ impl ActiveEpisode {
             window: condition.variation.window as u8,
             ..Zeroable::zeroed()
         };
-        let task = &context.cases.cases[episode.case_index].task;
-        let instruction = task.instruction(&context.warehouse.catalogue);
-        policy.instruction_len = write_text(&mut policy.instruction, &instruction);
+        let instruction = &context.book().cases[episode.case_index].instruction;
+        policy.instruction_len = write_text(&mut policy.instruction, instruction);
         let rules = &context.rules;
         let external = condition.memory.external().and_then(|name| rules.external_index(name));
         let mut memory = MemoryEpisodeConfig {
@@ -239,7 +210,7 @@ impl ActiveEpisode {
             hits: rules.hits,
             external: external.unwrap_or_default(),
             repeat: episode.key.run,
-            variant: self.variant_code,
+            variant: self.variant,
             ..Zeroable::zeroed()
         };
         // Working memory has nothing that could persist.
@@ -254,42 +225,106 @@ impl ActiveEpisode {
             memory.learns = episode.learns().into();
             memory.feedback = part.feedback as u8;
         }
-        let start = self.pose.into();
-        let command = StepCommand { start, ..self.command(StepKind::Reset, context.now_ns) };
-        EpisodeOpening { memory, policy, command }
+        // An episode of a stream begins at the case's new start, whatever its condition says.
+        let start = if episode.part.is_some() { Start::New } else { condition.start };
+        let mut world = WorldEpisodeConfig {
+            episode: id,
+            seed: episode.seed,
+            sent_ns: context.now_ns,
+            lane,
+            case: episode.case_index as u32,
+            variant: self.variant,
+            max_steps: rules.max_steps,
+            start: start as u8,
+            learns: episode.learns().into(),
+            ..Zeroable::zeroed()
+        };
+        if let Some((part, place)) = episode.part.zip(episode.key.place) {
+            (world.sequence, world.position) = (part.sequence, place.position);
+        }
+        self.since_ns = context.now_ns;
+        EpisodeOpening { memory, policy, world }
     }
 
-    /// Takes the simulator's answer. Returns whether the episode is over.
-    pub(super) fn observed(
+    /// Takes the simulator's answer. Returns whether the episode has ended; then its facts are among `notes`.
+    pub(super) fn reported(
         &mut self,
         context: &Context<'_>,
-        observation: &Observation,
+        report: &StepReport,
+        notes: &[Note],
     ) -> Result<bool, AnswerError> {
-        let is_last = match self.awaited {
-            Awaited::Observation => false,
-            Awaited::LastObservation => true,
-            Awaited::Decision | Awaited::Snapshot => {
-                return Err(self.unexpected(Role::Sim, observation.step));
-            }
-        };
-        self.compare(observation, is_last)?;
-        self.stamps.observed(observation);
-        self.since_ns = context.now_ns;
-        let is_over = is_last && (!self.result.episode.learns() || self.snapshot.is_some());
-        if !is_over {
-            self.awaited = if is_last { Awaited::Snapshot } else { Awaited::Decision };
+        let &StepReport { lane, step, .. } = report;
+        if self.awaited != Awaited::Report || step != self.result.record.steps {
+            return Err(self.unexpected(Role::Sim, step));
         }
-        Ok(is_over)
+        let ended = self.take_report(report, notes).map_err(|problem| AnswerError::Invalid {
+            role: Role::Sim,
+            lane,
+            step,
+            problem,
+        })?;
+        self.stamps.reported(report);
+        self.since_ns = context.now_ns;
+        self.awaited = if ended { Awaited::Snapshot } else { Awaited::Decision };
+        Ok(ended)
     }
 
-    /// Takes memory's report that it has learned. Returns whether the episode is over.
-    pub(super) fn learned(&mut self, report: &SnapshotReport) -> Result<bool, AnswerError> {
-        let is_last = matches!(self.awaited, Awaited::LastObservation | Awaited::Snapshot);
-        if !self.result.episode.learns() || !is_last || self.snapshot.is_some() {
+    /// Records what the simulator tells of a step. Returns whether the episode has ended.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    fn take_report(&mut self, report: &StepReport, notes: &[Note]) -> Result<bool, String> {
+        let ended = EpisodeEnd::try_from(report.ended).map_err(|unknown| unknown.to_string())?;
+        let conflict = read_flag(report.conflict).map_err(|unknown| unknown.to_string())?;
+        let has_ended = ended != EpisodeEnd::GoesOn;
+        if (report.frame == NO_FRAME) != has_ended {
+            return Err(format!("frame {} of an episode that {}", report.frame, ended.word()));
+        }
+        let record = &mut self.result.record;
+        let (sub_goals, required) = (report.sub_goals.into(), report.required.into());
+        if sub_goals < record.sub_goals.len() || report.sub_goals > report.required {
+            return Err(format!("{sub_goals} of {required} sub-goals"));
+        }
+        record.sub_goals.resize(sub_goals, record.steps);
+        record.required = required;
+        if conflict && record.tried_closed == Some(false) {
+            record.tried_closed = Some(true);
+            record.tried_closed_at = Some(record.steps);
+        }
+        if !has_ended {
+            return Ok(false);
+        }
+        if ended == EpisodeEnd::Complete {
+            record.ending = Ending::Complete;
+        }
+        let note = notes.iter().find(|note| note.header.id == report.facts);
+        let note = note.ok_or_else(|| "its facts are missing".to_owned())?;
+        let bytes = note.bytes.as_ref().map_err(ToString::to_string)?;
+        let facts: EpisodeFacts =
+            serde_json::from_slice(bytes).map_err(|error| format!("its facts: {error}"))?;
+        record.start_pose = facts.start_pose;
+        record.final_pose = facts.final_pose;
+        record.visits = facts.visits;
+        record.first_seen = facts.first_seen;
+        record.blocked_moves = facts.blocked_moves;
+        if let Some(stream) = &mut record.stream {
+            stream.completes_in = facts.completes_in;
+        }
+        Ok(true)
+    }
+
+    /// Whether a memory learns from it.
+    pub(super) fn learns(&self) -> bool {
+        self.result.episode.learns()
+    }
+
+    /// Takes memory's report that it has learned, with which the episode is over.
+    pub(super) fn learned(&mut self, report: &SnapshotReport) -> Result<(), AnswerError> {
+        if !self.result.episode.learns() || self.awaited != Awaited::Snapshot {
             return Err(self.unexpected(Role::Memory, self.result.record.steps));
         }
         self.snapshot = Some(*report);
-        Ok(self.awaited == Awaited::Snapshot)
+        Ok(())
     }
 
     /// Takes memory's trace of a recall.
@@ -307,7 +342,7 @@ impl ActiveEpisode {
         let sources = sources.ok_or_else(|| invalid(format!("{} sources", trace.sources_len)))?;
         if self.stamps.memory.retrieves() {
             let FinishedEpisode { episode, record, .. } = &mut self.result;
-            let noted = self.retrieved.add(context, episode, record, &self.variant, sources);
+            let noted = self.retrieved.add(context, episode, record, self.variant, sources);
             noted.map_err(invalid)?;
         }
         self.count_recall(trace);
@@ -352,7 +387,9 @@ impl ActiveEpisode {
         context: &Context<'_>,
     ) -> Result<(StepCommand, Stamps), AnswerError> {
         let step = self.result.record.steps;
-        let action = self.reference.get(step as usize).copied().ok_or_else(|| {
+        let expert = self.result.episode.expert(context.book());
+        let action = expert.and_then(|expert| expert.actions.get(step as usize).copied());
+        let action = action.ok_or_else(|| {
             let problem = "the case's reference ends before its task is complete".to_owned();
             let lane = self.result.lane;
             AnswerError::Invalid { role: Role::Orchestrator, lane, step, problem }
@@ -383,64 +420,45 @@ impl ActiveEpisode {
         }
     }
 
-    /// Predicts the next step: an action, or staying where an answer could not be read. Returns the command that
-    /// makes the simulator take it, and the stamps of the step before.
+    /// Takes the next step: an action, or staying where an answer could not be read. Returns the command for it, and the
+    /// stamps of the step before.
     fn advance(
         &mut self,
         context: &Context<'_>,
         answer: Result<Action, Outcome>,
     ) -> (StepCommand, Stamps) {
-        let layout = &context.warehouse.layout;
         let record = &mut self.result.record;
         record.steps += 1;
-        let kind = match answer {
+        let (kind, action) = match answer {
             Ok(action) => {
-                let tried = entered(self.pose, action).is_some_and(|c| self.variant.is_closed(c));
-                if tried && record.tried_closed == Some(false) {
-                    record.tried_closed_at = Some(record.steps);
-                }
-                record.tried_closed = record.tried_closed.map(|before| before || tried);
-                (self.pose, self.feedback) = step(layout, &self.variant, self.pose, action);
-                self.last_action = action as u8;
                 record.actions.push(action.letter());
-                StepKind::Act
+                (StepKind::Act, action as u8)
             }
             Err(outcome) => {
                 record.unread.add(outcome);
-                self.feedback = Feedback::NotUnderstood;
-                self.last_action = NO_ACTION;
                 record.actions.push('?');
-                StepKind::Stay
+                (StepKind::Stay, NO_ACTION)
             }
         };
-        record.final_pose = self.pose;
-        if self.feedback == Feedback::Blocked {
-            record.blocked_moves.push(record.steps);
-        }
-        self.events.stands(record.steps, self.pose);
-        let met = self.progress.visit(self.pose.cell);
-        record.sub_goals.extend((0..met).map(|_| record.steps));
-        if self.progress.is_complete() {
-            record.ending = Ending::Complete;
-        }
-        let is_over = self.progress.is_complete() || record.steps >= context.rules.max_steps;
-        self.awaited = if is_over {
-            Awaited::LastObservation
-        } else {
-            let world = record.stream.as_ref().zip(context.streams);
-            let warehouse = world
-                .map_or(context.warehouse, |(part, streams)| &streams.state(part.world).warehouse);
-            self.events.looks(warehouse, record.steps, self.pose);
-            Awaited::Observation
-        };
+        self.awaited = Awaited::Report;
         self.stamps.logged_ns = context.now_ns;
         self.result.stages += self.stamps.stages();
-        (self.command(kind, context.now_ns), self.stamps)
+        self.since_ns = context.now_ns;
+        let command = StepCommand {
+            episode: self.result.id,
+            sent_ns: context.now_ns,
+            lane: self.result.lane,
+            step: self.result.record.steps,
+            kind: kind as u8,
+            action,
+            ..Zeroable::zeroed()
+        };
+        (command, self.stamps)
     }
 
     /// The finished episode.
     pub(super) fn finish(self, context: &Context<'_>) -> FinishedEpisode {
-        let Self { mut result, events, snapshot, retrieved, .. } = self;
+        let Self { mut result, snapshot, retrieved, .. } = self;
         result.ended_ns = context.now_ns;
         if let Some((SnapshotReport { snapshot, store_bytes, .. }, stream)) =
             snapshot.zip(result.record.stream.as_mut())
@@ -452,8 +470,6 @@ impl ActiveEpisode {
                 part.snapshot = snapshot;
             }
         }
-        result.record.visits = events.visits;
-        result.record.first_seen = events.first_seen;
         retrieved.complete(&mut result.record);
         result
     }
@@ -461,7 +477,7 @@ impl ActiveEpisode {
     /// The answer that the episode waits for.
     pub(super) fn pending(&self, lane: u32, memory_busy_ns: u64) -> PendingAnswer {
         let role = match (self.awaited, self.trace) {
-            (Awaited::Observation | Awaited::LastObservation, _) => Role::Sim,
+            (Awaited::Report, _) => Role::Sim,
             (Awaited::Decision, None) | (Awaited::Snapshot, _) => Role::Memory,
             (Awaited::Decision, Some(_)) => Role::Policy,
         };
@@ -471,24 +487,6 @@ impl ActiveEpisode {
         };
         let memory = self.stamps.memory;
         PendingAnswer { role, lane, memory, since_ns, unusable: self.result.unusable }
-    }
-
-    /// The command that makes the simulator do what was predicted.
-    fn command(&mut self, kind: StepKind, now_ns: u64) -> StepCommand {
-        self.since_ns = now_ns;
-        StepCommand {
-            episode: self.result.id,
-            sent_ns: now_ns,
-            lane: self.result.lane,
-            step: self.result.record.steps,
-            variant: self.variant_code,
-            kind: kind as u8,
-            action: self.last_action,
-            last: u8::from(self.awaited == Awaited::LastObservation),
-            progress: self.progress.stage() as u8
-                | if self.progress.is_complete() { TASK_COMPLETE } else { 0 },
-            ..Zeroable::zeroed()
-        }
     }
 
     /// Adds what memory supplied.
@@ -521,36 +519,12 @@ impl ActiveEpisode {
 
     /// Whether an answer about `step` is, or will be, awaited.
     fn awaits(&self, step: u32) -> bool {
-        !matches!(self.awaited, Awaited::LastObservation | Awaited::Snapshot)
-            && step == self.result.record.steps
+        self.awaited != Awaited::Snapshot && step == self.result.record.steps
     }
 
     fn unexpected(&mut self, role: Role, step: u32) -> AnswerError {
         self.result.unusable += 1;
         AnswerError::Unexpected { role, lane: self.result.lane, step }
-    }
-
-    /// Compares an observation with the prediction.
-    fn compare(&self, observation: &Observation, is_last: bool) -> Result<(), AnswerError> {
-        let &Observation { lane, step, .. } = observation;
-        let steps = self.result.record.steps;
-        let frame_as_due = |frame: FrameId| (frame == NO_FRAME) == is_last;
-        let (pose, feedback): (WirePose, u8) = (self.pose.into(), self.feedback as u8);
-        if (step, observation.pose, observation.feedback) == (steps, pose, feedback)
-            && frame_as_due(observation.frame)
-        {
-            return Ok(());
-        }
-        let found = format!(
-            "step {step}, pose {:?}, feedback {}, frame {}",
-            observation.pose.0, observation.feedback, observation.frame
-        );
-        let expected = format!(
-            "step {steps}, pose {:?}, feedback {feedback}, {} frame",
-            pose.0,
-            if is_last { "no" } else { "a" }
-        );
-        Err(AnswerError::Disagrees { lane, step, found, expected })
     }
 }
 
@@ -565,9 +539,4 @@ fn read_answer(decision: &Decision) -> Result<Result<Action, Outcome>, AnswerErr
         Outcome::Acted => Ok(Action::try_from(action).map_err(invalid)?),
         unread => Err(unread),
     })
-}
-
-/// The cell that `action` tries to enter from `pose`, if it is a move.
-fn entered(pose: Pose, action: Action) -> Option<Cell> {
-    pose.cell.step(pose.heading.turned(action.move_direction()?))
 }

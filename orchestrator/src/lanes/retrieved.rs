@@ -7,13 +7,12 @@ use domain::{Arm, DemonstrationKind};
 use results::log::EpisodeRecord;
 use results::source::distance_word;
 use shm_types::message::{EXPERIENCE, RecalledSource};
-use warehouse::{History, Trajectory, Variant};
 
 use super::Context;
 use crate::plan::PlannedEpisode;
 
 /// What memory has retrieved in an episode so far.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Retrieved {
     /// As [`EpisodeRecord::retrieved`].
     sources: String,
@@ -37,7 +36,7 @@ impl Retrieved {
         context: &Context<'_>,
         episode: &PlannedEpisode,
         record: &mut EpisodeRecord,
-        variant: &Variant,
+        variant: u32,
         sources: &[RecalledSource],
     ) -> Result<(), String> {
         self.count_stale(context, episode, record, variant, sources)?;
@@ -51,7 +50,7 @@ impl Retrieved {
                 let _ = write!(words, "e{case}:{first}");
                 continue;
             }
-            let found = context.cases.cases.get(case as usize);
+            let found = context.book().cases.get(case as usize);
             let kind = DemonstrationKind::from_code(demonstration);
             let Some((found, kind)) = found.zip(kind) else {
                 return Err(format!("case {case}, demonstration {demonstration}"));
@@ -93,7 +92,7 @@ impl Retrieved {
     }
 
     /// Counts the sources of an episode in a stream or on a blocked route, and those that are stale: their trajectory
-    /// completes its task in the world that it was recorded in, and not in this one.
+    /// completes its task in the world that it was recorded in, and not in this one, which is `variant`.
     ///
     /// # Errors
     /// When a source does not exist.
@@ -102,7 +101,7 @@ impl Retrieved {
         context: &Context<'_>,
         episode: &PlannedEpisode,
         record: &mut EpisodeRecord,
-        variant: &Variant,
+        variant: u32,
         sources: &[RecalledSource],
     ) -> Result<(), String> {
         let EpisodeRecord { stream, blocked, .. } = record;
@@ -110,10 +109,6 @@ impl Retrieved {
             (Some(stream), _) => (&mut stream.retrievals, &mut stream.stale),
             (None, Some(blocked)) => (&mut blocked.retrievals, &mut blocked.stale),
             (None, None) => return Ok(()),
-        };
-        let warehouse = context.state(episode).map_or(context.warehouse, |state| &state.warehouse);
-        let completes = |trajectory: &Trajectory, task| {
-            trajectory.replay(warehouse, task, variant).length.is_some()
         };
         let own = episode.part.and_then(|part| context.experience.get(&part.sequence));
         for &RecalledSource { case, demonstration, .. } in sources {
@@ -127,17 +122,14 @@ impl Retrieved {
                 None if demonstration == EXPERIENCE => {
                     let source = own.and_then(|own| own.get(&case));
                     let source = source.ok_or_else(|| format!("experience of position {case}"))?;
-                    let task = &context.cases.cases[source.case_index].task;
-                    source.is_complete && !completes(&source.trajectory, task)
+                    source.is_complete && !source.completes_in.contains(&variant)
                 }
                 None => {
-                    let kind = DemonstrationKind::from_code(demonstration);
-                    let of = kind.map(|kind| History { case: case as usize, kind });
-                    let of = of.and_then(|of| context.cases.demonstrated(context.warehouse, of));
+                    let of = demonstration_of(context, case, demonstration);
                     let of =
                         of.ok_or_else(|| format!("case {case}, demonstration {demonstration}"))?;
                     // The oracle's demonstrations take place in this world.
-                    episode.key.condition.arm != Arm::Oracle && !completes(of.trajectory, of.task)
+                    episode.key.condition.arm != Arm::Oracle && context.book().is_stale(variant, of)
                 }
             };
             self.stale.insert((case, demonstration), is_stale);
@@ -145,5 +137,15 @@ impl Retrieved {
             *stale += u32::from(is_stale);
         }
         Ok(())
+    }
+}
+
+/// The index of a case's demonstration: one of its own four, or the one after its passage has closed.
+fn demonstration_of(context: &Context<'_>, case: u32, code: u16) -> Option<u32> {
+    let listed = context.books.demonstrations.book.cases.get(case as usize)?;
+    match DemonstrationKind::from_code(code)? {
+        DemonstrationKind::After => listed.after,
+        DemonstrationKind::Elsewhere => listed.elsewhere,
+        kind => listed.own.get(kind as usize).copied(),
     }
 }

@@ -2,7 +2,7 @@
 
 use domain::MemoryKind;
 use results::log::Stages;
-use shm_types::message::{Decision, Observation, RecallTrace};
+use shm_types::message::{Decision, RecallTrace, StepReport};
 
 /// When one step passed from stage to stage: CLOCK_MONOTONIC nanoseconds, the same clock in every process. A stage
 /// that the step skips has 0; with the expert so has every stage after the observation.
@@ -81,9 +81,9 @@ impl Stamps {
     }
 
     /// Begins a step with the simulator's stamps.
-    pub(super) const fn observed(&mut self, observation: &Observation) {
-        let Observation { step, commanded_ns, woken_ns, stepped_ns, rendered_ns, sent_ns, .. } =
-            *observation;
+    pub(super) const fn reported(&mut self, report: &StepReport) {
+        let StepReport { step, commanded_ns, woken_ns, stepped_ns, rendered_ns, sent_ns, .. } =
+            *report;
         *self = Self {
             step,
             commanded_ns,

@@ -9,11 +9,12 @@ use bytemuck::Zeroable;
 use domain::{ExternalName, MemoryKind};
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::{
-    Decision, ErrorReport, Heartbeat, MemoryEpisodeConfig, Observation, PolicyEpisodeConfig,
-    RecallTrace, Role, ShutdownReport, SnapshotReport, StepCommand, Stop,
+    Decision, ErrorReport, Heartbeat, MemoryEpisodeConfig, PolicyEpisodeConfig,
+    RecallTrace, Role, ShutdownReport, SnapshotReport, StepCommand, StepReport, Stop,
+    WorldEpisodeConfig,
 };
 use shm_types::process::{ProcessWatch, monotonic_ns};
-use shm_types::{Bus, BusError, HandshakeReceiver, Notifier, Receiver, Sender};
+use shm_types::{Bus, BusError, HandshakeReceiver, NoteReceiver, Notifier, Receiver, Sender};
 use supervise::Children;
 
 use super::vital_signs::VitalSigns;
@@ -38,6 +39,7 @@ pub(super) struct Generation {
     pub(super) external: Vec<(Participant, ProcessWatch)>,
     pub(super) memory_configs: Option<Sender<MemoryEpisodeConfig>>,
     pub(super) policy_configs: Option<Sender<PolicyEpisodeConfig>>,
+    pub(super) world_configs: Sender<WorldEpisodeConfig>,
     pub(super) commands: Sender<StepCommand>,
     pub(super) stops: Sender<Stop>,
     pub(super) inbox: Inbox,
@@ -53,7 +55,9 @@ pub(super) struct Generation {
 
 /// Everything that arrives.
 pub(super) struct Inbox {
-    pub(super) observations: Receiver<Observation>,
+    pub(super) reports: Receiver<StepReport>,
+    /// The facts of episodes that have ended.
+    pub(super) facts: NoteReceiver,
     pub(super) traces: Receiver<RecallTrace>,
     pub(super) snapshots: Receiver<SnapshotReport>,
     pub(super) heartbeats: Receiver<Heartbeat>,
@@ -125,7 +129,7 @@ impl Generation {
                     return Err(Failure::Policy(error.to_string()));
                 }
             }
-            retry(self.commands.send(&opening.command))?;
+            retry(self.world_configs.send(&opening.world))?;
             began = true;
         }
         if began { self.notify(Role::Sim) } else { Ok(()) }
@@ -158,12 +162,13 @@ impl Generation {
         let decisions = self.inbox.decisions.drain_some(batch)?;
         let snapshots = self.inbox.snapshots.drain()?;
         let traces = self.inbox.traces.drain()?;
-        let observations = self.inbox.observations.drain()?;
+        let reports = self.inbox.reports.drain()?;
+        let facts = self.inbox.facts.drain()?;
         let has_more = decisions.len() == batch;
         let lanes = &mut *run.lanes;
         lanes.set_time(monotonic_ns());
-        let mut turns = Vec::with_capacity(decisions.len() + observations.len() + snapshots.len());
-        turns.extend(observations.iter().map(|observation| lanes.observed(observation)));
+        let mut turns = Vec::with_capacity(decisions.len() + reports.len() + snapshots.len());
+        turns.extend(reports.iter().map(|report| lanes.reported(report, &facts)));
         for trace in &traces {
             if !run.options.memories.is_empty()
                 && let Some(MemoryKind::External(name)) = lanes.memory_of(trace.lane, trace.episode)
@@ -271,14 +276,13 @@ impl Generation {
     }
 }
 
-/// Records what is finished and what failed; returns the commands to send. What is finished comes first: a command
-/// that cannot be sent, or a broken simulator, ends the generation.
+/// Records what is finished and what failed; returns the commands to send. What is finished comes first: a message that
+/// cannot be sent ends the generation.
 fn follow_up(
     run: &mut PipelineRun<'_, '_>,
     turns: Vec<Result<Turn, AnswerError>>,
 ) -> Result<Vec<StepCommand>, Failure> {
     let mut commands = Vec::new();
-    let mut failure = None;
     for turn in turns {
         match turn {
             Ok(Turn::Wait) => {}
@@ -293,9 +297,6 @@ fn follow_up(
                 }
                 run.observer.finished(&finished, attempt)?;
             }
-            Err(error @ AnswerError::Disagrees { .. }) => {
-                failure = Some(Failure::Retry(error.to_string()));
-            }
             Err(error) => {
                 run.observer.problem(&error.to_string());
                 if let AnswerError::Invalid { lane, .. } = error
@@ -306,7 +307,7 @@ fn follow_up(
             }
         }
     }
-    failure.map_or(Ok(commands), Err)
+    Ok(commands)
 }
 
 /// A failed delivery is worth another generation: a process is dying or hangs.

@@ -4,15 +4,17 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::io;
 use std::os::unix::process::ExitStatusExt;
+use std::path::Path;
 use std::sync::atomic::Ordering;
 
 use anyhow::{Context, bail};
+use case_book::{LEARNED_FILE, LearnedEpisode};
 use domain::ExternalName;
 use shm_types::clock::Instant;
 use shm_types::description::{DESCRIPTION_FILE, memory_folder};
 use shm_types::message::{Handshake, Role, WIRE_VERSION, read_text};
 use shm_types::process::{ProcessWatch, check_shared_memory, monotonic_ns};
-use shm_types::{Attach, Bus, BusError, MemoryDescription};
+use shm_types::{Attach, Bus, BusError, MemoryDescription, NoteReceiver};
 use supervise::{Children, Launch};
 
 use super::generation::{Generation, Inbox, TICK, role};
@@ -32,7 +34,8 @@ impl Generation {
         let launches = memory_launches(attach, run)?;
         let bus = Bus::join(attach.clone(), Role::Orchestrator)?;
         let inbox = Inbox {
-            observations: bus.receiver()?,
+            reports: bus.receiver()?,
+            facts: NoteReceiver::of_facts(&bus)?,
             traces: bus.receiver()?,
             snapshots: bus.receiver()?,
             heartbeats: bus.receiver()?,
@@ -50,7 +53,8 @@ impl Generation {
         for memory in memories(attach, run.options) {
             notifiers.insert(memory.name.into(), bus.external_memory_notifier(memory.index)?);
         }
-        let (commands, stops) = (bus.sender()?, bus.sender()?);
+        let (world_configs, commands, stops) = (bus.sender()?, bus.sender()?, bus.sender()?);
+        write_learned(&attach.root, &run.lanes.learned_episodes())?;
         // Only now may others join: this process creates every service that it uses, and so depends on none that another
         // process is killed while creating.
         attach.write(&attach.root)?;
@@ -60,6 +64,7 @@ impl Generation {
             external: Vec::new(),
             memory_configs,
             policy_configs,
+            world_configs,
             commands,
             stops,
             inbox,
@@ -181,6 +186,16 @@ impl Generation {
             "the external memory {name} describes itself otherwise than when the run began: {changes}"
         )))
     }
+}
+
+/// Writes the episodes that memories have learned from before, whose views they may ask for, if there are any.
+fn write_learned(folder: &Path, episodes: &[LearnedEpisode]) -> anyhow::Result<()> {
+    if episodes.is_empty() {
+        return Ok(());
+    }
+    let path = folder.join(LEARNED_FILE);
+    fs::write(&path, serde_json::to_vec(episodes)?)
+        .with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// The external memories that take part.

@@ -5,10 +5,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Result;
-use case_book::{BookRequest, CaseBook};
+use case_book::{BookFile, BookRequest};
 use conformance::scripted;
 use conformance::testing::ScratchRun;
 use domain::ExternalName;
+use orchestrator::books::Books;
 use orchestrator::lanes::{AnsweredRequest, FinishedEpisode, Rules};
 use orchestrator::pipeline::{Facts, MemoryState, Observer, Participant, PipelineOptions};
 use shm_types::message::MAX_EXTERNAL_MEMORIES;
@@ -16,13 +17,19 @@ use supervise::{Launch, System};
 use warehouse::CaseSet;
 use warehouse::case_book::write_books;
 
-/// The shipped cases, on blocked routes too.
-pub(crate) fn book() -> CaseBook {
+/// The books of the shipped cases, on blocked routes too.
+pub(crate) fn books() -> Books {
     let cases = CaseSet::shipped().cases.into_iter().map(|case| case.id).collect();
     let demonstrations = ["original", "4", "irrelevant", "confusable"];
     let demonstrations = demonstrations.map(|set| set.parse().unwrap()).into();
     let request = BookRequest { cases, demonstrations, blocked: true, ..BookRequest::default() };
-    write_books(&request).unwrap().cases
+    let books = write_books(&request).unwrap();
+    Books {
+        cases: BookFile::new(books.cases).unwrap(),
+        demonstrations: BookFile::new(books.demonstrations).unwrap(),
+        streams: None,
+        elsewhere: None,
+    }
 }
 
 pub(crate) const MAX_STEPS: u32 = 10;

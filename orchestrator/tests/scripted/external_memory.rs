@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
 use conformance::messages::{recall, recall_trace};
-use conformance::scripted::{ScriptedProcess, ScriptedRun, ScriptedSim, request};
+use conformance::scripted::{ScriptedProcess, ScriptedRun, request};
 use conformance::testing::ScratchRun;
 use orchestrator::external_memory::ExternalMemory;
 use orchestrator::lanes::Lanes;
@@ -22,9 +22,8 @@ use shm_types::message::{
 };
 use shm_types::{Attach, Bus, MemoryDescription};
 use supervise::{Children, Launch};
-use warehouse::{CaseSet, Variant, Warehouse, step};
 
-use crate::common::{RULES, Seen, book, options};
+use crate::common::{RULES, Seen, books, options};
 
 const TICK: Duration = Duration::from_millis(20);
 const LANES: u32 = 4;
@@ -149,14 +148,14 @@ fn run_with_memory(
         attach.lanes = LANES;
         attach.external_memories = vec![0];
     });
-    let (book, warehouse, cases) = (book(), Warehouse::shipped(), CaseSet::shipped());
-    let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
+    let books = books();
+    let ids = books.cases.book.ids();
     let conditions = ["working/original/unchanged/none", "top-3/original/unchanged/original"];
     let conditions = conditions.map(|name| (Condition::logged(name).unwrap(), 1));
     let episodes = plan(&conditions, &[0, 1, 2, 3], &ids, 1);
     let mut rules = RULES;
     rules.external_memories[0] = Some(MEMORY.parse().unwrap());
-    let mut lanes = Lanes::new(&book, (&warehouse, &cases), rules, LANES as usize);
+    let mut lanes = Lanes::new(&books, rules, LANES as usize);
     let script = format!(
         "cd $MEMTRANSFER_ATTACH; echo '{}' > d; mv d {DESCRIPTION_FILE}; {script}",
         r#"{"name": "top-3"}"#
@@ -174,15 +173,7 @@ fn run_with_memory(
             let (attach, over) = (scratch.attach(), &over);
             scope.spawn(move || in_each_generation(attach, over, is_memory, serve));
         };
-        each(
-            false,
-            Box::new(|run| {
-                let warehouse = Warehouse::shipped();
-                run.sim(ScriptedSim::new(|_, pose, action| {
-                    step(&warehouse.layout, &Variant::UNCHANGED, pose, action)
-                }));
-            }),
-        );
+        each(false, Box::new(|run| run.sim()));
         each(false, Box::new(move |run| host(run, about_external)));
         each(false, Box::new(|run| run.policy(|_, decision| decision)));
         each(true, Box::new(move |run| external_memory(run, turn)));
@@ -212,11 +203,11 @@ fn check_only_the_memory_suffers(seen: &Seen, ending: &Ending, said: &[&str]) {
 fn the_orchestrator_creates_its_services_before_others_can_join() {
     let scratch = ScratchRun::new(&Role::CHILDREN, |attach| attach.external_memories = vec![0]);
     Attach::withdraw(&scratch.attach().root).unwrap();
-    let (book, warehouse, cases) = (book(), Warehouse::shipped(), CaseSet::shipped());
+    let books = books();
     let conditions = [(Condition::logged("working/original/unchanged/none").unwrap(), 1)];
-    let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
+    let ids = books.cases.book.ids();
     let episodes = plan(&conditions, &[0], &ids, 1);
-    let mut lanes = Lanes::new(&book, (&warehouse, &cases), RULES, 1);
+    let mut lanes = Lanes::new(&books, RULES, 1);
     let options = PipelineOptions {
         external_policy: true,
         memories: vec![memory(None)],

@@ -1,39 +1,35 @@
 //! Lanes against a scripted simulator, memory and policy: no process, no shared memory.
 
 use bytemuck::Zeroable;
-use case_book::{CaseBook, CaseInState, StreamsFacts};
+use case_book::{CaseInState, StreamBlock, StreamFacts, StreamsFacts};
 use conformance::messages::{self, recall_trace};
-use conformance::scripted::{ScriptedSim, request};
-use domain::{
-    Action, Arm, Feedback, FeedbackLevel, Mixture, Outcome, Pose, Representation, StreamOrder,
-};
+use conformance::scripted::{ScriptedSim, ScriptedStep, request};
+use domain::events::{Requirement, Visit};
+use domain::{Action, Arm, Cell, FeedbackLevel, Mixture, Outcome, Representation, StreamOrder};
+use orchestrator::books::Books;
 use orchestrator::lanes::{AnswerError, EpisodeOpening, FinishedEpisode, Lanes, Rules, Turn};
 use orchestrator::plan::{PlannedEpisode, StreamPart, sequence_id};
-use orchestrator::streams::{Remaining, Streams};
+use orchestrator::streams::Remaining;
 use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use results::key::{EpisodeKey, StreamPlace};
 use results::log::Ending;
 use shm_types::message::{
-    Decision, EXPERIENCE, MemoryEpisodeConfig, NOT_MEASURED, Observation, RecallTrace,
-    RecalledSource, Role, SnapshotReport,
+    Decision, EXPERIENCE, EpisodeEnd, MemoryEpisodeConfig, NO_FRAME, NOT_MEASURED, Observation,
+    RecallTrace, RecalledSource, Role, SnapshotReport, StepReport,
 };
-use warehouse::stream::{Block, Stream};
-use warehouse::{CaseSet, History, StreamSet, Variant, Warehouse, WorldChange, step};
+use shm_types::notes::{Note, NoteHeader};
+use warehouse::{CaseSet, History};
 
-use crate::common;
+use crate::common::{self, books};
 
 const RULES: Rules = Rules { max_steps: 200, ..common::RULES };
 
-fn world() -> (CaseBook, Warehouse, CaseSet) {
-    (common::book(), Warehouse::shipped(), CaseSet::shipped())
-}
-
-fn episode(cases: &CaseSet, case_index: usize, start: Start, route: Route) -> PlannedEpisode {
+fn episode(books: &Books, case_index: usize, start: Start, route: Route) -> PlannedEpisode {
     let demonstrations = Demonstrations::ORIGINAL;
     let variation = Variation::STANDARD;
     let memory = Representation::Episodic.into();
     let condition = Condition { memory, start, route, demonstrations, variation, arm: Arm::Frozen };
-    let case = cases.cases[case_index].id.clone();
+    let case = books.cases.book.cases[case_index].id.clone();
     PlannedEpisode {
         key: EpisodeKey { condition, run: 1, place: None, case },
         case_index,
@@ -42,16 +38,24 @@ fn episode(cases: &CaseSet, case_index: usize, start: Start, route: Route) -> Pl
     }
 }
 
-/// The simulator: the same dynamics, from the commands alone.
-fn sim(
-    warehouse: &Warehouse,
-    cases: &CaseSet,
-) -> ScriptedSim<impl FnMut(u32, Pose, Action) -> (Pose, Feedback)> {
-    ScriptedSim::new(move |variant, pose, action| {
-        let closed = variant.checked_sub(1).map(|case| &cases.cases[case as usize].barricade);
-        let variant = Variant::closing(closed.into_iter().flatten().copied());
-        step(&warehouse.layout, &variant, pose, action)
-    })
+/// Tells the lanes the answer of the simulator, changed by `change`.
+fn report(
+    lanes: &mut Lanes<'_>,
+    step: &ScriptedStep,
+    change: impl FnOnce(&mut ScriptedStep),
+) -> Result<Turn, AnswerError> {
+    let mut step = step.clone();
+    change(&mut step);
+    let ScriptedStep { mut report, facts, .. } = step;
+    let notes: Vec<Note> = facts
+        .iter()
+        .map(|facts| {
+            let header = NoteHeader { id: 7, ..NoteHeader::zeroed() };
+            Note { header, bytes: Ok(serde_json::to_vec(facts).unwrap()) }
+        })
+        .collect();
+    report.facts = 7;
+    lanes.reported(&report, &notes)
 }
 
 fn trace(of: &Observation) -> RecallTrace {
@@ -62,39 +66,28 @@ fn decision(of: &Observation, action: Action) -> Decision {
     Decision { images: 3, images_asked: 3, ..messages::decision(request(of), action) }
 }
 
-/// Runs one episode to its end; the policy answers by step number, `None` for an unreadable answer.
+/// Runs one episode to its end; the policy answers by step number, `None` for an unreadable answer; memory recalls at each
+/// observation, and `change` changes what the simulator says.
 fn run(
-    rules: Rules,
-    start: Start,
-    route: Route,
-    case: usize,
-    answer: impl Fn(usize) -> Option<Action>,
-) -> FinishedEpisode {
-    let (_, _, cases) = world();
-    run_with_recall(rules, episode(&cases, case, start, route), answer, trace)
-}
-
-/// The same, with what memory recalls at each observation.
-fn run_with_recall(
     rules: Rules,
     episode: PlannedEpisode,
     answer: impl Fn(usize) -> Option<Action>,
     recall: impl Fn(&Observation) -> RecallTrace,
+    change: impl Fn(&mut ScriptedStep),
 ) -> FinishedEpisode {
-    let (book, warehouse, cases) = world();
-    let mut lanes = Lanes::new(&book, (&warehouse, &cases), rules, 1);
-    let opening = lanes.begin(0, episode);
-    let mut sim = sim(&warehouse, &cases);
-    let mut command = opening.command;
+    let books = books();
+    let mut lanes = Lanes::new(&books, rules, 1);
+    let mut sim = ScriptedSim::default();
+    let mut step = sim.begin(&lanes.begin(0, episode).world);
     loop {
-        let observation = sim.observe(&command);
-        match lanes.observed(&observation).unwrap() {
+        let observation = step.observation;
+        match report(&mut lanes, &step, &change).unwrap() {
             Turn::Finished(finished) => return *finished,
             Turn::Command(next) => {
-                command = next;
+                step = sim.step(&next);
                 continue;
             }
-            Turn::Wait => {}
+            turn => assert!(matches!(turn, Turn::Wait), "{turn:?}"),
         }
         lanes.recalled(&recall(&observation)).unwrap();
         let answer = match answer(observation.step as usize) {
@@ -105,45 +98,69 @@ fn run_with_recall(
             },
         };
         match lanes.decided(&answer).unwrap() {
-            Turn::Command(next) => command = next,
+            Turn::Command(next) => step = sim.step(&next),
             turn => panic!("{turn:?}"),
         }
     }
 }
 
-#[test]
-fn the_expert_completes_every_case_from_every_start_with_the_reference_s_length() {
-    let rules = Rules { expert: true, ..RULES };
-    let (_, _, cases) = world();
-    for case in 0..cases.cases.len() {
-        for (start, route) in [
-            (Start::Original, Route::Unchanged),
-            (Start::New, Route::Unchanged),
-            (Start::New, Route::Blocked),
-        ] {
-            let record = run(rules, start, route, case, |_| None).record;
-            assert_eq!(record.ending, Ending::Complete, "{}", record.key);
-            assert_eq!(record.steps, record.reference, "{}", record.key);
-            assert_eq!(record.tried_closed, (route == Route::Blocked).then_some(false));
-            assert_eq!((record.requests, record.images), (None, None));
-            assert_eq!(record.sub_goals.len() as u32, record.required);
-            assert_eq!(record.blocked_moves, Vec::<u32>::new());
-            let visited: Vec<u32> = record.visits.iter().map(|visit| visit.step).collect();
-            // Only a return is no visit: it may lead to any cell.
-            let returns = u32::from(cases.cases[case].task.returns_to_origin());
-            let met = &record.sub_goals[..(record.required - returns) as usize];
-            assert!(met.iter().all(|step| visited.contains(step)), "{}: {visited:?}", record.key);
-            // What is reached facing it was seen; the step that completes the task shows nothing any more.
-            assert!(!record.first_seen.is_empty(), "{}", record.key);
-        }
+/// Makes the simulator say that the task, which has one sub-goal, is complete after `steps` steps.
+fn complete_after(step: &mut ScriptedStep, steps: u32) {
+    if step.report.step >= steps {
+        (step.report.sub_goals, step.report.ended) = (1, EpisodeEnd::Complete as u8);
     }
+}
+
+#[test]
+fn the_expert_takes_the_steps_of_the_reference() {
+    let books = books();
+    for (start, route) in [
+        (Start::Original, Route::Unchanged),
+        (Start::New, Route::Unchanged),
+        (Start::New, Route::Blocked),
+    ] {
+        let reference = books.cases.book.cases[3].reference(start, route).unwrap();
+        let rules = Rules { expert: true, max_steps: reference.length, ..RULES };
+        let limit = |step: &mut ScriptedStep| complete_after(step, reference.length);
+        let record = run(rules, episode(&books, 3, start, route), |_| None, trace, limit).record;
+        assert_eq!((record.ending, record.steps), (Ending::Complete, record.reference));
+        let taken: Vec<Action> = record.actions.chars().filter_map(Action::from_letter).collect();
+        assert_eq!(taken, reference.actions[..reference.length as usize]);
+        assert_eq!(record.tried_closed, (route == Route::Blocked).then_some(false));
+        assert_eq!((record.requests, record.images), (None, None));
+        assert_eq!(record.sub_goals, [record.steps]);
+    }
+}
+
+#[test]
+fn the_record_has_what_the_world_tells() {
+    let books = books();
+    let rules = Rules { max_steps: 6, ..RULES };
+    let blocked = episode(&books, 3, Start::New, Route::Blocked);
+    let visit = Visit { step: 2, requirement: Requirement::A, cell: Cell::new(3, 4) };
+    let told = |step: &mut ScriptedStep| {
+        step.report.conflict = u8::from([2, 4].contains(&step.report.step));
+        step.report.required = 2;
+        step.report.sub_goals = u16::from(step.report.step >= 3);
+        if let Some(facts) = &mut step.facts {
+            facts.visits = vec![visit];
+            facts.first_seen = [(Requirement::A, 1)].into();
+        }
+    };
+    let forward = |_| Some(Action::Forward);
+    let record = run(rules, blocked, forward, trace, told).record;
+    assert_eq!((record.tried_closed, record.tried_closed_at), (Some(true), Some(2)));
+    assert_eq!((record.sub_goals, record.required), (vec![3], 2));
+    assert_eq!((record.visits, record.blocked_moves), (vec![visit], vec![1, 2, 3, 4, 5, 6]));
+    assert_eq!(record.first_seen, [(Requirement::A, 1)].into());
 }
 
 #[test]
 fn an_episode_ends_at_the_limit_and_counts_what_happened() {
     let turning = |step| (step != 4).then_some(Action::TurnLeft);
     let rules = Rules { max_steps: 9, ..RULES };
-    let finished = run(rules, Start::Original, Route::Unchanged, 0, turning);
+    let episode = episode(&books(), 0, Start::Original, Route::Unchanged);
+    let finished = run(rules, episode, turning, trace, |_| ());
     let record = finished.record;
     assert_eq!((record.ending, record.steps), (Ending::OutOfSteps, 9));
     assert_eq!(record.actions, "LLLL?LLLL");
@@ -156,8 +173,8 @@ fn an_episode_ends_at_the_limit_and_counts_what_happened() {
 
 #[test]
 fn the_log_says_whose_demonstration_each_match_is_of() {
-    let (_, _, cases) = world();
-    let mut episode = episode(&cases, 20, Start::New, Route::Unchanged);
+    let cases = CaseSet::shipped();
+    let mut episode = episode(&books(), 20, Start::New, Route::Unchanged);
     for (demonstrations, mixture) in [
         (Demonstrations::IRRELEVANT, Mixture::Irrelevant),
         (Demonstrations::CONFUSABLE, Mixture::Confusable),
@@ -182,7 +199,7 @@ fn the_log_says_whose_demonstration_each_match_is_of() {
         };
         let rules = Rules { max_steps: 5, ..RULES };
         let turning = |_| Some(Action::TurnLeft);
-        let record = run_with_recall(rules, episode.clone(), turning, recall).record;
+        let record = run(rules, episode.clone(), turning, recall, |_| ()).record;
         let [one, two] = cases.cases[20]
             .mixed(mixture)
             .map(|History { case, kind }| format!("{}:{}7", cases.cases[case].id, kind.letter()));
@@ -193,26 +210,12 @@ fn the_log_says_whose_demonstration_each_match_is_of() {
 }
 
 #[test]
-fn a_try_to_enter_the_barricade_is_recorded() {
-    let (_, _, cases) = world();
-    // The unblocked reference runs into the passage that was closed on it.
-    for (index, case) in cases.cases.iter().enumerate() {
-        let actions = &case.test.actions;
-        let answer = |step: usize| actions.get(step).copied().or(Some(Action::TurnLeft));
-        let rules = Rules { max_steps: actions.len() as u32, ..RULES };
-        let record = run(rules, Start::New, Route::Blocked, index, answer).record;
-        assert!(!record.blocked_moves.is_empty(), "{}", record.key);
-        assert_eq!(record.tried_closed, Some(true), "{}", record.key);
-    }
-}
-
-#[test]
 fn an_episode_config_follows_from_its_condition() {
-    let (book, warehouse, cases) = world();
-    let mut lanes = Lanes::new(&book, (&warehouse, &cases), RULES, 1);
+    let books = books();
+    let mut lanes = Lanes::new(&books, RULES, 1);
     let mut told = |condition: &str| {
         let condition: Condition = condition.parse().unwrap();
-        let case = cases.cases[3].id.clone();
+        let case = books.cases.book.cases[3].id.clone();
         let key = EpisodeKey { condition, run: 1, place: None, case };
         let opening = lanes.begin(0, PlannedEpisode { key, case_index: 3, seed: 7, part: None });
         lanes.give_up(0);
@@ -252,33 +255,29 @@ fn an_episode_config_follows_from_its_condition() {
     }
 }
 
-/// Two lanes with an episode each; the first observation of lane 0.
-fn two_lanes<'w>(
-    book: &'w CaseBook,
-    warehouse: &'w Warehouse,
-    cases: &'w CaseSet,
-) -> (Lanes<'w>, EpisodeOpening, Observation) {
-    let mut lanes = Lanes::new(book, (warehouse, cases), RULES, 2);
-    let opening = lanes.begin(0, episode(cases, 0, Start::Original, Route::Unchanged));
-    lanes.begin(1, episode(cases, 1, Start::Original, Route::Unchanged));
-    let mut sim = sim(warehouse, cases);
-    let observation = sim.observe(&opening.command);
-    (lanes, opening, observation)
+/// Two lanes with an episode each; the first answer of the simulator to lane 0.
+fn two_lanes(books: &Books) -> (Lanes<'_>, EpisodeOpening, ScriptedStep) {
+    let mut lanes = Lanes::new(books, RULES, 2);
+    let opening = lanes.begin(0, episode(books, 0, Start::Original, Route::Unchanged));
+    lanes.begin(1, episode(books, 1, Start::Original, Route::Unchanged));
+    let step = ScriptedSim::default().begin(&opening.world);
+    (lanes, opening, step)
 }
 
 #[test]
 fn answers_out_of_turn_are_errors_and_change_nothing() {
-    let (book, warehouse, cases) = world();
-    let (mut lanes, opening, observation) = two_lanes(&book, &warehouse, &cases);
+    let books = books();
+    let (mut lanes, opening, step) = two_lanes(&books);
+    let observation = step.observation;
     let answer = decision(&observation, Action::Forward);
     let ahead = Decision { step: 1, ..answer };
     assert!(matches!(
         lanes.decided(&ahead),
         Err(AnswerError::Unexpected { role: Role::Policy, .. })
     ));
-    assert!(matches!(lanes.observed(&observation), Ok(Turn::Wait)));
+    assert!(matches!(lanes.reported(&step.report, &[]), Ok(Turn::Wait)));
     assert!(matches!(
-        lanes.observed(&observation),
+        lanes.reported(&step.report, &[]),
         Err(AnswerError::Unexpected { role: Role::Sim, .. })
     ));
     assert!(matches!(lanes.decided(&ahead), Err(AnswerError::Unexpected { step: 1, .. })));
@@ -294,16 +293,16 @@ fn answers_out_of_turn_are_errors_and_change_nothing() {
         lanes.decided(&elsewhere),
         Err(AnswerError::NoSuchLane { lane: 2, lanes: 2, .. })
     ));
-    let late = Decision { episode: opening.command.episode + 100, ..answer };
+    let late = Decision { episode: opening.world.episode + 100, ..answer };
     assert!(matches!(lanes.decided(&late), Ok(Turn::Wait)), "another episode");
     assert!(matches!(lanes.decided(&answer), Ok(Turn::Command(_))));
 }
 
 #[test]
 fn progress_of_memory_restarts_the_wait_for_it() {
-    let (book, warehouse, cases) = world();
-    let (mut lanes, _, observation) = two_lanes(&book, &warehouse, &cases);
-    lanes.observed(&observation).unwrap();
+    let books = books();
+    let (mut lanes, _, step) = two_lanes(&books);
+    lanes.reported(&step.report, &[]).unwrap();
     let busy_ns = lanes.pending(0)[0].since_ns + 1_000_000_000_000;
     let [memory, sim] = lanes.pending(busy_ns)[..] else { panic!("both lanes wait") };
     assert_eq!((memory.role, memory.lane, memory.since_ns), (Role::Memory, 0, busy_ns));
@@ -312,8 +311,9 @@ fn progress_of_memory_restarts_the_wait_for_it() {
 
 #[test]
 fn an_answer_may_overtake_what_it_answers() {
-    let (book, warehouse, cases) = world();
-    let (mut lanes, _, observation) = two_lanes(&book, &warehouse, &cases);
+    let books = books();
+    let (mut lanes, _, step) = two_lanes(&books);
+    let observation = step.observation;
     let (answer, trace) = (decision(&observation, Action::Forward), trace(&observation));
     assert!(matches!(lanes.decided(&answer), Ok(Turn::Wait)));
     assert!(lanes.has_early_decision());
@@ -322,7 +322,7 @@ fn an_answer_may_overtake_what_it_answers() {
         "one answer a step"
     );
     assert!(matches!(lanes.recalled(&trace), Ok(Turn::Wait)));
-    assert!(matches!(lanes.observed(&observation), Ok(Turn::Command(_))));
+    assert!(matches!(lanes.reported(&step.report, &[]), Ok(Turn::Command(_))));
     assert!(!lanes.has_early_decision());
     let [stamps] = lanes.take_stepped().collect::<Vec<_>>()[..] else { panic!("one step") };
     assert_eq!((stamps.lane, stamps.step), (0, 0));
@@ -330,8 +330,9 @@ fn an_answer_may_overtake_what_it_answers() {
 
 #[test]
 fn the_cost_of_an_answer_is_counted_once() {
-    let (book, warehouse, cases) = world();
-    let (mut lanes, _, observation) = two_lanes(&book, &warehouse, &cases);
+    let books = books();
+    let (mut lanes, _, step) = two_lanes(&books);
+    let observation = step.observation;
     let asked = Decision {
         attempts: 2,
         prompt_tokens: 900,
@@ -340,7 +341,7 @@ fn the_cost_of_an_answer_is_counted_once() {
         images_asked: 5,
         ..decision(&observation, Action::TurnLeft)
     };
-    lanes.observed(&observation).unwrap();
+    lanes.reported(&step.report, &[]).unwrap();
     lanes.decided(&asked).unwrap();
     assert!(lanes.take_answered().is_empty(), "not counted before memory's trace");
     lanes.recalled(&trace(&observation)).unwrap();
@@ -352,15 +353,16 @@ fn the_cost_of_an_answer_is_counted_once() {
 
 #[test]
 fn figures_that_a_policy_does_not_measure_are_not_counted() {
-    let (book, warehouse, cases) = world();
-    let (mut lanes, _, observation) = two_lanes(&book, &warehouse, &cases);
+    let books = books();
+    let (mut lanes, _, step) = two_lanes(&books);
+    let observation = step.observation;
     let unmeasured = Decision {
         attempts: NOT_MEASURED,
         images: NOT_MEASURED,
         images_asked: NOT_MEASURED,
         ..decision(&observation, Action::TurnLeft)
     };
-    lanes.observed(&observation).unwrap();
+    lanes.reported(&step.report, &[]).unwrap();
     lanes.recalled(&trace(&observation)).unwrap();
     assert!(matches!(lanes.decided(&unmeasured), Ok(Turn::Command(_))));
     assert!(lanes.take_answered().is_empty(), "no model was asked, as far as is known");
@@ -368,9 +370,10 @@ fn figures_that_a_policy_does_not_measure_are_not_counted() {
 
 #[test]
 fn an_invalid_answer_costs_its_own_episode_and_no_other() {
-    let (book, warehouse, cases) = world();
-    let (mut lanes, _, observation) = two_lanes(&book, &warehouse, &cases);
-    lanes.observed(&observation).unwrap();
+    let books = books();
+    let (mut lanes, _, step) = two_lanes(&books);
+    let observation = step.observation;
+    lanes.reported(&step.report, &[]).unwrap();
     lanes.recalled(&trace(&observation)).unwrap();
     let good = decision(&observation, Action::Forward);
     for invalid in [Decision { action: 99, ..good }, Decision { outcome: 9, ..good }] {
@@ -378,43 +381,59 @@ fn an_invalid_answer_costs_its_own_episode_and_no_other() {
     }
     assert_eq!(lanes.give_up(0).map(|episode| episode.case_index), Some(0));
     assert_eq!((lanes.busy(), lanes.free()), (1, Some(0)));
-    let again = lanes.begin(0, episode(&cases, 0, Start::Original, Route::Unchanged));
-    assert!(again.command.episode > observation.episode, "ids are not used twice");
+    let again = lanes.begin(0, episode(&books, 0, Start::Original, Route::Unchanged));
+    assert!(again.world.episode > observation.episode, "ids are not used twice");
     assert!(matches!(lanes.decided(&good), Ok(Turn::Wait)), "the old answer is late");
 }
 
 #[test]
-fn a_simulator_that_disagrees_is_found() {
-    let (book, warehouse, cases) = world();
-    let (_, opening, observation) = two_lanes(&book, &warehouse, &cases);
-    let elsewhere = Pose::try_from(opening.command.start).unwrap();
-    let elsewhere = Pose { heading: elsewhere.heading.right(), ..elsewhere };
+fn a_simulator_that_contradicts_itself_is_found() {
+    let books = books();
+    let (_, _, step) = two_lanes(&books);
+    let good = step.report;
     for wrong in [
-        Observation { pose: elsewhere.into(), ..observation },
-        Observation { step: 1, ..observation },
-        Observation { feedback: Feedback::Moved as u8, ..observation },
-        Observation { frame: 0, ..observation },
+        StepReport { frame: NO_FRAME, ..good },
+        StepReport { ended: 9, ..good },
+        StepReport { ended: EpisodeEnd::Complete as u8, ..good },
+        StepReport { ended: EpisodeEnd::Complete as u8, frame: NO_FRAME, ..good },
+        StepReport { conflict: 2, ..good },
+        StepReport { sub_goals: 3, ..good },
     ] {
-        let (mut lanes, _, _) = two_lanes(&book, &warehouse, &cases);
-        assert!(matches!(lanes.observed(&wrong), Err(AnswerError::Disagrees { .. })), "{wrong:?}");
+        let (mut lanes, ..) = two_lanes(&books);
+        let error = lanes.reported(&wrong, &[]).unwrap_err();
+        assert!(matches!(error, AnswerError::Invalid { role: Role::Sim, .. }), "{error}");
     }
+    let (mut lanes, ..) = two_lanes(&books);
+    let later = StepReport { step: 1, ..good };
+    assert!(matches!(lanes.reported(&later, &[]), Err(AnswerError::Unexpected { .. })));
 }
 
-/// A stream of one case in two worlds: unchanged, and with its own barricade.
-fn streams(warehouse: &Warehouse, cases: &CaseSet, case: usize) -> Streams {
-    let closed = cases.cases[case].barricade.clone();
-    let block = |world| Block { world, cases: vec![case as u32], events: Vec::new() };
-    let set = StreamSet {
-        seed: 1,
-        worlds: vec![WorldChange::default(), WorldChange { closed, stock: Vec::new() }],
-        streams: vec![Stream { blocks: vec![block(0), block(1)] }],
+/// A stream of one case in two worlds: unchanged, and with another variant, in which its original demonstration is stale.
+fn in_streams(mut books: Books, case: usize) -> Books {
+    let book = &mut books.cases.book;
+    let reference = book.cases[case].reference(Start::New, Route::Unchanged).unwrap().clone();
+    let block = |world| StreamBlock { world, cases: vec![case as u32] };
+    let state = |invalidated| CaseInState {
+        begin: reference.begin,
+        actions: reference.actions.clone(),
+        length: reference.length,
+        invalidated,
     };
-    Streams::new(warehouse, cases, set).unwrap()
+    let states = [false, true].map(|invalidated| [(case as u32, state(invalidated))].into());
+    book.streams = Some(StreamsFacts {
+        hash: String::new(),
+        streams: vec![StreamFacts { blocks: vec![block(0), block(1)], shuffled: vec![1, 0] }],
+        variants: vec![0, 102],
+        states: states.into(),
+    });
+    let own = books.demonstrations.book.cases[case].own[0];
+    book.stale = [(0, [].into()), (102, [own].into())].into();
+    books
 }
 
 /// A learning episode of that stream: its position is also that of its block.
-fn learning(cases: &CaseSet, case_index: usize, position: u32) -> PlannedEpisode {
-    let mut episode = episode(cases, case_index, Start::New, Route::Unchanged);
+fn learning(books: &Books, case_index: usize, position: u32) -> PlannedEpisode {
+    let mut episode = episode(books, case_index, Start::New, Route::Unchanged);
     episode.key.condition.memory = Representation::Adaptive.into();
     episode.key.condition.arm = Arm::Learning;
     episode.key.place = Some(StreamPlace { stream: 0, order: StreamOrder::Drawn, position });
@@ -435,49 +454,53 @@ fn source(case: u32, demonstration: u16) -> RecalledSource {
     RecalledSource { case, demonstration, first: 3, steps: 1, ..Zeroable::zeroed() }
 }
 
-/// Runs an episode of the stream in which the policy follows the reference and memory recalls `sources` at every step.
+/// Runs an episode of the stream, whose task is complete after `steps` steps; memory recalls `sources` at every one. In world 1
+/// its actions do not complete its task if they took place in world 0.
 fn learn(
     lanes: &mut Lanes<'_>,
-    streams: &Streams,
-    episode: PlannedEpisode,
+    (episode, steps): (PlannedEpisode, u32),
     sources: &[RecalledSource],
     snapshot: [u8; 16],
 ) -> FinishedEpisode {
-    let (_, warehouse, _) = world();
     let part = episode.part.unwrap();
-    let actions = streams.case(part.world, episode.case_index).reference.actions.clone();
     let opening = lanes.begin(0, episode);
     assert_eq!((opening.memory.learns, opening.memory.sequence), (1, part.sequence));
-    assert_eq!(opening.memory.variant, if part.world == 0 { 0 } else { 1 + 100 + part.world });
-    assert_eq!(opening.memory.variant, opening.command.variant);
-    let variant = streams.state(part.world).variant.clone();
-    let mut sim =
-        ScriptedSim::new(move |_, pose, action| step(&warehouse.layout, &variant, pose, action));
-    let report = SnapshotReport {
-        episode: opening.command.episode,
+    assert_eq!(opening.memory.variant, if part.world == 0 { 0 } else { 102 });
+    assert_eq!((opening.world.variant, opening.world.learns), (opening.memory.variant, 1));
+    assert_eq!((opening.world.sequence, opening.world.start), (part.sequence, 1));
+    let mut sim = ScriptedSim::default();
+    let of = SnapshotReport {
+        episode: opening.world.episode,
         snapshot,
         store_bytes: 99,
         ..Zeroable::zeroed()
     };
-    assert!(matches!(lanes.learned(&report), Err(AnswerError::Unexpected { .. })), "too early");
-    let mut command = opening.command;
+    assert!(matches!(lanes.learned(&of), Err(AnswerError::Unexpected { .. })), "too early");
+    let limited = shm_types::message::WorldEpisodeConfig { max_steps: steps, ..opening.world };
+    let mut step = sim.begin(&limited);
     loop {
-        let observation = sim.observe(&command);
-        assert!(matches!(lanes.observed(&observation).unwrap(), Turn::Wait), "memory has to learn");
-        if command.last != 0 {
+        let completes = |step: &mut ScriptedStep| {
+            complete_after(step, steps);
+            if let Some(facts) = &mut step.facts {
+                let reached = if part.world == 0 { vec![0] } else { vec![0, 102] };
+                facts.completes_in = Some(reached.into_iter().collect());
+            }
+        };
+        let turn = report(lanes, &step, completes).unwrap();
+        assert!(matches!(turn, Turn::Wait), "memory has to recall, or to learn");
+        if step.report.step == steps {
             assert_eq!(lanes.pending(0)[0].role, Role::Memory);
-            return match lanes.learned(&report).unwrap() {
+            return match lanes.learned(&of).unwrap() {
                 Turn::Finished(finished) => *finished,
                 turn => panic!("{turn:?}"),
             };
         }
-        let mut trace = trace(&observation);
+        let mut trace = trace(&step.observation);
         trace.sources_len = sources.len() as u32;
         trace.sources[..sources.len()].copy_from_slice(sources);
         lanes.recalled(&trace).unwrap();
-        let answer = decision(&observation, actions[observation.step as usize]);
-        match lanes.decided(&answer).unwrap() {
-            Turn::Command(next) => command = next,
+        match lanes.decided(&decision(&step.observation, Action::TurnLeft)).unwrap() {
+            Turn::Command(next) => step = sim.step(&next),
             turn => panic!("{turn:?}"),
         }
     }
@@ -485,64 +508,50 @@ fn learn(
 
 #[test]
 fn an_episode_of_a_stream_takes_place_in_its_world_and_ends_with_its_snapshot() {
-    let (mut book, warehouse, cases) = world();
-    // A case whose original demonstration and test reference both use the passage.
-    let case = (0..cases.cases.len())
-        .find(|&index| {
-            let streams = streams(&warehouse, &cases, index);
-            let found = &cases.cases[index];
-            streams.case(1, index).invalidated
-                && !streams.state(1).completes(&found.test, &found.task)
-        })
-        .unwrap();
-    let streams = streams(&warehouse, &cases, case);
-    let of_world = |world| CaseInState {
-        begin: streams.case(world, case).reference.start,
-        actions: streams.case(world, case).reference.actions.clone(),
-        length: streams.case(world, case).length,
-        invalidated: streams.case(world, case).invalidated,
-    };
-    book.streams = Some(StreamsFacts {
-        hash: String::new(),
-        streams: Vec::new(),
-        variants: vec![0, 102],
-        states: [0, 1].map(|world| [(case as u32, of_world(world))].into()).into(),
-    });
-    let mut lanes = Lanes::new(&book, (&warehouse, &cases), RULES, 1).in_streams(&streams);
+    let case = 3;
+    let books = in_streams(books(), case);
+    let mut lanes = Lanes::new(&books, RULES, 1);
     let own = source(case as u32, 0);
-    let first = learn(&mut lanes, &streams, learning(&cases, case, 0), &[own], [1; 16]);
+    let steps = learning(&books, case, 0).expert(&books.cases.book).unwrap().length;
+    let first = learn(&mut lanes, (learning(&books, case, 0), steps), &[own], [1; 16]);
     let record = &first.record;
-    assert_eq!(record.check(200), Ok(()));
     assert!(record.is_success() && record.steps == record.reference);
     let stream = record.stream.as_ref().unwrap();
     assert_eq!((stream.retrievals, stream.stale, stream.invalidated), (record.steps, 0, false));
     assert_eq!(stream.snapshot, Some("01".repeat(16)));
+    assert_eq!(stream.completes_in, Some([0].into()));
     assert_eq!((stream.store_bytes, first.episode.part.unwrap().snapshot), (Some(99), [1; 16]));
+    let [learned] = &lanes.learned_episodes()[..] else { panic!("one episode") };
+    assert_eq!((learned.position, learned.case, learned.variant), (0, case as u32, 0));
+    assert_eq!((learned.start, &learned.actions), (Start::New, &record.actions));
 
-    // In the closed world the demonstration and the own experience are stale.
+    // In the other world the demonstration and the own experience are stale.
     let sources = [own, source(0, EXPERIENCE)];
-    let second = learn(&mut lanes, &streams, learning(&cases, case, 1), &sources, [2; 16]);
+    let second = learn(&mut lanes, (learning(&books, case, 1), steps), &sources, [2; 16]);
     let record = &second.record;
-    assert_eq!(record.check(200), Ok(()));
-    assert_eq!(record.reference, streams.case(1, case).length);
-    assert!(record.is_success() && record.reference > first.record.reference);
+    assert_eq!(record.reference, record.steps);
     let stream = record.stream.as_ref().unwrap();
     assert_eq!((stream.retrievals, stream.stale), (2 * record.steps, 2 * record.steps));
     assert!(stream.invalidated && stream.after == 1 && stream.world == 1);
     assert!(record.retrieved.as_ref().unwrap().starts_with("o3+e0:3 o3+e0:3"));
 
     // The same from the log, in another session.
-    let planned = [learning(&cases, case, 0), learning(&cases, case, 1)];
-    let remaining = Remaining::of(&planned, std::slice::from_ref(&first.record)).unwrap();
+    let planned = [learning(&books, case, 0), learning(&books, case, 1)];
+    let book = &books.cases.book;
+    let remaining = Remaining::of(book, &planned, std::slice::from_ref(&first.record)).unwrap();
     assert_eq!(remaining.missing.len(), 1);
     assert_eq!(remaining.missing[0].part.unwrap().snapshot, [1; 16]);
-    let mut resumed = Lanes::new(&book, (&warehouse, &cases), RULES, 1).in_streams(&streams);
+    let mut resumed = Lanes::new(&books, RULES, 1);
     for (sequence, position, experience) in remaining.learned {
         resumed.remember(sequence, position, experience);
     }
-    let again = learn(&mut resumed, &streams, remaining.missing[0].clone(), &sources, [2; 16]);
+    let again = learn(&mut resumed, (remaining.missing[0].clone(), steps), &sources, [2; 16]);
     assert_eq!(again.record, second.record);
-    let error = Remaining::of(&planned, &[second.record]).unwrap_err().to_string();
-    let first = "the log lacks adaptive/new/unchanged/original/learning/run1/s0-drawn-000/";
-    assert!(error.starts_with(first), "{error}");
+    let error = Remaining::of(book, &planned, &[second.record]).unwrap_err().to_string();
+    let missing = "the log lacks adaptive/new/unchanged/original/learning/run1/s0-drawn-000/";
+    assert!(error.starts_with(missing), "{error}");
+    let mut earlier = first.record;
+    earlier.stream.as_mut().unwrap().completes_in = None;
+    let error = Remaining::of(book, &planned, &[earlier]).unwrap_err().to_string();
+    assert!(error.contains("an earlier version has written it"), "{error}");
 }

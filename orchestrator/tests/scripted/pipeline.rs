@@ -4,16 +4,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-use conformance::scripted::{ScriptedRun, ScriptedSim};
+use conformance::scripted::ScriptedRun;
 use conformance::testing::ScratchRun;
 use orchestrator::lanes::{Lanes, Rules};
 use orchestrator::pipeline::{Ending, run_episodes};
 use orchestrator::plan::plan;
 use shm_types::message::{Decision, Role};
 use supervise::{Children, Launch};
-use warehouse::{CaseSet, Variant, Warehouse, step};
 
-use crate::common::{MAX_STEPS, RULES, Seen, book, options};
+use crate::common::{MAX_STEPS, RULES, Seen, books, options};
 
 const LANES: u32 = 4;
 /// The case whose episode the policy spoils.
@@ -42,25 +41,22 @@ fn run_with_policy(
     mut change: impl FnMut(bool, Decision, &AtomicBool) -> Decision + Send,
 ) -> (Seen, Ending) {
     let scratch = ScratchRun::new(&Role::CHILDREN, |attach| attach.lanes = LANES);
-    let (book, warehouse, cases) = (book(), Warehouse::shipped(), CaseSet::shipped());
-    let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
+    let books = books();
+    let ids = books.cases.book.ids();
     let conditions = [("working/original/unchanged/none".parse().unwrap(), 1)];
     let episodes = plan(&conditions, &[0, 1, 2, 3, 4, 5, 6, 7], &ids, 1);
-    let mut lanes = Lanes::new(&book, (&warehouse, &cases), RULES, LANES as usize);
+    let mut lanes = Lanes::new(&books, RULES, LANES as usize);
     // The peers are threads; the process that the pipeline watches only has to live.
     let options = options(&scratch, vec![simulator("exec sleep 300")], Duration::from_secs(2));
     let mut seen = Seen::default();
     let (over, stop) = (AtomicBool::new(false), AtomicBool::new(false));
     let peers = ScriptedRun { attach: scratch.attach(), over: &over };
-    let victim = cases.cases[VICTIM].task.instruction(&warehouse.catalogue);
-    let sim = ScriptedSim::new(|_, pose, action| {
-        step(&warehouse.layout, &Variant::UNCHANGED, pose, action)
-    });
+    let victim = &books.cases.book.cases[VICTIM].instruction;
     let outcome = thread::scope(|scope| {
-        scope.spawn(|| peers.sim(sim));
+        scope.spawn(|| peers.sim());
         scope.spawn(|| peers.memory());
         scope.spawn(|| {
-            peers.policy(|instruction, decision| change(instruction == victim, decision, &stop));
+            peers.policy(|instruction, decision| change(instruction == *victim, decision, &stop));
         });
         let (attach, none) = (scratch.attach(), Children::default());
         let outcome = run_episodes(&mut lanes, episodes, attach, &options, none, &stop, &mut seen);
@@ -118,11 +114,11 @@ fn answers_that_wait_when_the_run_is_stopped_are_recorded() {
 /// error.
 fn run_with_simulator(script: &str) -> (u32, String) {
     let scratch = ScratchRun::new(&[Role::Sim], |attach| attach.lanes = 1);
-    let (book, warehouse, cases) = (book(), Warehouse::shipped(), CaseSet::shipped());
+    let books = books();
     let conditions = [("working/original/unchanged/none".parse().unwrap(), 1)];
     let episodes = plan(&conditions, &[0], &["t01-01"], 1);
     let rules = Rules { expert: true, ..RULES };
-    let mut lanes = Lanes::new(&book, (&warehouse, &cases), rules, 1);
+    let mut lanes = Lanes::new(&books, rules, 1);
     let options = options(&scratch, vec![simulator(script)], Duration::from_secs(2));
     let (mut seen, stop) = (Seen::default(), AtomicBool::new(false));
     let (attach, none) = (scratch.attach(), Children::default());

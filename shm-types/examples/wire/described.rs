@@ -21,7 +21,7 @@ use shm_types::message::{
     RecalledItem, RecalledSource, Role, SegmentStep, Traffic, TrajectoryStep, WIRE_VERSION,
     WirePose,
 };
-use shm_types::notes::{NOTE_SERVICE, NoteHeader};
+use shm_types::notes::{FACTS_SERVICE, NOTE_SERVICE, NoteHeader};
 
 /// Structs that are parts of messages and documents.
 pub(crate) const PARTS: [Struct; 9] = [
@@ -114,7 +114,8 @@ pub(crate) fn constants() -> Vec<Constant> {
         FRAME_SERVICE: "Last part of the name of the service that carries frames.",
         DOCUMENT_SERVICE: "Last part of the name of the service that carries documents.",
         BANK_SERVICE: "First part of the name of the service that carries banks.",
-        NOTE_SERVICE: "First part of the name of the service that carries notes.",
+        NOTE_SERVICE: "First part of the name of the service that carries the notes of an external memory.",
+        FACTS_SERVICE: "Last part of the name of the service that carries the facts of episodes, as notes.",
         DESCRIPTION_FILE: "The file in an external memory's folder that describes it.",
         ATTACH_FILE: "The file in a run's folder that says how to join it.",
     ]

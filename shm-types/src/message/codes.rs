@@ -7,12 +7,20 @@ use super::NO_ACTION;
 code_sets! {
     /// The kind of a [`StepCommand`](super::StepCommand).
     StepKind, "a step kind" {
-        /// Put the agent at the start pose.
-        Reset = 0 "reset",
         /// Take the action.
-        Act = 1 "act",
+        Act = 0 "act",
         /// Do not move: the policy's answer could not be read.
-        Stay = 2 "stay",
+        Stay = 1 "stay",
+    }
+
+    /// Whether and how an episode has ended, in a [`StepReport`](super::StepReport).
+    EpisodeEnd, "an end of an episode" {
+        /// It goes on.
+        GoesOn = 0 "goes on",
+        /// Its task is complete.
+        Complete = 1 "complete",
+        /// It has taken as many steps as it may.
+        StepLimit = 2 "step limit",
     }
 
     /// The kind of a [`ViewRequest`](super::ViewRequest).

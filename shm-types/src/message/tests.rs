@@ -7,7 +7,7 @@ use domain::{Action, DocumentKind, Feedback, Outcome, Pose, SegmentContent};
 /// Calls `$check::<M>($arguments)` for every message `M`.
 macro_rules! every_message {
     ($check:ident $(, $argument:expr)*) => {
-        every_message!(@ $check, ($($argument),*), StepCommand Observation MemoryEpisodeConfig PolicyEpisodeConfig
+        every_message!(@ $check, ($($argument),*), WorldEpisodeConfig StepCommand Observation StepReport MemoryEpisodeConfig PolicyEpisodeConfig
             ViewRequest View Eviction Recall RecallTrace SnapshotReport ExternalEpisode ExternalQuery ExternalBuilt
             ExternalStore ExternalStored ExternalAnswer
             Heartbeat Decision Handshake ErrorReport ShutdownReport Stop)

@@ -8,8 +8,8 @@ use std::time::Duration;
 use bytemuck::Zeroable;
 use shm_types::attach::Wait;
 use shm_types::message::{
-    Decision, ErrorReport, Handshake, Observation, Role, ShutdownReport, StepCommand, Stop,
-    read_text,
+    Decision, ErrorReport, Handshake, Observation, Role, ShutdownReport, StepCommand, StepReport,
+    Stop, read_text,
 };
 use shm_types::{Attach, BusError, ErrorReporter};
 
@@ -47,13 +47,13 @@ fn every_receiver_gets_it_and_a_missing_one_is_an_error() {
     let Run { attach, .. } = &run();
     let sim = bus(attach, Role::Sim);
     let sender = sim.sender::<Observation>().unwrap();
-    let others = [Role::Memory, Role::Policy, Role::Orchestrator].map(|role| bus(attach, role));
+    let others = [Role::Memory, Role::Policy].map(|role| bus(attach, role));
     let mut receivers = Vec::from(others.each_ref().map(|b| b.receiver::<Observation>().unwrap()));
     sender.send(&Zeroable::zeroed()).unwrap();
     assert!(receivers.iter().all(|r| r.next().unwrap().is_some()));
     receivers.pop();
     let error = sender.send(&Zeroable::zeroed()).unwrap_err();
-    assert!(matches!(error, BusError::Deserted { expected: 3, found: 2, .. }), "{error}");
+    assert!(matches!(error, BusError::Deserted { expected: 2, found: 1, .. }), "{error}");
 }
 
 #[test]
@@ -65,7 +65,6 @@ fn a_stop_message_explains_a_missing_receiver_and_no_other_error() {
     let _other_stops = others.each_ref().map(|b| b.receiver::<Stop>().unwrap());
     let sender = sim.sender::<Observation>().unwrap();
     let receivers = others.each_ref().map(|b| b.receiver::<Observation>().unwrap());
-    let _observations = orchestrator.receiver::<Observation>().unwrap();
     sender.send(&Zeroable::zeroed()).unwrap();
     drop(receivers);
     let missing = sender.send(&Zeroable::zeroed()).unwrap_err();
@@ -238,12 +237,12 @@ fn ping_pong(spin_us: u32) {
         scope.spawn(|| {
             let sim = bus(attach, Role::Sim);
             let commands = sim.receiver::<StepCommand>().unwrap();
-            let observations = sim.sender::<Observation>().unwrap();
+            let reports = sim.sender::<StepReport>().unwrap();
             let notifier = sim.notifier(Role::Orchestrator).unwrap();
             let mut seen = 0;
             while seen < ROUNDS {
                 for StepCommand { step, .. } in commands.drain().unwrap() {
-                    observations.send(&Observation { step, ..Zeroable::zeroed() }).unwrap();
+                    reports.send(&StepReport { step, ..Zeroable::zeroed() }).unwrap();
                     seen += 1;
                 }
                 notifier.notify().unwrap();
@@ -255,9 +254,7 @@ fn ping_pong(spin_us: u32) {
             sim.listener().wait(LONG).unwrap();
         });
         let orchestrator = bus(attach, Role::Orchestrator);
-        let observations = orchestrator.receiver::<Observation>().unwrap();
-        let idle = [Role::Memory, Role::Policy].map(|role| bus(attach, role));
-        let idle = idle.each_ref().map(|bus| bus.receiver::<Observation>().unwrap());
+        let reports = orchestrator.receiver::<StepReport>().unwrap();
         let commands = orchestrator.sender::<StepCommand>().unwrap();
         let notifier = orchestrator.notifier(Role::Sim).unwrap();
         commands.wait_for_receivers(LONG).unwrap();
@@ -270,11 +267,10 @@ fn ping_pong(spin_us: u32) {
             }
             notifier.notify().unwrap();
             orchestrator.listener().wait(4 * LONG).unwrap();
-            for Observation { step, .. } in observations.drain().unwrap() {
+            for StepReport { step, .. } in reports.drain().unwrap() {
                 assert_eq!(step, seen);
                 seen += 1;
             }
-            idle.iter().for_each(|receiver| drop(receiver.drain().unwrap()));
         }
         notifier.notify().unwrap();
     });

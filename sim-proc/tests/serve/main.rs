@@ -12,17 +12,21 @@ use std::sync::mpsc::{Receiver as Permissions, channel};
 
 use anyhow::Result;
 use bytemuck::Zeroable;
-use conformance::messages::reset;
+use case_book::EpisodeFacts;
+use conformance::messages;
 use domain::{Action, Feedback, Heading, Pose};
 use shm_types::FrameControl;
-use shm_types::message::{FrameId, NO_FRAME, ShutdownReport, StepCommand, ViewRequest, WirePose};
+use shm_types::message::{
+    EpisodeEnd, FrameId, NO_FRAME, ShutdownReport, StepCommand, ViewRequest,
+    WorldEpisodeConfig,
+};
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use sim_proc::renderer::{Backend, Renderer, ViewSpec};
-use warehouse::{CaseSet, ELSEWHERE_VARIANT, Variant, Warehouse, step};
+use warehouse::{CaseSet, ELSEWHERE_VARIANT, TrajectoryKind, Variant, Warehouse, step};
 
 use rig::{
     CodeWorker, SMALL, act, code, code_with, elsewhere, error_report, fatal_error, is_near, poses,
-    setup, shown_code, shows_stock, simulator, simulator_with, small, worlds,
+    reset, setup, shown_code, shows_stock, simulator, simulator_with, small, worlds, step_at,
 };
 
 #[test]
@@ -35,10 +39,12 @@ fn episodes_run_by_the_dynamics_and_show_what_is_there() {
     let mut pose = case.blocked.start;
     let mut shown = BTreeSet::new();
     for lane in 0..4 {
-        sim.command(&reset(lane, 10 + u64::from(lane), 4, pose));
+        let config = messages::world_config(lane, 10 + u64::from(lane), 4, 3);
+        sim.command(&WorldEpisodeConfig { start: 1, ..config });
     }
+    let length = case.replay(&Warehouse::shipped(), TrajectoryKind::Blocked).length.unwrap();
     let mut feedback = Feedback::Start;
-    for (n, &action) in case.blocked.actions.iter().enumerate() {
+    for (n, &action) in case.blocked.actions[..length as usize].iter().enumerate() {
         let observations = sim.observe(4);
         let lanes: BTreeSet<u32> = observations.iter().map(|o| o.lane).collect();
         assert_eq!(lanes, BTreeSet::from([0, 1, 2, 3]));
@@ -46,8 +52,11 @@ fn episodes_run_by_the_dynamics_and_show_what_is_there() {
             assert_eq!((o.pose, o.feedback), (pose.into(), feedback as u8));
             assert_eq!((o.step, o.episode, o.last), (n as u32, 10 + u64::from(o.lane), 0));
             assert_eq!(o.frame, observations[0].frame, "one view, one frame");
-            assert!(o.woken_ns <= o.stepped_ns && o.stepped_ns <= o.rendered_ns);
-            assert!(o.rendered_ns <= o.sent_ns);
+            assert!(
+                o.report.woken_ns <= o.report.stepped_ns
+                    && o.report.stepped_ns <= o.report.rendered_ns
+            );
+            assert!(o.report.rendered_ns <= o.report.sent_ns);
         }
         assert_eq!(shown_code(&mut sim, observations[0].frame), code(&variant, pose));
         shown.insert(observations[0].frame);
@@ -57,16 +66,17 @@ fn episodes_run_by_the_dynamics_and_show_what_is_there() {
             sim.command(&command);
         }
     }
-    sim.observe(4);
-    let steps = case.blocked.actions.len() as u32;
-    for lane in 0..4 {
-        let mut command = act(lane, 10 + u64::from(lane), steps + 1, Action::TurnLeft);
-        command.last = 1;
-        let over = sim.ask(&command);
-        assert_eq!((over.last, over.frame, over.lane), (1, NO_FRAME, lane));
+    for over in sim.observe(4) {
+        assert_eq!((over.last, over.frame, over.step), (1, NO_FRAME, length));
+        assert_eq!(over.report.ended, EpisodeEnd::Complete as u8);
+        assert_eq!(over.report.sub_goals, over.report.required);
     }
+    let notes = sim.neighbours.facts.drain().unwrap();
+    assert_eq!(notes.len(), 4);
+    let facts: EpisodeFacts = serde_json::from_slice(notes[3].bytes.as_ref().unwrap()).unwrap();
+    assert_eq!((facts.start_pose, facts.final_pose), (case.blocked.start, pose));
     let shutdown_report = sim.stop();
-    assert_eq!(shutdown_report.frames_rendered, shown.len() as u64 + 1);
+    assert_eq!(shutdown_report.frames_rendered, shown.len() as u64);
     assert_eq!(
         (shutdown_report.error_reports, shutdown_report.pixel_bytes_copied),
         (0, shutdown_report.frames_rendered)
@@ -131,11 +141,9 @@ fn lanes_and_memory_see_the_world_state_they_name() {
             let expected = code_with(stock, closed, pose);
             let frame = sim.ask(&reset(lane, 4 * n + u64::from(lane), variant, pose)).frame;
             assert_eq!(shown_code(&mut sim, frame), expected, "variant {variant} at {pose}");
-            let request = ViewRequest { pose: pose.into(), variant, ..Zeroable::zeroed() };
-            sim.neighbours.send(&request).unwrap();
-            sim.notify();
+            sim.pin(variant, step_at(pose));
             let view = sim.view();
-            assert_eq!((view.frame, view.variant), (frame, variant));
+            assert_eq!((view.frame, view.demonstration, view.step), (frame, variant, step_at(pose)));
             sim.release(frame);
             frames.push(frame);
             seen.insert(expected);
@@ -150,8 +158,7 @@ fn lanes_and_memory_see_the_world_state_they_name() {
         (state(3), poses()[0], "variant 104 is not one of 104"),
         (state(1), Pose { cell: closed.closed()[0], heading: Heading::N }, "an agent cannot stand"),
     ] {
-        let request = ViewRequest { pose: pose.into(), variant, ..Zeroable::zeroed() };
-        sim.neighbours.send(&request).unwrap();
+        sim.pin(variant, step_at(pose));
         let report = error_report(&mut sim);
         assert!(report.contains(said), "{report}");
     }
@@ -164,12 +171,12 @@ fn memory_gets_the_views_it_requests_until_it_releases_them() {
     let poses = poses();
     let held: Vec<Pose> = poses[..40].to_vec();
     for &pose in &held {
-        sim.pin(pose);
+        sim.pin(0, step_at(pose));
     }
     let mut frames = BTreeMap::new();
     while frames.len() < held.len() {
         let view = sim.view();
-        frames.insert(Pose::try_from(view.pose).unwrap(), view.frame);
+        frames.insert(poses[view.step as usize], view.frame);
     }
     assert_eq!(frames.keys().copied().collect::<BTreeSet<_>>(), held.iter().copied().collect());
 
@@ -186,7 +193,7 @@ fn memory_gets_the_views_it_requests_until_it_releases_them() {
     // A view that is resident is answered with the same frame, also to a lane.
     let (&pose, &frame) = frames.first_key_value().unwrap();
     assert_eq!(sim.ask(&reset(1, 2, 0, pose)).frame, frame);
-    sim.pin(pose);
+    sim.pin(0, step_at(pose));
     assert_eq!(sim.view().frame, frame);
     sim.release(frame);
     for &frame in frames.values() {
@@ -244,7 +251,7 @@ fn controls_change_what_lanes_see_and_only_one_what_memory_gets() {
             assert_ne!(pixel, code(&Variant::UNCHANGED, pose));
             assert_eq!(pixel == [128, 128, 128, 255], control != FrameControl::Swapped);
             shown.insert(seen.frame);
-            sim.pin(pose);
+            sim.pin(0, step_at(pose));
             let view = sim.view();
             let supplied = shown_code(&mut sim, view.frame);
             match control {
@@ -261,16 +268,21 @@ fn controls_change_what_lanes_see_and_only_one_what_memory_gets() {
 fn invalid_messages_are_reported_and_the_run_continues() {
     let mut sim = simulator(|_| {});
     let pose = poses()[0];
-    let nowhere = WirePose([200, 200, 0, 0]);
-    for (command, said) in [
-        (StepCommand { lane: 9, ..reset(0, 1, 0, pose) }, "there are 4 lanes"),
-        (StepCommand { kind: 77, ..reset(0, 1, 0, pose) }, "77 is not a step kind"),
+    let last = poses().len() as u32;
+    let good = reset(0, 1, 0, pose);
+    for (config, said) in [
+        (WorldEpisodeConfig { lane: 9, ..good }, "there are 4 lanes"),
+        (WorldEpisodeConfig { case: 7777, ..good }, "there is no case 7777"),
         (reset(0, 1, 4000, pose), "variant 4000 is not one of"),
-        (
-            StepCommand { start: nowhere, ..reset(0, 1, 0, pose) },
-            "an agent cannot stand at 200,200,N",
-        ),
-        (act(0, 1, 1, Action::Forward), "the lane is in no episode"),
+    ] {
+        sim.command(&config);
+        let error_report = error_report(&mut sim);
+        assert!(error_report.contains(said), "{error_report}");
+    }
+    let forward = act(0, 1, 1, Action::Forward);
+    for (command, said) in [
+        (StepCommand { kind: 77, ..forward }, "77 is not a step kind"),
+        (forward, "the lane is in no episode"),
     ] {
         sim.command(&command);
         let error_report = error_report(&mut sim);
@@ -278,7 +290,10 @@ fn invalid_messages_are_reported_and_the_run_continues() {
     }
     for (request, said) in [
         (ViewRequest { kind: 9, ..Zeroable::zeroed() }, "9 is not a view request kind"),
-        (ViewRequest { pose: nowhere, ..Zeroable::zeroed() }, "an agent cannot stand at 200,200,N"),
+        (ViewRequest { step: last, ..Zeroable::zeroed() }, "an agent cannot stand at 200,200,N"),
+        (ViewRequest { step: last + 1, ..Zeroable::zeroed() }, "of demonstration 0"),
+        (ViewRequest { demonstration: 4000, ..Zeroable::zeroed() }, "step 0 of demonstration 4000"),
+        (ViewRequest { sequence: 3, ..Zeroable::zeroed() }, "step 0 of episode 0 of sequence 3"),
         (ViewRequest { frame: 5, kind: 1, ..Zeroable::zeroed() }, "frame 5 is released"),
     ] {
         sim.neighbours.send(&request).unwrap();
@@ -354,14 +369,14 @@ fn no_lane_waits_for_the_view_of_another() {
     for episode in 3..13 {
         let seen = sim.ask(&reset(0, episode, 0, here));
         assert_eq!((seen.lane, seen.episode, seen.frame), (0, episode, resident));
-        assert_eq!(seen.rendered_ns, seen.stepped_ns, "the view was resident");
+        assert_eq!(seen.report.rendered_ns, seen.report.stepped_ns, "the view was resident");
     }
-    assert_eq!(sim.neighbours.observations.next().unwrap(), None, "lane 1's view is not drawn yet");
+    assert_eq!(sim.neighbours.reports.next().unwrap(), None, "lane 1's view is not drawn yet");
 
     go_on.send(()).unwrap();
     let seen = sim.observe(1)[0];
     assert_eq!((seen.lane, seen.episode, seen.pose), (1, 2, elsewhere.into()));
-    assert!(seen.stepped_ns < seen.rendered_ns);
+    assert!(seen.report.stepped_ns < seen.report.rendered_ns);
     assert_eq!(shown_code(&mut sim, seen.frame), code(&Variant::UNCHANGED, elsewhere));
     assert_eq!(sim.stop().frames_rendered, 2);
 }
@@ -378,14 +393,14 @@ fn no_lane_waits_until_evicted_frames_are_released() {
     // Memory and policy are at work and do not look at evictions.
     let chunks = sim.neighbours.attach().frame_chunks() as usize;
     for &pose in &poses[1..chunks] {
-        sim.pin(pose);
+        sim.pin(0, step_at(pose));
         let view = sim.view();
         sim.release(view.frame);
     }
-    sim.pin(poses[chunks]);
-    sim.command(&StepCommand { episode: 2, ..here });
+    sim.pin(0, chunks as u32);
+    sim.command(&WorldEpisodeConfig { episode: 2, ..here });
     sim.notify();
-    let seen = sim.until(|neighbours| neighbours.observations.next().unwrap());
+    let seen = sim.until(|neighbours| neighbours.reports.next().unwrap());
     assert_eq!((seen.episode, seen.frame), (2, resident));
     assert_eq!(sim.neighbours.views.next().unwrap(), None, "there is no slot for it");
 
@@ -404,7 +419,7 @@ fn warm_views_are_not_rendered_again() {
     let poses = poses();
     for (episode, &pose) in poses.iter().enumerate().step_by(7) {
         let seen = sim.ask(&reset(0, episode as u64, 0, pose));
-        assert_eq!(seen.rendered_ns, seen.stepped_ns, "{pose} was resident");
+        assert_eq!(seen.report.rendered_ns, seen.report.stepped_ns, "{pose} was resident");
         assert_eq!(shown_code(&mut sim, seen.frame), code(&Variant::UNCHANGED, pose));
     }
     let shutdown_report = sim.stop();
@@ -442,9 +457,8 @@ fn the_renderer_writes_into_the_frame_store() {
     let mut renderer = Renderer::new(&Warehouse::shipped(), small(None)).unwrap();
     let case = CaseSet::shipped().cases[0].clone();
     let variant = Variant::closing(case.barricade.iter().copied());
-    let mut command = reset(0, 1, 1, case.blocked.start);
+    let mut seen = sim.ask(&reset(0, 1, 1, case.blocked.start));
     for (&action, step) in case.blocked.actions.iter().zip(1..) {
-        let seen = sim.ask(&command);
         let pose = Pose::try_from(seen.pose).unwrap();
         let view = ViewSpec { pose, variant: &variant, stock: 0 };
         let expected = renderer.render_image(view).unwrap();
@@ -452,7 +466,7 @@ fn the_renderer_writes_into_the_frame_store() {
             let frame = store.get(seen.frame).unwrap().unwrap();
             assert!(frame.pixels() == expected.as_bytes(), "{pose}");
         }
-        command = act(0, 1, step, action);
+        seen = sim.ask(&act(0, 1, step, action));
     }
     let ShutdownReport { frames_rendered, frames_evicted, pixel_bytes_copied, .. } = sim.stop();
     assert!(frames_rendered > 6 && frames_evicted >= frames_rendered - 6);
@@ -478,9 +492,8 @@ fn views_that_another_simulator_has_rendered_are_read_from_files() {
             move |_| RenderSetup::open(&worlds(), settings, Some(&root)),
         );
         sim.handshake();
-        let mut command = reset(0, 1, 1, case.blocked.start);
+        let mut seen = sim.ask(&reset(0, 1, 1, case.blocked.start));
         for (&action, step) in case.blocked.actions.iter().zip(1..) {
-            let seen = sim.ask(&command);
             let pose = Pose::try_from(seen.pose).unwrap();
             let view = ViewSpec { pose, variant: &variant, stock: 0 };
             let expected = renderer.render_image(view).unwrap();
@@ -488,7 +501,7 @@ fn views_that_another_simulator_has_rendered_are_read_from_files() {
             assert!(frame.pixels() == expected.as_bytes(), "{pose}");
             let hash = blake3::hash(expected.as_bytes());
             assert_eq!(frame.content_hash()[..], hash.as_bytes()[..16]);
-            command = act(0, 1, step, action);
+            seen = sim.ask(&act(0, 1, step, action));
         }
         sim.stop();
     };
@@ -539,22 +552,20 @@ fn views_of_the_other_warehouse_are_those_of_a_simulator_that_is_started_in_it()
     let (task, shown) = other.demonstration(0).unwrap();
     let replay = shown.replay(other.warehouse(), task, &Variant::UNCHANGED);
     assert!(replay.poses.iter().any(|pose| !tested.layout.is_free(pose.cell)));
-    let mut command = reset(0, 1, ELSEWHERE_VARIANT, shown.start);
-    let actions = shown.actions.iter().copied().map(Some).chain([None]);
-    for ((pose, action), step) in replay.poses.into_iter().zip(actions).zip(1..) {
-        let seen = sim.ask(&command);
-        assert_eq!(Pose::try_from(seen.pose), Ok(pose));
+    for (pose, step) in replay.poses.into_iter().zip(1_u32..) {
+        let variant = ELSEWHERE_VARIANT;
+        let request = ViewRequest { pose: pose.into(), variant, ..Zeroable::zeroed() };
+        sim.neighbours.send(&request).unwrap();
+        let view = sim.view();
         for store in &mut sim.neighbours.stores {
-            let frame = store.get(seen.frame).unwrap().unwrap();
+            let frame = store.get(view.frame).unwrap().unwrap();
             assert!(frame.pixels() == render(&mut renderer, pose).as_bytes(), "{pose}");
         }
+        sim.release(view.frame);
         if tested.layout.is_free(pose.cell) {
             let seen = sim.ask(&reset(1, 100 + u64::from(step), 0, pose));
             let frame = sim.neighbours.stores[0].get(seen.frame).unwrap().unwrap();
             assert!(frame.pixels() == render(&mut here, pose).as_bytes(), "{pose}");
-        }
-        if let Some(action) = action {
-            command = act(0, 1, step, action);
         }
     }
     sim.stop();

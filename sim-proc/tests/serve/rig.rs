@@ -3,17 +3,20 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
+use case_book::{Demonstration, DemonstrationBook};
 use conformance::messages;
 use conformance::testing::SimRig;
-use domain::{Action, Cell, Pose};
-use shm_types::message::{FrameId, RequestId, Role, StepCommand, WirePose};
+use domain::{Action, Cell, DemonstrationKind, Heading, Pose};
+use shm_types::message::{FrameId, RequestId, Role, StepCommand, WirePose, WorldEpisodeConfig};
 use shm_types::{Attach, Bus, FrameSize};
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use sim_proc::renderer::{Backend, RenderSettings, ViewSpec, VisibleChanges};
 use sim_proc::serve::serve;
 use sim_proc::view_control::every_pose;
 use sim_proc::worlds::Worlds;
-use warehouse::{CaseSet, Elsewhere, StockChange, Variant, Warehouse, WorldChange, WorldState};
+use warehouse::{
+    Case, CaseSet, Elsewhere, StockChange, Trajectory, Variant, Warehouse, WorldChange, WorldState,
+};
 
 /// Fills a slot with pixels that encode the pose, the stock and the number of nearby closed cells.
 pub(crate) struct CodeWorker;
@@ -84,10 +87,53 @@ pub(crate) fn states() -> Vec<WorldState> {
     vec![state(&[], 3), state(&CaseSet::shipped().cases[3].barricade, 3), state(&[], 4)]
 }
 
+/// The worlds of the shipped cases and of [`states`]. Beside the shipped cases there is one for each of [`poses`], which begins
+/// there.
 pub(crate) fn worlds() -> Worlds {
     let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
     cases.elsewhere = Some(elsewhere());
-    Worlds::new(&warehouse, &cases, states())
+    let worlds = Worlds::new(&warehouse, &cases, states());
+    // Its task takes two items, so that no episode ends where it begins.
+    let first = cases.case("t06-01").unwrap().clone();
+    let at = |pose| {
+        let original = Trajectory { start: pose, ..first.original.clone() };
+        Case { original, ..first.clone() }
+    };
+    let of_poses: Vec<Case> = poses().into_iter().map(at).collect();
+    worlds.with_cases(cases.cases.iter().chain(&of_poses))
+}
+
+/// For each variant of [`worlds`], and one that there is not, a demonstration whose steps are in all [`poses`], and in one where
+/// no agent can stand.
+fn demonstrations() -> DemonstrationBook {
+    let nowhere = Pose::new(200, 200, Heading::N);
+    let poses: Vec<Pose> = poses().into_iter().chain([nowhere]).collect();
+    let variants = 0..=worlds().variant_count() as u32;
+    let of_variant = |variant| Demonstration {
+        case: 0,
+        kind: DemonstrationKind::Original,
+        variant,
+        instruction: String::new(),
+        poses: poses.clone(),
+        feedback: Vec::new(),
+        sub_goals: Vec::new(),
+        actions: Vec::new(),
+        views: Vec::new(),
+    };
+    let demonstrations = variants.map(of_variant).collect();
+    DemonstrationBook { demonstrations, ..DemonstrationBook::default() }
+}
+
+/// The step of [`demonstrations`] at `pose`.
+pub(crate) fn step_at(pose: Pose) -> u32 {
+    poses().iter().position(|known| *known == pose).unwrap() as u32
+}
+
+/// The config that begins an episode at `pose`.
+pub(crate) fn reset(lane: u32, episode: u64, variant: u32, pose: Pose) -> WorldEpisodeConfig {
+    let place = poses().iter().position(|known| *known == pose).unwrap();
+    let case = (CaseSet::shipped().cases.len() + place) as u32;
+    messages::world_config(lane, episode, variant, case)
 }
 
 /// The other warehouse.
@@ -107,7 +153,7 @@ pub(crate) fn simulator_with(
     SimRig::in_thread(change, move |folder| {
         let bus = Bus::join(Attach::read(folder)?, Role::Sim)?;
         let open = || open(bus.attach().frame);
-        serve(&bus, worlds(), warm_views, open)
+        serve(&bus, worlds(), demonstrations(), warm_views, open)
     })
 }
 

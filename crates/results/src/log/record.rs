@@ -4,7 +4,7 @@
 //! of lanes, or killed and resumed, give the same lines in another order. Everything else about an episode
 //! goes into its [`EpisodeTimings`].
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use domain::names::named;
 use domain::{
@@ -202,6 +202,9 @@ pub struct StreamRecord {
     /// The size of the memory's store at the end of the episode, in bytes. Absent if it told none.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub store_bytes: Option<u64>,
+    /// The variants of the run's streams in which the episode's actions complete its task. Only for one that was learned from.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub completes_in: Option<BTreeSet<u32>>,
 }
 
 impl StreamRecord {

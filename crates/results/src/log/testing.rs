@@ -154,6 +154,7 @@ pub fn stream_record(case: &str, success: bool) -> EpisodeRecord {
         stale: 1,
         snapshot: Some("0123456789abcdef".repeat(2)),
         store_bytes: Some(1000),
+        completes_in: Some([0].into()),
     };
     keyed(EpisodeRecord {
         start: Start::New,
@@ -193,6 +194,7 @@ pub fn sequence(
                 stale: u32::from(block > 0),
                 snapshot: learns.then(|| "0123456789abcdef".repeat(2)),
                 store_bytes: Some(1000 * (1 + after as u64)),
+                completes_in: learns.then(|| [0].into()),
             };
             let record = record(case, outcome(&place, case));
             episodes.push(under(condition, EpisodeRecord { run, stream: Some(place), ..record }));

@@ -1,12 +1,13 @@
 //! A scripted simulator, orchestrator, encoder and documents around one engine.
 
+use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 
 use case_book::BookRequest;
 use domain::{Demonstrations, Pose, Representation};
 use shm_types::documents::Content;
 use shm_types::message::{
-    ItemKind, NO_ACTION, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, TASK_COMPLETE,
+    EpisodeEnd, ItemKind, NO_ACTION, NO_FRAME, RecalledItem, RecalledSource, SegmentStep,
     ViewRequestKind,
 };
 use warehouse::case_book::write_books;
@@ -62,7 +63,7 @@ pub(super) struct Rig {
     pub(super) engine: Engine<Pose>,
     /// Pose of frame `i + 1`.
     pub(super) frames: Vec<Pose>,
-    pub(super) arriving: VecDeque<Viewpoint>,
+    pub(super) arriving: VecDeque<ViewId>,
     pub(super) embedding: Vec<ContentHash>,
     pub(super) pins: usize,
     pub(super) releases: usize,
@@ -73,6 +74,10 @@ pub(super) struct Rig {
     pub(super) asked: BTreeSet<Pose>,
     /// Frames that the simulator may have evicted.
     pub(super) gone: BTreeSet<FrameId>,
+    /// Where the views of episodes that were learned from are seen.
+    pub(super) lived: BTreeMap<ViewId, Pose>,
+    /// By episode and step: sub-goals completed so far, and whether the task is.
+    progress: RefCell<BTreeMap<(u64, u32), (u16, bool)>>,
 }
 
 impl Rig {
@@ -102,6 +107,8 @@ impl Rig {
             documents: TestDocuments::default(),
             asked: BTreeSet::new(),
             gone: BTreeSet::new(),
+            lived: BTreeMap::new(),
+            progress: RefCell::default(),
         }
     }
 
@@ -128,10 +135,12 @@ impl Rig {
             feedback: replay.feedback[step] as u8,
             action: if step == 0 { NO_ACTION } else { actions[step - 1] as u8 },
             last: u8::from(step == last),
-            progress: replay.stages[step] as u8
-                | if step == last && replay.length.is_some() { TASK_COMPLETE } else { 0 },
             ..bytemuck::Zeroable::zeroed()
         };
+        let progress = (0..).zip(&replay.stages).map(|(step, &stage)| {
+            ((id, step), (stage as u16, step as usize == last && replay.length.is_some()))
+        });
+        self.progress.borrow_mut().extend(progress);
         Script {
             config: MemoryEpisodeConfig {
                 episode: id,
@@ -160,6 +169,7 @@ impl Rig {
     pub(super) fn observe(&mut self, mut seen: Observation) -> Result<(), String> {
         let pose = Pose::try_from(seen.pose).unwrap();
         seen.frame = if seen.last == 1 { NO_FRAME } else { self.frame(pose) };
+        self.report(&seen)?;
         if let Some(frame) = self.engine.observe(&seen, 1)? {
             assert_eq!(frame, seen.frame);
             self.engine.current_view(seen.lane, content(pose), pose);
@@ -167,19 +177,34 @@ impl Rig {
         Ok(())
     }
 
+    /// Reports the step of an observation.
+    pub(super) fn report(&mut self, seen: &Observation) -> Result<(), String> {
+        let known = self.progress.borrow().get(&(seen.episode, seen.step)).copied();
+        let (sub_goals, is_complete) = known.unwrap_or_default();
+        let ended = if is_complete { EpisodeEnd::Complete } else { EpisodeEnd::GoesOn } as u8;
+        let Observation { episode, lane, step, .. } = *seen;
+        let report = StepReport { episode, lane, step, sub_goals, ended, ..bytemuck::Zeroable::zeroed() };
+        self.engine.step_report(&report)
+    }
+
+    /// Where a view is seen.
+    fn pose(&self, view: ViewId) -> Pose {
+        match view.sequence {
+            0 => self.engine.library.pose(view),
+            _ => self.lived[&view],
+        }
+    }
+
     /// Processes one of the pending events, chosen by `choice`. Returns whether there was one.
     pub(super) fn work(&mut self, choice: usize) -> bool {
         for request in self.engine.take_view_requests() {
             if request.kind == ViewRequestKind::Pin as u8 {
                 self.pins += 1;
-                let pose = Pose::try_from(request.pose).unwrap();
-                self.asked.insert(pose);
-                self.arriving.push_back(Viewpoint { variant: request.variant, pose });
+                let ViewRequest { sequence, demonstration: number, step, .. } = request;
+                let view_id = ViewId { sequence, number, step };
+                self.asked.insert(self.pose(view_id));
+                self.arriving.push_back(view_id);
             } else {
-                assert_eq!(
-                    self.frames[request.frame as usize - 1],
-                    request.pose.try_into().unwrap()
-                );
                 self.releases += 1;
                 self.gone.insert(request.frame);
             }
@@ -198,10 +223,10 @@ impl Rig {
             let content = self.embedding.remove(choice);
             self.embedded += 1;
             self.engine.add_embedding(content, embedding(content)).unwrap();
-        } else if let Some(viewpoint) = self.arriving.pop_front() {
-            let pose = viewpoint.pose;
+        } else if let Some(view_id) = self.arriving.pop_front() {
+            let pose = self.pose(view_id);
             let frame = self.frame(pose);
-            self.engine.view(viewpoint, frame, content(pose), pose).unwrap();
+            self.engine.view(view_id, frame, content(pose), pose).unwrap();
         }
         true
     }
@@ -288,6 +313,11 @@ impl Rig {
                         continue;
                     };
                     self.engine.config(&script.config).unwrap();
+                    let MemoryEpisodeConfig { sequence, position: number, .. } = script.config;
+                    let lived = (0..).zip(&script.observations);
+                    self.lived.extend(lived.map(|(step, seen)| {
+                        (ViewId { sequence, number, step }, seen.pose.try_into().unwrap())
+                    }));
                     coming = script.observations.iter().copied().collect();
                 }
                 let seen = coming.pop_front().unwrap();

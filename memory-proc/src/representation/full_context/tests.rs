@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::super::testing::{build, demonstration, recall};
 use super::*;
-use crate::bank::{BankSteps, MemoryBank};
+use crate::bank::{BankSteps, MemoryBank, ViewId};
 use crate::demonstrations::RememberedDemonstration;
 use domain::{Feedback, Pose};
 
@@ -16,7 +16,9 @@ fn acted(actions: &str, goals: &[usize]) -> RememberedDemonstration {
     RememberedDemonstration {
         case: 0,
         number: 0,
-        variant: 0,
+        views: (0..=actions.len() as u32)
+            .map(|step| ViewId { sequence: 0, number: 0, step })
+            .collect(),
         instruction: String::new(),
         feedback: steps.clone().map(|_| Feedback::Moved).collect(),
         poses: steps.clone().map(|t| Pose::new(t as u8, 0, Heading::N)).collect(),

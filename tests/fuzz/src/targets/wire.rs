@@ -3,11 +3,14 @@
 use std::sync::{Arc, OnceLock};
 
 use bytemuck::Zeroable;
+use case_book::{BookFile, BookRequest, EpisodeFacts};
 use conformance::messages;
+use conformance::scripted::{ScriptedSim, ScriptedStep};
 use domain::{Action, Arm, DocumentKind, Feedback, Heading, Pose, Representation};
-use memory_proc::bank::{ReplayedBank, Viewpoint};
-use memory_proc::demonstrations::ReplayedDemonstration;
+use memory_proc::bank::{MemoryBank, Viewpoint};
+use memory_proc::demonstrations::RememberedDemonstration;
 use memory_proc::items::{Assembler, Budgets, CheckedAnswer, DocumentSupplier, PublishedTexts};
+use orchestrator::books::Books;
 use orchestrator::lanes::{AnswerError, Lanes, Rules, Turn};
 use orchestrator::plan::PlannedEpisode;
 use peer::policy::fuzzing::{Incoming, requests};
@@ -18,21 +21,35 @@ use shm_types::documents::{Content, Document};
 use shm_types::fuzzing::{check_bank, document, document_bytes};
 use shm_types::message::{
     DocumentId, ExternalAnswer, Handshake, MAX_EXTERNAL_MEMORIES, MAX_ITEMS, MAX_SOURCES,
-    MAX_STEPS, NO_FRAME, Observation, RequestId, Role, StepCommand, StepKind, WirePose, read_text,
-    write_text,
+    MAX_STEPS, Observation, RequestId, Role, StepReport, WirePose, read_text, write_text,
 };
-use warehouse::{CaseSet, Variant, Warehouse, step};
+use shm_types::notes::{Note, NoteHeader};
+use warehouse::CaseSet;
+use warehouse::case_book::write_books;
 
 use crate::input::Input;
 
-struct World {
-    warehouse: Warehouse,
-    cases: CaseSet,
+fn cases() -> &'static CaseSet {
+    static CASES: OnceLock<CaseSet> = OnceLock::new();
+    CASES.get_or_init(CaseSet::shipped)
 }
 
-fn world() -> &'static World {
-    static WORLD: OnceLock<World> = OnceLock::new();
-    WORLD.get_or_init(|| World { warehouse: Warehouse::shipped(), cases: CaseSet::shipped() })
+/// The case book, on blocked routes too.
+fn books() -> &'static Books {
+    static BOOKS: OnceLock<Books> = OnceLock::new();
+    BOOKS.get_or_init(|| {
+        let cases = cases().cases.iter().map(|case| case.id.clone()).collect();
+        let demonstrations = vec![Demonstrations::ORIGINAL];
+        let request =
+            BookRequest { cases, demonstrations, blocked: true, ..BookRequest::default() };
+        let books = write_books(&request).unwrap();
+        Books {
+            cases: BookFile::new(books.cases).unwrap(),
+            demonstrations: BookFile::new(books.demonstrations).unwrap(),
+            streams: None,
+            elsewhere: None,
+        }
+    })
 }
 
 const RULES: Rules = Rules {
@@ -65,8 +82,8 @@ fn planned(choice: u8) -> PlannedEpisode {
         variation: Variation::STANDARD,
         arm: Arm::Frozen,
     };
-    let case_index = usize::from(choice / 3) % world().cases.cases.len();
-    let case = world().cases.cases[case_index].id.clone();
+    let case_index = usize::from(choice / 3) % cases().cases.len();
+    let case = cases().cases[case_index].id.clone();
     PlannedEpisode {
         key: EpisodeKey { condition, run: 1, place: None, case },
         case_index,
@@ -75,29 +92,18 @@ fn planned(choice: u8) -> PlannedEpisode {
     }
 }
 
-/// The simulator's answer to a command of the orchestrator.
-fn honest(command: &StepCommand, pose: &mut Pose) -> Observation {
-    let &StepCommand { lane, episode, step: number, last, action, .. } = command;
-    let case = command.variant.checked_sub(1).map(|case| &world().cases.cases[case as usize]);
-    let closed = case.into_iter().flat_map(|case| case.barricade.iter().copied());
-    let mut feedback = match StepKind::try_from(command.kind).unwrap() {
-        StepKind::Reset => Feedback::Start,
-        StepKind::Act | StepKind::Stay => Feedback::NotUnderstood,
-    };
-    if feedback == Feedback::Start {
-        *pose = command.start.try_into().unwrap();
-    } else if let Ok(action) = Action::try_from(action) {
-        let layout = &world().warehouse.layout;
-        (*pose, feedback) = step(layout, &Variant::closing(closed), *pose, action);
-    }
-    let frame = if last == 1 { NO_FRAME } else { 1 };
-    let seen = messages::observation(RequestId { lane, episode, step: number }, frame);
-    Observation { pose: (*pose).into(), feedback: feedback as u8, action, last, ..seen }
-}
-
 /// What an observation asks for.
 fn request(&Observation { lane, episode, step, .. }: &Observation) -> RequestId {
     RequestId { lane, episode, step }
+}
+
+/// The id of every note.
+const NOTE: DocumentId = 1;
+
+/// The note with the facts of an episode.
+fn note(facts: &EpisodeFacts) -> Note {
+    let header = NoteHeader { id: NOTE, ..NoteHeader::zeroed() };
+    Note { header, bytes: Ok(serde_json::to_vec(facts).unwrap()) }
 }
 
 /// The orchestrator's lanes between honest answers and changed ones. A finished episode has a record without
@@ -105,10 +111,9 @@ fn request(&Observation { lane, episode, step, .. }: &Observation) -> RequestId 
 pub(crate) fn orchestrator(input: &[u8]) {
     const LANES: usize = 2;
     let mut input = Input(input);
-    let World { warehouse, cases } = world();
-    let mut lanes = Lanes::new(warehouse, cases, RULES, LANES);
-    let mut poses = [Pose::new(0, 0, Heading::N); LANES];
-    let mut commands: [Option<StepCommand>; LANES] = [None; LANES];
+    let mut lanes = Lanes::new(books(), RULES, LANES);
+    let mut sim = ScriptedSim::default();
+    let mut steps: [Option<ScriptedStep>; LANES] = [const { None }; LANES];
     let mut seen: [Option<Observation>; LANES] = [None; LANES];
     let mut now = 1;
     while !input.is_empty() {
@@ -116,23 +121,23 @@ pub(crate) fn orchestrator(input: &[u8]) {
         let lane = usize::from(choice) % LANES;
         now = u64::saturating_add(now, u64::from(what) << (choice % 48));
         lanes.set_time(now);
-        if commands[lane].is_none() {
-            commands[lane] = Some(lanes.begin(lane, planned(what)).command);
-        }
-        let turn = match (what % 4, commands[lane], seen[lane]) {
-            (0, Some(command), _) => {
-                let observation = honest(&command, &mut poses[lane]);
+        let answer =
+            steps[lane].get_or_insert_with(|| sim.begin(&lanes.begin(lane, planned(what)).world));
+        let turn = match (what % 4, seen[lane]) {
+            (0, _) => {
+                let ScriptedStep { report, observation, facts } = answer.clone();
                 seen[lane] = Some(observation);
-                lanes.observed(&input.changed(observation))
+                let notes: Vec<Note> = facts.iter().map(note).collect();
+                lanes.reported(&input.changed(StepReport { facts: NOTE, ..report }), &notes)
             }
-            (1, _, Some(seen)) => {
+            (1, Some(seen)) => {
                 lanes.recalled(&input.changed(messages::recall_trace(request(&seen))))
             }
-            (2, _, Some(seen)) => {
+            (2, Some(seen)) => {
                 let action = Action::ALL[usize::from(choice) % Action::ALL.len()];
                 lanes.decided(&input.changed(messages::decision(request(&seen), action)))
             }
-            (3, _, Some(seen)) => {
+            (3, Some(seen)) => {
                 let RequestId { lane, episode, .. } = request(&seen);
                 let report =
                     shm_types::message::SnapshotReport { lane, episode, ..Zeroable::zeroed() };
@@ -143,18 +148,18 @@ pub(crate) fn orchestrator(input: &[u8]) {
         match turn {
             Ok(Turn::Wait) => {}
             Ok(Turn::Command(command)) => {
-                commands[command.lane as usize] = Some(command);
+                steps[command.lane as usize] = Some(sim.step(&command));
             }
             Ok(Turn::Finished(finished)) => {
                 finished.record.check(RULES.max_steps).unwrap();
                 let lane = finished.lane as usize;
-                (commands[lane], seen[lane]) = (None, None);
+                (steps[lane], seen[lane]) = (None, None);
             }
             Err(error) => {
                 assert!(!error.to_string().is_empty());
                 if !matches!(error, AnswerError::NoSuchLane { .. }) {
                     lanes.give_up(lane as u32);
-                    (commands[lane], seen[lane]) = (None, None);
+                    (steps[lane], seen[lane]) = (None, None);
                 }
             }
         }
@@ -191,9 +196,9 @@ impl DocumentSupplier for Published {
     }
 }
 
-fn bank() -> &'static ReplayedBank {
-    static BANK: OnceLock<ReplayedBank> = OnceLock::new();
-    let made = |(number, steps): (u16, u8)| ReplayedDemonstration {
+fn bank() -> &'static MemoryBank {
+    static BANK: OnceLock<MemoryBank> = OnceLock::new();
+    let made = |(number, steps): (u16, u8)| RememberedDemonstration {
         case: 8,
         number,
         variant: 0,
@@ -203,7 +208,7 @@ fn bank() -> &'static ReplayedBank {
         stages: vec![0; usize::from(steps) + 1],
         actions: vec![Some(Action::Forward); usize::from(steps)],
     };
-    BANK.get_or_init(|| ReplayedBank::new([(0, 9), (3, 4), (1, 60)].map(made)))
+    BANK.get_or_init(|| MemoryBank::new([(0, 9), (3, 4), (1, 60)].map(made)))
 }
 
 /// An external memory's answer, up to the recall: within the budgets, and every part of it exists.

@@ -11,6 +11,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
+use case_book::{BookFile, DemonstrationBook};
 use domain::Action;
 use memory_proc::embedding_cache::EmbeddingCache;
 use memory_proc::encoder::{Encoder, EncoderFacts, Image, Provider};
@@ -119,7 +120,8 @@ fn take_part(
         Role::Sim => {
             let bus = Bus::join(Attach::read(&root)?, Role::Sim)?;
             let views = ViewFolder::open(&files.caches, &worlds, &RenderSettings::default())?;
-            serve(&bus, worlds, false, || Ok(render_setup(views)))
+            let demonstrations = BookFile::<DemonstrationBook>::read(&files.demonstrations)?.book;
+            serve(&bus, worlds, demonstrations, false, || Ok(render_setup(views)))
         }
         Role::Memory => {
             let settings = ServeSettings {

@@ -20,18 +20,17 @@ use orchestrator::pipeline::{Ending, PipelineOptions, run_episodes};
 use orchestrator::progress::ProgressDisplay;
 use orchestrator::session::RunSession;
 use orchestrator::status::EpisodeCounts;
-use orchestrator::streams::{Remaining, Streams};
+use orchestrator::streams::Remaining;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use results::log::{
-    EPISODES_FILE, LOGS_FOLDER, Opened, RunFolder, RunLog, SNAPSHOTS_FOLDER, SessionEvent,
-    SessionRecord, TIMINGS_FILE, read_journal,
+    EPISODES_FILE, LOGS_FOLDER, Opened, RunFolder, RunLog, SNAPSHOTS_FOLDER,
+    SessionEvent, SessionRecord, TIMINGS_FILE, read_journal,
 };
 use results::settings::RunSettings;
 use shm_types::RunDir;
 use shm_types::message::Role;
 use supervise::{Children, Launch};
-use warehouse::{CaseSet, StreamSet};
 
 use crate::Plant;
 use crate::faults::{Plan, Process, Trouble};
@@ -208,7 +207,8 @@ fn session(
     let opened = RunFolder::open(&settings.out, manifest, false)?;
     let Opened { mut folder, finished, requests, .. } = opened;
     books.write(folder.dir())?;
-    let Remaining { missing, learned } = Remaining::of(&scenario.episodes, &finished)?;
+    let Remaining { missing, learned } =
+        Remaining::of(&books.cases.book, &scenario.episodes, &finished)?;
     if missing.is_empty() {
         return Ok(SessionEnd::NothingMissing);
     }
@@ -227,17 +227,8 @@ fn session(
     );
     attach.frame_capacity = demand.least(attach.lanes) + plan.spare_frames;
     let rules = launch::rules(&settings, &scenario.memories)?;
-    let (warehouse, cases) = CaseSet::with_warehouse(Some(&scenario.assets))?;
-    let streams = books
-        .streams
-        .as_ref()
-        .map(|text| Streams::new(&warehouse, &cases, StreamSet::parse(text, &warehouse, &cases)?));
-    let streams = streams.transpose()?;
-    let count = attach.lanes as usize;
-    let mut lanes = Lanes::new(&books.cases.book, (&warehouse, &cases), rules, count);
-    if let Some(streams) = &streams {
-        lanes = lanes.in_streams(streams);
-    }
+    let streams = books.streams.as_ref();
+    let mut lanes = Lanes::new(books, rules, attach.lanes as usize);
     for (sequence, position, experience) in learned {
         lanes.remember(sequence, position, experience);
     }
@@ -257,7 +248,7 @@ fn session(
             files: Files {
                 assets: scenario.assets.clone(),
                 demonstrations: folder.dir().join(DEMONSTRATIONS_FILE),
-                snapshots: streams.as_ref().map(|_| folder.dir().join(SNAPSHOTS_FOLDER)),
+                snapshots: streams.map(|_| folder.dir().join(SNAPSHOTS_FOLDER)),
                 caches: place.caches(),
             },
             plant,

@@ -4,10 +4,12 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
+use case_book::{BookRequest, ViewPlace};
 use documents::Sources;
-use domain::{Demonstrations, DocumentKind, Pose};
+use domain::{Appearance, Demonstrations, DocumentKind, Pose};
 use memory_proc::builders::{DocumentBuilder, Extractive, FrameReading, transcripts};
-use warehouse::{Variant, Viewpoint};
+use warehouse::Variant;
+use warehouse::case_book::write_books;
 
 use super::views::Views;
 
@@ -17,7 +19,8 @@ pub(crate) fn document(
     demonstrations: Demonstrations,
     views: &mut Views,
 ) -> String {
-    let sources = Sources::load(None).unwrap();
+    let book = write_books(&BookRequest::default()).unwrap().demonstrations;
+    let sources = Sources::new(book, 448, Appearance::STANDARD);
     let mut look = |pose: Pose| {
         let image = views.of(pose, &Variant::UNCHANGED);
         let frame = image.frame();
@@ -25,10 +28,13 @@ pub(crate) fn document(
         let landmarks = sightings.into_iter().filter_map(|sighting| sighting.seen_from(pose));
         Arc::new(FrameReading { frame: [0; 16], landmarks: landmarks.collect() })
     };
-    let viewpoints = sources.viewpoints(demonstrations);
-    let seen: HashMap<Viewpoint, Arc<FrameReading>> =
-        viewpoints.into_iter().map(|from| (from, look(from.pose))).collect();
+    let pose = |ViewPlace { demonstration, step }: ViewPlace| {
+        sources.book().demonstrations[demonstration as usize].poses[step as usize]
+    };
+    let views = sources.views(demonstrations).into_iter();
+    let seen: HashMap<u32, Arc<FrameReading>> =
+        views.map(|(view, place)| (view, look(pose(place)))).collect();
     let transcripts =
-        transcripts(&sources, demonstrations, |from| seen.get(&from).cloned()).unwrap();
+        transcripts(&sources, demonstrations, |view| seen.get(&view).cloned()).unwrap();
     Extractive.build(kind, &transcripts, Path::new(""), &mut |_, _| ()).unwrap().text
 }

@@ -6,13 +6,13 @@
 
 use std::collections::BTreeMap;
 
+use domain::events::{Requirement, Visit};
 use domain::{Cell, Pose};
-use results::events::{Requirement, Visit};
 use warehouse::sight::sees;
 use warehouse::{Item, Task, Warehouse};
 
 /// Records the events of one episode.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct EventRecorder {
     items: Vec<(Requirement, Item)>,
     at: Option<Cell>,

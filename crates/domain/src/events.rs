@@ -3,10 +3,10 @@
 use std::fmt;
 use std::str::FromStr;
 
-use domain::Cell;
 use serde::{Deserialize, Serialize};
 
-use domain::names::{named, serde_as_text};
+use crate::Cell;
+use crate::names::{named, serde_as_text};
 
 named! {
     /// The part of a task that an item fulfils (specification, section 3).
