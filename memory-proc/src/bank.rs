@@ -58,10 +58,7 @@ impl MemoryBank {
     }
 
     /// The steps of all demonstrations with what is known about their views. `None` while a view is not known.
-    pub fn with_views(
-        &self,
-        view: impl Fn(ViewId) -> Option<KnownView>,
-    ) -> Option<BankSteps<'_>> {
+    pub fn with_views(&self, view: impl Fn(ViewId) -> Option<KnownView>) -> Option<BankSteps<'_>> {
         let mut found = BankSteps::without_views(self);
         let mut embeddings = Embeddings::new();
         let views = self.demonstrations.iter().flat_map(|demonstration| &demonstration.views);

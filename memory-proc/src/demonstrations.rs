@@ -49,8 +49,11 @@ impl RememberedDemonstration {
     pub(crate) fn lived_views(sequence: u64, position: u32, poses: &[Pose]) -> Vec<ViewId> {
         let mut first = HashMap::new();
         let steps = (0..).zip(poses);
-        let view =
-            |(step, pose)| ViewId { sequence, number: position, step: *first.entry(pose).or_insert(step) };
+        let view = |(step, pose)| ViewId {
+            sequence,
+            number: position,
+            step: *first.entry(pose).or_insert(step),
+        };
         steps.map(view).collect()
     }
 }

@@ -41,12 +41,7 @@ impl<I: Clone> EmbeddedViews<I> {
     }
 
     /// Whether all of `view_ids` are [known](Self::known); `ready` counts those that are, the first ones.
-    pub(crate) fn are_known(
-        &self,
-        view_ids: &[ViewId],
-        ready: &mut usize,
-        embeds: bool,
-    ) -> bool {
+    pub(crate) fn are_known(&self, view_ids: &[ViewId], ready: &mut usize, embeds: bool) -> bool {
         let is_known = |&view_id: &ViewId| {
             let view = self.pinned.get(view_id);
             view.is_some_and(|view| !embeds || self.embeddings.get(&view.content).is_some())

@@ -13,6 +13,7 @@ use std::collections::{BTreeMap, BTreeSet, HashSet, VecDeque};
 use std::sync::Arc;
 
 use crate::bank::ViewId;
+use crate::demonstrations::DemonstrationLibrary;
 use crate::embedded_views::EmbeddedViews;
 use crate::embedding_cache::{CacheError, EmbeddingCache};
 use crate::episode::{EpisodeMemory, MemoryEpisode, PendingObservation, PendingStage, Reason};
@@ -21,7 +22,6 @@ use crate::items::{Assembler, DocumentSupplier};
 use crate::sequences::{Binding, SequenceMemories};
 use crate::snapshots::SnapshotFolder;
 use crate::views::{Arrival, PinnedView};
-use crate::demonstrations::DemonstrationLibrary;
 use search::{ContentHash, Embedding};
 use shm_types::message::{
     FrameId, MemoryEpisodeConfig, Observation, Recall, RecallTrace, SnapshotReport, StepReport,
@@ -177,12 +177,16 @@ impl<I: Clone> Engine<I> {
         let unknown =
             || format!("observation of unknown episode {} in lane {}", seen.episode, seen.lane);
         let lane = self.lanes.get_mut(seen.lane as usize).ok_or_else(unknown)?;
-        let is_of_step = |report: &StepReport| (report.episode, report.step) == (seen.episode, seen.step);
+        let is_of_step =
+            |report: &StepReport| (report.episode, report.step) == (seen.episode, seen.step);
         // Those before it belong to observations that could not be used.
         let report = lane.reports.iter().position(is_of_step);
         let report = report.and_then(|at| lane.reports.drain(..=at).next_back());
         let report = report.ok_or_else(|| {
-            format!("observation of episode {}, step {}, without a step report", seen.episode, seen.step)
+            format!(
+                "observation of episode {}, step {}, without a step report",
+                seen.episode, seen.step
+            )
         })?;
         if let Some(next) = lane.next.take_if(|next| next.id == seen.episode)
             && let Some(abandoned) = lane.running.replace(next)
@@ -608,7 +612,9 @@ fn supply<I: Clone>(
     documents: &mut dyn DocumentSupplier,
 ) -> anyhow::Result<LaneProgress> {
     let Some(mut pending) = episode.pending.take() else { return Ok(LaneProgress::EpisodeOver) };
-    let PendingStage::Answered(answer) = &mut pending.stage else { return Ok(LaneProgress::EpisodeOver) };
+    let PendingStage::Answered(answer) = &mut pending.stage else {
+        return Ok(LaneProgress::EpisodeOver);
+    };
     let is_known = episode.last.as_ref().is_some_and(|last| Arc::ptr_eq(&last.0, &answer.checked));
     if !is_known {
         let view_ids = &answer.checked.view_ids;

@@ -11,8 +11,8 @@ use domain::{
 use peer::memory::{Memory, MemoryItem, Query, Step};
 use search::{ContentHash, Embedding};
 use shm_types::message::{
-    EXPERIENCE, EXTERNAL, EpisodeEnd, FrameId, MAX_ITEMS, MAX_SEGMENT, MemoryEpisodeConfig, NO_ACTION,
-    NO_FRAME, NOT_MEASURED, Observation, Recall, RecallTrace, StepReport,
+    EXPERIENCE, EXTERNAL, EpisodeEnd, FrameId, MAX_ITEMS, MAX_SEGMENT, MemoryEpisodeConfig,
+    NO_ACTION, NO_FRAME, NOT_MEASURED, Observation, Recall, RecallTrace, StepReport,
 };
 
 use crate::bank::{BankSteps, KnownView, MemoryBank, ViewId};

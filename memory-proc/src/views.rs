@@ -107,8 +107,7 @@ impl<I> PinnedViews<I> {
 
     /// Takes a view that is in the frame store now.
     pub(crate) fn arrived(&mut self, view_id: ViewId, resident: PinnedView<I>) -> Arrival {
-        let Some(held) = self.views.get_mut(&view_id).filter(|held| held.resident.is_none())
-        else {
+        let Some(held) = self.views.get_mut(&view_id).filter(|held| held.resident.is_none()) else {
             return Arrival::Unexpected;
         };
         if held.users == 0 {

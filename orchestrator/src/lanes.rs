@@ -14,8 +14,8 @@ use case_book::{CaseBook, LearnedEpisode};
 use domain::{ExternalName, MemoryKind};
 use results::log::{EpisodeRecord, RecallTotals, Stages};
 use shm_types::message::{
-    Decision, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, PolicyEpisodeConfig,
-    RecallTrace, Role, SnapshotReport, StepCommand, StepReport, WorldEpisodeConfig,
+    Decision, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, PolicyEpisodeConfig, RecallTrace, Role,
+    SnapshotReport, StepCommand, StepReport, WorldEpisodeConfig,
 };
 use shm_types::notes::Note;
 

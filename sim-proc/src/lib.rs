@@ -11,7 +11,6 @@
 
 pub mod act_command;
 pub mod book_command;
-pub mod event_recorder;
 pub mod first_views;
 pub mod lanes;
 pub mod lived;

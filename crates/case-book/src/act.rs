@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 
+use domain::events::{Requirement, Visit};
 use domain::{
     Action, Cell, DemonstrationKind, Demonstrations, Feedback, Pose, Route, Start, StreamOrder,
 };
@@ -143,11 +144,10 @@ pub struct ActedEpisode {
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EpisodeEvents {
-    /// Every arrival before an item that the task is about, in order: `12A@3,7` is after 12 steps before an A, on the cell in
-    /// column 3 and row 7.
-    pub visits: Vec<String>,
+    /// Every arrival before an item that the task is about, whether or not it counted, in order.
+    pub visits: Vec<Visit>,
     /// For A, B or C: the first step whose view showed one, the last step's excepted: its view is not rendered.
-    pub first_seen: BTreeMap<String, u32>,
+    pub first_seen: BTreeMap<Requirement, u32>,
     /// The steps whose move was blocked.
     pub blocked_moves: Vec<u32>,
     /// The first step that tried to enter a closed cell.

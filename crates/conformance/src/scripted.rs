@@ -13,9 +13,9 @@ use bytemuck::Zeroable;
 use case_book::EpisodeFacts;
 use domain::{Action, Feedback, Heading, Pose};
 use shm_types::message::{
-    Decision, EpisodeEnd, Handshake, MemoryEpisodeConfig, NO_ACTION, NO_DOCUMENT,
-    NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RequestId, Role, ShutdownReport,
-    StepCommand, StepKind, StepReport, Stop, WorldEpisodeConfig, read_text,
+    Decision, EpisodeEnd, Handshake, MemoryEpisodeConfig, NO_ACTION, NO_DOCUMENT, NO_FRAME,
+    Observation, PolicyEpisodeConfig, Recall, RequestId, Role, ShutdownReport, StepCommand,
+    StepKind, StepReport, Stop, WorldEpisodeConfig, read_text,
 };
 use shm_types::{Attach, Bus, BusError, NotePublisher, Notifier, Sender};
 

@@ -495,7 +495,8 @@ impl SubjectNeighbours for MemoryNeighbours {
         for request in self.requests.drain().unwrap() {
             if request.kind == ViewRequestKind::Pin as u8 {
                 let ViewRequest { sequence, demonstration, step, .. } = request;
-                let frame = self.publish(self.demonstrations[demonstration as usize][step as usize]);
+                let frame =
+                    self.publish(self.demonstrations[demonstration as usize][step as usize]);
                 self.send(&View { frame, sequence, demonstration, step }).unwrap();
                 self.notify().unwrap();
             } else {

@@ -13,9 +13,10 @@ use domain::{Action, Cell, DemonstrationKind, Feedback, Pose};
 use crate::case::{Case, History, Trajectory, TrajectoryKind};
 use crate::case_book::case_facts;
 use crate::dynamics::{Variant, step};
+use crate::event_recorder::EventRecorder;
 use crate::map;
 use crate::progress::Progress;
-use crate::sight::{cells, sees};
+use crate::sight::cells;
 use crate::state::WorldState;
 use crate::swapped::{GREY_VARIANT, SwappedPoses};
 use crate::task::Task;
@@ -291,25 +292,15 @@ fn events(
     steps: &Steps,
 ) -> EpisodeEvents {
     let WorldState { warehouse, variant } = state;
-    let targets: Vec<(char, &Item)> = lettered_targets(task, warehouse).collect();
-    let mut events = EpisodeEvents::default();
-    let mut at = None;
+    let mut recorder = EventRecorder::new(warehouse, task);
     for (taken, pose) in (0_u32..).zip(&steps.poses) {
-        let cell = pose.cell;
-        if at.replace(cell) != Some(cell) {
-            let before = targets.iter().filter(|(_, item)| item.standpoint == cell);
-            let visit =
-                |(letter, _): &(char, &Item)| format!("{taken}{letter}@{},{}", cell.x, cell.y);
-            events.visits.extend(before.map(visit));
-        }
-        let is_last = taken > 0 && taken as usize == actions.len();
-        for (letter, item) in targets.iter().filter(|_| !is_last) {
-            let letter = letter.to_string();
-            if !events.first_seen.contains_key(&letter) && sees(warehouse, *pose, item) {
-                events.first_seen.insert(letter, taken);
-            }
+        recorder.stands(taken, *pose);
+        if taken == 0 || (taken as usize) < actions.len() {
+            recorder.looks(warehouse, taken, *pose);
         }
     }
+    let EventRecorder { visits, first_seen, .. } = recorder;
+    let mut events = EpisodeEvents { visits, first_seen, ..EpisodeEvents::default() };
     for ((taken, action), (pose, feedback)) in
         (1..).zip(actions).zip(steps.poses.iter().zip(steps.feedback.iter().skip(1)))
     {
@@ -334,21 +325,12 @@ fn came_into_view(warehouse: &Warehouse, poses: &[Pose]) -> Vec<Vec<Cell>> {
     poses.iter().map(new).collect()
 }
 
-fn lettered_targets<'w>(
-    task: &Task,
-    warehouse: &'w Warehouse,
-) -> impl Iterator<Item = (char, &'w Item)> {
-    let lettered = |item| Some((task.letter(warehouse, item)?, item));
-    task.targets(warehouse).into_iter().filter_map(lettered)
-}
-
 fn targets(task: &Task, warehouse: &Warehouse) -> Vec<Target> {
-    let target = |(letter, item): (char, &Item)| Target {
-        letter,
-        name: warehouse.catalogue.types[item.item_type].name.clone(),
-        cell: item.standpoint,
+    let target = |item: &Item| {
+        let name = warehouse.catalogue.types[item.item_type].name.clone();
+        Some(Target { letter: task.letter(warehouse, item)?, name, cell: item.standpoint })
     };
-    lettered_targets(task, warehouse).map(target).collect()
+    task.targets(warehouse).into_iter().filter_map(target).collect()
 }
 
 /// A demonstration in `state`, which is the variant with this number.
@@ -380,7 +362,10 @@ fn demonstration(
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use case_book::act::EpisodeParts;
+    use domain::events::Requirement;
     use domain::{Demonstrations, Route, Start};
 
     use super::*;
@@ -401,23 +386,17 @@ mod tests {
     #[test]
     fn visits_first_sights_and_sub_goals_are_told() {
         let mut stage = Stage::new(RunWorlds::read(None, None, None).unwrap());
-        let told = ["t01-01", "t06-01", "t09-01"].map(|id| {
-            let reference = stage.episode(&request(id, 0, Vec::new())).unwrap().reference.unwrap();
-            let steps = reference.actions.iter().take(reference.length as usize);
-            let steps = steps.map(|action| Some(*action)).collect();
-            let acted = stage.episode(&request(id, 0, steps)).unwrap();
-            let EpisodeEvents { visits, first_seen, blocked_moves, .. } = acted.events.unwrap();
-            assert_eq!((acted.sub_goals.len() as u32, blocked_moves.len()), (acted.required, 0));
-            format!("{id} {:?}: visits {}; seen {first_seen:?}", acted.sub_goals, visits.join(" "))
-        });
-        assert_eq!(
-            told,
-            [
-                r#"t01-01 [16]: visits 16A@9,9; seen {"A": 11}"#,
-                r#"t06-01 [22, 57]: visits 22A@6,28 57B@6,1; seen {"A": 8, "B": 52}"#,
-                r#"t09-01 [5, 21, 38]: visits 5A@14,11 21B@9,9 38A@14,11; seen {"A": 1, "B": 16}"#,
-            ]
-        );
+        let reference =
+            stage.episode(&request("t06-01", 0, Vec::new())).unwrap().reference.unwrap();
+        let steps = reference.actions.iter().take(reference.length as usize);
+        let steps = steps.map(|action| Some(*action)).collect();
+        let acted = stage.episode(&request("t06-01", 0, steps)).unwrap();
+        let events = acted.events.unwrap();
+        let visits: Vec<String> = events.visits.iter().map(ToString::to_string).collect();
+        assert_eq!((acted.sub_goals, acted.required), (vec![22, 57], 2));
+        assert_eq!(visits, ["22A@6,28", "57B@6,1"]);
+        assert_eq!(events.first_seen, BTreeMap::from([(Requirement::A, 8), (Requirement::B, 52)]));
+        assert!(events.blocked_moves.is_empty());
     }
 
     #[test]

@@ -22,7 +22,10 @@ pub(crate) fn demonstration(number: u16, from: u8, steps: u8) -> RememberedDemon
         instruction: "Find a cone.".to_owned(),
         poses: all.clone().map(|t| Pose::new(3, from + t, Heading::N)).collect(),
         // Named by the row.
-        views: all.clone().map(|t| ViewId { sequence: 0, number: 0, step: (from + t).into() }).collect(),
+        views: all
+            .clone()
+            .map(|t| ViewId { sequence: 0, number: 0, step: (from + t).into() })
+            .collect(),
         feedback: all
             .clone()
             .map(|t| if t == 0 { Feedback::Start } else { Feedback::Moved })

@@ -10,9 +10,9 @@ use results::log::{
     BlockedRecord, Ending, EpisodeRecord, RecallTotals, Stages, StreamRecord, Unread,
 };
 use shm_types::message::{
-    Decision, EXTERNAL, EpisodeEnd, MemoryEpisodeConfig, NO_ACTION,
-    NO_FRAME, NOT_MEASURED, PolicyEpisodeConfig, RecallTrace, Role, SnapshotReport, StepCommand,
-    StepKind, StepReport, WorldEpisodeConfig, read_flag, write_text,
+    Decision, EXTERNAL, EpisodeEnd, MemoryEpisodeConfig, NO_ACTION, NO_FRAME, NOT_MEASURED,
+    PolicyEpisodeConfig, RecallTrace, Role, SnapshotReport, StepCommand, StepKind, StepReport,
+    WorldEpisodeConfig, read_flag, write_text,
 };
 use shm_types::notes::Note;
 

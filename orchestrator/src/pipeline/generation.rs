@@ -9,9 +9,8 @@ use bytemuck::Zeroable;
 use domain::{ExternalName, MemoryKind};
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::{
-    Decision, ErrorReport, Heartbeat, MemoryEpisodeConfig, PolicyEpisodeConfig,
-    RecallTrace, Role, ShutdownReport, SnapshotReport, StepCommand, StepReport, Stop,
-    WorldEpisodeConfig,
+    Decision, ErrorReport, Heartbeat, MemoryEpisodeConfig, PolicyEpisodeConfig, RecallTrace, Role,
+    ShutdownReport, SnapshotReport, StepCommand, StepReport, Stop, WorldEpisodeConfig,
 };
 use shm_types::process::{ProcessWatch, monotonic_ns};
 use shm_types::{Bus, BusError, HandshakeReceiver, NoteReceiver, Notifier, Receiver, Sender};

@@ -17,8 +17,7 @@ use conformance::messages;
 use domain::{Action, Feedback, Heading, Pose};
 use shm_types::FrameControl;
 use shm_types::message::{
-    EpisodeEnd, FrameId, NO_FRAME, ShutdownReport, StepCommand, ViewRequest,
-    WorldEpisodeConfig,
+    EpisodeEnd, FrameId, NO_FRAME, ShutdownReport, StepCommand, ViewRequest, WorldEpisodeConfig,
 };
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use sim_proc::renderer::{Backend, Renderer, ViewSpec};
@@ -26,7 +25,7 @@ use warehouse::{CaseSet, ELSEWHERE_VARIANT, TrajectoryKind, Variant, Warehouse, 
 
 use rig::{
     CodeWorker, SMALL, act, code, code_with, elsewhere, error_report, fatal_error, is_near, poses,
-    reset, setup, shown_code, shows_stock, simulator, simulator_with, small, worlds, step_at,
+    reset, setup, shown_code, shows_stock, simulator, simulator_with, small, step_at, worlds,
 };
 
 #[test]
@@ -143,7 +142,10 @@ fn lanes_and_memory_see_the_world_state_they_name() {
             assert_eq!(shown_code(&mut sim, frame), expected, "variant {variant} at {pose}");
             sim.pin(variant, step_at(pose));
             let view = sim.view();
-            assert_eq!((view.frame, view.demonstration, view.step), (frame, variant, step_at(pose)));
+            assert_eq!(
+                (view.frame, view.demonstration, view.step),
+                (frame, variant, step_at(pose))
+            );
             sim.release(frame);
             frames.push(frame);
             seen.insert(expected);

@@ -183,7 +183,8 @@ impl Rig {
         let (sub_goals, is_complete) = known.unwrap_or_default();
         let ended = if is_complete { EpisodeEnd::Complete } else { EpisodeEnd::GoesOn } as u8;
         let Observation { episode, lane, step, .. } = *seen;
-        let report = StepReport { episode, lane, step, sub_goals, ended, ..bytemuck::Zeroable::zeroed() };
+        let report =
+            StepReport { episode, lane, step, sub_goals, ended, ..bytemuck::Zeroable::zeroed() };
         self.engine.step_report(&report)
     }
 

@@ -158,10 +158,11 @@ impl StreamRig {
 #[test]
 fn an_arm_decides_what_the_memory_is_built_from() {
     let all = library();
-    let bank =
-        |arm, block| all.of_bank(BankOrigin::new(arm, 0, block, Demonstrations::ORIGINAL));
+    let bank = |arm, block| all.of_bank(BankOrigin::new(arm, 0, block, Demonstrations::ORIGINAL));
     let of = |made: &[std::sync::Arc<crate::demonstrations::RememberedDemonstration>]| -> Vec<_> {
-        made.iter().map(|made| (made.case, made.number, made.views[0].number >= FIRST_PLANNED)).collect()
+        made.iter()
+            .map(|made| (made.case, made.number, made.views[0].number >= FIRST_PLANNED))
+            .collect()
     };
     let original = CASES.map(|case| (case, 0, false));
     for (arm, block) in [(Arm::Frozen, 0), (Arm::Frozen, 1), (Arm::Learning, 1), (Arm::Oracle, 0)] {
@@ -173,7 +174,8 @@ fn an_arm_decides_what_the_memory_is_built_from() {
     assert!((1..=6).contains(&wrong.len()));
     for made in wrong {
         assert!(!CASES.contains(&made.case));
-        let irrelevant = CASES.iter().flat_map(|&case| book.cases[case as usize].irrelevant.clone());
+        let irrelevant =
+            CASES.iter().flat_map(|&case| book.cases[case as usize].irrelevant.clone());
         let mut irrelevant = irrelevant.map(|index| &book.demonstrations[index as usize]);
         assert!(irrelevant.any(|of| (of.case, of.kind as u16) == (made.case, made.number)));
     }

@@ -24,8 +24,8 @@ use orchestrator::streams::Remaining;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use results::log::{
-    EPISODES_FILE, LOGS_FOLDER, Opened, RunFolder, RunLog, SNAPSHOTS_FOLDER,
-    SessionEvent, SessionRecord, TIMINGS_FILE, read_journal,
+    EPISODES_FILE, LOGS_FOLDER, Opened, RunFolder, RunLog, SNAPSHOTS_FOLDER, SessionEvent,
+    SessionRecord, TIMINGS_FILE, read_journal,
 };
 use results::settings::RunSettings;
 use shm_types::RunDir;
