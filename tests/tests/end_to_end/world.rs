@@ -37,6 +37,9 @@ fn write(path: &Path, records: &[Value]) {
     fs::write(path, records.iter().map(line).collect::<String>()).unwrap();
 }
 
+/// A field, which records can be edited, and the edit.
+type EditOf<'a> = (&'a str, &'a dyn Fn(&Value) -> bool, &'a dyn Fn(&mut Value));
+
 #[test]
 fn a_true_run_is_valid_and_an_edited_action_ending_or_sub_goal_is_found() {
     let bench = Bench::new();
@@ -54,7 +57,7 @@ fn a_true_run_is_valid_and_an_edited_action_ending_or_sub_goal_is_found() {
         record["ending"] == "out-of-steps" && met + 1 < record["required"].as_u64().unwrap()
     };
     let has_blocked_move = |record: &Value| record["blocked_moves"][0].is_u64();
-    let edits: [(&str, &dyn Fn(&Value) -> bool, &dyn Fn(&mut Value)); 3] = [
+    let edits: [EditOf<'_>; 3] = [
         // Another move into what blocked the way, or not: the log says that it did.
         ("blocked_moves", &has_blocked_move, &|record| {
             let at = record["blocked_moves"][0].as_u64().unwrap() as usize - 1;
