@@ -24,8 +24,9 @@ use sim_proc::renderer::{Backend, Renderer, ViewSpec};
 use warehouse::{CaseSet, ELSEWHERE_VARIANT, TrajectoryKind, Variant, Warehouse, step};
 
 use rig::{
-    CodeWorker, SMALL, act, code, code_with, elsewhere, error_report, fatal_error, is_near, poses,
-    reset, setup, shown_code, shows_stock, simulator, simulator_with, small, step_at, worlds,
+    CodeWorker, SMALL, act, code, code_with, elsewhere, elsewhere_demonstration, error_report,
+    fatal_error, is_near, poses, reset, setup, shown_code, shows_stock, simulator, simulator_with,
+    small, step_at, worlds,
 };
 
 #[test]
@@ -554,10 +555,8 @@ fn views_of_the_other_warehouse_are_those_of_a_simulator_that_is_started_in_it()
     let (task, shown) = other.demonstration(0).unwrap();
     let replay = shown.replay(other.warehouse(), task, &Variant::UNCHANGED);
     assert!(replay.poses.iter().any(|pose| !tested.layout.is_free(pose.cell)));
-    for (pose, step) in replay.poses.into_iter().zip(1_u32..) {
-        let variant = ELSEWHERE_VARIANT;
-        let request = ViewRequest { pose: pose.into(), variant, ..Zeroable::zeroed() };
-        sim.neighbours.send(&request).unwrap();
+    for (pose, step) in replay.poses.into_iter().zip(0_u32..) {
+        sim.pin(elsewhere_demonstration(), step);
         let view = sim.view();
         for store in &mut sim.neighbours.stores {
             let frame = store.get(view.frame).unwrap().unwrap();

@@ -15,7 +15,8 @@ use sim_proc::serve::serve;
 use sim_proc::view_control::every_pose;
 use sim_proc::worlds::Worlds;
 use warehouse::{
-    Case, CaseSet, Elsewhere, StockChange, Trajectory, Variant, Warehouse, WorldChange, WorldState,
+    Case, CaseSet, ELSEWHERE_VARIANT, Elsewhere, StockChange, Trajectory, Variant, Warehouse,
+    WorldChange, WorldState,
 };
 
 /// Fills a slot with pixels that encode the pose, the stock and the number of nearby closed cells.
@@ -103,24 +104,33 @@ pub(crate) fn worlds() -> Worlds {
     worlds.with_cases(cases.cases.iter().chain(&of_poses))
 }
 
+/// The index of the first demonstration of [`elsewhere`] among [`demonstrations`].
+pub(crate) fn elsewhere_demonstration() -> u32 {
+    worlds().variant_count() as u32 + 1
+}
+
 /// For each variant of [`worlds`], and one that there is not, a demonstration whose steps are in all [`poses`], and in one where
-/// no agent can stand.
+/// no agent can stand; then the first of [`elsewhere`].
 fn demonstrations() -> DemonstrationBook {
     let nowhere = Pose::new(200, 200, Heading::N);
     let poses: Vec<Pose> = poses().into_iter().chain([nowhere]).collect();
-    let variants = 0..=worlds().variant_count() as u32;
-    let of_variant = |variant| Demonstration {
+    let variants = (0..elsewhere_demonstration()).map(|variant| (variant, poses.clone()));
+    let elsewhere = elsewhere();
+    let (task, shown) = elsewhere.demonstration(0).unwrap();
+    let shown = shown.replay(elsewhere.warehouse(), task, &Variant::UNCHANGED).poses;
+    let demonstration = |(variant, poses)| Demonstration {
         case: 0,
         kind: DemonstrationKind::Original,
         variant,
         instruction: String::new(),
-        poses: poses.clone(),
+        poses,
         feedback: Vec::new(),
         sub_goals: Vec::new(),
         actions: Vec::new(),
         views: Vec::new(),
     };
-    let demonstrations = variants.map(of_variant).collect();
+    let all = variants.chain([(ELSEWHERE_VARIANT, shown)]);
+    let demonstrations = all.map(demonstration).collect();
     DemonstrationBook { demonstrations, ..DemonstrationBook::default() }
 }
 

@@ -7,7 +7,7 @@ use case_book::{BookFile, BookRequest, EpisodeFacts};
 use conformance::messages;
 use conformance::scripted::{ScriptedSim, ScriptedStep};
 use domain::{Action, Arm, DocumentKind, Feedback, Heading, Pose, Representation};
-use memory_proc::bank::{MemoryBank, Viewpoint};
+use memory_proc::bank::{MemoryBank, ViewId};
 use memory_proc::demonstrations::RememberedDemonstration;
 use memory_proc::items::{Assembler, Budgets, CheckedAnswer, DocumentSupplier, PublishedTexts};
 use orchestrator::books::Books;
@@ -201,7 +201,8 @@ fn bank() -> &'static MemoryBank {
     let made = |(number, steps): (u16, u8)| RememberedDemonstration {
         case: 8,
         number,
-        variant: 0,
+        // Named by the row.
+        views: (0..=steps).map(|y| ViewId { sequence: 0, number: 0, step: y.into() }).collect(),
         instruction: "Find a cone.".to_owned(),
         poses: (0..=steps).map(|y| Pose::new(3, y, Heading::N)).collect(),
         feedback: vec![Feedback::Moved; usize::from(steps) + 1],
@@ -238,7 +239,7 @@ pub(crate) fn memory(input: &[u8]) {
     let (mut texts, mut documents) = (PublishedTexts::new(), Published::default());
     let mut assembler =
         Assembler { bank: bank(), episode: (1, 7), texts: &mut texts, documents: &mut documents };
-    let frame = |at: Viewpoint| Some(1 + u64::from(at.pose.cell.y));
+    let frame = |at: ViewId| Some(1 + u64::from(at.step));
     let recall = assembler.assemble(&checked, frame).unwrap();
     assert!(recall.items_len as usize <= MAX_ITEMS && recall.steps_len as usize <= MAX_STEPS);
     assert!(recall.sources_len as usize <= MAX_SOURCES);
