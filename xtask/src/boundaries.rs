@@ -173,10 +173,12 @@ mod tests {
 
     #[test]
     fn the_rules_name_crates_that_exist() {
-        let manifest = include_str!("../../Cargo.toml");
+        let root = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
         let ours = MUST_NOT_LINK.iter().flat_map(|(crates, _, _)| *crates);
         for name in ours {
-            assert!(manifest.contains(&format!("{name} = {{ path =")), "{name}");
+            let folders = [format!("{root}/{name}"), format!("{root}/crates/{name}")];
+            let is_there = |folder: &String| std::path::Path::new(folder).is_dir();
+            assert!(folders.iter().any(is_there), "{name}");
         }
     }
 }
