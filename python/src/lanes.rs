@@ -12,7 +12,6 @@ use domain::{Action, Appearance, Feedback, Pose};
 use pyo3::exceptions::{PyIndexError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use replay::World;
 use sim_proc::renderer::{
     Backend, Destination, RenderJob, RenderSettings, Renderer, Samples, ViewSpec,
 };
@@ -89,7 +88,7 @@ impl Lanes {
         assets: Option<PathBuf>,
     ) -> PyResult<Self> {
         let ((width_px, height_px), (plates, labels, seed)) = (size_px, appearance);
-        let World { warehouse, cases, .. } = World::load(assets.as_deref()).map_err(invalid)?;
+        let (warehouse, cases) = CaseSet::with_warehouse(assets.as_deref()).map_err(invalid)?;
         let settings = RenderSettings {
             width_px,
             height_px,

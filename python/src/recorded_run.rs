@@ -1,28 +1,29 @@
 //! The trajectories of a run and of the demonstrations behind it, and the views of their poses.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use anyhow::Context;
-use domain::{Action, Cell, Feedback, Heading, Pose};
+use case_book::act::{ActedDemonstration, DemonstrationsRequest, EpisodeParts, Target};
+use domain::{Action, Cell, Heading, Pose};
 use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use replay::{RecordedRun as Recorded, RunWorld};
-use results::log::{EpisodeRecord, LogError, RunLog};
+use results::log::{EpisodeRecord, LogError};
 use results::score::Failure;
 use serde::Serialize;
 use sim_proc::renderer::{Backend, RenderSettings};
 use sim_proc::view_source::ViewSource;
 use sim_proc::worlds::Worlds;
-use warehouse::{Demonstrated, History, Task, Warehouse};
+use warehouse::RunWorlds;
+use warehouse::act::Stage;
+use world_client::{Asker, EpisodeTimeline, RecordedRun as Recorded, WorldAccess, WorldFiles};
 
-/// A run folder, its worlds, and a renderer once a view is asked for.
+/// A run folder, its worlds, and a renderer once a view is asked for. No `sim-proc` lies beside the package, so both answer in
+/// this process.
 #[pyclass(module = "memtransfer._native", unsendable)]
 pub(crate) struct RecordedRun {
-    log: RunLog,
-    world: RunWorld,
-    notices: Vec<String>,
+    run: Recorded,
     settings: RenderSettings,
     views: Option<ViewSource>,
 }
@@ -66,12 +67,23 @@ struct TrajectoryData<'a> {
 /// Letter, name, and the cell before it.
 type TargetData = (char, String, CellData);
 
-fn targets(task: &Task, warehouse: &Warehouse) -> Vec<TargetData> {
-    let named = task.targets(warehouse).into_iter().filter_map(|item| {
-        let name = warehouse.catalogue.types[item.item_type].name.clone();
-        Some((task.letter(warehouse, item)?, name, cell_data(item.standpoint)))
-    });
-    named.collect()
+fn targets(targets: Vec<Target>) -> Vec<TargetData> {
+    let data = |Target { letter, name, cell }: Target| (letter, name, cell_data(cell));
+    targets.into_iter().map(data).collect()
+}
+
+fn worlds(files: &WorldFiles) -> anyhow::Result<RunWorlds> {
+    let [assets, streams, elsewhere] =
+        [&files.assets, &files.streams, &files.elsewhere].map(Option::as_deref);
+    Ok(RunWorlds::read(assets, streams, elsewhere)?)
+}
+
+/// Access to the worlds of runs in this process.
+fn access() -> WorldAccess {
+    WorldAccess::new(|log| {
+        let mut stage = Stage::new(worlds(&WorldFiles::of(log))?);
+        Ok(Asker::new(move |request| Ok(stage.answer(request))))
+    })
 }
 
 fn invalid(error: &anyhow::Error) -> PyErr {
@@ -83,27 +95,27 @@ impl RecordedRun {
     /// Reads the run in `folder`. Views have the run's size, or width and height in pixels of `size_px`.
     #[new]
     fn new(folder: PathBuf, size_px: Option<(u32, u32)>) -> PyResult<Self> {
-        let read = Recorded::read(&folder).map_err(|error| match error.downcast_ref() {
-            Some(LogError::NoRun(_)) => PyFileNotFoundError::new_err(error.to_string()),
-            _ => invalid(&error),
-        })?;
-        let Recorded { log, world, notices } = read;
-        let of_run = log.manifest.settings.frame_size;
+        let run =
+            Recorded::read(&folder, &access()).map_err(|error| match error.downcast_ref() {
+                Some(LogError::NoRun(_)) => PyFileNotFoundError::new_err(error.to_string()),
+                _ => invalid(&error),
+            })?;
+        let of_run = run.log.manifest.settings.frame_size;
         let (width_px, height_px) = size_px.unwrap_or((of_run, of_run));
         let settings = RenderSettings {
             width_px,
             height_px,
-            appearance: log.manifest.settings.appearance(),
+            appearance: run.log.manifest.settings.appearance(),
             backend: Some(Backend::Cpu),
             ..RenderSettings::default()
         };
-        Ok(Self { log, world, notices, settings, views: None })
+        Ok(Self { run, settings, views: None })
     }
 
     /// What the user must know about it.
     #[getter]
     fn notices(&self) -> Vec<String> {
-        self.notices.clone()
+        self.run.notices.clone()
     }
 
     /// Width and height of a view, in pixels.
@@ -114,18 +126,18 @@ impl RecordedRun {
 
     /// The manifest, as JSON.
     fn manifest(&self) -> PyResult<String> {
-        json(&self.log.manifest)
+        json(&self.run.log.manifest)
     }
 
     /// The policy as every output names it.
     #[getter]
     fn policy_label(&self) -> String {
-        self.log.manifest.policy_label().to_string()
+        self.run.log.manifest.policy_label().to_string()
     }
 
     /// The trajectories of the episodes that have a result, as JSON, in the order of the log.
     fn episodes(&self) -> PyResult<String> {
-        let episodes = self.log.episodes.iter().map(|record| self.episode(record));
+        let episodes = self.run.log.episodes.iter().map(|record| self.episode(record));
         let episodes = episodes.collect::<anyhow::Result<Vec<_>>>();
         json(&episodes.map_err(|error| invalid(&error))?)
     }
@@ -133,31 +145,16 @@ impl RecordedRun {
     /// Those of the demonstrations that the run's memories could be built from, as JSON, each once, in the order of the
     /// cases.
     fn demonstrations(&self) -> PyResult<String> {
-        let RunWorld { warehouse, cases, .. } = &self.world;
-        let histories: BTreeSet<History> = self
-            .log
-            .episodes
-            .iter()
-            .filter_map(|record| Some((cases.index(&record.case)?, record.demonstrations)))
-            .collect::<BTreeSet<_>>()
-            .into_iter()
-            .flat_map(|(case, set)| cases.histories(case, set))
-            .collect();
-        let found = histories.into_iter().filter_map(|history| {
-            let demonstrated = cases.demonstrated(warehouse, history)?;
-            Some(demonstration(&cases.cases[history.case].id, history, &demonstrated))
-        });
-        json(&found.collect::<Vec<_>>())
+        let found = self.acted_demonstrations().map_err(|error| invalid(&error))?;
+        json(&found.iter().map(demonstration).collect::<Vec<_>>())
     }
 
     /// The floor of world variant `variant`: a text for each row from row 0, the most southern, with `.` for free floor
     /// and `#` for anything else: racks, walls, and the barricades of a closed passage.
     fn floor(&self, variant: u32) -> PyResult<Vec<String>> {
-        let layout = self.world.layout(variant);
-        let layout = layout.ok_or_else(|| PyValueError::new_err("there is no such world"))?;
-        let is_free = |x, y| self.world.is_free(variant, Cell { x, y }) == Some(true);
-        let row = |y| (0..layout.width()).map(|x| if is_free(x, y) { '.' } else { '#' }).collect();
-        Ok((0..layout.height()).map(row).collect())
+        let scene = self.run.world.scene(variant);
+        let scene = scene.map_err(|_| PyValueError::new_err("there is no such world"))?;
+        Ok(scene.floor.iter().map(|row| row.replace('x', "#")).collect())
     }
 
     /// The views of `poses` in world variant `variant`: their pixels, RGB, one view after the other. `seen`: what the policy was
@@ -176,51 +173,77 @@ impl RecordedRun {
 
 impl RecordedRun {
     fn episode<'a>(&'a self, record: &'a EpisodeRecord) -> anyhow::Result<TrajectoryData<'a>> {
-        let (index, case) = self.world.case(record)?;
-        let state = self.world.state(record, case)?;
-        let replay = record.replay();
-        let reference = self.world.reference(record, index).map(|reference| {
-            let replay = reference.replay(&state.warehouse, &case.task, &state.variant);
-            replay.poses.into_iter().map(|pose| cell_data(pose.cell)).collect()
-        });
+        let parts = EpisodeParts { reference: true, scenery: true, ..EpisodeParts::default() };
+        let timeline = EpisodeTimeline::new(&self.run.world, record, parts)?;
+        let EpisodeTimeline { instruction, variant, steps, reference, scenery, .. } = timeline;
+        let scenery = scenery.context("an episode without scenery")?;
+        let reference = reference.iter().flat_map(|reference| &reference.poses);
         let failure = Failure::of(record).map(|kind| (kind.to_string(), kind.decided_at(record)));
         Ok(TrajectoryData {
             id: record.key.clone(),
             case: &record.case,
             task: record.task,
-            instruction: case.task.instruction(&state.warehouse.catalogue),
+            instruction,
             start: record.start.name(),
-            variant: self.world.variant(record, index),
-            poses: replay.iter().map(|(pose, _)| pose_data(*pose)).collect(),
-            feedback: replay.iter().map(|(_, feedback)| *feedback as u8).collect(),
+            variant,
+            poses: steps.iter().map(|step| pose_data(step.pose)).collect(),
+            feedback: steps.iter().map(|step| step.feedback as u8).collect(),
             actions: record.actions.chars().map(action_data).collect(),
             sub_goals: record.sub_goals.clone(),
             required: record.required,
             success: record.is_success(),
             failure,
-            closed: state.variant.closed().iter().copied().map(cell_data).collect(),
-            targets: targets(&case.task, &state.warehouse),
-            reference: reference.unwrap_or_default(),
+            closed: scenery.closed.into_iter().map(cell_data).collect(),
+            targets: targets(scenery.targets),
+            reference: reference.map(|pose| cell_data(pose.cell)).collect(),
             record: Some(record),
         })
     }
 
+    /// The demonstrations of the sets of all episodes, each once, in the order of the cases.
+    fn acted_demonstrations(&self) -> anyhow::Result<Vec<ActedDemonstration>> {
+        let world = &self.run.world;
+        let sets: BTreeSet<_> =
+            self.run.log.episodes.iter().map(|one| (&one.case, one.demonstrations)).collect();
+        let mut found = BTreeMap::new();
+        for (case, set) in sets {
+            if world.index(case).is_none() {
+                continue;
+            }
+            let acted = world.demonstrations(DemonstrationsRequest {
+                case: case.clone(),
+                set,
+                more: Vec::new(),
+                variant: 0,
+                planned: false,
+            })?;
+            found.extend(acted.into_iter().map(|one| ((world.index(&one.case), one.kind), one)));
+        }
+        Ok(found.into_values().collect())
+    }
+
     fn render(&mut self, variant: u32, poses: &[[u8; 3]], seen: bool) -> anyhow::Result<Vec<u8>> {
-        let Self { world, settings, views, .. } = self;
+        let Self { run, settings, views } = self;
         let views = match views {
             Some(views) => views,
             none => {
-                let worlds = Worlds::new(&world.warehouse, &world.cases, world.states().to_vec());
+                let RunWorlds { warehouse, cases, states, .. } = worlds(&WorldFiles::of(&run.log))?;
+                let worlds = Worlds::new(&warehouse, &cases, states);
                 none.insert(ViewSource::new(worlds, settings.clone())?)
             }
         };
+        let pose = |&[x, y, heading]: &[u8; 3]| {
+            let heading = Heading::ALL.get(usize::from(heading));
+            Ok(Pose::new(x, y, *heading.context("there is no such heading")?))
+        };
+        let poses: Vec<Pose> = poses.iter().map(pose).collect::<anyhow::Result<_>>()?;
+        let world = &run.world;
+        let keys = match seen {
+            true => world.seen(variant, &poses)?,
+            false => poses.iter().map(|pose| world.supplied(variant, *pose)).collect(),
+        };
         let mut pixels = Vec::new();
-        for &[x, y, heading] in poses {
-            let heading =
-                Heading::ALL.get(usize::from(heading)).context("there is no such heading")?;
-            let pose = Pose::new(x, y, *heading);
-            let (variant, pose) =
-                if seen { world.seen(variant, pose) } else { world.supplied(variant, pose) };
+        for (variant, pose) in keys {
             let view = views.render(variant, pose)?;
             pixels.extend(
                 view.as_bytes().as_chunks::<4>().0.iter().flat_map(|&[r, g, b, _]| [r, g, b]),
@@ -235,35 +258,27 @@ fn action_data(letter: char) -> Option<u8> {
     Action::from_letter(letter).map(|action| action as u8)
 }
 
-/// A demonstration of the case `case`. It ends with the step that completes the task; the expert's turn towards the rack, after
-/// it, is left out.
-fn demonstration<'a>(
-    case: &'a str,
-    history: History,
-    demonstrated: &Demonstrated<'a>,
-) -> TrajectoryData<'a> {
-    let Demonstrated { warehouse, variant, closed, task, ref trajectory } = *demonstrated;
-    let replay = demonstrated.replay();
-    let length = replay.length.map_or(trajectory.actions.len(), |length| length as usize);
-    let poses: Vec<Pose> = replay.poses.into_iter().take(length + 1).collect();
-    let feedback = replay.feedback.into_iter().take(length + 1);
+/// A demonstration. It ends with the step that completes the task; the expert's turn towards the rack, after it, is left out.
+fn demonstration(acted: &ActedDemonstration) -> TrajectoryData<'_> {
+    let length = acted.length.map_or(acted.actions.len(), |length| length as usize);
+    let poses = &acted.poses[..=length];
     TrajectoryData {
-        id: format!("demonstration/{}/{case}", history.kind.name()),
-        case,
-        task: task.task_type().number(),
-        instruction: demonstrated.instruction(),
-        start: history.kind.name(),
-        variant,
-        feedback: feedback.map(|feedback: Feedback| feedback as u8).collect(),
-        actions: trajectory.actions.iter().take(length).map(|action| Some(*action as u8)).collect(),
-        required: replay.goal_steps.len() as u32,
-        sub_goals: replay.goal_steps,
-        success: replay.length.is_some(),
+        id: format!("demonstration/{}/{}", acted.kind.name(), acted.case),
+        case: &acted.case,
+        task: acted.task,
+        instruction: acted.instruction.clone(),
+        start: acted.kind.name(),
+        variant: acted.variant,
+        feedback: acted.feedback[..=length].iter().map(|feedback| *feedback as u8).collect(),
+        actions: acted.actions[..length].iter().map(|action| Some(*action as u8)).collect(),
+        required: acted.sub_goals.len() as u32,
+        sub_goals: acted.sub_goals.clone(),
+        success: acted.length.is_some(),
         failure: None,
-        closed: closed.iter().copied().map(cell_data).collect(),
-        targets: targets(task, warehouse),
+        closed: acted.closed.iter().copied().map(cell_data).collect(),
+        targets: targets(acted.targets.clone()),
         reference: poses.iter().map(|pose| cell_data(pose.cell)).collect(),
-        poses: poses.into_iter().map(pose_data).collect(),
+        poses: poses.iter().copied().map(pose_data).collect(),
         record: None,
     }
 }

@@ -1,21 +1,10 @@
-//! `sim-proc first-views`: renders the first view of every case's original and test start, which must show no target.
-
-use std::io::{self, Write as _};
-use std::path::PathBuf;
+//! The first view of every case's original and test start, which must show no target.
 
 use anyhow::Result;
 use domain::Pose;
 use warehouse::{CaseSet, Item, TrajectoryKind, Warehouse};
 
 use crate::renderer::{Backend, RenderSettings, Renderer};
-
-/// Arguments of `sim-proc first-views`. Prints a line for each view that shows a target, and last the number of views.
-#[derive(Debug, clap::Args)]
-pub struct FirstViewsArgs {
-    /// The folder with layout.toml, catalogue.toml and cases.toml, instead of what is compiled in.
-    #[arg(long, value_name = "DIR", env = "MEMTRANSFER_ASSETS")]
-    assets: Option<PathBuf>,
-}
 
 /// A view that must show none of these items.
 #[derive(Debug, Clone)]
@@ -56,19 +45,4 @@ pub fn shown_targets(warehouse: &Warehouse, views: &[FirstView<'_>]) -> Result<V
         }
     }
     Ok(wrong)
-}
-
-/// Renders the first views and prints the result.
-///
-/// # Errors
-/// Assets that cannot be read.
-pub fn run(args: &FirstViewsArgs) -> Result<()> {
-    let (warehouse, cases) = CaseSet::with_warehouse(args.assets.as_deref())?;
-    let views = first_views(&warehouse, &cases);
-    let mut stdout = io::stdout().lock();
-    for wrong in shown_targets(&warehouse, &views)? {
-        writeln!(stdout, "{wrong}")?;
-    }
-    writeln!(stdout, "{}", views.len())?;
-    Ok(())
 }

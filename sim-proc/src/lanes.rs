@@ -3,9 +3,8 @@
 use case_book::EpisodeFacts;
 use domain::{Action, Cell, Feedback, Pose, Start, UnknownCode};
 use shm_types::message::{EpisodeEnd, StepCommand, StepKind, WorldEpisodeConfig, read_flag};
-use warehouse::{Progress, step};
+use warehouse::{EventRecorder, Progress, step};
 
-use crate::event_recorder::EventRecorder;
 use crate::lived::LivedEpisodes;
 use crate::worlds::{WorldParts, Worlds};
 

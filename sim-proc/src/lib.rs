@@ -7,10 +7,10 @@
 //! - [`renderer`]: poses in, pixels out, with two backends.
 //! - [`view_source`]: single views, outside a run.
 //! - [`first_views`]: whether a case begins with a view of a target.
-//! - [`serve_command`], [`views_command`] and [`book_command`]: the command line.
+//! - [`serve_command`], [`views_command`], [`act_command`], [`book_command`] and [`world_commands`]: the command line.
 
+pub mod act_command;
 pub mod book_command;
-pub mod event_recorder;
 pub mod first_views;
 pub mod lanes;
 pub mod lived;
@@ -26,4 +26,5 @@ pub mod view_folder;
 pub mod view_source;
 pub mod views_command;
 mod wakeups;
+pub mod world_commands;
 pub mod worlds;

@@ -4,29 +4,29 @@ use std::collections::{BTreeSet, HashMap};
 use std::hash::Hash;
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use domain::{Action, Pose, Start};
 use warehouse::{
-    Case, CaseSet, ELSEWHERE_VARIANT, Elsewhere, Layout, StreamSet, Task, Trajectory, Variant,
-    Warehouse, WorldState,
+    Case, CaseSet, ELSEWHERE_VARIANT, Layout, RunWorlds, Task, Trajectory, Variant, Warehouse,
+    WorldState,
 };
 
 use crate::renderer::VisibleChanges;
 
 /// The flags that name the files of the worlds.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct WorldsArgs {
     /// The folder with layout.toml, catalogue.toml and cases.toml, instead of what is compiled in.
     #[arg(long, value_name = "DIR")]
-    assets: Option<PathBuf>,
+    pub assets: Option<PathBuf>,
 
     /// The run's streams, whose world states are world variants after those of the cases.
     #[arg(long, value_name = "FILE")]
-    streams: Option<PathBuf>,
+    pub streams: Option<PathBuf>,
 
     /// The other warehouse, in which tasks are demonstrated: one more world variant.
     #[arg(long, value_name = "FILE")]
-    elsewhere: Option<PathBuf>,
+    pub elsewhere: Option<PathBuf>,
 }
 
 impl WorldsArgs {
@@ -34,21 +34,17 @@ impl WorldsArgs {
     ///
     /// # Errors
     /// A file that cannot be read or is invalid.
+    pub fn read(&self) -> Result<RunWorlds> {
+        let Self { assets, streams, elsewhere } = self;
+        Ok(RunWorlds::read(assets.as_deref(), streams.as_deref(), elsewhere.as_deref())?)
+    }
+
+    /// As [`read`](Self::read), for those who render.
+    ///
+    /// # Errors
+    /// Likewise.
     pub fn load(&self) -> Result<Worlds> {
-        let (warehouse, mut cases) = CaseSet::with_warehouse(self.assets.as_deref())?;
-        let states = match &self.streams {
-            None => Vec::new(),
-            Some(file) => {
-                let text = durable::input::read_text(file)
-                    .with_context(|| format!("cannot read {}", file.display()))?;
-                let streams = StreamSet::parse(&text, &warehouse, &cases);
-                let states = streams.and_then(|streams| streams.states(&warehouse));
-                states.with_context(|| file.display().to_string())?
-            }
-        };
-        if let Some(file) = &self.elsewhere {
-            cases.elsewhere = Some(Elsewhere::read(file, &warehouse, &cases)?);
-        }
+        let RunWorlds { warehouse, cases, states, .. } = self.read()?;
         Ok(Worlds::new(&warehouse, &cases, states))
     }
 }

@@ -9,8 +9,10 @@
 //!
 //! Both are identified by their content ([`BookFile`]).
 //!
-//! What the world tells and is told about single episodes is data as well: [`EpisodeFacts`], [`LearnedEpisode`].
+//! What the world tells and is told about single episodes is data as well: [`EpisodeFacts`], [`LearnedEpisode`], and for those
+//! who show episodes [`act`].
 
+pub mod act;
 mod cases;
 mod demonstrations;
 mod episodes;
@@ -29,3 +31,9 @@ pub use demonstrations::{
 pub use episodes::{EpisodeFacts, LEARNED_FILE, LearnedEpisode};
 pub use file::{BookError, BookFile, CASE_BOOK_FILE, DEMONSTRATIONS_FILE};
 pub use request::{BookRequest, ElsewhereRequest, StreamsRequest};
+
+/// The number on the wire of the world variant that is the other warehouse.
+pub const ELSEWHERE_VARIANT: u32 = u32::MAX;
+
+/// The number in place of a world variant's for a view that shows no world: uniform grey.
+pub const GREY_VARIANT: u32 = u32::MAX - 1;

@@ -37,3 +37,29 @@ pub(crate) mod codes {
         codes.into_iter().map(|code| Feedback::try_from(code).map_err(D::Error::custom)).collect()
     }
 }
+
+/// Answers, a letter for each: that of its action, or `?` where none could be read.
+pub(crate) mod answers {
+    use domain::Action;
+    use serde::de::Error;
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    pub(crate) fn serialize<S: Serializer>(
+        of: &[Option<Action>],
+        to: S,
+    ) -> Result<S::Ok, S::Error> {
+        let letter = |answer: &Option<Action>| answer.map_or('?', Action::letter);
+        to.collect_str(&of.iter().map(letter).collect::<String>())
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
+        from: D,
+    ) -> Result<Vec<Option<Action>>, D::Error> {
+        let text = String::deserialize(from)?;
+        let answer = |letter| match Action::from_letter(letter) {
+            None if letter != '?' => Err(D::Error::custom(format!("{letter:?} is not an action"))),
+            action => Ok(action),
+        };
+        text.chars().map(answer).collect()
+    }
+}

@@ -4,9 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use replay::frames::{ViewFormat, ViewKey, ViewProgram, ViewRenderer, world_arguments};
-use replay::{RecordedRun, RunWorld};
+use case_book::act::EpisodeParts;
 use results::log::RunLog;
+use world_client::frames::{ViewFormat, ViewKey, ViewRenderer, view_arguments};
+use world_client::{EpisodeTimeline, RecordedRun, RunWorld, WorldProgram};
 
 use crate::files::{is_file, write_whole};
 use crate::moments::{EpisodeSink, Moments, Timing};
@@ -48,10 +49,10 @@ impl Episodes {
     ///
     /// # Errors
     /// When the renderer does not start.
-    pub fn new(run: RecordedRun, program: &ViewProgram, timing: Timing) -> Result<Self> {
-        let RecordedRun { log, world, notices: _ } = run;
+    pub fn new(run: RecordedRun, program: &WorldProgram, timing: Timing) -> Result<Self> {
+        let RecordedRun { log, world, .. } = run;
         let format = ViewFormat { edge: timing.edge, quality: QUALITY };
-        let renderer = ViewRenderer::start(program, &world_arguments(&log), format)?;
+        let renderer = ViewRenderer::start(program, &view_arguments(&log), format)?;
         Ok(Self { log, world, timing, renderer })
     }
 
@@ -102,14 +103,9 @@ impl Episodes {
 
     fn moments(&mut self, index: usize) -> Result<Moments<'_>> {
         let record = &self.log.episodes[index];
-        let (case_index, case) = self.world.case(record)?;
-        let state = self.world.state(record, case)?;
-        let variant = self.world.variant(record, case_index);
-        let poses = record.replay();
-        let views: Vec<ViewKey> =
-            poses.iter().map(|(pose, _)| self.world.seen(variant, *pose)).collect();
-        let distinct: Vec<ViewKey> =
-            views.iter().copied().collect::<BTreeSet<_>>().into_iter().collect();
+        let timeline = EpisodeTimeline::new(&self.world, record, EpisodeParts::default())?;
+        let views: BTreeSet<ViewKey> = timeline.steps.iter().map(|step| step.view).collect();
+        let distinct: Vec<ViewKey> = views.into_iter().collect();
         let mut images = BTreeMap::new();
         self.renderer
             .render(&distinct, |view, bytes| {
@@ -117,7 +113,6 @@ impl Episodes {
                 Ok(())
             })
             .with_context(|| format!("cannot render the views of {}", record.key))?;
-        let instruction = case.task.instruction(&state.warehouse.catalogue);
-        Ok(Moments { record, instruction, poses, views, images })
+        Ok(Moments { timeline, images })
     }
 }

@@ -7,8 +7,8 @@
 //! | CSV, Parquet | pandas, DuckDB, spreadsheets | `tables.rs` |
 //! | YAML of results | a hub of models | `hub.rs` |
 //!
-//! The first two show episodes with their views, which `sim-proc views`, a child process, renders again. The others are
-//! computed from the log. The same log gives the same files, except for a video, which is ffmpeg's.
+//! The first two show episodes with their views, which `sim-proc views`, a child process, renders again; they and the table of
+//! steps are views of [`world_client::EpisodeTimeline`]. The others are computed from the log. The same log gives the same files, except for a video, which is ffmpeg's.
 
 mod episodes;
 mod files;

@@ -26,7 +26,6 @@ use domain::Action;
 use results::log::RunLog;
 use results::score::Failure;
 use results::source::{SourceStep, sources};
-use results::timeline::timeline;
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -175,11 +174,12 @@ fn episode_schema() -> Value {
 
 impl EpisodeSink for McapRecording {
     fn episode(&mut self, moments: &Moments<'_>) -> Result<()> {
-        let record = moments.record;
+        let timeline = &moments.timeline;
+        let record = timeline.record;
         let failure = Failure::of(record);
         let about = McapEpisode {
             key: &record.key,
-            instruction: &moments.instruction,
+            instruction: &timeline.instruction,
             condition: record.condition().to_string(),
             case: &record.case,
             run: record.run,
@@ -192,31 +192,27 @@ impl EpisodeSink for McapRecording {
         let begins = self.instant(0);
         self.file.message(self.channels.episode, begins, &serde_json::to_vec(&about)?);
         self.file.message(self.channels.transforms, begins, &foxglove::camera_mount(begins));
-        let events = timeline(record);
-        let mut events = events.iter().peekable();
-        let retrieved = record.retrieved.as_deref().unwrap_or_default();
-        let mut words = retrieved.split_whitespace();
-        let mut distances = record.distances.as_deref().unwrap_or_default().split_whitespace();
-        let mut actions = record.actions.chars();
-        for ((step, &(pose, feedback)), view) in (0..).zip(&moments.poses).zip(&moments.views) {
+        let mut events = timeline.events.iter().peekable();
+        for moment in &timeline.steps {
+            let (step, pose) = (moment.step, moment.pose);
             let at = self.instant(step);
-            let image = moments.images.get(view).context("a view was not rendered")?;
+            let image = moments.images.get(&moment.view).context("a view was not rendered")?;
             self.file.message(self.channels.camera, at, &foxglove::image(at, image));
             self.file.message(self.channels.transforms, at, &foxglove::agent(at, pose));
             self.file.message(self.channels.pose, at, &foxglove::pose(at, pose));
-            let supplied = sources(words.next().unwrap_or_default());
+            let supplied = sources(moment.retrieved.unwrap_or_default());
             let data = McapStep {
                 episode: &record.key,
                 step,
                 x: pose.cell.x,
                 y: pose.cell.y,
                 heading: pose.heading.letter(),
-                feedback: feedback.words(),
-                action: actions.next().and_then(Action::from_letter).map(Action::words),
-                sub_goals_met: record.sub_goals.iter().filter(|met| **met <= step).count(),
+                feedback: moment.feedback.words(),
+                action: moment.action.map(Action::words),
+                sub_goals_met: moment.sub_goals,
                 sub_goals: record.required,
                 sources: supplied.iter().map(SourceStep::in_words).collect(),
-                distances: distances.next(),
+                distances: moment.distances,
             };
             self.file.message(self.channels.step, at, &serde_json::to_vec(&data)?);
             while let Some(event) = events.next_if(|event| event.step <= step) {
@@ -225,7 +221,7 @@ impl EpisodeSink for McapRecording {
                 self.file.message(self.channels.events, at, &message);
             }
         }
-        self.begins_ns = self.instant(moments.poses.len() as u32);
+        self.begins_ns = self.instant(timeline.steps.len() as u32);
         self.file.end_chunk()?;
         Ok(())
     }

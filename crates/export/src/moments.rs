@@ -3,9 +3,8 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
-use domain::{Feedback, Pose};
-use replay::frames::ViewKey;
-use results::log::EpisodeRecord;
+use world_client::EpisodeTimeline;
+use world_client::frames::ViewKey;
 
 /// How steps, which have no duration, are laid out in time, and how large views are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -18,13 +17,8 @@ pub struct Timing {
 
 /// An episode to be written.
 pub(crate) struct Moments<'a> {
-    pub(crate) record: &'a EpisodeRecord,
-    pub(crate) instruction: String,
-    /// Poses with the feedback on the action before: at the start, and after every step.
-    pub(crate) poses: Vec<(Pose, Feedback)>,
-    /// The view that the policy was shown at each of them.
-    pub(crate) views: Vec<ViewKey>,
-    /// JPEG files.
+    pub(crate) timeline: EpisodeTimeline<'a>,
+    /// JPEG files of its views.
     pub(crate) images: BTreeMap<ViewKey, Vec<u8>>,
 }
 

@@ -4,8 +4,9 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use case_book::act::EpisodeParts;
 use report::{episodes_frame, steps_frame};
-use results::log::RunLog;
+use world_client::{EpisodeTimeline, RecordedRun};
 
 use crate::files::write_whole;
 
@@ -18,17 +19,22 @@ pub enum TableFormat {
     Parquet,
 }
 
-/// Writes `episodes` and `steps` of `log` into the folder `dir`. Returns the files.
+/// Writes `episodes` and `steps` of `run` into the folder `dir`. Returns the files.
 ///
 /// # Errors
-/// When the system refuses.
-pub fn write_tables(log: &RunLog, format: TableFormat, dir: &Path) -> Result<Vec<PathBuf>> {
+/// When an episode does not fit the world, or the system refuses.
+pub fn write_tables(run: &RecordedRun, format: TableFormat, dir: &Path) -> Result<Vec<PathBuf>> {
     let extension = match format {
         TableFormat::Csv => "csv",
         TableFormat::Parquet => "parquet",
     };
-    let frames =
-        [("episodes", episodes_frame(std::slice::from_ref(log))), ("steps", steps_frame(log))];
+    let RecordedRun { log, world, .. } = run;
+    let timeline = |record| EpisodeTimeline::new(world, record, EpisodeParts::default());
+    let episodes: Vec<_> = log.episodes.iter().map(timeline).collect::<Result<_>>()?;
+    let frames = [
+        ("episodes", episodes_frame(std::slice::from_ref(log))),
+        ("steps", steps_frame(log, &episodes)),
+    ];
     let mut files = Vec::new();
     for (name, frame) in frames {
         let path = dir.join(format!("{name}.{extension}"));
@@ -58,7 +64,7 @@ mod tests {
     fn every_column_is_described() {
         let page = include_str!("../../../docs/exports.md");
         let log = log(vec![record("t01-01", true)]);
-        for frame in [episodes_frame(std::slice::from_ref(&log)), steps_frame(&log)] {
+        for frame in [episodes_frame(std::slice::from_ref(&log)), steps_frame(&log, &[])] {
             for column in &frame.columns {
                 let name = format!("`{}`", column.name);
                 assert!(page.contains(&name), "docs/exports.md does not describe {name}");

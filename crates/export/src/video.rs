@@ -69,8 +69,8 @@ impl Video {
 
 impl EpisodeSink for Video {
     fn episode(&mut self, moments: &Moments<'_>) -> Result<()> {
-        for view in &moments.views {
-            let image = moments.images.get(view).context("a view was not rendered")?;
+        for step in &moments.timeline.steps {
+            let image = moments.images.get(&step.view).context("a view was not rendered")?;
             let written = self.images.as_mut().map(|pipe| pipe.write_all(image));
             if !matches!(written, Some(Ok(()))) {
                 self.end()?;

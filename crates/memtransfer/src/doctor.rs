@@ -25,7 +25,8 @@ use shm_types::{RunDir, registry};
 use supervise::sibling;
 
 use super::documents::{RunDocuments, listed};
-use super::{Exit, WorldArgs, print, print_json};
+use super::list::list;
+use super::{Exit, WorldArgs, print, print_json, world_program};
 use crate::signals::{self, Signals};
 
 /// Files that a process of a run opens, rounded up. The memory process opened most, 149, with 1 and with 1024 lanes.
@@ -175,8 +176,8 @@ fn check(args: &DoctorArgs, stop: &AtomicBool) -> anyhow::Result<Vec<DoctorFindi
 }
 
 fn world(args: &WorldArgs) -> anyhow::Result<String> {
-    let world = args.load()?;
-    let (items, cases) = (world.warehouse.items.len(), world.cases.cases.len());
+    let items = list::<Value>("items", args.flags())?.len();
+    let cases = world_program()?.describe(&args.flags())?.cases.len();
     Ok(format!("{items} items, {cases} cases (`memtransfer validate` checks them all)"))
 }
 
@@ -397,9 +398,9 @@ fn request_size(settings: &RunSettings, documents: &RunDocuments) -> Vec<String>
 
 /// A pose in the warehouse.
 fn a_pose(world: &WorldArgs) -> anyhow::Result<String> {
-    let world = world.load()?;
-    let case = world.cases.cases.first();
-    Ok(case.map_or_else(|| "1,1,N".to_owned(), |case| case.original.start.to_string()))
+    let world = world_program()?.describe(&world.flags())?;
+    let begin = world.cases.first().and_then(|case| Some(case.references.first()?.begin));
+    Ok(begin.map_or_else(|| "1,1,N".to_owned(), |begin| begin.to_string()))
 }
 
 fn with_assets(mut command: Command, world: &WorldArgs) -> Command {

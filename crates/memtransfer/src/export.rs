@@ -10,14 +10,13 @@ use domain::shell_word;
 use export::{
     EpisodeFormat, Episodes, HubDataset, TableFormat, Timing, write_results, write_tables,
 };
-use replay::{RecordedRun, Selection, World};
 use results::key::EpisodeKey;
 use results::log::RunLog;
 use results::settings::CaseSelector;
 use settings::select_cases;
+use world_client::{RecordedRun, Selection};
 
-use super::view::view_program;
-use super::{Exit, print, warn_of_damage};
+use super::{Exit, print, warn_of_damage, world_program};
 
 /// Episodes of MCAP and MP4, unless some are chosen.
 const FEW: Selection = Selection::First(10);
@@ -115,7 +114,8 @@ pub(super) fn run(args: &ExportArgs) -> Result<Exit> {
         Format::Parquet => args.write_tables(TableFormat::Parquet)?,
         Format::HuggingFace => {
             let dataset = args.dataset.as_ref().context("--format hugging-face needs --dataset")?;
-            let log = args.read_log()?;
+            let log = RunLog::read(&args.run)?;
+            warn_of_damage(&log.damaged);
             vec![write_results(&log, dataset, args.source.as_deref(), &args.out)?]
         }
     };
@@ -159,36 +159,35 @@ impl ExportArgs {
         Ok(())
     }
 
-    fn read_log(&self) -> Result<RunLog> {
-        let log = RunLog::read(&self.run)?;
-        warn_of_damage(&log.damaged);
-        Ok(log)
+    fn read(&self) -> Result<RecordedRun> {
+        let run = RecordedRun::read(&self.run, &world_program()?.access())?;
+        warn_of_damage(&run.log.damaged);
+        Ok(run)
     }
 
     fn write_episodes(&self, format: EpisodeFormat) -> Result<Vec<PathBuf>> {
-        let mut run = RecordedRun::read(&self.run)?;
+        let mut run = self.read()?;
         for notice in &run.notices {
             say!("{notice}");
         }
-        warn_of_damage(&run.log.damaged);
         let is_chosen = !self.cases.is_empty() || self.condition.is_some();
-        self.choose(&mut run.log, if is_chosen { Selection::All } else { FEW })?;
+        self.choose(&mut run, if is_chosen { Selection::All } else { FEW })?;
         let timing = Timing { steps_per_s: self.fps.unwrap_or(2), edge: self.size.unwrap_or(448) };
-        Episodes::new(run, &view_program()?, timing)?.write(format, &self.out)
+        Episodes::new(run, &world_program()?, timing)?.write(format, &self.out)
     }
 
     fn write_tables(&self, format: TableFormat) -> Result<Vec<PathBuf>> {
-        let mut log = self.read_log()?;
-        self.choose(&mut log, Selection::All)?;
-        write_tables(&log, format, &self.out)
+        let mut run = self.read()?;
+        self.choose(&mut run, Selection::All)?;
+        write_tables(&run, format, &self.out)
     }
 
-    /// Leaves the chosen episodes in `log`, the `default` ones unless a number was given.
-    fn choose(&self, log: &mut RunLog, default: Selection) -> Result<()> {
+    /// Leaves the chosen episodes in the log of `run`, the `default` ones unless a number was given.
+    fn choose(&self, run: &mut RecordedRun, default: Selection) -> Result<()> {
+        let RecordedRun { log, world, .. } = run;
         let before = log.episodes.len();
         if !self.cases.is_empty() {
-            let world = World::load(log.manifest.settings.assets.as_deref())?;
-            let ids = world.case_ids();
+            let ids = world.description().case_ids();
             let chosen: BTreeSet<&str> =
                 select_cases(&ids, &self.cases, None)?.into_iter().map(|case| ids[case]).collect();
             log.episodes.retain(|record| chosen.contains(record.case.as_str()));

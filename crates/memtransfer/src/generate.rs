@@ -1,13 +1,14 @@
 //! `memtransfer generate`: generates a case file, or a warehouse with its cases, from a seed.
 
+use std::ffi::OsString;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use clap::{Args, Subcommand};
-use warehouse::{CaseSet, SHIPPED_COUNT, SHIPPED_SEED, Warehouse};
+use serde::Deserialize;
 
-use super::{Exit, WorldArgs, print, write_file};
+use super::{Exit, WorldArgs, print, world_program, write_file};
 
 mod world;
 
@@ -28,10 +29,10 @@ pub(super) struct GenerateArgs {
     #[command(subcommand)]
     what: Option<GenerateWhat>,
     /// The seed
-    #[arg(long, value_name = "N", default_value_t = SHIPPED_SEED)]
+    #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// Number of cases, spread evenly over the ten tasks
-    #[arg(long, value_name = "N", default_value_t = SHIPPED_COUNT)]
+    #[arg(long, value_name = "N", default_value_t = 100)]
     count: usize,
     /// Write to FILE instead of stdout
     #[arg(long, value_name = "FILE")]
@@ -49,22 +50,19 @@ enum GenerateWhat {
     World(world::WorldGenerateArgs),
 }
 
-pub(super) fn run(args: &GenerateArgs) -> anyhow::Result<Exit> {
+pub(super) fn run(args: &GenerateArgs) -> Result<Exit> {
     match &args.what {
         Some(GenerateWhat::World(args)) => world::run(args),
         None => cases(args),
     }
 }
 
-fn cases(args: &GenerateArgs) -> anyhow::Result<Exit> {
+fn cases(args: &GenerateArgs) -> Result<Exit> {
     ensure!(args.count > 0, "--count is 0, but must be at least 1");
-    // An existing case file is not read: it is to be replaced.
-    let warehouse = match &args.world.assets {
-        None => Warehouse::shipped(),
-        Some(dir) => Warehouse::load(dir)?,
-    };
-    let cases = CaseSet::generate(&warehouse, args.seed, args.count)?;
-    let text = cases.to_toml(&warehouse.catalogue);
+    let mut flags = args.world.flags();
+    flags.extend(["--seed".into(), args.seed.to_string().into()]);
+    flags.extend(["--count".into(), args.count.to_string().into()]);
+    let text = GeneratedFiles::ask(&flags)?.cases;
     match &args.out {
         None => print(&text)?,
         Some(path) => {
@@ -72,14 +70,34 @@ fn cases(args: &GenerateArgs) -> anyhow::Result<Exit> {
                 check_not_replaced(path, &text)?;
             }
             write_file(path, &text)?;
-            say!("{} cases in {}", cases.cases.len(), path.display());
+            say!("{} cases in {}", args.count, path.display());
         }
     }
     Ok(Exit::Complete)
 }
 
+/// What the world generates.
+#[derive(Debug, Deserialize)]
+struct GeneratedFiles {
+    cases: String,
+    /// The files of a warehouse, and what it consists of.
+    #[serde(default)]
+    layout: String,
+    #[serde(default)]
+    catalogue: String,
+    #[serde(default)]
+    about: String,
+}
+
+impl GeneratedFiles {
+    fn ask(flags: &[OsString]) -> Result<Self> {
+        let (files, _) = world_program()?.print("generate", flags)?;
+        serde_json::from_str(&files).context("sim-proc is another version")
+    }
+}
+
 /// Refuses to replace the file `path` by one with another text: people edit layouts, catalogues and cases.
-fn check_not_replaced(path: &Path, text: &str) -> anyhow::Result<()> {
+fn check_not_replaced(path: &Path, text: &str) -> Result<()> {
     match durable::input::read(path) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
         Err(error) => Err(error).with_context(|| format!("cannot read {}", path.display())),

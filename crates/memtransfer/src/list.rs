@@ -1,22 +1,22 @@
 //! `memtransfer ls`: lists cases, tasks, items, suites, conditions, streams and runs.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
+use super::{Exit, WorldArgs, print, print_json, world_program};
 use anyhow::{Context, bail};
+use case_book::{BookRequest, CaseFacts, StreamsRequest};
 use clap::{Args, Subcommand};
-use domain::{Mixture, TaskType};
-use replay::World;
+use domain::{Route, Start, TaskType};
 use report::table::table;
 use results::conditions::Condition;
 use results::date::date;
 use results::log::RunLog;
 use results::score::score;
 use results::settings::{RunSettings, StreamSettings};
+use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use settings::{Layer, SHIPPED_SUITES, resolve, select_cases};
-use warehouse::{Overlap, StreamSet, TrajectoryKind};
-
-use super::{Exit, WorldArgs, print, print_json};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -85,19 +85,17 @@ struct Listing {
 pub(super) fn run(args: &ListArgs) -> anyhow::Result<Exit> {
     let listing = match &args.what {
         ListWhat::Cases { world, suite: None } => {
-            let world = world.load()?;
-            cases(&world, 0..world.cases.cases.len())
+            cases(&world_program()?.describe(&world.flags())?.cases)?
         }
         ListWhat::Cases { world, suite: Some(suite) } => {
             let assets = world.assets.as_ref().map(|dir| dir.display().to_string());
             let assets = assets.as_deref().map(|dir| ("assets", dir));
             let flags = [("suite", suite.as_str())].into_iter().chain(assets);
-            let (world, selected) = selected_cases(&resolve([Layer::flags(flags)?])?.settings)?;
-            cases(&world, selected)
+            cases(&selected_cases(&resolve([Layer::flags(flags)?])?.settings)?)?
         }
-        ListWhat::Histories(world) => histories(&world.load()?),
-        ListWhat::Tasks(world) => tasks(&world.load()?),
-        ListWhat::Items(world) => items(&world.load()?),
+        ListWhat::Histories(world) => histories(world)?,
+        ListWhat::Tasks(world) => tasks(&world_program()?.describe(&world.flags())?.cases),
+        ListWhat::Items(world) => items(world)?,
         ListWhat::Suites => suites()?,
         ListWhat::Conditions { suite } => conditions(suite)?,
         ListWhat::Streams { suite, seed } => streams(suite, *seed)?,
@@ -133,28 +131,33 @@ impl Listing {
     }
 }
 
-/// The world of a run, and the indices of the cases that it selects.
-fn selected_cases(settings: &RunSettings) -> anyhow::Result<(World, Vec<usize>)> {
-    let world = World::load(settings.assets.as_deref())?;
+/// The cases that a run selects.
+fn selected_cases(settings: &RunSettings) -> anyhow::Result<Vec<CaseFacts>> {
+    let world = WorldArgs { assets: settings.assets.clone() };
+    let world = world_program()?.describe(&world.flags())?;
     let selected = select_cases(&world.case_ids(), &settings.cases, settings.limit)?;
-    Ok((world, selected))
+    Ok(selected.into_iter().map(|index| world.cases[index].clone()).collect())
 }
 
-fn cases(world: &World, selected: impl IntoIterator<Item = usize>) -> Listing {
-    let rows = selected.into_iter().map(|index| {
-        let case = &world.cases.cases[index];
-        let length = |start| json!(case.replay(&world.warehouse, start).length);
-        vec![
+fn cases(cases: &[CaseFacts]) -> anyhow::Result<Listing> {
+    let row = |case: &CaseFacts| {
+        let reference = |start, route| {
+            let found = case.reference(start, route);
+            found.with_context(|| format!("{} has no reference", case.id))
+        };
+        let original = reference(Start::Original, Route::Unchanged)?;
+        let new = reference(Start::New, Route::Unchanged)?;
+        Ok(vec![
             json!(case.id),
-            json!(case.task.instruction(&world.warehouse.catalogue)),
-            json!(case.original.start.to_string()),
-            json!(case.test.start.to_string()),
-            length(TrajectoryKind::Original),
-            length(TrajectoryKind::Test),
-            length(TrajectoryKind::Blocked),
-        ]
-    });
-    Listing {
+            json!(case.instruction),
+            json!(original.begin.to_string()),
+            json!(new.begin.to_string()),
+            json!(original.length),
+            json!(new.length),
+            json!(reference(Start::New, Route::Blocked)?.length),
+        ])
+    };
+    Ok(Listing {
         header: vec![
             "case",
             "instruction",
@@ -165,44 +168,33 @@ fn cases(world: &World, selected: impl IntoIterator<Item = usize>) -> Listing {
             "blocked steps",
         ],
         numbers: 4,
-        rows: rows.collect(),
-    }
+        rows: cases.iter().map(row).collect::<anyhow::Result<_>>()?,
+    })
 }
 
-fn histories(world: &World) -> Listing {
-    let World { warehouse, cases, .. } = world;
-    let listed = cases.cases.iter().enumerate().flat_map(|(index, case)| {
-        let of = |mixture: Mixture| case.mixed(mixture).map(|history| (mixture, history));
-        Mixture::ALL.into_iter().flat_map(of).map(move |(mixture, history)| {
-            let source = cases.cases.get(history.case);
-            let overlap = Overlap::of(warehouse, cases, index, history);
-            vec![
-                json!(case.id),
-                json!(mixture.name()),
-                json!(source.map(|source| format!("{} {}", source.id, history.kind.name()))),
-                json!(source.map(|source| source.task.instruction(&warehouse.catalogue))),
-                json!(overlap.map(|overlap| overlap.shared_poses)),
-                json!(overlap.map(|overlap| overlap.conflicts)),
-            ]
-        })
-    });
-    Listing {
-        header: vec!["case", "kind", "history", "its instruction", "shared poses", "conflicts"],
-        numbers: 4,
-        rows: listed.collect(),
-    }
+/// The rows of a list that only the world can make.
+pub(super) fn list<T: DeserializeOwned>(
+    what: &str,
+    arguments: impl IntoIterator<Item = OsString>,
+) -> anyhow::Result<Vec<T>> {
+    let arguments: Vec<OsString> = [what.into()].into_iter().chain(arguments).collect();
+    let (rows, _) = world_program()?.print("list", &arguments)?;
+    serde_json::from_str(&rows).context("sim-proc is another version")
 }
 
-fn tasks(world: &World) -> Listing {
-    let cases = &world.cases.cases;
+fn histories(world: &WorldArgs) -> anyhow::Result<Listing> {
+    let header = vec!["case", "kind", "history", "its instruction", "shared poses", "conflicts"];
+    Ok(Listing { header, numbers: 4, rows: list("histories", world.flags())? })
+}
+
+fn tasks(cases: &[CaseFacts]) -> Listing {
     let rows = TaskType::ALL.into_iter().map(|task_type| {
-        let of_type = || cases.iter().filter(|case| case.task.task_type() == task_type);
-        let example = of_type().next();
+        let of_type = || cases.iter().filter(|case| case.task == task_type.number());
         vec![
             json!(format!("t{:02}", task_type.number())),
             json!(task_type.name()),
             json!(task_type.group().name()),
-            json!(example.map(|case| case.task.instruction(&world.warehouse.catalogue))),
+            json!(of_type().next().map(|case| &case.instruction)),
             json!(of_type().count()),
         ]
     });
@@ -213,24 +205,9 @@ fn tasks(world: &World) -> Listing {
     }
 }
 
-fn items(world: &World) -> Listing {
-    let World { warehouse, .. } = world;
-    let rows = warehouse.items.iter().map(|item| {
-        let item_type = &warehouse.catalogue.types[item.item_type];
-        vec![
-            json!(item_type.name),
-            json!(warehouse.catalogue.categories[item_type.category].name),
-            json!(warehouse.layout.aisle_name(item.standpoint)),
-            json!(item.rack.to_string()),
-            json!(item.standpoint.to_string()),
-            json!(item.id),
-        ]
-    });
-    Listing {
-        header: vec!["type", "category", "aisle", "rack", "standpoint", "item"],
-        numbers: 5,
-        rows: rows.collect(),
-    }
+fn items(world: &WorldArgs) -> anyhow::Result<Listing> {
+    let header = vec!["type", "category", "aisle", "rack", "standpoint", "item"];
+    Ok(Listing { header, numbers: 5, rows: list("items", world.flags())? })
 }
 
 fn suites() -> anyhow::Result<Listing> {
@@ -244,7 +221,7 @@ fn suites() -> anyhow::Result<Listing> {
         about.join(" ")
     };
     let mut rows = Vec::new();
-    let world = World::load(None)?;
+    let world = world_program()?.describe(&[])?;
     for (name, text) in SHIPPED_SUITES {
         let settings = resolve([Layer::flags([("suite", *name)])?])?.settings;
         let cases = select_cases(&world.case_ids(), &settings.cases, settings.limit)?.len();
@@ -314,22 +291,26 @@ fn streams(suite: &str, seed: Option<u64>) -> anyhow::Result<Listing> {
     let settings = resolve([Layer::flags(flags)?])?.settings;
     let stream = settings.stream.as_ref();
     let stream = stream.with_context(|| format!("the suite {suite} has no [stream] table"))?;
-    let (world, among) = selected_cases(&settings)?;
-    let set =
-        StreamSet::draw(&world.warehouse, &world.cases, &among, settings.seed, &stream.rules())?;
-    let ids = world.case_ids();
+    let among = selected_cases(&settings)?;
+    let request = BookRequest {
+        assets: settings.assets.clone(),
+        cases: among.into_iter().map(|case| case.id).collect(),
+        streams: Some(StreamsRequest {
+            rules: stream.rules(),
+            seed: settings.seed,
+            planned: false,
+        }),
+        ..BookRequest::default()
+    };
     let mut rows = Vec::new();
-    for (number, stream) in set.streams.iter().enumerate() {
-        for (place, block) in stream.blocks.iter().enumerate() {
-            let cases: Vec<&str> = block.cases.iter().map(|&case| ids[case as usize]).collect();
-            let mut events: Vec<Value> =
-                block.events.iter().map(|event| json!(event.describe(&world.warehouse))).collect();
-            if events.is_empty() {
-                events.push(Value::Null);
-            }
-            let row = |event| vec![json!(number), json!(place), event, json!(cases.join(" "))];
-            rows.extend(events.into_iter().map(row));
+    let blocks: Vec<(usize, usize, Vec<String>, Vec<String>)> =
+        list("streams", [serde_json::to_string(&request)?.into()])?;
+    for (stream, block, events, cases) in blocks {
+        let row = |event| vec![json!(stream), json!(block), event, json!(cases.join(" "))];
+        if events.is_empty() {
+            rows.push(row(Value::Null));
         }
+        rows.extend(events.into_iter().map(|event| row(json!(event))));
     }
     Ok(Listing { header: vec!["stream", "block", "event before it", "cases"], numbers: 4, rows })
 }
@@ -395,21 +376,5 @@ mod tests {
         assert_eq!(cell("policy"), "external (top-three)");
         let year = cell("started").split_once('-').unwrap().0.parse::<u32>().unwrap();
         assert!((2024..2100).contains(&year), "{}", cell("started"));
-    }
-
-    #[test]
-    fn lists_fit_a_terminal() {
-        let world = World::load(None).unwrap();
-        for listing in [
-            cases(&world, 0..world.cases.cases.len()),
-            histories(&world),
-            tasks(&world),
-            items(&world),
-            suites().unwrap(),
-            streams("stream", None).unwrap(),
-        ] {
-            let table = listing.table();
-            assert!(table.lines().all(|line| line.chars().count() <= 100), "{table}");
-        }
     }
 }

@@ -36,6 +36,7 @@ mod validate;
 mod view;
 mod work;
 
+use std::ffi::OsString;
 use std::fmt::Display;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -44,7 +45,9 @@ use std::process::ExitCode;
 use ::report::table::{WIDTH, wrap};
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
-use replay::World;
+use program::in_one_line;
+use supervise::{QUIET_DRIVER, sibling};
+use world_client::WorldProgram;
 
 /// A benchmark of embodied memory: a hundred navigation cases in a rendered warehouse, run by four
 /// processes over shared memory.
@@ -89,7 +92,7 @@ enum MemtransferVerb {
     Top(top::TopArgs),
     /// List cases, histories, tasks, items, suites, conditions, streams or runs
     Ls(list::ListArgs),
-    /// Check every constraint on warehouse and cases
+    /// Check every constraint on warehouse and cases, or the log of a run
     Validate(validate::ValidateArgs),
     /// Draw the warehouse, or a case, from above as SVG
     Map(map::MapArgs),
@@ -119,6 +122,11 @@ enum MemtransferVerb {
     Generate(generate::GenerateArgs),
     /// Check what a run needs on this machine, and say how to get what is missing
     Doctor(doctor::DoctorArgs),
+}
+
+/// The program that knows the world.
+fn world_program() -> anyhow::Result<WorldProgram> {
+    Ok(WorldProgram { path: sibling("sim-proc")?, variable: QUIET_DRIVER })
 }
 
 /// Writes a file that a user has named, and makes its folder.
@@ -197,15 +205,6 @@ fn main() -> ExitCode {
     }
 }
 
-/// An error and its causes, without causes that an error's own message contains.
-fn in_one_line(error: &anyhow::Error) -> String {
-    error.chain().fold(String::new(), |line, cause| match cause.to_string() {
-        cause if line.is_empty() => cause,
-        cause if line.contains(&cause) => line,
-        cause => format!("{line}: {cause}"),
-    })
-}
-
 /// Prints a text to stdout, with a line end, and without characters that steer a terminal.
 fn print(text: &str) -> anyhow::Result<()> {
     let mut text = program::printable(text);
@@ -247,8 +246,10 @@ struct WorldArgs {
 }
 
 impl WorldArgs {
-    fn load(&self) -> anyhow::Result<World> {
-        Ok(World::load(self.assets.as_deref())?)
+    /// The flags for the program that knows the world.
+    fn flags(&self) -> Vec<OsString> {
+        let assets = self.assets.iter();
+        assets.flat_map(|dir| [OsString::from("--assets"), dir.into()]).collect()
     }
 }
 
@@ -285,14 +286,6 @@ mod tests {
                 assert!(text.lines().all(|line| line.chars().count() <= 100), "{name}: {text}");
             }
         }
-    }
-
-    #[test]
-    fn causes_are_not_repeated() {
-        let missing = || io::Error::new(io::ErrorKind::NotFound, "no such file");
-        let own = anyhow::Error::from(missing()).context("cannot read x: no such file");
-        assert_eq!(in_one_line(&own), "cannot read x: no such file");
-        assert_eq!(in_one_line(&own.context("no suite")), "no suite: cannot read x: no such file");
     }
 
     #[test]

@@ -6,9 +6,8 @@ use anyhow::{Error, bail};
 use clap::Args;
 use results::settings::CaseSelector;
 use settings::select_cases;
-use warehouse::{Elsewhere, map};
 
-use super::{Exit, WorldArgs, print, write_file};
+use super::{Exit, WorldArgs, print, world_program, write_file};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -34,21 +33,20 @@ pub(super) struct MapArgs {
 }
 
 pub(super) fn run(args: &MapArgs) -> anyhow::Result<Exit> {
-    let world = args.world.load()?;
-    let svg = match &args.case {
-        None if args.elsewhere => {
-            let other = Elsewhere::generate(&world.warehouse, &world.cases, args.seed)?;
-            map::floor_svg(other.warehouse())
+    let program = world_program()?;
+    let mut flags = args.world.flags();
+    if args.elsewhere {
+        flags.extend(["--elsewhere".into(), args.seed.to_string().into()]);
+    }
+    if let Some(id) = &args.case {
+        let world = program.describe(&args.world.flags())?;
+        let (ids, selector) = (world.case_ids(), id.parse::<CaseSelector>().map_err(Error::msg)?);
+        match select_cases(&ids, &[selector], None)?[..] {
+            [case] => flags.push(ids[case].into()),
+            ref several => bail!("{id} stands for {} cases: give one", several.len()),
         }
-        None => map::floor_svg(&world.warehouse),
-        Some(id) => {
-            let selector: CaseSelector = id.parse().map_err(Error::msg)?;
-            match select_cases(&world.case_ids(), &[selector], None)?[..] {
-                [case] => map::svg(&world.warehouse, &world.cases.cases[case]),
-                ref several => bail!("{id} stands for {} cases: give one", several.len()),
-            }
-        }
-    };
+    }
+    let (svg, _) = program.print("map", &flags)?;
     match &args.out {
         None => print(&svg)?,
         Some(path) => write_file(path, &svg)?,

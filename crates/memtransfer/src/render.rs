@@ -5,16 +5,17 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
+use case_book::act::DemonstrationsRequest;
 use clap::Args;
-use domain::{Appearance, Pose};
+use domain::{Appearance, DemonstrationKind, Demonstrations, Pose, Route, Start};
 use png_file::{Channels, encode};
 use program::AppearanceArgs;
-use replay::frames::{ViewFormat, ViewKey, ViewRenderer};
-use warehouse::TrajectoryKind;
+use results::conditions::Frames;
+use world_client::RunWorld;
+use world_client::frames::{ViewFormat, ViewKey, ViewRenderer};
 
 use super::export::view_edge;
-use super::view::view_program;
-use super::{Exit, WorldArgs, print};
+use super::{Exit, WorldArgs, print, world_program};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -26,8 +27,8 @@ pub(super) struct RenderArgs {
     #[command(flatten)]
     subject: RenderSubject,
     /// Which of the case's trajectories: original, opposite, nearby, distant, test or blocked
-    #[arg(long, value_name = "NAME", default_value = "original", requires = "case", value_parser = parse_start)]
-    trajectory: TrajectoryKind,
+    #[arg(long, value_name = "NAME", default_value = "original", requires = "case", value_parser = CaseTrajectory::parse)]
+    trajectory: CaseTrajectory,
     /// The PNG file, or for a trajectory the folder of its numbered PNG files
     #[arg(long, value_name = "PATH")]
     out: Option<PathBuf>,
@@ -57,33 +58,71 @@ struct RenderSubject {
     case: Option<String>,
 }
 
-fn parse_start(text: &str) -> Result<TrajectoryKind, String> {
-    let names = TrajectoryKind::ALL.map(TrajectoryKind::name);
-    let start = TrajectoryKind::ALL.into_iter().find(|start| start.name() == text);
-    start.ok_or_else(|| format!("expected one of {}", names.join(", ")))
+/// A trajectory of a case.
+#[derive(Debug, Clone, Copy)]
+enum CaseTrajectory {
+    Demonstration(DemonstrationKind),
+    Test,
+    Blocked,
+}
+
+impl CaseTrajectory {
+    const ALL: [Self; 6] = {
+        let [original, opposite, nearby, distant] = DemonstrationKind::OWN;
+        let of = Self::Demonstration;
+        [of(original), of(opposite), of(nearby), of(distant), Self::Test, Self::Blocked]
+    };
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Demonstration(kind) => kind.name(),
+            Self::Test => "test",
+            Self::Blocked => "blocked",
+        }
+    }
+
+    fn parse(text: &str) -> Result<Self, String> {
+        let found = Self::ALL.into_iter().find(|one| one.name() == text);
+        found.ok_or_else(|| format!("expected one of {}", Self::ALL.map(Self::name).join(", ")))
+    }
+
+    /// Its world variant and its poses.
+    fn act(self, world: &RunWorld, case: &str) -> Result<(u32, Vec<Pose>)> {
+        let Some(index) = world.index(case) else {
+            bail!("there is no case {case:?}; `memtransfer ls cases` lists the cases");
+        };
+        let (route, variant) = match self {
+            Self::Demonstration(kind) => {
+                let acted = world.demonstrations(DemonstrationsRequest {
+                    case: case.to_owned(),
+                    set: Demonstrations::NONE,
+                    more: vec![(case.to_owned(), kind)],
+                    variant: 0,
+                    planned: false,
+                })?;
+                let acted = acted.into_iter().next().context("there is no such demonstration")?;
+                return Ok((acted.variant, acted.poses));
+            }
+            Self::Test => (Route::Unchanged, 0),
+            Self::Blocked => (Route::Blocked, world.description().blocked[index]),
+        };
+        Ok((variant, world.reference(case, variant, (Start::New, route))?.poses))
+    }
 }
 
 pub(super) fn run(args: &RenderArgs) -> Result<Exit> {
-    let world = args.world.load()?;
+    let world = RunWorld::of(world_program()?.asker(&args.world.flags())?, Frames::Rendered)?;
     let (views, files) = match (args.subject.pose, &args.subject.case) {
         (Some(pose), _) => {
             ensure!(
-                world.warehouse.layout.is_free(pose.cell),
+                world.scene(0)?.is_floor(pose.cell),
                 "the cell of pose {pose} is not free floor; `memtransfer map` shows the floor plan"
             );
             let name = format!("view-{}-{}-{}.png", pose.cell.x, pose.cell.y, pose.heading);
             (vec![(0, pose)], vec![args.out.clone().unwrap_or_else(|| name.into())])
         }
         (None, Some(id)) => {
-            let Some(index) = world.cases.index(id) else {
-                bail!("there is no case {id:?}; `memtransfer ls cases` lists the cases");
-            };
-            let poses = world.cases.cases[index].replay(&world.warehouse, args.trajectory).poses;
-            // The barricade of each case is a world variant, after the unchanged world.
-            let variant = match args.trajectory {
-                TrajectoryKind::Blocked => 1 + index as u32,
-                _ => 0,
-            };
+            let (variant, poses) = args.trajectory.act(&world, id)?;
             let folder = args.out.clone().unwrap_or_else(|| args.trajectory_folder(id));
             fs::create_dir_all(&folder)
                 .with_context(|| format!("cannot create the folder {}", folder.display()))?;
@@ -106,7 +145,7 @@ impl RenderArgs {
     fn render(&self, views: &[ViewKey], files: &[PathBuf]) -> Result<()> {
         // The quality is that of JPEG files, which are not made here.
         let format = ViewFormat { edge: self.size, quality: 100 };
-        let mut renderer = ViewRenderer::start(&view_program()?, &self.flags(), format)?;
+        let mut renderer = ViewRenderer::start(&world_program()?, &self.flags(), format)?;
         let mut files = files.iter();
         renderer.render_pixels(views, |_, rgba| {
             let file: &Path = files.next().context("a view without a file")?;
@@ -120,11 +159,8 @@ impl RenderArgs {
 
     /// The flags of the renderer.
     fn flags(&self) -> Vec<OsString> {
-        let mut flags: Vec<OsString> = Vec::new();
+        let mut flags = self.world.flags();
         let mut flag = |name: &str, value: OsString| flags.extend([name.into(), value]);
-        if let Some(assets) = &self.world.assets {
-            flag("--assets", assets.into());
-        }
         if let Some(backend) = &self.backend {
             flag("--backend", backend.into());
         }

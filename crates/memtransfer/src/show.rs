@@ -6,19 +6,19 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
+use case_book::act::EpisodeParts;
 use clap::Args;
 use domain::names::UnknownName;
 use domain::prompt_log::RecordedItem;
-use replay::World;
 use results::log::{EpisodeRecord, RunLog};
 use results::policy::PolicyLabel;
-use results::step_view::{LoggedStep, RecordedPrompt, logged_steps, look_up};
-use results::timeline::{EpisodeEvent, timeline};
+use results::step_view::{RecordedPrompt, look_up};
 use serde::Serialize;
 use settings::select_cases;
 use viewer::logged_image;
+use world_client::{EpisodeEvent, EpisodeTimeline, RunWorld, TimelineStep};
 
-use super::{Exit, print, print_json};
+use super::{Exit, print, print_json, world_program};
 
 /// Maximum number of cases that a message names.
 const MOST_NAMED: usize = 8;
@@ -61,13 +61,15 @@ pub(super) struct ShowArgs {
 pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
     let log = RunLog::read(&args.run)?;
     let record = args.episode(&log)?;
+    let world = RunWorld::new(&log, &world_program()?.access())?;
+    let timeline = EpisodeTimeline::new(&world, record, EpisodeParts::default())?;
     let Some(step) = args.step else {
         let shown = ShownEpisode {
             key: &record.key,
             policy: log.manifest.policy_label(),
             reference: record.reference,
-            events: timeline(record),
-            steps: logged_steps(record),
+            events: &timeline.events,
+            steps: timeline.decisions(),
         };
         match args.json {
             true => print_json(&shown)?,
@@ -75,7 +77,9 @@ pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
         }
         return Ok(Exit::Complete);
     };
-    let shown = look_up(&log, record, step)?;
+    let prompt = look_up(&log, record, step)?;
+    let logged = timeline.decisions().get(step as usize).context("there is no such step")?;
+    let shown = ShownStep { key: &record.key, step, steps: record.steps, logged, prompt };
     match args.json {
         true => print_json(&shown)?,
         false => print(&text::step(&shown))?,
@@ -99,8 +103,21 @@ struct ShownEpisode<'a> {
     key: &'a str,
     policy: PolicyLabel,
     reference: u32,
-    events: Vec<EpisodeEvent>,
-    steps: Vec<LoggedStep>,
+    events: &'a [EpisodeEvent],
+    steps: &'a [TimelineStep<'a>],
+}
+
+/// A step.
+#[derive(Serialize)]
+struct ShownStep<'a> {
+    key: &'a str,
+    step: u32,
+    /// Steps of the whole episode.
+    steps: u32,
+    #[serde(flatten)]
+    logged: &'a TimelineStep<'a>,
+    /// What the prompt log has; absent where there is nothing.
+    prompt: Option<RecordedPrompt>,
 }
 
 impl ShowArgs {
@@ -162,10 +179,11 @@ impl ShowArgs {
     /// Why the run has no finished episode of the case: it is not finished, not part of the run, or does not exist.
     fn no_such_case(&self, log: &RunLog) -> anyhow::Error {
         let (case, run, settings) = (&self.case, self.run.display(), &log.manifest.settings);
-        let Ok(world) = World::load(settings.assets.as_deref()) else {
+        let program = world_program();
+        let Ok(world) = program.and_then(|program| RunWorld::new(log, &program.access())) else {
             return anyhow!("{run} has no finished episode of {case}");
         };
-        let ids = world.case_ids();
+        let ids = world.description().case_ids();
         let Some(index) = ids.iter().position(|id| id == case) else {
             return UnknownName::new("case", case, ids).into();
         };

@@ -1,13 +1,12 @@
-//! `memtransfer validate`: checks every constraint on warehouse and cases by replay, and the first views by rendering them.
+//! `memtransfer validate`: has the world check its files, or every episode of a run.
 
-use std::process::Command;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context, ensure};
 use clap::Args;
-use supervise::{QUIET_DRIVER, sibling};
-use warehouse::validate::ConstraintResult;
+use serde_json::json;
+use world_client::{RecordedRun, check_run};
 
-use super::{Exit, WorldArgs, print, print_json};
+use super::{Exit, WorldArgs, print, print_json, world_program};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -15,10 +14,18 @@ Prints one line for each constraint: whether it holds, how often it was checked 
 last one renders the first views of original and test starts, on the CPU. Exit status 1 when one is
 violated.
 
+Of a run, every finished episode is acted out again from its actions, by the world that made it:
+task, reference, start, steps, ending, sub-goals, visits, first sights, blocked moves, final pose.
+Prints every field that differs. Exit status 1 when one does, or a line of the log is damaged.
+
 Examples:
   memtransfer validate
-  memtransfer validate --assets my-assets --json")]
+  memtransfer validate --assets my-assets --json
+  memtransfer validate runs/quick-grounded")]
 pub(super) struct ValidateArgs {
+    /// A run's folder: check its log instead of the world's files
+    #[arg(value_name = "RUN")]
+    run: Option<PathBuf>,
     #[command(flatten)]
     world: WorldArgs,
     /// Print JSON
@@ -27,40 +34,35 @@ pub(super) struct ValidateArgs {
 }
 
 pub(super) fn run(args: &ValidateArgs) -> anyhow::Result<Exit> {
-    let world = args.world.load()?;
-    let mut report = warehouse::validate(&world.warehouse, &world.cases);
-    report.lines.push(first_views(&args.world)?);
-    if args.json {
-        print_json(&report)?;
-    } else {
-        let cases = world.cases.cases.len();
-        let trajectories = cases * warehouse::TrajectoryKind::ALL.len();
-        print(&format!(
-            "{report}{cases} cases, {trajectories} trajectories, {} violations",
-            report.violations()
-        ))?;
+    if let Some(dir) = &args.run {
+        return check(dir, args.json);
     }
-    Ok(if report.is_clean() { Exit::Complete } else { Exit::Failed })
+    let mut flags = args.world.flags();
+    flags.extend(args.json.then(|| "--json".into()));
+    let (report, is_clean) = world_program()?.print("validate", &flags)?;
+    print(&report)?;
+    Ok(if is_clean { Exit::Complete } else { Exit::Failed })
 }
 
-/// Has the simulator render where cases begin.
-fn first_views(world: &WorldArgs) -> anyhow::Result<ConstraintResult> {
-    let program = sibling("sim-proc")?;
-    let mut command = Command::new(&program);
-    command.arg("first-views").env(QUIET_DRIVER.0, QUIET_DRIVER.1);
-    if let Some(assets) = &world.assets {
-        command.arg("--assets").arg(assets);
+fn check(dir: &Path, is_json: bool) -> anyhow::Result<Exit> {
+    let run = RecordedRun::read(dir, &world_program()?.access())?;
+    let differences = check_run(&run)?;
+    let (episodes, damaged) = (run.log.episodes.len(), &run.log.damaged);
+    let damaged: Vec<String> = damaged.iter().map(ToString::to_string).collect();
+    let is_clean = differences.is_empty() && damaged.is_empty();
+    if is_json {
+        print_json(&json!({
+            "episodes": episodes, "differences": differences, "damaged": damaged,
+        }))?;
+    } else {
+        let lines = differences.iter().map(|one| format!("FAIL {one}\n"));
+        let lines: String =
+            lines.chain(damaged.iter().map(|one| format!("FAIL {one}\n"))).collect();
+        print(&format!(
+            "{lines}{episodes} episodes, {} differences, {} damaged lines",
+            differences.len(),
+            damaged.len()
+        ))?;
     }
-    let output = command.output();
-    let output = output.with_context(|| format!("cannot start {}", program.display()))?;
-    let said = String::from_utf8_lossy(&output.stdout);
-    let reason = String::from_utf8_lossy(&output.stderr);
-    ensure!(output.status.success(), "the first views cannot be rendered: {}", reason.trim_end());
-    let mut lines: Vec<String> = said.lines().map(str::to_owned).collect();
-    let checked = lines.pop().and_then(|count| count.parse().ok());
-    Ok(ConstraintResult {
-        constraint: "rendered: no pixel of a target in the first views",
-        checked: checked.context("the simulator does not say how many views it rendered")?,
-        violations: lines,
-    })
+    Ok(if is_clean { Exit::Complete } else { Exit::Failed })
 }

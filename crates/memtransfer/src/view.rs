@@ -6,13 +6,11 @@ use std::process::{Command, Stdio};
 
 use anyhow::Result;
 use clap::Args;
-use replay::frames::ViewProgram;
-use replay::{RecordedRun, Selection};
 use results::compare::tell_apart;
-use supervise::{QUIET_DRIVER, sibling};
 use viewer::{Address, Site, ViewServer, write_bundle};
+use world_client::{RecordedRun, Selection};
 
-use super::{Exit, print};
+use super::{Exit, print, world_program};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -48,9 +46,11 @@ pub(super) struct ViewArgs {
 
 pub(super) fn run(args: &ViewArgs) -> Result<Exit> {
     let runs = [Some(&args.run), args.other.as_ref()].into_iter().flatten();
-    let mut runs = runs.map(|dir| RecordedRun::read(dir)).collect::<Result<Vec<_>>>()?;
+    let program = world_program()?;
+    let mut runs =
+        runs.map(|dir| RecordedRun::read(dir, &program.access())).collect::<Result<Vec<_>>>()?;
     tell_apart(runs.iter_mut().map(|run| &mut run.log));
-    let mut site = Site::new(runs, &view_program()?, args.out.is_none())?;
+    let mut site = Site::new(runs, &program, args.out.is_none())?;
     if let Some(out) = &args.out {
         let bundle = write_bundle(&mut site, out, args.episodes)?;
         for path in &bundle.missing {
@@ -73,11 +73,6 @@ pub(super) fn run(args: &ViewArgs) -> Result<Exit> {
     args.open(&server.url());
     server.serve(site)?;
     Ok(Exit::Complete)
-}
-
-/// The program that renders views.
-pub(super) fn view_program() -> Result<ViewProgram> {
-    Ok(ViewProgram { path: sibling("sim-proc")?, variable: QUIET_DRIVER })
 }
 
 impl ViewArgs {

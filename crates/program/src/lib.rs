@@ -65,9 +65,18 @@ pub fn run(name: &str, main: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitC
             return ExitCode::SUCCESS;
         }
         // A terminal that was closed does not change how the program ends.
-        let message = with_advice(&format!("{error:#}"));
+        let message = with_advice(&in_one_line(&error));
         let _ = writeln!(io::stderr(), "{name}: {}", printable(&message));
         ExitCode::from(2)
+    })
+}
+
+/// An error and its causes, without causes that an error's own message contains.
+pub fn in_one_line(error: &anyhow::Error) -> String {
+    error.chain().fold(String::new(), |line, cause| match cause.to_string() {
+        cause if line.is_empty() => cause,
+        cause if line.contains(&cause) => line,
+        cause => format!("{line}: {cause}"),
     })
 }
 
@@ -117,6 +126,14 @@ mod tests {
             assert_eq!(with_advice(&advised), advised);
         }
         assert_eq!(with_advice(&error(2)), error(2));
+    }
+
+    #[test]
+    fn causes_are_not_repeated() {
+        let missing = || io::Error::new(io::ErrorKind::NotFound, "no such file");
+        let own = anyhow::Error::from(missing()).context("cannot read x: no such file");
+        assert_eq!(in_one_line(&own), "cannot read x: no such file");
+        assert_eq!(in_one_line(&own.context("no suite")), "no suite: cannot read x: no such file");
     }
 
     #[test]

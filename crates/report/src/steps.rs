@@ -1,10 +1,9 @@
 //! The flat table of steps: where the agent was, what it did, and what that cost.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::iter::repeat;
 
-use domain::{Action, Feedback, Pose};
-use results::log::{EpisodeRecord, RequestRecord, RunLog};
+use results::log::{RequestRecord, RunLog};
+use world_client::{EpisodeTimeline, TimelineStep};
 
 use super::data::add_run;
 use super::frame::{DataFrame, FrameBuilder};
@@ -12,29 +11,19 @@ use super::frame::{DataFrame, FrameBuilder};
 /// A moment of an episode.
 struct StepRow<'a> {
     log: &'a RunLog,
-    record: &'a EpisodeRecord,
-    step: u32,
-    pose: Pose,
-    feedback: Feedback,
-    /// Empty where nothing was retrieved.
-    sources: Option<&'a str>,
-    /// Empty where none is known.
-    distances: Option<&'a str>,
-    /// What the agent did next; `None` at the end and for an answer without an action.
-    action: Option<Action>,
+    timeline: &'a EpisodeTimeline<'a>,
+    moment: &'a TimelineStep<'a>,
     request: Option<&'a RequestRecord>,
 }
 
-/// The words of a column by request, without end; `None` for `-` and after the last.
-fn words(column: &Option<String>) -> impl Iterator<Item = Option<&str>> {
-    let words = column.as_deref().unwrap_or_default().split_whitespace();
-    words.map(|word| Some(word).filter(|word| *word != "-")).chain(repeat(None))
+/// A word of the log; `-` stands for none.
+fn word(word: Option<&str>) -> Option<String> {
+    word.filter(|word| *word != "-").map(str::to_owned)
 }
 
-/// A row for each moment of the finished episodes of `log`: the start, and after every step. `docs/exports.md` describes
-/// the columns.
-pub fn steps_frame(log: &RunLog) -> DataFrame {
-    let asked: BTreeSet<&str> = log.episodes.iter().map(|record| record.key.as_str()).collect();
+/// A row for each moment of these episodes of `log`: the start, and after every step. `docs/exports.md` describes the columns.
+pub fn steps_frame(log: &RunLog, episodes: &[EpisodeTimeline<'_>]) -> DataFrame {
+    let asked: BTreeSet<&str> = episodes.iter().map(|one| one.record.key.as_str()).collect();
     // The last one of a step: requests of attempts that were given up come before those of the finished one.
     let requests: BTreeMap<(&str, u32), &RequestRecord> = log
         .requests
@@ -42,51 +31,35 @@ pub fn steps_frame(log: &RunLog) -> DataFrame {
         .filter(|request| asked.contains(request.key.as_str()))
         .map(|request| ((request.key.as_str(), request.step), request))
         .collect();
-    let rows: Vec<StepRow<'_>> = log
-        .episodes
-        .iter()
-        .flat_map(|record| {
-            let told = words(&record.retrieved).zip(words(&record.distances));
-            let requests = &requests;
-            let actions = record.actions.chars().map(Action::from_letter).chain(repeat(None));
-            (0..).zip(record.replay()).zip(actions).zip(told).map(
-                move |(((step, (pose, feedback)), action), (sources, distances))| StepRow {
-                    log,
-                    record,
-                    step,
-                    pose,
-                    feedback,
-                    sources,
-                    distances,
-                    action,
-                    request: requests.get(&(record.key.as_str(), step)).copied(),
-                },
-            )
+    let requests = &requests;
+    let rows = episodes.iter().flat_map(|timeline| {
+        timeline.steps.iter().map(move |moment| {
+            let request = requests.get(&(timeline.record.key.as_str(), moment.step)).copied();
+            StepRow { log, timeline, moment, request }
         })
-        .collect();
+    });
+    let rows: Vec<StepRow<'_>> = rows.collect();
     let mut frame = FrameBuilder::new(&rows);
     add_run(&mut frame, |row| row.log);
-    frame.text("key", |row| Some(row.record.key.clone()));
-    frame.text("memory", |row| Some(row.record.memory.to_string()));
-    frame.text("case", |row| Some(row.record.case.clone()));
-    frame.whole("run", |row| Some(row.record.run));
-    frame.whole("step", |row| Some(row.step));
-    frame.whole("x", |row| Some(row.pose.cell.x));
-    frame.whole("y", |row| Some(row.pose.cell.y));
-    frame.text("heading", |row| Some(row.pose.heading.letter().to_string()));
-    frame.text("feedback", |row| Some(row.feedback.words().to_owned()));
-    frame.text("action", |row| Some(row.action?.words().to_owned()));
-    frame.flag("is_last", |row| Some(row.step == row.record.steps));
-    frame.whole("sub_goals_met", |row| {
-        Some(row.record.sub_goals.iter().filter(|met| **met <= row.step).count())
-    });
-    frame.whole("sub_goals", |row| Some(row.record.required));
+    frame.text("key", |row| Some(row.timeline.record.key.clone()));
+    frame.text("memory", |row| Some(row.timeline.record.memory.to_string()));
+    frame.text("case", |row| Some(row.timeline.record.case.clone()));
+    frame.whole("run", |row| Some(row.timeline.record.run));
+    frame.whole("step", |row| Some(row.moment.step));
+    frame.whole("x", |row| Some(row.moment.pose.cell.x));
+    frame.whole("y", |row| Some(row.moment.pose.cell.y));
+    frame.text("heading", |row| Some(row.moment.pose.heading.letter().to_string()));
+    frame.text("feedback", |row| Some(row.moment.feedback.words().to_owned()));
+    frame.text("action", |row| Some(row.moment.action?.words().to_owned()));
+    frame.flag("is_last", |row| Some(row.moment.step == row.timeline.record.steps));
+    frame.whole("sub_goals_met", |row| Some(row.moment.sub_goals));
+    frame.whole("sub_goals", |row| Some(row.timeline.record.required));
     frame.flag("tried_closed", |row| {
-        row.record.tried_closed?;
-        Some(row.record.tried_closed_at == Some(row.step))
+        row.timeline.record.tried_closed?;
+        Some(row.timeline.record.tried_closed_at == Some(row.moment.step))
     });
-    frame.text("sources", |row| row.sources.map(str::to_owned));
-    frame.text("distances", |row| row.distances.map(str::to_owned));
+    frame.text("sources", |row| word(row.moment.retrieved));
+    frame.text("distances", |row| word(row.moment.distances));
     frame.text("outcome", |row| Some(row.request?.outcome.word().to_owned()));
     frame.whole("latency_us", |row| row.request?.latency_us);
     frame.whole("images", |row| row.request?.images);
@@ -98,7 +71,7 @@ pub fn steps_frame(log: &RunLog) -> DataFrame {
 
 #[cfg(test)]
 mod tests {
-    use domain::Heading;
+    use domain::{Action, Heading, Pose};
 
     use super::*;
     use results::log::testing::{log, record};
@@ -112,8 +85,26 @@ mod tests {
         one.retrieved = Some("o3 - n1+o2 o4".to_owned());
         one.distances = Some("0.0132 - 0+- -".to_owned());
         (one.tried_closed, one.tried_closed_at) = (Some(true), Some(4));
+        let [retrieved, distances] =
+            [&one.retrieved, &one.distances].map(|words| words.as_deref().unwrap().split(' '));
+        let memory = retrieved.map(Some).zip(distances.map(Some)).chain([(None, None)]);
+        let actions = one.actions.chars().map(Action::from_letter).chain([None]);
+        let moments = (0..).zip(one.replay()).zip(actions).zip(memory);
+        let steps = moments.map(|(((step, (pose, feedback)), action), (retrieved, distances))| {
+            let (sub_goals, view) = (usize::from(step > 0), (0, pose));
+            TimelineStep { step, pose, feedback, action, sub_goals, retrieved, distances, view }
+        });
+        let timeline = EpisodeTimeline {
+            record: &one,
+            instruction: String::new(),
+            variant: 0,
+            steps: steps.collect(),
+            events: Vec::new(),
+            reference: None,
+            scenery: None,
+        };
         let mut csv = Vec::new();
-        steps_frame(&log(vec![one])).write_csv(&mut csv).unwrap();
+        steps_frame(&log(vec![one.clone()]), &[timeline]).write_csv(&mut csv).unwrap();
         let text =
             String::from_utf8(csv).unwrap().replace("episodic/original/unchanged/original/", "");
         insta::assert_snapshot!(text, @"

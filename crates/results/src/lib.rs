@@ -17,5 +17,4 @@ pub mod score;
 pub mod settings;
 pub mod source;
 pub mod step_view;
-pub mod timeline;
 pub mod usage;

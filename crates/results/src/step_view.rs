@@ -1,7 +1,4 @@
-//! The steps of a finished episode.
-//!
-//! Pose, feedback, retrieval and action come from the run's log; the request, the exchange with the model and the
-//! answer from its prompt log, where it has one.
+//! What the prompt log of a run has about a step: the request, the exchange with the model and the answer.
 
 mod words;
 
@@ -13,48 +10,16 @@ use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use domain::prompt_log::{
     Hash, PromptLogEntry, RecordedItem, RecordedPart, RecordedView, entries_file, image_file,
     is_hash, line_key, session_folder, text_file, trajectory_file,
 };
-use domain::{Action, Pose};
 use durable::input::INPUT_LIMIT;
 use durable::open_beneath;
 use serde::Serialize;
 
 use crate::log::{EpisodeRecord, EpisodeTimings, PROMPTS_FOLDER, RunLog};
-
-/// One step.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ShownStep {
-    /// The episode's key.
-    pub key: String,
-    /// Steps taken before.
-    pub step: u32,
-    /// Steps of the whole episode.
-    pub steps: u32,
-    /// What the log has of it.
-    #[serde(flatten)]
-    pub logged: LoggedStep,
-    /// The entry of the prompt log; absent where there is none.
-    pub prompt: Option<RecordedPrompt>,
-}
-
-/// What the log has of a step.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct LoggedStep {
-    /// The agent's pose.
-    pub pose: Pose,
-    /// The feedback on the last action.
-    pub feedback: &'static str,
-    /// The action; absent where the answer could not be read.
-    pub action: Option<&'static str>,
-    /// The retrieval, as the log writes it: `o12`, `t03-07:o4`, `-`. Absent where nothing is retrieved.
-    pub retrieved: Option<String>,
-    /// The distances, as the log writes them. Absent where none is known.
-    pub distances: Option<String>,
-}
 
 /// The prompt log's entry about a step, with everything that it refers to.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -84,54 +49,20 @@ impl RecordedPrompt {
     }
 }
 
-/// Returns step `step` of the episode of `record`.
+/// What the prompt log has about step `step` of the episode of `record`; `None` where there is nothing.
 ///
 /// # Errors
 /// When the episode has no such step, or a file of the prompt log cannot be used.
-pub fn look_up(log: &RunLog, record: &EpisodeRecord, step: u32) -> Result<ShownStep> {
-    let Some(logged) = logged_steps(record).into_iter().nth(step as usize) else {
-        bail!(
-            "{} has {} steps, so its steps are 0 to {}: there is no step {step}",
-            record.key,
-            record.steps,
-            record.steps.saturating_sub(1)
-        );
-    };
+pub fn look_up(log: &RunLog, record: &EpisodeRecord, step: u32) -> Result<Option<RecordedPrompt>> {
+    ensure!(
+        step < record.steps,
+        "{} has {} steps, so its steps are 0 to {}: there is no step {step}",
+        record.key,
+        record.steps,
+        record.steps.saturating_sub(1)
+    );
     let timings = log.timings.iter().find(|timings| timings.key == record.key);
-    Ok(ShownStep {
-        key: record.key.clone(),
-        step,
-        steps: record.steps,
-        logged,
-        prompt: timings
-            .map(|timings| PromptLog::of(log).entry(timings, step))
-            .transpose()?
-            .flatten(),
-    })
-}
-
-/// The steps of an episode, from its record.
-pub fn logged_steps(record: &EpisodeRecord) -> Vec<LoggedStep> {
-    let words = |column: &Option<String>| {
-        let words = column.iter().flat_map(|column| column.split_whitespace().map(str::to_owned));
-        words.map(Some).chain(std::iter::repeat(None)).take(record.steps as usize).collect()
-    };
-    let (retrieved, distances): (Vec<_>, Vec<_>) =
-        (words(&record.retrieved), words(&record.distances));
-    let actions =
-        record.actions.chars().map(|letter| Action::from_letter(letter).map(Action::words));
-    let places = record.replay().into_iter().zip(actions);
-    let memory = retrieved.into_iter().zip(distances);
-    places
-        .zip(memory)
-        .map(|(((pose, feedback), action), (retrieved, distances))| LoggedStep {
-            pose,
-            feedback: feedback.words(),
-            action,
-            retrieved,
-            distances,
-        })
-        .collect()
+    timings.map_or(Ok(None), |timings| PromptLog::of(log).entry(timings, step))
 }
 
 /// The prompt log of a run. Each of its files is searched once, and after that only what was added to it.

@@ -6,11 +6,11 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use case_book::{ELSEWHERE_VARIANT, GREY_VARIANT};
 use domain::Pose;
 use durable::{FolderDraft, KnownNames};
-use replay::Selection;
-use replay::frames::ViewKey;
-use warehouse::{ELSEWHERE_VARIANT, GREY_VARIANT};
+use world_client::Selection;
+use world_client::frames::ViewKey;
 
 use crate::data::image_hashes;
 use crate::file::File;
@@ -150,7 +150,7 @@ impl BundleFolder<'_> {
             }
         }
         for ground in grounds {
-            let map = run.map(ground).with_context(|| format!("there is no world {ground}"))?;
+            let map = run.map(ground)?.with_context(|| format!("there is no world {ground}"))?;
             self.write(&format!("{name}/maps/{ground}.svg"), &map)?;
         }
         self.bundle.episodes += run.log.episodes.len();

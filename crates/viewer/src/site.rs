@@ -23,8 +23,6 @@ use std::path::Path;
 use anyhow::{Context, Result, ensure};
 use domain::prompt_log::{image_file, is_hash};
 use png_file::RgbaImage;
-use replay::frames::{ViewKey, ViewProgram, ViewRenderer, jpeg, world_arguments};
-use replay::{RecordedRun, RunWorld};
 use report::Published;
 use results::conditions::Condition;
 use results::key::EpisodeKey;
@@ -34,7 +32,8 @@ use results::log::{
 };
 use results::step_view::{PromptLog, is_named, read_logged};
 use serde_json::{Value, json};
-use warehouse::map;
+use world_client::frames::{ViewKey, ViewRenderer, jpeg, view_arguments};
+use world_client::{RecordedRun, RunWorld, WorldAccess, WorldProgram};
 
 use crate::data::{EpisodeCell, EpisodeData, LoggedEpisode, PromptData, RunData, prompts, row};
 use crate::file::File;
@@ -63,7 +62,7 @@ impl Site {
     ///
     /// # Errors
     /// When the files of a run do not fit.
-    pub fn new(runs: Vec<RecordedRun>, program: &ViewProgram, is_served: bool) -> Result<Self> {
+    pub fn new(runs: Vec<RecordedRun>, program: &WorldProgram, is_served: bool) -> Result<Self> {
         let pages = runs.into_iter().map(|run| RunPages::new(run, program, is_served));
         Ok(Self { runs: pages.collect::<Result<_>>()?, is_served })
     }
@@ -111,6 +110,7 @@ fn kind_of(name: &str) -> &'static str {
 pub(crate) struct RunPages {
     pub(crate) log: RunLog,
     pub(crate) world: RunWorld,
+    access: WorldAccess,
     pub(crate) conditions: Vec<Condition>,
     notices: Vec<String>,
     /// By key.
@@ -141,7 +141,7 @@ struct Growth {
 /// The renderer, started when the first view is needed.
 #[derive(Debug)]
 struct LazyRenderer {
-    program: ViewProgram,
+    program: WorldProgram,
     arguments: Vec<OsString>,
     running: Option<ViewRenderer>,
 }
@@ -164,10 +164,10 @@ impl LazyRenderer {
 }
 
 impl RunPages {
-    fn new(run: RecordedRun, program: &ViewProgram, is_served: bool) -> Result<Self> {
-        let RecordedRun { log, world, notices } = run;
+    fn new(run: RecordedRun, program: &WorldProgram, is_served: bool) -> Result<Self> {
+        let RecordedRun { log, world, access, notices } = run;
         let settings = &log.manifest.settings;
-        let arguments = world_arguments(&log);
+        let arguments = view_arguments(&log);
         let growth = is_served.then(|| Growth::new(&log));
         let prompt_log = PromptLog::of(&log);
         let renderer = LazyRenderer { program: program.clone(), arguments, running: None };
@@ -180,6 +180,7 @@ impl RunPages {
         let mut pages = Self {
             log,
             world,
+            access,
             conditions,
             notices,
             timings: BTreeMap::new(),
@@ -237,7 +238,7 @@ impl RunPages {
             }
             "maps" => {
                 let ground = number(name, ".svg").and_then(|ground| u32::try_from(ground).ok());
-                Ok(ground.and_then(|ground| self.map(ground)))
+                ground.map_or(Ok(None), |ground| self.map(ground))
             }
             "views" => ViewFile::of_name(name).map_or(Ok(None), |wanted| self.view(wanted)),
             "images" => {
@@ -252,7 +253,7 @@ impl RunPages {
     /// `run.js`, where `has_views` says of which episodes views are there.
     pub(crate) fn run(&self, folder: &str, has_views: impl Fn(usize) -> bool) -> Result<File> {
         let views = format!("{folder}/views/");
-        let mut data = RunData::new(&self.log, &self.world, &self.conditions, views, has_views);
+        let mut data = RunData::new(&self.log, &self.world, &self.conditions, views, has_views)?;
         data.notices.extend(self.notices.iter().cloned());
         File::script(&format!("{folder}/run"), &data)
     }
@@ -311,9 +312,14 @@ impl RunPages {
     }
 
     /// The drawing of the floor of world state `ground`.
-    pub(crate) fn map(&self, ground: u32) -> Option<File> {
-        let stock = self.world.stock(ground)?;
-        Some(File::text("image/svg+xml", map::ground_svg(stock)))
+    pub(crate) fn map(&self, ground: u32) -> Result<Option<File>> {
+        let states = &self.world.description().states;
+        let variant = match states.get(ground as usize) {
+            None if ground > 0 => return Ok(None),
+            variant => variant.copied().unwrap_or(0),
+        };
+        let scene = self.world.scene(variant)?;
+        Ok(Some(File::text("image/svg+xml", scene.svg.clone())))
     }
 
     /// Renders `views` and passes the pixels of each to `take`, in order.
@@ -327,7 +333,7 @@ impl RunPages {
 
     fn view(&mut self, wanted: ViewFile) -> Result<Option<File>> {
         let (variant, pose) = wanted.view;
-        if !self.world.layout(variant).is_some_and(|layout| layout.is_free(pose.cell)) {
+        if !self.world.scene(variant).is_ok_and(|scene| scene.is_floor(pose.cell)) {
             return Ok(None);
         }
         let mut file = None;
@@ -404,7 +410,8 @@ impl RunPages {
     /// Reads everything again, because the run was started afresh, or has conditions that it did not have.
     fn start_afresh(&mut self) -> Result<()> {
         let restarts = self.growth.as_ref().map_or(0, |growth| growth.restarts);
-        *self = Self::new(RecordedRun::read(&self.log.dir)?, &self.renderer.program, true)?;
+        let run = RecordedRun::read(&self.log.dir, &self.access)?;
+        *self = Self::new(run, &self.renderer.program, true)?;
         if let Some(growth) = &mut self.growth {
             growth.restarts = restarts + 1;
         }
@@ -512,8 +519,8 @@ mod tests {
             file.write_all(text.as_bytes()).unwrap();
         };
         add(&line(&record("t01-01", true)));
-        let program = ViewProgram { path: "/nonexistent".into(), variable: ("UNUSED", "") };
-        let run = RecordedRun::read(&folder).unwrap();
+        let program = WorldProgram { path: "/nonexistent".into(), variable: ("UNUSED", "") };
+        let run = RecordedRun::read(&folder, &crate::testing::built_in()).unwrap();
         let mut site = Site::new(vec![run], &program, true).unwrap();
         assert_eq!(news(&mut site, 1), (0, 0));
 

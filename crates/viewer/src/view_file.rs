@@ -1,7 +1,7 @@
 //! The files of views: whole, and as thumbnails.
 
 use anyhow::Result;
-use replay::frames::{ViewFormat, ViewKey, file_name, half, jpeg, of_file_name};
+use world_client::frames::{ViewFormat, ViewKey, file_name, half, jpeg, of_file_name};
 
 use crate::file::File;
 

@@ -115,13 +115,7 @@ pub fn write_books(request: &BookRequest) -> Result<Books, CaseBookError> {
     let streams = worlds.streams_facts()?;
     let elsewhere = cases.elsewhere.as_ref();
     let book = CaseBook {
-        world: WorldFacts {
-            name: WORLD_NAME.to_owned(),
-            version: WORLD_VERSION.to_owned(),
-            hashes: asset_hashes(assets)?,
-            views: view_count(&warehouse),
-            elsewhere_views: elsewhere.map_or(0, |other| view_count(other.warehouse())),
-        },
+        world: world_facts(assets, &warehouse, &cases)?,
         cases: cases.cases.iter().map(|case| case_facts(&warehouse, case)).collect(),
         streams,
         stale: stale(&worlds, &demonstrations, request, &among),
@@ -152,6 +146,22 @@ fn check_sets(request: &BookRequest, cases: &CaseSet) -> Result<(), CaseBookErro
     Ok(())
 }
 
+/// What identifies the world of these assets.
+pub(crate) fn world_facts(
+    assets: Option<&Path>,
+    warehouse: &Warehouse,
+    cases: &CaseSet,
+) -> Result<WorldFacts, AssetError> {
+    let elsewhere = cases.elsewhere.as_ref();
+    Ok(WorldFacts {
+        name: WORLD_NAME.to_owned(),
+        version: WORLD_VERSION.to_owned(),
+        hashes: asset_hashes(assets)?,
+        views: view_count(warehouse),
+        elsewhere_views: elsewhere.map_or(0, |other| view_count(other.warehouse())),
+    })
+}
+
 /// BLAKE3 of the assets, in hexadecimal digits, by name.
 fn asset_hashes(assets: Option<&Path>) -> Result<BTreeMap<String, String>, AssetError> {
     let mut hashes = BTreeMap::new();
@@ -175,7 +185,7 @@ fn view_count(warehouse: &Warehouse) -> u32 {
     4 * warehouse.layout.free_cells().count() as u32
 }
 
-fn case_facts(warehouse: &Warehouse, case: &Case) -> CaseFacts {
+pub(crate) fn case_facts(warehouse: &Warehouse, case: &Case) -> CaseFacts {
     let tested = [
         (Start::Original, Route::Unchanged),
         (Start::New, Route::Unchanged),

@@ -5,8 +5,7 @@ use crate::task::Task;
 use crate::trajectory::Trajectory;
 use crate::world::Warehouse;
 
-/// The number on the wire of the world variant that is the other warehouse.
-pub const ELSEWHERE_VARIANT: u32 = u32::MAX;
+pub use case_book::ELSEWHERE_VARIANT;
 
 /// Another warehouse with one demonstration of each case's task.
 #[derive(Debug, Clone, PartialEq, Eq)]

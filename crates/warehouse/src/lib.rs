@@ -8,12 +8,13 @@
 //! - [`Elsewhere`]: another warehouse, in which the tasks of cases are demonstrated.
 //! - [`WorldState`]: a warehouse after changes; [`stream`]: blocks of cases with events between them.
 //! - [`plan`]: expert trajectories and the fewest steps; [`sight`]: which items are in view, computed on the floor plan.
-//! - [`case_book`]: what a run knows about the cases, as data.
+//! - [`case_book`]: what a run knows about the cases, as data; [`act`]: episodes and demonstrations, acted out for others.
 //! - [`GeneratedWorld`]: a warehouse from a seed; [`CaseSet::generate`]: cases from a seed; [`validate`](mod@validate): every constraint checked by replay; [`map`]:
 //!   maps as SVG.
 //!
 //! All arithmetic is in integers on a grid, so every machine computes the same.
 
+pub mod act;
 pub mod asset;
 pub mod case;
 pub mod case_book;
@@ -26,6 +27,7 @@ mod draw;
 pub mod dynamics;
 mod elsewhere;
 mod elsewhere_source;
+mod event_recorder;
 mod generate;
 mod generate_world;
 pub mod layout;
@@ -46,6 +48,7 @@ mod testing;
 mod trajectory;
 pub mod validate;
 mod world;
+mod worlds;
 
 pub use asset::AssetError;
 pub use case::{Case, CaseSet, History, TrajectoryKind};
@@ -56,6 +59,7 @@ pub use demonstrated::{Demonstrated, Viewpoint};
 pub use dynamics::{Variant, step};
 pub use elsewhere::{ELSEWHERE_VARIANT, Elsewhere};
 pub use elsewhere_source::ElsewhereError;
+pub use event_recorder::EventRecorder;
 pub use generate::{GenerateError, MAX_CASES, SHIPPED_COUNT, SHIPPED_SEED};
 pub use generate_world::{GeneratedWorld, MIN_SIDE, corridors};
 pub use layout::{Aisle, Axis, Layout, MAX_SIDE, Square};
@@ -69,3 +73,4 @@ pub use task::{Phase, Task};
 pub use trajectory::{Replay, Trajectory};
 pub use validate::validate;
 pub use world::{CATALOGUE_FILE, Item, LAYOUT_FILE, Warehouse};
+pub use worlds::{RunWorlds, RunWorldsError};

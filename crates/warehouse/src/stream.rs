@@ -3,6 +3,7 @@
 //! A stream is a list of blocks. Between two blocks events change the world; within a block it stays as it is. This module
 //! holds streams as values and in their file.
 
+mod changes;
 mod drawing;
 
 use domain::{Cell, StreamOrder};

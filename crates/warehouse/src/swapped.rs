@@ -7,8 +7,7 @@ use domain::{Heading, Pose};
 use crate::dynamics::Variant;
 use crate::layout::Layout;
 
-/// The number in place of a world variant's for a view that shows no world: uniform grey.
-pub const GREY_VARIANT: u32 = u32::MAX - 1;
+pub use case_book::GREY_VARIANT;
 
 /// For every pose, the one whose view is shown instead: the next in a fixed cycle through all poses.
 #[derive(Debug, Clone, PartialEq, Eq)]

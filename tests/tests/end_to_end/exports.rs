@@ -3,13 +3,14 @@
 use std::fs;
 use std::process::Command;
 
+use case_book::act::EpisodeParts;
 use domain::prompt_log::RecordedItem;
 use memtransfer_tests::{Bench, Ended, needs, program, repository};
 use png_file::RgbaImage;
-use replay::RecordedRun;
-use replay::frames::{ViewFormat, ViewProgram, ViewRenderer, world_arguments};
 use results::step_view::{RecordedPrompt, look_up};
 use serde_json::{Value, json};
+use world_client::frames::{ViewFormat, ViewRenderer, view_arguments};
+use world_client::{EpisodeTimeline, RecordedRun, WorldProgram};
 
 /// A small run of `policy` with `memory` in the folder `out`, of at most `steps` steps an episode.
 fn small(bench: &Bench, out: &str, policy: &str, memory: &str, steps: &str) {
@@ -117,25 +118,24 @@ fn shown_and_exported(bench: &Bench, frames: &str) -> Vec<(RecordedPrompt, RgbaI
     args.extend(["--starts", "new", "--policy", "grounded", "--max-steps", "6", "--log-prompts"]);
     args.extend(["--frame-size", "64", "--frames", frames, "--out", frames]);
     bench.run(&args).expect(0);
-    let RecordedRun { log, world, .. } = RecordedRun::read(&bench.out(frames)).unwrap();
     let program =
-        ViewProgram { path: program("sim-proc"), variable: ("MEMTRANSFER_TEST", "views") };
+        WorldProgram { path: program("sim-proc"), variable: ("MEMTRANSFER_TEST", "views") };
+    let run = RecordedRun::read(&bench.out(frames), &program.access()).unwrap();
+    let RecordedRun { log, world, .. } = run;
     let format = ViewFormat { edge: 64, quality: 90 };
-    let mut renderer = ViewRenderer::start(&program, &world_arguments(&log), format).unwrap();
+    let mut renderer = ViewRenderer::start(&program, &view_arguments(&log), format).unwrap();
     let mut steps = Vec::new();
     for record in &log.episodes {
-        let variant = world.variant(record, world.case(record).unwrap().0);
-        for step in 0..record.steps {
-            let shown = look_up(&log, record, step).unwrap();
-            let prompt = shown.prompt.unwrap();
+        let timeline = EpisodeTimeline::new(&world, record, EpisodeParts::default()).unwrap();
+        for step in timeline.decisions() {
+            let prompt = look_up(&log, record, step.step).unwrap().unwrap();
             let seen = RgbaImage::read(&prompt.images[&prompt.entry.request.frame]).unwrap();
             let mut exported = RgbaImage::filled(64, 64, [0; 4]);
-            let view = [world.seen(variant, shown.logged.pose)];
             let copy = |_, pixels: &[u8]| {
                 exported.as_bytes_mut().copy_from_slice(pixels);
                 Ok(())
             };
-            renderer.render_pixels(&view, copy).unwrap();
+            renderer.render_pixels(&[step.view], copy).unwrap();
             steps.push((prompt, seen, exported));
         }
     }

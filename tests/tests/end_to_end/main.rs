@@ -32,3 +32,4 @@ mod transfer;
 mod units;
 mod viewer;
 mod vision_server;
+mod world;

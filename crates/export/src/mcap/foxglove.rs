@@ -3,7 +3,7 @@
 //! are left out of the descriptors. Times are in nanoseconds from the beginning of the file.
 
 use domain::{Heading, Pose};
-use results::timeline::EventLevel;
+use world_client::EventLevel;
 
 use super::protobuf::ProtobufMessage;
 

@@ -1,16 +1,15 @@
 //! `memtransfer generate world`: a folder with a warehouse and its cases, drawn from a seed.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use clap::Args;
-use warehouse::case_file::CASES_FILE;
-use warehouse::{CATALOGUE_FILE, CaseSet, GeneratedWorld, LAYOUT_FILE};
 
-use super::check_not_replaced;
+use super::{GeneratedFiles, check_not_replaced};
 use crate::{Exit, write_file};
 
-const FILES: [&str; 3] = [LAYOUT_FILE, CATALOGUE_FILE, CASES_FILE];
+const FILES: [&str; 3] = ["layout.toml", "catalogue.toml", "cases.toml"];
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -54,23 +53,20 @@ pub(super) fn run(args: &WorldGenerateArgs) -> anyhow::Result<Exit> {
     ensure!(args.cases > 0, "--cases is 0, but must be at least 1");
     check_folder(&args.out)?;
     let (width, height) = args.size;
-    let world = GeneratedWorld::generate(args.seed, width, height, args.aisles)?;
-    let cases = CaseSet::generate(&world.warehouse, args.seed, args.cases)?;
-    let texts = [world.layout, world.catalogue, cases.to_toml(&world.warehouse.catalogue)];
+    let number = |number: usize| number.to_string().into();
+    let mut flags: Vec<OsString> = vec!["--seed".into(), args.seed.to_string().into()];
+    flags.extend(["--count".into(), number(args.cases)]);
+    flags.extend(["--size".into(), number(width), number(height)]);
+    flags.extend(args.aisles.into_iter().flat_map(|aisles| ["--aisles".into(), number(aisles)]));
+    let GeneratedFiles { layout, catalogue, cases, about } = GeneratedFiles::ask(&flags)?;
+    let texts = [layout, catalogue, cases];
     let files: Vec<(PathBuf, String)> =
         FILES.into_iter().map(|file| args.out.join(file)).zip(texts).collect();
     if !args.force {
         files.iter().try_for_each(|(path, text)| check_not_replaced(path, text))?;
     }
     files.iter().try_for_each(|(path, text)| write_file(path, text))?;
-    say!(
-        "{width} x {height} cells, {} aisles, {} items in {} categories, {} cases in {}",
-        world.warehouse.layout.aisles().len(),
-        world.warehouse.items.len(),
-        world.warehouse.catalogue.categories.len(),
-        cases.cases.len(),
-        args.out.display()
-    );
+    say!("{about} in {}", args.out.display());
     Ok(Exit::Complete)
 }
 

@@ -2,12 +2,14 @@
 
 use std::fmt::Write;
 
+use domain::Action;
 use domain::prompt_log::{RecordedItem, RecordedPart, RecordedView};
 use report::table::table;
 use results::source::{SourceStep, distances, sources};
-use results::step_view::{LoggedStep, RecordedPrompt, ShownStep, facts, title};
+use results::step_view::{RecordedPrompt, facts, title};
+use world_client::TimelineStep;
 
-use super::ShownEpisode;
+use super::{ShownEpisode, ShownStep};
 
 /// Characters of a text that are printed; JSON has all.
 const MOST: usize = 2000;
@@ -20,19 +22,19 @@ pub(super) fn episode(shown: &ShownEpisode) -> String {
     let ShownEpisode { key, policy, reference, events, steps } = shown;
     let mut text = format!("{key}: {} steps; the reference has {reference}\n", steps.len());
     let _ = writeln!(text, "{}", policy.sentence("Policy"));
-    for event in events {
+    for event in *events {
         let _ = writeln!(text, "  after {:>3}  {}", event.step, event.words);
     }
     let mut rows = table(&["Step", "Pose", "Feedback", "Action", "Retrieved", "Distances"], 0);
     (1..6).for_each(|column| rows.set_text(column));
     for (number, step) in steps.iter().enumerate() {
-        let LoggedStep { pose, feedback, action, retrieved, distances } = step;
-        let column = |word: &Option<String>| word.clone().unwrap_or_default();
+        let TimelineStep { pose, feedback, action, retrieved, distances, .. } = step;
+        let column = |word: &Option<&str>| word.unwrap_or_default().to_owned();
         rows.add_row([
             number.to_string(),
             pose.to_string(),
-            (*feedback).to_owned(),
-            action.unwrap_or("?").to_owned(),
+            feedback.words().to_owned(),
+            action.map_or("?", Action::words).to_owned(),
             column(retrieved),
             column(distances),
         ]);
@@ -50,12 +52,12 @@ pub(super) fn step(shown: &ShownStep) -> String {
     if let Some(prompt) = &shown.prompt {
         fact("Task", &prompt.entry.request.instruction);
     }
-    let LoggedStep { pose, feedback, action, retrieved, distances: told } = &shown.logged;
+    let TimelineStep { pose, feedback, action, retrieved, distances: told, .. } = shown.logged;
     fact("Pose", &format!("{pose} (column, row, heading)"));
-    fact("Feedback", feedback);
-    fact("Action", action.unwrap_or("none that could be read: the agent stayed"));
+    fact("Feedback", feedback.words());
+    fact("Action", action.map_or("none that could be read: the agent stayed", Action::words));
     if let Some(retrieved) = retrieved {
-        let told = distances(told.as_deref().unwrap_or_default());
+        let told = distances(told.unwrap_or_default());
         let told = told.into_iter().chain(std::iter::repeat(None));
         let in_words = |(source, distance): (SourceStep, Option<f64>)| match distance {
             Some(distance) => format!("{} (distance {distance})", source.in_words()),
@@ -166,30 +168,40 @@ fn indented(text: &mut String, content: &str) {
 
 #[cfg(test)]
 mod tests {
-    use results::log::testing::{manifest, record};
-    use results::step_view::logged_steps;
-    use results::timeline::timeline;
+    use domain::{Feedback, Heading, Pose};
+    use results::log::testing::manifest;
+    use world_client::{EpisodeEvent, EventLevel};
 
     use super::*;
 
     #[test]
     fn an_episode_is_told_step_by_step() {
-        let mut one = record("a", false);
-        (one.actions, one.steps, one.required) = ("f?L".to_owned(), 3, 2);
-        (one.sub_goals, one.retrieved) = (vec![1], Some("o12 - o3+n4".to_owned()));
+        let event = |step, words: &str| EpisodeEvent {
+            step,
+            level: EventLevel::Info,
+            words: words.to_owned(),
+        };
+        let step = |step, y, feedback, action, retrieved| {
+            let pose = Pose::new(1, y, Heading::N);
+            let (sub_goals, distances, view) = (0, None, (0, pose));
+            TimelineStep { step, pose, feedback, action, sub_goals, retrieved, distances, view }
+        };
         let shown = ShownEpisode {
-            key: &one.key,
+            key: "episodic/original/unchanged/original/run1/a",
             policy: manifest().policy_label(),
-            reference: one.reference,
-            events: timeline(&one),
-            steps: logged_steps(&one),
+            reference: 8,
+            events: &[event(1, "sub-goal 1 of 2 is met"), event(3, "failed: never-saw")],
+            steps: &[
+                step(0, 2, Feedback::Start, Some(Action::Forward), Some("o12")),
+                step(1, 3, Feedback::Moved, None, Some("-")),
+                step(2, 3, Feedback::NotUnderstood, Some(Action::TurnLeft), Some("o3+n4")),
+            ],
         };
         insta::assert_snapshot!(episode(&shown), @"
         episodic/original/unchanged/original/run1/a: 3 steps; the reference has 8
         Policy: grounded, scripted stand-in. It tests the harness; its figures are no claim about any model.
           after   1  sub-goal 1 of 2 is met
-          after   2  no action could be read in the answer
-          after   3  failed: never-saw (the target that was next was never in view)
+          after   3  failed: never-saw
         ────────────────────────────────────────────────────────────────────────────────────────────────────
         Step  Pose   Feedback                                             Action        Retrieved  Distances
         ────────────────────────────────────────────────────────────────────────────────────────────────────

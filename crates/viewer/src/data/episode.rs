@@ -3,16 +3,18 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::iter::{repeat, repeat_with};
 
-use anyhow::Result;
-use domain::{Arm, Cell, DemonstrationKind, Pose};
-use replay::RunWorld;
+use anyhow::{Context, Result};
+use case_book::act::{
+    ActedDemonstration, DemonstrationsRequest, EpisodeParts, EpisodeScenery, Target,
+};
+use domain::{Arm, Cell, DemonstrationKind, Demonstrations, Pose};
 use results::events::Requirement;
 use results::key::EpisodeKey;
 use results::log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
 use results::score::Failure;
 use results::source::{SourceStep, distances, sources};
 use serde::Serialize;
-use warehouse::{History, Trajectory, TrajectoryKind, WorldState, sight};
+use world_client::{EpisodeTimeline, RunWorld};
 
 use super::{PoseData, cell_data, pose_data};
 use crate::view_file::ViewFile;
@@ -161,9 +163,10 @@ struct RequestData {
 const FILM: u32 = 6;
 
 /// What makes a demonstration one of several.
-#[derive(PartialEq, Eq, PartialOrd, Ord)]
+#[derive(PartialEq, Eq)]
 enum DemonstrationOrigin {
-    Demonstration(usize, DemonstrationKind),
+    /// The id of its case, and which.
+    Demonstration(String, DemonstrationKind),
     Episode(u32),
 }
 
@@ -178,31 +181,18 @@ impl EpisodeData {
         experience: impl Fn(u32) -> Option<&'r EpisodeRecord>,
     ) -> Result<Self> {
         let &LoggedEpisode { record, timings, horizon, prompts, .. } = episode;
-        let (case_index, case) = world.case(record)?;
-        let state = world.state(record, case)?;
-        let layout = &state.warehouse.layout;
-        let replay = record.replay();
-        let poses: Vec<Pose> = replay.iter().map(|(pose, _)| *pose).collect();
-        let reference = world.reference(record, case_index);
-        let reference_path = reference.iter().flat_map(|trajectory| {
-            let replay = trajectory.replay(&state.warehouse, &case.task, &state.variant);
-            replay.poses.into_iter().map(|pose| cell_data(&pose.cell)).collect::<Vec<_>>()
-        });
-        let targets = case.task.targets(&state.warehouse).into_iter().filter_map(|item| {
-            let letter = case.task.letter(&state.warehouse, item)?;
-            let name = state.warehouse.catalogue.types[item.item_type].name.clone();
-            Some(TargetData { letter, name, cell: cell_data(&item.standpoint) })
-        });
-        let mut known = BTreeSet::new();
-        let seen = poses.iter().map(|pose| {
-            let index =
-                |cell: Cell| u16::from(cell.y) * u16::from(layout.width()) + u16::from(cell.x);
-            let new = sight::cells(layout, *pose).map(index).filter(|cell| known.insert(*cell));
-            new.collect()
-        });
-        let seen = seen.collect();
-        let mut memory = DemonstrationCollector { world, record, state: &state, found: Vec::new() };
-        let supplied = memory.supplied(case_index, experience);
+        let parts = EpisodeParts { reference: true, scenery: true, ..EpisodeParts::default() };
+        let timeline = EpisodeTimeline::new(world, record, parts)?;
+        let EpisodeTimeline { instruction, variant, steps, reference, scenery, .. } = timeline;
+        let scenery = scenery.context("an episode without scenery")?;
+        let EpisodeScenery { came_into_view, closed, targets, changes } = scenery;
+        let columns = u16::from(world.scene(variant)?.size().0);
+        let seen = |cells: Vec<Cell>| {
+            let index = |cell: Cell| u16::from(cell.y) * columns + u16::from(cell.x);
+            cells.into_iter().map(index).collect()
+        };
+        let mut memory = DemonstrationCollector { world, record, variant, found: Vec::new() };
+        let supplied = memory.supplied(experience)?;
         let failure = Failure::of(record);
         let stages = timings.map(|timings| {
             let mean = |total: u64| total / u64::from(timings.steps.max(1)) / 1000;
@@ -214,10 +204,9 @@ impl EpisodeData {
             let views = one.at.iter().map(|pose| world.supplied(one.variant, *pose));
             one.views = views.map(|view| ViewFile { view, is_small: true }.name()).collect();
         }
-        let variant = world.variant(record, case_index);
         Ok(Self {
             key: record.key.clone(),
-            instruction: case.task.instruction(&state.warehouse.catalogue),
+            instruction,
             ending: record.ending.name(),
             steps: record.steps,
             reference: record.reference,
@@ -226,8 +215,8 @@ impl EpisodeData {
                 meaning: kind.meaning(),
                 step: kind.decided_at(record),
             }),
-            poses: poses.iter().map(pose_data).collect(),
-            feedback: replay.iter().map(|(_, feedback)| *feedback as u8).collect(),
+            poses: steps.iter().map(|step| pose_data(&step.pose)).collect(),
+            feedback: steps.iter().map(|step| step.feedback as u8).collect(),
             actions: record.actions.clone(),
             blocked_moves: record.blocked_moves.clone(),
             sub_goals: record.sub_goals.clone(),
@@ -243,20 +232,22 @@ impl EpisodeData {
                 .collect(),
             first_seen: record.first_seen.clone(),
             tried_closed_at: record.tried_closed_at,
-            closed: state.variant.closed().iter().map(cell_data).collect(),
+            led: led(horizon, record, &closed, &demonstrations, &supplied),
+            closed: closed.iter().map(cell_data).collect(),
             first_block: record.stream.as_ref().is_some_and(|stream| stream.place == 0),
-            changes: world.changes(record),
-            targets: targets.collect(),
-            ground: RunWorld::ground(record),
-            reference_path: reference_path.collect(),
-            seen,
-            led: led(horizon, record, &state, &demonstrations, &supplied),
+            changes,
+            targets: targets.into_iter().map(target_data).collect(),
+            ground: record.stream.as_ref().map_or(0, |stream| stream.world),
+            reference_path: reference
+                .iter()
+                .flat_map(|reference| reference.poses.iter().map(|pose| cell_data(&pose.cell)))
+                .collect(),
+            seen: came_into_view.into_iter().map(seen).collect(),
             demonstrations,
             supplied,
-            views: poses
+            views: steps
                 .iter()
-                .map(|pose| world.seen(variant, *pose))
-                .map(|view| ViewFile { view, is_small: false }.name())
+                .map(|step| ViewFile { view: step.view, is_small: false }.name())
                 .collect(),
             facts: facts(record),
             stages: stages.unwrap_or_default(),
@@ -316,133 +307,146 @@ impl EpisodeData {
 struct DemonstrationCollector<'a> {
     world: &'a RunWorld,
     record: &'a EpisodeRecord,
-    state: &'a WorldState,
+    /// The variant of the episode.
+    variant: u32,
     found: Vec<(DemonstrationOrigin, DemonstrationData)>,
 }
 
 impl DemonstrationCollector<'_> {
-    /// The sources by step.
+    /// The sources by step. One that does not exist is left out.
     fn supplied<'r>(
         &mut self,
-        case: usize,
         experience: impl Fn(u32) -> Option<&'r EpisodeRecord>,
-    ) -> Vec<Vec<Supplied>> {
-        if self.record.stream.is_none() {
-            for history in self.world.cases.histories(case, self.record.demonstrations) {
-                self.demonstration(history.case, history.kind, case);
+    ) -> Result<Vec<Vec<Supplied>>> {
+        let record = self.record;
+        let retrieved = record.retrieved.iter().flat_map(|words| words.split(' '));
+        let retrieved: Vec<Vec<SourceStep>> = retrieved.map(sources).collect();
+        let case_of = |case: &Option<String>| case.as_ref().unwrap_or(&record.case).clone();
+        let named = retrieved.iter().flatten().filter_map(|source| match source {
+            SourceStep::Demonstration { case, kind, .. } => Some((case_of(case), *kind)),
+            SourceStep::Experience { .. } => None,
+        });
+        // Streams have no sets.
+        if record.stream.is_none() {
+            for acted in self.act(record.demonstrations, Vec::new())? {
+                self.add(acted);
             }
         }
-        let record = self.record;
-        let Some(retrieved) = &record.retrieved else { return Vec::new() };
+        let missing = named.filter(|(case, kind)| self.known(case, *kind).is_none());
+        let missing: BTreeSet<_> = missing.collect();
+        let mut more = self.act(Demonstrations::NONE, missing.into_iter().collect())?;
         let told = record.distances.as_deref().unwrap_or_default().split(' ');
         let told = told.map(distances).chain(repeat_with(Vec::new));
-        let of_step = |(word, told): (&str, Vec<Option<f64>>)| {
-            let told = told.into_iter().chain(repeat(None));
-            let found = sources(word).into_iter().zip(told).filter_map(|(source, told)| {
-                let (found, step) = match source {
-                    SourceStep::Demonstration { case: other, kind, step } => {
-                        let index = match other {
-                            Some(id) => self.world.cases.index(&id)?,
-                            None => case,
-                        };
-                        (self.demonstration(index, kind, case), step)
+        let mut supplied = Vec::new();
+        for (sources, told) in retrieved.into_iter().zip(told) {
+            let mut of_step = Vec::new();
+            for (source, told) in sources.into_iter().zip(told.into_iter().chain(repeat(None))) {
+                let found = match source {
+                    SourceStep::Demonstration { case, kind, step } => {
+                        let case = case_of(&case);
+                        let is_it = |one: &ActedDemonstration| one.case == case && one.kind == kind;
+                        if let Some(at) = more.iter().position(is_it) {
+                            self.add(more.swap_remove(at));
+                        }
+                        self.known(&case, kind).map(|found| (found, step))
                     }
-                    SourceStep::Experience { position, step } => {
-                        (self.episode(position, experience(position)?), step)
-                    }
+                    SourceStep::Experience { position, step } => match experience(position) {
+                        Some(past) => Some((self.episode(position, past)?, step)),
+                        None => None,
+                    },
                 };
-                Some((found, step, told))
-            });
-            found.collect()
-        };
-        retrieved.split(' ').zip(told).map(of_step).collect()
-    }
-
-    fn find(
-        &mut self,
-        origin: DemonstrationOrigin,
-        make: impl FnOnce() -> DemonstrationData,
-    ) -> usize {
-        self.found.iter().position(|(known, _)| *known == origin).unwrap_or_else(|| {
-            self.found.push((origin, make()));
-            self.found.len() - 1
-        })
-    }
-
-    /// The index of a demonstration of case number `of`; `own` is the episode's case.
-    fn demonstration(&mut self, of: usize, kind: DemonstrationKind, own: usize) -> usize {
-        let (world, state, record) = (self.world, self.state, self.record);
-        self.find(DemonstrationOrigin::Demonstration(of, kind), || {
-            let case = &world.cases.cases[of];
-            let is_planned = record.arm == Arm::Oracle;
-            // The original one stands for those that are not in the file of cases.
-            let in_file = TrajectoryKind::demonstration(kind).unwrap_or(TrajectoryKind::Original);
-            let from = case.trajectory(in_file);
-            // The oracle's demonstrations take place in the world of the episode.
-            let planned = is_planned
-                .then(|| state.reference(&state.expert(), &case.task, from.start))
-                .flatten();
-            let demonstrated =
-                world.cases.demonstrated(&world.warehouse, History { case: of, kind });
-            let (trajectory, replay, variant) = match (planned, demonstrated) {
-                (Some((planned, _)), _) => {
-                    let replay = planned.replay(&state.warehouse, &case.task, &state.variant);
-                    (planned, replay, world.variant(record, own))
-                }
-                (None, Some(found)) => {
-                    let (replay, variant) = (found.replay(), found.variant);
-                    (found.trajectory.into_owned(), replay, variant)
-                }
-                (None, None) => (from.clone(), case.replay(&world.warehouse, in_file), 0),
-            };
-            let other = if of == own { String::new() } else { format!(" of {}", case.id) };
-            let planned = if is_planned { ", planned in this world" } else { "" };
-            let can_be_stale = !is_planned && kind != DemonstrationKind::Elsewhere;
-            DemonstrationData {
-                title: format!("{} demonstration{other}{planned}", kind.name()),
-                episode: None,
-                stale: can_be_stale && !state.completes(&trajectory, &case.task),
-                elsewhere: kind == DemonstrationKind::Elsewhere,
-                poses: replay.poses.iter().map(pose_data).collect(),
-                actions: trajectory.actions.iter().map(|action| action.letter()).collect(),
-                views: Vec::new(),
-                variant,
-                at: replay.poses,
+                of_step.extend(found.map(|(found, step)| (found, step, told)));
             }
+            supplied.push(of_step);
+        }
+        Ok(supplied)
+    }
+
+    /// Acts out the demonstrations of a set, and `more`.
+    fn act(
+        &self,
+        set: Demonstrations,
+        more: Vec<(String, DemonstrationKind)>,
+    ) -> Result<Vec<ActedDemonstration>> {
+        if set == Demonstrations::NONE && more.is_empty() {
+            return Ok(Vec::new());
+        }
+        self.world.demonstrations(DemonstrationsRequest {
+            case: self.record.case.clone(),
+            set,
+            more,
+            variant: self.variant,
+            planned: self.is_planned(),
         })
+    }
+
+    /// Whether the oracle's demonstrations take place in the world of the episode.
+    fn is_planned(&self) -> bool {
+        self.record.arm == Arm::Oracle
+    }
+
+    /// The index of a demonstration that was found.
+    fn known(&self, case: &str, kind: DemonstrationKind) -> Option<usize> {
+        let origin = DemonstrationOrigin::Demonstration(case.to_owned(), kind);
+        self.found.iter().position(|(known, _)| *known == origin)
+    }
+
+    fn add(&mut self, acted: ActedDemonstration) {
+        let ActedDemonstration { case, kind, .. } = acted;
+        let other = if case == self.record.case { String::new() } else { format!(" of {case}") };
+        let planned = if self.is_planned() { ", planned in this world" } else { "" };
+        let demonstration = DemonstrationData {
+            title: format!("{} demonstration{other}{planned}", kind.name()),
+            episode: None,
+            stale: acted.is_stale,
+            elsewhere: kind == DemonstrationKind::Elsewhere,
+            poses: acted.poses.iter().map(pose_data).collect(),
+            actions: acted.actions.iter().map(|action| action.letter()).collect(),
+            views: Vec::new(),
+            variant: acted.variant,
+            at: acted.poses,
+        };
+        self.found.push((DemonstrationOrigin::Demonstration(case, kind), demonstration));
     }
 
     /// The index of the episode at `position` of the sequence, whose record is `past`.
-    fn episode(&mut self, position: u32, past: &EpisodeRecord) -> usize {
-        let (world, state) = (self.world, self.state);
-        self.find(DemonstrationOrigin::Episode(position), || {
-            let at = past.poses();
-            let actions = past.actions.chars().filter_map(domain::Action::from_letter);
-            let trajectory = Trajectory { start: past.start_pose, actions: actions.collect() };
-            let case = world.case(past).ok();
-            let stale = past.is_success()
-                && case.is_some_and(|(_, case)| !state.completes(&trajectory, &case.task));
-            DemonstrationData {
-                title: format!("episode at position {position}, {}", past.case),
-                episode: Some(past.key.clone()),
-                stale,
-                elsewhere: false,
-                poses: at.iter().map(pose_data).collect(),
-                actions: past.actions.clone(),
-                views: Vec::new(),
-                variant: case.map_or(0, |(index, _)| world.variant(past, index)),
-                at,
-            }
-        })
+    fn episode(&mut self, position: u32, past: &EpisodeRecord) -> Result<usize> {
+        let origin = DemonstrationOrigin::Episode(position);
+        if let Some(known) = self.found.iter().position(|(known, _)| *known == origin) {
+            return Ok(known);
+        }
+        let world = self.world;
+        let acted = world.act(past, EpisodeParts::default())?;
+        let is_stale = past.is_success() && {
+            let here =
+                world.act_in(past, self.variant, past.start_pose, EpisodeParts::default())?;
+            here.sub_goals.len() < here.required as usize
+        };
+        let demonstration = DemonstrationData {
+            title: format!("episode at position {position}, {}", past.case),
+            episode: Some(past.key.clone()),
+            stale: is_stale,
+            elsewhere: false,
+            poses: acted.poses.iter().map(pose_data).collect(),
+            actions: past.actions.clone(),
+            views: Vec::new(),
+            variant: world.variant(past)?,
+            at: acted.poses,
+        };
+        self.found.push((origin, demonstration));
+        Ok(self.found.len() - 1)
     }
 }
 
+fn target_data(Target { letter, name, cell }: Target) -> TargetData {
+    TargetData { letter, name, cell: cell_data(&cell) }
+}
 /// Looks for the source that leads into a closed cell where the agent tried to enter one: what was supplied for that step and enters a closed cell within
 /// the supplied steps; where demonstrations are supplied whole, the first that enters one.
 fn led(
     horizon: u32,
     record: &EpisodeRecord,
-    state: &WorldState,
+    closed: &[Cell],
     demonstrations: &[DemonstrationData],
     supplied: &[Vec<Supplied>],
 ) -> Option<LedData> {
@@ -451,7 +455,7 @@ fn led(
         let supplied = demonstrations.get(demonstration).filter(|one| !one.elsewhere)?;
         let poses = supplied.at.iter().enumerate();
         let mut ahead = poses.skip(from as usize).take(most as usize + 1);
-        let (step, _) = ahead.find(|(_, pose)| state.variant.is_closed(pose.cell))?;
+        let (step, _) = ahead.find(|(_, pose)| closed.contains(&pose.cell))?;
         u32::try_from(step).ok()
     };
     if supplied.is_empty() {

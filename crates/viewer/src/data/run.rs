@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use domain::{Action, Feedback, TaskGroup};
-use replay::RunWorld;
+use anyhow::Result;
+use case_book::CaseFacts;
+use domain::{Action, Feedback, TaskGroup, TaskType};
 use results::conditions::Condition;
 use results::log::{EpisodeRecord, RunLog};
 use results::score::{Failure, WithoutAction};
 use serde::Serialize;
-use warehouse::Case;
-use warehouse::map::MEASURES;
+use world_client::RunWorld;
 
 /// The data of a run.
 #[derive(Debug, Serialize)]
@@ -66,49 +66,54 @@ pub type EpisodeCell = (String, usize, usize, u32, usize, u32, u32, u8, String);
 
 impl RunData {
     /// The data of `log` with these `conditions`, whose views are in the folder `views`.
+    ///
+    /// # Errors
+    /// When the world does not answer.
     pub fn new(
         log: &RunLog,
         world: &RunWorld,
         conditions: &[Condition],
         views: String,
         has_views: impl Fn(usize) -> bool,
-    ) -> Self {
+    ) -> Result<Self> {
         let episodes = log.episodes.iter().enumerate();
-        let layout = &world.warehouse.layout;
+        let scene = world.scene(0)?;
+        let ((columns, rows), (cell, margin)) = (scene.size(), scene.measures);
         let condition = |condition: &Condition| {
             let (name, memory) = (condition.to_string(), condition.memory.to_string());
             let rest = name.strip_prefix(&format!("{memory}/")).unwrap_or_default().to_owned();
             ConditionData { name, memory, rest }
         };
-        Self {
+        Ok(Self {
             name: log.name.clone(),
             policy: log.manifest.policy_label().to_string(),
             facts: facts(log),
             planned: log.manifest.episodes,
             conditions: conditions.iter().map(condition).collect(),
             groups: TaskGroup::ALL.map(TaskGroup::name),
-            cases: world.cases.cases.iter().map(|case| case_data(world, case)).collect(),
+            cases: world.description().cases.iter().map(case_data).collect(),
             failures: Failure::ALL.iter().map(|kind| (kind.to_string(), kind.meaning())).collect(),
             actions: Action::ALL.iter().map(|action| (action.letter(), action.words())).collect(),
             feedback: Feedback::ALL.iter().map(|feedback| feedback.words()).collect(),
-            map: (MEASURES.0, MEASURES.1, layout.width(), layout.height()),
+            map: (cell.into(), margin.into(), columns, rows),
             views,
             episodes: episodes
                 .filter_map(|(index, record)| row(world, conditions, record, has_views(index)))
                 .collect(),
             given_up: log.errors.iter().map(|one| (one.key.clone(), one.error.clone())).collect(),
             notices: notices(log),
-        }
+        })
     }
 }
 
-fn case_data(world: &RunWorld, case: &Case) -> CaseData {
-    let group = TaskGroup::ALL.iter().position(|group| *group == case.task.task_type().group());
+fn case_data(case: &CaseFacts) -> CaseData {
+    let task = TaskType::try_from(case.task).ok();
+    let is_group = |group: &TaskGroup| task.is_some_and(|task| task.group() == *group);
     CaseData {
         id: case.id.clone(),
-        group: group.unwrap_or(0),
-        task: case.task.task_type().name(),
-        instruction: case.task.instruction(&world.warehouse.catalogue),
+        group: TaskGroup::ALL.iter().position(is_group).unwrap_or(0),
+        task: task.map_or("", TaskType::name),
+        instruction: case.instruction.clone(),
     }
 }
 
@@ -124,7 +129,7 @@ pub fn row(
     Some((
         record.key.clone(),
         conditions.iter().position(|one| *one == condition)?,
-        world.cases.index(&record.case)?,
+        world.index(&record.case)?,
         record.run,
         outcome(record),
         record.steps,

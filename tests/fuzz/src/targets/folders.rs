@@ -8,8 +8,6 @@ use std::sync::OnceLock;
 
 use orchestrator::status::LiveStatus;
 use orchestrator::units::UnitPlan;
-use replay::RecordedRun;
-use replay::frames::ViewProgram;
 use report::Published;
 use results::compare::compare_runs;
 use results::latency::LatencyRecord;
@@ -21,6 +19,9 @@ use results::score::score;
 use results::step_view::PromptLog;
 use serde_json::Value;
 use viewer::Site;
+use warehouse::RunWorlds;
+use warehouse::act::Stage;
+use world_client::{Asker, RecordedRun, WorldAccess, WorldFiles, WorldProgram};
 
 use crate::files::with_files;
 use crate::input::files;
@@ -155,12 +156,22 @@ pub(crate) fn merged(input: &[u8]) {
 }
 
 /// The program that renders views is not there: a view is an error.
-fn program() -> ViewProgram {
-    ViewProgram { path: "/nonexistent/sim-proc".into(), variable: ("UNUSED", "") }
+fn program() -> WorldProgram {
+    WorldProgram { path: "/nonexistent/sim-proc".into(), variable: ("UNUSED", "") }
+}
+
+/// The worlds of a run, in this process.
+fn access() -> WorldAccess {
+    WorldAccess::new(|log| {
+        let WorldFiles { assets, streams, elsewhere } = WorldFiles::of(log);
+        let [assets, streams, elsewhere] = [&assets, &streams, &elsewhere].map(Option::as_deref);
+        let mut stage = Stage::new(RunWorlds::read(assets, streams, elsewhere)?);
+        Ok(Asker::new(move |request| Ok(stage.answer(request))))
+    })
 }
 
 fn site(folder: &Path) -> Option<Site> {
-    Site::new(vec![RecordedRun::read(folder).ok()?], &program(), true).ok()
+    Site::new(vec![RecordedRun::read(folder, &access()).ok()?], &program(), true).ok()
 }
 
 /// Files beside a run that no page may show.
@@ -178,7 +189,7 @@ pub(crate) fn viewer_run(input: &[u8]) {
                 fs::write(file, format!("\"{SECRET}\"")).unwrap();
             }
         }
-        let Ok(run) = RecordedRun::read(folder) else { return };
+        let Ok(run) = RecordedRun::read(folder, &access()) else { return };
         let mut prompts = PromptLog::of(&run.log);
         for timings in run.log.timings.iter().take(3) {
             let _ = prompts.entry(timings, 0);

@@ -55,10 +55,10 @@ pub(crate) fn names(input: &[u8]) {
     if let Some(key) = EpisodeKey::read(text) {
         assert_eq!(EpisodeKey::read(&key.to_string()), Some(key));
     }
-    let _ = text.parse::<replay::Selection>();
+    let _ = text.parse::<world_client::Selection>();
     let _ = text.parse::<viewer::Address>();
     let _ = text.parse::<export::HubDataset>();
-    let _ = replay::frames::of_file_name(text).map(replay::frames::file_name);
+    let _ = world_client::frames::of_file_name(text).map(world_client::frames::file_name);
     let _ = text.chars().filter_map(Action::from_letter).count();
 }
 

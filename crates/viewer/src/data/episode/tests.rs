@@ -1,9 +1,10 @@
 use results::conditions::Route;
 use results::log::testing::{log, record};
 use serde_json::Value;
-use warehouse::{CaseSet, Variant, Warehouse};
+use warehouse::{CaseSet, TrajectoryKind, Variant, Warehouse};
 
 use super::*;
+use crate::testing::built_in;
 
 /// The data of an episode of the first case that takes these actions and retrieves `retrieved`, with other `changes`.
 fn episode(
@@ -11,13 +12,13 @@ fn episode(
     retrieved: Option<&str>,
     changes: impl FnOnce(&mut EpisodeRecord),
 ) -> EpisodeData {
-    let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+    let cases = CaseSet::shipped();
     let mut record = record(&cases.cases[0].id, false);
     (record.start_pose, record.actions) = (cases.cases[0].test.start, actions.to_owned());
     record.steps = actions.len() as u32;
     record.retrieved = retrieved.map(str::to_owned);
     changes(&mut record);
-    let world = RunWorld::new(&log(Vec::new()), warehouse, cases).unwrap();
+    let world = RunWorld::new(&log(Vec::new()), &built_in()).unwrap();
     let episode = LoggedEpisode {
         record: &record,
         timings: None,
@@ -98,4 +99,14 @@ fn every_step_has_a_pose_a_view_of_its_world_and_what_came_into_view() {
     let again: Vec<u64> = serde_json::from_value(shown["seen"][2].clone()).unwrap();
     assert!(!seen.is_empty() && again.is_empty());
     assert_eq!(shown["failure"]["step"], 2);
+}
+
+#[test]
+fn a_source_that_its_case_does_not_have_is_left_out() {
+    let shown =
+        serde_json::to_value(episode("LLL", Some("w2 t99-01:o1 t01-02:a3"), |_| ())).unwrap();
+    let titles = shown["demonstrations"].as_array().unwrap().iter().map(|one| &one["title"]);
+    let titles: Vec<&Value> = titles.collect();
+    assert_eq!(titles, ["original demonstration", "after demonstration of t01-02"]);
+    assert_eq!(shown["supplied"], serde_json::json!([[], [], [[1, 3, null]]]));
 }

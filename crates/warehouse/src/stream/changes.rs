@@ -1,29 +1,31 @@
 //! What happens to the world of a stream on the way from one of its blocks to another.
 
-use warehouse::Warehouse;
-use warehouse::stream::{Event, Stream};
+use super::{Event, Stream};
+use crate::world::Warehouse;
 
-/// What happens on the way from block `from` of `stream` to block `to`, in words: the events of the blocks between them. On the
-/// way to an earlier block they are undone, the last one first. A passage that closes and opens again on the way is left out.
-pub(crate) fn changes(stream: &Stream, from: u32, to: u32, warehouse: &Warehouse) -> Vec<String> {
-    let between = |first: u32, last: u32| {
-        let blocks = stream.blocks.get(first as usize + 1..=last as usize).unwrap_or_default();
-        blocks.iter().flat_map(|block| &block.events)
-    };
-    let (forward, back) = (between(from, to), between(to, from).rev());
-    let on_the_way = forward.map(|event| (event, false)).chain(back.map(|event| (event, true)));
-    let mut changes: Vec<(&Event, bool)> = Vec::new();
-    for (event, is_undone) in on_the_way {
-        let contrary = changes.iter().position(|(earlier, _)| are_contrary(earlier, event));
-        match contrary {
-            Some(earlier) => drop(changes.remove(earlier)),
-            None => changes.push((event, is_undone)),
+impl Stream {
+    /// What happens on the way from block `from` to block `to`, in words: the events of the blocks between them. On the way to
+    /// an earlier block they are undone, the last one first. A passage that closes and opens again on the way is left out.
+    pub(crate) fn changes(&self, from: u32, to: u32, warehouse: &Warehouse) -> Vec<String> {
+        let between = |first: u32, last: u32| {
+            let blocks = self.blocks.get(first as usize + 1..=last as usize).unwrap_or_default();
+            blocks.iter().flat_map(|block| &block.events)
+        };
+        let (forward, back) = (between(from, to), between(to, from).rev());
+        let on_the_way = forward.map(|event| (event, false)).chain(back.map(|event| (event, true)));
+        let mut changes: Vec<(&Event, bool)> = Vec::new();
+        for (event, is_undone) in on_the_way {
+            let contrary = changes.iter().position(|(earlier, _)| are_contrary(earlier, event));
+            match contrary {
+                Some(earlier) => drop(changes.remove(earlier)),
+                None => changes.push((event, is_undone)),
+            }
         }
+        let words = changes.into_iter().map(|(event, is_undone)| {
+            if is_undone { describe_undone(event, warehouse) } else { event.describe(warehouse) }
+        });
+        words.collect()
     }
-    let words = changes.into_iter().map(|(event, is_undone)| {
-        if is_undone { describe_undone(event, warehouse) } else { event.describe(warehouse) }
-    });
-    words.collect()
 }
 
 /// What takes `event` back, in words.
@@ -50,9 +52,9 @@ fn are_contrary(one: &Event, other: &Event) -> bool {
 #[cfg(test)]
 mod tests {
     use domain::Cell;
-    use warehouse::stream::Block;
 
     use super::*;
+    use crate::stream::Block;
 
     #[test]
     fn changes_follow_the_way_from_block_to_block() {
@@ -73,7 +75,7 @@ mod tests {
         let there = format!("move {name} from (2, 8) to (3, 8)");
         let back = format!("move {name} from (3, 8) to (2, 8)");
         let [add, remove] = ["add", "remove"].map(|verb| format!("{verb} {name} at (2, 8)"));
-        let changes = |from, to| changes(&stream, from, to, &warehouse);
+        let changes = |from, to| stream.changes(from, to, &warehouse);
         assert_eq!(changes(0, 1), std::slice::from_ref(&close));
         assert_eq!(changes(1, 3), [there.clone(), add.clone(), open.clone()]);
         assert_eq!(changes(3, 1), [close, remove.clone(), back.clone()]);

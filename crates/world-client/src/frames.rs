@@ -2,23 +2,15 @@
 
 use std::ffi::OsString;
 use std::io::{self, BufReader, Read, Write};
-use std::path::PathBuf;
-use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::process::{Child, ChildStdin, ChildStdout, Stdio};
 use std::thread;
 
 use anyhow::{Context, Result, anyhow};
 use domain::Pose;
 use jpeg_encoder::{ColorType, Encoder};
-use results::log::{ELSEWHERE_FILE, ELSEWHERE_HASH, RunLog, STREAMS_FILE};
+use results::log::RunLog;
 
-/// The program that renders views, `sim-proc`, and a variable that it needs.
-#[derive(Debug, Clone)]
-pub struct ViewProgram {
-    /// Its path.
-    pub path: PathBuf,
-    /// Name and value of the variable.
-    pub variable: (&'static str, &'static str),
-}
+use crate::program::{WorldFiles, WorldProgram};
 
 /// Size and quality of the JPEG files of views.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,7 +21,7 @@ pub struct ViewFormat {
     pub quality: u8,
 }
 
-/// What a view shows: the number of the world variant, or [`GREY_VARIANT`](warehouse::GREY_VARIANT), and the pose.
+/// What a view shows: the number of the world variant, or [`GREY_VARIANT`](case_book::GREY_VARIANT), and the pose.
 pub type ViewKey = (u32, Pose);
 
 /// `sim-proc views` as a child process. It ends when this is dropped.
@@ -42,40 +34,29 @@ pub struct ViewRenderer {
 }
 
 /// The arguments of the renderer that say what the world of the run `log` is, and how it looks.
-pub fn world_arguments(log: &RunLog) -> Vec<OsString> {
-    let settings = &log.manifest.settings;
-    let mut arguments: Vec<OsString> = Vec::new();
-    let mut flag = |name: &str, value: OsString| arguments.extend([name.into(), value]);
-    if let Some(assets) = &settings.assets {
-        flag("--assets", assets.into());
-    }
-    if settings.stream.is_some() {
-        flag("--streams", log.dir.join(STREAMS_FILE).into());
-    }
-    if log.manifest.hashes.contains_key(ELSEWHERE_HASH) {
-        flag("--elsewhere", log.dir.join(ELSEWHERE_FILE).into());
-    }
-    for (name, value) in settings.appearance().flags() {
-        flag(name, value.into());
+pub fn view_arguments(log: &RunLog) -> Vec<OsString> {
+    let mut arguments = WorldFiles::of(log).arguments();
+    for (name, value) in log.manifest.settings.appearance().flags() {
+        arguments.extend([name.into(), value.into()]);
     }
     arguments
 }
 
 impl ViewRenderer {
-    /// Starts `program` with `arguments`, which are the [`world_arguments`] of a run.
+    /// Starts `program` with `arguments`, which are the [`view_arguments`] of a run.
     ///
     /// # Errors
     /// When it cannot be started.
     pub fn start(
-        program: &ViewProgram,
+        program: &WorldProgram,
         arguments: &[OsString],
         format: ViewFormat,
     ) -> Result<Self> {
         let edge = format.edge;
-        let mut child = Command::new(&program.path)
-            .args(["views", "--size", &format!("{edge}x{edge}")])
+        let mut child = program
+            .command("views")
+            .args(["--size", &format!("{edge}x{edge}")])
             .args(arguments)
-            .env(program.variable.0, program.variable.1)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()

@@ -2,14 +2,16 @@
 //! items, and when an item first came into view.
 //!
 //! Whether a visit counts, and in which order visits must come, is decided by
-//! [`Progress`](warehouse::Progress).
+//! [`Progress`](crate::Progress).
 
 use std::collections::BTreeMap;
 
 use domain::events::{Requirement, Visit};
 use domain::{Cell, Pose};
-use warehouse::sight::sees;
-use warehouse::{Item, Task, Warehouse};
+
+use crate::sight::sees;
+use crate::task::Task;
+use crate::world::{Item, Warehouse};
 
 /// Records the events of one episode.
 #[derive(Debug, Clone)]
@@ -74,7 +76,7 @@ fn requirement(task: &Task, item: &Item) -> Requirement {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use warehouse::{CaseSet, TrajectoryKind};
+    use crate::{CaseSet, TrajectoryKind};
 
     /// What is recorded of a case's original demonstration.
     fn recorded(id: &str) -> (String, String) {

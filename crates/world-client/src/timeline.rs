@@ -1,0 +1,200 @@
+//! An episode step by step.
+
+use anyhow::Result;
+use case_book::act::{ActedEpisode, ActedReference, EpisodeParts, EpisodeScenery};
+use domain::{Action, Feedback, Pose};
+use results::log::EpisodeRecord;
+use results::score::Failure;
+use serde::{Serialize, Serializer};
+
+use crate::frames::ViewKey;
+use crate::world::RunWorld;
+
+/// A recorded episode, acted out by its world. `show`, pages, tables, recordings and the Python package are views of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EpisodeTimeline<'a> {
+    /// What the log has.
+    pub record: &'a EpisodeRecord,
+    /// The instruction.
+    pub instruction: String,
+    /// The world variant in which it takes place.
+    pub variant: u32,
+    /// The begin, and the moment after each step.
+    pub steps: Vec<TimelineStep<'a>>,
+    /// What happened beside the moves, in the order of steps.
+    pub events: Vec<EpisodeEvent>,
+    /// What the expert does, if it was asked for and there is something.
+    pub reference: Option<ActedReference>,
+    /// What a map shows, if it was asked for.
+    pub scenery: Option<EpisodeScenery>,
+}
+
+/// A moment of an episode.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TimelineStep<'a> {
+    /// Steps taken before.
+    #[serde(skip)]
+    pub step: u32,
+    /// The agent's pose.
+    pub pose: Pose,
+    /// The feedback on the last action.
+    #[serde(serialize_with = "in_words")]
+    pub feedback: Feedback,
+    /// What the agent did next; `None` at the end and where the answer could not be read.
+    #[serde(serialize_with = "action_in_words")]
+    pub action: Option<Action>,
+    /// The sub-goals met so far.
+    #[serde(skip)]
+    pub sub_goals: usize,
+    /// The retrieval, as the log writes it: `o12`, `t03-07:o4`, `-`. `None` where nothing is retrieved.
+    pub retrieved: Option<&'a str>,
+    /// The distances, as the log writes them. `None` where none is known.
+    pub distances: Option<&'a str>,
+    /// The view that the policy was shown.
+    #[serde(skip)]
+    pub view: ViewKey,
+}
+
+fn in_words<S: Serializer>(feedback: &Feedback, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(feedback.words())
+}
+
+fn action_in_words<S: Serializer>(action: &Option<Action>, to: S) -> Result<S::Ok, S::Error> {
+    action.map(Action::words).serialize(to)
+}
+
+impl<'a> EpisodeTimeline<'a> {
+    /// The episode of `record`, which took place in `world`, with these parts.
+    ///
+    /// # Errors
+    /// When it does not fit the world.
+    pub fn new(world: &RunWorld, record: &'a EpisodeRecord, parts: EpisodeParts) -> Result<Self> {
+        let variant = world.variant(record)?;
+        let acted = world.act(record, parts)?;
+        let views = world.seen(variant, &acted.poses)?;
+        Ok(Self::of(record, variant, acted, views))
+    }
+
+    fn of(
+        record: &'a EpisodeRecord,
+        variant: u32,
+        acted: ActedEpisode,
+        views: Vec<ViewKey>,
+    ) -> Self {
+        let words =
+            |column: &'a Option<String>| column.as_deref().unwrap_or_default().split_whitespace();
+        let (mut retrieved, mut distances) = (words(&record.retrieved), words(&record.distances));
+        let mut actions = record.actions.chars();
+        let moments = (0..).zip(acted.poses).zip(acted.feedback).zip(views);
+        let steps = moments.map(|(((step, pose), feedback), view)| TimelineStep {
+            step,
+            pose,
+            feedback,
+            action: actions.next().and_then(Action::from_letter),
+            sub_goals: record.sub_goals.iter().filter(|met| **met <= step).count(),
+            retrieved: retrieved.next(),
+            distances: distances.next(),
+            view,
+        });
+        Self {
+            record,
+            variant,
+            steps: steps.collect(),
+            events: events(record),
+            instruction: acted.instruction,
+            reference: acted.reference,
+            scenery: acted.scenery,
+        }
+    }
+
+    /// The moments at which the agent decided: all but the end.
+    pub fn decisions(&self) -> &[TimelineStep<'a>] {
+        &self.steps[..self.steps.len() - 1]
+    }
+}
+
+/// How much attention an event deserves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum EventLevel {
+    /// The episode goes on as it should.
+    Info,
+    /// Something went wrong.
+    Warning,
+    /// The episode fails.
+    Error,
+}
+
+/// An event of an episode.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct EpisodeEvent {
+    /// Steps taken when it happened.
+    pub step: u32,
+    /// How much attention it deserves.
+    pub level: EventLevel,
+    /// It in words.
+    pub words: String,
+}
+
+/// The events of an episode in the order of steps.
+fn events(record: &EpisodeRecord) -> Vec<EpisodeEvent> {
+    let mut events = Vec::new();
+    let mut add = |step: u32, level: EventLevel, words: &str| {
+        events.push(EpisodeEvent { step, level, words: words.to_owned() });
+    };
+    for (step, letter) in (1..).zip(record.actions.chars()) {
+        if Action::from_letter(letter).is_none() {
+            add(step, EventLevel::Warning, "no action could be read in the answer");
+        }
+    }
+    for &step in &record.blocked_moves {
+        add(step, EventLevel::Warning, "the move was blocked");
+    }
+    if let Some(step) = record.tried_closed_at {
+        add(step, EventLevel::Warning, "tried to enter the closed passage");
+    }
+    for (met, &step) in (1..).zip(&record.sub_goals) {
+        add(step, EventLevel::Info, &format!("sub-goal {met} of {} is met", record.required));
+    }
+    match Failure::of(record) {
+        None => add(record.steps, EventLevel::Info, "the task is complete"),
+        Some(failure) => {
+            let words = format!("failed: {failure} ({})", failure.meaning());
+            add(failure.decided_at(record), EventLevel::Error, &words);
+        }
+    }
+    events.sort_by_key(|event| event.step);
+    events
+}
+
+#[cfg(test)]
+mod tests {
+    use results::log::testing::record;
+
+    use super::*;
+
+    #[test]
+    fn events_are_in_the_order_of_steps() {
+        let mut one = record("a", false);
+        (one.actions, one.steps, one.required) = ("f?ff".to_owned(), 4, 2);
+        (one.blocked_moves, one.tried_closed_at) = (vec![3], Some(3));
+        one.sub_goals = vec![1];
+        let shown: Vec<String> = events(&one)
+            .into_iter()
+            .map(|EpisodeEvent { step, level, words }| format!("{step} {level:?} {words}"))
+            .collect();
+        insta::assert_snapshot!(shown.join("\n"), @"
+        1 Info sub-goal 1 of 2 is met
+        2 Warning no action could be read in the answer
+        3 Warning the move was blocked
+        3 Warning tried to enter the closed passage
+        3 Error failed: blocked (tried to enter a closed cell, then met no requirement and hardly went anywhere new)
+        ");
+        let last = EpisodeEvent {
+            step: 10,
+            level: EventLevel::Info,
+            words: "the task is complete".to_owned(),
+        };
+        assert_eq!(events(&record("a", true)).pop(), Some(last));
+    }
+}

@@ -1,0 +1,208 @@
+//! The worlds that the episodes of a run took place in.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::rc::Rc;
+
+use anyhow::{Context, Result, bail};
+use case_book::act::{
+    ActAnswer, ActRequest, ActedDemonstration, ActedEpisode, ActedReference, DemonstrationsRequest,
+    EpisodeParts, EpisodeRequest, Scene, StreamBlockPlace, WorldDescription,
+};
+use case_book::{CaseFacts, GREY_VARIANT};
+use domain::{Action, Pose, Route, Start};
+use results::conditions::Frames;
+use results::log::{EpisodeRecord, RunLog};
+
+use crate::frames::ViewKey;
+use crate::program::{Asker, WorldAccess, describe};
+
+/// The world of a run: its cases, and answers about its episodes.
+#[derive(Debug)]
+pub struct RunWorld {
+    asker: RefCell<Asker>,
+    description: WorldDescription,
+    /// What frames showed.
+    frames: Frames,
+    /// Those that were asked for, by variant.
+    scenes: RefCell<BTreeMap<u32, Rc<Scene>>>,
+}
+
+impl RunWorld {
+    /// The world of the run `log`, which `access` leads to.
+    ///
+    /// # Errors
+    /// When a file of the run's world cannot be used.
+    pub fn new(log: &RunLog, access: &WorldAccess) -> Result<Self> {
+        Self::of(access.asker(log)?, log.manifest.settings.frames)
+    }
+
+    /// The world that `asker` answers about, with these frames.
+    ///
+    /// # Errors
+    /// When it does not answer.
+    pub fn of(mut asker: Asker, frames: Frames) -> Result<Self> {
+        let description = describe(&mut asker)?;
+        Ok(Self { asker: RefCell::new(asker), description, frames, scenes: RefCell::default() })
+    }
+
+    /// What it is.
+    pub fn description(&self) -> &WorldDescription {
+        &self.description
+    }
+
+    /// The index of the case with this id.
+    pub fn index(&self, id: &str) -> Option<usize> {
+        self.description.cases.iter().position(|case| case.id == id)
+    }
+
+    /// The case of `record`, and its index.
+    ///
+    /// # Errors
+    /// When there is no such case.
+    pub fn case(&self, record: &EpisodeRecord) -> Result<(usize, &CaseFacts)> {
+        let index = self.index(&record.case);
+        let index = index.with_context(|| format!("there is no case {}", record.case))?;
+        Ok((index, &self.description.cases[index]))
+    }
+
+    /// The number of the world variant in which the episode of `record` took place.
+    ///
+    /// # Errors
+    /// When there is no such case, or a stream has no such world.
+    pub fn variant(&self, record: &EpisodeRecord) -> Result<u32> {
+        let (index, _) = self.case(record)?;
+        if let Some(stream) = &record.stream {
+            let variant = self.description.states.get(stream.world as usize);
+            return variant.copied().with_context(|| format!("there is no world {}", stream.world));
+        }
+        Ok(match record.route {
+            Route::Blocked => self.description.blocked[index],
+            Route::Unchanged => 0,
+        })
+    }
+
+    /// The views that the policy was shown at `poses` in the world variant `variant`: others than the true ones where frames
+    /// were a control.
+    ///
+    /// # Errors
+    /// When there is no such variant.
+    pub fn seen(&self, variant: u32, poses: &[Pose]) -> Result<Vec<ViewKey>> {
+        let of = |variant, poses: &[Pose]| poses.iter().map(|pose| (variant, *pose)).collect();
+        Ok(match self.frames {
+            Frames::Rendered => of(variant, poses),
+            Frames::Blank | Frames::BlankAll => of(GREY_VARIANT, poses),
+            Frames::Swapped => {
+                let request = ActRequest::Swapped(variant, poses.to_vec());
+                let ActAnswer::Swapped(shown) = self.asker.borrow_mut().ask(&request)? else {
+                    bail!("the world swaps something else");
+                };
+                of(variant, &shown)
+            }
+        })
+    }
+
+    /// The view from `pose` in the world variant `variant` that memory was given.
+    pub fn supplied(&self, variant: u32, pose: Pose) -> ViewKey {
+        match self.frames {
+            Frames::BlankAll => (GREY_VARIANT, pose),
+            Frames::Rendered | Frames::Blank | Frames::Swapped => (variant, pose),
+        }
+    }
+
+    /// Acts out the episode of `record`, with these parts.
+    ///
+    /// # Errors
+    /// When it does not fit the world.
+    pub fn act(&self, record: &EpisodeRecord, parts: EpisodeParts) -> Result<ActedEpisode> {
+        self.act_in(record, self.variant(record)?, record.start_pose, parts)
+    }
+
+    /// As [`act`](Self::act), from `begin` in the world variant `variant`.
+    ///
+    /// # Errors
+    /// Likewise.
+    pub fn act_in(
+        &self,
+        record: &EpisodeRecord,
+        variant: u32,
+        begin: Pose,
+        parts: EpisodeParts,
+    ) -> Result<ActedEpisode> {
+        let request = EpisodeRequest {
+            case: record.case.clone(),
+            variant,
+            reference: record.stream.is_none().then_some((record.start, record.route)),
+            begin: Some(begin),
+            actions: record.actions.chars().map(Action::from_letter).collect(),
+            stream: record.stream.as_ref().map(|stream| StreamBlockPlace {
+                stream: stream.stream,
+                order: stream.order,
+                place: stream.place,
+                block: stream.block,
+            }),
+            parts,
+        };
+        self.episode(request)
+    }
+
+    fn episode(&self, request: EpisodeRequest) -> Result<ActedEpisode> {
+        match self.asker.borrow_mut().ask(&ActRequest::Episode(request))? {
+            ActAnswer::Episode(acted) => Ok(*acted),
+            _ => bail!("the world acts out something else"),
+        }
+    }
+
+    /// What the expert does from a start of a case.
+    ///
+    /// # Errors
+    /// When there is no such case or variant.
+    pub fn reference(
+        &self,
+        case: &str,
+        variant: u32,
+        of: (Start, Route),
+    ) -> Result<ActedReference> {
+        let request = EpisodeRequest {
+            case: case.to_owned(),
+            variant,
+            reference: Some(of),
+            begin: None,
+            actions: Vec::new(),
+            stream: None,
+            parts: EpisodeParts { reference: true, ..EpisodeParts::default() },
+        };
+        self.episode(request)?.reference.context("there is no reference")
+    }
+
+    /// Acts out demonstrations.
+    ///
+    /// # Errors
+    /// When there is no such case or variant.
+    pub fn demonstrations(
+        &self,
+        request: DemonstrationsRequest,
+    ) -> Result<Vec<ActedDemonstration>> {
+        match self.asker.borrow_mut().ask(&ActRequest::Demonstrations(request))? {
+            ActAnswer::Demonstrations(acted) => Ok(acted),
+            _ => bail!("the world acts out something else"),
+        }
+    }
+
+    /// The world variant with this number from above.
+    ///
+    /// # Errors
+    /// When there is no such variant.
+    pub fn scene(&self, variant: u32) -> Result<Rc<Scene>> {
+        if let Some(known) = self.scenes.borrow().get(&variant) {
+            return Ok(Rc::clone(known));
+        }
+        let ActAnswer::Scene(scene) = self.asker.borrow_mut().ask(&ActRequest::Scene(variant))?
+        else {
+            bail!("the world shows something else");
+        };
+        let scene = Rc::new(scene);
+        self.scenes.borrow_mut().insert(variant, Rc::clone(&scene));
+        Ok(scene)
+    }
+}
