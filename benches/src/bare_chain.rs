@@ -139,8 +139,10 @@ pub(crate) fn sim(arguments: &[String]) -> Result<()> {
 pub(crate) fn memory(arguments: &[String]) -> Result<()> {
     let bus = join(arguments, Role::Memory)?;
     let (recalls, traces) = (bus.sender()?, bus.sender()?);
+    let reports = bus.receiver::<StepReport>()?;
     recalls.wait_for_receivers(PATIENCE)?;
     relay(&bus, Role::Policy, |observations| {
+        reports.drain()?;
         for &Observation { episode, lane, step, .. } in observations {
             traces.send(&RecallTrace { episode, lane, step, ..RecallTrace::zeroed() })?;
             recalls.send(&Recall { episode, lane, step, ..Recall::zeroed() })?;

@@ -4,7 +4,7 @@
 //! renders the views of its cases once. It is a run with a run folder of its own.
 
 use std::fs;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::ops::Range;
 use std::path::Path;
 
@@ -152,6 +152,11 @@ impl UnitPlan {
         let mut draft = path.as_os_str().to_owned();
         draft.push(".new");
         let write = || {
+            // A link in the draft's place goes, and not what it points to.
+            match fs::remove_file(&draft) {
+                Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
+                _ => {}
+            }
             let mut file = durable::output::create(Path::new(&draft))?;
             serde_json::to_writer_pretty(&mut file, self)?;
             file.write_all(b"\n")?;

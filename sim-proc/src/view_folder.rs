@@ -104,9 +104,15 @@ fn first_half(hash: [u8; 2 * HASH]) -> [u8; HASH] {
     std::array::from_fn(|at| hash[at])
 }
 
-/// Removes the folders in `root` that are [`UNUSED`]; what cannot be removed stays.
+/// Removes the folders of views in `root` that are [`UNUSED`]; what cannot be removed stays.
 fn remove_unused(root: &Path) {
     for entry in fs::read_dir(root).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let is_ours =
+            name.len() == 2 * HASH && name.as_encoded_bytes().iter().all(u8::is_ascii_hexdigit);
+        if !is_ours {
+            continue;
+        }
         let changed = entry.metadata().and_then(|facts| facts.modified()).ok();
         if changed.and_then(|at| at.elapsed().ok()).is_some_and(|age| age > UNUSED) {
             let _ = fs::remove_dir_all(entry.path());

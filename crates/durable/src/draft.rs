@@ -39,6 +39,9 @@ impl FolderDraft {
         }
         remove(&draft)?;
         fs::create_dir(&draft)?;
+        if fs::symlink_metadata(target).is_ok_and(|of| of.is_dir()) {
+            copy_mode(target, &draft)?;
+        }
         Ok(Self { target: target.to_owned(), draft })
     }
 
@@ -105,11 +108,17 @@ fn link(from: &Path, to: &Path) -> io::Result<()> {
         };
     }
     fs::create_dir_all(to)?;
+    copy_mode(from, to)?;
     for entry in fs::read_dir(from)? {
         let name = entry?.file_name();
         link(&from.join(&name), &to.join(name))?;
     }
     Ok(())
+}
+
+/// Gives the folder `to` the permissions of the folder `from`.
+fn copy_mode(from: &Path, to: &Path) -> io::Result<()> {
+    fs::set_permissions(to, fs::metadata(from)?.permissions())
 }
 
 /// Removes a folder, or a file or link in its place, if there is one.
@@ -124,6 +133,8 @@ fn remove(path: &Path) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
     use super::*;
 
     #[test]
@@ -163,10 +174,17 @@ mod tests {
         let draft = FolderDraft::new(&target).unwrap();
         fs::create_dir_all(target.join("mine/deep")).unwrap();
         fs::write(target.join("mine/deep/file"), "mine").unwrap();
+        let is_private =
+            |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o777 == 0o700;
+        let private = [target.clone(), target.join("mine/deep")];
+        for folder in &private {
+            fs::set_permissions(folder, fs::Permissions::from_mode(0o700)).unwrap();
+        }
         fs::write(draft.path().join("b"), "new").unwrap();
         draft.keep(&["mine".into(), "b".into()]).unwrap();
         draft.finish().unwrap();
         assert_eq!(names(&target), ["b", "mine"]);
+        assert!(private.iter().all(|folder| is_private(folder)));
         assert_eq!(fs::read(target.join("mine/deep/file")).unwrap(), b"mine");
         assert_eq!(fs::read(target.join("b")).unwrap(), b"new");
         // After a kill between two renames, the folder of before has its name again.

@@ -14,6 +14,8 @@ pub(crate) fn write_whole(path: &Path, write: impl FnOnce(&Path) -> Result<()>) 
     let mut draft = OsString::from(path);
     draft.push(".part");
     let draft = PathBuf::from(draft);
+    // What an interrupted export left. A link in its place goes, and not what it points to.
+    let _ = fs::remove_file(&draft);
     let written = write(&draft).and_then(|()| {
         fs::rename(&draft, path).with_context(|| format!("cannot write {}", path.display()))
     });
@@ -35,4 +37,21 @@ pub(crate) fn write_text(path: &Path, text: &str) -> Result<()> {
 /// Whether `path` names a file with this extension, as opposed to a folder.
 pub(crate) fn is_file(path: &Path, extension: &str) -> bool {
     path.extension().is_some_and(|found| found.eq_ignore_ascii_case(extension))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_link_in_the_place_of_a_draft_is_not_written_through() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        fs::write(path("mine"), "mine").unwrap();
+        std::os::unix::fs::symlink("mine", path("table.csv.part")).unwrap();
+        write_text(&path("table.csv"), "new").unwrap();
+        assert_eq!(fs::read_to_string(path("mine")).unwrap(), "mine");
+        assert_eq!(fs::read_to_string(path("table.csv")).unwrap(), "new");
+        assert!(fs::symlink_metadata(path("table.csv")).unwrap().is_file());
+    }
 }

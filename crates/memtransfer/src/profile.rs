@@ -15,6 +15,7 @@ use orchestrator::machine::{Machine, floors};
 use orchestrator::pipeline;
 use orchestrator::profile::recorder::AccessRecorder;
 use orchestrator::profile::search;
+use orchestrator::scratch::ScratchFolder;
 use orchestrator::selection::SelectedCases;
 use results::conditions::representation;
 use results::log::DOCUMENTS_FOLDER;
@@ -29,9 +30,6 @@ use super::{Exit, print};
 use crate::access_profile::summary::summary;
 use crate::access_profile::{AccessRun, CacheState, Profile, SCHEMA};
 use crate::signals::Signals;
-
-/// The folder of temporary files.
-const SCRATCH: &str = "scratch";
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -167,7 +165,7 @@ pub(super) fn run(args: &ProfileArgs) -> Result<Exit> {
     let extent = args.extent();
     let signals = Signals::listen().context("cannot listen to signals")?;
     let unix_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
-    let scratch = Scratch::make(&args.out)?;
+    let scratch = Scratch::make()?;
     let profiler = Profiler { args, extent: &extent, scratch, signals };
     args.progress("the machine's floors");
     let mut profile = Profile {
@@ -247,7 +245,7 @@ impl Profiler<'_> {
         let Self { args, extent, scratch, .. } = self;
         let repetitions = if way.caches == CacheState::Cold { 1 } else { extent.repetitions };
         let names: Vec<&str> = extent.memory.iter().map(|memory| memory.name()).collect();
-        let (memory, out) = (names.join(","), scratch.folder.join("run").display().to_string());
+        let (memory, out) = (names.join(","), scratch.path().join("run").display().to_string());
         let numbers = [extent.cases, repetitions, extent.steps, way.lanes, way.spin_us];
         let [cases, runs, steps, lanes, spin_us] = numbers.map(|number| number.to_string());
         let mut flags = vec![
@@ -276,7 +274,7 @@ impl Profiler<'_> {
     fn measure(&self, way: RunWay) -> Result<Option<(AccessRun, Vec<String>)>> {
         let Self { args, scratch, signals, .. } = self;
         let mut settings = self.settings(way)?;
-        let logs = scratch.folder.join("logs");
+        let logs = scratch.path().join("logs");
         let note = &mut |note: &str| args.progress(note);
         let started = external_memory::start(&settings, Some(logs.clone()), signals.stop(), note)?;
         if settings.has_external_memories() && started.is_none() {
@@ -355,21 +353,15 @@ impl Profiler<'_> {
     }
 }
 
-/// The folder of a profile's temporary files: an empty cache folder, and the processes' logs. Removed when it is
-/// dropped.
+/// A temporary folder with an empty cache folder and the processes' logs.
 #[derive(Debug)]
 struct Scratch {
-    folder: PathBuf,
+    folder: ScratchFolder,
 }
 
 impl Scratch {
-    fn make(out: &Path) -> Result<Self> {
-        fs::create_dir_all(out).with_context(|| format!("cannot make {}", out.display()))?;
-        let folder = fs::canonicalize(out)?.join(SCRATCH);
-        if folder.exists() {
-            fs::remove_dir_all(&folder)
-                .with_context(|| format!("cannot remove {}", folder.display()))?;
-        }
+    fn make() -> Result<Self> {
+        let folder = ScratchFolder::new().context("cannot make a temporary folder")?;
         let scratch = Self { folder };
         let cache = scratch.cache();
         fs::create_dir_all(&cache).with_context(|| format!("cannot make {}", cache.display()))?;
@@ -383,16 +375,12 @@ impl Scratch {
         Ok(scratch)
     }
 
-    fn cache(&self) -> PathBuf {
-        self.folder.join("cache")
+    fn path(&self) -> &Path {
+        self.folder.path()
     }
-}
 
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        if let Err(error) = fs::remove_dir_all(&self.folder) {
-            tracing::warn!(%error, "cannot remove {}", self.folder.display());
-        }
+    fn cache(&self) -> PathBuf {
+        self.path().join("cache")
     }
 }
 

@@ -12,6 +12,7 @@ use shm_types::message::{
     Decision, ErrorReport, Heartbeat, MemoryEpisodeConfig, PolicyEpisodeConfig, RecallTrace, Role,
     ShutdownReport, SnapshotReport, StepCommand, StepReport, Stop, WorldEpisodeConfig,
 };
+use shm_types::notes::Note;
 use shm_types::process::{ProcessWatch, monotonic_ns};
 use shm_types::{Bus, BusError, HandshakeReceiver, NoteReceiver, Notifier, Receiver, Sender};
 use supervise::Children;
@@ -42,6 +43,8 @@ pub(super) struct Generation {
     pub(super) commands: Sender<StepCommand>,
     pub(super) stops: Sender<Stop>,
     pub(super) inbox: Inbox,
+    /// Facts that have arrived before the report that names them.
+    pub(super) facts: Vec<Note>,
     /// What the heartbeats of the simulator and of memory say.
     pub(super) vital_signs: VitalSigns,
     /// When the policy last sent an answer that was awaited.
@@ -162,12 +165,13 @@ impl Generation {
         let snapshots = self.inbox.snapshots.drain()?;
         let traces = self.inbox.traces.drain()?;
         let reports = self.inbox.reports.drain()?;
-        let facts = self.inbox.facts.drain()?;
+        self.facts.extend(self.inbox.facts.drain()?);
         let has_more = decisions.len() == batch;
         let lanes = &mut *run.lanes;
         lanes.set_time(monotonic_ns());
         let mut turns = Vec::with_capacity(decisions.len() + reports.len() + snapshots.len());
-        turns.extend(reports.iter().map(|report| lanes.reported(report, &facts)));
+        turns.extend(reports.iter().map(|report| lanes.reported(report, &self.facts)));
+        self.forget_facts(&reports);
         for trace in &traces {
             if !run.options.memories.is_empty()
                 && let Some(MemoryKind::External(name)) = lanes.memory_of(trace.lane, trace.episode)
@@ -193,6 +197,14 @@ impl Generation {
         let commands = follow_up(run, turns)?;
         let report = TurnReport { steps: commands.len() as u64, halted, has_more };
         Ok((commands, report))
+    }
+
+    /// Forgets the facts of episodes that `reports` have ended. Facts can arrive a turn before their report; of a simulator that
+    /// sends no report for them, only those of as many episodes as there are lanes are kept.
+    fn forget_facts(&mut self, reports: &[StepReport]) {
+        self.facts.retain(|note| reports.iter().all(|report| report.facts != note.header.id));
+        let excess = self.facts.len().saturating_sub(self.bus.attach().lanes as usize);
+        self.facts.drain(..excess);
     }
 
     /// Records the answers and the facts that have arrived since the last turn: what answers cost was spent.

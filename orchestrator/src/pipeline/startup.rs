@@ -70,6 +70,7 @@ impl Generation {
             inbox,
             vital_signs: VitalSigns::new(monotonic_ns()),
             decided_ns: 0,
+            facts: Vec::new(),
             recalled_ns: BTreeMap::new(),
             notifiers,
             bus,

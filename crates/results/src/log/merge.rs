@@ -138,6 +138,9 @@ pub fn merge(
     let mut draft = out.as_os_str().to_owned();
     draft.push(".merging");
     let draft = PathBuf::from(draft);
+    if fs::symlink_metadata(&draft).is_ok_and(|found| found.is_symlink()) {
+        return Err(MergeError::NotEmpty(draft));
+    }
     fs::create_dir_all(&draft).map_err(system("make", &draft))?;
     // The rest of a merge that was interrupted is replaced.
     let others = run_names().and_then(|names| names.others_in(&draft));

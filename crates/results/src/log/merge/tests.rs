@@ -130,6 +130,12 @@ fn what_disagrees_is_named() {
     fs::write(draft.join("documents/thesis.txt"), "years").unwrap();
     insta::assert_snapshot!(refused(), @"/run.merging is not empty: choose another --out, or remove it");
     fs::remove_dir_all(&draft).unwrap();
+    // Nor is anything written through a link.
+    let elsewhere = dir.path().join("elsewhere");
+    fs::create_dir(&elsewhere).unwrap();
+    std::os::unix::fs::symlink(&elsewhere, &draft).unwrap();
+    insta::assert_snapshot!(refused(), @"/run.merging is not empty: choose another --out, or remove it");
+    fs::remove_file(&draft).unwrap();
 
     insta::assert_snapshot!(shown(units.check(1, "cd", &mut manifest()).unwrap_err()), @"/one/unit-000000 is not unit 0 of this plan: it is unit 0 of the plan ab. Give the plan with which it was executed, unchanged, or remove this folder and execute the unit again");
     let unit = units.0[0].join("unit-000000").join("manifest.json");
