@@ -39,9 +39,6 @@ impl FolderDraft {
         }
         remove(&draft)?;
         fs::create_dir(&draft)?;
-        if fs::symlink_metadata(target).is_ok_and(|of| of.is_dir()) {
-            copy_mode(target, &draft)?;
-        }
         Ok(Self { target: target.to_owned(), draft })
     }
 
@@ -59,12 +56,15 @@ impl FolderDraft {
         others.iter().try_for_each(|path| link(&self.target.join(path), &self.draft.join(path)))
     }
 
-    /// Gives the draft its name, in place of what is there.
+    /// Gives the draft its name, in place of what is there, and the permissions of a folder there.
     ///
     /// # Errors
     /// When the system refuses.
     pub fn finish(self) -> io::Result<()> {
         let Self { target, draft } = &self;
+        if fs::symlink_metadata(target).is_ok_and(|found| found.is_dir()) {
+            copy_mode(target, draft)?;
+        }
         match rustix::fs::renameat_with(CWD, draft, CWD, target, RenameFlags::EXCHANGE) {
             Ok(()) => Ok(()),
             Err(Errno::NOENT) => fs::rename(draft, target),
