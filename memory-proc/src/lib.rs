@@ -5,8 +5,7 @@
 //! - [`representation`]: the built-in memories; [`external`]: what the host knows about external ones;
 //! - a [`bank`] is what a memory is built from: [`demonstrations`] and their views; [`items`] turns what a memory supplies
 //!   into a recall, and [`document_loader`] publishes its documents;
-//! - `sequences` are memories that persist over a stream, [`worlds`] what the streams take place in, and [`snapshots`] their
-//!   memories on disk;
+//! - `sequences` are memories that persist over a stream, and [`snapshots`] these memories on disk;
 //! - [`encoder`] computes embeddings, [`embedding_cache`] keeps them; [`manifest`] lists encoders, [`paths`] their files;
 //! - [`builders`] write documents before a run;
 //! - [`embed_command`] embeds images, and [`search_profile`] measures searches, for users.

@@ -145,7 +145,7 @@ pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
     replace(logs, dir, &[])
 }
 
-/// Writes the report about the run `log` into the run's folder, as [`write`]. Returns the page to open, and what is in the report's
+/// Writes the report about the run `log` into the run's folder, as [`write()`]. Returns the page to open, and what is in the report's
 /// folder and no part of a report, which stays there.
 ///
 /// # Errors
