@@ -198,8 +198,9 @@ macro_rules! message_table {
         reserved: u8,
     }
 
-    /// Simulator to orchestrator and memory, before each [`Observation`]: how far the episode is, and when the step was taken. A
-    /// memory is told of it what the feedback level of its config says, and only after the episode.
+    /// Simulator to orchestrator and memory, before each [`Observation`]: how far the episode is, and when the step was taken.
+    /// External memories get no such message: after an episode that they learn from, they get what the feedback level of its
+    /// config says.
     StepReport, "memtransfer.StepReport", "step-report", 80 bytes,
         [Sim] to [Memory Orchestrator], Lanes {
         /// The episode.

@@ -157,3 +157,27 @@ impl Drop for KeepingWorker {
         let _ = fs::remove_file(&self.draft);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::SystemTime;
+
+    use super::*;
+
+    #[test]
+    fn only_folders_of_views_are_removed_when_they_are_old() {
+        let root = tempfile::tempdir().unwrap();
+        let old = SystemTime::now() - 2 * UNUSED;
+        let folder = |name: &str| root.path().join(name);
+        let (views, recent) = (folder(&"0a".repeat(HASH)), folder(&"0b".repeat(HASH)));
+        let holiday = folder("holiday");
+        for (path, is_old) in [(&views, true), (&recent, false), (&holiday, true)] {
+            fs::create_dir(path).unwrap();
+            if is_old {
+                fs::File::open(path).unwrap().set_modified(old).unwrap();
+            }
+        }
+        remove_unused(root.path());
+        assert!(!views.exists() && recent.exists() && holiday.exists());
+    }
+}

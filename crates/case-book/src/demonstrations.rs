@@ -98,39 +98,40 @@ impl DemonstrationBook {
         let listed = self.cases.get(case as usize)?;
         if let Some(size) = demonstrations.bank_size() {
             let mut bank = self.common_bank(size)?;
-            let own = *listed.own.first()?;
-            if let (false, Some(last)) = (bank.contains(&own), bank.last_mut()) {
-                *last = own;
+            let original = *listed.own.first()?;
+            if let (false, Some(last)) = (bank.contains(&original), bank.last_mut()) {
+                *last = original;
             }
             return Some(bank);
         }
         if demonstrations.take_place_elsewhere() {
             return Some(vec![listed.elsewhere?]);
         }
-        let own = demonstrations.own().map(|kind| listed.own.get(kind as usize).copied());
-        let mut found: Vec<u32> = own.collect::<Option<_>>()?;
-        found.extend(demonstrations.mixture().into_iter().flat_map(|mixture| match mixture {
+        let own_kinds = demonstrations.own();
+        let mut indices: Vec<u32> =
+            own_kinds.map(|kind| listed.own.get(kind as usize).copied()).collect::<Option<_>>()?;
+        indices.extend(demonstrations.mixture().into_iter().flat_map(|mixture| match mixture {
             Mixture::Irrelevant => &listed.irrelevant,
             Mixture::Confusable => &listed.confusable,
         }));
         if demonstrations.take_place_after() {
-            found.push(listed.after?);
+            indices.push(listed.after?);
         }
         if demonstrations == Demonstrations::AFTER_BEFORE {
-            found.reverse();
+            indices.reverse();
         }
-        Some(found)
+        Some(indices)
     }
 
     /// The `demonstrations` of all cases, each once, in the order of the cases. `None` as for [`of_case`](Self::of_case).
     pub fn of_all_cases(&self, demonstrations: Demonstrations) -> Option<Vec<u32>> {
-        let mut known = HashSet::new();
-        let mut found = Vec::new();
+        let mut listed = HashSet::new();
+        let mut indices = Vec::new();
         for case in 0..self.cases.len() as u32 {
-            let of = self.of_case(case, demonstrations)?;
-            found.extend(of.into_iter().filter(|of| known.insert(*of)));
+            let of_case = self.of_case(case, demonstrations)?;
+            indices.extend(of_case.into_iter().filter(|index| listed.insert(*index)));
         }
-        Some(found)
+        Some(indices)
     }
 
     /// The first `size` of the order of banks; `None` if there are fewer.

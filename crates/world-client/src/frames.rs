@@ -2,7 +2,7 @@
 
 use std::ffi::OsString;
 use std::io::{self, BufReader, Read, Write};
-use std::process::{Child, ChildStdin, ChildStdout, Stdio};
+use std::process::{Child, ChildStdin, ChildStdout};
 use std::thread;
 
 use anyhow::{Context, Result, anyhow};
@@ -53,17 +53,10 @@ impl ViewRenderer {
         format: ViewFormat,
     ) -> Result<Self> {
         let edge = format.edge;
-        let mut child = program
-            .command("views")
-            .args(["--size", &format!("{edge}x{edge}")])
-            .args(arguments)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .with_context(|| format!("cannot start {}", program.path.display()))?;
-        let pipes = child.stdin.take().zip(child.stdout.take());
-        let (requests, pixels) = pipes.context("a child process without pipes")?;
-        Ok(Self { child, requests: Some(requests), pixels: BufReader::new(pixels), format })
+        let mut command = program.command("views");
+        command.args(["--size", &format!("{edge}x{edge}")]).args(arguments);
+        let (child, requests, pixels) = program.start(command)?;
+        Ok(Self { child, requests: Some(requests), pixels, format })
     }
 
     /// Renders `views` and passes each to `take`, in order, as a JPEG file.

@@ -162,6 +162,21 @@ impl WorldProgram {
         command.arg(verb).env(self.variable.0, self.variable.1);
         command
     }
+
+    /// Starts a [`command`](Self::command) that answers on stdout what it reads on stdin.
+    pub(crate) fn start(
+        &self,
+        mut command: Command,
+    ) -> Result<(Child, ChildStdin, BufReader<ChildStdout>)> {
+        let mut child = command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .with_context(|| format!("cannot start {}", self.path.display()))?;
+        let pipes = child.stdin.take().zip(child.stdout.take());
+        let (requests, answers) = pipes.context("a child process without pipes")?;
+        Ok((child, requests, BufReader::new(answers)))
+    }
 }
 
 /// The child process. It ends when this is dropped.
@@ -173,16 +188,10 @@ struct RunningStage {
 
 impl RunningStage {
     fn start(program: &WorldProgram, arguments: &[OsString]) -> Result<Self> {
-        let mut child = program
-            .command("act")
-            .args(arguments)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .with_context(|| format!("cannot start {}", program.path.display()))?;
-        let pipes = child.stdin.take().zip(child.stdout.take());
-        let (requests, answers) = pipes.context("a child process without pipes")?;
-        Ok(Self { child, requests: Some(requests), answers: BufReader::new(answers) })
+        let mut command = program.command("act");
+        command.args(arguments);
+        let (child, requests, answers) = program.start(command)?;
+        Ok(Self { child, requests: Some(requests), answers })
     }
 
     fn ask(&mut self, request: &ActRequest) -> Result<ActAnswer> {
