@@ -8,8 +8,8 @@ use std::time::Duration;
 use bytemuck::Zeroable;
 use shm_types::attach::Wait;
 use shm_types::message::{
-    Decision, ErrorReport, Handshake, Observation, Role, ShutdownReport, StepCommand, StepReport,
-    Stop, read_text,
+    Decision, ErrorReport, Handshake, Observation, PolicyEpisodeConfig, Role, ShutdownReport,
+    StepCommand, Stop, read_text,
 };
 use shm_types::{Attach, BusError, ErrorReporter};
 
@@ -235,39 +235,40 @@ fn ping_pong(spin_us: u32) {
     let attach = &Attach { wait: Wait { spin_us }, ..attach.clone() };
     thread::scope(|scope| {
         scope.spawn(|| {
-            let sim = bus(attach, Role::Sim);
-            let commands = sim.receiver::<StepCommand>().unwrap();
-            let reports = sim.sender::<StepReport>().unwrap();
-            let notifier = sim.notifier(Role::Orchestrator).unwrap();
+            let policy = bus(attach, Role::Policy);
+            let configs = policy.receiver::<PolicyEpisodeConfig>().unwrap();
+            let decisions = policy.sender::<Decision>().unwrap();
+            let notifier = policy.notifier(Role::Orchestrator).unwrap();
             let mut seen = 0;
             while seen < ROUNDS {
-                for StepCommand { step, .. } in commands.drain().unwrap() {
-                    reports.send(&StepReport { step, ..Zeroable::zeroed() }).unwrap();
+                for PolicyEpisodeConfig { episode, .. } in configs.drain().unwrap() {
+                    decisions.send(&decision(episode as u32)).unwrap();
                     seen += 1;
                 }
                 notifier.notify().unwrap();
                 if seen < ROUNDS {
-                    sim.listener().wait(4 * LONG).unwrap();
+                    policy.listener().wait(4 * LONG).unwrap();
                 }
             }
             // Stay until everything has arrived.
-            sim.listener().wait(LONG).unwrap();
+            policy.listener().wait(LONG).unwrap();
         });
         let orchestrator = bus(attach, Role::Orchestrator);
-        let reports = orchestrator.receiver::<StepReport>().unwrap();
-        let commands = orchestrator.sender::<StepCommand>().unwrap();
-        let notifier = orchestrator.notifier(Role::Sim).unwrap();
-        commands.wait_for_receivers(LONG).unwrap();
+        let decisions = orchestrator.receiver::<Decision>().unwrap();
+        let configs = orchestrator.sender::<PolicyEpisodeConfig>().unwrap();
+        let notifier = orchestrator.notifier(Role::Policy).unwrap();
+        configs.wait_for_receivers(LONG).unwrap();
         let (mut sent, mut seen) = (0, 0);
         while seen < ROUNDS {
             // One to four messages in flight, and a notification for each batch.
             while sent < ROUNDS && sent - seen <= sent % 4 {
-                commands.send(&StepCommand { step: sent, ..Zeroable::zeroed() }).unwrap();
+                let config = PolicyEpisodeConfig { episode: sent.into(), ..Zeroable::zeroed() };
+                configs.send(&config).unwrap();
                 sent += 1;
             }
             notifier.notify().unwrap();
             orchestrator.listener().wait(4 * LONG).unwrap();
-            for StepReport { step, .. } in reports.drain().unwrap() {
+            for Decision { step, .. } in decisions.drain().unwrap() {
                 assert_eq!(step, seen);
                 seen += 1;
             }
