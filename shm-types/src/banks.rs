@@ -16,7 +16,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use crate::attach::Attach;
 use crate::bus::Bus;
 use crate::layout::wire_struct;
-use crate::message::{FrameId, Role, WirePose};
+use crate::message::{FrameId, MAX_STATE, Role};
 use crate::transport::{BusError, Ipc, delivered, receiver};
 use domain::UnknownCode;
 
@@ -60,20 +60,20 @@ wire_struct! {
 
 wire_struct! {
     /// One step of a demonstration in a bank.
-    BankStep: Eq, "memtransfer.BankStep", 32 bytes {
+    BankStep, "memtransfer.BankStep", 96 bytes {
         /// The expert's view, or [`NO_FRAME`](crate::message::NO_FRAME) if the bank supplies none.
         frame: FrameId,
         /// First 16 bytes of the BLAKE3 hash of the view's pixels; zeros if the view was not rendered.
         content_hash: [u8; 16],
-        /// The expert's pose.
-        pose: WirePose,
-        /// Code of the [`Action`](domain::Action) the expert took there, or [`NO_ACTION`](crate::message::NO_ACTION) at
+        /// The expert's state: the numbers that the world declares, then zeros.
+        state: [f32; MAX_STATE],
+        /// Code of the action that the expert took there, or [`NO_ACTION`](crate::message::NO_ACTION) at
         /// the end of the demonstration.
         action: u8,
-        /// Code of the [`Feedback`](domain::Feedback) to the action before.
+        /// Code of the feedback to the action before.
         feedback: u8,
         /// Zero.
-        reserved: [u8; 2],
+        reserved: [u8; 6],
     }
 }
 
@@ -90,6 +90,9 @@ pub struct BankContent {
     pub text: String,
 }
 
+/// Words of 8 bytes in a step.
+const WORDS_OF_STEP: usize = size_of::<BankStep>() / 8;
+
 /// Where the parts of a bank lie, in words of 8 bytes.
 struct Parts {
     steps: usize,
@@ -104,7 +107,7 @@ impl Parts {
             [header.demonstrations, header.steps, header.dimension, header.text_bytes]
                 .map(|count| count as usize);
         let steps_at = 2 * demonstrations;
-        let embeddings_at = steps_at.checked_add(4 * steps)?;
+        let embeddings_at = steps_at.checked_add(WORDS_OF_STEP * steps)?;
         let numbers = steps.checked_mul(dimension)?;
         let text_at = embeddings_at.checked_add(numbers.div_ceil(2))?;
         let end = text_at.checked_add(text.div_ceil(8))?;

@@ -16,9 +16,9 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use crate::attach::Attach;
 use crate::bus::Bus;
 use crate::layout::wire_struct;
-use crate::message::{DocumentId, NO_ACTION, NO_DOCUMENT, Role, TrajectoryStep};
+use crate::message::{DocumentId, NO_DOCUMENT, Role, TrajectoryStep, read_action};
 use crate::transport::{BusError, Ipc, delivered, receiver};
-use domain::{Action, DocumentKind, UnknownCode};
+use domain::{DocumentKind, UnknownCode};
 
 /// Last part of the name of the service that carries documents.
 pub const DOCUMENT_SERVICE: &str = "document";
@@ -103,10 +103,7 @@ impl Content {
                     return Err(UnknownCode::new(count, "whole trajectory steps of 16 bytes"));
                 };
                 let steps = steps.iter().map(|step| bytemuck::pod_read_unaligned(step));
-                let known = |step: &TrajectoryStep| match step.action {
-                    NO_ACTION => Ok(*step),
-                    code => Action::try_from(code).map(|_| *step),
-                };
+                let known = |step: &TrajectoryStep| read_action(step.action).map(|_| *step);
                 let steps = steps.map(|step| known(&step)).collect::<Result<Vec<_>, _>>()?;
                 if !steps.is_sorted_by_key(|step| step.trajectory) {
                     return Err(UnknownCode::new(

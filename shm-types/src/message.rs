@@ -1,8 +1,8 @@
 //! The messages: fixed size, no padding, no pointers.
 //!
 //! A message is `Pod`: every bit pattern is a value, so receiving one is never undefined behaviour. The receiver
-//! checks what the values mean, through the `TryFrom` of their codes ([`WirePose`], [`Action`](domain::Action),
-//! [`StepKind`], ...).
+//! checks what the values mean: codes of enums through their `TryFrom` ([`StepKind`], ...), and states, actions and feedback
+//! through the declaration of the world, `world.json` in the folder to which it attaches.
 //!
 //! A lane has at most one message outstanding on any service. The orchestrator never uses an episode id twice in a
 //! run, so a late answer is recognised and dropped. All `*_ns` fields are CLOCK_MONOTONIC nanoseconds, which all
@@ -15,7 +15,6 @@ use crate::layout::{WireLayout, wire_struct};
 mod codes;
 mod counts;
 mod parts;
-mod pose;
 mod route;
 mod text;
 
@@ -25,13 +24,13 @@ pub use codes::{
 };
 pub use counts::DecisionCounts;
 pub use domain::limits::{MAX_EXTERNAL_MEMORIES, MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW};
+pub use domain::{MAX_ACTIONS, MAX_STATE};
 pub use parts::*;
-pub use pose::WirePose;
 pub use route::{Description, Message, Traffic};
 pub use text::{MAX_REASON_BYTES, read_text, shortened_reason, write_text};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 12;
+pub const WIRE_VERSION: u32 = 13;
 
 /// Most demonstration steps that a [`Recall`] holds itself. A longer item is a document.
 pub const MAX_STEPS: usize = 48;
@@ -169,14 +168,14 @@ macro_rules! message_table {
         step: u32,
         /// A [`StepKind`] code.
         kind: u8,
-        /// For an act: the [`Action`](domain::Action) code. Otherwise [`NO_ACTION`].
+        /// For an act: the code of the action. Otherwise [`NO_ACTION`].
         action: u8,
         /// Zero.
         reserved: [u8; 6],
     }
 
     /// Simulator to memory and policy: the state at the beginning of an episode and after each step.
-    Observation, "memtransfer.Observation", "observation", 32 bytes,
+    Observation, "memtransfer.Observation", "observation", 96 bytes,
         [Sim] to [Memory Policy], Lanes {
         /// The episode.
         episode: u64,
@@ -186,22 +185,22 @@ macro_rules! message_table {
         lane: u32,
         /// Steps taken so far.
         step: u32,
-        /// The agent's pose.
-        pose: WirePose,
-        /// Code of the [`Feedback`](domain::Feedback) to the last action.
+        /// The agent's state: the numbers that the world declares, then zeros.
+        state: [f32; MAX_STATE],
+        /// Code of the feedback to the last action.
         feedback: u8,
         /// Code of the last action, or [`NO_ACTION`].
         action: u8,
         /// 1 when the episode is over.
         last: u8,
         /// Zero.
-        reserved: u8,
+        reserved: [u8; 5],
     }
 
     /// Simulator to orchestrator and memory, before each [`Observation`]: how far the episode is, and when the step was taken.
     /// External memories get no such message: after an episode that they learn from, they get what the feedback level of its
     /// config says.
-    StepReport, "memtransfer.StepReport", "step-report", 80 bytes,
+    StepReport, "memtransfer.StepReport", "step-report", 88 bytes,
         [Sim] to [Memory Orchestrator], Lanes {
         /// The episode.
         episode: u64,
@@ -219,6 +218,8 @@ macro_rules! message_table {
         rendered_ns: u64,
         /// When this message was sent.
         sent_ns: u64,
+        /// A hash of the whole state of the world in this lane, as the world defines it: equal states, equal hashes.
+        state_hash: u64,
         /// The lane.
         lane: u32,
         /// Steps taken so far.
@@ -466,7 +467,7 @@ macro_rules! message_table {
     }
 
     /// Memory to an external memory: the agent's state after a step. Each is answered, except the last of an episode.
-    ExternalQuery, "memtransfer.ExternalQuery", "external-query", 4200 bytes,
+    ExternalQuery, "memtransfer.ExternalQuery", "external-query", 4264 bytes,
         [Memory] to [ExternalMemory], Lanes {
         /// The episode.
         episode: u64,
@@ -478,11 +479,11 @@ macro_rules! message_table {
         lane: u32,
         /// Steps taken so far.
         step: u32,
-        /// The agent's pose.
-        pose: WirePose,
+        /// The agent's state: the numbers that the world declares, then zeros.
+        state: [f32; MAX_STATE],
         /// Numbers of `embedding` in use; 0 if the memory asked for no embeddings.
         embedding_len: u32,
-        /// Code of the [`Feedback`](domain::Feedback) to the last action.
+        /// Code of the feedback to the last action.
         feedback: u8,
         /// Code of the last action, or [`NO_ACTION`].
         action: u8,
@@ -491,7 +492,7 @@ macro_rules! message_table {
         /// With `last`, if the memory learns from the episode: an [`EpisodeOutcome`] code.
         outcome: u8,
         /// Zero.
-        reserved: [u8; 4],
+        reserved: [u8; 8],
         /// With `last`, if the memory learns from the episode: the number under which items can name its steps.
         demonstration: u32,
         /// With `last`: entries of `sub_goals` in use; [`NOT_MEASURED`] if the memory is not told.

@@ -7,7 +7,8 @@ use std::collections::BTreeMap;
 
 use domain::events::{Requirement, Visit};
 use domain::{
-    Action, Cell, DemonstrationKind, Demonstrations, Feedback, Pose, Route, Start, StreamOrder,
+    ActionCode, Cell, DemonstrationKind, Demonstrations, FeedbackCode, Route, Start, State,
+    StreamOrder,
 };
 use serde::{Deserialize, Serialize};
 
@@ -25,8 +26,8 @@ pub enum ActRequest {
     Demonstrations(DemonstrationsRequest),
     /// The floor of a variant, from above: [`ActAnswer::Scene`].
     Scene(u32),
-    /// For each of these poses in a variant, the one whose view the control `swapped` shows: [`ActAnswer::Swapped`].
-    Swapped(u32, Vec<Pose>),
+    /// For each of these states in a variant, the one whose view the control `swapped` shows: [`ActAnswer::Swapped`].
+    Swapped(u32, Vec<State>),
 }
 
 /// An answer.
@@ -42,7 +43,7 @@ pub enum ActAnswer {
     /// To [`ActRequest::Scene`].
     Scene(Scene),
     /// To [`ActRequest::Swapped`].
-    Swapped(Vec<Pose>),
+    Swapped(Vec<State>),
     /// The request cannot be met, and why.
     Error(String),
 }
@@ -79,10 +80,9 @@ pub struct EpisodeRequest {
     /// Its start and route, of which the case has a reference; absent in streams, where the expert plans one from `begin`.
     pub reference: Option<(Start, Route)>,
     /// Where the agent begins; absent: where the reference does.
-    pub begin: Option<Pose>,
+    pub begin: Option<State>,
     /// The action of each step; `None` where no answer could be read, and the agent stayed.
-    #[serde(with = "crate::text::answers")]
-    pub actions: Vec<Option<Action>>,
+    pub actions: Vec<Option<ActionCode>>,
     /// Where it stands in its stream.
     pub stream: Option<StreamBlockPlace>,
     /// What is answered beside the steps.
@@ -123,11 +123,10 @@ pub struct ActedEpisode {
     pub task: u8,
     /// The instruction.
     pub instruction: String,
-    /// The poses.
-    pub poses: Vec<Pose>,
-    /// The feedback to action `t`; [`Feedback::Start`] first.
-    #[serde(with = "crate::text::codes")]
-    pub feedback: Vec<Feedback>,
+    /// The states.
+    pub states: Vec<State>,
+    /// The feedback to action `t`; [`FeedbackCode::START`] first.
+    pub feedback: Vec<FeedbackCode>,
     /// The steps at which sub-goals were completed, in order.
     pub sub_goals: Vec<u32>,
     /// Sub-goals of the whole task.
@@ -159,10 +158,9 @@ pub struct EpisodeEvents {
 #[serde(deny_unknown_fields)]
 pub struct ActedReference {
     /// The actions. They may go on after the task is complete.
-    #[serde(with = "crate::text::letters")]
-    pub actions: Vec<Action>,
-    /// The poses, the begin first.
-    pub poses: Vec<Pose>,
+    pub actions: Vec<ActionCode>,
+    /// The states, the begin first.
+    pub states: Vec<State>,
     /// The steps in which they complete the task, l_i.
     pub length: u32,
     /// Whether the case's original demonstration does not complete the task in this variant.
@@ -226,14 +224,12 @@ pub struct ActedDemonstration {
     pub task: u8,
     /// The instruction.
     pub instruction: String,
-    /// The poses.
-    pub poses: Vec<Pose>,
+    /// The states.
+    pub states: Vec<State>,
     /// The feedback.
-    #[serde(with = "crate::text::codes")]
-    pub feedback: Vec<Feedback>,
+    pub feedback: Vec<FeedbackCode>,
     /// The actions.
-    #[serde(with = "crate::text::letters")]
-    pub actions: Vec<Action>,
+    pub actions: Vec<ActionCode>,
     /// The steps at which sub-goals were completed, in order.
     pub sub_goals: Vec<u32>,
     /// The steps that complete the task; `None` if they do not.

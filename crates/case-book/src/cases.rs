@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use domain::{Action, Pose, Route, Start, StreamOrder};
+use domain::{ActionCode, Route, Start, State, StreamOrder};
 use serde::{Deserialize, Serialize};
 
 /// The cases of a run's world.
@@ -64,10 +64,9 @@ pub struct Reference {
     /// The route.
     pub route: Route,
     /// The state in which it begins.
-    pub begin: Pose,
+    pub begin: State,
     /// The actions. They may go on after the task is complete.
-    #[serde(with = "crate::text::letters")]
-    pub actions: Vec<Action>,
+    pub actions: Vec<ActionCode>,
     /// The steps in which they complete the task, l_i.
     pub length: u32,
 }
@@ -111,10 +110,9 @@ pub struct StreamBlock {
 #[serde(deny_unknown_fields)]
 pub struct CaseInState {
     /// The state in which the reference begins.
-    pub begin: Pose,
+    pub begin: State,
     /// The actions of the expert, who knows the state.
-    #[serde(with = "crate::text::letters")]
-    pub actions: Vec<Action>,
+    pub actions: Vec<ActionCode>,
     /// The steps in which they complete the task, l_i.
     pub length: u32,
     /// Whether the case's original demonstration, acted out here, does not complete the task.

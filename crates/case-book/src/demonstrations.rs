@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, HashSet};
 
-use domain::{Action, DemonstrationKind, Demonstrations, Feedback, Mixture, Pose};
+use domain::{ActionCode, DemonstrationKind, Demonstrations, FeedbackCode, Mixture, State};
 use serde::{Deserialize, Serialize};
 
 /// The demonstrations of a run.
@@ -35,15 +35,13 @@ pub struct Demonstration {
     /// Its task.
     pub instruction: String,
     /// The states.
-    pub poses: Vec<Pose>,
-    /// The feedback to action `t`; [`Feedback::Start`] first.
-    #[serde(with = "crate::text::codes")]
-    pub feedback: Vec<Feedback>,
+    pub states: Vec<State>,
+    /// The feedback to action `t`; [`FeedbackCode::START`] first.
+    pub feedback: Vec<FeedbackCode>,
     /// The steps at which sub-goals were completed, in order.
     pub sub_goals: Vec<u32>,
     /// The actions: one fewer than states.
-    #[serde(with = "crate::text::letters")]
-    pub actions: Vec<Action>,
+    pub actions: Vec<ActionCode>,
     /// The view of each step. Steps of the whole book with the same number show the same picture.
     pub views: Vec<u32>,
 }
@@ -157,12 +155,12 @@ impl Demonstration {
     /// The sub-goals that were completed after `t` steps, for each `t`.
     pub fn stages(&self) -> Vec<u32> {
         let completed = |step: u32| self.sub_goals.iter().filter(|at| **at <= step).count() as u32;
-        (0..self.poses.len() as u32).map(completed).collect()
+        (0..self.states.len() as u32).map(completed).collect()
     }
 
     /// What is wrong with it, if its lists do not belong together.
     pub fn problem(&self) -> Option<String> {
-        let states = self.poses.len();
+        let states = self.states.len();
         let lengths = [self.feedback.len(), self.views.len(), self.actions.len() + 1];
         if states == 0 || lengths.iter().any(|length| *length != states) {
             return Some(format!(

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use domain::events::{Requirement, Visit};
-use domain::{Pose, Start};
+use domain::{ActionCode, Pose, Start};
 use serde::{Deserialize, Serialize};
 
 /// The facts of an episode that only the world knows.
@@ -43,6 +43,6 @@ pub struct LearnedEpisode {
     pub start: Start,
     /// The variant that it took place in.
     pub variant: u32,
-    /// A letter for each step: of the action, or `?` where there was none and the state stayed what it was.
-    pub actions: String,
+    /// The action of each step; `None` where there was none and the state stayed what it was.
+    pub actions: Vec<Option<ActionCode>>,
 }

@@ -15,6 +15,9 @@ pub const CASE_BOOK_FILE: &str = "case-book.json";
 /// The file of the [`DemonstrationBook`] in a run folder.
 pub const DEMONSTRATIONS_FILE: &str = "demonstrations.json";
 
+/// The file of the [`WorldDeclaration`](crate::WorldDeclaration) in a run folder, and in the folder to which processes attach.
+pub const WORLD_FILE: &str = "world.json";
+
 /// A book with its text and what identifies it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BookFile<T> {
@@ -48,7 +51,7 @@ pub enum BookError {
 }
 
 /// What the parts of a book have to fulfil.
-trait Check {
+pub(crate) trait Check {
     fn problem(&self) -> Option<String>;
 }
 
@@ -107,7 +110,7 @@ impl<T: Serialize> BookFile<T> {
     }
 }
 
-#[expect(private_bounds, reason = "the two books are all that there is")]
+#[expect(private_bounds, reason = "these files are all that there is")]
 impl<T: DeserializeOwned + Check> BookFile<T> {
     /// Reads the file at `path`.
     ///

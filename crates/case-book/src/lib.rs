@@ -1,35 +1,38 @@
 //! The case book: everything that a run knows about the cases of its world and that does not change while it runs.
 //!
-//! The world writes it as data, once for the settings of a run; no other process knows the world's rules. It consists of two
+//! The world writes it as data, once for the settings of a run; no other process knows the world's rules. It consists of three
 //! files, because what a process must not know is not in its file:
 //!
 //! - [`CaseBook`], for the orchestrator, scores and pages: instructions, references, streams, and which demonstrations are
 //!   stale in which variant;
 //! - [`DemonstrationBook`], for memory: demonstrations only. No test reference, no rule of a variant, no goal.
 //!
-//! Both are identified by their content ([`BookFile`]).
+//! - [`WorldDeclaration`], for every process: what agents do, see and are told, in words.
+//!
+//! All are identified by their content ([`BookFile`]).
 //!
 //! What the world tells and is told about single episodes is data as well: [`EpisodeFacts`], [`LearnedEpisode`], and for those
 //! who show episodes [`act`].
 
 pub mod act;
 mod cases;
+mod declaration;
 mod demonstrations;
 mod episodes;
 mod file;
 mod request;
 #[cfg(test)]
 mod tests;
-mod text;
 
 pub use cases::{
     CaseBook, CaseFacts, CaseInState, Reference, StreamBlock, StreamFacts, StreamsFacts, WorldFacts,
 };
+pub use declaration::{ActionDeclaration, ForeignState, NO_LETTER, StateField, WorldDeclaration};
 pub use demonstrations::{
     CaseDemonstrations, Demonstration, DemonstrationBook, StreamDemonstrations, ViewPlace,
 };
 pub use episodes::{EpisodeFacts, LEARNED_FILE, LearnedEpisode};
-pub use file::{BookError, BookFile, CASE_BOOK_FILE, DEMONSTRATIONS_FILE};
+pub use file::{BookError, BookFile, CASE_BOOK_FILE, DEMONSTRATIONS_FILE, WORLD_FILE};
 pub use request::{BookRequest, ElsewhereRequest, StreamsRequest};
 
 /// The number on the wire of the world variant that is the other warehouse.

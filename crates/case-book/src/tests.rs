@@ -1,6 +1,8 @@
 //! Books by hand: sets, orders, and what is refused.
 
-use domain::{Action, DemonstrationKind, Demonstrations, Feedback, Heading, Pose, StreamOrder};
+use domain::{
+    ActionCode, DemonstrationKind, Demonstrations, FeedbackCode, State, StreamOrder,
+};
 
 use super::*;
 
@@ -11,10 +13,10 @@ fn demonstration(case: u32, kind: DemonstrationKind) -> Demonstration {
         kind,
         variant: 0,
         instruction: "Find a cone.".to_owned(),
-        poses: vec![Pose::new(1, 2, Heading::N), Pose::new(1, 2, Heading::E)],
-        feedback: vec![Feedback::Start, Feedback::Turned],
+        states: [0.0, 1.0].map(|heading| State::new(&[1.0, 2.0, heading]).unwrap()).to_vec(),
+        feedback: vec![FeedbackCode::START, FeedbackCode(2)],
         sub_goals: vec![1],
-        actions: vec![Action::TurnRight],
+        actions: vec![ActionCode(5)],
         views: vec![0, 1],
     }
 }
@@ -84,11 +86,11 @@ fn a_demonstration_s_lists_belong_together() {
     let sound = demonstration(0, DemonstrationKind::Original);
     assert_eq!((sound.stages(), sound.problem()), (vec![0, 1], None));
     let changes: [fn(&mut Demonstration); 6] = [
-        |of| of.poses.clear(),
-        |of| of.poses.truncate(1),
-        |of| of.feedback.push(Feedback::Moved),
+        |of| of.states.clear(),
+        |of| of.states.truncate(1),
+        |of| of.feedback.push(FeedbackCode(1)),
         |of| of.views.truncate(1),
-        |of| of.actions.push(Action::Forward),
+        |of| of.actions.push(ActionCode(0)),
         |of| of.sub_goals.push(2),
     ];
     for (number, change) in changes.into_iter().enumerate() {

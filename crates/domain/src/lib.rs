@@ -20,6 +20,7 @@ pub mod prompt_log;
 pub mod representation;
 pub mod search_profile;
 mod shell;
+mod state;
 mod stream;
 mod task;
 
@@ -38,6 +39,7 @@ pub use outcome::{
 pub use pose::{Action, Cell, Feedback, Heading, Pose, UnknownCode};
 pub use representation::Representation;
 pub use shell::shell_word;
+pub use state::{ActionCode, FeedbackCode, InvalidState, MAX_ACTIONS, MAX_STATE, State};
 pub use stream::{EventKind, StreamOrder, StreamRules};
 pub use task::{TaskGroup, TaskType, UnknownTaskType};
 

@@ -4,7 +4,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{coded_enum, serde_as_text};
+use crate::{ActionCode, FeedbackCode, State, coded_enum, serde_as_text};
 
 /// A value in a message or file that is not valid.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -234,6 +234,28 @@ impl std::str::FromStr for Pose {
 
 serde_as_text!(Pose);
 
+/// Column, row and the heading's code.
+impl From<Pose> for State {
+    fn from(Pose { cell, heading }: Pose) -> Self {
+        let numbers = [cell.x, cell.y, heading as u8].map(f32::from);
+        Self::new(&numbers).expect("three small numbers are a state")
+    }
+}
+
+impl TryFrom<State> for Pose {
+    type Error = UnknownCode;
+
+    fn try_from(state: State) -> Result<Self, UnknownCode> {
+        let unknown = || UnknownCode::new(state, "a pose (column, row, heading)");
+        let &[x, y, heading] = state.numbers() else { return Err(unknown()) };
+        let whole = |number: f32| {
+            let is_whole = number.fract() == 0.0 && (0.0..=255.0).contains(&number);
+            is_whole.then_some(number as u8).ok_or_else(unknown)
+        };
+        Ok(Self::new(whole(x)?, whole(y)?, Heading::try_from(whole(heading)?)?))
+    }
+}
+
 coded_enum! {
     /// What an agent can do in one step: seven actions (specification, section 2).
     Action, "an action (0 to 6)"; {
@@ -324,6 +346,34 @@ coded_enum! {
     }
 }
 
+impl From<Action> for ActionCode {
+    fn from(action: Action) -> Self {
+        Self(action as u8)
+    }
+}
+
+impl TryFrom<ActionCode> for Action {
+    type Error = UnknownCode;
+
+    fn try_from(ActionCode(code): ActionCode) -> Result<Self, UnknownCode> {
+        Self::try_from(code)
+    }
+}
+
+impl From<Feedback> for FeedbackCode {
+    fn from(feedback: Feedback) -> Self {
+        Self(feedback as u8)
+    }
+}
+
+impl TryFrom<FeedbackCode> for Feedback {
+    type Error = UnknownCode;
+
+    fn try_from(FeedbackCode(code): FeedbackCode) -> Result<Self, UnknownCode> {
+        Self::try_from(code)
+    }
+}
+
 impl Feedback {
     /// The sentence for it in prompts.
     pub const fn words(self) -> &'static str {
@@ -352,6 +402,18 @@ mod tests {
         }
         assert_eq!(Pose::new(5, 5, Heading::W).cell_at(3, 1), Some(Cell::new(2, 6)));
         assert_eq!(Pose::new(5, 5, Heading::W).cell_at(6, 0), None);
+    }
+
+    #[test]
+    fn a_pose_is_a_state_of_three_numbers() {
+        for heading in Heading::ALL {
+            let pose = Pose::new(3, 255, heading);
+            assert_eq!(State::from(pose).numbers(), [3.0, 255.0, f32::from(heading as u8)]);
+            assert_eq!(Pose::try_from(State::from(pose)), Ok(pose));
+        }
+        for numbers in [&[3.0, 12.0][..], &[3.0, 12.0, 4.0], &[3.5, 12.0, 0.0], &[-1.0, 0.0, 0.0]] {
+            assert!(Pose::try_from(State::new(numbers).unwrap()).is_err(), "{numbers:?}");
+        }
     }
 
     #[test]

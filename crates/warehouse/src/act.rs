@@ -8,10 +8,10 @@ use case_book::act::{
     EpisodeEvents, EpisodeRequest, EpisodeScenery, Scene, StreamBlockPlace, Target,
     WorldDescription,
 };
-use domain::{Action, Cell, DemonstrationKind, Feedback, Pose};
+use domain::{Action, ActionCode, Cell, DemonstrationKind, Feedback, Pose, State};
 
 use crate::case::{Case, History, TrajectoryKind};
-use crate::case_book::case_facts;
+use crate::case_book::{case_facts, converted};
 use crate::dynamics::{Variant, step};
 use crate::event_recorder::EventRecorder;
 use crate::map;
@@ -97,13 +97,24 @@ impl Stage {
         let listed = request
             .reference
             .map(|(start, route)| case.trajectory(TrajectoryKind::reference(start, route)).clone());
-        let begin = request.begin.or(listed.as_ref().map(|listed| listed.start));
+        let begin = match request.begin {
+            Some(begin) => Some(Pose::try_from(begin).map_err(|error| error.to_string())?),
+            None => listed.as_ref().map(|listed| listed.start),
+        };
         let begin = begin.ok_or("an episode needs a begin, or a reference that has one")?;
+        let is_read = |action: Option<ActionCode>| action.map(Action::try_from).transpose();
+        let actions: Vec<Option<Action>> = request
+            .actions
+            .iter()
+            .map(|&action| is_read(action))
+            .collect::<Result<_, _>>()
+            .map_err(|error| error.to_string())?;
+        let actions = &actions;
         let WorldState { warehouse, variant } = &*state;
         if !warehouse.layout.is_free(begin.cell) {
             return Err(format!("the cell of pose {begin} is not free floor"));
         }
-        let EpisodeRequest { parts, actions, .. } = request;
+        let parts = request.parts;
         let steps = Steps::take(&state, &task, begin, actions);
         let scenery = parts.scenery.then(|| EpisodeScenery {
             came_into_view: came_into_view(warehouse, &steps.poses),
@@ -121,8 +132,8 @@ impl Stage {
             events: parts.events.then(|| events(&state, &task, actions, &steps)),
             reference,
             scenery,
-            poses: steps.poses,
-            feedback: steps.feedback,
+            states: converted(&steps.poses),
+            feedback: converted(&steps.feedback),
             sub_goals: steps.sub_goals,
             required: steps.required,
         })
@@ -149,8 +160,8 @@ impl Stage {
         Ok(trajectory.map(|trajectory| {
             let replay = trajectory.replay(&state.warehouse, &case.task, &state.variant);
             ActedReference {
-                actions: trajectory.actions,
-                poses: replay.poses,
+                actions: converted(&trajectory.actions),
+                states: converted(&replay.poses),
                 length: replay.length.unwrap_or(0),
                 invalidated: !state.completes(&case.original, &case.task),
             }
@@ -225,11 +236,14 @@ impl Stage {
         Some(ActedDemonstration { is_stale, ..acted })
     }
 
-    fn swapped(&mut self, variant: u32, poses: &[Pose]) -> Result<Vec<Pose>, Refusal> {
+    fn swapped(&mut self, variant: u32, states: &[State]) -> Result<Vec<State>, Refusal> {
         let state = self.variant(variant)?;
+        let poses = states.iter().map(|&state| Pose::try_from(state));
+        let poses: Vec<Pose> =
+            poses.collect::<Result<_, _>>().map_err(|error| error.to_string())?;
         let layout = &self.worlds.warehouse.layout;
         let swapped = self.swapped.get_or_insert_with(|| SwappedPoses::new(layout));
-        Ok(poses.iter().map(|pose| swapped.shown(&state.variant, *pose)).collect())
+        Ok(poses.iter().map(|pose| swapped.shown(&state.variant, *pose).into()).collect())
     }
 
     fn scene(&mut self, variant: u32) -> Result<Scene, Refusal> {
@@ -350,9 +364,9 @@ fn demonstration(
         variant,
         task: task.task_type().number(),
         instruction: task.instruction(&state.warehouse.catalogue),
-        poses: replay.poses,
-        feedback: replay.feedback,
-        actions: trajectory.actions,
+        states: converted(&replay.poses),
+        feedback: converted(&replay.feedback),
+        actions: converted(&trajectory.actions),
         sub_goals: replay.goal_steps,
         length: replay.length,
         is_stale: false,
@@ -367,7 +381,7 @@ mod tests {
 
     use case_book::act::EpisodeParts;
     use domain::events::Requirement;
-    use domain::{Demonstrations, Route, Start};
+    use domain::{Demonstrations, FeedbackCode, Route, Start};
 
     use super::*;
 
@@ -378,7 +392,7 @@ mod tests {
             variant,
             reference: Some((Start::Original, Route::Unchanged)),
             begin: None,
-            actions,
+            actions: actions.into_iter().map(|action| action.map(Into::into)).collect(),
             stream: None,
             parts: EpisodeParts { events: true, reference: true, scenery: true },
         }
@@ -390,7 +404,7 @@ mod tests {
         let reference =
             stage.episode(&request("t06-01", 0, Vec::new())).unwrap().reference.unwrap();
         let steps = reference.actions.iter().take(reference.length as usize);
-        let steps = steps.map(|action| Some(*action)).collect();
+        let steps = steps.map(|action| Action::try_from(*action).ok()).collect();
         let acted = stage.episode(&request("t06-01", 0, steps)).unwrap();
         let events = acted.events.unwrap();
         let visits: Vec<String> = events.visits.iter().map(ToString::to_string).collect();
@@ -419,11 +433,14 @@ mod tests {
         };
         let blocked = acted(1);
         let events = blocked.events.unwrap();
-        assert_eq!(blocked.poses, [beside.unwrap(); 3]);
-        assert_eq!(blocked.feedback[1..], [Feedback::NotUnderstood, Feedback::Blocked]);
+        assert_eq!(blocked.states, [State::from(beside.unwrap()); 3]);
+        assert_eq!(
+            blocked.feedback[1..],
+            [Feedback::NotUnderstood, Feedback::Blocked].map(FeedbackCode::from)
+        );
         assert_eq!((events.blocked_moves, events.tried_closed_at), (vec![2], Some(2)));
         assert_eq!(blocked.scenery.unwrap().closed, case.barricade);
-        assert_eq!(acted(0).poses[2].cell, closed);
+        assert_eq!(Pose::try_from(acted(0).states[2]).unwrap().cell, closed);
     }
 
     #[test]
@@ -448,7 +465,7 @@ mod tests {
             [("t01-01", DemonstrationKind::Original), ("t01-02", DemonstrationKind::After)];
         assert_eq!(named, expected);
         assert_eq!((acted[0].variant, acted[1].variant), (0, 2));
-        assert!(acted.iter().all(|one| one.poses.len() == one.actions.len() + 1));
+        assert!(acted.iter().all(|one| one.states.len() == one.actions.len() + 1));
         assert!(acted[0].is_stale, "the passage of the first case is on its way");
     }
 }

@@ -6,14 +6,18 @@ use std::path::Path;
 use case_book::{
     BookRequest, CaseBook, CaseDemonstrations, CaseFacts, CaseInState, Demonstration,
     DemonstrationBook, ElsewhereRequest, Reference, StreamBlock, StreamDemonstrations, StreamFacts,
-    StreamsFacts, StreamsRequest, WorldFacts,
+    StreamsFacts, StreamsRequest, WorldDeclaration, WorldFacts,
 };
 use domain::names::UnknownName;
-use domain::{Cell, DemonstrationKind, Demonstrations, Mixture, Pose, Route, Start, StreamOrder};
+use domain::{
+    Action, Cell, DemonstrationKind, Demonstrations, Mixture, Pose, Route, Start, State,
+    StreamOrder,
+};
 
 use crate::asset::AssetError;
 use crate::case::{Case, CaseSet, History, TrajectoryKind};
 use crate::case_file::CASES_FILE;
+use crate::declaration::declaration;
 use crate::dynamics::Variant;
 use crate::elsewhere::{ELSEWHERE_VARIANT, Elsewhere};
 use crate::elsewhere_source::ElsewhereError;
@@ -40,6 +44,8 @@ const HASHED: [(&str, &str, &[u8]); 4] = [
 /// The files of a case book.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Books {
+    /// What the world says of itself.
+    pub world: WorldDeclaration,
     /// For those who run, score and show episodes.
     pub cases: CaseBook,
     /// For memory.
@@ -121,6 +127,7 @@ pub fn write_books(request: &BookRequest) -> Result<Books, CaseBookError> {
         stale: stale(&worlds, &demonstrations, request, &among),
     };
     Ok(Books {
+        world: declaration(),
         cases: book,
         demonstrations,
         streams: worlds.streams.as_ref().map(StreamSet::to_text),
@@ -197,8 +204,8 @@ pub(crate) fn case_facts(warehouse: &Warehouse, case: &Case) -> CaseFacts {
         Reference {
             start,
             route,
-            begin: trajectory.start,
-            actions: trajectory.actions.clone(),
+            begin: trajectory.start.into(),
+            actions: converted(&trajectory.actions),
             length: case.replay(warehouse, from).length.unwrap_or(0),
         }
     });
@@ -298,7 +305,8 @@ impl<'a> Worlds<'a> {
             let (Trajectory { start, actions }, length) = reference
                 .ok_or_else(|| CaseBookError::Unsolvable { case: case.id.clone(), world })?;
             let invalidated = !state.completes(&case.original, &case.task);
-            Ok((number, CaseInState { begin: start, actions, length, invalidated }))
+            let (begin, actions) = (start.into(), converted(&actions));
+            Ok((number, CaseInState { begin, actions, length, invalidated }))
         };
         listed.into_iter().map(in_state).collect()
     }
@@ -319,7 +327,7 @@ struct Writer<'w> {
     /// What is visible in each variant that occurs, as an index; equal for variants that look the same.
     parts_of: HashMap<u32, usize>,
     parts: HashMap<VisibleParts, usize>,
-    views: HashMap<(usize, Pose), u32>,
+    views: HashMap<(usize, State), u32>,
 }
 
 impl<'w> Writer<'w> {
@@ -427,10 +435,10 @@ impl<'w> Writer<'w> {
             kind,
             variant,
             instruction: case.task.instruction(&self.worlds.warehouse.catalogue),
-            poses: replay.poses,
-            feedback: replay.feedback,
+            states: converted(&replay.poses),
+            feedback: converted(&replay.feedback),
             sub_goals: replay.goal_steps,
-            actions: trajectory.actions,
+            actions: converted(&trajectory.actions),
             views: Vec::new(),
         }))
     }
@@ -444,10 +452,10 @@ impl<'w> Writer<'w> {
             kind: history.kind,
             variant: of.variant,
             instruction: of.instruction(),
-            poses: replay.poses,
-            feedback: replay.feedback,
+            states: converted(&replay.poses),
+            feedback: converted(&replay.feedback),
             sub_goals: replay.goal_steps,
-            actions: of.trajectory.actions.clone(),
+            actions: converted(&of.trajectory.actions),
             views: Vec::new(),
         }))
     }
@@ -455,9 +463,9 @@ impl<'w> Writer<'w> {
     /// Adds `demonstration` with the numbers of its views.
     fn add(&mut self, mut demonstration: Demonstration) -> u32 {
         let parts = self.parts(demonstration.variant);
-        let numbers = demonstration.poses.iter().map(|&pose| {
+        let numbers = demonstration.states.iter().map(|&state| {
             let next = self.views.len() as u32;
-            *self.views.entry((parts, pose)).or_insert(next)
+            *self.views.entry((parts, state)).or_insert(next)
         });
         demonstration.views = numbers.collect();
         self.book.demonstrations.push(demonstration);
@@ -580,13 +588,24 @@ fn is_stale(worlds: &Worlds<'_>, book: &DemonstrationBook, of: u32, variant: u32
     if of.variant == ELSEWHERE_VARIANT {
         return false;
     }
-    let Some((case, &start)) = worlds.cases.cases.get(of.case as usize).zip(of.poses.first())
+    let Some((case, trajectory)) = worlds.cases.cases.get(of.case as usize).zip(trajectory_of(of))
     else {
         return false;
     };
     let (warehouse, closed) = worlds.state(variant);
-    let trajectory = Trajectory { start, actions: of.actions.clone() };
     trajectory.replay(warehouse, &case.task, &closed).length.is_none()
+}
+
+/// The trajectory of a demonstration that this world has written.
+fn trajectory_of(of: &Demonstration) -> Option<Trajectory> {
+    let start = Pose::try_from(*of.states.first()?).ok()?;
+    let actions = of.actions.iter().map(|&action| Action::try_from(action).ok());
+    Some(Trajectory { start, actions: actions.collect::<Option<_>>()? })
+}
+
+/// Poses, actions or feedback as what any world has.
+pub(crate) fn converted<T: Copy + Into<U>, U>(values: &[T]) -> Vec<U> {
+    values.iter().map(|&value| value.into()).collect()
 }
 
 /// Which demonstrations closed cells can make stale.
@@ -605,7 +624,8 @@ impl Suspects {
                 suspects.others.push(number);
                 continue;
             }
-            let cells: BTreeSet<Cell> = of.poses.iter().map(|pose| pose.cell).collect();
+            let poses = of.states.iter().filter_map(|&state| Pose::try_from(state).ok());
+            let cells: BTreeSet<Cell> = poses.map(|pose| pose.cell).collect();
             for cell in cells {
                 suspects.by_cell.entry(cell).or_default().push(number);
             }

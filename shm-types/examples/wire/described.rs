@@ -1,8 +1,7 @@
 //! What the page describes: every struct, code and constant of the wire.
 
 use domain::{
-    Action, Arm, DocumentKind, Feedback, FeedbackLevel, Heading, Outcome, Reasoning,
-    Representation, SegmentContent,
+    Arm, DocumentKind, FeedbackLevel, Outcome, Reasoning, Representation, SegmentContent,
     codes::{CodeSet, Codes},
     outcome,
 };
@@ -19,13 +18,11 @@ use shm_types::message::{
     MAX_EXTERNAL_MEMORIES, MAX_FOLDER, MAX_INSTRUCTION, MAX_ITEMS, MAX_SEGMENT, MAX_SOURCES,
     MAX_STEPS, MAX_SUB_GOALS, MAX_WINDOW, MESSAGES, NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED,
     RecalledItem, RecalledSource, Role, SegmentStep, Traffic, TrajectoryStep, WIRE_VERSION,
-    WirePose,
 };
 use shm_types::notes::{FACTS_SERVICE, NOTE_SERVICE, NoteHeader};
 
 /// Structs that are parts of messages and documents.
-pub(crate) const PARTS: [Struct; 9] = [
-    WirePose::LAYOUT,
+pub(crate) const PARTS: [Struct; 8] = [
     RecalledItem::LAYOUT,
     SegmentStep::LAYOUT,
     TrajectoryStep::LAYOUT,
@@ -45,20 +42,16 @@ pub(crate) const CARRIED: [Struct; 5] = [
     NoteHeader::LAYOUT,
 ];
 
-/// Every enum with codes: first those of the agent's world, then those that the log shares, then those of messages.
+/// Every enum with codes: first those that the log shares, then those of messages.
 pub(crate) fn code_sets() -> Vec<CodeSet> {
-    let agent = [Action::CODES, Feedback::CODES, Heading::CODES, Representation::CODES];
     let shared = outcome::CODE_SETS.iter().chain(CODE_SETS).copied();
-    agent.into_iter().chain(shared).collect()
+    std::iter::once(Representation::CODES).chain(shared).collect()
 }
 
 /// The words for a member of a code set in prompts, files and logs, if it has any.
 pub(crate) fn words(set: &CodeSet, code: u8) -> Option<&'static str> {
     let position = usize::from(code);
     match set.name {
-        "Action" => Action::ALL.get(position).map(|action| action.words()),
-        "Feedback" => Feedback::ALL.get(position).map(|feedback| feedback.words()),
-        "Heading" => Heading::ALL.get(position).map(|heading| heading.word()),
         "Representation" => {
             Representation::ALL.get(position).map(|representation| representation.name())
         }

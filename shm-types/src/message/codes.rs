@@ -1,6 +1,6 @@
 //! The closed sets that messages carry as `u8` codes.
 
-use domain::{Action, UnknownCode, code_sets};
+use domain::{ActionCode, MAX_ACTIONS, UnknownCode, code_sets};
 
 use super::NO_ACTION;
 
@@ -21,6 +21,8 @@ code_sets! {
         Complete = 1 "complete",
         /// It has taken as many steps as it may.
         StepLimit = 2 "step limit",
+        /// The world has ended it before: its task can no longer be completed. The facts of the episode say why.
+        Failed = 3 "failed",
     }
 
     /// The kind of a [`ViewRequest`](super::ViewRequest).
@@ -122,11 +124,12 @@ impl EpisodeOutcome {
 /// Reads the code of an action; [`NO_ACTION`] is none.
 ///
 /// # Errors
-/// When no action has the code.
-pub fn read_action(code: u8) -> Result<Option<Action>, UnknownCode> {
+/// When no world can have such an action. Which the world of a run has is in its declaration.
+pub fn read_action(code: u8) -> Result<Option<ActionCode>, UnknownCode> {
     match code {
         NO_ACTION => Ok(None),
-        code => Action::try_from(code).map(Some),
+        code if usize::from(code) < MAX_ACTIONS => Ok(Some(ActionCode(code))),
+        code => Err(UnknownCode::new(code, "an action (0 to 63)")),
     }
 }
 

@@ -10,7 +10,7 @@ wire_struct! {
     SegmentStep, "memtransfer.SegmentStep", 16 bytes {
         /// The remembered view, or [`NO_FRAME`].
         frame: FrameId,
-        /// Code of the [`Action`](domain::Action) the expert took there, or [`NO_ACTION`]: at the end of the item, and
+        /// Code of the action that the expert took there, or [`NO_ACTION`]: at the end of the item, and
         /// throughout an item of views alone.
         action: u8,
         /// Zero.
@@ -111,7 +111,7 @@ wire_struct! {
     TrajectoryStep: Eq, "memtransfer.TrajectoryStep", 16 bytes {
         /// The view before the action, or [`NO_FRAME`] if it is not a keyframe.
         frame: FrameId,
-        /// Code of the [`Action`](domain::Action) the expert took there, or [`NO_ACTION`] at the end of the
+        /// Code of the action that the expert took there, or [`NO_ACTION`] at the end of the
         /// demonstration.
         action: u8,
         /// Which demonstration, from 0, in the order of the document.

@@ -70,9 +70,12 @@ fn sets_name_the_same_demonstrations_as_the_cases() {
         let replay = of.replay();
         assert_eq!(
             (&found.instruction, found.variant, &found.actions),
-            (&of.instruction(), of.variant, &of.trajectory.actions)
+            (&of.instruction(), of.variant, &converted(&of.trajectory.actions))
         );
-        assert_eq!((&found.poses, &found.feedback), (&replay.poses, &replay.feedback));
+        assert_eq!(
+            (&found.states, &found.feedback),
+            (&converted(&replay.poses), &converted(&replay.feedback))
+        );
         assert_eq!((&found.sub_goals, found.stages()), (&replay.goal_steps, replay.stages));
         assert_eq!(found.problem(), None);
     }
@@ -85,7 +88,7 @@ fn views_are_equal_where_variant_and_pose_are() {
     let mut number_of = HashMap::new();
     let mut seen_from: HashMap<u32, (bool, Pose)> = HashMap::new();
     for of in &book.demonstrations {
-        for (&pose, &view) in of.poses.iter().zip(&of.views) {
+        for (&pose, &view) in of.states.iter().zip(&of.views) {
             assert_eq!(*number_of.entry((of.variant, pose)).or_insert(view), view);
             // Other halls and poses look different.
             let from = (of.variant == ELSEWHERE_VARIANT, pose);
@@ -126,7 +129,10 @@ fn references_and_facts_of_cases_are_those_of_the_set() {
             let kind = TrajectoryKind::reference(start, route);
             let (found, trajectory) =
                 (found.reference(start, route).unwrap(), case.trajectory(kind));
-            assert_eq!((found.begin, &found.actions), (trajectory.start, &trajectory.actions));
+            assert_eq!(
+                (found.begin, &found.actions),
+                (trajectory.start.into(), &converted(&trajectory.actions))
+            );
             assert_eq!(Some(found.length), case.replay(&warehouse, kind).length);
         }
         let closed = Variant::closing(case.barricade.iter().copied());
@@ -138,7 +144,7 @@ fn references_and_facts_of_cases_are_those_of_the_set() {
 
 /// Whether a demonstration completes its task in `state`, by replay.
 fn completes(set: &CaseSet, of: &Demonstration, warehouse: &Warehouse, variant: &Variant) -> bool {
-    let trajectory = Trajectory { start: of.poses[0], actions: of.actions.clone() };
+    let trajectory = trajectory_of(of).unwrap();
     let task = &set.cases[of.case as usize].task;
     trajectory.replay(warehouse, task, variant).length.is_some()
 }
@@ -214,7 +220,10 @@ fn streams_are_those_that_are_drawn() {
                 let found = facts.case(block.world, number).unwrap();
                 let (reference, length) =
                     state.reference(&expert, &case.task, case.test.start).unwrap();
-                assert_eq!((found.begin, &found.actions), (reference.start, &reference.actions));
+                assert_eq!(
+                    (found.begin, &found.actions),
+                    (reference.start.into(), &converted(&reference.actions))
+                );
                 assert_eq!(found.length, length);
                 assert_eq!(found.invalidated, !state.completes(&case.original, &case.task));
             }
@@ -229,11 +238,14 @@ fn streams_are_those_that_are_drawn() {
             assert_eq!(of.planned[at].len(), planned.len());
             for (&found, planned) in of.planned[at].iter().zip(&planned) {
                 let found = &demonstrations.demonstrations[found as usize];
-                assert_eq!((found.variant, found.poses[0]), (variant, planned.start));
-                assert_eq!(found.actions, planned.actions);
+                assert_eq!((found.variant, found.states[0]), (variant, planned.start.into()));
+                assert_eq!(found.actions, converted(&planned.actions));
                 let task = &set.cases[found.case as usize].task;
                 let replay = planned.replay(&state.warehouse, task, &state.variant);
-                assert_eq!((&found.poses, &found.feedback), (&replay.poses, &replay.feedback));
+                assert_eq!(
+                    (&found.states, &found.feedback),
+                    (&converted(&replay.poses), &converted(&replay.feedback))
+                );
                 assert_eq!(found.sub_goals, replay.goal_steps);
                 assert!(!book.is_stale(variant, of.planned[at][0]));
             }
@@ -271,7 +283,7 @@ fn memory_is_told_nothing_of_a_test() {
         if of.variant == ELSEWHERE_VARIANT {
             continue;
         }
-        assert_ne!(of.poses[0], case.test.start, "{}", case.id);
+        assert_ne!(of.states[0], State::from(case.test.start), "{}", case.id);
         let begins = TrajectoryKind::DEMONSTRATIONS.map(|kind| case.trajectory(kind).start);
         assert!(begins.contains(&of.poses[0]));
         for reference in [&case.test, &case.blocked] {
