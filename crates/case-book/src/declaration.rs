@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use domain::{ActionCode, FeedbackCode, MAX_ACTIONS, MAX_STATE, State};
+use domain::{ActionCode, FeedbackCode, MAX_ACTIONS, MAX_STATE, State, UnknownCode};
 use serde::{Deserialize, Serialize};
 
 use crate::file::Check;
@@ -116,6 +116,27 @@ impl WorldDeclaration {
     /// The feedback with this code on the wire or in a file, if there is one.
     pub fn feedback(&self, code: u8) -> Option<FeedbackCode> {
         (usize::from(code) < self.feedback.len()).then_some(FeedbackCode(code))
+    }
+
+    /// The feedback with this code.
+    ///
+    /// # Errors
+    /// When the world declares none.
+    pub fn read_feedback(&self, code: u8) -> Result<FeedbackCode, UnknownCode> {
+        let unknown = || UnknownCode::new(code, "a feedback of this world");
+        self.feedback(code).ok_or_else(unknown)
+    }
+
+    /// The same action, if the world declares it.
+    ///
+    /// # Errors
+    /// When it does not.
+    pub fn read_action(
+        &self,
+        action: Option<ActionCode>,
+    ) -> Result<Option<ActionCode>, UnknownCode> {
+        let unknown = |ActionCode(code)| UnknownCode::new(code, "an action of this world");
+        action.map(|action| self.action(action.0).ok_or_else(|| unknown(action))).transpose()
     }
 
     /// The sentence of a feedback; empty for a code that the world does not declare.

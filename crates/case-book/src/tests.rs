@@ -1,8 +1,6 @@
 //! Books by hand: sets, orders, and what is refused.
 
-use domain::{
-    ActionCode, DemonstrationKind, Demonstrations, FeedbackCode, State, StreamOrder,
-};
+use domain::{ActionCode, DemonstrationKind, Demonstrations, FeedbackCode, State, StreamOrder};
 
 use super::*;
 

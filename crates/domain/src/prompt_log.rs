@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::pose::Pose;
+use crate::state::State;
 
 /// The first 16 bytes of a BLAKE3 hash, as hexadecimal digits.
 pub type Hash = String;
@@ -98,8 +98,8 @@ pub struct RecordedRequest {
     pub seed: u64,
     /// The instruction.
     pub instruction: String,
-    /// The agent's pose.
-    pub pose: Pose,
+    /// The agent's state.
+    pub state: State,
     /// The feedback to the last action, in words.
     pub feedback: String,
     /// The view.
@@ -282,7 +282,6 @@ pub struct RecordedTiming {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Heading;
     use crate::hex;
 
     #[test]
@@ -305,7 +304,7 @@ mod tests {
                 repeat: 1,
                 seed: 5,
                 instruction: "Visit a blue barrel.".to_owned(),
-                pose: Pose::new(3, 12, Heading::N),
+                state: State::new(&[3.0, 12.0, 0.0]).unwrap(),
                 feedback: "You moved.".to_owned(),
                 frame: hex(&[0xab; 16]),
                 starts_as_demonstrated: false,

@@ -5,6 +5,7 @@ use std::thread;
 use std::time::Duration;
 
 use bytemuck::Zeroable;
+use case_book::{BookFile, WORLD_FILE, WorldDeclaration};
 use shm_types::clock::{self, Instant, sleep};
 use shm_types::message::{FrameId, Handshake, Heartbeat, Role, ShutdownReport, Stop};
 use shm_types::{
@@ -99,6 +100,7 @@ pub struct Connection {
     pub errors: ErrorReporter,
     /// Spans of the process's work, if the run asks for them.
     pub spans: Spans,
+    world: Arc<WorldDeclaration>,
     frames: SharedFrames,
     heartbeats: Heartbeats,
     stops: Receiver<Stop>,
@@ -148,7 +150,9 @@ fn release_evicted(frames: &Weak<Mutex<FrameStore>>) {
 impl Connection {
     pub(crate) fn new(bus: Bus) -> Result<Self, ServeError> {
         let attach = bus.attach();
+        let world = BookFile::read(&attach.root.join(WORLD_FILE))?.book;
         Ok(Self {
+            world: Arc::new(world),
             errors: ErrorReporter::new(&bus)?,
             spans: Spans::open(attach, bus.role(), bus.index()).map_err(ServeError::Spans)?,
             frames: SharedFrames::new(&bus)?,
@@ -164,6 +168,11 @@ impl Connection {
     /// The generation's bus.
     pub fn bus(&self) -> &Bus {
         &self.bus
+    }
+
+    /// What the world of the run says of itself.
+    pub const fn world(&self) -> &Arc<WorldDeclaration> {
+        &self.world
     }
 
     /// The frame that `id` names, which stays readable while the result lives; `None` if there is none.

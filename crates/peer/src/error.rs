@@ -3,6 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
+use case_book::BookError;
 use shm_types::message::Role;
 use shm_types::{ATTACH_VARIABLE, BusError, FactsTooLong};
 
@@ -31,6 +32,9 @@ pub enum ServeError {
         /// Its process id.
         pid: u32,
     },
+    /// The run's folder has no declaration of its world.
+    #[error(transparent)]
+    World(#[from] BookError),
     /// The folder is not that of an external memory.
     #[error("{} is not the folder of an external memory of a run: {ATTACH_VARIABLE} names one", .0.display())]
     NotAMemoryFolder(PathBuf),

@@ -44,5 +44,8 @@ pub use policy::{
     serve_from_environment,
 };
 // The vocabulary of requests and decisions, so that a policy needs no other crate.
-pub use domain::{Action, Cell, DocumentKind, Feedback, Heading, Pose};
+pub use case_book::WorldDeclaration;
+pub use domain::{
+    Action, ActionCode, Cell, DocumentKind, Feedback, FeedbackCode, Heading, Pose, State,
+};
 pub use shm_types::message::{FrameId, RequestId};

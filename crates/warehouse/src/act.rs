@@ -428,7 +428,7 @@ mod tests {
         let steps = vec![None, Some(Action::Forward)];
         let mut acted = |variant| {
             let request =
-                EpisodeRequest { begin: beside, ..request(&case.id, variant, steps.clone()) };
+                EpisodeRequest { begin: beside.map(Into::into), ..request(&case.id, variant, steps.clone()) };
             stage.episode(&request).unwrap()
         };
         let blocked = acted(1);

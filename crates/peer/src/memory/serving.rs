@@ -88,6 +88,6 @@ impl Service for MemoryService<'_> {
     }
 
     fn start<'s>(&'s mut self, connection: &Connection) -> Result<Self::Session<'s>, ServeError> {
-        session::MemorySession::new(self.method, self.description.frames, connection.bus())
+        session::MemorySession::new(self.method, self.description.frames, connection)
     }
 }

@@ -5,7 +5,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
-use domain::{Feedback, Pose, UnknownCode};
+use case_book::WorldDeclaration;
+use domain::State;
 use shm_types::banks::BankStep;
 use shm_types::message::{
     EpisodeOutcome, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore,
@@ -13,7 +14,7 @@ use shm_types::message::{
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
-    Bank, BankReceiver, Bus, ErrorReporter, Frame, NotePublisher, Notifier, Receiver, Sender,
+    Bank, BankReceiver, ErrorReporter, Frame, NotePublisher, Notifier, Receiver, Sender,
 };
 
 use super::answer::UnsentAnswer;
@@ -57,6 +58,8 @@ pub(super) struct MemorySession<'s> {
     announced: HashMap<u32, VecDeque<ExternalEpisode>>,
     /// What is to be saved or loaded after the queries that wait.
     storing: Vec<ExternalStore>,
+    /// What the world says of itself.
+    world: Arc<WorldDeclaration>,
     window: usize,
     batch: usize,
     answered: u64,
@@ -71,8 +74,8 @@ struct AskedEpisode {
     image_budget: u32,
     text_budget: u32,
     window: Vec<PastStep>,
-    /// Pose and view of the last query.
-    last_view: Option<(Pose, Arc<Frame>)>,
+    /// State and view of the last query.
+    last_view: Option<(State, Arc<Frame>)>,
     /// Why the episode cannot be served.
     failure: Option<MemoryError>,
 }
@@ -81,12 +84,14 @@ impl<'s> MemorySession<'s> {
     pub(super) fn new(
         method: &'s dyn MemoryMethod,
         uses_frames: bool,
-        bus: &Bus,
+        connection: &Connection,
     ) -> Result<Self, ServeError> {
+        let bus = connection.bus();
         let attach = bus.attach();
         Ok(Self {
             track: format!("external memory {}", method.describe().name),
             method,
+            world: Arc::clone(connection.world()),
             uses_frames,
             banks: BankReceiver::new(bus)?,
             episodes: bus.receiver()?,
@@ -155,9 +160,9 @@ impl<'s> MemorySession<'s> {
             };
             frames.push(frame);
         }
-        let steps: Result<Vec<_>, UnknownCode> =
-            bank.steps().iter().map(read_demonstration_step).collect();
-        Ok(steps.map(|steps| BankParts { bank, steps, frames }).map_err(MemoryError::new))
+        let steps = bank.steps().iter().map(|step| read_demonstration_step(&self.world, step));
+        let steps: Result<Vec<_>, MemoryError> = steps.collect();
+        Ok(steps.map(|steps| BankParts { bank, steps, frames }))
     }
 
     fn begin(&mut self, message: &ExternalEpisode, errors: &mut ErrorReporter) {
@@ -240,7 +245,7 @@ impl<'s> MemorySession<'s> {
         let Some(running) = slot.as_mut().filter(|_| !is_over) else { return Ok(false) };
         let frame = connection.frame(message.frame)?;
         let memory = self.memories.get_mut(&running.bank).and_then(Option::as_mut);
-        let answer = running.answer(message, frame.as_ref(), memory, self.window);
+        let answer = running.answer(message, &self.world, frame.as_ref(), memory, self.window);
         running.failure = answer.as_ref().err().cloned();
         let id = RequestId { lane, episode, step };
         self.send(id, answer.unwrap_or_else(UnsentAnswer::failed), received_ns)?;
@@ -264,7 +269,7 @@ impl<'s> MemorySession<'s> {
     fn end(&mut self, mut ended: AskedEpisode, message: &ExternalQuery) {
         let &ExternalQuery { lane, episode, .. } = message;
         let Some(Some(memory)) = self.memories.get_mut(&ended.bank) else { return };
-        let observed = read_step(message, None)
+        let observed = read_step(&self.world, message, None)
             .and_then(|step| ended.observe(&step, memory.as_mut(), self.window));
         if ended.learning != Learning::Learns {
             // The end of an episode that nothing is learned from cannot fail it.
@@ -349,6 +354,7 @@ impl AskedEpisode {
     fn answer(
         &mut self,
         message: &ExternalQuery,
+        world: &WorldDeclaration,
         frame: Option<&Arc<Frame>>,
         memory: Option<&mut Box<dyn Memory + '_>>,
         window: usize,
@@ -357,7 +363,7 @@ impl AskedEpisode {
             return Err(failure.clone());
         }
         let memory = memory.ok_or_else(|| MemoryError::new("there is no memory of the bank"))?;
-        let now = read_step(message, frame)?;
+        let now = read_step(world, message, frame)?;
         self.observe(&now, memory.as_mut(), window)?;
         let Some(frame) = frame else {
             let id = message.frame;
@@ -372,7 +378,7 @@ impl AskedEpisode {
             stage: None,
         };
         let items = memory.recall(&query)?;
-        self.last_view = Some((now.pose, frame.clone()));
+        self.last_view = Some((now.state, frame.clone()));
         let mut answer = UnsentAnswer::of(&items)?;
         answer.message.store_bytes = memory.store_bytes().unwrap_or(0);
         answer.message.tokens = memory.tokens().unwrap_or(NOT_MEASURED);
@@ -392,9 +398,9 @@ impl AskedEpisode {
         if let Some(failure) = &self.failure {
             return Err(failure.clone());
         }
-        if let Some((pose, frame)) = self.last_view.take() {
+        if let Some((state, frame)) = self.last_view.take() {
             let (action, feedback) = (now.last_action, now.feedback);
-            self.window.push(PastStep { pose, action, feedback, frame });
+            self.window.push(PastStep { state, action, feedback, frame });
             let excess = self.window.len().saturating_sub(window);
             self.window.drain(..excess);
         }
@@ -410,6 +416,7 @@ impl AskedEpisode {
 /// # Errors
 /// When a code or a length is not valid.
 fn read_step<'a>(
+    world: &WorldDeclaration,
     message: &'a ExternalQuery,
     frame: Option<&'a Arc<Frame>>,
 ) -> Result<Step<'a>, MemoryError> {
@@ -422,9 +429,11 @@ fn read_step<'a>(
         lane,
         episode,
         step,
-        pose: Pose::try_from(message.pose).map_err(MemoryError::new)?,
-        last_action: read_action(message.action).map_err(MemoryError::new)?,
-        feedback: Feedback::try_from(message.feedback).map_err(MemoryError::new)?,
+        state: world.read_state(&message.state).map_err(MemoryError::new)?,
+        last_action: world
+            .read_action(read_action(message.action).map_err(MemoryError::new)?)
+            .map_err(MemoryError::new)?,
+        feedback: world.read_feedback(message.feedback).map_err(MemoryError::new)?,
         frame: frame.map(|frame| FrameView::of(frame)),
         embedding: Some(embedding).filter(|numbers| !numbers.is_empty()),
         pinned: frame,
@@ -477,11 +486,15 @@ fn bank_has_frames(bank: &Bank) -> bool {
     bank.steps().first().is_some_and(|step| step.frame != shm_types::message::NO_FRAME)
 }
 
-fn read_demonstration_step(step: &BankStep) -> Result<DemonstrationStep, UnknownCode> {
+fn read_demonstration_step(
+    world: &WorldDeclaration,
+    step: &BankStep,
+) -> Result<DemonstrationStep, MemoryError> {
+    let action = read_action(step.action).map_err(MemoryError::new)?;
     Ok(DemonstrationStep {
-        pose: step.pose.try_into()?,
-        action: read_action(step.action)?,
-        feedback: Feedback::try_from(step.feedback)?,
+        state: world.read_state(&step.state).map_err(MemoryError::new)?,
+        action: world.read_action(action).map_err(MemoryError::new)?,
+        feedback: world.read_feedback(step.feedback).map_err(MemoryError::new)?,
         content_hash: step.content_hash,
     })
 }

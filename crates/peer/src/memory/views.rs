@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use domain::{Action, Feedback, Pose};
+use domain::{ActionCode, FeedbackCode, State};
 use shm_types::{Bank, Frame};
 
 use crate::policy::FrameView;
@@ -28,12 +28,12 @@ pub struct Demonstration<'a> {
 /// One step of a demonstration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DemonstrationStep {
-    /// The expert's pose.
-    pub pose: Pose,
+    /// The expert's state.
+    pub state: State,
     /// The expert's action there.
-    pub action: Option<Action>,
+    pub action: Option<ActionCode>,
     /// The feedback to the action before.
-    pub feedback: Feedback,
+    pub feedback: FeedbackCode,
     /// First 16 bytes of the BLAKE3 hash of the view's pixels: equal views, equal hash. Zeros if the view was not rendered.
     pub content_hash: [u8; 16],
 }
@@ -110,12 +110,12 @@ pub struct Step<'a> {
     pub episode: u64,
     /// Steps taken so far.
     pub step: u32,
-    /// The agent's pose.
-    pub pose: Pose,
+    /// The agent's state.
+    pub state: State,
     /// The action that led here; `None` at the start, and if the policy's answer could not be read.
-    pub last_action: Option<Action>,
+    pub last_action: Option<ActionCode>,
     /// The feedback to it.
-    pub feedback: Feedback,
+    pub feedback: FeedbackCode,
     /// The agent's view; `None` at the end of the episode, and for a memory in the host's process.
     pub frame: Option<FrameView<'a>>,
     /// The view's embedding, of length 1; `None` unless the memory asked for embeddings.
@@ -144,12 +144,12 @@ pub struct Query<'a> {
 /// A past step of the running episode.
 #[derive(Debug, Clone)]
 pub struct PastStep {
-    /// The pose before the action.
-    pub pose: Pose,
+    /// The state before the action.
+    pub state: State,
     /// The action taken there; `None` if the policy's answer could not be read.
-    pub action: Option<Action>,
+    pub action: Option<ActionCode>,
     /// The feedback to it.
-    pub feedback: Feedback,
+    pub feedback: FeedbackCode,
     /// The view before the action.
     pub frame: Arc<Frame>,
 }

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use case_book::WorldDeclaration;
 use shm_types::documents::Document;
 use shm_types::message::{Observation, PolicyEpisodeConfig, Recall};
 
@@ -22,10 +23,11 @@ pub enum Incoming {
 /// Takes messages in their order. Returns the complete requests, and how many messages and requests were refused.
 pub fn requests(
     lanes: u32,
+    world: Arc<WorldDeclaration>,
     documents: &[Arc<Document>],
     messages: impl IntoIterator<Item = Incoming>,
 ) -> (Vec<PinnedStep>, usize) {
-    let mut join = Join::new(lanes);
+    let mut join = Join::new(lanes, world);
     let (mut complete, mut refused) = (Vec::new(), 0);
     for message in messages {
         let taken = match message {

@@ -9,8 +9,9 @@ use std::fmt::Display;
 use std::ops::Range;
 use std::sync::Arc;
 
+use case_book::WorldDeclaration;
 use domain::pose::UnknownCode;
-use domain::{Action, Feedback, Pose};
+use domain::{ActionCode, FeedbackCode, State};
 use shm_types::message::{
     DocumentId, EpisodeId, FrameId, ItemKind, MAX_ITEMS, MAX_STEPS, MAX_WINDOW, NO_DOCUMENT,
     NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecalledItem, RequestId, SegmentStep,
@@ -28,6 +29,8 @@ pub(super) struct LaneEpisode {
     pub(super) instruction: String,
     pub(super) starts_as_demonstrated: bool,
     pub(super) demonstrated_elsewhere: bool,
+    /// What the world says of itself.
+    pub(super) world: Arc<WorldDeclaration>,
     /// Window length.
     window: usize,
 }
@@ -36,8 +39,8 @@ pub(super) struct LaneEpisode {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct JoinedStep {
     pub(super) frame: FrameId,
-    pub(super) action: Option<Action>,
-    pub(super) feedback: Feedback,
+    pub(super) action: Option<ActionCode>,
+    pub(super) feedback: FeedbackCode,
 }
 
 /// The content of an observation.
@@ -45,12 +48,12 @@ pub(super) struct JoinedStep {
 pub(super) struct Observed {
     pub(super) step: u32,
     pub(super) frame: FrameId,
-    pub(super) pose: Pose,
-    pub(super) feedback: Feedback,
+    pub(super) state: State,
+    pub(super) feedback: FeedbackCode,
 }
 
 /// A view and the expert's action there, each if it is supplied.
-pub(super) type SuppliedStep = (FrameId, Option<Action>);
+pub(super) type SuppliedStep = (FrameId, Option<ActionCode>);
 
 /// The content of a recall.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -199,17 +202,20 @@ pub(super) struct Ready {
 #[derive(Debug)]
 pub(super) struct Join {
     lanes: Vec<Lane>,
+    /// What the world says of itself.
+    world: Arc<WorldDeclaration>,
 }
 
 impl Join {
-    pub(super) fn new(lanes: u32) -> Self {
-        Self { lanes: (0..lanes).map(|_| Lane::default()).collect() }
+    pub(super) fn new(lanes: u32, world: Arc<WorldDeclaration>) -> Self {
+        Self { lanes: (0..lanes).map(|_| Lane::default()).collect(), world }
     }
 
     /// Begins an episode in a lane, and drops what the lane had.
     pub(super) fn begin(&mut self, config: &PolicyEpisodeConfig) -> Result<(), String> {
         const MESSAGE: &str = "episode config";
         let number = config.lane;
+        let world = Arc::clone(&self.world);
         let lane = self.lane_mut(MESSAGE, number)?;
         let instruction = read_text(&config.instruction, config.instruction_len)
             .map_err(|problem| bad(MESSAGE, number, 0, problem))?;
@@ -226,6 +232,7 @@ impl Join {
             instruction: instruction.to_owned(),
             starts_as_demonstrated: read_flag(config.starts_as_demonstrated).map_err(bad_value)?,
             demonstrated_elsewhere: read_flag(config.demonstrated_elsewhere).map_err(bad_value)?,
+            world,
             window,
         };
         *lane = Lane { episode: Some(Arc::new(episode)), ..Lane::default() };
@@ -249,9 +256,12 @@ impl Join {
         if frame == NO_FRAME {
             return Err(bad(MESSAGE, number, step, "it names no frame"));
         }
-        let pose = message.pose.try_into().map_err(bad_value)?;
-        let feedback = message.feedback.try_into().map_err(bad_value)?;
-        let action = read_action(message.action).map_err(bad_value)?;
+        let world = &episode.world;
+        let state = world.read_state(&message.state);
+        let state = state.map_err(|problem| bad(MESSAGE, number, step, problem))?;
+        let feedback = world.read_feedback(message.feedback).map_err(bad_value)?;
+        let action = world.read_action(read_action(message.action).map_err(bad_value)?);
+        let action = action.map_err(bad_value)?;
         let expected = lane.current.map_or(0, |current| current.step + 1);
         if step != expected {
             let problem = format_args!("step {expected} is next");
@@ -263,7 +273,7 @@ impl Join {
                 lane.window.pop_front();
             }
         }
-        lane.current = Some(Observed { step, frame, pose, feedback });
+        lane.current = Some(Observed { step, frame, state, feedback });
         lane.is_open = true;
         Ok(())
     }

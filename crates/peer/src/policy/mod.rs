@@ -158,7 +158,7 @@ impl<P: Decider + ?Sized> Service for PolicyService<'_, P> {
     }
 
     fn start<'s>(&'s mut self, connection: &Connection) -> Result<Self::Session<'s>, ServeError> {
-        session::PolicySession::new(self.policy, connection.bus())
+        session::PolicySession::new(self.policy, connection)
     }
 }
 

@@ -3,9 +3,9 @@
 use std::ops::{Deref, Range};
 use std::sync::Arc;
 
-use domain::Action;
 use shm_types::Frame;
 use shm_types::documents::{Content, Document};
+use shm_types::message::read_action;
 use shm_types::message::{DocumentId, FrameId, NO_FRAME, RequestId};
 
 use super::join::{ItemContent, Ready, StepsKind, SuppliedStep, TextPart, bad_item};
@@ -119,7 +119,8 @@ impl PinnedStep {
                 for demonstration in content.chunk_by(|a, b| a.trajectory == b.trajectory) {
                     let first = self.steps.len();
                     let steps = demonstration.iter();
-                    let steps = steps.map(|step| (step.frame, Action::try_from(step.action).ok()));
+                    let steps =
+                        steps.map(|step| (step.frame, read_action(step.action).ok().flatten()));
                     self.steps.extend(steps);
                     self.items.push(PinnedItem::Steps(*kind, first..self.steps.len()));
                 }
@@ -210,13 +211,14 @@ impl PinnedStep {
             episode_seed: episode.seed,
             repeat: episode.repeat,
             instruction: &episode.instruction,
-            pose: observed.pose,
+            state: observed.state,
             feedback: observed.feedback,
             frame: views.frame,
             window: &views.window,
             items,
             starts_as_demonstrated: episode.starts_as_demonstrated,
             demonstrated_elsewhere: episode.demonstrated_elsewhere,
+            world: &episode.world,
         }
     }
 }

@@ -5,6 +5,7 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use case_book::WorldDeclaration;
 use domain::create_private_folder;
 use domain::hex;
 use domain::prompt_log::{
@@ -60,22 +61,23 @@ impl PromptLogWriter {
         &mut self,
         request: &Request<'_>,
     ) -> Result<RecordedRequest, PromptLogError> {
+        let world = request.world;
         let mut window = Vec::with_capacity(request.window.len());
         for past in request.window {
             window.push(RecordedPast {
                 frame: self.view(&past.frame)?,
-                action: past.action.map(|action| action.words().to_owned()),
-                feedback: past.feedback.words().to_owned(),
+                action: past.action.map(|action| world.action_words(action).to_owned()),
+                feedback: world.feedback_sentence(past.feedback).to_owned(),
             });
         }
-        let items = request.items.iter().map(|item| self.item(item));
+        let items = request.items.iter().map(|item| self.item(world, item));
         let items = items.collect::<Result<_, _>>()?;
         Ok(RecordedRequest {
             repeat: request.repeat,
             seed: request.episode_seed,
             instruction: request.instruction.to_owned(),
-            pose: request.pose,
-            feedback: request.feedback.words().to_owned(),
+            state: request.state,
+            feedback: world.feedback_sentence(request.feedback).to_owned(),
             frame: self.view(&request.frame)?,
             starts_as_demonstrated: request.starts_as_demonstrated,
             demonstrated_elsewhere: request.demonstrated_elsewhere,
@@ -106,13 +108,17 @@ impl PromptLogWriter {
         self.file.write_all(&line).map_err(at(&self.path))
     }
 
-    fn item(&mut self, item: &Item<'_>) -> Result<RecordedItem, PromptLogError> {
+    fn item(
+        &mut self,
+        world: &WorldDeclaration,
+        item: &Item<'_>,
+    ) -> Result<RecordedItem, PromptLogError> {
         Ok(match item {
             Item::Text(TextView { kind, text, .. }) => {
                 RecordedItem::Text { kind: kind.word().to_owned(), text: self.text(text)? }
             }
             Item::Steps(supplied) => {
-                let steps = self.views(supplied.steps)?;
+                let steps = self.views(world, supplied.steps)?;
                 if supplied.is_trajectory() {
                     RecordedItem::Trajectory(self.trajectory(&steps)?)
                 } else {
@@ -125,10 +131,14 @@ impl PromptLogWriter {
         })
     }
 
-    fn views(&mut self, steps: &[StepView<'_>]) -> Result<Vec<RecordedView>, PromptLogError> {
+    fn views(
+        &mut self,
+        world: &WorldDeclaration,
+        steps: &[StepView<'_>],
+    ) -> Result<Vec<RecordedView>, PromptLogError> {
         let view = |step: &StepView<'_>| {
             let frame = step.frame.map(|frame| self.view(&frame)).transpose()?;
-            let action = step.action.map(|action| action.words().to_owned());
+            let action = step.action.map(|action| world.action_words(action).to_owned());
             Ok(RecordedView { frame, action })
         };
         steps.iter().map(view).collect()

@@ -3,7 +3,8 @@
 //! A request borrows everything: pixels stay where the simulator wrote them. Equal requests may come at any time, in any
 //! batch and any order, so a policy whose runs are to be reproducible decides from the request alone.
 
-use domain::{Action, DocumentKind, Feedback, Outcome, Pose};
+use case_book::WorldDeclaration;
+use domain::{ActionCode, DocumentKind, FeedbackCode, Outcome, State};
 use shm_types::message::{FrameId, NO_FRAME, RequestId};
 use shm_types::{Frame, FrameSize};
 
@@ -58,9 +59,9 @@ pub struct PastView<'a> {
     /// The view before the action.
     pub frame: FrameView<'a>,
     /// The action taken there; `None` if the answer could not be read.
-    pub action: Option<Action>,
+    pub action: Option<ActionCode>,
     /// The feedback to it.
-    pub feedback: Feedback,
+    pub feedback: FeedbackCode,
 }
 
 /// What memory supplies for a step is a list of items, the most important first.
@@ -104,7 +105,7 @@ pub struct StepView<'a> {
     /// demonstration.
     pub frame: Option<FrameView<'a>>,
     /// The expert's action there; `None` at the end of the item, and where actions are not supplied.
-    pub action: Option<Action>,
+    pub action: Option<ActionCode>,
 }
 
 /// A remembered view with a caption.
@@ -169,10 +170,10 @@ pub struct Request<'a> {
     pub repeat: u32,
     /// The task, in English.
     pub instruction: &'a str,
-    /// The agent's pose.
-    pub pose: Pose,
+    /// The agent's state.
+    pub state: State,
     /// The feedback to the last action.
-    pub feedback: Feedback,
+    pub feedback: FeedbackCode,
     /// The agent's view.
     pub frame: FrameView<'a>,
     /// The last steps, oldest first.
@@ -183,6 +184,8 @@ pub struct Request<'a> {
     pub starts_as_demonstrated: bool,
     /// Whether the prompt says that the demonstrations took place in another warehouse.
     pub demonstrated_elsewhere: bool,
+    /// What the world says of itself: what states, actions and feedback mean.
+    pub world: &'a WorldDeclaration,
 }
 
 impl<'a> Request<'a> {
@@ -218,7 +221,7 @@ impl<'a> Request<'a> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Answer {
     /// Take this action.
-    Act(Action),
+    Act(ActionCode),
     /// No action could be read from the answer.
     Unreadable,
     /// The answer was empty.
@@ -242,7 +245,7 @@ impl Answer {
     }
 
     /// The action, if there is one.
-    pub const fn action(self) -> Option<Action> {
+    pub const fn action(self) -> Option<ActionCode> {
         match self {
             Self::Act(action) => Some(action),
             Self::Unreadable | Self::Empty | Self::Refused | Self::CutOff => None,
@@ -295,7 +298,7 @@ pub struct Decision {
 
 impl Decision {
     /// `action`, decided from all images of `request` without a model.
-    pub fn act(request: &Request<'_>, action: Action) -> Self {
-        Self { answer: Answer::Act(action), images: request.images(), usage: None }
+    pub fn act(request: &Request<'_>, action: impl Into<ActionCode>) -> Self {
+        Self { answer: Answer::Act(action.into()), images: request.images(), usage: None }
     }
 }

@@ -3,18 +3,19 @@
 use std::sync::{Arc, mpsc};
 
 use bytemuck::Zeroable;
-use domain::Reasoning;
+use case_book::WorldDeclaration;
 use domain::prompt_log::{
     PromptLogEntry, RecordedAnswer, RecordedExchange, RecordedRequest, RecordedTiming,
     RecordedUsage,
 };
+use domain::{ActionCode, Reasoning};
 use shm_types::message::{
     self, DocumentId, NO_ACTION, NOT_MEASURED, Observation, PolicyEpisodeConfig, Recall, RequestId,
     Role, write_text,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
-    Bus, BusError, Document, DocumentError, DocumentStore, ErrorReporter, Receiver, Sender,
+    BusError, Document, DocumentError, DocumentStore, ErrorReporter, Receiver, Sender,
 };
 
 use super::answers::{AnswerEvent, Answers};
@@ -39,6 +40,8 @@ pub(super) struct PolicySession<'p, P: ?Sized> {
     recalls: Receiver<Recall>,
     decisions: Sender<message::Decision>,
     documents: DocumentStore,
+    /// What the world says of itself.
+    world: Arc<WorldDeclaration>,
     join: Join,
     answers: Answers,
     events: mpsc::Receiver<AnswerEvent>,
@@ -76,7 +79,8 @@ struct OpenRequest {
 }
 
 impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
-    pub(super) fn new(policy: &'p mut P, bus: &Bus) -> Result<Self, ServeError> {
+    pub(super) fn new(policy: &'p mut P, connection: &Connection) -> Result<Self, ServeError> {
+        let bus = connection.bus();
         let log = PromptLogWriter::open(bus.attach())?.map_or(Log::Off, Log::On);
         let (answers, events) =
             Answers::new(bus.notifier(Role::Policy)?, matches!(log, Log::On(_)));
@@ -88,7 +92,8 @@ impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
             recalls: bus.receiver()?,
             decisions: bus.sender()?,
             documents: DocumentStore::new(bus)?,
-            join: Join::new(lanes),
+            world: Arc::clone(connection.world()),
+            join: Join::new(lanes, Arc::clone(connection.world())),
             answers,
             events,
             open: (0..lanes).map(|_| None).collect(),
@@ -188,7 +193,7 @@ impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
     fn send_answers(&mut self, errors: &mut ErrorReporter) -> Result<bool, ServeError> {
         let mut sent = false;
         while let Ok(event) = self.events.try_recv() {
-            match event {
+            match self.checked(event) {
                 AnswerEvent::Exchanged(id, exchange) => {
                     let open = self.open.get_mut(id.lane as usize).and_then(Option::as_mut);
                     if let Some(open) = open.filter(|open| open.id == id) {
@@ -200,14 +205,16 @@ impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
                     let Some(open) = self.close(id) else { continue };
                     let message = open.message(&decision, decided_ns);
                     // The log entry is written before the decision is sent.
-                    if self.log_entry(open.entry(Ok((&decision, decided_ns))), errors)? {
+                    if self
+                        .log_entry(open.entry(&self.world, Ok((&decision, decided_ns))), errors)?
+                    {
                         self.decisions.send(&message)?;
                         self.answered += 1;
                     }
                 }
                 AnswerEvent::Failed(id, why) => {
                     let Some(open) = self.close(id) else { continue };
-                    if self.log_entry(open.entry(Err(&why)), errors)? {
+                    if self.log_entry(open.entry(&self.world, Err(&why)), errors)? {
                         self.failed.push((id, why));
                     }
                 }
@@ -237,6 +244,15 @@ impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
             }
         }
         Ok(sent)
+    }
+
+    /// The same event; a failure in place of a decision for an action that the world does not have.
+    fn checked(&self, event: AnswerEvent) -> AnswerEvent {
+        let AnswerEvent::Decided(id, ref decision, _) = event else { return event };
+        match self.world.read_action(decision.answer.action()) {
+            Ok(_) => event,
+            Err(unknown) => AnswerEvent::Failed(id, format!("the policy's answer: {unknown}")),
+        }
     }
 
     /// Writes an entry to the prompt log, if there is one. Returns `false` when the log is broken: the run was asked to
@@ -367,7 +383,7 @@ impl OpenRequest {
             images: decision.images,
             attempts: usage.attempts,
             outcome: decision.answer.outcome() as u8,
-            action: decision.answer.action().map_or(NO_ACTION, |action| action as u8),
+            action: decision.answer.action().map_or(NO_ACTION, |ActionCode(code)| code),
             replayed: usage.replayed.into(),
             reasoning: reasoning as u8,
             ..Zeroable::zeroed()
@@ -382,7 +398,11 @@ impl OpenRequest {
     }
 
     /// The entry of the prompt log: of a decision and when it was made, or of why there is none.
-    fn entry(self, answer: Result<(&Decision, u64), &str>) -> Option<PromptLogEntry> {
+    fn entry(
+        self,
+        world: &WorldDeclaration,
+        answer: Result<(&Decision, u64), &str>,
+    ) -> Option<PromptLogEntry> {
         let Self { id, images, received_ns, started_ns, request, exchange } = self;
         let decision = answer.ok().map(|(decision, _)| decision);
         let usage = decision.and_then(|decision| decision.usage.clone());
@@ -397,7 +417,10 @@ impl OpenRequest {
             exchange: exchange.map(|exchange| *exchange),
             answer: decision.map(|decision| RecordedAnswer {
                 outcome: decision.answer.outcome().word().to_owned(),
-                action: decision.answer.action().map(|action| action.words().to_owned()),
+                action: decision
+                    .answer
+                    .action()
+                    .map(|action| world.action_words(action).to_owned()),
                 images_asked: images,
                 images: decision.images,
             }),

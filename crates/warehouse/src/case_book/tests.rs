@@ -86,7 +86,7 @@ fn views_are_equal_where_variant_and_pose_are() {
     let request = BookRequest { elsewhere: elsewhere(), ..request(&named_sets()) };
     let Books { demonstrations: book, .. } = write_books(&request).unwrap();
     let mut number_of = HashMap::new();
-    let mut seen_from: HashMap<u32, (bool, Pose)> = HashMap::new();
+    let mut seen_from: HashMap<u32, (bool, State)> = HashMap::new();
     for of in &book.demonstrations {
         for (&pose, &view) in of.states.iter().zip(&of.views) {
             assert_eq!(*number_of.entry((of.variant, pose)).or_insert(view), view);
@@ -284,10 +284,10 @@ fn memory_is_told_nothing_of_a_test() {
             continue;
         }
         assert_ne!(of.states[0], State::from(case.test.start), "{}", case.id);
-        let begins = TrajectoryKind::DEMONSTRATIONS.map(|kind| case.trajectory(kind).start);
-        assert!(begins.contains(&of.poses[0]));
+        let begins = TrajectoryKind::DEMONSTRATIONS.map(|kind| State::from(case.trajectory(kind).start));
+        assert!(begins.contains(&of.states[0]));
         for reference in [&case.test, &case.blocked] {
-            assert_ne!((of.poses[0], &of.actions), (reference.start, &reference.actions));
+            assert_ne!((of.states[0], &of.actions), (reference.start.into(), &converted(&reference.actions)));
         }
     }
 }
