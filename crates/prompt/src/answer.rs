@@ -1,18 +1,19 @@
 //! The action in a model's answer.
 //!
-//! Where the server can restrict answers to the seven actions, an answer is one of them. Otherwise models write around it,
+//! Where the server can restrict answers to the world's actions, an answer is one of them. Otherwise models write around it,
 //! and the first action in the text counts:
 //!
 //! 1. Reasoning up to `</think>` is skipped, and so is everything before the first `action:` or `answer:`, also as a key
 //!    of JSON.
-//! 2. An action is a verb and a direction ("move forward", "rotate to the left", "strafe right"), or a direction that
-//!    leaves no choice ("forward", "u-turn"). "Left" alone and "go left" could be a move or a turn, and count as nothing,
-//!    and so does what is seen ("the path ahead", "looking forward").
+//! 2. An action is its own words, one after the other. Moves and turns, where the world has them, can also be a verb and a
+//!    direction ("rotate to the left", "strafe right"), or a direction that leaves no choice ("forward", "u-turn"). "Left"
+//!    alone and "go left" could be a move or a turn, and count as nothing, and so does what is seen ("the path ahead",
+//!    "looking forward").
 //! 3. An action right after a negation ("do not turn left", "no way forward") or before one ("moving forward is not
 //!    possible") does not count.
 
-use domain::Action;
-use peer::Answer;
+use domain::ActionCode;
+use peer::{Answer, WorldDeclaration};
 
 /// Why no action was read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -62,8 +63,11 @@ const REFUSALS: [&str; 7] =
 ///
 /// # Errors
 /// When there is none.
-pub fn read_cut_off_answer(text: &str) -> Result<Action, UnreadAnswer> {
-    read_answer(text).map_err(|why| match why {
+pub fn read_cut_off_answer(
+    world: &WorldDeclaration,
+    text: &str,
+) -> Result<ActionCode, UnreadAnswer> {
+    read_answer(world, text).map_err(|why| match why {
         UnreadAnswer::Refused => UnreadAnswer::Refused,
         UnreadAnswer::Empty | UnreadAnswer::NoAction | UnreadAnswer::CutOff => UnreadAnswer::CutOff,
     })
@@ -73,15 +77,15 @@ pub fn read_cut_off_answer(text: &str) -> Result<Action, UnreadAnswer> {
 ///
 /// # Errors
 /// When there is none.
-pub fn read_answer(text: &str) -> Result<Action, UnreadAnswer> {
+pub fn read_answer(world: &WorldDeclaration, text: &str) -> Result<ActionCode, UnreadAnswer> {
     let tokens = tokens(without_reasoning(text));
     let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
     if words.iter().all(|word| is_boundary(word)) {
         return Err(UnreadAnswer::Empty);
     }
     let marker = words.windows(2).position(|two| matches!(two, ["action" | "answer", ":"]));
-    let announced = marker.and_then(|at| first_action(&words[at + 2..]));
-    announced.or_else(|| first_action(&words)).ok_or_else(|| {
+    let announced = marker.and_then(|at| first_action(world, &words[at + 2..]));
+    announced.or_else(|| first_action(world, &words)).ok_or_else(|| {
         let text = words.join(" ");
         let refused = REFUSALS.iter().any(|phrase| text.contains(phrase));
         if refused { UnreadAnswer::Refused } else { UnreadAnswer::NoAction }
@@ -130,13 +134,14 @@ fn is_boundary(token: &str) -> bool {
     matches!(token, ":" | ".")
 }
 
-fn first_action(words: &[&str]) -> Option<Action> {
+fn first_action(world: &WorldDeclaration, words: &[&str]) -> Option<ActionCode> {
     (0..words.len()).find_map(|at| {
         let before = words[..at].iter().rev().take_while(|word| !is_boundary(word));
         let mut before = before.filter(|word| !FILLERS.contains(word)).take(2).peekable();
         let is_seen = before.peek().is_some_and(|word| is_form_of(word, &["look", "fac", "see"]));
         let denied = before.any(|word| NEGATIONS.contains(word));
-        action_at(&words[at..]).filter(|_| !is_seen && !denied && !is_denied_after(&words[at..]))
+        action_at(world, &words[at..])
+            .filter(|_| !is_seen && !denied && !is_denied_after(&words[at..]))
     })
 }
 
@@ -149,27 +154,36 @@ fn is_denied_after(words: &[&str]) -> bool {
     })
 }
 
-/// The action that begins with the first of `words`.
-fn action_at(words: &[&str]) -> Option<Action> {
+/// The action that begins with the first of `words`: one that is named by its own words, or in another way.
+fn action_at(world: &WorldDeclaration, words: &[&str]) -> Option<ActionCode> {
+    let named = world.action_codes().filter(|code| {
+        let mut rest = words.iter();
+        world.action_words(*code).split(' ').all(|word| rest.next() == Some(&word))
+    });
+    // Where one action's words begin another's, the longer ones count.
+    let longest = named.max_by_key(|code| world.action_words(*code).len());
+    longest.or_else(|| world.action_named(paraphrased(words)?))
+}
+
+/// The words of the action of moving or turning that begins with the first of `words`.
+fn paraphrased(words: &[&str]) -> Option<&'static str> {
     let (&first, rest) = words.split_first()?;
     let next = *rest.iter().find(|word| !FILLERS.contains(word)).unwrap_or(&".");
     match (first, next) {
-        ("forward" | "forwards", _) => Some(Action::Forward),
-        ("backward" | "backwards", _) => Some(Action::Backward),
-        ("uturn", _) | ("u", "turn") => Some(Action::TurnAround),
-        (verb, "left") if is_turn(verb) => Some(Action::TurnLeft),
-        (verb, "right") if is_turn(verb) => Some(Action::TurnRight),
-        (verb, "around" | "back" | "180") if is_turn(verb) => Some(Action::TurnAround),
-        ("left", "turn") => Some(Action::TurnLeft),
-        ("right", "turn") => Some(Action::TurnRight),
-        (verb, "left") if is_move(verb) => Some(Action::Left),
-        (verb, "right") if is_move(verb) => Some(Action::Right),
-        (verb, "back") if is_move(verb) || is_walk(verb) => Some(Action::Backward),
-        (verb, "straight") if is_move(verb) || is_walk(verb) => Some(Action::Forward),
+        ("forward" | "forwards", _) => Some("move forward"),
+        ("backward" | "backwards", _) => Some("move backward"),
+        ("uturn", _) | ("u", "turn") => Some("turn around"),
+        (verb, "left") if is_turn(verb) => Some("turn left"),
+        (verb, "right") if is_turn(verb) => Some("turn right"),
+        (verb, "around" | "back" | "180") if is_turn(verb) => Some("turn around"),
+        ("left", "turn") => Some("turn left"),
+        ("right", "turn") => Some("turn right"),
+        (verb, "left") if is_move(verb) => Some("move left"),
+        (verb, "right") if is_move(verb) => Some("move right"),
+        (verb, "back") if is_move(verb) || is_walk(verb) => Some("move backward"),
+        (verb, "straight") if is_move(verb) || is_walk(verb) => Some("move forward"),
         // "Go ahead" begins many sentences.
-        (verb, "ahead") if verb != "go" && (is_move(verb) || is_walk(verb)) => {
-            Some(Action::Forward)
-        }
+        (verb, "ahead") if verb != "go" && (is_move(verb) || is_walk(verb)) => Some("move forward"),
         _ => None,
     }
 }

@@ -17,8 +17,7 @@ mod render;
 mod template;
 pub mod tokens;
 
-use domain::Action;
-use peer::{FrameView, Request};
+use peer::{FrameView, Request, WorldDeclaration};
 use serde_json::{Value, json};
 
 pub use answer::{UnreadAnswer, read_answer, read_cut_off_answer};
@@ -39,17 +38,17 @@ pub fn template_hash() -> String {
 }
 
 /// The answers that a model may give, for servers that can restrict it to them.
-pub fn answer_choices() -> [&'static str; Action::ALL.len()] {
-    Action::ALL.map(Action::words)
+pub fn answer_choices(world: &WorldDeclaration) -> Vec<&str> {
+    world.action_codes().map(|code| world.action_words(code)).collect()
 }
 
-/// The settings of the benchmark's requests, in the words of the OpenAI interface.
-pub fn request_settings() -> Value {
+/// The settings of the benchmark's requests in a world, in the words of the OpenAI interface.
+pub fn request_settings(world: &WorldDeclaration) -> Value {
     json!({
         "temperature": 0.0,
         "max_tokens": ANSWER_TOKENS,
         "image_budget": IMAGE_BUDGET,
-        "choices": answer_choices(),
+        "choices": answer_choices(world),
     })
 }
 
@@ -112,7 +111,7 @@ pub struct PromptPart<'a> {
 #[derive(Debug, Clone)]
 pub struct Prompt<'a> {
     /// The system message.
-    pub system: &'static str,
+    pub system: String,
     /// The user message, in reading order. Adjacent texts of one section are one part.
     pub parts: Vec<PromptPart<'a>>,
     /// Images of the request. Those beyond the budget are not among the parts.

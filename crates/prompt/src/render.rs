@@ -1,7 +1,7 @@
 //! Renders a request in the words of the template.
 
-use domain::{Action, DocumentKind};
-use peer::{CaptionedView, FrameView, Item, Request, StepsView, TextView};
+use domain::{ActionCode, DocumentKind};
+use peer::{CaptionedView, FrameView, Item, Request, StepsView, TextView, WorldDeclaration};
 
 use super::budget::{ImageCounts, ImagePlan};
 use super::template::{Template, fill};
@@ -15,8 +15,15 @@ pub(super) fn prompt<'a>(
 ) -> Prompt<'a> {
     let plan = ImagePlan::new(counts(request), image_budget);
     let section = PromptSection::Memory;
-    let mut writer =
-        Writer { template, plan, section, keyframes: 0, retrieved: 0, parts: Vec::new() };
+    let mut writer = Writer {
+        template,
+        world: request.world,
+        plan,
+        section,
+        keyframes: 0,
+        retrieved: 0,
+        parts: Vec::new(),
+    };
     writer.memory(request);
     writer.section = PromptSection::Task;
     writer.fill(&template.task.text, &[("instruction", request.instruction)]);
@@ -24,7 +31,19 @@ pub(super) fn prompt<'a>(
     writer.window(request);
     writer.section = PromptSection::Now;
     writer.now(request);
-    Prompt { system: &template.system, parts: writer.parts, images_asked: request.images() }
+    let system = system(template, request.world);
+    Prompt { system, parts: writer.parts, images_asked: request.images() }
+}
+
+/// The system message: the same for all requests of a world.
+fn system(template: &Template, world: &WorldDeclaration) -> String {
+    fill(&template.system, &[("rules", &world.rules), ("actions", &action_list(world, "\n"))])
+}
+
+/// The words of all actions.
+fn action_list(world: &WorldDeclaration, separator: &str) -> String {
+    let words: Vec<&str> = world.action_codes().map(|code| world.action_words(code)).collect();
+    words.join(separator)
 }
 
 fn counts(request: &Request<'_>) -> ImageCounts {
@@ -61,6 +80,7 @@ impl StepsWording {
 
 struct Writer<'a> {
     template: &'static Template,
+    world: &'a WorldDeclaration,
     plan: ImagePlan,
     section: PromptSection,
     /// Keyframes so far.
@@ -211,13 +231,13 @@ impl<'a> Writer<'a> {
     }
 
     /// Writes `actions`, if there are any, and clears them.
-    fn actions(&mut self, actions: &mut Vec<Action>) {
+    fn actions(&mut self, actions: &mut Vec<ActionCode>) {
         if actions.is_empty() {
             return;
         }
-        let template = self.template;
+        let (template, world) = (self.template, self.world);
         let runs = actions.chunk_by(|a, b| a == b).map(|run| {
-            let action = template.action(run[0]);
+            let action = world.action_words(run[0]);
             let times = run.len().to_string();
             match run.len() {
                 1 => action.to_owned(),
@@ -244,7 +264,7 @@ impl<'a> Writer<'a> {
                 self.retrieved_view(view);
             }
             if let Some(action) = step.action {
-                self.fill(&texts.retrieved_action, &[("action", template.action(action))]);
+                self.fill(&texts.retrieved_action, &[("action", self.world.action_words(action))]);
             }
             led_here = step.action;
         }
@@ -262,8 +282,10 @@ impl<'a> Writer<'a> {
             let number = (index + 1).to_string();
             self.fill(&texts.view, &[("number", &number), ("count", &count)]);
             self.view(past.frame, self.plan.window(index as u32));
-            let action = past.action.map_or(texts.no_action.as_str(), |done| template.action(done));
-            let feedback = template.feedback(past.feedback);
+            let action = past.action;
+            let action =
+                action.map_or(texts.no_action.as_str(), |done| self.world.action_words(done));
+            let feedback = self.world.feedback_sentence(past.feedback);
             self.fill(&texts.step, &[("action", action), ("feedback", feedback)]);
         }
         self.text(&texts.end);
@@ -271,16 +293,13 @@ impl<'a> Writer<'a> {
 
     fn now(&mut self, request: &Request<'a>) {
         let texts = &self.template.now;
-        let cell = request.pose.cell;
-        let (column, row) = (cell.x.to_string(), cell.y.to_string());
-        let values = [
-            ("column", column.as_str()),
-            ("row", &row),
-            ("heading", self.template.heading(request.pose.heading)),
-            ("feedback", self.template.feedback(request.feedback)),
-        ];
-        self.fill(&texts.begin, &values);
+        let words = self.world.state_words(&request.state);
+        let words: Vec<(&str, &str)> =
+            words.iter().map(|(name, text)| (*name, text.as_str())).collect();
+        let state = fill(&self.world.state_sentence, &words);
+        let feedback = self.world.feedback_sentence(request.feedback);
+        self.fill(&texts.begin, &[("state", &state), ("feedback", feedback)]);
         self.view(request.frame, self.plan.now);
-        self.text(&texts.end);
+        self.fill(&texts.end, &[("actions", &action_list(self.world, ", "))]);
     }
 }

@@ -2,7 +2,6 @@
 
 use std::sync::LazyLock;
 
-use domain::{Action, Feedback, Heading};
 use serde::Deserialize;
 
 pub(super) const FILE: &str = include_str!("../v1.toml");
@@ -32,9 +31,6 @@ pub(super) struct Template {
     pub(super) window: WindowTexts,
     pub(super) now: NowTexts,
     pub(super) view: ViewTexts,
-    actions: ActionTexts,
-    feedback: FeedbackTexts,
-    headings: HeadingTexts,
 }
 
 texts! {
@@ -48,53 +44,6 @@ texts! {
     WindowTexts { begin, nothing, view, step, no_action, end }
     NowTexts { begin, end }
     ViewTexts { after }
-    ActionTexts { forward, backward, left, right, turn_left, turn_right, turn_around }
-    FeedbackTexts { start, moved, turned, blocked, not_understood }
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields, rename_all = "UPPERCASE")]
-struct HeadingTexts {
-    n: String,
-    e: String,
-    s: String,
-    w: String,
-}
-
-impl Template {
-    pub(super) fn action(&self, action: Action) -> &str {
-        let words = &self.actions;
-        match action {
-            Action::Forward => &words.forward,
-            Action::Backward => &words.backward,
-            Action::Left => &words.left,
-            Action::Right => &words.right,
-            Action::TurnLeft => &words.turn_left,
-            Action::TurnRight => &words.turn_right,
-            Action::TurnAround => &words.turn_around,
-        }
-    }
-
-    pub(super) fn feedback(&self, feedback: Feedback) -> &str {
-        let words = &self.feedback;
-        match feedback {
-            Feedback::Start => &words.start,
-            Feedback::Moved => &words.moved,
-            Feedback::Turned => &words.turned,
-            Feedback::Blocked => &words.blocked,
-            Feedback::NotUnderstood => &words.not_understood,
-        }
-    }
-
-    pub(super) fn heading(&self, heading: Heading) -> &str {
-        let words = &self.headings;
-        match heading {
-            Heading::N => &words.n,
-            Heading::E => &words.e,
-            Heading::S => &words.s,
-            Heading::W => &words.w,
-        }
-    }
 }
 
 /// The template that this program was built with.
@@ -135,23 +84,6 @@ pub(super) fn fill(text: &str, values: &[(&str, &str)]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_words_of_the_file_are_those_of_the_project() {
-        let template = template();
-        assert_eq!(template.version, "prompt/1");
-        for action in Action::ALL {
-            assert_eq!(template.action(action), action.words());
-            assert!(template.system.lines().any(|line| line == action.words()), "{action:?}");
-            assert!(template.now.end.contains(action.words()));
-        }
-        for feedback in Feedback::ALL {
-            assert_eq!(template.feedback(feedback), feedback.words());
-        }
-        for heading in Heading::ALL {
-            assert_eq!(template.heading(heading), heading.word());
-        }
-    }
 
     #[test]
     fn names_are_replaced_once_and_other_braces_stay() {
