@@ -32,7 +32,7 @@ mod tour;
 
 use beliefs::{Beliefs, PolicyCaches};
 use instruction::NavigationGoal;
-use peer::{Decision, Policy, Request};
+use peer::{Answer, Decision, Policy, Request};
 
 /// The grounded policy. Its only state is caches of what frames and documents show.
 #[derive(Debug, Default)]
@@ -54,8 +54,13 @@ impl Policy for Grounded {
             let items = if request.demonstrated_elsewhere { &[][..] } else { request.items };
             let request = &Request { items, ..*request };
             let goal = NavigationGoal::read(request.instruction);
-            let beliefs = Beliefs::new(request, goal.as_ref(), &mut self.caches);
-            Decision::act(request, plan::next_action(request, goal.as_ref(), &beliefs))
+            match Beliefs::new(request, goal.as_ref(), &mut self.caches) {
+                Ok(beliefs) => {
+                    Decision::act(request, plan::next_action(request, goal.as_ref(), &beliefs))
+                }
+                // Another world, which a run refuses before it begins.
+                Err(_) => Decision { answer: Answer::Unreadable, images: 0, usage: None },
+            }
         };
         batch.iter().map(decide).collect()
     }

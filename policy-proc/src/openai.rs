@@ -22,7 +22,10 @@ use llm::{
     AskError, ChatAnswer, ChatClient, ChatMessage, ChatReply, ChatRequest, ChatRole, ContentPart,
     ImageUrl, MessageContent, ReplyContent,
 };
-use peer::{Answer, Answers, Batch, Decider, Decision, FrameView, RequestId, ServeError, Usage};
+use peer::{
+    ActionCode, Answer, Answers, Batch, Decider, Decision, FrameView, RequestId, ServeError, Usage,
+    WorldDeclaration,
+};
 use prompt::image::ImageFormat;
 use prompt::{PartContent, Prompt, UnreadAnswer, read_answer, read_cut_off_answer};
 use shm_types::process::monotonic_ns;
@@ -137,8 +140,9 @@ impl Decider for Openai {
                 prompted_ns: monotonic_ns(),
                 exchange: answers.logs_prompts().then(|| exchange(&prompt)),
                 answers: answers.clone(),
+                world: Arc::clone(request.world),
             };
-            let chat = chat_request(&prompt, self.settings.answer_tokens, |view| {
+            let chat = chat_request(request.world, &prompt, self.settings.answer_tokens, |view| {
                 Arc::clone(&urls[&view.content_hash])
             });
             self.client.submit(chat, request.repeat, |answered| pending.finish(answered));
@@ -149,6 +153,7 @@ impl Decider for Openai {
 
 /// The chat request for a prompt, with `url` as the address of each image.
 fn chat_request<'a>(
+    world: &WorldDeclaration,
     prompt: &Prompt<'a>,
     max_tokens: u32,
     url: impl Fn(&FrameView<'a>) -> Arc<str>,
@@ -169,11 +174,11 @@ fn chat_request<'a>(
     };
     ChatRequest {
         messages: vec![
-            ChatMessage::text(ChatRole::System, prompt.system),
+            ChatMessage::text(ChatRole::System, &prompt.system),
             ChatMessage { role: ChatRole::User, content },
         ],
         max_tokens,
-        choices: prompt::answer_choices().to_vec(),
+        choices: prompt::answer_choices(world).into_iter().map(str::to_owned).collect(),
     }
 }
 
@@ -190,6 +195,8 @@ struct PendingRequest {
     /// For the prompt log, where there is one.
     exchange: Option<RecordedExchange>,
     answers: Answers,
+    /// What the world says of itself.
+    world: Arc<WorldDeclaration>,
 }
 
 impl PendingRequest {
@@ -203,7 +210,7 @@ impl PendingRequest {
             }
             Err(AskError::Stopped(why)) => return self.answers.stop_run(why),
         };
-        let read = read_reply(&answered.reply);
+        let read = read_reply(&self.world, &answered.reply);
         self.report_facts(&answered.reply);
         self.record(Some(&answered.reply), read.err());
         let answer = read.map_or_else(UnreadAnswer::answer, Answer::Act);
@@ -269,7 +276,7 @@ fn exchange(prompt: &Prompt<'_>) -> RecordedExchange {
     let message = |role: &str, parts| RecordedMessage { role: role.to_owned(), parts };
     RecordedExchange {
         messages: vec![
-            message("system", vec![RecordedPart::Text(prompt.system.to_owned())]),
+            message("system", vec![RecordedPart::Text(prompt.system.clone())]),
             message("user", user.collect()),
         ],
         ..RecordedExchange::default()
@@ -277,10 +284,10 @@ fn exchange(prompt: &Prompt<'_>) -> RecordedExchange {
 }
 
 /// The action that a reply names.
-fn read_reply(reply: &ChatReply) -> Result<domain::Action, UnreadAnswer> {
+fn read_reply(world: &WorldDeclaration, reply: &ChatReply) -> Result<ActionCode, UnreadAnswer> {
     match &reply.content {
-        ReplyContent::Text(text) => read_answer(text),
-        ReplyContent::Length(text) => read_cut_off_answer(text),
+        ReplyContent::Text(text) => read_answer(world, text),
+        ReplyContent::Length(text) => read_cut_off_answer(world, text),
         ReplyContent::Empty => Err(UnreadAnswer::Empty),
         ReplyContent::Refusal(_) => Err(UnreadAnswer::Refused),
     }

@@ -9,7 +9,7 @@ pub const MAX_STATE: usize = 16;
 pub const MAX_ACTIONS: usize = 64;
 
 /// The state of an agent: numbers whose meaning the world declares, in the order of its declaration. None is NaN or infinite.
-#[derive(Clone, Copy, Serialize, Deserialize)]
+#[derive(Clone, Copy, Default, Serialize, Deserialize)]
 #[serde(try_from = "Vec<f32>", into = "Vec<f32>")]
 pub struct State {
     numbers: [f32; MAX_STATE],

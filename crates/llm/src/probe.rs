@@ -265,7 +265,7 @@ impl ServerProbe<'_> {
     fn constraint(&mut self) {
         const CHOICES: [&str; 2] = ["harbour", "meadow"];
         let question = ChatRequest {
-            choices: CHOICES.to_vec(),
+            choices: CHOICES.map(str::to_owned).to_vec(),
             ..ChatRequest::text("What is 17 + 25? Answer with the number only.", ANSWER_TOKENS)
         };
         let (mark, about) = match self.ask(&question) {

@@ -100,7 +100,7 @@ pub struct ChatRequest {
     /// Maximum number of tokens of the answer.
     pub max_tokens: u32,
     /// The only answers allowed, where the server can enforce that; empty for free text.
-    pub choices: Vec<&'static str>,
+    pub choices: Vec<String>,
 }
 
 impl ChatRequest {
@@ -141,7 +141,7 @@ const SERVER_CONSTRAINTS: [&str; 2] = ["structured_outputs", "grammar"];
 pub const CONSTRAINTS: [&str; 3] = [SERVER_CONSTRAINTS[0], SERVER_CONSTRAINTS[1], RESPONSE_FORMAT];
 
 /// Fields that a server may refuse, in the order of [`Dialect`]'s bits.
-fn optional_fields(choices: &[&str]) -> Vec<(&'static str, Value)> {
+fn optional_fields(choices: &[String]) -> Vec<(&'static str, Value)> {
     let mut fields = vec![
         // OpenAI, Ollama, OpenRouter, Gemini.
         ("reasoning_effort", json!("none")),
@@ -156,7 +156,7 @@ fn optional_fields(choices: &[&str]) -> Vec<(&'static str, Value)> {
     ];
     if !choices.is_empty() {
         let alternatives: Vec<String> =
-            choices.iter().map(|choice| Value::from(*choice).to_string()).collect();
+            choices.iter().map(|choice| Value::from(choice.as_str()).to_string()).collect();
         let schema = json!({
             "type": "object",
             "properties": {"action": {"type": "string", "enum": choices}},
@@ -213,7 +213,7 @@ impl Dialect {
     }
 
     /// The optional fields that are sent.
-    fn fields(self, choices: &[&str]) -> Vec<(&'static str, Value)> {
+    fn fields(self, choices: &[String]) -> Vec<(&'static str, Value)> {
         let refused = |bit: usize| self.0 & (1 << bit) != 0;
         let all = optional_fields(choices).into_iter().enumerate();
         let mut fields: Vec<_> = all.filter(|(bit, _)| !refused(*bit)).map(|(_, f)| f).collect();
@@ -225,7 +225,7 @@ impl Dialect {
 
     /// The optional fields that the server has refused.
     pub(crate) fn refused(self) -> Vec<&'static str> {
-        let all = optional_fields(&["any"]).into_iter().enumerate();
+        let all = optional_fields(&["any".to_owned()]).into_iter().enumerate();
         all.filter(|(bit, _)| self.0 & (1 << bit) != 0).map(|(_, (field, _))| field).collect()
     }
 
@@ -261,7 +261,7 @@ impl Dialect {
 mod tests {
     use super::*;
 
-    fn request(choices: &[&'static str]) -> ChatRequest {
+    fn request(choices: &[&str]) -> ChatRequest {
         let image = ContentPart::ImageUrl {
             image_url: ImageUrl { url: "data:image/png;base64,AA==".into() },
         };
@@ -272,11 +272,11 @@ mod tests {
                 ChatMessage { role: ChatRole::User, content: MessageContent::Parts(parts) },
             ],
             max_tokens: 30,
-            choices: choices.to_vec(),
+            choices: choices.iter().map(|&choice| choice.to_owned()).collect(),
         }
     }
 
-    fn body(dialect: Dialect, choices: &[&'static str]) -> Value {
+    fn body(dialect: Dialect, choices: &[&str]) -> Value {
         serde_json::to_value(dialect.body("m", &request(choices))).unwrap()
     }
 

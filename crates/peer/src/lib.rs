@@ -44,7 +44,7 @@ pub use policy::{
     serve_from_environment,
 };
 // The vocabulary of requests and decisions, so that a policy needs no other crate.
-pub use case_book::WorldDeclaration;
+pub use case_book::{self as world, WorldDeclaration};
 pub use domain::{
     Action, ActionCode, Cell, DocumentKind, Feedback, FeedbackCode, Heading, Pose, State,
 };

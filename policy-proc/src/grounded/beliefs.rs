@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use domain::{Cell, Pose};
-use peer::{Item, Request};
+use domain::{Cell, Pose, UnknownCode};
+use peer::{Item, Request, StepView};
 use plates::{ItemName, Landmark};
 
 use super::demonstration::{RelativePath, RelativePaths, RememberedStep};
@@ -41,8 +41,8 @@ impl Beliefs {
         request: &Request<'_>,
         goal: Option<&NavigationGoal<'_>>,
         caches: &mut PolicyCaches,
-    ) -> Self {
-        let recent = RecentSteps::of(request);
+    ) -> Result<Self, UnknownCode> {
+        let recent = RecentSteps::of(request)?;
         let views = placed_views(request, &recent, &mut caches.views);
         let mut seen: Vec<Landmark> = Vec::new();
         views.iter().for_each(|view| seen.extend_from_slice(&view.landmarks));
@@ -53,7 +53,9 @@ impl Beliefs {
             let supplied: Vec<RememberedStep<'_>> = match item {
                 Item::Text(_) => continue,
                 Item::Steps(supplied) => {
-                    supplied.steps.iter().map(|step| (step.frame, step.action)).collect()
+                    let action =
+                        |step: &StepView<'_>| step.action.and_then(|action| action.try_into().ok());
+                    supplied.steps.iter().map(|step| (step.frame, action(step))).collect()
                 }
                 Item::Frame(captioned) => vec![(Some(captioned.frame), None)],
             };
@@ -71,7 +73,7 @@ impl Beliefs {
         let texts: Vec<_> = request.texts().collect();
         let knowledge = caches.knowledge.get(task, &texts, &located);
 
-        let mut map = LocalMap::around(request.pose.cell);
+        let mut map = LocalMap::around(recent.here.cell);
         knowledge.mark(&mut map, Doubt::at(request.step, request.episode_seed));
         for view in &views {
             view.free.iter().for_each(|&cell| map.mark_free(cell));
@@ -85,7 +87,7 @@ impl Beliefs {
         recent.cells().for_each(|cell| map.mark_free(cell));
         recent.blocked_cells().for_each(|cell| map.mark_occupied(cell));
         let is_blind = views.last().is_none_or(|view| view.content.is_blank);
-        Self { recent, is_blind, map, seen, segments, knowledge }
+        Ok(Self { recent, is_blind, map, seen, segments, knowledge })
     }
 
     /// Cells from which the `nth` target of the goal can be reached.

@@ -1,6 +1,6 @@
 //! The poses of the last steps, reconstructed from the current pose and the window.
 
-use domain::{Action, Cell, Feedback, Pose};
+use domain::{Action, Cell, Feedback, Pose, UnknownCode};
 use peer::Request;
 
 use super::geometry::after;
@@ -23,16 +23,21 @@ pub(super) struct RecentSteps {
 }
 
 impl RecentSteps {
-    pub(super) fn of(request: &Request<'_>) -> Self {
-        let mut pose = request.pose;
+    /// # Errors
+    /// When the request is about another world than the warehouse.
+    pub(super) fn of(request: &Request<'_>) -> Result<Self, UnknownCode> {
+        let here = Pose::try_from(request.state)?;
+        let mut pose = here;
         let mut past = Vec::with_capacity(request.window.len());
         for step in request.window.iter().rev() {
-            pose = before(pose, step.action, step.feedback);
-            past.push(PastPose { pose, action: step.action, feedback: step.feedback });
+            let action = step.action.map(Action::try_from).transpose()?;
+            let feedback = Feedback::try_from(step.feedback)?;
+            pose = before(pose, action, feedback);
+            past.push(PastPose { pose, action, feedback });
         }
         past.reverse();
         let is_complete = past.len() == request.step as usize;
-        Self { past, here: request.pose, origin: is_complete.then_some(pose) }
+        Ok(Self { past, here, origin: is_complete.then_some(pose) })
     }
 
     /// The cells occupied so far, oldest first, ending with the current one.

@@ -1,8 +1,14 @@
 //! The largest request of a run, with invented content: what a server has to accept before a run makes sense.
 
-use domain::{Action, DocumentKind, Feedback, Heading, Pose};
+use std::sync::Arc;
+
+use domain::DocumentKind;
 use llm::ChatRequest;
-use peer::{FrameView, Item, PastView, Request, StepView, StepsView, TextView};
+use peer::world::{ActionDeclaration, StateField, WorldDeclaration};
+use peer::{
+    ActionCode, FeedbackCode, FrameView, Item, PastView, Request, State, StepView, StepsView,
+    TextView,
+};
 use prompt::Prompt;
 use prompt::image::{ImageFormat, data_url};
 
@@ -12,6 +18,12 @@ const KEYFRAME_DISTANCE: u32 = 2;
 /// A line of an invented document.
 const DOCUMENT_LINE: &str =
     "- blue barrel: stand at (12, 7) facing N; from (3, 1) go (3, 7), (12, 7)\n";
+
+/// A line of invented rules.
+const RULE_LINE: &str = "- You cannot walk through racks, walls and barricades.\n";
+
+/// About the length of the benchmark's rules.
+const RULES_BYTES: usize = 2000;
 
 /// The size of the largest request of a run: full-context memory, a full window, and documents.
 #[derive(Debug, Clone, Copy)]
@@ -36,15 +48,16 @@ impl LargestRequest {
 
     /// The chat request, with at most `image_budget` images.
     pub fn chat_request(&self, image_budget: u32) -> ChatRequest {
+        let world = Arc::new(invented_world());
         let pixels = pixels(self.frame_size);
         let (width, height) = (self.frame_size, self.frame_size);
         let frame = FrameView { pixels: &pixels, width, height, ..FrameView::NONE };
-        let past = PastView { frame, action: Some(Action::Forward), feedback: Feedback::Moved };
+        let past = PastView { frame, action: Some(ActionCode(0)), feedback: FeedbackCode::START };
         let window = vec![past; self.window as usize];
         let steps: Vec<_> = (0..self.keyframes * KEYFRAME_DISTANCE)
             .map(|step| StepView {
                 frame: (step % KEYFRAME_DISTANCE == 0).then_some(frame),
-                action: Some(Action::ALL[step as usize % Action::ALL.len()]),
+                action: Some(ActionCode(step as u8 % world.actions.len() as u8)),
             })
             .collect();
         let text: String =
@@ -59,19 +72,42 @@ impl LargestRequest {
             episode_seed: 0,
             repeat: 0,
             instruction: "Find a blue barrel, then return to the cell where you started.",
-            pose: Pose::new(3, 12, Heading::N),
-            feedback: Feedback::Moved,
+            state: State::default(),
+            feedback: FeedbackCode::START,
             frame,
             window: &window,
             items: if self.document_chars == 0 { &items[..1] } else { &items },
             starts_as_demonstrated: true,
             demonstrated_elsewhere: true,
+            world: &world,
         };
         // A square view can be encoded.
         let url = data_url(&frame, self.image_format).unwrap_or_default().into();
-        super::chat_request(&Prompt::new(&request, image_budget), prompt::ANSWER_TOKENS, |_| {
-            std::sync::Arc::clone(&url)
-        })
+        super::chat_request(
+            &world,
+            &Prompt::new(&request, image_budget),
+            prompt::ANSWER_TOKENS,
+            |_| Arc::clone(&url),
+        )
+    }
+}
+
+/// A world with rules as long as those of the benchmark's.
+fn invented_world() -> WorldDeclaration {
+    let actions = ["move forward", "move backward", "move left", "move right", "turn left"];
+    let actions = ('a'..).zip(actions.into_iter().chain(["turn right", "turn around"]));
+    let action =
+        |(letter, words): (char, &str)| ActionDeclaration { letter, words: words.to_owned() };
+    let state = StateField { name: "column".to_owned(), words: Vec::new(), digits: 0 };
+    WorldDeclaration {
+        name: "invented".to_owned(),
+        version: "1".to_owned(),
+        rules: RULE_LINE.repeat(RULES_BYTES / RULE_LINE.len()),
+        actions: actions.map(action).collect(),
+        state: vec![state],
+        state_sentence: "You are in column {column}.".to_owned(),
+        feedback: ["The episode has just begun.", "You moved."].map(str::to_owned).to_vec(),
+        is_deterministic: true,
     }
 }
 

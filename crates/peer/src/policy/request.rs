@@ -3,6 +3,8 @@
 //! A request borrows everything: pixels stay where the simulator wrote them. Equal requests may come at any time, in any
 //! batch and any order, so a policy whose runs are to be reproducible decides from the request alone.
 
+use std::sync::Arc;
+
 use case_book::WorldDeclaration;
 use domain::{ActionCode, DocumentKind, FeedbackCode, Outcome, State};
 use shm_types::message::{FrameId, NO_FRAME, RequestId};
@@ -185,7 +187,7 @@ pub struct Request<'a> {
     /// Whether the prompt says that the demonstrations took place in another warehouse.
     pub demonstrated_elsewhere: bool,
     /// What the world says of itself: what states, actions and feedback mean.
-    pub world: &'a WorldDeclaration,
+    pub world: &'a Arc<WorldDeclaration>,
 }
 
 impl<'a> Request<'a> {
