@@ -218,7 +218,8 @@ macro_rules! message_table {
         rendered_ns: u64,
         /// When this message was sent.
         sent_ns: u64,
-        /// A hash of the whole state of the world in this lane, as the world defines it: equal states, equal hashes.
+        /// At the begin and at the end of an episode: a hash of the whole state of its world, as the world defines it. Equal
+        /// states have equal hashes. Otherwise 0.
         state_hash: u64,
         /// The lane.
         lane: u32,

@@ -1,5 +1,7 @@
 //! The lanes: which episode each runs, how far it is, and how commands change that.
 
+use std::hash::{Hash, Hasher};
+
 use case_book::EpisodeFacts;
 use domain::{Action, Cell, Feedback, Pose, Start, UnknownCode};
 use shm_types::message::{EpisodeEnd, StepCommand, StepKind, WorldEpisodeConfig, read_flag};
@@ -29,6 +31,8 @@ pub struct Stepped {
     pub ended: EpisodeEnd,
     /// The facts of the episode, if it has ended.
     pub facts: Option<EpisodeFacts>,
+    /// Of the state of the world, at the begin and at the end; otherwise 0.
+    pub state_hash: u64,
 }
 
 /// An episode under way.
@@ -223,7 +227,15 @@ impl SimulatedEpisode {
             conflict,
             ended,
             facts: None,
+            state_hash: if self.step == 0 || ended != EpisodeEnd::GoesOn { self.hash() } else { 0 },
         }
+    }
+
+    /// A hash of the state: variant, pose and progress.
+    fn hash(&self) -> u64 {
+        let mut hasher = StateHasher::default();
+        (self.config.variant, self.pose, &self.progress).hash(&mut hasher);
+        hasher.finish()
     }
 
     /// The facts of the episode, which has ended.
@@ -238,6 +250,21 @@ impl SimulatedEpisode {
             completes_in: (config.learns != 0)
                 .then(|| worlds.completed_in(config.case, start, actions)),
         }
+    }
+}
+
+/// A hash that is the same in every build.
+#[derive(Default)]
+struct StateHasher(blake3::Hasher);
+
+impl Hasher for StateHasher {
+    fn write(&mut self, bytes: &[u8]) {
+        self.0.update(bytes);
+    }
+
+    fn finish(&self) -> u64 {
+        let hash = self.0.finalize();
+        hash.as_bytes().first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes))
     }
 }
 

@@ -11,9 +11,6 @@ use warehouse::step;
 
 use crate::worlds::{WorldParts, Worlds};
 
-/// Stands in for an action where there was none.
-const NO_LETTER: char = '?';
-
 /// The states of episodes that memories learn from, by sequence and position.
 #[derive(Debug, Clone, Default)]
 pub struct LivedEpisodes {
@@ -56,9 +53,9 @@ impl LivedEpisodes {
         let world = worlds.variant(variant)?;
         let mut pose = worlds.case(case)?.start(start, variant == 1 + case);
         self.begin((sequence, position), world, pose);
-        for letter in actions.chars() {
-            if letter != NO_LETTER {
-                let action = Action::from_letter(letter)?;
+        for action in actions {
+            if let Some(action) = *action {
+                let action = Action::try_from(action).ok()?;
                 (pose, _) = step(worlds.layout_of(world), worlds.closed(world), pose, action);
             }
             self.step((sequence, position), pose);
@@ -99,9 +96,9 @@ mod tests {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
         let worlds = Worlds::new(&warehouse, &cases, Vec::new());
         let replay = cases.cases[4].replay(&warehouse, TrajectoryKind::Original);
-        let mut actions: String =
-            cases.cases[4].original.actions.iter().map(|action| action.letter()).collect();
-        actions.insert(2, NO_LETTER);
+        let taken = cases.cases[4].original.actions.iter();
+        let mut actions: Vec<_> = taken.map(|action| Some((*action).into())).collect();
+        actions.insert(2, None);
         let learned = LearnedEpisode {
             sequence: 7,
             position: 3,

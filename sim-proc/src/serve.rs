@@ -14,7 +14,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use bytemuck::Zeroable;
 use case_book::DemonstrationBook;
-use domain::{Feedback, Pose};
+use domain::{Feedback, Pose, State};
 use rustc_hash::FxHashMap;
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::{
@@ -296,9 +296,10 @@ impl<'a> Simulator<'a> {
             });
         }
         let of = self.demonstrations.demonstrations.get(number as usize);
-        let seen = of.and_then(|of| Some((of.variant, *of.poses.get(step as usize)?)));
-        let (variant, pose) =
+        let seen = of.and_then(|of| Some((of.variant, *of.states.get(step as usize)?)));
+        let (variant, state) =
             seen.ok_or_else(|| format!("there is no step {step} of demonstration {number}"))?;
+        let pose = Pose::try_from(state).map_err(|foreign| foreign.to_string())?;
         Ok((self.lanes.standing(variant, pose)?, pose))
     }
 
@@ -361,6 +362,7 @@ impl<'a> Simulator<'a> {
             required: required as u16,
             ended: stepped.ended as u8,
             conflict: conflict.into(),
+            state_hash: stepped.state_hash,
             ..report
         };
         let observation = Observation {
@@ -368,11 +370,11 @@ impl<'a> Simulator<'a> {
             frame: NO_FRAME,
             lane: report.lane,
             step: report.step,
-            pose: pose.into(),
+            state: State::from(pose).padded(),
             feedback: feedback as u8,
             action: if feedback == Feedback::NotUnderstood { NO_ACTION } else { action },
             last: ends.into(),
-            reserved: 0,
+            reserved: [0; 5],
         };
         let facts = stepped.facts.map(|facts| serde_json::to_string(&facts)).transpose()?;
         self.pending.push(Pending { view, answer: PendingView::Step(observation, report, facts) });

@@ -54,7 +54,7 @@ pub fn run(args: &ViewsArgs) -> Result<()> {
         let (first, second) = line.split_once(' ')?;
         let Some(book) = &book else { return Some((first.parse().ok()?, second.parse().ok()?)) };
         let of = book.demonstrations.get(first.parse::<usize>().ok()?)?;
-        Some((of.variant, *of.poses.get(second.parse::<usize>().ok()?)?))
+        Some((of.variant, Pose::try_from(*of.states.get(second.parse::<usize>().ok()?)?).ok()?))
     };
     let mut stdout = std::io::stdout().lock();
     for line in std::io::stdin().lock().lines() {

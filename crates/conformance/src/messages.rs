@@ -1,13 +1,46 @@
 //! Valid messages. A test changes the fields that it is about.
 
+use std::path::Path;
+use std::{fs, io};
+
 use bytemuck::Zeroable;
-use domain::{Action, Feedback, Heading, Outcome, Pose};
+use case_book::{ActionDeclaration, BookFile, StateField, WORLD_FILE, WorldDeclaration};
+use domain::{Action, Feedback, Heading, Outcome, Pose, State};
 use shm_types::message::{
     Decision, DocumentId, ExternalEpisode, ExternalQuery, FrameId, ItemKind, NO_ACTION, NO_FRAME,
     NOT_MEASURED, Observation, PolicyEpisodeConfig, Recall, RecallTrace, RecalledItem, RequestId,
-    SegmentStep, StepCommand, StepKind, StepReport, WirePose, WorldEpisodeConfig, write_text,
+    SegmentStep, StepCommand, StepKind, StepReport, WorldEpisodeConfig, write_text,
 };
 use shm_types::process::monotonic_ns;
+
+/// The declaration of the scripted world: poses on a grid, and the actions and feedback of the benchmark's agent.
+pub fn scripted_world() -> WorldDeclaration {
+    let field =
+        |name: &str, words: Vec<String>| StateField { name: name.to_owned(), words, digits: 0 };
+    let action = |action: Action| ActionDeclaration {
+        letter: action.letter(),
+        words: action.words().to_owned(),
+    };
+    let headings = Heading::ALL.map(|heading| heading.word().to_owned()).to_vec();
+    WorldDeclaration {
+        name: "scripted".to_owned(),
+        version: "1".to_owned(),
+        rules: "You walk on a grid.".to_owned(),
+        actions: Action::ALL.map(action).to_vec(),
+        state: vec![field("column", vec![]), field("row", vec![]), field("heading", headings)],
+        state_sentence: "You are in column {column}, row {row}, and face {heading}.".to_owned(),
+        feedback: Feedback::ALL.map(|feedback| feedback.words().to_owned()).to_vec(),
+        is_deterministic: true,
+    }
+}
+
+/// Writes the declaration of the scripted world into the folder to which processes attach.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_scripted_world(root: &Path) -> io::Result<()> {
+    fs::write(root.join(WORLD_FILE), BookFile::new(scripted_world())?.text)
+}
 
 /// The config of an episode with a window of six steps; its seed is the number of its lane.
 pub fn config(lane: u32, episode: u64, instruction: &str) -> PolicyEpisodeConfig {
@@ -42,7 +75,7 @@ pub fn observation(id: RequestId, frame: FrameId) -> Observation {
         episode,
         step,
         frame,
-        pose: WirePose::from(Pose::new(3, 4, Heading::E)),
+        state: State::from(Pose::new(3, 4, Heading::E)).padded(),
         feedback: feedback as u8,
         action,
         ..Zeroable::zeroed()
@@ -166,7 +199,12 @@ pub fn external_episode(lane: u32, episode: u64, bank: u64, instruction: &str) -
 }
 
 /// The query of a step, after a move forward.
-pub fn query(id: RequestId, frame: FrameId, pose: WirePose, embedding: &[f32]) -> ExternalQuery {
+pub fn query(
+    id: RequestId,
+    frame: FrameId,
+    state: impl Into<State>,
+    embedding: &[f32],
+) -> ExternalQuery {
     let RequestId { lane, episode, step } = id;
     let (feedback, action) = match step {
         0 => (Feedback::Start, NO_ACTION),
@@ -178,7 +216,7 @@ pub fn query(id: RequestId, frame: FrameId, pose: WirePose, embedding: &[f32]) -
         sent_ns: monotonic_ns(),
         lane,
         step,
-        pose,
+        state: state.into().padded(),
         embedding_len: embedding.len() as u32,
         feedback: feedback as u8,
         action,
@@ -189,6 +227,6 @@ pub fn query(id: RequestId, frame: FrameId, pose: WirePose, embedding: &[f32]) -
 }
 
 /// The last message of an episode, which is not answered.
-pub fn last_query(id: RequestId, pose: WirePose) -> ExternalQuery {
-    ExternalQuery { last: 1, ..query(id, NO_FRAME, pose, &[]) }
+pub fn last_query(id: RequestId, state: impl Into<State>) -> ExternalQuery {
+    ExternalQuery { last: 1, ..query(id, NO_FRAME, state, &[]) }
 }

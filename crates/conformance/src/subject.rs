@@ -15,6 +15,7 @@ use shm_types::message::{ErrorReportKind, FrameId, RequestId, Role, WIRE_VERSION
 use shm_types::{Attach, BusError, FrameError, FramePublisher};
 use supervise::{ChildExit, Children, Launch};
 
+use crate::messages::write_scripted_world;
 use crate::neighbours::{Neighbours, TICK};
 
 /// How long to look for messages that must not come.
@@ -210,6 +211,7 @@ impl<'a, R: TestedRole> Subject<'a, R> {
         if R::WAITS_FOR_RUN {
             Attach::withdraw(root).map_err(anyhow::Error::from)?;
         } else {
+            write_scripted_world(root).map_err(anyhow::Error::from)?;
             attach.write(root).map_err(anyhow::Error::from)?;
         }
         let neighbours = R::join(attach).map_err(anyhow::Error::from)?;
@@ -230,6 +232,7 @@ impl<'a, R: TestedRole> Subject<'a, R> {
         let began = Instant::now();
         subject.role.introduce(&folder, &mut subject.children, terms)?;
         if R::WAITS_FOR_RUN {
+            write_scripted_world(root).map_err(anyhow::Error::from)?;
             attach.write(root).map_err(anyhow::Error::from)?;
         }
         subject.wait_for_handshake(began)?;

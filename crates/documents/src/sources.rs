@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use case_book::{Demonstration, DemonstrationBook, ViewPlace};
-use domain::{Appearance, Demonstrations};
+use domain::{Appearance, Demonstrations, hex};
 
 use crate::sha256_of_parts;
 
@@ -77,7 +77,7 @@ impl Sources {
             .map(|variant| book.variants.get(variant).map_or("", String::as_str))
             .collect();
         let mut parts = vec![
-            "memtransfer sources v2".to_owned(),
+            "memtransfer sources v3".to_owned(),
             env!("CARGO_PKG_VERSION").to_owned(),
             hashes.join(" "),
             format!("{frame_size} x {frame_size}"),
@@ -87,8 +87,8 @@ impl Sources {
         }
         for of in demonstrations {
             parts.push(of.instruction.clone());
-            parts.push(of.poses[0].to_string());
-            parts.push(of.actions.iter().map(|action| action.letter()).collect());
+            parts.push(of.states[0].to_string());
+            parts.push(hex(&of.actions.iter().map(|action| action.0).collect::<Vec<u8>>()));
         }
         sha256_of_parts(parts.iter().map(String::as_str))
     }

@@ -12,7 +12,8 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
-use domain::Pose;
+use conformance::messages::write_scripted_world;
+use domain::State;
 use shm_types::documents::Content;
 use shm_types::message::{
     Decision, DocumentId, ErrorReport, ErrorReportKind, FrameId, Handshake, MemoryEpisodeConfig,
@@ -52,6 +53,7 @@ impl ScratchRun {
             ..run.attach()
         };
         change(&mut attach);
+        write_scripted_world(run.path()).unwrap();
         attach.write(run.path()).unwrap();
         Self { attach, _run: run, base }
     }
@@ -452,10 +454,10 @@ impl SimRig {
 pub struct MemoryNeighbours {
     /// The documents of the policy.
     pub documents: DocumentStore,
-    /// The poses of the demonstrations.
-    pub demonstrations: Vec<Vec<Pose>>,
-    /// The pose of each frame.
-    pub shown: HashMap<FrameId, Pose>,
+    /// The states of the demonstrations.
+    pub demonstrations: Vec<Vec<State>>,
+    /// The state of each frame.
+    pub shown: HashMap<FrameId, State>,
     /// Views that memory has released.
     pub released: usize,
     /// Those of the orchestrator.
@@ -512,18 +514,18 @@ impl SubjectNeighbours for MemoryNeighbours {
 }
 
 impl MemoryNeighbours {
-    /// Publishes a frame for `pose`, with stripes that no other pose has.
-    fn publish(&mut self, pose: Pose) -> FrameId {
+    /// Publishes a frame for `state`, with stripes that no other state has.
+    fn publish(&mut self, state: State) -> FrameId {
         let mut slot = self.frames.loan().unwrap();
         let width = self.attach().frame.width as usize;
-        let seed = *blake3::hash(pose.to_string().as_bytes()).as_bytes();
+        let seed = *blake3::hash(state.to_string().as_bytes()).as_bytes();
         for (index, byte) in slot.pixels_mut().iter_mut().enumerate() {
             let (column, row) = (index / 4 % width, index / 4 / width);
             *byte = seed[(column / 8 + 3 * (row / 8)) % 32] ^ (index % 4) as u8;
         }
         let hash = *blake3::hash(slot.pixels()).as_bytes().first_chunk().unwrap();
         let id = self.frames.publish(slot, hash).unwrap();
-        self.shown.insert(id, pose);
+        self.shown.insert(id, state);
         id
     }
 }
@@ -538,11 +540,11 @@ impl MemoryRig {
         self.notify();
     }
 
-    /// Sends an observation with a frame of its pose, or without one if it is the last.
+    /// Sends an observation with a frame of its state, or without one if it is the last.
     pub fn observe(&mut self, seen: Observation) {
         let frame = match seen.last {
             1 => NO_FRAME,
-            _ => self.neighbours.publish(seen.pose.try_into().unwrap()),
+            _ => self.neighbours.publish(State::new(&seen.state[..3]).unwrap()),
         };
         self.observe_as(Observation { frame, ..seen });
     }
@@ -570,8 +572,8 @@ impl MemoryRig {
         (recall, trace)
     }
 
-    /// The poses of the views of a recall's segment, in order.
-    pub fn segment(&self, recall: &Recall) -> Vec<Pose> {
+    /// The states of the views of a recall's segment, in order.
+    pub fn segment(&self, recall: &Recall) -> Vec<State> {
         let segment = &recall.steps[..recall.steps_len as usize];
         segment.iter().map(|entry| self.neighbours.shown[&entry.frame]).collect()
     }

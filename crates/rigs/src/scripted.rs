@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use bytemuck::Zeroable;
 use case_book::EpisodeFacts;
-use domain::{Action, Feedback, Heading, Pose};
+use domain::{Action, Feedback, Heading, Pose, State};
 use shm_types::message::{
     Decision, EpisodeEnd, Handshake, MemoryEpisodeConfig, NO_ACTION, NO_DOCUMENT, NO_FRAME,
     Observation, PolicyEpisodeConfig, Recall, RequestId, Role, ShutdownReport, StepCommand,
@@ -85,8 +85,13 @@ impl ScriptedSim {
         let ends = id.step >= config.max_steps;
         let frame = if ends { NO_FRAME } else { 1 };
         let (pose, feedback, last) = (*pose, feedback as u8, ends.into());
-        let observation =
-            Observation { pose: pose.into(), feedback, action, last, ..observation(id, frame) };
+        let observation = Observation {
+            state: State::from(pose).padded(),
+            feedback,
+            action,
+            last,
+            ..observation(id, frame)
+        };
         let facts = ends.then(|| EpisodeFacts {
             start_pose: Pose::new(3, 4, Heading::E),
             final_pose: pose,

@@ -12,12 +12,12 @@ use std::time::Instant;
 
 use anyhow::Context;
 use bytemuck::Zeroable;
-use domain::{Action, Feedback, Heading, Pose};
+use domain::{Action, Feedback, Heading, Pose, State};
 use shm_types::banks::{BankDemonstration, BankStep};
 use shm_types::description::{DESCRIPTION_FILE, Scope, memory_folder};
 use shm_types::message::{
     ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalStore, ExternalStored, FrameId,
-    MAX_FOLDER, NO_ACTION, NO_FRAME, RequestId, Role, WirePose, write_text,
+    MAX_FOLDER, NO_ACTION, NO_FRAME, RequestId, Role, write_text,
 };
 use shm_types::{
     Attach, AttachError, BankContent, BusError, FramePublisher, MemoryDescription, Note,
@@ -353,10 +353,10 @@ impl TestedMemory<'_> {
                 content.steps.push(BankStep {
                     frame,
                     content_hash: self.content_of(frame).unwrap_or(content_hash),
-                    pose: pose(seed).into(),
+                    state: State::from(pose(seed)).padded(),
                     action: if is_last { NO_ACTION } else { Action::Forward as u8 },
                     feedback: if at == 0 { Feedback::Start } else { Feedback::Moved } as u8,
-                    reserved: [0; 2],
+                    reserved: [0; 6],
                 });
                 if embeds {
                     content.embeddings.extend(embedding(seed));
@@ -473,7 +473,7 @@ impl TestedMemory<'_> {
     pub(crate) fn query(&mut self, id: RequestId, seed: u64) -> CheckResult<()> {
         let frame = self.seen(seed)?;
         let numbers = if self.role.description.embeddings { embedding(seed) } else { Vec::new() };
-        let message = query(id, frame, WirePose::from(pose(seed)), &numbers);
+        let message = query(id, frame, pose(seed), &numbers);
         Ok(self.neighbours.queries.send(&message)?)
     }
 

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use shm_types::message::{ExternalAnswer, MAX_INSTRUCTION, RequestId, WirePose};
+use shm_types::message::{ExternalAnswer, MAX_INSTRUCTION, RequestId};
 use shm_types::process::monotonic_ns;
 
 use super::{INSTRUCTION, MemoryKit, ordinary};
@@ -27,7 +27,7 @@ pub(super) fn a_query(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
 /// The end of an episode.
 pub(super) fn end(subject: &mut TestedMemory<'_>, id: RequestId) -> CheckResult<()> {
     subject.expect_none(id);
-    subject.neighbours.queries.send(&last_query(id, WirePose::from(pose(0))))?;
+    subject.neighbours.queries.send(&last_query(id, pose(0)))?;
     subject.notify()
 }
 

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use shm_types::BankContent;
-use shm_types::message::{ExternalQuery, WirePose};
+use shm_types::message::ExternalQuery;
 
 use super::{INSTRUCTION, MemoryKit, ordinary};
 use crate::checks::clear_away;
@@ -55,10 +55,14 @@ pub(super) fn invalid_messages(kit: &mut MemoryKit<'_>) -> CheckResult<String> {
         } else {
             subject.expect_refusal(id);
             let frame = subject.seen(10)?;
-            let usual = query(id, frame, WirePose::from(pose(10)), &[]);
+            let usual = query(id, frame, pose(10), &[]);
             let sent = match invalid {
                 Invalid::Feedback => ExternalQuery { feedback: 77, ..usual },
-                Invalid::Heading => ExternalQuery { pose: WirePose([3, 4, 77, 0]), ..usual },
+                Invalid::Heading => {
+                    let mut state = usual.state;
+                    state[2] = 77.0;
+                    ExternalQuery { state, ..usual }
+                }
                 _ => usual,
             };
             subject.neighbours.queries.send(&sent)?;

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use shm_types::MemoryDescription;
-use shm_types::message::{ExternalEpisode, ExternalQuery, Learning, NOT_MEASURED, WirePose};
+use shm_types::message::{ExternalEpisode, ExternalQuery, Learning, NOT_MEASURED};
 
 use super::episodes::end;
 use super::{INSTRUCTION, MemoryKit, ordinary};
@@ -37,7 +37,7 @@ fn learn(kit: &mut MemoryKit<'_>, bank: u64, success: bool) -> CheckResult<PathB
         outcome: 1 + u8::from(success),
         demonstration,
         sub_goals_len: NOT_MEASURED,
-        ..last_query(id, WirePose::from(pose(0)))
+        ..last_query(id, pose(0))
     };
     subject.neighbours.queries.send(&last)?;
     save(kit, bank)
