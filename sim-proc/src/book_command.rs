@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use case_book::{BookFile, BookRequest, CASE_BOOK_FILE, DEMONSTRATIONS_FILE, WORLD_FILE};
+use case_book::{BookFile, BookRequest, CASE_BOOK_FILE, DEMONSTRATIONS_FILE};
 use warehouse::case_book::write_books;
 
 /// Arguments of `sim-proc book`.
@@ -13,7 +13,7 @@ pub struct BookArgs {
     #[arg(long, value_name = "FILE")]
     request: PathBuf,
 
-    /// The folder of the files, which is created if missing: world.json, case-book.json and demonstrations.json, and streams.json and
+    /// The folder of the files, which is created if missing: case-book.json and demonstrations.json, and streams.json and
     /// elsewhere.json where the run has them.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -32,7 +32,6 @@ pub fn run(args: &BookArgs) -> Result<()> {
     std::fs::create_dir_all(&args.out)
         .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
     let files = [
-        (WORLD_FILE, Some(BookFile::new(books.world)?.text)),
         (CASE_BOOK_FILE, Some(BookFile::new(books.cases)?.text)),
         (DEMONSTRATIONS_FILE, Some(BookFile::new(books.demonstrations)?.text)),
         (STREAMS_FILE, books.streams),
@@ -85,7 +84,7 @@ mod tests {
             let names = fs::read_dir(&out).unwrap().map(|entry| entry.unwrap().file_name());
             let mut names: Vec<_> = names.collect();
             names.sort();
-            assert_eq!(names, [CASE_BOOK_FILE, DEMONSTRATIONS_FILE, WORLD_FILE]);
+            assert_eq!(names, [CASE_BOOK_FILE, DEMONSTRATIONS_FILE]);
         }
         let book = BookFile::<CaseBook>::read(&out.join(CASE_BOOK_FILE)).unwrap().book;
         let demonstrations = out.join(DEMONSTRATIONS_FILE);

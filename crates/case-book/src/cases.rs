@@ -5,6 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use domain::{ActionCode, Route, Start, State, StreamOrder};
 use serde::{Deserialize, Serialize};
 
+use crate::WorldDeclaration;
+
 /// The cases of a run's world.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -22,14 +24,12 @@ pub struct CaseBook {
     pub stale: BTreeMap<u32, BTreeSet<u32>>,
 }
 
-/// What identifies a world.
+/// What a world is.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WorldFacts {
-    /// The name.
-    pub name: String,
-    /// The version of its rules.
-    pub version: String,
+    /// What it says of itself to every process.
+    pub declaration: WorldDeclaration,
     /// Hashes of what it was made from, by name, in hexadecimal digits.
     pub hashes: BTreeMap<String, String>,
     /// The number of different views that a variant has, at most.

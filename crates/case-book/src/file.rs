@@ -15,7 +15,7 @@ pub const CASE_BOOK_FILE: &str = "case-book.json";
 /// The file of the [`DemonstrationBook`] in a run folder.
 pub const DEMONSTRATIONS_FILE: &str = "demonstrations.json";
 
-/// The file of the [`WorldDeclaration`](crate::WorldDeclaration) in a run folder, and in the folder to which processes attach.
+/// The file of the [`WorldDeclaration`](crate::WorldDeclaration) in the folder to which the processes of a run attach.
 pub const WORLD_FILE: &str = "world.json";
 
 /// A book with its text and what identifies it.
@@ -57,6 +57,9 @@ pub(crate) trait Check {
 
 impl Check for CaseBook {
     fn problem(&self) -> Option<String> {
+        if let Some(problem) = self.world.declaration.problem() {
+            return Some(problem);
+        }
         let mut known = HashSet::new();
         if let Some(case) = self.cases.iter().find(|case| !known.insert(&case.id)) {
             return Some(format!("it has case {} twice", case.id));

@@ -1,15 +1,15 @@
 //! The case book: everything that a run knows about the cases of its world and that does not change while it runs.
 //!
-//! The world writes it as data, once for the settings of a run; no other process knows the world's rules. It consists of three
+//! The world writes it as data, once for the settings of a run; no other process knows the world's rules. It consists of two
 //! files, because what a process must not know is not in its file:
 //!
 //! - [`CaseBook`], for the orchestrator, scores and pages: instructions, references, streams, and which demonstrations are
 //!   stale in which variant;
 //! - [`DemonstrationBook`], for memory: demonstrations only. No test reference, no rule of a variant, no goal.
 //!
-//! - [`WorldDeclaration`], for every process: what agents do, see and are told, in words.
+//! Both are identified by their content ([`BookFile`]).
 //!
-//! All are identified by their content ([`BookFile`]).
+//! A part of the first is for every process: [`WorldDeclaration`], what agents do, see and are told, in words.
 //!
 //! What the world tells and is told about single episodes is data as well: [`EpisodeFacts`], [`LearnedEpisode`], and for those
 //! who show episodes [`act`].

@@ -427,8 +427,10 @@ mod tests {
         let mut stage = Stage::new(worlds);
         let steps = vec![None, Some(Action::Forward)];
         let mut acted = |variant| {
-            let request =
-                EpisodeRequest { begin: beside.map(Into::into), ..request(&case.id, variant, steps.clone()) };
+            let request = EpisodeRequest {
+                begin: beside.map(Into::into),
+                ..request(&case.id, variant, steps.clone())
+            };
             stage.episode(&request).unwrap()
         };
         let blocked = acted(1);

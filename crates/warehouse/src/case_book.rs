@@ -6,7 +6,7 @@ use std::path::Path;
 use case_book::{
     BookRequest, CaseBook, CaseDemonstrations, CaseFacts, CaseInState, Demonstration,
     DemonstrationBook, ElsewhereRequest, Reference, StreamBlock, StreamDemonstrations, StreamFacts,
-    StreamsFacts, StreamsRequest, WorldDeclaration, WorldFacts,
+    StreamsFacts, StreamsRequest, WorldFacts,
 };
 use domain::names::UnknownName;
 use domain::{
@@ -44,8 +44,6 @@ const HASHED: [(&str, &str, &[u8]); 4] = [
 /// The files of a case book.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Books {
-    /// What the world says of itself.
-    pub world: WorldDeclaration,
     /// For those who run, score and show episodes.
     pub cases: CaseBook,
     /// For memory.
@@ -127,7 +125,6 @@ pub fn write_books(request: &BookRequest) -> Result<Books, CaseBookError> {
         stale: stale(&worlds, &demonstrations, request, &among),
     };
     Ok(Books {
-        world: declaration(),
         cases: book,
         demonstrations,
         streams: worlds.streams.as_ref().map(StreamSet::to_text),
@@ -161,8 +158,7 @@ pub(crate) fn world_facts(
 ) -> Result<WorldFacts, AssetError> {
     let elsewhere = cases.elsewhere.as_ref();
     Ok(WorldFacts {
-        name: WORLD_NAME.to_owned(),
-        version: WORLD_VERSION.to_owned(),
+        declaration: declaration(),
         hashes: asset_hashes(assets)?,
         views: view_count(warehouse),
         elsewhere_views: elsewhere.map_or(0, |other| view_count(other.warehouse())),

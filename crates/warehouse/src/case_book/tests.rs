@@ -284,10 +284,14 @@ fn memory_is_told_nothing_of_a_test() {
             continue;
         }
         assert_ne!(of.states[0], State::from(case.test.start), "{}", case.id);
-        let begins = TrajectoryKind::DEMONSTRATIONS.map(|kind| State::from(case.trajectory(kind).start));
+        let begins =
+            TrajectoryKind::DEMONSTRATIONS.map(|kind| State::from(case.trajectory(kind).start));
         assert!(begins.contains(&of.states[0]));
         for reference in [&case.test, &case.blocked] {
-            assert_ne!((of.states[0], &of.actions), (reference.start.into(), &converted(&reference.actions)));
+            assert_ne!(
+                (of.states[0], &of.actions),
+                (reference.start.into(), &converted(&reference.actions))
+            );
         }
     }
 }
