@@ -10,7 +10,7 @@
 
 use std::collections::BTreeMap;
 
-use case_book::{CaseBook, LearnedEpisode};
+use case_book::{CaseBook, LearnedEpisode, WorldDeclaration};
 use domain::{ExternalName, MemoryKind};
 use results::log::{EpisodeRecord, RecallTotals, Stages};
 use shm_types::message::{
@@ -147,6 +147,11 @@ impl Context<'_> {
     fn book(&self) -> &CaseBook {
         &self.books.cases.book
     }
+
+    /// What the world says of itself.
+    fn declaration(&self) -> &WorldDeclaration {
+        &self.book().world.declaration
+    }
 }
 
 /// The lanes of a run and the episodes in them.
@@ -176,11 +181,18 @@ impl<'w> Lanes<'w> {
         self.context.experience.entry(sequence).or_default().insert(position, experience);
     }
 
+    /// What the world says of itself.
+    pub fn declaration(&self) -> &WorldDeclaration {
+        self.context.declaration()
+    }
+
     /// The episodes that memories have learned from, for a simulator that starts now.
     pub fn learned_episodes(&self) -> Vec<LearnedEpisode> {
         let sequences = self.context.experience.iter();
         let all = sequences.flat_map(|(&sequence, of)| {
-            of.iter().map(move |(&position, of)| of.as_learned(sequence, position))
+            of.iter().map(move |(&position, of)| {
+                of.as_learned(self.context.declaration(), sequence, position)
+            })
         });
         all.collect()
     }
@@ -259,7 +271,7 @@ impl<'w> Lanes<'w> {
         let Some(active) = find(&mut self.lanes, Role::Policy, lane, episode)? else {
             return Ok(Turn::Wait);
         };
-        active.decided(decision)?;
+        active.decided(&self.context, decision)?;
         Ok(taken(active.settle(&self.context, &mut self.answered)?, &mut self.stepped))
     }
 

@@ -5,7 +5,7 @@
 //! run folder ([`results::log`]).
 
 use case_book::{CaseBook, StreamFacts, StreamsFacts};
-use domain::{Action, Arm, FeedbackLevel, Pose, StreamOrder};
+use domain::{ActionCode, Arm, FeedbackLevel, State, StreamOrder};
 use results::conditions::{Condition, Route};
 use results::key::{EpisodeKey, StreamPlace};
 use results::settings::StreamSettings;
@@ -87,9 +87,9 @@ impl PlannedEpisode {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Expert<'b> {
     /// The state in which it begins.
-    pub begin: Pose,
+    pub begin: State,
     /// The actions. They may go on after the task is complete.
-    pub actions: &'b [Action],
+    pub actions: &'b [ActionCode],
     /// The steps in which they complete the task, l_i.
     pub length: u32,
 }

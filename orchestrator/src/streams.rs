@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::{Context, Result, bail};
-use case_book::{CaseBook, LearnedEpisode};
+use case_book::{CaseBook, LearnedEpisode, WorldDeclaration};
 use domain::Start;
 use results::log::EpisodeRecord;
 use shm_types::message::SnapshotId;
@@ -38,14 +38,19 @@ impl Experience {
     }
 
     /// As the simulator is told of it.
-    pub fn as_learned(&self, sequence: u64, position: u32) -> LearnedEpisode {
+    pub fn as_learned(
+        &self,
+        world: &WorldDeclaration,
+        sequence: u64,
+        position: u32,
+    ) -> LearnedEpisode {
         LearnedEpisode {
             sequence,
             position,
             case: self.case_index as u32,
             start: self.start,
             variant: self.variant,
-            actions: self.actions.clone(),
+            actions: self.actions.chars().map(|letter| world.action_of(letter)).collect(),
         }
     }
 }

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use bytemuck::Zeroable;
-use case_book::EpisodeFacts;
-use domain::{Action, Heading, MemoryKind, Outcome, Pose, Start, hex};
+use case_book::{EpisodeFacts, NO_LETTER};
+use domain::{ActionCode, Heading, MemoryKind, Outcome, Pose, Start, UnknownCode, hex};
 use results::conditions::Route;
 use results::log::{
     BlockedRecord, Ending, EpisodeRecord, RecallTotals, Stages, StreamRecord, Unread,
@@ -93,8 +93,8 @@ impl ActiveEpisode {
             blocked_moves: Vec::new(),
             tried_closed: is_blocked.then_some(false),
             tried_closed_at: None,
-            start_pose: expert.map_or(NOWHERE, |expert| expert.begin),
-            final_pose: expert.map_or(NOWHERE, |expert| expert.begin),
+            start_pose: NOWHERE,
+            final_pose: NOWHERE,
             requests: has_policy.then_some(0),
             images: has_policy.then_some(0),
             images_dropped: 0,
@@ -126,7 +126,7 @@ impl ActiveEpisode {
                     world,
                     invalidated: in_world.is_some_and(|found| found.invalidated),
                     reference_actions: in_world.map_or_else(String::new, |found| {
-                        found.actions.iter().map(|action| action.letter()).collect()
+                        book.world.declaration.letters(found.actions.iter().copied().map(Some))
                     }),
                     retrievals: 0,
                     stale: 0,
@@ -352,11 +352,15 @@ impl ActiveEpisode {
     }
 
     /// Takes the policy's answer.
-    pub(super) fn decided(&mut self, decision: &Decision) -> Result<(), AnswerError> {
+    pub(super) fn decided(
+        &mut self,
+        context: &Context<'_>,
+        decision: &Decision,
+    ) -> Result<(), AnswerError> {
         if !self.awaits(decision.step) || self.early.is_some() {
             return Err(self.unexpected(Role::Policy, decision.step));
         }
-        read_answer(decision).map(drop)?;
+        read_answer(context, decision).map(drop)?;
         self.early = Some(*decision);
         Ok(())
     }
@@ -374,7 +378,7 @@ impl ActiveEpisode {
             return Ok(None);
         };
         (self.trace, self.early) = (None, None);
-        let answer = read_answer(&decision)?;
+        let answer = read_answer(context, &decision)?;
         self.stamps.recalled(&trace);
         self.stamps.decided(&decision);
         self.count(&decision, answered);
@@ -425,18 +429,18 @@ impl ActiveEpisode {
     fn advance(
         &mut self,
         context: &Context<'_>,
-        answer: Result<Action, Outcome>,
+        answer: Result<ActionCode, Outcome>,
     ) -> (StepCommand, Stamps) {
         let record = &mut self.result.record;
         record.steps += 1;
         let (kind, action) = match answer {
             Ok(action) => {
-                record.actions.push(action.letter());
-                (StepKind::Act, action as u8)
+                record.actions.push(context.declaration().letter(Some(action)));
+                (StepKind::Act, action.0)
             }
             Err(outcome) => {
                 record.unread.add(outcome);
-                record.actions.push('?');
+                record.actions.push(NO_LETTER);
                 (StepKind::Stay, NO_ACTION)
             }
         };
@@ -529,14 +533,20 @@ impl ActiveEpisode {
 }
 
 /// The action that was decided on, or why the answer has none.
-fn read_answer(decision: &Decision) -> Result<Result<Action, Outcome>, AnswerError> {
+fn read_answer(
+    context: &Context<'_>,
+    decision: &Decision,
+) -> Result<Result<ActionCode, Outcome>, AnswerError> {
     let &Decision { lane, step, outcome, action, .. } = decision;
-    let invalid = |error: domain::pose::UnknownCode| {
+    let invalid = |error: UnknownCode| {
         let problem = error.to_string();
         AnswerError::Invalid { role: Role::Policy, lane, step, problem }
     };
     Ok(match Outcome::try_from(outcome).map_err(invalid)? {
-        Outcome::Acted => Ok(Action::try_from(action).map_err(invalid)?),
+        Outcome::Acted => Ok(context
+            .declaration()
+            .action(action)
+            .ok_or_else(|| invalid(UnknownCode::new(action, "an action of this world")))?),
         unread => Err(unread),
     })
 }

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::atomic::Ordering;
 
 use anyhow::{Context, bail};
-use case_book::{LEARNED_FILE, LearnedEpisode};
+use case_book::{BookFile, LEARNED_FILE, LearnedEpisode, WORLD_FILE, WorldDeclaration};
 use domain::ExternalName;
 use shm_types::clock::Instant;
 use shm_types::description::{DESCRIPTION_FILE, memory_folder};
@@ -54,6 +54,7 @@ impl Generation {
             notifiers.insert(memory.name.into(), bus.external_memory_notifier(memory.index)?);
         }
         let (world_configs, commands, stops) = (bus.sender()?, bus.sender()?, bus.sender()?);
+        write_world(&attach.root, run.lanes.declaration())?;
         write_learned(&attach.root, &run.lanes.learned_episodes())?;
         // Only now may others join: this process creates every service that it uses, and so depends on none that another
         // process is killed while creating.
@@ -187,6 +188,13 @@ impl Generation {
             "the external memory {name} describes itself otherwise than when the run began: {changes}"
         )))
     }
+}
+
+/// Writes what the world says of itself, which every process reads.
+fn write_world(folder: &Path, world: &WorldDeclaration) -> anyhow::Result<()> {
+    let path = folder.join(WORLD_FILE);
+    fs::write(&path, BookFile::new(world)?.text)
+        .with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// Writes the episodes that memories have learned from before, whose views they may ask for, if there are any.
