@@ -1,9 +1,8 @@
 //! The simulator: steps the world and renders what agents see into shared memory.
 //!
-//! - [`serve`]: the simulator's part in a run. [`worlds`] numbers the worlds, [`lanes`] executes commands, [`view_control`]
-//!   chooses the view to show, [`view_cache`] keeps track of resident views; all four are pure.
-//! - [`render_pool`]: worker threads that render beside the serve loop; [`render_workers`] opens them,
-//!   and [`view_folder`] shares their views with other processes.
+//! - [`world`]: the warehouse in the role of a run's world, which the crate `peer` serves. [`worlds`] numbers the worlds, and
+//!   [`lanes`] executes commands.
+//! - [`render_workers`]: the renderers of a run; [`view_folder`] shares their views with other processes.
 //! - [`renderer`]: poses in, pixels out, with two backends.
 //! - [`view_source`]: single views, outside a run.
 //! - [`first_views`]: whether a case begins with a view of a target.
@@ -14,17 +13,13 @@ pub mod book_command;
 pub mod first_views;
 pub mod lanes;
 pub mod lived;
-pub mod render_pool;
 pub mod render_workers;
 pub mod renderer;
 mod renderer_args;
-pub mod serve;
 pub mod serve_command;
-pub mod view_cache;
-pub mod view_control;
 pub mod view_folder;
 pub mod view_source;
 pub mod views_command;
-mod wakeups;
+pub mod world;
 pub mod world_commands;
 pub mod worlds;

@@ -5,13 +5,14 @@ use std::sync::Arc;
 use std::thread;
 
 use anyhow::Result;
+use peer::world::{RenderSetup, RenderTask, RenderWorker, Renderers, WorldFailure};
 use warehouse::Warehouse;
 
-use crate::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use crate::renderer::{
     Backend, Destination, RenderJob, RenderSettings, Renderer, ViewSpec, VisibleChanges,
 };
 use crate::view_folder::{KeepingWorker, ViewFolder};
+use crate::world::{WarehousePicture, WarehouseRendering};
 use crate::worlds::Worlds;
 
 /// Maximum number of renderers on the CPU.
@@ -32,10 +33,14 @@ struct HallRenderers {
     stocks: u32,
 }
 
-impl RenderWorker for HallRenderers {
-    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64> {
+impl RenderWorker<WarehousePicture> for HallRenderers {
+    fn render_into(
+        &mut self,
+        tasks: &mut [RenderTask<'_, WarehousePicture>],
+    ) -> Result<u64, WorldFailure> {
         let (mut here, mut there) = (Vec::new(), Vec::new());
-        for RenderTask { stock, variant, pose, slot, .. } in tasks {
+        for RenderTask { picture, slot, .. } in tasks {
+            let WarehousePicture { stock, variant, pose } = picture;
             let is_here = *stock < self.stocks;
             let stock = if is_here { *stock } else { 0 };
             let job = RenderJob {
@@ -75,7 +80,7 @@ pub fn open_renderers(stocks: &[Warehouse], settings: RenderSettings) -> Result<
     Ok(renderers)
 }
 
-impl RenderSetup {
+impl WarehouseRendering {
     /// Opens the renderers of a simulator for all `worlds`. With the CPU backend they share their views with other processes
     /// through the folder `views`, if there is one.
     ///
@@ -110,17 +115,18 @@ impl RenderSetup {
         let mut visibility = renderers[0].visibility();
         let stocks = stocks.len() as u32;
         let mut elsewhere = elsewhere.into_iter();
-        let worker = |(number, tested)| -> Box<dyn RenderWorker> {
+        let worker = |(number, tested)| -> Box<dyn RenderWorker<WarehousePicture> + Send> {
             let renderers = Box::new(HallRenderers { tested, elsewhere: elsewhere.next(), stocks });
             match &views {
                 None => renderers,
                 Some(views) => Box::new(KeepingWorker::new(renderers, views.clone(), number)),
             }
         };
+        let batch = if report.backend == Backend::Cpu { 1 } else { GPU_BATCH_VIEWS };
+        let workers = renderers.into_iter().enumerate().map(worker).collect();
+        let setup = RenderSetup { renderers: Renderers::Threads { workers, batch }, facts };
         Ok(Self {
-            workers: renderers.into_iter().enumerate().map(worker).collect(),
-            on_serve_thread: false,
-            batch_views: if report.backend == Backend::Cpu { 1 } else { GPU_BATCH_VIEWS },
+            setup,
             find_changes: Box::new(move |view| {
                 if view.stock < stocks {
                     visibility.changes(view)
@@ -128,7 +134,6 @@ impl RenderSetup {
                     VisibleChanges { stock: true, barricades: false }
                 }
             }),
-            facts,
         })
     }
 }

@@ -6,14 +6,14 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use case_book::{BookFile, DemonstrationBook};
+use peer::world::serve_generation;
 use shm_types::message::Role;
 use shm_types::process::{check_shared_memory, die_with_parent};
 use shm_types::{Attach, Bus};
 
-use crate::render_pool::RenderSetup;
 use crate::renderer::RenderSettings;
 use crate::renderer_args::RendererArgs;
-use crate::serve::serve;
+use crate::world::{WarehouseRendering, WarehouseWorld};
 use crate::worlds::WorldsArgs;
 
 /// How long to wait for the shared memory of the generation before.
@@ -70,10 +70,11 @@ pub fn run(args: ServeArgs) -> Result<()> {
         height_px: attach.frame.height,
         ..RenderSettings::default()
     });
+    let mut world = WarehouseWorld::new(&attach, worlds, demonstrations)?;
     let bus = Bus::join(attach, Role::Sim).context("cannot join the run")?;
-    let rendered = worlds.clone();
-    serve(&bus, worlds, demonstrations, args.warm_views, || {
-        RenderSetup::open(&rendered, settings, args.views.as_deref())
-    })
-    .context("the simulator failed")
+    let open = |world: &mut WarehouseWorld| {
+        let rendering = WarehouseRendering::open(world.worlds(), settings, args.views.as_deref())?;
+        Ok(rendering.install(world))
+    };
+    serve_generation(&bus, &mut world, args.warm_views, open).context("the simulator failed")
 }

@@ -14,9 +14,10 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use lz4_flex::block::{compress_into, decompress_into, get_maximum_output_size};
+use peer::world::{RenderTask, RenderWorker, WorldFailure};
 
-use crate::render_pool::{RenderTask, RenderWorker};
 use crate::renderer::RenderSettings;
+use crate::world::WarehousePicture;
 use crate::worlds::Worlds;
 
 /// Bytes of a hash: the first half of BLAKE3.
@@ -57,13 +58,14 @@ impl ViewFolder {
         Ok(Self { folder, is_full: AtomicBool::new(false) })
     }
 
-    fn file(&self, task: &RenderTask<'_>) -> PathBuf {
-        let view = format!("{} {:?} {:?}", task.stock, task.variant.closed(), task.pose);
+    fn file(&self, task: &RenderTask<'_, WarehousePicture>) -> PathBuf {
+        let WarehousePicture { stock, variant, pose } = task.picture;
+        let view = format!("{stock} {:?} {pose:?}", variant.closed());
         self.folder.join(&blake3::hash(view.as_bytes()).to_hex()[..2 * HASH])
     }
 
     /// Fills the slot of `task` from its file. Returns whether it is there and whole.
-    fn read(&self, task: &mut RenderTask<'_>) -> bool {
+    fn read(&self, task: &mut RenderTask<'_, WarehousePicture>) -> bool {
         let Ok(file) = durable::read(&self.file(task)) else { return false };
         let Some((header, packed)) = file.split_at_checked(HEADER) else { return false };
         let (expected, content) = header.split_at(HASH);
@@ -75,7 +77,7 @@ impl ViewFolder {
     }
 
     /// Writes the pixels of `task`, whose hash is `content`, into its file, all of them or nothing.
-    fn write(&self, task: &RenderTask<'_>, content: [u8; HASH], draft: &Path) {
+    fn write(&self, task: &RenderTask<'_, WarehousePicture>, content: [u8; HASH], draft: &Path) {
         if self.is_full.load(Relaxed) {
             return;
         }
@@ -122,7 +124,7 @@ fn remove_unused(root: &Path) {
 
 /// A render worker that looks for every view in a folder first, and keeps there what it has rendered.
 pub struct KeepingWorker {
-    renderer: Box<dyn RenderWorker>,
+    renderer: Box<dyn RenderWorker<WarehousePicture> + Send>,
     folder: Arc<ViewFolder>,
     /// The name of files that are being written: no other worker has it.
     draft: PathBuf,
@@ -130,14 +132,21 @@ pub struct KeepingWorker {
 
 impl KeepingWorker {
     /// The worker number `number` of this process.
-    pub fn new(renderer: Box<dyn RenderWorker>, folder: Arc<ViewFolder>, number: usize) -> Self {
+    pub fn new(
+        renderer: Box<dyn RenderWorker<WarehousePicture> + Send>,
+        folder: Arc<ViewFolder>,
+        number: usize,
+    ) -> Self {
         let draft = folder.folder.join(format!("draft-{}-{number}", std::process::id()));
         Self { renderer, folder, draft }
     }
 }
 
-impl RenderWorker for KeepingWorker {
-    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64> {
+impl RenderWorker<WarehousePicture> for KeepingWorker {
+    fn render_into(
+        &mut self,
+        tasks: &mut [RenderTask<'_, WarehousePicture>],
+    ) -> Result<u64, WorldFailure> {
         let mut copied = 0;
         for task in tasks {
             if !self.folder.read(task) {

@@ -5,9 +5,9 @@ use domain::Pose;
 use png_file::RgbaImage;
 use warehouse::GREY_VARIANT;
 
-use crate::render_pool::GREY;
 use crate::renderer::{RenderSettings, Renderer, ViewSpec};
 use crate::worlds::{WorldParts, Worlds};
+use peer::world::GREY;
 
 /// The worlds of a run, and their renderers: one for the tested hall, and one for the hall in which tasks are only
 /// demonstrated.

@@ -5,7 +5,9 @@ use std::path::PathBuf;
 
 use case_book::BookError;
 use shm_types::message::Role;
-use shm_types::{ATTACH_VARIABLE, BusError, FactsTooLong};
+use shm_types::{ATTACH_VARIABLE, BusError, FactsTooLong, FrameError};
+
+use crate::world::WorldFailure;
 
 /// Why serving ended without a stop message.
 #[derive(Debug, thiserror::Error)]
@@ -35,6 +37,12 @@ pub enum ServeError {
     /// The run's folder has no declaration of its world.
     #[error(transparent)]
     World(#[from] BookError),
+    /// The world cannot go on.
+    #[error(transparent)]
+    WorldFailed(#[from] WorldFailure),
+    /// A frame cannot be published.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
     /// The folder is not that of an external memory.
     #[error("{} is not the folder of an external memory of a run: {ATTACH_VARIABLE} names one", .0.display())]
     NotAMemoryFolder(PathBuf),

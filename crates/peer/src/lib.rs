@@ -35,6 +35,7 @@ pub mod policy;
 mod program_code;
 pub mod run;
 mod watched_run;
+pub mod world;
 
 pub use connection::{Connection, Service, Session};
 pub use error::ServeError;
@@ -44,7 +45,7 @@ pub use policy::{
     serve_from_environment,
 };
 // The vocabulary of requests and decisions, so that a policy needs no other crate.
-pub use case_book::{self as world, WorldDeclaration};
+pub use case_book::{ActionDeclaration, StateField, WorldDeclaration};
 pub use domain::{
     Action, ActionCode, Cell, DocumentKind, Feedback, FeedbackCode, Heading, Pose, State,
 };

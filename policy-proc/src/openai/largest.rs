@@ -4,10 +4,9 @@ use std::sync::Arc;
 
 use domain::DocumentKind;
 use llm::ChatRequest;
-use peer::world::{ActionDeclaration, StateField, WorldDeclaration};
 use peer::{
-    ActionCode, FeedbackCode, FrameView, Item, PastView, Request, State, StepView, StepsView,
-    TextView,
+    ActionCode, ActionDeclaration, FeedbackCode, FrameView, Item, PastView, Request, State,
+    StateField, StepView, StepsView, TextView, WorldDeclaration,
 };
 use prompt::Prompt;
 use prompt::image::{ImageFormat, data_url};

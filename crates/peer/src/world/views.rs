@@ -1,30 +1,16 @@
 //! The cache of rendered views: which are resident, which must stay, and which are to be rendered next.
 //!
-//! A view is identified by what it shows ([`FrameKey`]) and, once rendered, by its frame. It is *pinned* while it is among
+//! A view is identified by the world's name for what it shows and, once rendered, by its frame. It is *pinned* while it is among
 //! the last views of a running lane or memory has pinned it. Unpinned views stay as long as there is room and are evicted
 //! in the order in which they were unpinned. This is bookkeeping only: nothing here renders, sends or waits.
 
 use std::collections::{BTreeMap, VecDeque};
 
-use domain::Pose;
+use std::fmt::Debug;
+use std::hash::Hash;
+
 use rustc_hash::FxHashMap;
 use shm_types::message::FrameId;
-
-use crate::worlds::WorldParts;
-
-/// What a frame shows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum FrameKey {
-    /// A world from a pose.
-    WorldParts {
-        /// The world.
-        world: WorldParts,
-        /// The pose.
-        pose: Pose,
-    },
-    /// Uniform grey.
-    Blank,
-}
 
 /// More views are in use at once than fit.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -32,17 +18,17 @@ pub enum FrameKey {
     "{needed} views are in use at once and the frame store has room for {capacity}: raise --frame-budget or \
      lower --lanes"
 )]
-pub struct CacheFull {
+pub(super) struct CacheFull {
     /// Views in use.
-    pub needed: usize,
+    pub(super) needed: usize,
     /// The most views that may be resident.
-    pub capacity: usize,
+    pub(super) capacity: usize,
 }
 
 /// A frame was released that is not pinned.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("frame {0} is released, but it is not pinned")]
-pub struct NotPinned(pub FrameId);
+pub(super) struct NotPinned(pub(super) FrameId);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ViewState {
@@ -72,26 +58,26 @@ impl CachedView {
 
 /// All views that are resident or waiting to be rendered.
 #[derive(Debug)]
-pub struct ViewCache {
+pub(super) struct ViewCache<V> {
     capacity: usize,
     /// Last views of a lane that stay pinned.
     pinned_per_lane: usize,
-    views: FxHashMap<FrameKey, CachedView>,
-    keys: FxHashMap<FrameId, FrameKey>,
+    views: FxHashMap<V, CachedView>,
+    keys: FxHashMap<FrameId, V>,
     /// Resident views without a pin, by when they were unpinned.
-    idle: BTreeMap<u64, FrameKey>,
+    idle: BTreeMap<u64, V>,
     clock: u64,
     /// The last views of each lane, oldest first.
-    lanes: Vec<VecDeque<FrameKey>>,
+    lanes: Vec<VecDeque<V>>,
     /// To be rendered: what lanes wait for, then what memory waits for. May hold keys of views that have been dropped.
-    urgent: VecDeque<FrameKey>,
-    later: VecDeque<FrameKey>,
+    urgent: VecDeque<V>,
+    later: VecDeque<V>,
 }
 
-impl ViewCache {
+impl<V: Copy + Eq + Hash + Debug> ViewCache<V> {
     /// A cache of at most `capacity` views. Each of `lanes` lanes pins its last `window` + 2 views: those of the next
     /// request, and one more for the request that is still being answered.
-    pub fn new(capacity: usize, lanes: usize, window: usize) -> Self {
+    pub(super) fn new(capacity: usize, lanes: usize, window: usize) -> Self {
         Self {
             capacity,
             pinned_per_lane: window + 2,
@@ -106,7 +92,7 @@ impl ViewCache {
     }
 
     /// Makes `view` the current view of `lane`.
-    pub fn show(&mut self, lane: usize, view: FrameKey) {
+    pub(super) fn show(&mut self, lane: usize, view: V) {
         self.pin(view).lane_pins += 1;
         if self.views[&view].state == ViewState::Missing {
             self.urgent.push_back(view);
@@ -120,14 +106,14 @@ impl ViewCache {
     }
 
     /// Unpins all views of `lane`, whose episode has ended.
-    pub fn clear_lane(&mut self, lane: usize) {
+    pub(super) fn clear_lane(&mut self, lane: usize) {
         for view in std::mem::take(&mut self.lanes[lane]) {
             self.unpin(view, |view| view.lane_pins -= 1);
         }
     }
 
     /// Pins `view` for memory, which has to release it as often.
-    pub fn pin_for_memory(&mut self, view: FrameKey) {
+    pub(super) fn pin_for_memory(&mut self, view: V) {
         self.pin(view).memory_pins += 1;
         if self.views[&view].state == ViewState::Missing {
             self.later.push_back(view);
@@ -138,7 +124,7 @@ impl ViewCache {
     ///
     /// # Errors
     /// When memory has not pinned `frame`.
-    pub fn release(&mut self, frame: FrameId) -> Result<(), NotPinned> {
+    pub(super) fn release(&mut self, frame: FrameId) -> Result<(), NotPinned> {
         let view = *self.keys.get(&frame).ok_or(NotPinned(frame))?;
         if self.views[&view].memory_pins == 0 {
             return Err(NotPinned(frame));
@@ -148,7 +134,7 @@ impl ViewCache {
     }
 
     /// The frame of `view`, if it is resident.
-    pub fn frame(&self, view: FrameKey) -> Option<FrameId> {
+    pub(super) fn frame(&self, view: V) -> Option<FrameId> {
         match self.views.get(&view)?.state {
             ViewState::Resident(frame) => Some(frame),
             ViewState::Missing | ViewState::Rendering => None,
@@ -156,22 +142,22 @@ impl ViewCache {
     }
 
     /// The number of resident views.
-    pub fn resident(&self) -> usize {
+    pub(super) fn resident(&self) -> usize {
         self.keys.len()
     }
 
     /// The number of views that are needed and not resident yet.
-    pub fn missing(&self) -> usize {
+    pub(super) fn missing(&self) -> usize {
         self.views.len() - self.keys.len()
     }
 
     /// The most views that may be resident.
-    pub fn capacity(&self) -> usize {
+    pub(super) fn capacity(&self) -> usize {
         self.capacity
     }
 
     /// The view to be rendered next; those that lanes wait for come first.
-    pub fn next_missing(&mut self) -> Option<FrameKey> {
+    pub(super) fn next_missing(&mut self) -> Option<V> {
         loop {
             let queue = if self.urgent.is_empty() { &mut self.later } else { &mut self.urgent };
             let view = *queue.front()?;
@@ -183,14 +169,14 @@ impl ViewCache {
     }
 
     /// Marks a missing view as being rendered. It must be [inserted](ViewCache::insert) afterwards.
-    pub fn start_rendering(&mut self, view: FrameKey) {
+    pub(super) fn start_rendering(&mut self, view: V) {
         if let Some(entry) = self.views.get_mut(&view) {
             entry.state = ViewState::Rendering;
         }
     }
 
     /// Makes a view that was being rendered resident as `frame`.
-    pub fn insert(&mut self, view: FrameKey, frame: FrameId) {
+    pub(super) fn insert(&mut self, view: V, frame: FrameId) {
         let Some(entry) = self.views.get_mut(&view) else { return };
         entry.state = ViewState::Resident(frame);
         self.keys.insert(frame, view);
@@ -204,7 +190,7 @@ impl ViewCache {
     ///
     /// # Errors
     /// When the pinned views alone do not fit.
-    pub fn make_room(&mut self) -> Result<Vec<FrameId>, CacheFull> {
+    pub(super) fn make_room(&mut self) -> Result<Vec<FrameId>, CacheFull> {
         let mut evicted = Vec::new();
         while self.views.len() > self.capacity {
             let Some((_, view)) = self.idle.pop_first() else {
@@ -228,7 +214,7 @@ impl ViewCache {
     }
 
     /// The entry of a view, created if there is none, and no longer idle.
-    fn pin(&mut self, view: FrameKey) -> &mut CachedView {
+    fn pin(&mut self, view: V) -> &mut CachedView {
         let entry = self.views.entry(view).or_insert(CachedView {
             state: ViewState::Missing,
             lane_pins: 0,
@@ -240,7 +226,7 @@ impl ViewCache {
     }
 
     /// Removes a pin. A view without pins becomes idle if it is resident, and is dropped if it waits to be rendered.
-    fn unpin(&mut self, view: FrameKey, remove_pin: impl FnOnce(&mut CachedView)) {
+    fn unpin(&mut self, view: V, remove_pin: impl FnOnce(&mut CachedView)) {
         let Some(entry) = self.views.get_mut(&view) else { return };
         remove_pin(entry);
         if entry.is_pinned() {
@@ -264,17 +250,16 @@ impl ViewCache {
 mod tests {
     use std::collections::BTreeSet;
 
-    use domain::Heading;
     use proptest::prelude::*;
 
     use super::*;
 
-    fn view(n: u8) -> FrameKey {
-        FrameKey::WorldParts { world: WorldParts::UNCHANGED, pose: Pose::new(n, 0, Heading::N) }
+    fn view(n: u8) -> u8 {
+        n
     }
 
     /// Starts to render up to `most` views.
-    fn take_missing(views: &mut ViewCache, most: usize) -> Vec<FrameKey> {
+    fn take_missing(views: &mut ViewCache<u8>, most: usize) -> Vec<u8> {
         let next = || {
             let view = views.next_missing()?;
             views.start_rendering(view);
@@ -284,7 +269,7 @@ mod tests {
     }
 
     /// "Renders" everything that is missing; frames are numbered from `first`.
-    fn render_missing(views: &mut ViewCache, first: FrameId) {
+    fn render_missing(views: &mut ViewCache<u8>, first: FrameId) {
         for (n, view) in take_missing(views, usize::MAX).into_iter().enumerate() {
             views.insert(view, first + n as FrameId);
         }
@@ -414,7 +399,7 @@ mod tests {
                     }
                     Op::Render(most) => {
                         for taken in take_missing(&mut views, most) {
-                            let FrameKey::WorldParts { pose, .. } = taken else { unreachable!() };
+                            let u8::WorldParts { pose, .. } = taken else { unreachable!() };
                             let n = usize::from(pose.cell.x);
                             prop_assert!(frames[n].is_none());
                             next += 1;

@@ -1,4 +1,4 @@
-//! The simulator in a run: commands and view requests in, frames and observations out.
+//! A world in one generation of a run: commands and view requests in, frames and observations out.
 //!
 //! Each turn of the loop applies all waiting messages, evicts views, publishes rendered ones, sends the answers whose
 //! views are resident, wakes each process that has work at most once (`wakeups`), and hands missing views to the render
@@ -11,11 +11,8 @@ use std::fmt::Display;
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::{Context, Result, ensure};
 use bytemuck::Zeroable;
-use case_book::DemonstrationBook;
-use domain::{Feedback, Pose, State};
-use rustc_hash::FxHashMap;
+use domain::ActionCode;
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::{
     EpisodeEnd, Eviction, Handshake, Heartbeat, NO_ACTION, NO_DOCUMENT, NO_FRAME, Observation,
@@ -24,20 +21,15 @@ use shm_types::message::{
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
-    Bus, BusError, ErrorReporter, FrameError, FramePublisher, Heartbeats, NotePublisher, Receiver,
-    Sender, Spans,
+    Bus, BusError, ErrorReporter, FrameControl, FrameError, FramePublisher, Heartbeats,
+    NotePublisher, Receiver, Sender, Spans,
 };
 
-use crate::lanes::{SimulatedLanes, Stepped};
-use crate::lived::LivedEpisodes;
-use crate::render_pool::{
-    FindChanges, RenderPool, RenderRequest, RenderSetup, RenderedBatch, RenderedView,
-};
-use crate::renderer::ViewSpec;
-use crate::view_cache::{FrameKey, ViewCache};
-use crate::view_control::{ViewControl, every_pose};
-use crate::wakeups::Wakeups;
-use crate::worlds::{WorldParts, Worlds};
+use super::render_pool::{RenderPool, RenderRequest, RenderedBatch, RenderedView};
+use super::views::ViewCache;
+use super::wakeups::Wakeups;
+use super::{Moment, RenderSetup, World, WorldFailure};
+use crate::error::ServeError;
 
 /// The longest sleep of the loop. Nothing relies on waking this often.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
@@ -52,33 +44,42 @@ const SLOT_PATIENCE: Duration = Duration::from_secs(30);
 /// How often to check whether the consumers of frames have connected.
 const CONSUMER_POLL: Duration = Duration::from_millis(1);
 
-/// Serves the run that `bus` has joined, whose memories ask for views of `demonstrations`, until the orchestrator stops it. `open` opens the renderers after the simulator's
-/// queues exist, so other processes may send meanwhile. With `warm_views`, every view of the unchanged world is rendered
-/// before the handshake; this changes when things happen and nothing else.
+/// Serves `world` in the generation that `bus` has joined, until the orchestrator stops it. `open` opens the renderers after
+/// the queues exist, so other processes may send meanwhile. With `warm_views`, the [first views](World::first_views) are
+/// rendered before the handshake; this changes when things happen and nothing else.
 ///
 /// # Errors
-/// When the transport or the renderer fails, or more views are in use at once than fit. The orchestrator gets the error
+/// When the transport or a renderer fails, or more views are in use at once than fit. The orchestrator gets the error
 /// first.
-pub fn serve(
+pub fn serve_generation<W: World>(
     bus: &Bus,
-    worlds: Worlds,
-    demonstrations: DemonstrationBook,
+    world: &mut W,
     warm_views: bool,
-    open: impl FnOnce() -> Result<RenderSetup>,
-) -> Result<()> {
-    let mut simulator = Simulator::new(bus, worlds, demonstrations)?;
-    let outcome = open().and_then(|setup| simulator.serve_until_stop(setup, warm_views));
+    open: impl FnOnce(&mut W) -> Result<RenderSetup<W::Picture>, WorldFailure>,
+) -> Result<(), ServeError> {
+    let mut session = WorldSession::new(bus, world)?;
+    let outcome = open(session.world).map_err(ServeError::from);
+    let outcome = outcome.and_then(|setup| session.serve_until_stop(setup, warm_views));
     if let Err(error) = &outcome {
-        simulator.reporter.report(error);
-        simulator.wakeups.send_to_all()?;
+        session.reporter.report(error);
+        session.wakeups.send_to_all()?;
     }
     outcome
 }
 
+/// What a frame shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+enum Shown<V> {
+    /// A view of the world.
+    View(V),
+    /// Uniform grey, in place of a view: a control.
+    Grey,
+}
+
 /// An answer and the view that it waits for.
 #[derive(Debug)]
-struct Pending {
-    view: Option<FrameKey>,
+struct Pending<V> {
+    view: Option<Shown<V>>,
     answer: PendingView,
 }
 
@@ -90,8 +91,12 @@ enum PendingView {
     View(ViewRequest),
 }
 
-struct Simulator<'a> {
+/// The render workers.
+type Pool<W> = RenderPool<Shown<<W as World>::View>, <W as World>::Picture>;
+
+struct WorldSession<'a, W: World> {
     bus: &'a Bus,
+    world: &'a mut W,
     configs: Receiver<WorldEpisodeConfig>,
     commands: Receiver<StepCommand>,
     requests: Receiver<ViewRequest>,
@@ -106,11 +111,9 @@ struct Simulator<'a> {
     reporter: ErrorReporter,
     heartbeats: Heartbeats,
     spans: Spans,
-    lanes: SimulatedLanes,
-    demonstrations: DemonstrationBook,
-    control: ViewControl,
-    views: ViewCache,
-    pending: Vec<Pending>,
+    control: FrameControl,
+    views: ViewCache<Shown<W::View>>,
+    pending: Vec<Pending<W::View>>,
     /// Since when no slot is free, or when that was reported last.
     no_slot_since: Option<Instant>,
     frames_rendered: u64,
@@ -118,20 +121,13 @@ struct Simulator<'a> {
     pixel_bytes_copied: u64,
 }
 
-/// The render workers, and which views need to be rendered.
-struct Rendering {
-    pool: RenderPool,
-    find_changes: FindChanges,
-    /// For every view asked for so far, the view with the same pixels that stands for it.
-    same_as: FxHashMap<FrameKey, FrameKey>,
-}
-
-impl<'a> Simulator<'a> {
-    fn new(bus: &'a Bus, worlds: Worlds, demonstrations: DemonstrationBook) -> Result<Self> {
+impl<'a, W: World> WorldSession<'a, W> {
+    fn new(bus: &'a Bus, world: &'a mut W) -> Result<Self, ServeError> {
         let attach = bus.attach();
         let (lanes, window) = (attach.lanes as usize, attach.window as usize);
         Ok(Self {
             bus,
+            world,
             configs: bus.receiver()?,
             commands: bus.receiver()?,
             requests: bus.receiver()?,
@@ -145,10 +141,8 @@ impl<'a> Simulator<'a> {
             frames: FramePublisher::new(bus)?,
             reporter: ErrorReporter::new(bus)?,
             heartbeats: Heartbeats::new(bus)?,
-            spans: Spans::open(attach, Role::Sim, 0).context("cannot write spans for the trace")?,
-            control: ViewControl::new(attach.frame_control, worlds.layout()),
-            lanes: SimulatedLanes::new(LivedEpisodes::read(&attach.root, &worlds)?, worlds, lanes),
-            demonstrations,
+            spans: Spans::open(attach, Role::Sim, 0).map_err(ServeError::Spans)?,
+            control: attach.frame_control,
             views: ViewCache::new(attach.frame_capacity as usize, lanes, window),
             pending: Vec::new(),
             no_slot_since: None,
@@ -158,32 +152,30 @@ impl<'a> Simulator<'a> {
         })
     }
 
-    fn serve_until_stop(&mut self, setup: RenderSetup, warm_views: bool) -> Result<()> {
-        let RenderSetup { mut workers, on_serve_thread, batch_views, find_changes, facts } = setup;
+    fn serve_until_stop(
+        &mut self,
+        setup: RenderSetup<W::Picture>,
+        warm_views: bool,
+    ) -> Result<(), ServeError> {
+        let RenderSetup { renderers, facts } = setup;
         let notifier = Arc::new(self.bus.notifier(Role::Sim)?);
         let wake = move || {
             if let Err(error) = notifier.notify() {
                 tracing::debug!(%error, "a render worker cannot wake the serve loop");
             }
         };
-        let pool = match on_serve_thread {
-            true => RenderPool::on_caller(workers.swap_remove(0), wake),
-            false => RenderPool::new(workers, batch_views, wake)?,
-        };
-        let mut rendering = Rendering { pool, find_changes, same_as: FxHashMap::default() };
+        let mut pool = RenderPool::new(renderers, wake)?;
         if warm_views {
-            self.render_every_view(&mut rendering.pool)?;
+            self.render_first_views(&mut pool)?;
         }
         self.bus.sender()?.send(&Handshake::new(Role::Sim, facts)?)?;
         self.wakeups.send_to_all()?;
         while self.stops.next()?.is_none() {
-            match self.turn(&mut rendering) {
+            match self.turn(&mut pool) {
                 Ok(Duration::ZERO) => {}
                 Ok(sleep) => drop(self.bus.listener().wait(sleep)?),
-                Err(error) => match error.downcast_ref() {
-                    Some(missing) if self.stops.explains(missing)? => break,
-                    _ => return Err(error),
-                },
+                Err(ServeError::Bus(missing)) if self.stops.explains(&missing)? => break,
+                Err(error) => return Err(error),
             }
         }
         self.bus.sender()?.send(&ShutdownReport {
@@ -197,17 +189,17 @@ impl<'a> Simulator<'a> {
         Ok(self.wakeups.send_to_all()?)
     }
 
-    /// Renders every view of the unchanged world. All are resident afterwards, and none is pinned.
-    fn render_every_view(&mut self, pool: &mut RenderPool) -> Result<()> {
-        let poses = every_pose(self.lanes.worlds().layout());
-        let views: Vec<FrameKey> =
-            poses.map(|pose| FrameKey::WorldParts { world: WorldParts::UNCHANGED, pose }).collect();
+    /// Renders the first views. All are resident afterwards, and none is pinned.
+    fn render_first_views(&mut self, pool: &mut Pool<W>) -> Result<(), ServeError> {
+        let views: Vec<_> = self.world.first_views().into_iter().map(Shown::View).collect();
         let (needed, capacity) = (views.len(), self.views.capacity());
-        ensure!(
-            needed <= capacity,
-            "--warm-views needs room for {needed} frames and the frame store has room for {capacity}: raise \
-             --frame-budget or leave --warm-views out"
-        );
+        if needed > capacity {
+            let why = format!(
+                "--warm-views needs room for {needed} frames and the frame store has room for {capacity}: raise \
+                 --frame-budget or leave --warm-views out"
+            );
+            return Err(WorldFailure::from(why).into());
+        }
         while !self.frames.is_complete() {
             sleep(CONSUMER_POLL);
         }
@@ -229,18 +221,18 @@ impl<'a> Simulator<'a> {
     }
 
     /// One turn of the loop. Returns how long it may sleep until the next: not at all if more commands may be waiting.
-    fn turn(&mut self, rendering: &mut Rendering) -> Result<Duration> {
+    fn turn(&mut self, pool: &mut Pool<W>) -> Result<Duration, ServeError> {
         let reported = self.reporter.count();
-        self.take_requests(rendering)?;
-        let more = self.take_commands(rendering)?;
+        self.take_requests()?;
+        let more = self.take_commands()?;
         self.evict()?;
-        self.publish_rendered(&mut rendering.pool)?;
+        self.publish_rendered(pool)?;
         self.answer()?;
         if self.beat() || self.reporter.count() != reported {
             self.wakeups.add(Role::Orchestrator);
         }
         self.wakeups.send()?;
-        let sleep = self.request_missing(&mut rendering.pool)?;
+        let sleep = self.request_missing(pool)?;
         Ok(if more { Duration::ZERO } else { sleep })
     }
 
@@ -255,26 +247,26 @@ impl<'a> Simulator<'a> {
         })
     }
 
-    fn take_requests(&mut self, rendering: &mut Rendering) -> Result<(), BusError> {
+    fn take_requests(&mut self) -> Result<(), BusError> {
         while let Some(request) = self.requests.next()? {
-            if let Err(bad) = self.take_request(&request, rendering) {
+            if let Err(bad) = self.take_request(&request) {
                 self.reporter.report(bad);
             }
         }
         Ok(())
     }
 
-    fn take_request(
-        &mut self,
-        request: &ViewRequest,
-        rendering: &mut Rendering,
-    ) -> Result<(), String> {
+    fn take_request(&mut self, request: &ViewRequest) -> Result<(), String> {
         let problem = |problem: &dyn Display| format!("view request: {problem}");
         match ViewRequestKind::try_from(request.kind).map_err(|unknown| problem(&unknown))? {
             ViewRequestKind::Pin => {
-                let (world, pose) = self.place_of(request).map_err(|bad| problem(&bad))?;
-                let view = self.control.view_for_memory(world, pose);
-                let view = self.with_same_pixels(view, rendering);
+                let view = self.world.remembered(request).map_err(|bad| problem(&bad))?;
+                let view = match self.control {
+                    FrameControl::BlankAll => Shown::Grey,
+                    FrameControl::Rendered | FrameControl::Blank | FrameControl::Swapped => {
+                        Shown::View(view)
+                    }
+                };
                 self.views.pin_for_memory(view);
                 let answer = PendingView::View(*request);
                 self.pending.push(Pending { view: Some(view), answer });
@@ -286,25 +278,8 @@ impl<'a> Simulator<'a> {
         Ok(())
     }
 
-    /// The world and the pose in which the requested view is seen.
-    fn place_of(&self, request: &ViewRequest) -> Result<(WorldParts, Pose), String> {
-        let &ViewRequest { sequence, demonstration: number, step, .. } = request;
-        if sequence != 0 {
-            let seen = self.lanes.lived().view((sequence, number), step);
-            return seen.ok_or_else(|| {
-                format!("there is no step {step} of episode {number} of sequence {sequence}")
-            });
-        }
-        let of = self.demonstrations.demonstrations.get(number as usize);
-        let seen = of.and_then(|of| Some((of.variant, *of.states.get(step as usize)?)));
-        let (variant, state) =
-            seen.ok_or_else(|| format!("there is no step {step} of demonstration {number}"))?;
-        let pose = Pose::try_from(state).map_err(|foreign| foreign.to_string())?;
-        Ok((self.lanes.standing(variant, pose)?, pose))
-    }
-
     /// Begins episodes, and executes at most as many commands as a turn may take. Returns whether more may be waiting.
-    fn take_commands(&mut self, rendering: &mut Rendering) -> Result<bool> {
+    fn take_commands(&mut self) -> Result<bool, ServeError> {
         let woken_ns = monotonic_ns();
         let most = self.bus.attach().batch_len();
         // The config of an episode is sent before its commands.
@@ -312,18 +287,18 @@ impl<'a> Simulator<'a> {
         for config in self.configs.drain()? {
             let WorldEpisodeConfig { episode, lane, sent_ns: commanded_ns, .. } = config;
             let report = StepReport { episode, lane, commanded_ns, woken_ns, ..Zeroable::zeroed() };
-            match self.lanes.begin(&config) {
-                Ok(stepped) => self.answer_later(stepped, report, NO_ACTION, rendering)?,
+            match self.world.begin(&config) {
+                Ok(moment) => self.answer_later(moment, report),
                 Err(bad) => self.reporter.report(bad),
             }
         }
         for command in &commands {
-            let &StepCommand { episode, lane, step, sent_ns: commanded_ns, action, .. } = command;
+            let &StepCommand { episode, lane, step, sent_ns: commanded_ns, .. } = command;
             let report =
                 StepReport { episode, lane, step, commanded_ns, woken_ns, ..Zeroable::zeroed() };
-            match self.lanes.apply(command) {
+            match self.world.apply(command) {
                 Ok(None) => {}
-                Ok(Some(stepped)) => self.answer_later(stepped, report, action, rendering)?,
+                Ok(Some(moment)) => self.answer_later(moment, report),
                 Err(bad) => self.reporter.report(bad),
             }
         }
@@ -331,16 +306,11 @@ impl<'a> Simulator<'a> {
     }
 
     /// Prepares the answer to a config or a command, about which `report` says whose it is, once its view is resident.
-    fn answer_later(
-        &mut self,
-        stepped: Stepped,
-        report: StepReport,
-        action: u8,
-        rendering: &mut Rendering,
-    ) -> Result<()> {
-        let Stepped { lane, world, pose, feedback, sub_goals, required, conflict, .. } = stepped;
+    fn answer_later(&mut self, moment: Moment<W::View>, report: StepReport) {
+        let Moment { state, action, feedback, sub_goals, required, conflict, ended, .. } = moment;
         let stepped_ns = monotonic_ns();
-        let ends = stepped.ended != EpisodeEnd::GoesOn;
+        let lane = report.lane as usize;
+        let ends = ended != EpisodeEnd::GoesOn;
         if report.step == 0 || ends {
             self.views.clear_lane(lane);
             // Drop answers about an abandoned episode.
@@ -348,21 +318,20 @@ impl<'a> Simulator<'a> {
                 !matches!(answer, PendingView::Step(_, waiting, _) if waiting.lane == report.lane)
             });
         }
-        let view = (!ends).then(|| {
-            let view = self.control.view(world, self.lanes.worlds().closed(world), pose);
-            let view = self.with_same_pixels(view, rendering);
-            self.views.show(lane, view);
-            view
+        let view = (!ends).then(|| match self.control {
+            FrameControl::Blank | FrameControl::BlankAll => Shown::Grey,
+            FrameControl::Rendered | FrameControl::Swapped => Shown::View(moment.view),
         });
+        view.into_iter().for_each(|view| self.views.show(lane, view));
         let is_resident = view.is_none_or(|view| self.views.frame(view).is_some());
         let report = StepReport {
             stepped_ns,
             rendered_ns: if is_resident { stepped_ns } else { 0 },
             sub_goals: sub_goals as u16,
             required: required as u16,
-            ended: stepped.ended as u8,
+            ended: ended as u8,
             conflict: conflict.into(),
-            state_hash: stepped.state_hash,
+            state_hash: moment.state_hash,
             ..report
         };
         let observation = Observation {
@@ -370,31 +339,19 @@ impl<'a> Simulator<'a> {
             frame: NO_FRAME,
             lane: report.lane,
             step: report.step,
-            state: State::from(pose).padded(),
-            feedback: feedback as u8,
-            action: if feedback == Feedback::NotUnderstood { NO_ACTION } else { action },
+            state: state.padded(),
+            feedback: feedback.0,
+            action: action.map_or(NO_ACTION, |ActionCode(code)| code),
             last: ends.into(),
             reserved: [0; 5],
         };
-        let facts = stepped.facts.map(|facts| serde_json::to_string(&facts)).transpose()?;
-        self.pending.push(Pending { view, answer: PendingView::Step(observation, report, facts) });
-        Ok(())
-    }
-
-    /// The view that stands for `view`.
-    fn with_same_pixels(&self, view: FrameKey, rendering: &mut Rendering) -> FrameKey {
-        let FrameKey::WorldParts { world, pose } = view else { return view };
-        let Rendering { find_changes, same_as, .. } = rendering;
-        *same_as.entry(view).or_insert_with(|| {
-            let (variant, stock) = (self.lanes.worlds().closed(world), world.stock);
-            let world = world.as_seen(find_changes(ViewSpec { pose, variant, stock }));
-            FrameKey::WorldParts { world, pose }
-        })
+        let answer = PendingView::Step(observation, report, moment.facts);
+        self.pending.push(Pending { view, answer });
     }
 
     /// Evicts views to make room.
-    fn evict(&mut self) -> Result<()> {
-        let frames = self.views.make_room()?;
+    fn evict(&mut self) -> Result<(), ServeError> {
+        let frames = self.views.make_room().map_err(WorldFailure::from)?;
         for &frame in &frames {
             self.evictions.send(&Eviction { frame })?;
         }
@@ -433,7 +390,7 @@ impl<'a> Simulator<'a> {
 
     /// Sends the next missing views to the render workers, as many as they accept and slots are free. Returns how long the
     /// loop may sleep.
-    fn request_missing(&mut self, pool: &mut RenderPool) -> Result<Duration> {
+    fn request_missing(&mut self, pool: &mut Pool<W>) -> Result<Duration, ServeError> {
         let mut none_since = self.no_slot_since.take();
         while pool.room() > 0
             && let Some(view) = self.views.next_missing()
@@ -452,19 +409,17 @@ impl<'a> Simulator<'a> {
             };
             none_since = None;
             self.views.start_rendering(view);
-            let world = match view {
-                FrameKey::WorldParts { world, pose } => {
-                    Some((world.stock, self.lanes.worlds().closed(world).clone(), pose))
-                }
-                FrameKey::Blank => None,
+            let picture = match view {
+                Shown::View(view) => Some(self.world.picture(view)),
+                Shown::Grey => None,
             };
-            pool.send(RenderRequest { view, world, slot })?;
+            pool.send(RenderRequest { view, picture, slot })?;
         }
         Ok(LONGEST_SLEEP)
     }
 
     /// Publishes the views that workers have rendered.
-    fn publish_rendered(&mut self, pool: &mut RenderPool) -> Result<()> {
+    fn publish_rendered(&mut self, pool: &mut Pool<W>) -> Result<(), ServeError> {
         while let Some(RenderedBatch { worker, span_ns, bytes_copied, views }) = pool.take()? {
             let track = format!("renderer {worker}");
             self.spans.add(span_ns.start, span_ns.end, &track, "draw", views.len());
@@ -477,7 +432,11 @@ impl<'a> Simulator<'a> {
     }
 
     /// Publishes a view that was completed at `rendered_ns` and makes it resident.
-    fn publish(&mut self, rendered: RenderedView, rendered_ns: u64) -> Result<(), FrameError> {
+    fn publish(
+        &mut self,
+        rendered: RenderedView<Shown<W::View>>,
+        rendered_ns: u64,
+    ) -> Result<(), FrameError> {
         let RenderedView { view, slot, content_hash } = rendered;
         let frame = self.frames.publish(slot, content_hash)?;
         self.views.insert(view, frame);
