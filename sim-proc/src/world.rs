@@ -3,7 +3,7 @@
 use anyhow::Result;
 use case_book::DemonstrationBook;
 use domain::{ActionCode, Feedback, Pose};
-use peer::world::{Moment, RenderSetup, World};
+use peer::world::{Moment, Refusal, RenderSetup, World};
 use rustc_hash::FxHashMap;
 use shm_types::message::{NO_ACTION, StepCommand, ViewRequest, WorldEpisodeConfig};
 use shm_types::{Attach, FrameControl};
@@ -91,7 +91,7 @@ impl WarehouseWorld {
         &mut self,
         stepped: Stepped,
         action: Option<ActionCode>,
-    ) -> Result<Moment<WarehouseView>, String> {
+    ) -> Result<Moment<WarehouseView>, Refusal> {
         let Stepped { world, pose, feedback, sub_goals, required, conflict, ended, .. } = stepped;
         let shown = match &self.swapped {
             Some(swapped) => swapped.shown(self.lanes.worlds().closed(world), pose),
@@ -134,12 +134,12 @@ impl World for WarehouseWorld {
     type View = WarehouseView;
     type Picture = WarehousePicture;
 
-    fn begin(&mut self, config: &WorldEpisodeConfig) -> Result<Moment<WarehouseView>, String> {
+    fn begin(&mut self, config: &WorldEpisodeConfig) -> Result<Moment<WarehouseView>, Refusal> {
         let stepped = self.lanes.begin(config)?;
         self.moment(stepped, None)
     }
 
-    fn apply(&mut self, command: &StepCommand) -> Result<Option<Moment<WarehouseView>>, String> {
+    fn apply(&mut self, command: &StepCommand) -> Result<Option<Moment<WarehouseView>>, Refusal> {
         let Some(stepped) = self.lanes.apply(command)? else { return Ok(None) };
         let action = (command.action != NO_ACTION).then_some(ActionCode(command.action));
         self.moment(stepped, action).map(Some)

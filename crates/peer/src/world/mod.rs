@@ -1,11 +1,14 @@
 //! The world role: steps episodes and shows what agents see.
 //!
-//! A world is a type that implements [`World`]; [`serve`] takes its part in a run. The loop receives commands and requests for
-//! views, keeps track of which views are resident ([`views`]), has missing ones rendered straight into the frame store
-//! ([`render_pool`]), and sends each observation once its view is there. What moves, and what is seen, is the world's.
+//! A world is a type that implements [`Simulator`], or, where it keeps its lanes and pictures itself, [`World`];
+//! [`serve_generation`] takes its part in a run. The loop receives commands and requests for
+//! views, keeps track of which views are resident, has missing ones rendered straight into the frame store, and sends each observation once its view is there. What moves, and what is seen, is the world's.
 
 mod render_pool;
 mod serving;
+mod simulated;
+mod simulator;
+mod stage;
 mod views;
 mod wakeups;
 
@@ -18,9 +21,34 @@ use shm_types::message::{EpisodeEnd, StepCommand, ViewRequest, WorldEpisodeConfi
 
 pub use render_pool::GREY;
 pub use serving::serve_generation;
+pub use simulated::{EnvironmentView, SimulatedWorld};
+pub use simulator::{
+    CaseDeclaration, Environment, EpisodeBegin, Observed, Simulator, TrajectoryName,
+};
 
 /// Why something of a world cannot go on.
 pub type WorldFailure = Box<dyn std::error::Error + Send + Sync>;
+
+/// Why a message to a world has no answer.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Refusal {
+    /// The message is invalid: it is reported and dropped, and nothing else changes.
+    Message(String),
+    /// The episode cannot go on: it ends without a result.
+    Episode(String),
+}
+
+impl Refusal {
+    fn of(failure: WorldFailure) -> Self {
+        Self::Episode(failure.to_string())
+    }
+}
+
+impl From<String> for Refusal {
+    fn from(problem: String) -> Self {
+        Self::Message(problem)
+    }
+}
 
 /// A simulator and its tasks.
 pub trait World {
@@ -34,13 +62,13 @@ pub trait World {
     ///
     /// # Errors
     /// What is wrong with it. The lane is unchanged then.
-    fn begin(&mut self, config: &WorldEpisodeConfig) -> Result<Moment<Self::View>, String>;
+    fn begin(&mut self, config: &WorldEpisodeConfig) -> Result<Moment<Self::View>, Refusal>;
 
     /// Executes a command. `None` if it is about an earlier episode of the lane.
     ///
     /// # Errors
     /// What is wrong, if the command is invalid or out of order. The lane is unchanged then.
-    fn apply(&mut self, command: &StepCommand) -> Result<Option<Moment<Self::View>>, String>;
+    fn apply(&mut self, command: &StepCommand) -> Result<Option<Moment<Self::View>>, Refusal>;
 
     /// The view that memory asks for: of a step of a demonstration, or of an episode that a memory has learned from.
     ///

@@ -28,7 +28,7 @@ use shm_types::{
 use super::render_pool::{RenderPool, RenderRequest, RenderedBatch, RenderedView};
 use super::views::ViewCache;
 use super::wakeups::Wakeups;
-use super::{Moment, RenderSetup, World, WorldFailure};
+use super::{Moment, Refusal, RenderSetup, World, WorldFailure};
 use crate::error::ServeError;
 
 /// The longest sleep of the loop. Nothing relies on waking this often.
@@ -289,7 +289,7 @@ impl<'a, W: World> WorldSession<'a, W> {
             let report = StepReport { episode, lane, commanded_ns, woken_ns, ..Zeroable::zeroed() };
             match self.world.begin(&config) {
                 Ok(moment) => self.answer_later(moment, report),
-                Err(bad) => self.reporter.report(bad),
+                Err(refusal) => self.refuse(lane, episode, refusal)?,
             }
         }
         for command in &commands {
@@ -299,10 +299,19 @@ impl<'a, W: World> WorldSession<'a, W> {
             match self.world.apply(command) {
                 Ok(None) => {}
                 Ok(Some(moment)) => self.answer_later(moment, report),
-                Err(bad) => self.reporter.report(bad),
+                Err(refusal) => self.refuse(lane, episode, refusal)?,
             }
         }
         Ok(commands.len() == most)
+    }
+
+    /// Reports why there is no answer to a message about an episode.
+    fn refuse(&mut self, lane: u32, episode: u64, refusal: Refusal) -> Result<(), BusError> {
+        match refusal {
+            Refusal::Message(bad) => self.reporter.report(bad),
+            Refusal::Episode(why) => self.reporter.fail_episode(lane, episode, &why)?,
+        }
+        Ok(())
     }
 
     /// Prepares the answer to a config or a command, about which `report` says whose it is, once its view is resident.

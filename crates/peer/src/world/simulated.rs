@@ -1,0 +1,320 @@
+//! A [`Simulator`] in the role of a run's world: an environment for each lane, and one that acts out demonstrations.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use case_book::{DemonstrationBook, WorldDeclaration};
+use domain::{ActionCode, Start, State};
+use serde_json::{Map, Value, json};
+use shm_types::Attach;
+use shm_types::message::{
+    EpisodeEnd, StepCommand, StepKind, ViewRequest, WorldEpisodeConfig, read_action, read_flag,
+};
+
+use super::simulator::{
+    CaseDeclaration, Environment, EpisodeBegin, Observed, Simulator, TrajectoryName,
+};
+use super::stage::{Stage, StageBegin, is_complete};
+use super::{
+    Moment, Refusal, RenderSetup, RenderTask, RenderWorker, Renderers, World, WorldFailure,
+};
+
+/// A picture of an environment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum EnvironmentView {
+    /// What is seen in a state with this hash.
+    State(u64),
+    /// What is seen after a step of an episode, of a world that tells no hashes.
+    Step {
+        /// The lane.
+        lane: u32,
+        /// The episode.
+        episode: u64,
+        /// The step.
+        step: u32,
+    },
+    /// The picture with this number among those of the demonstrations.
+    Remembered(u32),
+}
+
+/// All lanes of a run in a simulator.
+pub struct SimulatedWorld<'s, S: ?Sized> {
+    simulator: &'s S,
+    declaration: WorldDeclaration,
+    demonstrations: Rc<DemonstrationBook>,
+    environments: Rc<RefCell<Environments>>,
+}
+
+/// What steps and what draws need.
+struct Environments {
+    cases: Vec<CaseDeclaration>,
+    lanes: Vec<Lane>,
+    stage: Option<Stage>,
+}
+
+#[derive(Default)]
+struct Lane {
+    /// Made when the lane begins its first episode.
+    environment: Option<Box<dyn Environment>>,
+    episode: Option<RunningEpisode>,
+}
+
+struct RunningEpisode {
+    config: WorldEpisodeConfig,
+    step: u32,
+    begin: State,
+    now: Observed,
+}
+
+impl<'s, S: Simulator + ?Sized> SimulatedWorld<'s, S> {
+    /// The world of the run in `attach`, whose memories ask for views of `demonstrations`.
+    ///
+    /// # Errors
+    /// When the simulator has no cases.
+    pub fn new(
+        simulator: &'s S,
+        attach: &Attach,
+        demonstrations: DemonstrationBook,
+    ) -> Result<Self, WorldFailure> {
+        let lanes = (0..attach.lanes).map(|_| Lane::default()).collect();
+        let environments = Environments { cases: simulator.cases()?, lanes, stage: None };
+        Ok(Self {
+            simulator,
+            declaration: simulator.declaration(),
+            demonstrations: Rc::new(demonstrations),
+            environments: Rc::new(RefCell::new(environments)),
+        })
+    }
+
+    /// What the world renders with: its environments, on its own thread.
+    ///
+    /// # Errors
+    /// When an environment cannot be made.
+    pub fn rendering(&self, attach: &Attach) -> Result<RenderSetup<EnvironmentView>, WorldFailure> {
+        self.environments.borrow_mut().stage = Some(Stage::new(self.simulator.environment()?));
+        let WorldDeclaration { name, version, .. } = &self.declaration;
+        Ok(RenderSetup {
+            renderers: Renderers::Caller(Box::new(EnvironmentRenderer {
+                environments: Rc::clone(&self.environments),
+                demonstrations: Rc::clone(&self.demonstrations),
+                size: (attach.frame.width, attach.frame.height),
+            })),
+            facts: vec![("world", format!("{name} {version}"))],
+        })
+    }
+
+    /// The moment of the lane's episode, after `action`.
+    fn moment(
+        &self,
+        lane: &mut Lane,
+        action: Option<ActionCode>,
+    ) -> Result<Moment<EnvironmentView>, Refusal> {
+        let Lane { environment: Some(environment), episode: Some(episode) } = lane else {
+            return Err("the lane is in no episode".to_owned().into());
+        };
+        let RunningEpisode { config, step, begin, now } = episode;
+        self.check(now).map_err(Refusal::Episode)?;
+        let ended = if is_complete(now) {
+            EpisodeEnd::Complete
+        } else if now.has_failed {
+            EpisodeEnd::Failed
+        } else if *step >= config.max_steps {
+            EpisodeEnd::StepLimit
+        } else {
+            EpisodeEnd::GoesOn
+        };
+        let has_ended = ended != EpisodeEnd::GoesOn;
+        let moment = Moment {
+            state: now.state,
+            action,
+            feedback: now.feedback,
+            view: match now.state_hash {
+                Some(hash) => EnvironmentView::State(hash),
+                None => EnvironmentView::Step {
+                    lane: config.lane,
+                    episode: config.episode,
+                    step: *step,
+                },
+            },
+            sub_goals: now.sub_goals,
+            required: now.required,
+            conflict: now.conflict,
+            ended,
+            facts: has_ended.then(|| facts(*begin, now.state, environment.facts())),
+            state_hash: if *step == 0 || has_ended { state_hash(now) } else { 0 },
+        };
+        if has_ended {
+            lane.episode = None;
+        }
+        Ok(moment)
+    }
+
+    /// Checks what an environment says.
+    fn check(&self, observed: &Observed) -> Result<(), String> {
+        let Observed { state, feedback, sub_goals, required, .. } = observed;
+        self.declaration.check_state(state).map_err(|foreign| foreign.to_string())?;
+        self.declaration.read_feedback(feedback.0).map_err(|unknown| unknown.to_string())?;
+        if *required == 0 || sub_goals > required {
+            return Err(format!("{sub_goals} of {required} sub-goals cannot be complete"));
+        }
+        Ok(())
+    }
+}
+
+/// A hash of what an environment is in: its own, or that of the agent's state.
+fn state_hash(observed: &Observed) -> u64 {
+    observed.state_hash.unwrap_or_else(|| {
+        let numbers = observed.state.numbers().iter().flat_map(|number| number.to_le_bytes());
+        let hash = blake3::hash(&numbers.collect::<Vec<u8>>());
+        hash.as_bytes().first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes))
+    })
+}
+
+/// The facts of an episode: those of the environment, with the states of begin and end.
+fn facts(begin: State, end: State, own: Map<String, Value>) -> String {
+    let mut facts = Map::new();
+    facts.insert("start_state".to_owned(), json!(begin));
+    facts.insert("final_state".to_owned(), json!(end));
+    facts.extend(own);
+    Value::Object(facts).to_string()
+}
+
+impl<S: Simulator + ?Sized> World for SimulatedWorld<'_, S> {
+    type View = EnvironmentView;
+    type Picture = EnvironmentView;
+
+    fn begin(&mut self, config: &WorldEpisodeConfig) -> Result<Moment<EnvironmentView>, Refusal> {
+        let &WorldEpisodeConfig { lane: number, case, variant, start, seed, .. } = config;
+        let environments = &mut *self.environments.borrow_mut();
+        let Environments { cases, lanes, .. } = environments;
+        let count = lanes.len();
+        let lane = lanes.get_mut(number as usize);
+        let lane = lane.ok_or_else(|| format!("episode config: there are {count} lanes"))?;
+        let named = cases.get(case as usize).ok_or_else(|| format!("there is no case {case}"))?;
+        let is_blocked = match variant {
+            0 => false,
+            variant if variant == 1 + case => true,
+            variant => return Err(format!("case {case} has no variant {variant}").into()),
+        };
+        let is_new = read_flag(start).map_err(|unknown| unknown.to_string())?;
+        let start = if is_new || is_blocked { Start::New } else { Start::Original };
+        let start = match start {
+            Start::New => TrajectoryName::New,
+            Start::Original => TrajectoryName::Original,
+        };
+        lane.episode = None;
+        let environment = match &mut lane.environment {
+            Some(environment) => environment,
+            none => none.insert(self.simulator.environment().map_err(Refusal::of)?),
+        };
+        let begin = EpisodeBegin { case: named, start, is_blocked, seed };
+        let now = environment.reset(&begin).map_err(Refusal::of)?;
+        lane.episode = Some(RunningEpisode { config: *config, step: 0, begin: now.state, now });
+        self.moment(lane, None)
+    }
+
+    fn apply(&mut self, command: &StepCommand) -> Result<Option<Moment<EnvironmentView>>, Refusal> {
+        let &StepCommand { lane: number, episode: id, step, .. } = command;
+        let invalid = |problem: String| {
+            format!("command for lane {number}, episode {id}, step {step}: {problem}")
+        };
+        let environments = &mut *self.environments.borrow_mut();
+        let count = environments.lanes.len();
+        let lane = environments.lanes.get_mut(number as usize);
+        let lane = lane.ok_or_else(|| invalid(format!("there are {count} lanes")))?;
+        let kind =
+            StepKind::try_from(command.kind).map_err(|unknown| invalid(unknown.to_string()))?;
+        let action = match kind {
+            StepKind::Act => read_action(command.action)
+                .and_then(|action| self.declaration.read_action(action))
+                .map_err(|unknown| invalid(unknown.to_string()))?,
+            StepKind::Stay => None,
+        };
+        let Lane { environment: Some(environment), episode: Some(episode) } = &mut *lane else {
+            return Err(invalid("the lane is in no episode".to_owned()).into());
+        };
+        if id < episode.config.episode {
+            return Ok(None);
+        }
+        if (id, Some(step)) != (episode.config.episode, episode.step.checked_add(1)) {
+            let RunningEpisode { config, step, .. } = episode;
+            let at = format!("the lane is in episode {} after step {step}", config.episode);
+            return Err(invalid(at).into());
+        }
+        episode.now = match action {
+            Some(action) => environment.step(action).map_err(Refusal::of)?,
+            None => Observed {
+                feedback: self.declaration.not_understood(),
+                conflict: false,
+                ..episode.now.clone()
+            },
+        };
+        episode.step = step;
+        self.moment(lane, action).map(Some)
+    }
+
+    fn remembered(&mut self, request: &ViewRequest) -> Result<EnvironmentView, String> {
+        let &ViewRequest { sequence, demonstration, step, .. } = request;
+        let of = self.demonstrations.demonstrations.get(demonstration as usize);
+        let view = of.and_then(|of| of.views.get(step as usize)).filter(|_| sequence == 0);
+        let view = view.copied().map(EnvironmentView::Remembered);
+        view.ok_or_else(|| format!("there is no step {step} of demonstration {demonstration}"))
+    }
+
+    fn picture(&self, view: EnvironmentView) -> EnvironmentView {
+        view
+    }
+}
+
+/// Draws the views of all lanes and demonstrations.
+struct EnvironmentRenderer {
+    environments: Rc<RefCell<Environments>>,
+    demonstrations: Rc<DemonstrationBook>,
+    size: (u32, u32),
+}
+
+impl RenderWorker<EnvironmentView> for EnvironmentRenderer {
+    fn render_into(
+        &mut self,
+        tasks: &mut [RenderTask<'_, EnvironmentView>],
+    ) -> Result<u64, WorldFailure> {
+        let Self { environments, demonstrations, size } = self;
+        let Environments { cases, lanes, stage } = &mut *environments.borrow_mut();
+        for RenderTask { picture, slot, .. } in tasks {
+            let pixels = slot.pixels_mut();
+            if let EnvironmentView::Remembered(number) = **picture {
+                let stage = stage.as_mut().ok_or("the world does not render yet")?;
+                let (begin, actions) = remembered(demonstrations, number)
+                    .ok_or_else(|| format!("no demonstration has picture {number}"))?;
+                stage.render(cases, begin, actions, *size, pixels)?;
+                continue;
+            }
+            // Whoever waits for the picture has not moved on.
+            let shows = lanes.iter_mut().find_map(|lane| {
+                let RunningEpisode { config, step, now, .. } = lane.episode.as_ref()?;
+                let is_seen = match **picture {
+                    EnvironmentView::State(hash) => now.state_hash == Some(hash),
+                    EnvironmentView::Step { lane, episode, step: of } => {
+                        (config.lane, config.episode, *step) == (lane, episode, of)
+                    }
+                    EnvironmentView::Remembered(_) => false,
+                };
+                lane.environment.as_mut().filter(|_| is_seen)
+            });
+            let environment = shows.ok_or("a view that no lane sees any more is asked for")?;
+            environment.render(size.0, size.1, pixels)?;
+        }
+        Ok(0)
+    }
+}
+
+/// How to come to the picture with this number: the begin of a demonstration, and actions of it.
+fn remembered(book: &DemonstrationBook, number: u32) -> Option<(StageBegin, &[ActionCode])> {
+    book.demonstrations.iter().find_map(|of| {
+        let step = of.views.iter().position(|view| *view == number)?;
+        let name = TrajectoryName::of(of.kind)?;
+        let begin =
+            StageBegin { case: of.case, start: name.start(), is_blocked: name.is_blocked() };
+        Some((begin, of.actions.get(..step)?))
+    })
+}

@@ -1,0 +1,175 @@
+//! What the author of a world writes: cases, and environments that run one episode at a time.
+
+use std::collections::BTreeMap;
+
+use case_book::WorldDeclaration;
+use domain::names::named;
+use domain::{ActionCode, DemonstrationKind, FeedbackCode, Route, Start, State};
+use serde_json::{Map, Value};
+
+use super::WorldFailure;
+
+/// A world for which the SDK does the rest: it writes the case book by acting out the expert's trajectories, runs an
+/// environment for each lane, checks the order of steps, and renders into shared memory.
+pub trait Simulator {
+    /// What the world says of itself.
+    fn declaration(&self) -> WorldDeclaration;
+
+    /// The cases, always the same in the same order.
+    ///
+    /// # Errors
+    /// When they cannot be read.
+    fn cases(&self) -> Result<Vec<CaseDeclaration>, WorldFailure>;
+
+    /// An environment.
+    ///
+    /// # Errors
+    /// When it cannot be made.
+    fn environment(&self) -> Result<Box<dyn Environment>, WorldFailure>;
+}
+
+/// A simulator of one episode at a time.
+pub trait Environment {
+    /// Begins an episode: the same `begin` leads to the same state, if the world is deterministic.
+    ///
+    /// # Errors
+    /// When the episode cannot take place. It has no result then.
+    fn reset(&mut self, begin: &EpisodeBegin<'_>) -> Result<Observed, WorldFailure>;
+
+    /// Takes an action. Not called after the episode has ended.
+    ///
+    /// # Errors
+    /// When the episode cannot go on. It has no result then.
+    fn step(&mut self, action: ActionCode) -> Result<Observed, WorldFailure>;
+
+    /// Draws what the agent sees now: red, green, blue and alpha of each pixel, row by row from the top left corner.
+    ///
+    /// # Errors
+    /// When the world cannot be drawn. Its process ends then.
+    fn render(&mut self, width: u32, height: u32, pixels: &mut [u8]) -> Result<(), WorldFailure>;
+
+    /// Facts of the episode that has ended, for its record: whatever helps to understand it.
+    fn facts(&mut self) -> Map<String, Value> {
+        Map::new()
+    }
+}
+
+named! {
+    /// A trajectory of a case's expert.
+    TrajectoryName, "trajectory" {
+        /// The demonstration from the case's original start.
+        Original = "original",
+        /// A demonstration from another start.
+        Opposite = "opposite",
+        /// A demonstration from a start near the original one.
+        Nearby = "nearby",
+        /// A demonstration from a start far from the original one.
+        Distant = "distant",
+        /// The reference from the start at which the case is tested.
+        New = "new",
+        /// The reference from that start where the way is blocked.
+        Blocked = "blocked",
+        /// The demonstration from the original start where the way is blocked.
+        After = "after",
+    }
+}
+
+impl TrajectoryName {
+    /// Whether it takes place where the way is blocked.
+    pub const fn is_blocked(self) -> bool {
+        matches!(self, Self::Blocked | Self::After)
+    }
+
+    /// The demonstration that it is, unless it is a reference.
+    pub const fn demonstration(self) -> Option<DemonstrationKind> {
+        match self {
+            Self::Original => Some(DemonstrationKind::Original),
+            Self::Opposite => Some(DemonstrationKind::Opposite),
+            Self::Nearby => Some(DemonstrationKind::Nearby),
+            Self::Distant => Some(DemonstrationKind::Distant),
+            Self::After => Some(DemonstrationKind::After),
+            Self::New | Self::Blocked => None,
+        }
+    }
+
+    /// That of a demonstration; `None` for one in another world.
+    pub const fn of(kind: DemonstrationKind) -> Option<Self> {
+        match kind {
+            DemonstrationKind::Original => Some(Self::Original),
+            DemonstrationKind::Opposite => Some(Self::Opposite),
+            DemonstrationKind::Nearby => Some(Self::Nearby),
+            DemonstrationKind::Distant => Some(Self::Distant),
+            DemonstrationKind::After => Some(Self::After),
+            DemonstrationKind::Elsewhere => None,
+        }
+    }
+
+    /// The reference of an episode from `start` on `route`. On a blocked route, episodes begin at the new start.
+    pub const fn reference(start: Start, route: Route) -> Self {
+        match (start, route) {
+            (_, Route::Blocked) => Self::Blocked,
+            (Start::Original, Route::Unchanged) => Self::Original,
+            (Start::New, Route::Unchanged) => Self::New,
+        }
+    }
+
+    /// Where it begins: [`Original`](Self::Original), [`Opposite`](Self::Opposite), [`Nearby`](Self::Nearby),
+    /// [`Distant`](Self::Distant) or [`New`](Self::New).
+    pub const fn start(self) -> Self {
+        match self {
+            Self::After => Self::Original,
+            Self::Blocked => Self::New,
+            Self::Original | Self::Opposite | Self::Nearby | Self::Distant | Self::New => self,
+        }
+    }
+}
+
+/// A case: a task with its starts, and what the expert does from them.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct CaseDeclaration {
+    /// The id; no two cases have the same.
+    pub id: String,
+    /// The number of its task among those that the world declares, from 1.
+    pub task: u8,
+    /// The instruction for the policy.
+    pub instruction: String,
+    /// The expert's trajectories. `original` and `new` have to be there.
+    pub trajectories: BTreeMap<TrajectoryName, Vec<ActionCode>>,
+    /// Demonstrations of other cases that have nothing to do with this one, two of them: the ids of their cases, and which.
+    pub irrelevant: Vec<(String, DemonstrationKind)>,
+    /// Demonstrations of other cases that are like this one and lead elsewhere, two of them.
+    pub confusable: Vec<(String, DemonstrationKind)>,
+}
+
+/// How an episode begins.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EpisodeBegin<'a> {
+    /// The case.
+    pub case: &'a CaseDeclaration,
+    /// Where: `original`, `opposite`, `nearby`, `distant` or `new`.
+    pub start: TrajectoryName,
+    /// Whether the way is blocked.
+    pub is_blocked: bool,
+    /// For random choices of a world that is not deterministic.
+    pub seed: u64,
+}
+
+/// What an environment says after its begin and after each step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Observed {
+    /// The state of the agent.
+    pub state: State,
+    /// The response to the action; [`FeedbackCode::START`] at the begin.
+    pub feedback: FeedbackCode,
+    /// Sub-goals completed so far.
+    pub sub_goals: u32,
+    /// All sub-goals of the task: at least 1. The task is complete when all are.
+    pub required: u32,
+    /// Whether the task can no longer be completed: the episode ends.
+    pub has_failed: bool,
+    /// Whether the agent ran in this step into what blocks the way.
+    pub conflict: bool,
+    /// A hash of everything that determines what is seen and what follows, if the world can tell: equal hashes, equal
+    /// pictures, which are rendered once.
+    pub state_hash: Option<u64>,
+}
