@@ -4,6 +4,7 @@
 //! joins each next generation, and ends when the run is over. So that it never outlives the run, it watches the
 //! orchestrator's process and `attach.json`.
 
+use std::cell::RefCell;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -40,6 +41,24 @@ pub fn folder_from_environment(role: Role) -> Result<PathBuf, ServeError> {
 /// When there is no such run, it cannot be joined, its transport fails, it ends without a stop message, or the service
 /// fails.
 pub fn serve_role<S: Service>(service: &mut S, folder: &Path) -> Result<(), ServeError> {
+    // Both closures need the service, one after the other.
+    let service = RefCell::new(service);
+    serve_generations(
+        folder,
+        |attach| service.borrow().join(attach),
+        |bus, run| Connection::new(bus)?.serve(&mut **service.borrow_mut(), run),
+    )
+}
+
+/// Joins each generation of the run whose folder is `folder`, and serves in it, until the orchestrator sends a stop message.
+///
+/// # Errors
+/// As [`serve_role`].
+pub(crate) fn serve_generations(
+    folder: &Path,
+    join: impl Fn(Attach) -> Result<Bus, BusError>,
+    mut serve: impl FnMut(Bus, &WatchedRun) -> Result<End, ServeError>,
+) -> Result<(), ServeError> {
     let mut attach = Attach::read(folder).map_err(|error| match error {
         AttachError::File { cause, .. } if cause.kind() == io::ErrorKind::NotFound => {
             ServeError::NotARun(folder.to_owned())
@@ -48,9 +67,8 @@ pub fn serve_role<S: Service>(service: &mut S, folder: &Path) -> Result<(), Serv
     })?;
     let run = WatchedRun::watch(&attach)?;
     loop {
-        let bus = join(service, &mut attach, &run)?;
-        let ended = Connection::new(bus).and_then(|mut connection| connection.serve(service, &run));
-        attach = match ended {
+        let bus = join_generation(&join, &mut attach, &run)?;
+        attach = match serve(bus, &run) {
             Ok(End::Stopped) => return Ok(()),
             Ok(End::NextGeneration(next)) => next,
             // The services of the generation are gone; wait for the next one or for the end of the run.
@@ -61,10 +79,14 @@ pub fn serve_role<S: Service>(service: &mut S, folder: &Path) -> Result<(), Serv
 }
 
 /// Joins the generation of `attach`, or the one that has replaced it meanwhile.
-fn join<S: Service>(service: &S, attach: &mut Attach, run: &WatchedRun) -> Result<Bus, ServeError> {
+fn join_generation(
+    join: impl Fn(Attach) -> Result<Bus, BusError>,
+    attach: &mut Attach,
+    run: &WatchedRun,
+) -> Result<Bus, ServeError> {
     let deadline = Instant::now() + JOIN_TIMEOUT;
     loop {
-        match service.join(attach.clone()) {
+        match join(attach.clone()) {
             Err(BusError::Taken { .. } | BusError::Open { .. }) if Instant::now() < deadline => {}
             joined => return Ok(joined?),
         }

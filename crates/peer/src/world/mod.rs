@@ -4,6 +4,9 @@
 //! [`serve_generation`] takes its part in a run. The loop receives commands and requests for
 //! views, keeps track of which views are resident, has missing ones rendered straight into the frame store, and sends each observation once its view is there. What moves, and what is seen, is the world's.
 
+mod acting;
+mod book;
+pub mod program;
 mod render_pool;
 mod serving;
 mod simulated;

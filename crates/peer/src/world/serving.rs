@@ -29,10 +29,15 @@ use super::render_pool::{RenderPool, RenderRequest, RenderedBatch, RenderedView}
 use super::views::ViewCache;
 use super::wakeups::Wakeups;
 use super::{Moment, Refusal, RenderSetup, World, WorldFailure};
+use crate::connection::End;
 use crate::error::ServeError;
+use crate::watched_run::WatchedRun;
 
 /// The longest sleep of the loop. Nothing relies on waking this often.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
+
+/// How often to look for the next generation, where the process may outlive this one.
+const LOOK_INTERVAL: Duration = Duration::from_millis(250);
 
 /// How often to look for a free slot. A policy that is at work releases evicted frames only afterwards, and sends nothing
 /// when it does.
@@ -57,9 +62,20 @@ pub fn serve_generation<W: World>(
     warm_views: bool,
     open: impl FnOnce(&mut W) -> Result<RenderSetup<W::Picture>, WorldFailure>,
 ) -> Result<(), ServeError> {
+    serve_watched(bus, world, warm_views, None, open).map(drop)
+}
+
+/// As [`serve_generation`], and until another generation replaces it, if the process may outlive this one.
+pub(super) fn serve_watched<W: World>(
+    bus: &Bus,
+    world: &mut W,
+    warm_views: bool,
+    run: Option<&WatchedRun>,
+    open: impl FnOnce(&mut W) -> Result<RenderSetup<W::Picture>, WorldFailure>,
+) -> Result<End, ServeError> {
     let mut session = WorldSession::new(bus, world)?;
     let outcome = open(session.world).map_err(ServeError::from);
-    let outcome = outcome.and_then(|setup| session.serve_until_stop(setup, warm_views));
+    let outcome = outcome.and_then(|setup| session.serve_until_stop(setup, warm_views, run));
     if let Err(error) = &outcome {
         session.reporter.report(error);
         session.wakeups.send_to_all()?;
@@ -156,7 +172,8 @@ impl<'a, W: World> WorldSession<'a, W> {
         &mut self,
         setup: RenderSetup<W::Picture>,
         warm_views: bool,
-    ) -> Result<(), ServeError> {
+        run: Option<&WatchedRun>,
+    ) -> Result<End, ServeError> {
         let RenderSetup { renderers, facts } = setup;
         let notifier = Arc::new(self.bus.notifier(Role::Sim)?);
         let wake = move || {
@@ -170,10 +187,20 @@ impl<'a, W: World> WorldSession<'a, W> {
         }
         self.bus.sender()?.send(&Handshake::new(Role::Sim, facts)?)?;
         self.wakeups.send_to_all()?;
+        let longest = if run.is_some() { LOOK_INTERVAL } else { LONGEST_SLEEP };
+        let mut last_look = Instant::now();
         while self.stops.next()?.is_none() {
+            if let Some(run) = run
+                && last_look.elapsed() >= LOOK_INTERVAL
+            {
+                if let Some(next) = run.next(self.bus.attach())? {
+                    return Ok(End::NextGeneration(next));
+                }
+                last_look = Instant::now();
+            }
             match self.turn(&mut pool) {
                 Ok(Duration::ZERO) => {}
-                Ok(sleep) => drop(self.bus.listener().wait(sleep)?),
+                Ok(sleep) => drop(self.bus.listener().wait(sleep.min(longest))?),
                 Err(ServeError::Bus(missing)) if self.stops.explains(&missing)? => break,
                 Err(error) => return Err(error),
             }
@@ -186,7 +213,8 @@ impl<'a, W: World> WorldSession<'a, W> {
             error_reports: self.reporter.count().into(),
             ..Zeroable::zeroed()
         })?;
-        Ok(self.wakeups.send_to_all()?)
+        self.wakeups.send_to_all()?;
+        Ok(End::Stopped)
     }
 
     /// Renders the first views. All are resident afterwards, and none is pinned.

@@ -1,0 +1,193 @@
+//! What a [`Simulator`] answers outside of a run: recorded episodes and demonstrations, acted out.
+
+use case_book::WorldDeclaration;
+use case_book::act::{
+    ActAnswer, ActRequest, ActedDemonstration, ActedEpisode, ActedReference, DemonstrationsRequest,
+    EpisodeRequest, WorldDescription,
+};
+use domain::{ActionCode, DemonstrationKind, Start};
+
+use super::WorldFailure;
+use super::book::{case_facts, world_facts};
+use super::simulator::{CaseDeclaration, Simulator, TrajectoryName};
+use super::stage::{ActedTrajectory, Stage, StageBegin};
+
+/// A simulator, asked by those who show or check episodes.
+pub(super) struct ActingSimulator {
+    world: WorldDeclaration,
+    cases: Vec<CaseDeclaration>,
+    stage: Stage,
+}
+
+impl ActingSimulator {
+    pub(super) fn new(simulator: &(impl Simulator + ?Sized)) -> Result<Self, WorldFailure> {
+        let (world, cases) = (simulator.declaration(), simulator.cases()?);
+        Ok(Self { world, cases, stage: Stage::new(simulator.environment()?) })
+    }
+
+    /// Answers a request; one that cannot be met with an error.
+    pub(super) fn answer(&mut self, request: &ActRequest) -> ActAnswer {
+        let answer = match request {
+            ActRequest::World => self.describe().map(ActAnswer::World),
+            ActRequest::Episode(episode) => {
+                self.episode(episode).map(|acted| ActAnswer::Episode(Box::new(acted)))
+            }
+            ActRequest::Demonstrations(asked) => {
+                self.demonstrations(asked).map(ActAnswer::Demonstrations)
+            }
+            ActRequest::Scene(_) => Err("this world has no map".into()),
+            ActRequest::Swapped(..) => Err("this world swaps no views".into()),
+        };
+        answer.unwrap_or_else(|failure| ActAnswer::Error(failure.to_string()))
+    }
+
+    fn describe(&mut self) -> Result<WorldDescription, WorldFailure> {
+        let count = self.cases.len() as u32;
+        let mut cases = Vec::new();
+        for number in 0..count {
+            cases.push(case_facts(&self.world, &self.cases, &mut self.stage, number)?);
+        }
+        Ok(WorldDescription {
+            world: world_facts(&self.world),
+            cases,
+            blocked: (1..=count).collect(),
+            states: Vec::new(),
+        })
+    }
+
+    fn number(&self, id: &str) -> Result<u32, WorldFailure> {
+        let number = self.cases.iter().position(|case| case.id == id);
+        Ok(number.ok_or_else(|| format!("there is no case {id}"))? as u32)
+    }
+
+    fn episode(&mut self, request: &EpisodeRequest) -> Result<ActedEpisode, WorldFailure> {
+        let number = self.number(&request.case)?;
+        let (start, route) = request.reference.ok_or("this world has no streams")?;
+        let name = TrajectoryName::reference(start, route);
+        let begin = StageBegin { case: number, start: name.start(), is_blocked: name.is_blocked() };
+        let acted = self.act(begin, request.actions.iter().copied())?;
+        let reference = match request.parts.reference {
+            true => self.reference(begin, name)?,
+            false => None,
+        };
+        let case = &self.cases[number as usize];
+        let first = &acted.moments[0];
+        if let Some(recorded) = request.begin
+            && recorded != first.state
+        {
+            return Err(format!("case {} begins elsewhere than it is recorded", case.id).into());
+        }
+        Ok(ActedEpisode {
+            task: case.task,
+            instruction: case.instruction.clone(),
+            states: acted.moments.iter().map(|moment| moment.state).collect(),
+            feedback: acted.moments.iter().map(|moment| moment.feedback).collect(),
+            sub_goals: acted.sub_goals.clone(),
+            required: first.required,
+            events: None,
+            reference,
+            scenery: None,
+        })
+    }
+
+    fn act(
+        &mut self,
+        begin: StageBegin,
+        actions: impl IntoIterator<Item = Option<ActionCode>>,
+    ) -> Result<ActedTrajectory, WorldFailure> {
+        self.stage.act(&self.cases, begin, actions, self.world.not_understood())
+    }
+
+    fn reference(
+        &mut self,
+        begin: StageBegin,
+        name: TrajectoryName,
+    ) -> Result<Option<ActedReference>, WorldFailure> {
+        let case = &self.cases[begin.case as usize];
+        let Some(actions) = case.trajectories.get(&name).cloned() else { return Ok(None) };
+        let acted = self.act(begin, actions.iter().copied().map(Some))?;
+        let invalidated = match self.cases[begin.case as usize]
+            .trajectories
+            .get(&TrajectoryName::Original)
+            .cloned()
+        {
+            Some(original) => {
+                let start = TrajectoryName::reference(Start::Original, domain::Route::Unchanged);
+                let begin = StageBegin { start, ..begin };
+                self.act(begin, original.into_iter().map(Some))?.length().is_none()
+            }
+            None => false,
+        };
+        Ok(Some(ActedReference {
+            length: acted.length().unwrap_or(0),
+            states: acted.moments.iter().map(|moment| moment.state).collect(),
+            actions,
+            invalidated,
+        }))
+    }
+
+    fn demonstrations(
+        &mut self,
+        request: &DemonstrationsRequest,
+    ) -> Result<Vec<ActedDemonstration>, WorldFailure> {
+        let number = self.number(&request.case)?;
+        let case = &self.cases[number as usize];
+        let of_set: Vec<DemonstrationKind> = request.set.own().collect();
+        let own = of_set.into_iter().map(|kind| (case.id.clone(), kind));
+        let histories = match request.set.mixture() {
+            Some(domain::Mixture::Irrelevant) => case.irrelevant.clone(),
+            Some(domain::Mixture::Confusable) => case.confusable.clone(),
+            None => Vec::new(),
+        };
+        let after = request.set.take_place_after();
+        let after = after.then(|| (case.id.clone(), DemonstrationKind::After));
+        let mut asked: Vec<(String, DemonstrationKind)> =
+            own.chain(histories).chain(after).collect();
+        for more in &request.more {
+            if !asked.contains(more) {
+                asked.push(more.clone());
+            }
+        }
+        let mut acted = Vec::new();
+        for (id, kind) in asked {
+            acted.extend(self.demonstration(&id, kind, number, request.variant)?);
+        }
+        Ok(acted)
+    }
+
+    /// A demonstration; whether it is stale is judged for an episode of case `judged` in `variant`. `None` if there is none.
+    fn demonstration(
+        &mut self,
+        id: &str,
+        kind: DemonstrationKind,
+        judged: u32,
+        variant: u32,
+    ) -> Result<Option<ActedDemonstration>, WorldFailure> {
+        let number = self.number(id)?;
+        let case = &self.cases[number as usize];
+        let Some(name) = TrajectoryName::of(kind) else { return Ok(None) };
+        let Some(actions) = case.trajectories.get(&name).cloned() else { return Ok(None) };
+        let (instruction, task) = (case.instruction.clone(), case.task);
+        let begin = StageBegin { case: number, start: name.start(), is_blocked: name.is_blocked() };
+        let acted = self.act(begin, actions.iter().copied().map(Some))?;
+        let is_stale = number == judged && variant == 1 + judged && !begin.is_blocked && {
+            let blocked = StageBegin { is_blocked: true, ..begin };
+            self.act(blocked, actions.iter().copied().map(Some))?.length().is_none()
+        };
+        Ok(Some(ActedDemonstration {
+            case: id.to_owned(),
+            kind,
+            variant: if begin.is_blocked { 1 + number } else { 0 },
+            task,
+            instruction,
+            states: acted.moments.iter().map(|moment| moment.state).collect(),
+            feedback: acted.moments.iter().map(|moment| moment.feedback).collect(),
+            length: acted.length(),
+            sub_goals: acted.sub_goals,
+            actions,
+            is_stale,
+            closed: Vec::new(),
+            targets: Vec::new(),
+        }))
+    }
+}

@@ -1,0 +1,147 @@
+//! The program of a world: what it does is said by its arguments, which a run adds to its command.
+
+use std::io::{BufRead, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use case_book::act::{ActAnswer, ActRequest};
+use case_book::{BookFile, BookRequest, CASE_BOOK_FILE, DEMONSTRATIONS_FILE, DemonstrationBook};
+use shm_types::clock::{Instant, sleep};
+use shm_types::message::Role;
+use shm_types::process::check_shared_memory;
+use shm_types::{Attach, Bus};
+
+use super::WorldFailure;
+use super::acting::ActingSimulator;
+use super::book::write_books;
+use super::serving::serve_watched;
+use super::simulated::SimulatedWorld;
+use super::simulator::Simulator;
+use crate::error::ServeError;
+use crate::run::serve_generations;
+
+/// How long to wait for the shared memory of the generation before.
+const ROOM_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// How the program of a world is used.
+pub const USAGE: &str = "\
+usage: WORLD VERB, as `memtransfer run --world-cmd WORLD` adds it
+
+  book --request FILE --out DIR              write the case book of a run
+  serve --attach DIR --demonstrations FILE   take part in a run until it stops
+  act                                        act out the episodes that stdin names, a line of JSON each
+";
+
+/// Does what `arguments` say, which do not begin with the name of the program.
+///
+/// # Errors
+/// Arguments that are not understood, with the usage; files that cannot be read or written; what is wrong with the world; a run
+/// that cannot be joined or that ends early.
+pub fn run(
+    simulator: &(impl Simulator + ?Sized),
+    arguments: &[String],
+) -> Result<(), WorldFailure> {
+    let (verb, rest) = arguments.split_first().ok_or(USAGE)?;
+    match verb.as_str() {
+        "book" => {
+            let [request, out] = paths(rest, ["--request", "--out"])?;
+            book(simulator, &request, &out)
+        }
+        "serve" => {
+            let [attach, demonstrations] = paths(rest, ["--attach", "--demonstrations"])?;
+            Ok(serve(simulator, &attach, &demonstrations)?)
+        }
+        "act" if rest.is_empty() => act(simulator),
+        "--help" | "-h" => {
+            print!("{USAGE}");
+            Ok(())
+        }
+        _ => Err(USAGE.into()),
+    }
+}
+
+/// The values of these flags, which have to be there and are the only ones.
+fn paths<const N: usize>(
+    arguments: &[String],
+    flags: [&str; N],
+) -> Result<[PathBuf; N], WorldFailure> {
+    let pairs: Vec<&[String]> = arguments.chunks(2).collect();
+    let value = |flag: &str| {
+        let named = pairs.iter().find(|pair| pair[0] == flag);
+        named.and_then(|pair| pair.get(1)).map(PathBuf::from)
+    };
+    let values: Option<Vec<PathBuf>> = flags.into_iter().map(value).collect();
+    let values = values.filter(|_| pairs.len() == N).ok_or(USAGE)?;
+    values.try_into().map_err(|_| USAGE.into())
+}
+
+fn book(
+    simulator: &(impl Simulator + ?Sized),
+    request: &Path,
+    out: &Path,
+) -> Result<(), WorldFailure> {
+    let text = durable::input::read_text(request)
+        .map_err(|error| format!("cannot read {}: {error}", request.display()))?;
+    let request: BookRequest = serde_json::from_str(&text)
+        .map_err(|error| format!("this is no request for a case book: {error}"))?;
+    let (cases, demonstrations) = write_books(simulator, &request)?;
+    std::fs::create_dir_all(out)?;
+    let files = [
+        (CASE_BOOK_FILE, BookFile::new(cases)?.text),
+        (DEMONSTRATIONS_FILE, BookFile::new(demonstrations)?.text),
+    ];
+    for (name, text) in files {
+        let path = out.join(name);
+        durable::replace(&path, &path.with_extension("json.draft"), text.as_bytes())
+            .map_err(|error| format!("cannot write {}: {error}", path.display()))?;
+    }
+    Ok(())
+}
+
+/// Serves `simulator` in the run whose folder is `folder`, in every generation.
+fn serve(
+    simulator: &(impl Simulator + ?Sized),
+    folder: &Path,
+    demonstrations: &Path,
+) -> Result<(), ServeError> {
+    let demonstrations = BookFile::<DemonstrationBook>::read(demonstrations)?.book;
+    let join = |attach: Attach| Bus::join(attach, Role::Sim);
+    serve_generations(folder, join, |bus, run| {
+        let attach = bus.attach();
+        wait_for_room(attach)?;
+        let mut world = SimulatedWorld::new(simulator, attach, demonstrations.clone())?;
+        serve_watched(&bus, &mut world, false, Some(run), |world| world.rendering(attach))
+    })
+}
+
+/// Waits until the frames of this generation fit into shared memory: processes of the one before may use theirs for a moment
+/// longer.
+fn wait_for_room(attach: &Attach) -> Result<(), ServeError> {
+    let patience = if attach.generation > 1 { ROOM_TIMEOUT } else { Duration::ZERO };
+    let deadline = Instant::now() + patience;
+    while let Err(error) = check_shared_memory(attach.shared_memory_bytes()) {
+        if Instant::now() >= deadline {
+            return Err(WorldFailure::from(error).into());
+        }
+        sleep(Duration::from_millis(50));
+    }
+    Ok(())
+}
+
+fn act(simulator: &(impl Simulator + ?Sized)) -> Result<(), WorldFailure> {
+    let mut acting = ActingSimulator::new(simulator)?;
+    let mut stdout = std::io::stdout().lock();
+    for line in std::io::stdin().lock().lines() {
+        let answer = match serde_json::from_str::<ActRequest>(&line?) {
+            Ok(request) => acting.answer(&request),
+            Err(error) => ActAnswer::Error(format!("this is no request: {error}")),
+        };
+        let mut answer = serde_json::to_vec(&answer)?;
+        answer.push(b'\n');
+        // A pipe that closed means that no more answers are wanted.
+        if stdout.write_all(&answer).and_then(|()| stdout.flush()).is_err() {
+            break;
+        }
+    }
+    Ok(())
+}
