@@ -10,7 +10,16 @@ use std::sync::Arc;
 use case_book::{Demonstration, DemonstrationBook};
 use domain::{Action, Arm, Demonstrations, Feedback, Pose};
 
-use crate::bank::ViewId;
+/// Names a view by a step that shows it. Steps that are known to show the same have the same name: the first of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ViewId {
+    /// The sequence of an episode that was learned from; 0 for a demonstration of the book.
+    pub sequence: u64,
+    /// The index of the demonstration, or the position of the episode in its sequence.
+    pub number: u32,
+    /// The step.
+    pub step: u32,
+}
 
 /// A demonstration, or an episode that a memory has learned from.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
