@@ -10,18 +10,7 @@ use shm_types::BankContent;
 use shm_types::banks::{BankDemonstration, BankStep};
 use shm_types::message::{FrameId, NO_ACTION, NO_FRAME};
 
-use crate::demonstrations::RememberedDemonstration;
-
-/// Names a view by a step that shows it. Steps that are known to show the same have the same name: the first of them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct ViewId {
-    /// The sequence of an episode that was learned from; 0 for a demonstration of the book.
-    pub sequence: u64,
-    /// The index of the demonstration, or the position of the episode in its sequence.
-    pub number: u32,
-    /// The step.
-    pub step: u32,
-}
+use crate::demonstrations::{RememberedDemonstration, ViewId};
 
 /// Demonstrations, and their views.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]

@@ -10,7 +10,16 @@ use std::sync::Arc;
 use case_book::{Demonstration, DemonstrationBook};
 use domain::{Action, Arm, Demonstrations, Feedback, Pose};
 
-use crate::bank::ViewId;
+/// Names a view by a step that shows it. Steps that are known to show the same have the same name: the first of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ViewId {
+    /// The sequence of an episode that was learned from; 0 for a demonstration of the book.
+    pub sequence: u64,
+    /// The index of the demonstration, or the position of the episode in its sequence.
+    pub number: u32,
+    /// The step.
+    pub step: u32,
+}
 
 /// A demonstration, or an episode that a memory has learned from.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -231,7 +240,7 @@ mod tests {
     use case_book::{BookRequest, ElsewhereRequest};
     use domain::{DemonstrationKind, Heading};
     use warehouse::case_book::write_books;
-    use warehouse::{CaseSet, Warehouse};
+    use warehouse::{CaseSet, TrajectoryKind, Variant, Warehouse};
 
     use super::*;
 
@@ -296,6 +305,27 @@ mod tests {
         let lived = RememberedDemonstration::lived_views(7, 3, &[north, east, north]);
         let steps: Vec<_> = lived.iter().map(|of| (of.sequence, of.number, of.step)).collect();
         assert_eq!(steps, [(7, 3, 0), (7, 3, 1), (7, 3, 0)]);
+    }
+
+    /// Memories and builders ask whether the pose has changed, and not what the feedback is.
+    #[test]
+    fn an_action_changes_the_pose_if_its_feedback_is_that_the_agent_moved_or_turned() {
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let mut blocked = 0;
+        for case in &cases.cases {
+            let closed = Variant::closing(case.barricade.iter().copied());
+            for variant in [Variant::UNCHANGED, closed] {
+                let kind = TrajectoryKind::Test;
+                let replay = case.trajectory(kind).replay(&warehouse, &case.task, &variant);
+                let poses = replay.poses.windows(2).map(|pair| pair[0] != pair[1]);
+                for (feedback, has_changed) in replay.feedback.iter().skip(1).zip(poses) {
+                    let has_moved = matches!(feedback, Feedback::Moved | Feedback::Turned);
+                    assert_eq!(has_moved, has_changed, "{feedback:?}");
+                    blocked += u32::from(!has_moved);
+                }
+            }
+        }
+        assert!(blocked > 100, "{blocked}");
     }
 
     #[test]

@@ -5,7 +5,8 @@ use std::collections::{HashMap, VecDeque};
 use search::ContentHash;
 use shm_types::message::NO_FRAME;
 
-use crate::bank::{Collecting, KnownView, ViewId};
+use crate::bank::{Collecting, KnownView};
+use crate::demonstrations::ViewId;
 use crate::embedding_cache::EmbeddingCache;
 use crate::views::{PinnedView, PinnedViews};
 

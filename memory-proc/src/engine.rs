@@ -1,7 +1,7 @@
 //! All lanes of a run: which of them can be answered, and what the others wait for.
 //!
 //! The engine takes messages and finished embeddings in any order and returns what to send and what to embed next. It
-//! never waits: a lane whose views, embeddings or external memory are not ready stays pending while others are answered.
+//! never waits: a lane whose views, embeddings or memory are not ready stays pending while others are answered.
 //! Its answers depend on the messages only, not on their timing or on other lanes.
 //!
 //! Its only input and output are the embedding cache's file and the snapshots of memories that learn; [`crate::serve`]
@@ -12,14 +12,17 @@ mod external;
 use std::collections::{BTreeMap, BTreeSet, HashSet, VecDeque};
 use std::sync::Arc;
 
-use crate::bank::ViewId;
-use crate::demonstrations::DemonstrationLibrary;
+use anyhow::Context;
+
+use crate::bank::BankSteps;
+use crate::demonstrations::{DemonstrationLibrary, ViewId};
 use crate::embedded_views::EmbeddedViews;
 use crate::embedding_cache::{CacheError, EmbeddingCache};
-use crate::episode::{EpisodeMemory, MemoryEpisode, PendingObservation, PendingStage, Reason};
-use crate::external::{BankState, ExternalMemories, ToExternal, query_message};
+use crate::episode::{MemoryEpisode, PendingObservation, PendingStage, Reason, Unready};
+use crate::external::{ExternalMemories, ToExternal};
+use crate::hosted::{HostedMemory, MemoryHost};
 use crate::items::{Assembler, DocumentSupplier};
-use crate::sequences::{Binding, SequenceMemories};
+use crate::sequences::SequenceMemories;
 use crate::snapshots::SnapshotFolder;
 use crate::views::{Arrival, PinnedView};
 use search::{ContentHash, Embedding};
@@ -54,6 +57,8 @@ struct EngineLane {
     reports: VecDeque<StepReport>,
     /// The episode whose steps are observed.
     running: Option<MemoryEpisode>,
+    /// Its memory, once there is one. `None` for that of a sequence.
+    memory: Option<HostedMemory>,
     /// The announced episode that has not begun.
     next: Option<MemoryEpisode>,
 }
@@ -71,18 +76,12 @@ pub struct EpisodeFailure {
     pub is_overdue: bool,
 }
 
-/// What has become of a pending observation.
-pub(crate) enum LaneProgress {
-    /// It waits.
-    Waiting,
-    /// It is answered.
-    Answered(Box<(Recall, RecallTrace)>),
+/// What a lane sends.
+enum LaneMessage {
+    /// The answer to its pending observation.
+    Answer(Box<(Recall, RecallTrace)>),
     /// Its episode is over, and its memory has learned from it.
     Learned(SnapshotReport),
-    /// Its episode cannot go on.
-    Failed(Reason),
-    /// There is none: its episode is over.
-    EpisodeOver,
 }
 
 impl<I: Clone> Engine<I> {
@@ -144,7 +143,7 @@ impl<I: Clone> Engine<I> {
             self.externals.retain(bank);
         }
         if let Some(dropped) = lane.next.replace(episode) {
-            self.close(dropped);
+            self.close(dropped, None);
         }
         self.admission.push_back((config.lane, config.episode));
         self.admit();
@@ -189,16 +188,18 @@ impl<I: Clone> Engine<I> {
             )
         })?;
         if let Some(next) = lane.next.take_if(|next| next.id == seen.episode)
-            && let Some(abandoned) = lane.running.replace(next)
+            && let (Some(abandoned), memory) = (lane.running.replace(next), lane.memory.take())
         {
-            self.close(abandoned);
+            self.close(abandoned, memory);
         }
-        let running = &mut self.lanes[seen.lane as usize].running;
+        let EngineLane { running, memory, .. } = &mut self.lanes[seen.lane as usize];
         let is_last = seen.last == 1;
         let done = running.take_if(|own| own.id == seen.episode && is_last && !own.learns());
         if let Some(mut done) = done {
-            self.pass_on_last(&mut done, seen, &report);
-            self.close(done);
+            let memory = memory.take();
+            // What is wrong with the message changes nothing any more.
+            let _ = done.observe(seen, &report);
+            self.close(done, memory);
             return Ok(None);
         }
         let running = running.as_mut().filter(|running| running.id == seen.episode);
@@ -211,17 +212,6 @@ impl<I: Clone> Engine<I> {
         }
         self.pending.insert(seen.lane);
         Ok(None)
-    }
-
-    /// Passes on the last observation of an episode to its external memory, if that knows of the episode.
-    fn pass_on_last(&mut self, done: &mut MemoryEpisode, seen: &Observation, report: &StepReport) {
-        let EpisodeMemory::External { index, begun: true, .. } = done.memory else { return };
-        // What is wrong with the message changes nothing any more.
-        let _ = done.observe(seen, report);
-        if let Some(now) = &done.current {
-            let query = query_message(done, now, None, true);
-            self.externals.outbox.push((index, ToExternal::Query(query)));
-        }
     }
 
     /// Takes the current view of a lane.
@@ -363,151 +353,92 @@ impl<I: Clone> Engine<I> {
         clock: impl Fn() -> u64,
         documents: &mut dyn DocumentSupplier,
     ) -> anyhow::Result<Vec<Box<(Recall, RecallTrace)>>> {
-        for bank in self.sequences.take_dropped() {
-            self.externals.take_back(bank);
-        }
         self.fail_deserted(clock());
-        self.build_banks(&clock);
+        let asked_ns = self.oldest_questions();
+        self.externals.build_banks(&mut self.views, &asked_ns, clock());
         for collecting in self.sequences.unfinished_banks() {
             self.views.collect(collecting, true);
         }
         let mut answers = Vec::new();
         for lane in std::mem::take(&mut self.pending) {
-            match self.advance(lane, &clock, documents)? {
-                LaneProgress::Waiting => drop(self.pending.insert(lane)),
-                LaneProgress::Answered(messages) => answers.push(messages),
-                LaneProgress::Learned(report) => {
+            match self.advance(lane, &clock, documents) {
+                Ok(Some(LaneMessage::Answer(messages))) => answers.push(messages),
+                Ok(Some(LaneMessage::Learned(report))) => {
                     self.learned.push(report);
                     if let Some(done) = self.lanes[lane as usize].running.take() {
-                        self.close(done);
+                        self.close(done, None);
                     }
                 }
-                LaneProgress::Failed(why) => self.fail(lane, why),
-                LaneProgress::EpisodeOver => {}
+                // The episode may have ended without an answer.
+                Ok(None) => {}
+                Err(Unready::Waiting) => drop(self.pending.insert(lane)),
+                Err(Unready::Refused(why)) => self.fail(lane, why),
+                Err(Unready::Broken(error)) => return Err(error),
             }
         }
         self.admit();
         Ok(answers)
     }
 
-    /// Gets the pending observation of a lane as far as it can get now.
+    /// Gets the pending observation of a lane as far as it can get now. `None` if there is none.
     fn advance(
         &mut self,
         lane: u32,
-        clock: impl Fn() -> u64,
+        clock: &dyn Fn() -> u64,
         documents: &mut dyn DocumentSupplier,
-    ) -> anyhow::Result<LaneProgress> {
-        let running = self.lanes[lane as usize].running.as_ref();
-        // The episode may have ended without an answer.
-        let Some(episode) = running.filter(|running| running.pending.is_some()) else {
-            return Ok(LaneProgress::EpisodeOver);
+    ) -> Result<Option<LaneMessage>, Unready> {
+        let Self { lanes, library, views, externals, sequences, .. } = self;
+        let EngineLane { running, memory, .. } = &mut lanes[lane as usize];
+        let Some(episode) = running.as_mut().filter(|running| running.pending.is_some()) else {
+            return Ok(None);
         };
-        if episode.stream.as_ref().is_some_and(|part| !part.begun) {
-            match self.bind(lane, clock(), documents)? {
-                Binding::Ready => {}
-                Binding::Waiting => return Ok(LaneProgress::Waiting),
-                Binding::Refused(reason) => return Ok(LaneProgress::Failed(reason)),
+        let mut host = MemoryHost { library, views, externals, documents, clock };
+        if !episode.begun {
+            match episode.stream {
+                Some(_) => sequences.bind(episode, &mut host)?,
+                None => begin_own(episode, memory, &mut host)?,
             }
+            episode.begun = true;
         }
-        let Self { lanes, views, externals, sequences, .. } = self;
-        let Some(episode) = &mut lanes[lane as usize].running else {
-            return Ok(LaneProgress::EpisodeOver);
-        };
         match episode.pending.as_ref().map(|pending| &pending.stage) {
-            None => Ok(LaneProgress::EpisodeOver),
-            Some(PendingStage::Ended | PendingStage::Saving) => {
-                Ok(learn(episode, sequences, (externals, clock())))
+            Some(PendingStage::Ended) => {
+                let report = sequences.learn(episode, host.externals, clock())?;
+                return Ok(Some(LaneMessage::Learned(report)));
             }
-            Some(&PendingStage::Asked { since_ns }) => {
-                Ok(externals.wait(episode, since_ns, clock()))
-            }
-            Some(PendingStage::Answered(_)) => supply(episode, views, clock, documents),
-            Some(PendingStage::New) => {
-                match ask(episode, views, (sequences, externals), &clock, documents)? {
-                    Some(progress) => Ok(progress),
-                    None => supply(episode, views, clock, documents),
+            Some(PendingStage::New | PendingStage::Asked { .. }) => {
+                let memory = match &episode.stream {
+                    Some(part) => sequences.of(part.sequence).map(|known| &mut known.memory),
+                    None => memory.as_mut(),
+                };
+                let answer = memory.ok_or("its memory is gone")?.ask(episode, &mut host)?;
+                if let Some(pending) = &mut episode.pending {
+                    pending.stage = PendingStage::Answered(Box::new(answer));
                 }
             }
+            Some(PendingStage::Answered(_)) | None => {}
         }
+        supply(episode, &mut host)
     }
 
-    /// Gives the episode of a lane the memory of its sequence.
-    fn bind(
-        &mut self,
-        lane: u32,
-        now_ns: u64,
-        documents: &mut dyn DocumentSupplier,
-    ) -> anyhow::Result<Binding> {
-        let Self { lanes, views, externals, sequences, library, .. } = self;
-        let Some(episode) = &mut lanes[lane as usize].running else { return Ok(Binding::Waiting) };
-        match sequences.bind(episode, library, documents, (externals, now_ns))? {
-            Binding::Waiting => {
-                for collecting in sequences.unfinished_banks() {
-                    views.collect(collecting, true);
-                }
-                // All views may be those of another bank.
-                sequences.bind(episode, library, documents, (externals, now_ns))
-            }
-            binding => Ok(binding),
-        }
-    }
-
-    /// Gets the banks of external memories as far as they can get now.
-    fn build_banks(&mut self, clock: impl Fn() -> u64) {
+    /// When the oldest question that is open was asked, by external memory.
+    fn oldest_questions(&self) -> BTreeMap<u8, u64> {
         let mut asked_ns = BTreeMap::new();
         for running in self.lanes.iter().filter_map(|lane| lane.running.as_ref()) {
-            if let Some((index, _)) = running.external()
-                && let Some(PendingObservation { stage: PendingStage::Asked { since_ns }, .. }) =
-                    &running.pending
+            let stage = running.pending.as_ref().map(|pending| &pending.stage);
+            if let (Some(index), Some(&PendingStage::Asked { since_ns, .. })) =
+                (running.external(), stage)
             {
-                let oldest = asked_ns.entry(index).or_insert(*since_ns);
-                *oldest = (*oldest).min(*since_ns);
+                let oldest = asked_ns.entry(index).or_insert(since_ns);
+                *oldest = since_ns.min(*oldest);
             }
         }
-        self.externals.defer_clocks(&asked_ns, clock());
-        for id in self.externals.unbuilt.iter().copied().collect::<Vec<_>>() {
-            let Self { externals, views, .. } = self;
-            let limit = externals.limits.build;
-            let Some(bank) = externals.banks.get_mut(&id) else { continue };
-            let (wanted, embeds, view_ids) = (bank.users > 0, bank.embeds, &bank.bank.view_ids);
-            match &mut bank.state {
-                BankState::Building { since_ns, .. } => {
-                    if clock().saturating_sub(*since_ns) > limit.as_nanos() as u64 {
-                        let name = externals.name_of_bank(id);
-                        let why = format!(
-                            "external memory {name} was not built within {} s",
-                            limit.as_secs()
-                        );
-                        self.finish_bank(id, Err(Reason::overdue(why)));
-                    }
-                }
-                BankState::Waiting { ready } if wanted => {
-                    if !bank.pins_bank {
-                        externals.publish(id, |_| None, clock());
-                    } else if views.are_known(view_ids, ready, embeds) {
-                        // Pinned until it is built, whatever becomes of the episodes.
-                        views.pinned.try_pin(view_ids, embeds);
-                        externals.publish(id, |view_id| views.known(view_id, embeds), clock());
-                    }
-                }
-                BankState::Collecting(collecting) => {
-                    views.collect(collecting, wanted);
-                    if collecting.is_complete() {
-                        let found = std::mem::take(&mut collecting.found);
-                        externals.publish(id, |view_id| found.get(&view_id).cloned(), clock());
-                    }
-                }
-                BankState::Waiting { .. } | BankState::Ready { .. } | BankState::Failed(_) => {}
-            }
-        }
+        asked_ns
     }
 
     /// Ends the building of a bank.
     fn finish_bank(&mut self, id: u64, outcome: Result<u64, Reason>) {
-        if let Some(bank) = self.externals.finish(id, outcome) {
-            self.views.pinned.release(&bank.view_ids);
-            self.admit();
-        }
+        self.externals.finish(id, outcome, &mut self.views);
+        self.admit();
     }
 
     /// The view requests that have arisen since the last call.
@@ -530,13 +461,17 @@ impl<I: Clone> Engine<I> {
         }
     }
 
-    /// Drops an episode that has left its lane.
-    fn close(&mut self, episode: MemoryEpisode) {
+    /// Drops an episode that has left its lane, with its own memory.
+    fn close(&mut self, episode: MemoryEpisode, memory: Option<HostedMemory>) {
         if episode.admitted {
             self.views.pinned.release(episode.view_ids());
         }
         self.views.pinned.release(&episode.recalled);
-        self.sequences.release(&episode);
+        self.sequences.release(&episode, &mut self.externals);
+        if let Some(mut memory) = memory {
+            // It was not told anything that it could fail at.
+            let _ = memory.end(&episode, None, &mut self.externals);
+        }
         if let Some(bank) = episode.own_bank() {
             self.externals.release(bank);
         }
@@ -544,61 +479,32 @@ impl<I: Clone> Engine<I> {
     }
 }
 
-/// Has the memory of an episode that is over learn from it.
-fn learn(
+/// Builds the memory of an episode that is not part of a sequence, and tells it that the episode begins.
+fn begin_own<I: Clone>(
     episode: &mut MemoryEpisode,
-    sequences: &mut SequenceMemories,
-    externals: (&mut ExternalMemories, u64),
-) -> LaneProgress {
-    match sequences.learn(episode, externals) {
-        Ok(Some(report)) => LaneProgress::Learned(report),
-        Ok(None) => {
-            if let Some(pending) = &mut episode.pending {
-                pending.stage = PendingStage::Saving;
+    memory: &mut Option<HostedMemory>,
+    host: &mut MemoryHost<'_, I>,
+) -> Result<(), Unready> {
+    let MemoryHost { views, externals, documents, clock, .. } = host;
+    let mut built = match episode.own_bank() {
+        Some(bank) => HostedMemory::External { bank, to_load: None },
+        None => {
+            let MemoryEpisode { bank, embeds, ready, pins_bank, admitted, .. } = episode;
+            let is_known = |ready| views.are_known(&bank.view_ids, ready, *embeds);
+            if !*admitted || *pins_bank && !is_known(ready) {
+                return Err(Unready::Waiting);
             }
-            LaneProgress::Waiting
+            let view = |view_id| views.known(view_id, *embeds);
+            let steps = match pins_bank {
+                true => bank.with_views(view).context("a view of the bank is missing")?,
+                false => BankSteps::without_views(bank),
+            };
+            HostedMemory::build(&episode.kind, steps, externals, *documents, clock())?
         }
-        Err(reason) => LaneProgress::Failed(reason),
-    }
-}
-
-/// Asks the memory of an episode about its pending observation, once everything that it needs is there. `None` when it has
-/// answered.
-///
-/// # Errors
-/// When a document is missing, or a built-in memory cannot be built or fails.
-fn ask<I: Clone>(
-    episode: &mut MemoryEpisode,
-    views: &EmbeddedViews<I>,
-    (sequences, externals): (&mut SequenceMemories, &mut ExternalMemories),
-    clock: &impl Fn() -> u64,
-    documents: &mut dyn DocumentSupplier,
-) -> anyhow::Result<Option<LaneProgress>> {
-    let content = episode.pending.as_ref().and_then(|pending| pending.content);
-    let embedding = content.and_then(|content| views.embeddings.get(&content));
-    let is_embedded = content.is_none() || embedding.is_some();
-    if !is_embedded || !episode.admitted {
-        return Ok(Some(LaneProgress::Waiting));
-    }
-    if episode.external().is_some() {
-        return Ok(Some(externals.ask(episode, embedding, clock())));
-    }
-    let (mut ready, embeds) = (episode.ready, episode.embeds);
-    let is_ready = views.are_known(episode.view_ids(), &mut ready, embeds);
-    episode.ready = ready;
-    if !is_ready {
-        return Ok(Some(LaneProgress::Waiting));
-    }
-    let shared = match episode.stream.as_ref().map(|part| sequences.of(part.sequence)) {
-        Some(None) => return Ok(Some(LaneProgress::Failed("its memory is gone".into()))),
-        shared => shared.flatten(),
     };
-    let view = |view_id| views.known(view_id, embeds);
-    let answer = episode.ask_built_in(shared, embedding, view, documents, clock)?;
-    if let Some(pending) = &mut episode.pending {
-        pending.stage = PendingStage::Answered(Box::new(answer));
-    }
-    Ok(None)
+    built.begin(episode, externals, clock())?;
+    *memory = Some(built);
+    Ok(())
 }
 
 /// Puts the recall for the answer to an episode's pending observation together, once the views that it names are resident.
@@ -607,26 +513,22 @@ fn ask<I: Clone>(
 /// When a document cannot be published.
 fn supply<I: Clone>(
     episode: &mut MemoryEpisode,
-    views: &mut EmbeddedViews<I>,
-    clock: impl Fn() -> u64,
-    documents: &mut dyn DocumentSupplier,
-) -> anyhow::Result<LaneProgress> {
-    let Some(mut pending) = episode.pending.take() else { return Ok(LaneProgress::EpisodeOver) };
-    let PendingStage::Answered(answer) = &mut pending.stage else {
-        return Ok(LaneProgress::EpisodeOver);
-    };
+    host: &mut MemoryHost<'_, I>,
+) -> Result<Option<LaneMessage>, Unready> {
+    let views = &mut *host.views;
+    let stage = episode.pending.as_mut().map(|pending| &mut pending.stage);
+    let Some(PendingStage::Answered(answer)) = stage else { return Ok(None) };
     let is_known = episode.last.as_ref().is_some_and(|last| Arc::ptr_eq(&last.0, &answer.checked));
     if !is_known {
         let view_ids = &answer.checked.view_ids;
         if !episode.pins_bank && !answer.pinned {
             let (needed, room) = (view_ids.len(), views.pinned.room());
             if needed > room {
-                episode.pending = Some(pending);
                 let why = format!(
                     "its memory names {needed} views and there is room for {room}: raise --frame-budget or lower \
                      --memory-images"
                 );
-                return Ok(LaneProgress::Failed(why.into()));
+                return Err(why.into());
             }
             let mut is_pinned = views.try_pin(view_ids, false);
             let earlier = std::mem::take(&mut episode.recalled);
@@ -643,22 +545,20 @@ fn supply<I: Clone>(
         let is_resident = (episode.pins_bank || answer.pinned)
             && view_ids.iter().all(|&view_id| views.pinned.get(view_id).is_some());
         if !is_resident {
-            episode.pending = Some(pending);
-            return Ok(LaneProgress::Waiting);
+            return Err(Unready::Waiting);
         }
         let mut assembler = Assembler {
             bank: &episode.bank,
             episode: (episode.lane, episode.id),
             texts: &mut episode.texts,
-            documents,
+            documents: &mut *host.documents,
         };
         let frame = |view_id| views.pinned.get(view_id).map(|view| view.frame);
         let assembled = assembler.assemble(&answer.checked, frame)?;
         episode.last = Some((answer.checked.clone(), assembled));
     }
-    let Some((_, assembled)) = &episode.last else { return Ok(LaneProgress::EpisodeOver) };
-    let messages = episode.messages(pending.received_ns, answer, assembled, clock());
-    Ok(LaneProgress::Answered(Box::new(messages)))
+    let messages = episode.take_messages((host.clock)());
+    Ok(messages.map(|messages| LaneMessage::Answer(Box::new(messages))))
 }
 
 #[cfg(test)]

@@ -1,25 +1,23 @@
-//! An episode: its memory, its progress, and its pending observation.
+//! An episode: its settings, its progress, and its pending observation.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
-use anyhow::{Context, anyhow, bail};
 use bytemuck::Zeroable;
 use domain::{
     Action, Arm, Demonstrations, Feedback, FeedbackLevel, Pose, Representation, SegmentContent,
 };
-use peer::memory::{Memory, MemoryItem, Query, Step};
+use peer::memory::{Episode, MemoryItem, Query, Step};
 use search::{ContentHash, Embedding};
 use shm_types::message::{
     EXPERIENCE, EXTERNAL, EpisodeEnd, FrameId, MAX_ITEMS, MAX_SEGMENT, MemoryEpisodeConfig,
-    NO_ACTION, NO_FRAME, NOT_MEASURED, Observation, Recall, RecallTrace, StepReport,
+    NO_ACTION, NO_FRAME, Observation, Recall, RecallTrace, SnapshotId, StepReport,
 };
 
-use crate::bank::{BankSteps, KnownView, MemoryBank, ViewId};
-use crate::demonstrations::{BankOrigin, DemonstrationLibrary, RememberedDemonstration};
-use crate::items::{AssembledRecall, Budgets, CheckedAnswer, DocumentSupplier, PublishedTexts};
-use crate::representation::{MemorySettings, built_in};
-use crate::sequences::{KeptMemory, Recording, SequenceEpisode, SequenceMemory};
+use crate::bank::MemoryBank;
+use crate::demonstrations::{BankOrigin, DemonstrationLibrary, RememberedDemonstration, ViewId};
+use crate::items::{AssembledRecall, Budgets, CheckedAnswer, PublishedTexts};
+use crate::representation::MemorySettings;
 
 /// Why something cannot go on.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -41,23 +39,65 @@ impl<T: Into<String>> From<T> for Reason {
     }
 }
 
-/// The memory that answers an episode's queries.
-pub(crate) enum EpisodeMemory {
+/// Why an episode does not get what it needs now. What is [`Waiting`](Self::Waiting) is called again.
+#[derive(Debug)]
+pub(crate) enum Unready {
+    /// Views, embeddings or an external memory are not ready.
+    Waiting,
+    /// The episode cannot go on.
+    Refused(Reason),
+    /// This process cannot go on.
+    Broken(anyhow::Error),
+}
+
+impl From<Reason> for Unready {
+    fn from(reason: Reason) -> Self {
+        Self::Refused(reason)
+    }
+}
+
+impl From<String> for Unready {
+    fn from(text: String) -> Self {
+        Self::Refused(text.into())
+    }
+}
+
+impl From<&str> for Unready {
+    fn from(text: &str) -> Self {
+        Self::Refused(text.into())
+    }
+}
+
+impl From<anyhow::Error> for Unready {
+    fn from(error: anyhow::Error) -> Self {
+        Self::Broken(error)
+    }
+}
+
+/// Which memory an episode has.
+pub(crate) enum MemoryKind {
     /// A built-in one.
-    BuiltIn {
-        representation: Representation,
-        settings: MemorySettings,
-        set: Demonstrations,
-        /// Once it is built. `None` for one that the episode shares with others of its sequence.
-        own: Option<Box<dyn Memory>>,
-    },
-    /// The external memory with this index, with the bank that the episode remembers.
-    External {
-        index: u8,
-        bank: u64,
-        /// Whether it has been told that the episode begins.
-        begun: bool,
-    },
+    BuiltIn { representation: Representation, settings: MemorySettings, set: Demonstrations },
+    /// The external memory with this index, built from this bank; `None`: from that of the episode's sequence.
+    External { index: u8, bank: Option<u64> },
+}
+
+/// What an episode of a stream, or with a memory that others share, has beside what every episode has.
+pub(crate) struct SequenceEpisode {
+    pub(crate) sequence: u64,
+    /// The snapshot that it begins with; zero: the memory as it was built.
+    pub(crate) snapshot: SnapshotId,
+    pub(crate) origin: BankOrigin,
+    pub(crate) feedback: FeedbackLevel,
+    /// What has happened so far, if the memory learns from it.
+    pub(crate) recording: Option<Recording>,
+}
+
+/// An episode so far, as the demonstration that it becomes.
+#[derive(Debug)]
+pub(crate) struct Recording {
+    pub(crate) lived: RememberedDemonstration,
+    pub(crate) is_complete: bool,
 }
 
 /// An observation whose recall has not been sent.
@@ -72,14 +112,12 @@ pub(crate) struct PendingObservation {
 pub(crate) enum PendingStage {
     /// The memory has not been asked.
     New,
-    /// An external memory was asked at this time.
-    Asked { since_ns: u64 },
+    /// An external memory was asked at this time, about what it has built from this bank.
+    Asked { bank: u64, since_ns: u64 },
     /// The memory has answered.
     Answered(Box<MemoryAnswer>),
-    /// The episode is over, and the memory is to learn from it.
+    /// The episode is over, and the memory learns from it.
     Ended,
-    /// The episode is over, and its external memory saves what it has learned.
-    Saving,
 }
 
 /// A memory's answer.
@@ -97,9 +135,11 @@ pub(crate) struct MemoryAnswer {
 pub(crate) struct MemoryEpisode {
     pub(crate) id: u64,
     pub(crate) lane: u32,
-    pub(crate) memory: EpisodeMemory,
+    pub(crate) kind: MemoryKind,
     /// Its part in a stream; `None` outside of streams.
     pub(crate) stream: Option<SequenceEpisode>,
+    /// Whether its memory is built and has been told that the episode begins.
+    pub(crate) begun: bool,
     /// What the memory can name: the demonstrations that it is built from. In a stream: from the first step on.
     pub(crate) bank: Arc<MemoryBank>,
     /// Whether all views of the bank are pinned while the episode runs.
@@ -131,13 +171,16 @@ pub(crate) struct CurrentStep {
     pub(crate) feedback: Feedback,
     pub(crate) action: Option<Action>,
     pub(crate) frame: FrameId,
+    /// Whether the episode is over.
+    pub(crate) is_last: bool,
     /// Sub-goals completed so far.
     stage: u32,
 }
 
 /// What an external memory needs of an episode's bank.
 pub(crate) struct ExternalBank {
-    pub(crate) id: u64,
+    /// `None` before the first step of an episode of a stream.
+    pub(crate) id: Option<u64>,
     pub(crate) bank: Arc<MemoryBank>,
     pub(crate) pins_bank: bool,
     pub(crate) embeds: bool,
@@ -165,13 +208,13 @@ impl MemoryEpisode {
         let none = chosen.is_empty();
         // Memories of large banks are shared, as those of sequences are.
         let is_shared = config.sequence != 0 || set.bank_size().is_some();
-        let (memory, bank, pins_bank, embeds) = if config.representation == EXTERNAL {
+        let (kind, bank, pins_bank, embeds) = if config.representation == EXTERNAL {
             if none {
                 return Err(refused("external memory of no demonstrations".to_owned()));
             }
+            let index = config.external;
             let ExternalBank { id, bank, pins_bank, embeds } = external(set).map_err(refused)?;
-            let memory = EpisodeMemory::External { index: config.external, bank: id, begun: false };
-            (memory, bank, pins_bank, embeds)
+            (MemoryKind::External { index, bank: id }, bank, pins_bank, embeds)
         } else {
             let representation = Representation::try_from(config.representation)
                 .map_err(|error| refused(error.to_string()))?;
@@ -180,20 +223,20 @@ impl MemoryEpisode {
             }
             let settings = settings(config, representation).map_err(refused)?;
             let embeds = representation.matches_views();
-            let memory = EpisodeMemory::BuiltIn { representation, settings, set, own: None };
+            let kind = MemoryKind::BuiltIn { representation, settings, set };
             if is_shared && !none {
-                (memory, Arc::default(), false, embeds)
+                (kind, Arc::default(), false, embeds)
             } else {
-                (memory, Arc::new(MemoryBank::new(chosen)), embeds, embeds)
+                (kind, Arc::new(MemoryBank::new(chosen)), embeds, embeds)
             }
         };
-        let stream = match &memory {
+        let stream = match &kind {
             // A memory of no demonstrations has nothing that could persist.
             _ if none => None,
             _ if config.sequence != 0 => {
                 Some(stream_part(config, set, library, instruction).map_err(refused)?)
             }
-            EpisodeMemory::BuiltIn { representation, settings, .. } if is_shared => {
+            MemoryKind::BuiltIn { representation, settings, .. } if is_shared => {
                 Some(bank_part(config, set, library, (*representation, settings)))
             }
             _ => None,
@@ -201,8 +244,9 @@ impl MemoryEpisode {
         Ok(Self {
             id: config.episode,
             lane,
-            memory,
+            kind,
             stream,
+            begun: false,
             bank,
             pins_bank,
             embeds,
@@ -259,74 +303,25 @@ impl MemoryEpisode {
             }
             *is_complete = report.ended == EpisodeEnd::Complete as u8;
         }
-        self.current = Some(CurrentStep { step, pose, feedback, action, frame, stage });
+        let is_last = seen.last == 1;
+        self.current = Some(CurrentStep { step, pose, feedback, action, frame, is_last, stage });
         Ok(())
     }
 
-    /// Asks a built-in memory: `shared`, that of the episode's sequence, or its own, which is built first if it has not been.
-    /// The views of a pinned bank are ready; `embedding` is that of the current view. A memory that learns from the episode
-    /// observes the step first.
-    ///
-    /// # Errors
-    /// When a document is missing, or the memory cannot be built or fails.
-    pub(crate) fn ask_built_in(
-        &mut self,
-        shared: Option<&mut SequenceMemory>,
-        embedding: Option<&Embedding>,
-        view: impl Fn(ViewId) -> Option<KnownView>,
-        documents: &mut dyn DocumentSupplier,
-        clock: impl Fn() -> u64,
-    ) -> anyhow::Result<MemoryAnswer> {
-        let learns = self.learns();
-        let (EpisodeMemory::BuiltIn { representation, settings, set, own }, Some(now)) =
-            (&mut self.memory, &self.current)
-        else {
-            bail!("episode {} has no built-in memory, or has not begun", self.id);
-        };
-        let failed = format!("{representation} memory");
-        let memory = match (shared, own) {
-            (Some(SequenceMemory { memory: KeptMemory::BuiltIn(memory), .. }), _) => memory,
-            (Some(_), _) => bail!("{failed} is not that of the sequence"),
-            (None, Some(memory)) => memory,
-            (None, own @ None) => {
-                let steps = match self.pins_bank {
-                    true => self.bank.with_views(view).context("a view of the bank is missing")?,
-                    false => BankSteps::without_views(&self.bank),
-                };
-                own.insert(build_built_in(*representation, settings, *set, &steps, documents)?)
-            }
-        };
-        let embedded_ns = clock();
-        let step = now.step(self.lane, self.id, embedding);
-        let query = now.query(step, &self.instruction, self.budgets);
-        if learns {
-            memory.observe(&query.now).context(failed.clone())?;
-        }
-        let items = memory.recall(&query).context(failed.clone())?;
-        let store_bytes = memory.store_bytes().unwrap_or(0);
-        let searched_ns = clock();
-        Ok(MemoryAnswer {
-            checked: self.checked(items).map_err(|what| anyhow!("{failed}: {what}"))?,
-            embedded_ns,
-            searched_ns,
-            method_ns: 0,
-            store_bytes,
-            tokens: NOT_MEASURED,
-            pinned: false,
-        })
-    }
-
-    /// The index of its external memory, and the bank that it remembers.
-    pub(crate) fn external(&self) -> Option<(u8, u64)> {
-        match self.memory {
-            EpisodeMemory::External { index, bank, .. } => Some((index, bank)),
-            EpisodeMemory::BuiltIn { .. } => None,
+    /// The index of its external memory.
+    pub(crate) fn external(&self) -> Option<u8> {
+        match self.kind {
+            MemoryKind::External { index, .. } => Some(index),
+            MemoryKind::BuiltIn { .. } => None,
         }
     }
 
     /// The bank of an external memory that it uses itself, and not through a sequence.
     pub(crate) fn own_bank(&self) -> Option<u64> {
-        self.external().filter(|_| self.stream.is_none()).map(|(_, bank)| bank)
+        match self.kind {
+            MemoryKind::External { bank, .. } => bank,
+            MemoryKind::BuiltIn { .. } => None,
+        }
     }
 
     /// Whether the memory learns from it.
@@ -334,9 +329,42 @@ impl MemoryEpisode {
         self.stream.as_ref().is_some_and(|part| part.recording.is_some())
     }
 
-    /// The last step, which has no view.
-    pub(crate) fn last_step(&self) -> Option<Step<'_>> {
-        self.current.as_ref().map(|now| now.step(self.lane, self.id, None))
+    /// Its begin, as a built-in memory is told it.
+    pub(crate) fn begin(&self) -> Episode<'_> {
+        Episode {
+            lane: self.lane,
+            episode: self.id,
+            instruction: &self.instruction,
+            seed: self.seed,
+            repeat: self.repeat,
+            image_budget: self.budgets.images,
+            text_budget: self.budgets.text,
+            learns: self.learns(),
+        }
+    }
+
+    /// The current step, as a built-in memory is asked about it. `embedding` is that of its view; the last step has none.
+    pub(crate) fn query<'a>(&'a self, embedding: Option<&'a Embedding>) -> Option<Query<'a>> {
+        let current = self.current.as_ref()?;
+        let now = Step {
+            lane: self.lane,
+            episode: self.id,
+            step: current.step,
+            pose: current.pose,
+            last_action: current.action,
+            feedback: current.feedback,
+            frame: None,
+            embedding: embedding.map(Embedding::as_slice),
+            pinned: None,
+        };
+        Some(Query {
+            now,
+            instruction: &self.instruction,
+            window: &[],
+            image_budget: self.budgets.images,
+            text_budget: self.budgets.text,
+            stage: Some(current.stage),
+        })
     }
 
     /// Checks the items of the memory's answer.
@@ -350,25 +378,17 @@ impl MemoryEpisode {
         }
     }
 
-    /// The messages that answer the pending observation.
-    pub(crate) fn messages(
-        &self,
-        received_ns: u64,
-        answer: &MemoryAnswer,
-        assembled: &AssembledRecall,
-        assembled_ns: u64,
-    ) -> (Recall, RecallTrace) {
+    /// The messages that answer the pending observation, once its recall is put together.
+    pub(crate) fn take_messages(&mut self, assembled_ns: u64) -> Option<(Recall, RecallTrace)> {
+        let PendingObservation { received_ns, stage, .. } = self.pending.take()?;
+        let (PendingStage::Answered(answer), Some((_, assembled))) = (stage, &self.last) else {
+            return None;
+        };
         let (episode, lane) = (self.id, self.lane);
         let step = self.current.as_ref().map_or(0, |now| now.step);
-        let &MemoryAnswer {
-            embedded_ns,
-            searched_ns,
-            method_ns,
-            store_bytes,
-            tokens,
-            ref checked,
-            ..
-        } = answer;
+        let MemoryAnswer {
+            checked, embedded_ns, searched_ns, method_ns, store_bytes, tokens, ..
+        } = *answer;
         let recall = Recall {
             episode,
             received_ns,
@@ -402,58 +422,8 @@ impl MemoryEpisode {
             sources: assembled.sources,
             ..Zeroable::zeroed()
         };
-        (recall, trace)
+        Some((recall, trace))
     }
-}
-
-impl CurrentStep {
-    /// As a built-in memory is given it.
-    fn step<'a>(&self, lane: u32, episode: u64, embedding: Option<&'a Embedding>) -> Step<'a> {
-        Step {
-            lane,
-            episode,
-            step: self.step,
-            pose: self.pose,
-            last_action: self.action,
-            feedback: self.feedback,
-            frame: None,
-            embedding: embedding.map(Embedding::as_slice),
-            pinned: None,
-        }
-    }
-
-    /// A query of a built-in memory, at the step `now`.
-    fn query<'a>(&self, now: Step<'a>, instruction: &'a str, budgets: Budgets) -> Query<'a> {
-        Query {
-            now,
-            instruction,
-            window: &[],
-            image_budget: budgets.images,
-            text_budget: budgets.text,
-            stage: Some(self.stage),
-        }
-    }
-}
-
-/// Builds a built-in memory.
-///
-/// # Errors
-/// When a document is missing, or the memory cannot be built.
-pub(crate) fn build_built_in(
-    representation: Representation,
-    settings: &MemorySettings,
-    set: Demonstrations,
-    steps: &BankSteps<'_>,
-    documents: &mut dyn DocumentSupplier,
-) -> anyhow::Result<Box<dyn Memory>> {
-    let failed = || format!("{representation} memory");
-    let kinds = representation.describe().documents.iter();
-    let texts: anyhow::Result<_> = kinds.map(|&kind| documents.consolidated(kind, set)).collect();
-    let (documents, embeddings) = (texts.with_context(failed)?, steps.embeddings());
-    let settings = MemorySettings { documents, embeddings, ..settings.clone() };
-    let mut built = built_in(representation, &settings);
-    built.build(&steps.demonstrations()).with_context(failed)?;
-    Ok(built)
 }
 
 /// The part of an episode in its stream.
@@ -486,7 +456,6 @@ fn stream_part(
             },
             is_complete: false,
         }),
-        begun: false,
     })
 }
 
@@ -508,7 +477,6 @@ fn bank_part(
         origin,
         feedback: FeedbackLevel::None,
         recording: None,
-        begun: false,
     }
 }
 

@@ -15,8 +15,8 @@ use shm_types::message::{
     NO_DOCUMENT, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, TrajectoryStep,
 };
 
-use crate::bank::{MemoryBank, ViewId};
-use crate::demonstrations::RememberedDemonstration;
+use crate::bank::MemoryBank;
+use crate::demonstrations::{RememberedDemonstration, ViewId};
 
 /// Publishes the documents that recalls name.
 pub trait DocumentSupplier {

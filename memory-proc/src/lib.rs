@@ -2,7 +2,8 @@
 //!
 //! - [`serve`] is the process in a run; [`engine`] knows what each lane waits for, [`episode`] is one of them, `embedded_views`
 //!   are the views that they share;
-//! - [`representation`]: the built-in memories; [`external`]: what the host knows about external ones;
+//! - `hosted` is the memory of an episode: one of the built-in memories of [`representation`], or an external one, of which
+//!   [`external`] has what the host knows;
 //! - a [`bank`] is what a memory is built from: [`demonstrations`] and their views; [`items`] turns what a memory supplies
 //!   into a recall, and [`document_loader`] publishes its documents;
 //! - `sequences` are memories that persist over a stream, and [`snapshots`] these memories on disk;
@@ -25,6 +26,7 @@ pub mod episode;
 pub mod external;
 #[doc(hidden)]
 pub mod fuzzing;
+mod hosted;
 pub mod items;
 pub mod manifest;
 pub mod paths;

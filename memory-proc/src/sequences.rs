@@ -14,20 +14,19 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::task::Poll;
 
 use anyhow::Context;
 use bytemuck::Zeroable;
 use domain::{Action, Feedback, FeedbackLevel, Pose};
-use peer::memory::{Episode, EpisodeEnd, Memory};
+use peer::memory::EpisodeEnd;
 use serde::{Deserialize, Serialize};
 use shm_types::message::{EXPERIENCE, SnapshotId, SnapshotReport};
 
 use crate::bank::{BankSteps, Collecting, MemoryBank};
 use crate::demonstrations::{BankOrigin, DemonstrationLibrary, RememberedDemonstration};
-use crate::episode::{EpisodeMemory, MemoryEpisode, PendingStage, Reason, build_built_in};
+use crate::episode::{MemoryEpisode, SequenceEpisode, Unready};
 use crate::external::ExternalMemories;
-use crate::items::DocumentSupplier;
+use crate::hosted::{HostedMemory, MemoryHost};
 use crate::snapshots::SnapshotFolder;
 
 /// Banks that are kept when no memory waits for them.
@@ -39,26 +38,6 @@ const KEPT_BYTES: u64 = 256 << 20;
 /// The host's part of a snapshot, and the folder of the memory's own files.
 const EXPERIENCE_FILE: &str = "experience.json";
 const MEMORY_FOLDER: &str = "memory";
-
-/// What an episode of a stream has beside what every episode has.
-pub(crate) struct SequenceEpisode {
-    pub(crate) sequence: u64,
-    /// The snapshot that it begins with; zero: the memory as it was built.
-    pub(crate) snapshot: SnapshotId,
-    pub(crate) origin: BankOrigin,
-    pub(crate) feedback: FeedbackLevel,
-    /// What has happened so far, if the memory learns from it.
-    pub(crate) recording: Option<Recording>,
-    /// Whether the memory has been told that the episode begins.
-    pub(crate) begun: bool,
-}
-
-/// An episode so far, as the demonstration that it becomes.
-#[derive(Debug)]
-pub(crate) struct Recording {
-    pub(crate) lived: RememberedDemonstration,
-    pub(crate) is_complete: bool,
-}
 
 /// An episode that a memory has learned from, as it is stored.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -140,40 +119,11 @@ pub(crate) struct SequenceMemory {
     snapshot: SnapshotId,
     /// The episode that it learns from now: until that ends it is in no state that a snapshot has.
     learning: Option<u64>,
+    /// Once that episode is over: the folder in which the memory saves what it has learned.
+    saving: Option<PathBuf>,
     /// The episodes that use it.
     users: BTreeSet<u64>,
-    pub(crate) memory: KeptMemory,
-}
-
-/// A memory that persists.
-pub(crate) enum KeptMemory {
-    BuiltIn(Box<dyn Memory>),
-    /// The external memory that was built from the host's bank with this id.
-    External {
-        bank: u64,
-        /// The folder that it has yet to load from, and whether it has been asked to.
-        to_load: Option<(PathBuf, bool)>,
-    },
-}
-
-impl KeptMemory {
-    /// Bytes of its store in this process, as far as it tells them.
-    fn store_bytes(&self) -> u64 {
-        match self {
-            Self::BuiltIn(memory) => memory.store_bytes().unwrap_or(0),
-            Self::External { .. } => 0,
-        }
-    }
-}
-
-/// Whether an episode has its memory.
-pub(crate) enum Binding {
-    /// It has.
-    Ready,
-    /// Views of the bank are not known yet, or an external memory is being built.
-    Waiting,
-    /// It cannot have it.
-    Refused(Reason),
+    pub(crate) memory: HostedMemory,
 }
 
 /// The memories of the sequences that run, and the banks of their streams.
@@ -186,33 +136,17 @@ pub(crate) struct SequenceMemories {
     recent: Vec<u64>,
     /// Banks, the last used last. The flag: with embeddings.
     banks: Vec<((BankOrigin, bool), StreamBank)>,
-    /// Banks of external memories that are not needed any more.
-    dropped: Vec<u64>,
 }
 
 impl SequenceMemories {
     pub(crate) fn new(snapshots: Option<SnapshotFolder>, lanes: u32) -> Self {
         let kept = lanes as usize;
-        Self {
-            snapshots,
-            memories: BTreeMap::new(),
-            kept,
-            recent: Vec::new(),
-            banks: Vec::new(),
-            dropped: Vec::new(),
-        }
+        Self { snapshots, memories: BTreeMap::new(), kept, recent: Vec::new(), banks: Vec::new() }
     }
 
-    /// The banks of external memories that have been dropped since the last call.
-    pub(crate) fn take_dropped(&mut self) -> Vec<u64> {
-        std::mem::take(&mut self.dropped)
-    }
-
-    fn drop_memory(&mut self, sequence: u64) {
-        if let Some(SequenceMemory { memory: KeptMemory::External { bank, .. }, .. }) =
-            self.memories.remove(&sequence)
-        {
-            self.dropped.push(bank);
+    fn drop_memory(&mut self, sequence: u64, externals: &mut ExternalMemories) {
+        if let Some(dropped) = self.memories.remove(&sequence) {
+            dropped.memory.discard(externals);
         }
     }
 
@@ -228,19 +162,12 @@ impl SequenceMemories {
     }
 
     /// Gives an episode the memory of its sequence, in the state that the episode's config names.
-    ///
-    /// # Errors
-    /// When a document is missing or a built-in memory cannot be built.
-    pub(crate) fn bind(
+    pub(crate) fn bind<I: Clone>(
         &mut self,
         episode: &mut MemoryEpisode,
-        library: &DemonstrationLibrary,
-        documents: &mut dyn DocumentSupplier,
-        (externals, now_ns): (&mut ExternalMemories, u64),
-    ) -> anyhow::Result<Binding> {
-        let Some(part) = &mut episode.stream else {
-            return Ok(Binding::Refused("it is no part of a stream".into()));
-        };
+        host: &mut MemoryHost<'_, I>,
+    ) -> Result<(), Unready> {
+        let part = episode.stream.as_ref().ok_or("it is no part of a stream")?;
         let sequence = part.sequence;
         let is_usable = |memory: &SequenceMemory| {
             memory.origin == part.origin
@@ -248,50 +175,25 @@ impl SequenceMemories {
                 && memory.learning.is_none()
         };
         if !self.memories.get(&sequence).is_some_and(is_usable) {
-            self.drop_memory(sequence);
-            let of = (&episode.memory, episode.embeds);
-            match self.create(part, of, library, documents, (&mut *externals, now_ns))? {
-                Poll::Ready(Ok(memory)) => {
-                    drop(self.memories.insert(sequence, memory));
-                    // Its episode may be given up before it begins: it can be dropped from now on.
-                    self.note_use(sequence);
-                }
-                Poll::Ready(Err(reason)) => return Ok(Binding::Refused(reason.into())),
-                Poll::Pending => return Ok(Binding::Waiting),
-            }
+            self.drop_memory(sequence, host.externals);
+            let created = self.create(episode, part, host)?;
+            self.memories.insert(sequence, created);
+            // Its episode may be given up before it begins: it can be dropped from now on.
+            self.note_use(sequence);
         }
-        let Some(known) = self.memories.get_mut(&sequence) else { return Ok(Binding::Waiting) };
-        let learns = part.recording.is_some();
-        match (&mut known.memory, &mut episode.memory) {
-            (KeptMemory::BuiltIn(memory), _) => memory.begin_episode(&Episode {
-                lane: episode.lane,
-                episode: episode.id,
-                instruction: &episode.instruction,
-                seed: episode.seed,
-                repeat: episode.repeat,
-                image_budget: episode.budgets.images,
-                text_budget: episode.budgets.text,
-                learns,
-            })?,
-            (KeptMemory::External { bank: id, to_load }, EpisodeMemory::External { bank, .. }) => {
-                match is_loaded(*id, to_load, externals, now_ns) {
-                    Ok(true) => *bank = *id,
-                    Ok(false) => return Ok(Binding::Waiting),
-                    Err(why) => {
-                        self.drop_memory(sequence);
-                        return Ok(Binding::Refused(why));
-                    }
-                }
+        let known = self.memories.get_mut(&sequence).ok_or("its memory is gone")?;
+        if let Err(unready) = known.memory.begin(episode, host.externals, (host.clock)()) {
+            if let Unready::Refused(_) = unready {
+                self.drop_memory(sequence, host.externals);
             }
-            _ => return Ok(Binding::Refused("its sequence has another memory".into())),
+            return Err(unready);
         }
         known.users.insert(episode.id);
-        known.learning = learns.then_some(episode.id);
-        part.begun = true;
+        known.learning = episode.learns().then_some(episode.id);
         episode.bank = known.bank.clone();
         self.note_use(sequence);
-        self.drop_unused();
-        Ok(Binding::Ready)
+        self.drop_unused(host.externals);
+        Ok(())
     }
 
     /// Makes the memory of `sequence` the one that was used last.
@@ -301,7 +203,7 @@ impl SequenceMemories {
     }
 
     /// Drops the memories that no episode has used for longest.
-    fn drop_unused(&mut self) {
+    fn drop_unused(&mut self, externals: &mut ExternalMemories) {
         let memories = &mut self.memories;
         self.recent.retain(|sequence| memories.contains_key(sequence));
         let is_unused = |sequence: &u64| memories[sequence].users.is_empty();
@@ -311,51 +213,42 @@ impl SequenceMemories {
             kept += 1;
             bytes = self.memories[&sequence].memory.store_bytes().saturating_add(bytes);
             if kept > self.kept || bytes > KEPT_BYTES {
-                self.drop_memory(sequence);
+                self.drop_memory(sequence, externals);
             }
         }
     }
 
-    /// The memory of a sequence as its snapshot has it, or why there is none; an external one is built and loads on its own.
-    /// Pending while views of its bank are not known.
-    fn create(
+    /// The memory of a sequence as its snapshot has it. An external one is built and loads on its own.
+    fn create<I: Clone>(
         &mut self,
+        episode: &MemoryEpisode,
         part: &SequenceEpisode,
-        (memory, embeds): (&EpisodeMemory, bool),
-        library: &DemonstrationLibrary,
-        documents: &mut dyn DocumentSupplier,
-        (externals, now_ns): (&mut ExternalMemories, u64),
-    ) -> anyhow::Result<Poll<Result<SequenceMemory, String>>> {
-        let known = match self.bank(part.origin, embeds, library) {
-            Ok(known) => known,
-            Err(reason) => return Ok(Poll::Ready(Err(reason))),
-        };
+        host: &mut MemoryHost<'_, I>,
+    ) -> Result<SequenceMemory, Unready> {
+        let known = self.bank(part.origin, episode.embeds, host.library)?;
+        host.views.collect(&mut known.collecting, true);
         if !known.collecting.is_complete() {
-            return Ok(Poll::Pending);
+            return Err(Unready::Waiting);
         }
-        let steps = known.steps(embeds).context("a view of the bank is missing")?;
-        let memory = match memory {
-            EpisodeMemory::BuiltIn { representation, settings, set, .. } => KeptMemory::BuiltIn(
-                build_built_in(*representation, settings, *set, &steps, documents)?,
-            ),
-            EpisodeMemory::External { index, .. } => {
-                let bank = externals.publish_for_sequence(*index, &known.bank, steps, now_ns);
-                KeptMemory::External { bank, to_load: None }
-            }
-        };
-        let mut made = SequenceMemory {
+        let steps = known.steps(episode.embeds).context("a view of the bank is missing")?;
+        let (externals, now_ns) = (&mut *host.externals, (host.clock)());
+        let memory = HostedMemory::build(&episode.kind, steps, externals, host.documents, now_ns)?;
+        let mut created = SequenceMemory {
             origin: part.origin,
             bank: known.bank.clone(),
             snapshot: SnapshotId::default(),
             learning: None,
+            saving: None,
             users: BTreeSet::new(),
             memory,
         };
-        let loaded = made.load(self.snapshots.as_ref(), part);
-        if let (Err(_), KeptMemory::External { bank, .. }) = (&loaded, &made.memory) {
-            self.dropped.push(*bank);
+        match created.load(self.snapshots.as_ref(), part) {
+            Ok(()) => Ok(created),
+            Err(reason) => {
+                created.memory.discard(externals);
+                Err(reason.into())
+            }
         }
-        Ok(Poll::Ready(loaded.map(|()| made)))
     }
 
     /// The bank of a stream.
@@ -364,7 +257,7 @@ impl SequenceMemories {
         origin: BankOrigin,
         embeds: bool,
         library: &DemonstrationLibrary,
-    ) -> Result<&StreamBank, String> {
+    ) -> Result<&mut StreamBank, String> {
         let key = (origin, embeds);
         let made = match self.banks.iter().position(|(known, _)| *known == key) {
             Some(at) => self.banks.remove(at),
@@ -382,7 +275,7 @@ impl SequenceMemories {
             self.banks.remove(oldest);
         }
         self.banks.push(made);
-        self.banks.last().map(|(_, bank)| bank).ok_or_else(|| "no bank".to_owned())
+        self.banks.last_mut().map(|(_, bank)| bank).ok_or_else(|| "no bank".to_owned())
     }
 
     /// The memory that an episode has been given.
@@ -392,61 +285,36 @@ impl SequenceMemories {
 
     /// Ends an episode that its memory learns from, after its last observation: the memory learns, and is saved. If that
     /// fails, the memory is dropped.
-    /// `Ok(None)` while an external memory saves.
     pub(crate) fn learn(
         &mut self,
         episode: &MemoryEpisode,
-        externals: (&mut ExternalMemories, u64),
-    ) -> Result<Option<SnapshotReport>, Reason> {
+        externals: &mut ExternalMemories,
+        now_ns: u64,
+    ) -> Result<SnapshotReport, Unready> {
         let (Some(part), Some(folder)) = (&episode.stream, &self.snapshots) else {
             return Err("it is not part of a stream, or there is no folder for snapshots".into());
         };
         let memory = self.memories.get_mut(&part.sequence);
         let memory = memory.filter(|memory| memory.learning == Some(episode.id));
         let memory = memory.ok_or("its memory has gone on with another episode")?;
-        let learned = memory.learn(episode, part, folder, externals);
-        if learned.is_err() {
-            self.drop_memory(part.sequence);
+        let learned = memory.learn(episode, part, folder, externals, now_ns);
+        if let Err(Unready::Refused(_)) = learned {
+            self.drop_memory(part.sequence, externals);
         }
         learned
     }
 
     /// An episode has left its lane. A memory that was learning from it is dropped.
-    pub(crate) fn release(&mut self, episode: &MemoryEpisode) {
-        let Some(part) = episode.stream.as_ref().filter(|part| part.begun) else { return };
+    pub(crate) fn release(&mut self, episode: &MemoryEpisode, externals: &mut ExternalMemories) {
+        let Some(part) = episode.stream.as_ref().filter(|_| episode.begun) else { return };
         let Some(memory) = self.memories.get_mut(&part.sequence) else { return };
         if memory.learning == Some(episode.id) {
-            self.drop_memory(part.sequence);
-        } else if memory.users.remove(&episode.id)
-            && part.recording.is_none()
-            && let KeptMemory::BuiltIn(memory) = &mut memory.memory
-        {
+            self.drop_memory(part.sequence, externals);
+        } else if memory.users.remove(&episode.id) && part.recording.is_none() {
             // It was not told anything that it could fail at.
-            let _ = memory.end_episode(&EpisodeEnd::unlearned(episode.lane, episode.id));
+            let _ = memory.memory.end(episode, None, externals);
         }
     }
-}
-
-/// Whether an external memory is built and has loaded what it has to; asks it to load once it is built.
-fn is_loaded(
-    bank: u64,
-    to_load: &mut Option<(PathBuf, bool)>,
-    externals: &mut ExternalMemories,
-    now_ns: u64,
-) -> Result<bool, Reason> {
-    if !externals.is_built(bank)? {
-        return Ok(false);
-    }
-    let Some((folder, is_asked)) = to_load else { return Ok(true) };
-    if !*is_asked {
-        externals.store(bank, folder, true, now_ns)?;
-        *is_asked = true;
-        return Ok(false);
-    }
-    let Some(outcome) = externals.take_stored(bank, now_ns) else { return Ok(false) };
-    outcome?;
-    *to_load = None;
-    Ok(true)
 }
 
 impl SequenceMemory {
@@ -455,60 +323,51 @@ impl SequenceMemory {
         episode: &MemoryEpisode,
         part: &SequenceEpisode,
         folder: &SnapshotFolder,
-        (externals, now_ns): (&mut ExternalMemories, u64),
-    ) -> Result<Option<SnapshotReport>, Reason> {
-        let recording = part.recording.as_ref().ok_or("nothing is learned from it")?;
-        let is_saving = episode
-            .pending
-            .as_ref()
-            .is_some_and(|pending| matches!(pending.stage, PendingStage::Saving));
-        let store_bytes = match &mut self.memory {
-            KeptMemory::External { bank, .. } if is_saving => {
-                match externals.take_stored(*bank, now_ns) {
-                    None => return Ok(None),
-                    Some(outcome) => outcome?,
-                }
-            }
-            _ => {
-                let sub_goals = recording.lived.sub_goals();
-                let end = EpisodeEnd {
-                    lane: episode.lane,
-                    episode: episode.id,
-                    demonstration: Some(self.bank.demonstrations.len() as u32),
-                    success: (part.feedback != FeedbackLevel::None)
-                        .then_some(recording.is_complete),
-                    sub_goals: (part.feedback == FeedbackLevel::SubGoals).then_some(&sub_goals),
-                };
-                let lived = &recording.lived;
-                let views =
-                    RememberedDemonstration::lived_views(part.sequence, lived.case, &lived.poses);
-                let lived = RememberedDemonstration { views, ..lived.clone() };
-                Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(lived));
-                let own = self.begin_snapshot(folder, part.sequence)?;
-                match &mut self.memory {
-                    KeptMemory::BuiltIn(memory) => {
-                        let now = episode.last_step().ok_or("it has not begun")?;
-                        let told = memory.observe(&now).and_then(|()| memory.end_episode(&end));
-                        told.and_then(|()| memory.save(&own)).map_err(|error| error.to_string())?;
-                        memory.store_bytes().unwrap_or(0)
-                    }
-                    KeptMemory::External { bank, .. } => {
-                        externals.end(episode, *bank, &end);
-                        externals.store(*bank, &own, false, now_ns)?;
-                        return Ok(None);
-                    }
-                }
-            }
+        externals: &mut ExternalMemories,
+        now_ns: u64,
+    ) -> Result<SnapshotReport, Unready> {
+        let own = match self.saving.take() {
+            Some(own) => own,
+            None => self.end(episode, part, folder, externals)?,
         };
+        let saved = self.memory.save(&own, externals, now_ns);
+        self.saving = Some(own);
+        let store_bytes = saved?;
         self.snapshot = folder.finish(part.sequence, self.snapshot)?;
-        self.learning = None;
-        Ok(Some(SnapshotReport {
+        (self.learning, self.saving) = (None, None);
+        Ok(SnapshotReport {
             episode: episode.id,
             snapshot: self.snapshot,
             store_bytes,
             lane: episode.lane,
             ..Zeroable::zeroed()
-        }))
+        })
+    }
+
+    /// Has the memory learn from an episode that is over. Returns the folder in which it is to save that.
+    fn end(
+        &mut self,
+        episode: &MemoryEpisode,
+        part: &SequenceEpisode,
+        folder: &SnapshotFolder,
+        externals: &mut ExternalMemories,
+    ) -> Result<PathBuf, Unready> {
+        let recording = part.recording.as_ref().ok_or("nothing is learned from it")?;
+        let lived = &recording.lived;
+        let sub_goals = lived.sub_goals();
+        let end = EpisodeEnd {
+            lane: episode.lane,
+            episode: episode.id,
+            demonstration: Some(self.bank.demonstrations.len() as u32),
+            success: (part.feedback != FeedbackLevel::None).then_some(recording.is_complete),
+            sub_goals: (part.feedback == FeedbackLevel::SubGoals).then_some(&sub_goals),
+        };
+        let views = RememberedDemonstration::lived_views(part.sequence, lived.case, &lived.poses);
+        let lived = RememberedDemonstration { views, ..lived.clone() };
+        Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(lived));
+        let own = self.begin_snapshot(folder, part.sequence)?;
+        self.memory.end(episode, Some(&end), externals)?;
+        Ok(own)
     }
 
     /// Writes the host's part of a snapshot. Returns the folder for the memory's own.
@@ -548,12 +407,7 @@ impl SequenceMemory {
             Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(lived));
         }
         let own = found.join(MEMORY_FOLDER);
-        match &mut self.memory {
-            KeptMemory::BuiltIn(memory) => {
-                memory.load(&own).map_err(|error| failed(error.to_string()))?;
-            }
-            KeptMemory::External { to_load, .. } => *to_load = Some((own, false)),
-        }
+        self.memory.load(own).map_err(failed)?;
         self.snapshot = part.snapshot;
         Ok(())
     }

@@ -30,8 +30,7 @@ use shm_types::{
     MemoryDescription, Spans,
 };
 
-use crate::bank::ViewId;
-use crate::demonstrations::DemonstrationLibrary;
+use crate::demonstrations::{DemonstrationLibrary, ViewId};
 use crate::document_loader::DocumentLoader;
 use crate::embedding_cache::EmbeddingCache;
 use crate::encoder::{Embedded, Encoder};

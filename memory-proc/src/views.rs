@@ -12,7 +12,7 @@ use shm_types::message::{FrameId, NO_FRAME, ViewRequest, ViewRequestKind};
 
 use search::ContentHash;
 
-use crate::bank::ViewId;
+use crate::demonstrations::ViewId;
 
 /// A view in the frame store; `I` is a source of its pixels.
 #[derive(Debug, Clone)]

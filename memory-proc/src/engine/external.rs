@@ -53,7 +53,7 @@ impl<I: Clone> Engine<I> {
         let name = self.externals.name(index);
         let place = self.lanes.get_mut(lane as usize).and_then(|lane| lane.running.as_mut());
         let is_its_own = |running: &&mut MemoryEpisode| {
-            running.id == episode && running.external().is_some_and(|(of, _)| of == index)
+            running.id == episode && running.external() == Some(index)
         };
         let Some(running) = place.filter(is_its_own) else {
             return Err(format!(
@@ -70,9 +70,9 @@ impl<I: Clone> Engine<I> {
         let refused =
             |why: String| Reason::from(format!("external memory {name}, step {step}: {why}"));
         let checked = match pending.stage {
-            PendingStage::Asked { since_ns } if now == step => in_time.and_then(|()| {
+            PendingStage::Asked { bank, since_ns } if now == step => in_time.and_then(|()| {
                 let checked = items.and_then(|items| running.checked(items));
-                checked.map(|checked| (checked, since_ns)).map_err(refused)
+                checked.map(|checked| (checked, bank, since_ns)).map_err(refused)
             }),
             _ => {
                 let why = format!("it answers step {step}, and the last question was step {now}");
@@ -80,10 +80,10 @@ impl<I: Clone> Engine<I> {
             }
         };
         match checked {
-            Ok((checked, embedded_ns)) => {
-                let store_bytes = match (message.store_bytes, running.external()) {
-                    (0, Some((_, bank))) => self.externals.store_bytes(bank),
-                    (told, _) => told,
+            Ok((checked, bank, embedded_ns)) => {
+                let store_bytes = match message.store_bytes {
+                    0 => self.externals.store_bytes(bank),
+                    told => told,
                 };
                 let method_ns = message.sent_ns.saturating_sub(message.received_ns);
                 let answer = MemoryAnswer {
@@ -127,7 +127,7 @@ impl<I: Clone> Engine<I> {
         for lane in 0..self.lanes.len() as u32 {
             let running = self.lanes[lane as usize].running.as_ref();
             let external = running.and_then(MemoryEpisode::external);
-            if let Some(why) = external.and_then(|(index, _)| self.externals.gone(index, now_ns)) {
+            if let Some(why) = external.and_then(|index| self.externals.gone(index, now_ns)) {
                 self.fail(lane, why);
             }
         }

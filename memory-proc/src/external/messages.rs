@@ -10,7 +10,7 @@ use shm_types::message::{
     MAX_EMBEDDING, MAX_ITEMS, MAX_SOURCES, NO_ACTION, write_text,
 };
 
-use crate::episode::{CurrentStep, MemoryEpisode};
+use crate::episode::MemoryEpisode;
 
 /// The message that announces an episode.
 pub(super) fn episode_message(episode: &MemoryEpisode, bank: u64) -> Box<ExternalEpisode> {
@@ -33,22 +33,21 @@ pub(super) fn episode_message(episode: &MemoryEpisode, bank: u64) -> Box<Externa
     Box::new(message)
 }
 
-/// The message that passes on the agent's state.
-pub(crate) fn query_message(
+/// The message that passes on the agent's state; `None` before the first observation.
+pub(super) fn query_message(
     episode: &MemoryEpisode,
-    now: &CurrentStep,
     embedding: Option<&Embedding>,
-    is_last: bool,
-) -> Box<ExternalQuery> {
+) -> Option<Box<ExternalQuery>> {
+    let current = episode.current.as_ref()?;
     let mut message = Box::new(ExternalQuery {
         episode: episode.id,
-        frame: now.frame,
+        frame: current.frame,
         lane: episode.lane,
-        step: now.step,
-        pose: now.pose.into(),
-        feedback: now.feedback as u8,
-        action: now.action.map_or(NO_ACTION, |action| action as u8),
-        last: is_last.into(),
+        step: current.step,
+        pose: current.pose.into(),
+        feedback: current.feedback as u8,
+        action: current.action.map_or(NO_ACTION, |action| action as u8),
+        last: current.is_last.into(),
         ..Zeroable::zeroed()
     });
     // Longer embeddings are refused before a run.
@@ -58,7 +57,7 @@ pub(crate) fn query_message(
         message.embedding[..numbers.len()].copy_from_slice(numbers);
         message.embedding_len = numbers.len() as u32;
     }
-    message
+    Some(message)
 }
 
 /// Reads the items of an answer with the note `note`. References are not checked.

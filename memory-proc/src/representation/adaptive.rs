@@ -4,7 +4,7 @@
 //! feedback `f` and embedded views `e`; its transition `k` leads from step `k` to step `k + 1`.
 //!
 //! **Recall.** At step `t` of an episode with instruction `I`, the candidates are the steps of the trajectories with
-//! instruction `I`, or of all trajectories if none has it. Those whose transition is cut or was a blocked move are left out.
+//! instruction `I`, or of all trajectories if none has it. Those whose transition is cut or changed no pose are left out.
 //! With the cosine distance `d` and a margin `EPSILON`, it supplies the continuation, to the horizon or the next such
 //! transition, of
 //!
@@ -93,10 +93,6 @@ impl StoredStep {
             is_cut: false,
         }
     }
-
-    fn has_moved(&self) -> bool {
-        self.feedback == Feedback::Moved as u8 || self.feedback == Feedback::Turned as u8
-    }
 }
 
 fn code_of(Pose { cell, heading }: Pose) -> [u8; 3] {
@@ -123,10 +119,10 @@ impl OwnTrajectory {
         self.views.get(step).map(Embedding::as_slice)
     }
 
-    /// Whether a transition can be supplied.
+    /// Whether a transition can be supplied: it is not cut, and changed the pose.
     fn continues(&self, step: usize) -> bool {
-        let next = self.steps.get(step + 1);
-        !self.steps[step].is_cut && next.is_some_and(StoredStep::has_moved)
+        let now = &self.steps[step];
+        !now.is_cut && self.steps.get(step + 1).is_some_and(|next| next.pose != now.pose)
     }
 
     /// Whether a later transition is cut.

@@ -9,8 +9,8 @@ use shm_types::documents::Content;
 use shm_types::message::DocumentId;
 
 use super::MemorySettings;
-use crate::bank::{BankSteps, KnownView, MemoryBank, ViewId};
-use crate::demonstrations::RememberedDemonstration;
+use crate::bank::{BankSteps, KnownView, MemoryBank};
+use crate::demonstrations::{RememberedDemonstration, ViewId};
 use crate::items::DocumentSupplier;
 
 /// A demonstration of case 8: north from (3, `from`) for `steps` steps; sub-goal 1 is completed at step 2.

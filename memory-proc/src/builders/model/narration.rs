@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
-use domain::{Action, Feedback};
+use domain::{Action, Pose};
 use plates::{Landmark, Plate};
 
 use crate::builders::Transcript;
@@ -17,12 +17,14 @@ pub(super) fn narrate(number: usize, transcript: &Transcript) -> String {
     let mut text = format!("## Demonstration {number}\nTask: \"{instruction}\"\n");
     let mut repeated: Option<(Action, u32)> = None;
     let mut known: BTreeSet<Landmark> = BTreeSet::new();
+    let mut previous: Option<Pose> = None;
     let mut completed = 0;
     for (index, step) in steps.iter().enumerate() {
         let mut landmarks = step.seen.landmarks.clone();
         landmarks.sort_unstable();
         landmarks.retain(|landmark| known.insert(*landmark));
-        let blocked = step.feedback == Feedback::Blocked;
+        // An action that changed nothing.
+        let blocked = previous.replace(step.pose) == Some(step.pose);
         let changes = repeated.is_some_and(|(action, _)| step.action != Some(action));
         let eventful = !landmarks.is_empty() || step.completed > completed || blocked || changes;
         if eventful && let Some((action, times)) = repeated.take() {
@@ -55,7 +57,7 @@ pub(super) fn narrate(number: usize, transcript: &Transcript) -> String {
     text
 }
 
-fn place(pose: domain::Pose) -> String {
+fn place(pose: Pose) -> String {
     format!("{} facing {}", pose.cell, pose.heading)
 }
 

@@ -131,6 +131,14 @@ fn a_demonstration_in_words() {
 }
 
 #[test]
+fn a_step_that_changes_no_pose_is_blocked_whatever_the_feedback() {
+    let told = transcript("Find a blue barrel.");
+    let mut other = told.clone();
+    other.steps.iter_mut().for_each(|step| step.feedback = Feedback::Start);
+    assert_eq!(narration::narrate(7, &other), narration::narrate(7, &told));
+}
+
+#[test]
 fn each_summary_continues_the_previous_one() {
     let recipe = room_for(PromptStage::Summary, 2, 60);
     let script = |number, _: &DocumentPrompt| Ok(says(format!("# Summary {number}")));

@@ -184,15 +184,20 @@ fn a_trajectory_with_a_cut_ahead_comes_after_one_without() {
 }
 
 #[test]
-fn blocked_moves_of_its_own_are_not_supplied() {
-    let mut memory = memory(&[(30, 2)]);
-    let mut seen = north(5, 8);
-    seen.push((at(3, 8), Some(Action::Left), Feedback::Blocked, 0.0));
-    seen.push((at(3, 9), Some(Action::Forward), Feedback::Moved, 0.0));
-    seen.push((at(3, 10), Some(Action::Forward), Feedback::Moved, 0.0));
-    live(&mut memory, 1, &seen, Some(true));
-    assert_eq!(supplied(&mut memory, at(3, 7), 2, TASK), (1, 2, 2));
-    assert_eq!(supplied(&mut memory, at(3, 8), 3, TASK), (1, 4, 3));
+fn steps_of_its_own_that_change_no_pose_are_not_supplied() {
+    for is_told in [true, false] {
+        let mut memory = memory(&[(30, 2)]);
+        let mut seen = north(5, 8);
+        seen.push((at(3, 8), Some(Action::Left), Feedback::Blocked, 0.0));
+        seen.push((at(3, 9), Some(Action::Forward), Feedback::Moved, 0.0));
+        seen.push((at(3, 10), Some(Action::Forward), Feedback::Moved, 0.0));
+        if !is_told {
+            seen.iter_mut().for_each(|seen| seen.2 = Feedback::Start);
+        }
+        live(&mut memory, 1, &seen, Some(true));
+        assert_eq!(supplied(&mut memory, at(3, 7), 2, TASK), (1, 2, 2));
+        assert_eq!(supplied(&mut memory, at(3, 8), 3, TASK), (1, 4, 3));
+    }
 }
 
 #[test]

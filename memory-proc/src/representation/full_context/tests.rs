@@ -5,8 +5,8 @@ use proptest::prelude::*;
 
 use super::super::testing::{build, demonstration, recall};
 use super::*;
-use crate::bank::{BankSteps, MemoryBank, ViewId};
-use crate::demonstrations::RememberedDemonstration;
+use crate::bank::{BankSteps, MemoryBank};
+use crate::demonstrations::{RememberedDemonstration, ViewId};
 use domain::{Feedback, Pose};
 
 /// A demonstration that takes `actions`, completing a sub-goal at each of `goals`; pose `t` is unlike any other.
