@@ -9,7 +9,7 @@ use results::usage::UsageTotals;
 
 /// What a run has used, and its limits.
 #[derive(Debug, Clone, Default)]
-pub struct Budget {
+pub(crate) struct Budget {
     used: UsageTotals,
     max_tokens: Option<u64>,
     max_cost: Option<(Money, ModelPrices)>,
@@ -17,7 +17,7 @@ pub struct Budget {
 
 impl Budget {
     /// The limits in `model`, with the requests in `past` counted. Costs are limited only with `prices`.
-    pub fn new(
+    pub(crate) fn new(
         model: Option<&ModelSettings>,
         prices: Option<&ModelPrices>,
         past: &[RequestRecord],
@@ -28,12 +28,12 @@ impl Budget {
     }
 
     /// Counts a request.
-    pub fn add(&mut self, request: &RequestRecord) {
+    pub(crate) fn add(&mut self, request: &RequestRecord) {
         self.used.add(request);
     }
 
     /// Why the run has to stop, if a limit is reached.
-    pub fn exceeded(&self) -> Option<String> {
+    pub(crate) fn exceeded(&self) -> Option<String> {
         let Self { used, max_tokens, max_cost } = self;
         if used.unknown > 0 && (max_tokens.is_some() || max_cost.is_some()) {
             return Some(

@@ -25,7 +25,7 @@ const SYSTEM_FOLDERS: [&str; 4] = ["/bin", "/sbin", "/usr/bin", "/usr/sbin"];
 ///
 /// # Errors
 /// When a file cannot be read.
-pub fn command_files(command: &str) -> Result<BTreeMap<String, String>> {
+pub(crate) fn command_files(command: &str) -> Result<BTreeMap<String, String>> {
     let mut files = BTreeMap::new();
     for (number, word) in shlex::split(command).unwrap_or_default().into_iter().enumerate() {
         if word.contains(char::is_whitespace) && !Path::new(&word).is_file() {

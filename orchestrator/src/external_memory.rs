@@ -91,6 +91,19 @@ impl ExternalMemory {
     }
 }
 
+impl StartedMemories {
+    /// Those of a run without any: its folder. `note` receives what the user has to know.
+    ///
+    /// # Errors
+    /// When the folder of all runs cannot be used.
+    pub fn none(note: &mut dyn FnMut(&str)) -> Result<Self> {
+        let base = registry::default_base();
+        registry::clean(&base)?.notes().iter().for_each(|one| note(one));
+        let run = RunDir::create(&base)?;
+        Ok(Self { children: Children::default(), memories: Vec::new(), run })
+    }
+}
+
 fn launch(index: u8, command: Option<&str>) -> Result<Option<Launch>> {
     command.map(|command| Launch::external_memory(index, command)).transpose()
 }
@@ -110,9 +123,8 @@ pub fn start(
     if !settings.has_external_memories() {
         return Ok(None);
     }
-    let base = registry::default_base();
-    registry::clean(&base)?.notes().iter().for_each(|one| note(one));
-    let run = RunDir::create(&base)?;
+    let mut started = StartedMemories::none(note)?;
+    let run = &started.run;
     let commands = settings.memory_cmd.iter().cloned().map(Some);
     let user_s = settings.external_memory.then_some(None);
     let commands: Vec<(u8, Option<String>)> = (0..).zip(commands.chain(user_s)).collect();
@@ -131,10 +143,10 @@ pub fn start(
     let launches: Vec<Launch> =
         launches.into_iter().map(|launch| launch.attached_to(run.path())).collect();
     let logs = logs.unwrap_or_else(|| run.path().join("logs"));
-    let mut children = Children::start(&launches, &logs)?;
+    started.children = Children::start(&launches, &logs)?;
+    let StartedMemories { children, memories, run } = &mut started;
     let timeout = Duration::from_secs(settings.start_timeout.into());
     let deadline = Instant::now() + timeout;
-    let mut memories: Vec<ExternalMemory> = Vec::new();
     for (index, command) in commands {
         let folder = memory_folder(run.path(), index);
         while !folder.join(DESCRIPTION_FILE).exists() {
@@ -148,7 +160,7 @@ pub fn start(
             if let Some(command) = &command
                 && Instant::now() > deadline
             {
-                bail!("{}", not_described(index, command, timeout, &children));
+                bail!("{}", not_described(index, command, timeout, children));
             }
             std::thread::sleep(INTERVAL);
         }
@@ -165,7 +177,7 @@ pub fn start(
         }
         memories.push(ExternalMemory { index, name, description, command });
     }
-    Ok(Some(StartedMemories { children, memories, run }))
+    Ok(Some(started))
 }
 
 /// Which memory it is, before its name is known.

@@ -52,11 +52,11 @@ impl<K: PartialEq, const N: usize> TimesOf<K, N> {
 
 /// Histograms of every stage and, after them, of whole steps, by memory.
 #[derive(Debug, Default)]
-pub struct StepLatencies(TimesOf<MemoryKind, { STAGES + 1 }>);
+pub(crate) struct StepLatencies(TimesOf<MemoryKind, { STAGES + 1 }>);
 
 impl StepLatencies {
     /// Adds a step.
-    pub fn record(&mut self, stamps: &Stamps) {
+    pub(crate) fn record(&mut self, stamps: &Stamps) {
         let stages = stamps.stages().values();
         let mut times = [0; STAGES + 1];
         times[..STAGES].copy_from_slice(&stages);
@@ -65,13 +65,8 @@ impl StepLatencies {
         self.0.record(stamps.memory, times);
     }
 
-    /// Whether nothing was recorded.
-    pub fn is_empty(&self) -> bool {
-        self.0.0.is_empty()
-    }
-
     /// Adds what `other` recorded.
-    pub fn add(&mut self, other: &Self) {
+    pub(crate) fn add(&mut self, other: &Self) {
         for (memory, theirs) in &other.0.0 {
             for (ours, theirs) in self.0.of(*memory).iter_mut().zip(theirs) {
                 if let Err(impossible) = ours.add(theirs) {
@@ -82,12 +77,12 @@ impl StepLatencies {
     }
 
     /// Removes everything that was recorded, and keeps the allocations.
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.0.clear();
     }
 
     /// Every stage of every memory, and `step` for all stages together, in order.
-    pub fn summaries(
+    pub(crate) fn summaries(
         &self,
     ) -> impl Iterator<Item = (MemoryKind, &'static str, LatencySummary)> + '_ {
         let recorded = self.0.0.iter().filter(|(_, histograms)| !histograms[STAGES].is_empty());
@@ -98,7 +93,7 @@ impl StepLatencies {
     }
 
     /// The lines of `latency.jsonl` for `session`.
-    pub fn records(&self, session: u32) -> impl Iterator<Item = LatencyRecord> + '_ {
+    pub(crate) fn records(&self, session: u32) -> impl Iterator<Item = LatencyRecord> + '_ {
         self.summaries().map(move |(memory, stage, summary)| LatencyRecord {
             session,
             memory,
@@ -110,11 +105,11 @@ impl StepLatencies {
 
 /// Histograms of the recalls of external memories, of what they compute, and of the messages to them and back.
 #[derive(Debug, Default)]
-pub struct RecallLatencies(TimesOf<ExternalName, 3>);
+pub(crate) struct RecallLatencies(TimesOf<ExternalName, 3>);
 
 impl RecallLatencies {
     /// Adds a step, if its memory is an external one.
-    pub fn record(&mut self, stamps: &Stamps) {
+    pub(crate) fn record(&mut self, stamps: &Stamps) {
         let MemoryKind::External(name) = stamps.memory else { return };
         let Stamps { received_ns, embedded_ns, searched_ns, recalled_ns, method_ns, .. } = *stamps;
         let recall_ns = recalled_ns.saturating_sub(received_ns);
@@ -123,7 +118,7 @@ impl RecallLatencies {
     }
 
     /// The status of the memory called `name`, which is in `state`.
-    pub fn status(&self, name: ExternalName, state: &str) -> MemoryStatus {
+    pub(crate) fn status(&self, name: ExternalName, state: &str) -> MemoryStatus {
         let found = self.0.0.iter().find(|(known, _)| *known == name);
         let [recall, method, wire] = std::array::from_fn(|time| {
             let times = found.map(|(_, histograms)| &histograms[time]);
@@ -133,13 +128,13 @@ impl RecallLatencies {
     }
 
     /// Removes everything that was recorded, and keeps the allocations.
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.0.clear();
     }
 }
 
 /// An empty histogram of times in nanoseconds, to so many significant decimal digits (at most 5).
-pub fn histogram(digits: u8) -> Histogram<u64> {
+pub(crate) fn histogram(digits: u8) -> Histogram<u64> {
     match Histogram::new_with_bounds(1, LONGEST_NS, digits) {
         Ok(histogram) => histogram,
         Err(impossible) => unreachable!("the bounds are valid constants: {impossible}"),
@@ -147,7 +142,7 @@ pub fn histogram(digits: u8) -> Histogram<u64> {
 }
 
 /// Summarizes a histogram of nanoseconds.
-pub fn summarize(histogram: &Histogram<u64>) -> LatencySummary {
+pub(crate) fn summarize(histogram: &Histogram<u64>) -> LatencySummary {
     let us = |ns: u64| ns as f64 / 1000.0;
     let quantile = |q| us(histogram.value_at_quantile(q));
     LatencySummary {
@@ -170,7 +165,7 @@ mod tests {
     #[test]
     fn percentiles_are_by_memory_and_stage_and_known_to_one_per_cent() {
         let mut latency = StepLatencies::default();
-        assert!(latency.is_empty());
+        assert!(latency.0.0.is_empty());
         for n in 1..=1000 {
             let mut stamps = Stamps::new(1, 0, Representation::Episodic.into());
             (stamps.commanded_ns, stamps.woken_ns) = (1, 1 + n * 1000);
@@ -206,6 +201,6 @@ mod tests {
         (stamps.started_ns, stamps.decided_ns) = (1, u64::MAX);
         let mut latency = StepLatencies::default();
         latency.record(&stamps);
-        assert!(!latency.is_empty());
+        assert!(!latency.0.0.is_empty());
     }
 }

@@ -13,11 +13,11 @@ use results::log::{DOCUMENTS_FOLDER, ELSEWHERE_FILE, SNAPSHOTS_FOLDER, STREAMS_F
 use results::settings::{ModelSettings, RunSettings};
 use shm_types::message::Role;
 use shm_types::process::shared_memory_space;
-use shm_types::{Attach, FrameControl, FrameSize, RunDir, Wait};
+use shm_types::{Attach, FrameControl, FrameSize, Wait};
 use supervise::{Launch, System};
 
 use crate::books::Books;
-use crate::external_memory::ExternalMemory;
+use crate::external_memory::{ExternalMemory, StartedMemories};
 use crate::frame_budget::{self, Demand};
 use crate::lanes::{ExternalNames, Rules};
 use crate::machine::memory_available;
@@ -28,14 +28,14 @@ use crate::plan::PlannedEpisode;
 const BASE_URL: &str = "--base-url";
 
 /// Time that processes have to end once they are asked to.
-pub const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(5);
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// How the processes are started, with their logs in the folder `logs`, beside the external memories `memories`. A run that
 /// consists of streams has them in its folder already.
 ///
 /// # Errors
 /// When a program is missing, or `--policy-cmd` is no command.
-pub fn pipeline_options(
+pub(crate) fn pipeline_options(
     settings: &RunSettings,
     memories: &[ExternalMemory],
     logs: PathBuf,
@@ -57,14 +57,14 @@ pub fn pipeline_options(
 }
 
 /// Lets the simulator share its views with those of other units, through `folder`.
-pub fn share_views(options: &mut PipelineOptions, folder: &Path) {
+pub(crate) fn share_views(options: &mut PipelineOptions, folder: &Path) {
     for sim in options.launches.iter_mut().filter(|launch| launch.role == Role::Sim) {
         sim.args.extend(["--views".into(), folder.into()]);
     }
 }
 
 /// Gives memory the embeddings in `file`, which came with a plan.
-pub fn ship_embeddings(options: &mut PipelineOptions, file: &Path) {
+pub(crate) fn ship_embeddings(options: &mut PipelineOptions, file: &Path) {
     let memories = options.launches.iter_mut().filter(|launch| launch.role == Role::Memory);
     for memory in memories {
         memory.args.extend(["--shipped-embeddings".into(), file.into()]);
@@ -84,7 +84,7 @@ pub fn tell_source_of_base_url(options: &mut PipelineOptions, source: &str) {
 ///
 /// # Errors
 /// When a number is too large for the wire, which the settings rule out.
-pub fn rules(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Rules> {
+pub(crate) fn rules(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Rules> {
     let mut external_memories = ExternalNames::default();
     for memory in memories {
         let place = external_memories.get_mut(usize::from(memory.index));
@@ -102,16 +102,15 @@ pub fn rules(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Rule
     })
 }
 
-/// What every process of the run receives. `prompts` is the folder of the prompt log, if one is kept.
+/// What every process of the run receives.
 ///
 /// # Errors
 /// When there is too little shared memory.
-pub fn attach(
+pub(crate) fn attach(
     settings: &RunSettings,
     books: &Books,
     episodes: &[PlannedEpisode],
-    (run, memories): (&RunDir, &[ExternalMemory]),
-    prompts: Option<&Path>,
+    StartedMemories { memories, run, .. }: &StartedMemories,
 ) -> Result<Attach> {
     let windows = episodes.iter().map(|episode| episode.key.condition.variation.window);
     // The expert needs no memory and no policy.
@@ -129,8 +128,6 @@ pub fn attach(
             Frames::Swapped => FrameControl::Swapped,
             Frames::BlankAll => FrameControl::BlankAll,
         },
-        // Absolute: an external policy may have another working folder.
-        prompts: prompts.map(std::path::absolute).transpose()?,
         ..run.attach()
     };
     let most = (settings.keyframes, settings.memory_image_budget());
@@ -217,7 +214,7 @@ pub(crate) fn encoder_flags(settings: &RunSettings) -> [(&'static str, Option<St
 
 /// Whether a memory of the run matches views. Decided by all conditions, not by those that are left: the process reports the
 /// same when a run is resumed.
-pub fn matches_views(settings: &RunSettings, memories: &[ExternalMemory]) -> bool {
+pub(crate) fn matches_views(settings: &RunSettings, memories: &[ExternalMemory]) -> bool {
     let embeds = |condition: &Condition| match condition.memory {
         MemoryKind::BuiltIn(representation) => representation.matches_views(),
         MemoryKind::External(name) => {

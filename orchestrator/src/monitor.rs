@@ -22,7 +22,7 @@ const RUNNING: &str = "running episodes";
 
 /// Keeps and shows a live status.
 #[derive(Debug)]
-pub struct Monitor {
+pub(crate) struct Monitor {
     status: LiveStatus,
     progress: ProgressDisplay,
     file: StatusFile,
@@ -44,7 +44,7 @@ pub struct Monitor {
 
 impl Monitor {
     /// The monitor of a session with this policy in the folder `run`.
-    pub fn new(
+    pub(crate) fn new(
         run: &Path,
         policy: PolicyLabel,
         lanes: u32,
@@ -75,13 +75,13 @@ impl Monitor {
     }
 
     /// The session enters a phase before its first step.
-    pub fn phase(&mut self, phase: &str) {
+    pub(crate) fn phase(&mut self, phase: &str) {
         phase.clone_into(&mut self.status.phase);
         self.show();
     }
 
     /// A step was taken.
-    pub fn stepped(&mut self, stamps: &Stamps) {
+    pub(crate) fn stepped(&mut self, stamps: &Stamps) {
         if self.running_since.is_none() {
             self.running_since = Some(Instant::now());
             RUNNING.clone_into(&mut self.status.phase);
@@ -92,7 +92,7 @@ impl Monitor {
     }
 
     /// Something happened to an external memory.
-    pub fn memory_state(&mut self, name: ExternalName, state: &MemoryState) {
+    pub(crate) fn memory_state(&mut self, name: ExternalName, state: &MemoryState) {
         let state = match state {
             MemoryState::Ready => "ready".to_owned(),
             MemoryState::Failed(1) => "failed once, started again".to_owned(),
@@ -103,25 +103,25 @@ impl Monitor {
     }
 
     /// An episode was finished.
-    pub fn finished(&mut self, is_success: bool) {
+    pub(crate) fn finished(&mut self, is_success: bool) {
         let (finished, successes) = &mut self.status.episodes.finished;
         *finished += 1;
         *successes += u64::from(is_success);
     }
 
     /// An episode was given up.
-    pub fn gave_up(&mut self) {
+    pub(crate) fn gave_up(&mut self) {
         self.status.episodes.given_up += 1;
     }
 
     /// The policy waits for its model's server, or no longer.
-    pub fn waiting_for_server(&mut self, reason: Option<&str>) {
+    pub(crate) fn waiting_for_server(&mut self, reason: Option<&str>) {
         self.status.waiting_for_server = reason.map(str::to_owned);
         self.show();
     }
 
     /// A process reported its load.
-    pub fn heartbeat(&mut self, sender: Participant, heartbeat: &Heartbeat) {
+    pub(crate) fn heartbeat(&mut self, sender: Participant, heartbeat: &Heartbeat) {
         let now = Instant::now();
         let Heartbeat { done, waiting, held, room, .. } = *heartbeat;
         let before = self.heartbeats.insert(sender, (now, *heartbeat));
@@ -133,7 +133,7 @@ impl Monitor {
     }
 
     /// The answers that lanes wait for.
-    pub fn pending(&mut self, pending: &[PendingAnswer]) {
+    pub(crate) fn pending(&mut self, pending: &[PendingAnswer]) {
         self.status.waiting.clear();
         for answer in pending {
             let owes = match (answer.role, answer.memory) {
@@ -145,7 +145,7 @@ impl Monitor {
     }
 
     /// Updates what is shown, if it is time to.
-    pub fn tick(&mut self) {
+    pub(crate) fn tick(&mut self) {
         let (when, steps) = self.updated;
         let passed = when.elapsed();
         if passed >= INTERVAL {
@@ -172,12 +172,12 @@ impl Monitor {
     }
 
     /// Prints a message that stays.
-    pub fn note(&mut self, note: &str) {
+    pub(crate) fn note(&mut self, note: &str) {
         self.progress.note(note);
     }
 
     /// Ends the display. Returns the latencies of all steps.
-    pub fn close(mut self) -> StepLatencies {
+    pub(crate) fn close(mut self) -> StepLatencies {
         self.latency.add(&self.recent);
         self.update_running();
         let line = self.status.line();
@@ -207,13 +207,15 @@ mod tests {
     use domain::Representation;
 
     use super::*;
+    use crate::progress::Verbosity;
 
     #[test]
     fn the_status_file_contains_steps_lanes_and_loads() {
         let run = tempfile::tempdir().unwrap();
         let episodes = EpisodeCounts { planned: 100, earlier: (40, 1), ..EpisodeCounts::default() };
         let policy = results::log::testing::manifest().policy_label();
-        let mut monitor = Monitor::new(run.path(), policy, 8, episodes, ProgressDisplay::new(true));
+        let mut monitor =
+            Monitor::new(run.path(), policy, 8, episodes, ProgressDisplay::new(Verbosity::Notes));
         monitor.updated.0 -= INTERVAL;
         monitor.stepped(&Stamps::new(1, 0, Representation::Working.into()));
         monitor.pending(&[PendingAnswer {

@@ -184,7 +184,7 @@ pub trait Observer {
 }
 
 /// How a session of a run ended.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Ending {
     /// Whether it was asked to stop early.
     pub interrupted: bool,

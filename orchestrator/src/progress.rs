@@ -5,14 +5,32 @@ use std::time::{Duration, Instant};
 
 use crate::documents::BuildStage;
 
+/// What is shown on stderr.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Verbosity {
+    /// Progress and notes.
+    Progress,
+    /// Notes only.
+    Notes,
+    /// Nothing.
+    Silent,
+}
+
+impl Verbosity {
+    /// That of a command which is given `--quiet`, or is not.
+    pub const fn of_quiet(quiet: bool) -> Self {
+        if quiet { Self::Notes } else { Self::Progress }
+    }
+}
+
 /// Shows how far the building of documents is.
 #[derive(Debug)]
 pub struct BuildProgress(ProgressDisplay);
 
 impl BuildProgress {
-    /// A display that shows nothing yet, and never anything if `quiet`.
-    pub fn new(quiet: bool) -> Self {
-        Self(ProgressDisplay::new(quiet))
+    /// A display that shows nothing yet.
+    pub fn new(verbosity: Verbosity) -> Self {
+        Self(ProgressDisplay::new(verbosity))
     }
 
     /// Shows `stage`.
@@ -66,19 +84,15 @@ enum ProgressTarget {
 }
 
 impl ProgressDisplay {
-    /// A display that shows nothing yet, and never anything if `quiet`.
-    pub fn new(quiet: bool) -> Self {
-        let target = match quiet {
-            true => ProgressTarget::Nothing,
-            false if std::io::stderr().is_terminal() => ProgressTarget::Bar,
-            false => ProgressTarget::Lines,
+    /// A display that shows nothing yet.
+    pub fn new(verbosity: Verbosity) -> Self {
+        let target = match verbosity {
+            Verbosity::Progress if std::io::stderr().is_terminal() => ProgressTarget::Bar,
+            Verbosity::Progress => ProgressTarget::Lines,
+            Verbosity::Notes => ProgressTarget::Nothing,
+            Verbosity::Silent => ProgressTarget::Silence,
         };
         Self { target, phase: String::new(), shown: None }
-    }
-
-    /// A display that never shows anything, not even notes.
-    pub fn silent() -> Self {
-        Self { target: ProgressTarget::Silence, ..Self::new(true) }
     }
 
     /// Shows `line`, with `done` of `total` in the bar. A new `phase` is shown at once, everything else at intervals.

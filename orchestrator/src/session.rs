@@ -25,7 +25,7 @@ const PROBLEMS_PRINTED: u32 = 20;
 
 /// Records a session in the run folder and shows it.
 #[derive(Debug)]
-pub struct RunSession<'a> {
+pub(crate) struct RunSession<'a> {
     folder: &'a mut RunFolder,
     monitor: Monitor,
     budget: Budget,
@@ -42,7 +42,7 @@ pub struct RunSession<'a> {
 
 impl<'a> RunSession<'a> {
     /// A session that is recorded in `folder`, with so many lanes and frames.
-    pub fn new(
+    pub(crate) fn new(
         folder: &'a mut RunFolder,
         monitor: Monitor,
         budget: Budget,
@@ -70,7 +70,7 @@ impl<'a> RunSession<'a> {
     ///
     /// # Errors
     /// When the run folder or the trace cannot be written.
-    pub fn end(mut self, outcome: &Result<Ending>, reason: &str) -> Result<()> {
+    pub(crate) fn end(mut self, outcome: &Result<Ending>, reason: &str) -> Result<()> {
         let session = self.folder.session();
         let mut errors = 0;
         let mut shutdown_reports = BTreeMap::new();

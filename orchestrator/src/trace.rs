@@ -18,11 +18,11 @@ use shm_types::spans::Span;
 use crate::lanes::Stamps;
 
 /// Numbers of lanes' tracks begin here; smaller ones are those of work.
-pub const FIRST_LANE: u32 = 100;
+pub(crate) const FIRST_LANE: u32 = 100;
 
 /// A trace that is being written.
 #[derive(Debug)]
-pub struct RunTrace {
+pub(crate) struct RunTrace {
     path: PathBuf,
     file: BufWriter<File>,
     /// Where processes record their spans.
@@ -39,7 +39,7 @@ impl RunTrace {
     ///
     /// # Errors
     /// When the file, or the folder for spans beside it, cannot be made.
-    pub fn create(path: &Path) -> Result<Self> {
+    pub(crate) fn create(path: &Path) -> Result<Self> {
         let path = std::path::absolute(path)?;
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder).with_context(|| format!("--trace {}", path.display()))?;
@@ -62,7 +62,7 @@ impl RunTrace {
     }
 
     /// The folder in which processes record their spans.
-    pub fn spans(&self) -> &Path {
+    pub(crate) fn spans(&self) -> &Path {
         &self.spans
     }
 
@@ -70,7 +70,7 @@ impl RunTrace {
     ///
     /// # Errors
     /// When the file cannot be written to.
-    pub fn step(&mut self, stamps: &Stamps) -> Result<()> {
+    pub(crate) fn step(&mut self, stamps: &Stamps) -> Result<()> {
         let s = stamps;
         self.lanes = self.lanes.max(s.lane + 1);
         self.has_external |= s.memory.external().is_some();
@@ -108,7 +108,7 @@ impl RunTrace {
     ///
     /// # Errors
     /// When the file cannot be written, or spans cannot be read.
-    pub fn finish(mut self) -> Result<PathBuf> {
+    pub(crate) fn finish(mut self) -> Result<PathBuf> {
         let mut tracks: Vec<(Role, String)> = Vec::new();
         let mut files: Vec<PathBuf> = fs::read_dir(&self.spans)?
             .map(|entry| Ok(entry?.path()))

@@ -11,6 +11,7 @@ use documents::DocumentName;
 use domain::cache_folder;
 use llm::{Endpoint, Servers, Source};
 use orchestrator::documents::needed;
+use orchestrator::run_documents::{RunDocuments, listed};
 use orchestrator::scratch::{self, ScratchFolder};
 use orchestrator::selection::SelectedCases;
 use results::settings::RunSettings;
@@ -24,7 +25,6 @@ use shm_types::process::{SHARED_MEMORY, check_shared_memory};
 use shm_types::{RunDir, registry};
 use supervise::sibling;
 
-use super::documents::{RunDocuments, listed};
 use super::list::list;
 use super::{Exit, WorldArgs, print, print_json, world_program};
 use crate::signals::{self, Signals};

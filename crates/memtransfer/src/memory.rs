@@ -13,7 +13,7 @@ use domain::{Appearance, Demonstrations, DocumentKind};
 use llm::{Servers, Source};
 use orchestrator::books::Books;
 use orchestrator::documents::{DocumentRequest, ModelServer, document_folder};
-use orchestrator::progress::BuildProgress;
+use orchestrator::progress::{BuildProgress, Verbosity};
 use report::table::table;
 use results::settings::Drawn;
 use serde_json::json;
@@ -272,7 +272,7 @@ fn build(args: BuildArgs) -> Result<Exit> {
         let servers = Servers::from_environment(given, Path::new("."))?;
         say!("asking {} at {servers}", recipe.model);
     }
-    let mut progress = BuildProgress::new(args.quiet);
+    let mut progress = BuildProgress::new(Verbosity::of_quiet(args.quiet));
     let ready =
         request.ensure(&wanted, args.force, signals.stop(), &mut |stage| progress.show(stage));
     progress.close(matches!(ready, Ok(Some(_))));

@@ -7,17 +7,18 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use domain::cache_folder;
+use orchestrator::run_plan::{ALL, Purpose, RunPlan};
 use orchestrator::store::{Shipment, Store};
 use orchestrator::units::{UNIT_EPISODES, UnitPlan};
 use results::conditions::PolicyKind;
 use results::settings::RunSettings;
 use settings::{Layer, resolve};
 
-use super::run::flags::{RunOptions, SettingFlags, source_of};
-use super::run_plan::{
-    ALL, BUILDING_DOCUMENTS, FILLING_STORE, Purpose, RunPlan, STARTING_MEMORIES,
+use super::execution::{
+    BUILDING_DOCUMENTS, FILLING_STORE, STARTING_MEMORIES, invocation, note_omissions,
     stopped_before_episodes,
 };
+use super::run::flags::{RunOptions, SettingFlags, source_of};
 use super::{Exit, commands, make_folder_of, print};
 use crate::signals::Signals;
 
@@ -85,10 +86,12 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
     check(&settings)?;
     let signals = Signals::listen().context("cannot listen to signals")?;
     let options = RunOptions::of(args.quiet, base_url_source);
-    let Some(run) = RunPlan::new(settings, ALL, Purpose::Units, &options, &signals)? else {
+    let invocation = invocation(&options, &signals);
+    let Some(run) = RunPlan::new(settings, ALL, Purpose::Units, &invocation)? else {
         return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
-    let Some(documents) = run.documents(&options, &signals)? else {
+    note_omissions(&run.settings);
+    let Some(documents) = run.documents(&invocation)? else {
         return Ok(stopped_before_episodes(&signals, BUILDING_DOCUMENTS));
     };
     let mut manifest = run.manifest()?;

@@ -8,24 +8,19 @@ use anyhow::{Context, Result, ensure};
 use build_commit::COMMIT;
 use clap::Args;
 use domain::{Representation, cache_folder};
-use orchestrator::external_memory;
-use orchestrator::lanes::Lanes;
-use orchestrator::launch;
+use orchestrator::invocation::Invocation;
 use orchestrator::machine::{Machine, floors};
-use orchestrator::pipeline;
 use orchestrator::profile::recorder::AccessRecorder;
 use orchestrator::profile::search;
+use orchestrator::progress::Verbosity;
+use orchestrator::run::{RunOutcome, observe};
+use orchestrator::run_plan::{ALL, Purpose, RunPlan};
 use orchestrator::scratch::ScratchFolder;
-use orchestrator::selection::SelectedCases;
 use results::conditions::representation;
-use results::log::DOCUMENTS_FOLDER;
 use results::settings::RunSettings;
 use settings::{Layer, resolve, variable};
 use shm_types::message::Role;
-use shm_types::{RunDir, registry};
-use supervise::Children;
 
-use super::documents::RunDocuments;
 use super::{Exit, print};
 use crate::access_profile::summary::summary;
 use crate::access_profile::{AccessRun, CacheState, Profile, SCHEMA};
@@ -273,23 +268,25 @@ impl Profiler<'_> {
     /// Runs episodes; `None` when a signal asked to stop. Returns what was measured, and problems.
     fn measure(&self, way: RunWay) -> Result<Option<(AccessRun, Vec<String>)>> {
         let Self { args, scratch, signals, .. } = self;
-        let mut settings = self.settings(way)?;
-        let logs = scratch.path().join("logs");
-        let note = &mut |note: &str| args.progress(note);
-        let started = external_memory::start(&settings, Some(logs.clone()), signals.stop(), note)?;
-        if settings.has_external_memories() && started.is_none() {
-            return Ok(None);
-        }
-        let memories = started.as_ref().map_or(&[][..], |started| &started.memories);
-        let told = memories.iter().map(|memory| (memory.name, memory.description.learns));
-        settings.add_external_memories(&told.collect::<Vec<_>>());
-        let memories = memories.to_vec();
-        let selected = SelectedCases::of(&settings)?;
+        let settings = self.settings(way)?;
         ensure!(
             settings.stream.is_none(),
             "`memtransfer profile` measures single episodes: choose a suite without streams, such as quick"
         );
-        let episodes: Vec<_> = selected.with_episodes(&settings, |episodes| episodes.collect());
+        let invocation = Invocation {
+            fresh: true,
+            verbosity: Verbosity::of_quiet(args.quiet),
+            adjust: Box::new(|_, _, pipeline| {
+                let launches = pipeline.launches.iter_mut();
+                for memory in launches.filter(|launch| launch.role == Role::Memory) {
+                    memory.env.push(("MEMTRANSFER_CACHE".into(), scratch.cache().into()));
+                }
+                Ok(())
+            }),
+            ..Invocation::until(signals.stop())
+        };
+        let plan = RunPlan::new(settings, ALL, Purpose::Execution, &invocation)?;
+        let Some(plan) = plan else { return Ok(None) };
         let mut run = AccessRun {
             caches: way.caches,
             lanes: way.lanes,
@@ -300,43 +297,11 @@ impl Profiler<'_> {
             latencies: Vec::new(),
         };
         let purpose = if way.is_warm_up { " (to fill the caches)" } else { "" };
-        args.progress(format_args!("{}: {} episodes{purpose}", run.name(), episodes.len()));
-        let Some(supply) =
-            RunDocuments::of(&settings, &selected.books, true).supply(signals, args.quiet)?
-        else {
+        args.progress(format_args!("{}: {} episodes{purpose}", run.name(), plan.episodes.len()));
+        let mut recorder = AccessRecorder::default();
+        let RunOutcome::Ended(ending) = observe(plan, &invocation, &mut recorder)? else {
             return Ok(None);
         };
-        supply.copy_to(&settings.out.join(DOCUMENTS_FOLDER))?;
-        drop(supply);
-        std::fs::create_dir_all(&settings.out)?;
-        selected.books.write(&settings.out)?;
-        let (folder, children) = match started {
-            Some(started) => (started.run, started.children),
-            None => {
-                let base = registry::default_base();
-                registry::clean(&base)?;
-                (RunDir::create(&base)?, Children::default())
-            }
-        };
-        let attach =
-            launch::attach(&settings, &selected.books, &episodes, (&folder, &memories), None)?;
-        let mut options = launch::pipeline_options(&settings, &memories, logs)?;
-        for launch in options.launches.iter_mut().filter(|launch| launch.role == Role::Memory) {
-            launch.env.push(("MEMTRANSFER_CACHE".into(), scratch.cache().into()));
-        }
-        let rules = launch::rules(&settings, &memories)?;
-        let mut lanes = Lanes::new(&selected.books, rules, attach.lanes as usize);
-        let mut recorder = AccessRecorder::default();
-        let stop = signals.stop();
-        let ending = pipeline::run_episodes(
-            &mut lanes,
-            episodes,
-            &attach,
-            &options,
-            children,
-            stop,
-            &mut recorder,
-        )?;
         if ending.interrupted {
             return Ok(None);
         }

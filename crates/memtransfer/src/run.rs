@@ -10,12 +10,15 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use clap::Args;
 use flags::{RunOptions, SettingFlags, source_of};
+use orchestrator::run::RunOutcome;
+use orchestrator::run_plan::{ALL, Purpose, RunPlan};
 use results::log::{EpisodeError, RunLog};
 use results::score::WithoutAction;
 use settings::{Layer, resolve};
 
-use super::run_plan::{
-    ALL, Executed, Purpose, RunPlan, STARTING_MEMORIES, same_command, stopped_before_episodes,
+use super::execution::{
+    BUILDING_DOCUMENTS, STARTING_MEMORIES, execute, invocation, note_omissions, same_command,
+    stopped_before_episodes,
 };
 use super::{Exit, commands, print};
 use crate::signals::{self, Signals};
@@ -70,17 +73,22 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
     };
     commands::check(&suite, &resolved.commands_of_suite()?, used)?;
     let signals = Signals::listen().context("cannot listen to signals")?;
-    let Some(mut plan) = RunPlan::new(resolved.settings, ALL, purpose, &options, &signals)? else {
+    let invocation = invocation(&options, &signals);
+    let Some(plan) = RunPlan::new(resolved.settings, ALL, purpose, &invocation)? else {
         return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
+    note_omissions(&plan.settings);
     if options.dry_run {
         print(&dry_run::describe(&plan, options.fresh)?)?;
         return Ok(Exit::Complete);
     }
-    match plan.execute(&options, &signals)? {
-        Executed::Stopped(exit) => Ok(exit),
-        Executed::ToTheEnd { halted } => conclude(&plan.settings.out, halted, &signals),
-    }
+    let out = plan.settings.out.clone();
+    let halted = match execute(plan, &invocation)? {
+        RunOutcome::Stopped => return Ok(stopped_before_episodes(&signals, BUILDING_DOCUMENTS)),
+        RunOutcome::NothingMissing => None,
+        RunOutcome::Ended(ending) => ending.halted,
+    };
+    conclude(&out, halted, &signals)
 }
 
 /// Kinds of reasons that are printed.

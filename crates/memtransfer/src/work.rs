@@ -7,6 +7,10 @@ use anyhow::{Context, Error, Result, anyhow, bail};
 use clap::Args;
 use domain::cache_folder;
 use llm::Source;
+use orchestrator::invocation::Invocation;
+use orchestrator::run::RunOutcome;
+use orchestrator::run_documents::RunDocuments;
+use orchestrator::run_plan::{Purpose, RunPlan};
 use orchestrator::selection::SelectedCases;
 use orchestrator::units::{ReadPlan, UnitPlan};
 use results::log::{Manifest, RunFolder, RunLog, UnitId, finish_unit, unit_folder};
@@ -14,13 +18,13 @@ use results::settings::Effect;
 use settings::{KEYS, Key, Layer, on_this_machine, variable};
 use shm_types::process::die_with_parent;
 
+use super::execution::{
+    BUILDING_DOCUMENTS, STARTING_MEMORIES, execute, invocation, note_omissions, same_command,
+    stopped_before_episodes,
+};
 use super::run;
 use super::run::flags::{MachineFlags, RunOptions};
-use super::run_plan::{
-    Executed, Purpose, RunPlan, STARTING_MEMORIES, same_command, stopped_before_episodes,
-};
 use super::{Exit, commands, in_one_line, print};
-use crate::documents::RunDocuments;
 use crate::signals::{self, Signals};
 
 #[derive(Debug, Args)]
@@ -93,17 +97,20 @@ pub(super) fn run(args: WorkArgs) -> Result<Exit> {
     if let Some(shipment) = shipment {
         shipment.fetch(args.store.as_deref(), &cache)?;
     }
-    let unit = unit_run(&plan, &args, part.clone(), &options, &signals);
+    let invocation = invocation(&options, &signals);
+    let unit = unit_run(&plan, &args, part.clone(), &invocation);
     let Some(mut unit) = unit.map_err(of_plan)? else {
         return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
     unit.shipped_embeddings = shipment.and_then(|shipment| shipment.embeddings_in(&cache));
-    let halted = match unit.execute(&options, &signals).map_err(of_plan)? {
-        Executed::Stopped(exit) => return Ok(exit),
-        Executed::ToTheEnd { halted } => halted,
+    let planned = unit.episodes.len();
+    let halted = match execute(unit, &invocation).map_err(of_plan)? {
+        RunOutcome::Stopped => return Ok(stopped_before_episodes(&signals, BUILDING_DOCUMENTS)),
+        RunOutcome::NothingMissing => None,
+        RunOutcome::Ended(ending) => ending.halted,
     };
     let log = RunLog::read(&part)?;
-    let (done, planned) = (log.episodes.len(), unit.episodes.len());
+    let done = log.episodes.len();
     if done < planned {
         let why = match (signals.received(), &halted) {
             (Some(signal), _) => format!("stopped by {}", signals::name(signal)),
@@ -142,8 +149,7 @@ fn unit_run(
     plan: &ReadPlan,
     args: &WorkArgs,
     part: PathBuf,
-    options: &RunOptions,
-    signals: &Signals,
+    invocation: &Invocation<'_>,
 ) -> Result<Option<RunPlan>> {
     let environment = Layer::environment(std::env::vars_os())?;
     let layers = [environment, args.machine.layer()?];
@@ -156,10 +162,10 @@ fn unit_run(
     settings.out = part;
     let settings = on_this_machine(&settings, layers)?;
     RunFolder::check(&settings.out)?;
-    let run = RunPlan::new(settings, episodes, Purpose::Execution, options, signals)?;
-    let Some(mut run) = run else {
+    let Some(mut run) = RunPlan::new(settings, episodes, Purpose::Execution, invocation)? else {
         return Ok(None);
     };
+    note_omissions(&run.settings);
     check_machine(&run.manifest()?, plan, args)?;
     check_documents(&run, plan)?;
     run.unit = Some(plan.unit_id(args.unit));

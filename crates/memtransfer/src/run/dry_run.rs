@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 
 use anyhow::Result;
 use orchestrator::plan::PlannedEpisode;
+use orchestrator::run_documents::{RunDocuments, listed};
+use orchestrator::run_plan::RunPlan;
 use report::table;
 use results::cost::ModelPrices;
 use results::log::{EpisodeRecord, LogError, RunLog};
 
-use crate::documents::RunDocuments;
 use crate::estimate::{Basis, RunEstimate};
-use crate::run_plan::RunPlan;
 
 /// What would run: conditions, episodes, requests, and the estimated cost of a model.
 pub(super) fn describe(plan: &RunPlan, fresh: bool) -> Result<String> {
@@ -68,12 +68,22 @@ pub(super) fn describe(plan: &RunPlan, fresh: bool) -> Result<String> {
         settings.policy,
         settings.out.display(),
         most_requests(missing),
-        documents.plan(),
+        about_documents(&documents),
     );
     if !estimates.is_empty() {
         text += &cost_table(&estimates, prices.as_ref());
     }
     Ok(text)
+}
+
+/// The line about documents; empty if none are needed.
+fn about_documents(documents: &RunDocuments) -> String {
+    let state = if documents.builds_missing() { "to be built" } else { "missing" };
+    let parts = [(documents.ready(), "ready"), (documents.missing(), state)];
+    let parts = parts.iter().filter(|(names, _)| !names.is_empty());
+    let parts: Vec<String> =
+        parts.map(|(names, state)| format!("{} {state}", listed(names))).collect();
+    if parts.is_empty() { String::new() } else { format!("\nDocuments: {}.", parts.join("; ")) }
 }
 
 /// The finished episodes of the run in the folder, which has to match this one.

@@ -1,6 +1,5 @@
 //! Small runs: a warehouse of 12 x 12 cells, few cases, episodes of few steps.
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -10,10 +9,8 @@ use orchestrator::books::Books;
 use orchestrator::external_memory::ExternalMemory;
 use orchestrator::plan::PlannedEpisode;
 use orchestrator::selection::SelectedCases;
-use results::log::{FORMAT, Manifest};
 use results::settings::RunSettings;
 use settings::{Layer, resolve};
-use shm_types::message::WIRE_VERSION;
 use sim_proc::worlds::Worlds;
 use warehouse::case_book::write_books;
 use warehouse::case_file::CASES_FILE;
@@ -179,27 +176,5 @@ impl Scenario {
         let worlds = Worlds::new(&warehouse, &cases, states);
         let assets = assets.to_owned();
         Ok(Self { name, settings, memories, selected, episodes, worlds, assets })
-    }
-
-    /// The run's manifest.
-    pub(crate) fn manifest(&self) -> Result<Manifest> {
-        let memories = self.memories.iter();
-        let memories = memories.map(|memory| Ok((memory.name, memory.facts()?)));
-        Ok(Manifest {
-            format: FORMAT,
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            wire_version: WIRE_VERSION,
-            commit: None,
-            settings: self.settings.clone(),
-            hashes: self.selected.books.hashes(),
-            tasks: BTreeMap::new(),
-            documents: BTreeMap::new(),
-            memories: memories.collect::<Result<_>>()?,
-            policy_files: BTreeMap::new(),
-            prices: None,
-            episodes: self.episodes.len() as u32,
-            unit: None,
-            processes: BTreeMap::new(),
-        })
     }
 }

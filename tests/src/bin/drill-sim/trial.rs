@@ -11,26 +11,21 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use case_book::DEMONSTRATIONS_FILE;
-use orchestrator::budget::Budget;
+use orchestrator::external_memory::StartedMemories;
 use orchestrator::frame_budget::Demand;
-use orchestrator::lanes::Lanes;
-use orchestrator::launch;
-use orchestrator::monitor::Monitor;
-use orchestrator::pipeline::{Ending, PipelineOptions, run_episodes};
-use orchestrator::progress::ProgressDisplay;
-use orchestrator::session::RunSession;
-use orchestrator::status::EpisodeCounts;
-use orchestrator::streams::Remaining;
+use orchestrator::invocation::Invocation;
+use orchestrator::pipeline::Ending;
+use orchestrator::progress::Verbosity;
+use orchestrator::run::{self, RunOutcome};
+use orchestrator::run_plan::RunPlan;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use results::log::{
-    EPISODES_FILE, LOGS_FOLDER, Opened, RunFolder, RunLog, SNAPSHOTS_FOLDER, SessionEvent,
-    SessionRecord, TIMINGS_FILE, read_journal,
+    EPISODES_FILE, SNAPSHOTS_FOLDER, SessionEvent, SessionRecord, TIMINGS_FILE, read_journal,
 };
 use results::settings::RunSettings;
 use shm_types::RunDir;
-use shm_types::message::Role;
-use supervise::{Children, Launch};
+use supervise::Children;
 
 use crate::Plant;
 use crate::faults::{Plan, Process, Trouble};
@@ -94,16 +89,6 @@ pub(crate) struct Outcome {
     pub(crate) log: Vec<String>,
 }
 
-/// How a session ended.
-enum SessionEnd {
-    /// All episodes were in the log already.
-    NothingMissing,
-    /// All episodes are in the log.
-    Complete,
-    /// Some are missing, for these reasons.
-    Incomplete(String),
-}
-
 /// Executes the run of `plan`. `expected` is the log of the undisturbed run.
 pub(crate) fn execute(
     scenario: &Scenario,
@@ -141,20 +126,25 @@ pub(crate) fn execute(
             _ if after.is_hanging => violations.push(format!(
                 "the run hangs: {MOST_STEPS} points of the scheduler were passed in session {sessions}"
             )),
-            Ended::Returned(Ok(SessionEnd::NothingMissing)) => is_complete = true,
-            Ended::Returned(Ok(SessionEnd::Complete)) => {
-                is_complete = true;
-                if !fired {
-                    violations.extend(problems(&out)?);
+            Ended::Returned(Ok(RunOutcome::NothingMissing)) => is_complete = true,
+            Ended::Returned(Ok(RunOutcome::Ended(ending))) => {
+                let incomplete = why_incomplete(&ending);
+                is_complete = incomplete.is_none();
+                match incomplete {
+                    _ if fired => {}
+                    None => violations.extend(problems(&out)?),
+                    Some(why) => violations.push(format!(
+                        "session {sessions} without a fault left episodes out: {why}"
+                    )),
                 }
             }
-            Ended::Returned(Ok(SessionEnd::Incomplete(why))) if !fired => {
-                violations.push(format!("session {sessions} without a fault left episodes out: {why}"));
+            Ended::Returned(Ok(RunOutcome::Stopped)) => {
+                violations.push(format!("session {sessions} stopped unasked"));
             }
             Ended::Returned(Err(error)) if !fired => {
                 violations.push(format!("session {sessions} without a fault failed: {error:#}"));
             }
-            Ended::Returned(Ok(SessionEnd::Incomplete(_)) | Err(_)) => {}
+            Ended::Returned(Err(_)) => {}
             Ended::Killed => {
                 if scheduler.take_power_failure() {
                     lose_last_lines(&out, &scheduler, lengths, seed)?;
@@ -190,94 +180,60 @@ pub(crate) fn execute(
     Ok(Outcome { violations, account: scheduler.account(), sessions, log })
 }
 
-/// One session of the run, as `memtransfer run` executes it. Adds the name that it is registered by to `names`.
+/// One session of the run. Adds the name that it is registered by to `names`.
 fn session(
     scenario: &Scenario,
     settings: &RunSettings,
     plan: &Plan,
     (scheduler, plant): (&Arc<Scheduler>, Option<Plant>),
     (place, names): (&Place, &RefCell<Vec<String>>),
-) -> Result<SessionEnd> {
-    let books = &scenario.selected.books;
-    if RunFolder::has_episodes(&settings.out) {
-        let keys = scenario.episodes.iter().map(|episode| episode.key.to_string()).collect();
-        RunLog::read(&settings.out)?.check_planned(&keys)?;
-    }
-    let manifest = scenario.manifest()?;
-    let opened = RunFolder::open(&settings.out, manifest, false)?;
-    let Opened { mut folder, finished, requests, .. } = opened;
-    books.write(folder.dir())?;
-    let Remaining { missing, learned } =
-        Remaining::of(&books.cases.book, &scenario.episodes, &finished)?;
-    if missing.is_empty() {
-        return Ok(SessionEnd::NothingMissing);
-    }
+) -> Result<RunOutcome> {
     let run = RunDir::create(&place.registry)?;
     names.borrow_mut().push(run.name());
-    let mut settings = settings.clone();
-    settings.frame_budget = None;
-    let mut attach = launch::attach(&settings, books, &missing, (&run, &scenario.memories), None)?;
-    let most = (settings.keyframes, settings.memory_image_budget());
-    // Decided by all episodes, so that it is the same in every session.
-    let demand = Demand::of(
-        &attach,
-        (&books.cases.book, &books.demonstrations.book),
-        &scenario.episodes,
-        most,
-    );
-    attach.frame_capacity = demand.least(attach.lanes) + plan.spare_frames;
-    let rules = launch::rules(&settings, &scenario.memories)?;
-    let streams = books.streams.as_ref();
-    let mut lanes = Lanes::new(books, rules, attach.lanes as usize);
-    for (sequence, position, experience) in learned {
-        lanes.remember(sequence, position, experience);
-    }
-    let launch = |role| Launch {
-        role,
-        index: 0,
-        program: PathBuf::new(),
-        args: Vec::new(),
-        command: None,
-        env: Vec::new(),
+    let books = &scenario.selected.books;
+    let memories = scenario.memories.clone();
+    let run_plan = RunPlan {
+        settings: settings.clone(),
+        books: books.clone(),
+        episodes: scenario.episodes.clone(),
+        unit: None,
+        shipped_embeddings: None,
+        prices: None,
+        started: Some(StartedMemories { children: Children::default(), memories, run }),
     };
-    let timeout = Duration::from_secs(settings.step_timeout.into());
-    let options = PipelineOptions {
-        launcher: Arc::new(InProcess {
-            scheduler: scheduler.clone(),
-            worlds: scenario.worlds.clone(),
-            files: Files {
-                assets: scenario.assets.clone(),
-                demonstrations: folder.dir().join(DEMONSTRATIONS_FILE),
-                snapshots: streams.map(|_| folder.dir().join(SNAPSHOTS_FOLDER)),
-                caches: place.caches(),
-            },
-            plant,
+    let stop = AtomicBool::new(false);
+    let invocation = Invocation {
+        verbosity: Verbosity::Silent,
+        adjust: Box::new(|settings, attach, options| {
+            let most = (settings.keyframes, settings.memory_image_budget());
+            let cases = (&books.cases.book, &books.demonstrations.book);
+            // Decided by all episodes, so that it is the same in every session.
+            let demand = Demand::of(attach, cases, &scenario.episodes, most);
+            attach.frame_capacity = demand.least(attach.lanes) + plan.spare_frames;
+            let out = &settings.out;
+            options.launcher = Arc::new(InProcess {
+                scheduler: scheduler.clone(),
+                worlds: scenario.worlds.clone(),
+                files: Files {
+                    assets: scenario.assets.clone(),
+                    demonstrations: out.join(DEMONSTRATIONS_FILE),
+                    snapshots: books.streams.as_ref().map(|_| out.join(SNAPSHOTS_FOLDER)),
+                    caches: place.caches(),
+                },
+                plant,
+            });
+            Ok(())
         }),
-        launches: Role::CHILDREN.into_iter().map(launch).collect(),
-        external_policy: false,
-        logs: folder.dir().join(LOGS_FOLDER),
-        start_timeout: Duration::from_secs(settings.start_timeout.into()),
-        answer_timeout: timeout,
-        decision_timeout: Some(timeout),
-        memories: scenario.memories.clone(),
-        memory_timeout: Duration::from_secs(settings.memory_timeout.into()),
-        shutdown_timeout: launch::SHUTDOWN_TIMEOUT,
+        ..Invocation::until(&stop)
     };
-    let counts = EpisodeCounts { planned: missing.len() as u64, ..EpisodeCounts::default() };
-    let policy = folder.manifest().policy_label();
-    let progress = ProgressDisplay::silent();
-    let monitor = Monitor::new(folder.dir(), policy, attach.lanes, counts, progress);
-    let budget = Budget::new(None, None, &requests);
-    let size = (attach.lanes, attach.frame_capacity);
-    let mut session = RunSession::new(&mut folder, monitor, budget, None, size);
-    let (none, stop) = (Children::default(), AtomicBool::new(false));
-    let outcome = run_episodes(&mut lanes, missing, &attach, &options, none, &stop, &mut session);
-    let reason = outcome.as_ref().map_or_else(|error| format!("{error:#}"), |_| "end".to_owned());
-    session.end(&outcome, &reason)?;
-    let Ending { halted, unfinished, .. } = outcome?;
-    let why = unfinished.iter().map(|(episode, why)| format!("{}: {why}", episode.key));
-    let why: Vec<String> = halted.into_iter().chain(why).collect();
-    Ok(if why.is_empty() { SessionEnd::Complete } else { SessionEnd::Incomplete(why.join("; ")) })
+    run::execute(run_plan, &invocation)
+}
+
+/// Why episodes are missing after a session that ended like this, if any are.
+fn why_incomplete(Ending { halted, unfinished, .. }: &Ending) -> Option<String> {
+    let unfinished = unfinished.iter().map(|(episode, why)| format!("{}: {why}", episode.key));
+    let reasons: Vec<String> = halted.iter().cloned().chain(unfinished).collect();
+    (!reasons.is_empty()).then(|| reasons.join("; "))
 }
 
 /// What the last session of the run in `out`, which had no fault, reports as one.

@@ -6,17 +6,17 @@ use anyhow::Result;
 use documents::{
     DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, Sources, StoredDocument,
 };
-use orchestrator::books::Books;
-use orchestrator::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};
-use orchestrator::progress::BuildProgress;
 use results::log::{DOCUMENTS_FOLDER, DocumentFacts, RunFolder};
 use results::settings::{DocumentSource, RunSettings};
 
-use crate::signals::Signals;
+use crate::books::Books;
+use crate::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};
+use crate::invocation::Invocation;
+use crate::progress::{BuildProgress, Verbosity, say};
 
 /// The documents that a run needs, and where they come from.
 #[derive(Debug)]
-pub(super) struct RunDocuments {
+pub struct RunDocuments {
     needed: Vec<DocumentName>,
     request: DocumentRequest,
     /// The run's own copies; none before it has episodes.
@@ -25,7 +25,7 @@ pub(super) struct RunDocuments {
 
 impl RunDocuments {
     /// The documents of a run with `settings` and `books`, which starts over if `fresh`.
-    pub(super) fn of(settings: &RunSettings, books: &Books, fresh: bool) -> Self {
+    pub fn of(settings: &RunSettings, books: &Books, fresh: bool) -> Self {
         let (folder, selection) = match &settings.documents {
             DocumentSource::Extractive => (None, DocumentSelection::Recipe(Recipe::Extractive)),
             DocumentSource::Model(name) => (None, DocumentSelection::Model(name.clone())),
@@ -54,20 +54,24 @@ impl RunDocuments {
     }
 
     /// Returns the documents: the run's own copies, and the others as requested, built if they are missing. `None` when
-    /// a signal asked to stop.
-    pub(super) fn supply(&self, signals: &Signals, quiet: bool) -> Result<Option<ReadyDocuments>> {
+    /// asked to stop.
+    ///
+    /// # Errors
+    /// When a document is broken, missing without a recipe for it, or cannot be built.
+    pub fn supply(&self, invocation: &Invocation<'_>) -> Result<Option<ReadyDocuments>> {
         let mut documents = self.own_copies();
         let others: Vec<DocumentName> = self.without(&documents);
         if others.is_empty() {
             return Ok(Some(ReadyDocuments::unlocked(documents)));
         }
-        let mut progress = BuildProgress::new(quiet);
-        let ready =
-            self.request.ensure(&others, false, signals.stop(), &mut |stage| progress.show(stage));
+        let mut progress = BuildProgress::new(invocation.verbosity);
+        let report = &mut |stage| progress.show(stage);
+        let ready = self.request.ensure(&others, false, invocation.stop, report);
         progress.close(matches!(ready, Ok(Some(_))));
         let Some(mut ready) = ready? else { return Ok(None) };
-        if !(ready.built.is_empty() || quiet) {
-            say!("built {} in {}", listed(&ready.built), self.request.folder()?.path().display());
+        if !ready.built.is_empty() && invocation.verbosity == Verbosity::Progress {
+            let folder = self.request.folder()?;
+            say(&format!("built {} in {}", listed(&ready.built), folder.path().display()));
         }
         documents.append(&mut ready.documents);
         ready.documents = documents;
@@ -75,43 +79,31 @@ impl RunDocuments {
     }
 
     /// The manifest's entries as they would be now: of the run's own copies, and of the others that can be used.
-    pub(super) fn facts_now(&self) -> BTreeMap<String, DocumentFacts> {
+    pub fn facts_now(&self) -> BTreeMap<String, DocumentFacts> {
         facts(&self.usable())
     }
 
     /// Sizes of the texts that are ready, in bytes.
-    pub(super) fn sizes(&self) -> BTreeMap<DocumentName, u64> {
+    pub fn sizes(&self) -> BTreeMap<DocumentName, u64> {
         let usable = self.usable().into_iter();
         usable
             .filter_map(|stored| Some((stored.name, stored.document?.text.len() as u64)))
             .collect()
     }
 
+    /// The documents that can be used as they are.
+    pub fn ready(&self) -> Vec<DocumentName> {
+        self.usable().iter().map(|stored| stored.name).collect()
+    }
+
     /// The documents that cannot be used yet.
-    pub(super) fn missing(&self) -> Vec<DocumentName> {
+    pub fn missing(&self) -> Vec<DocumentName> {
         self.without(&self.usable())
     }
 
-    /// A line for a dry run; empty if no documents are needed.
-    pub(super) fn plan(&self) -> String {
-        if self.needed.is_empty() {
-            return String::new();
-        }
-        let usable = self.usable();
-        let names: Vec<DocumentName> = usable.iter().map(|stored| stored.name).collect();
-        let missing = self.without(&usable);
-        let mut parts = Vec::new();
-        if !names.is_empty() {
-            parts.push(format!("{} ready", listed(&names)));
-        }
-        if !missing.is_empty() {
-            let state = match self.request.selection {
-                DocumentSelection::Recipe(_) => "to be built",
-                DocumentSelection::Model(_) | DocumentSelection::Any => "missing",
-            };
-            parts.push(format!("{} {state}", listed(&missing)));
-        }
-        format!("\nDocuments: {}.", parts.join("; "))
+    /// Whether the run builds those that are missing.
+    pub fn builds_missing(&self) -> bool {
+        matches!(self.request.selection, DocumentSelection::Recipe(_))
     }
 
     /// The run's own copies of needed documents.
@@ -142,7 +134,7 @@ impl RunDocuments {
 }
 
 /// Documents for a message: their names, or of many the number.
-pub(super) fn listed(names: &[DocumentName]) -> String {
+pub fn listed(names: &[DocumentName]) -> String {
     const MOST_NAMED: usize = 4;
     if names.len() > MOST_NAMED {
         return format!("{} documents", names.len());

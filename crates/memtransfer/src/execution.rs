@@ -1,0 +1,125 @@
+//! What the verbs `run`, `plan` and `work` share: how the orchestrator is called, and what is printed when it stops early.
+
+use std::io;
+use std::path::Path;
+
+use anyhow::{Result, anyhow};
+use domain::shell_word;
+use llm::Servers;
+use orchestrator::invocation::Invocation;
+use orchestrator::launch;
+use orchestrator::progress::Verbosity;
+use orchestrator::run::{self, RunOutcome};
+use orchestrator::run_plan::RunPlan;
+use results::conditions::{Demonstrations, Route, Start};
+use results::settings::{Group, RunSettings};
+use rustix::io::Errno;
+
+use super::run::flags::RunOptions;
+use super::{Exit, in_one_line};
+use crate::signals::{self, Signals};
+
+/// What a signal can interrupt before the first episode.
+pub(super) const STARTING_MEMORIES: &str = "external memories were being started";
+pub(super) const BUILDING_DOCUMENTS: &str = "documents were being built";
+pub(super) const FILLING_STORE: &str = "the store was being filled";
+
+/// The invocation that `options` describe, which a signal stops.
+pub(super) fn invocation<'a>(options: &'a RunOptions, signals: &'a Signals) -> Invocation<'a> {
+    let RunOptions { fresh, quiet, trace, base_url_source, .. } = options;
+    Invocation {
+        fresh: *fresh,
+        verbosity: Verbosity::of_quiet(*quiet),
+        trace: trace.clone(),
+        stop_reason: Box::new(|| signals.received().map(signals::name)),
+        adjust: Box::new(move |settings, _, pipeline| {
+            let Some(model) = &settings.model else { return Ok(()) };
+            let given = model.base_url.as_deref().map(|url| (url, *base_url_source));
+            let servers = Servers::from_environment(given, Path::new("."))?;
+            if !quiet {
+                say!("asking {} at {servers}", model.model);
+            }
+            launch::tell_source_of_base_url(pipeline, base_url_source.word());
+            Ok(())
+        }),
+        ..Invocation::until(signals.stop())
+    }
+}
+
+/// Executes what is missing of a run. An error that a full disk causes says what to do about it.
+pub(super) fn execute(plan: RunPlan, invocation: &Invocation<'_>) -> Result<RunOutcome> {
+    run::execute(plan, invocation).map_err(|error| match is_disk_full(&error) {
+        false => error,
+        true => anyhow!(
+            "{}\nThe disk is full. Finished episodes are kept: free some space, then give the same command \
+             again:\n  {}",
+            in_one_line(&error),
+            same_command()
+        ),
+    })
+}
+
+/// Whether a full disk caused the error, here or in a child process, whose error is a text.
+fn is_disk_full(error: &anyhow::Error) -> bool {
+    let full = io::Error::from(Errno::NOSPC).to_string();
+    error.chain().any(|cause| {
+        let io_error = cause.downcast_ref::<io::Error>();
+        io_error.is_some_and(|error| error.kind() == io::ErrorKind::StorageFull)
+            || cause.to_string().contains(&full)
+    })
+}
+
+/// Reports requested combinations that do not exist.
+pub(super) fn note_omissions(settings: &RunSettings) {
+    let groups = &settings.groups;
+    let blocked_original = |group: &Group| {
+        group.routes.contains(&Route::Blocked) && group.starts.contains(&Start::Original)
+    };
+    if groups.iter().any(blocked_original) {
+        say!("blocked routes exist for the new start only: left out for the original start");
+    }
+    let without_demonstrations = |group: &Group| {
+        group.demos.contains(&Demonstrations::NONE)
+            && group.memory.iter().any(|memory| memory.uses_demonstrations())
+    };
+    if groups.iter().any(without_demonstrations) {
+        say!("memories of demonstrations need some: left out with `--demos none`");
+    }
+}
+
+/// Reports that a signal came before the first episode, while something else was being done.
+pub(super) fn stopped_before_episodes(signals: &Signals, meanwhile: &str) -> Exit {
+    let signal = signals.received().unwrap_or_default();
+    say!(
+        "stopped by {} while {meanwhile}, before the first episode. Documents that were complete are kept. To \
+         resume:\n  {}",
+        signals::name(signal),
+        same_command()
+    );
+    Exit::Signal(signal)
+}
+
+/// The command line that resumes the run: without `--fresh`, which would start over.
+pub(super) fn same_command() -> String {
+    let arguments = std::env::args_os().filter(|argument| argument != "--fresh");
+    arguments.map(shell_word).collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use results::log::LogError;
+
+    use super::*;
+
+    #[test]
+    fn a_full_disk_is_noticed_here_and_in_child_processes() {
+        let full = || io::Error::from(Errno::NOSPC);
+        let doing = "write to";
+        let log = LogError::System { doing, path: "episodes.jsonl".into(), source: full() };
+        let reported = format!("the memory process failed: cannot store embeddings: {}", full());
+        for error in [anyhow::Error::from(log).context("session"), anyhow!(reported)] {
+            assert!(is_disk_full(&error), "{error:#}");
+        }
+        assert!(!is_disk_full(&io::Error::from(Errno::ACCESS).into()));
+    }
+}
