@@ -8,7 +8,7 @@ use peer::memory::{self, DemonstrationStep};
 use search::{ContentHash, Embedding};
 use shm_types::BankContent;
 use shm_types::banks::{BankDemonstration, BankStep};
-use shm_types::message::{FrameId, NO_ACTION, NO_FRAME};
+use shm_types::message::{FrameId, NO_FRAME, action_code};
 
 use crate::demonstrations::{RememberedDemonstration, ViewId};
 
@@ -107,9 +107,9 @@ impl<'a> BankSteps<'a> {
     /// The steps without views.
     pub fn without_views(bank: &'a MemoryBank) -> Self {
         let steps = bank.demonstrations.iter().flat_map(|demonstration| {
-            let states = demonstration.poses.iter().zip(&demonstration.feedback).enumerate();
-            states.map(|(at, (&pose, &feedback))| DemonstrationStep {
-                pose,
+            let states = demonstration.states.iter().zip(&demonstration.feedback).enumerate();
+            states.map(|(at, (&state, &feedback))| DemonstrationStep {
+                state,
                 action: demonstration.actions.get(at).copied().flatten(),
                 feedback,
                 content_hash: [0; 16],
@@ -122,7 +122,7 @@ impl<'a> BankSteps<'a> {
     fn places(&self) -> impl Iterator<Item = (&'a RememberedDemonstration, Range<usize>)> {
         let mut first = 0;
         self.bank.demonstrations.iter().map(move |demonstration| {
-            let place = first..first + demonstration.poses.len();
+            let place = first..first + demonstration.states.len();
             first = place.end;
             (&**demonstration, place)
         })
@@ -162,10 +162,10 @@ impl<'a> BankSteps<'a> {
         let steps = self.steps.iter().enumerate().map(|(at, step)| BankStep {
             frame: frame(at).unwrap_or(NO_FRAME),
             content_hash: step.content_hash,
-            pose: step.pose.into(),
-            action: step.action.map_or(NO_ACTION, |action| action as u8),
-            feedback: step.feedback as u8,
-            reserved: [0; 2],
+            state: step.state.padded(),
+            action: action_code(step.action),
+            feedback: step.feedback.0,
+            reserved: [0; 6],
         });
         content.steps = steps.collect();
         let views = self.steps.iter().filter_map(|step| self.embeddings.get(&step.content_hash));

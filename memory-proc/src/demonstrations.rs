@@ -7,8 +7,8 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use case_book::{Demonstration, DemonstrationBook};
-use domain::{Action, Arm, Demonstrations, Feedback, Pose};
+use case_book::{Demonstration, DemonstrationBook, WorldDeclaration};
+use domain::{ActionCode, Arm, Demonstrations, FeedbackCode, State};
 
 /// Names a view by a step that shows it. Steps that are known to show the same have the same name: the first of them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -30,16 +30,16 @@ pub struct RememberedDemonstration {
     pub number: u16,
     /// Its task.
     pub instruction: String,
-    /// The pose after `t` steps.
-    pub poses: Vec<Pose>,
-    /// The feedback to action `t - 1`; [`Feedback::Start`] first.
-    pub feedback: Vec<Feedback>,
+    /// The state after `t` steps.
+    pub states: Vec<State>,
+    /// The feedback to action `t - 1`; [`FeedbackCode::START`] first.
+    pub feedback: Vec<FeedbackCode>,
     /// Sub-goals completed after `t` steps.
     pub stages: Vec<u32>,
     /// The view after `t` steps.
     pub views: Vec<ViewId>,
-    /// Action `t` leads from pose `t` to pose `t + 1`: one fewer than poses. `None` where an agent has taken none.
-    pub actions: Vec<Option<Action>>,
+    /// Action `t` leads from state `t` to state `t + 1`: one fewer than states. `None` where an agent has taken none.
+    pub actions: Vec<Option<ActionCode>>,
 }
 
 impl RememberedDemonstration {
@@ -54,14 +54,14 @@ impl RememberedDemonstration {
         steps
     }
 
-    /// The views of an episode that was learned from: of its steps in one pose, the first one's.
-    pub(crate) fn lived_views(sequence: u64, position: u32, poses: &[Pose]) -> Vec<ViewId> {
+    /// The views of an episode that was learned from: of its steps in one state, the first one's.
+    pub(crate) fn lived_views(sequence: u64, position: u32, states: &[State]) -> Vec<ViewId> {
         let mut first = HashMap::new();
-        let steps = (0..).zip(poses);
-        let view = |(step, pose)| ViewId {
+        let steps = (0..).zip(states);
+        let view = |(step, state)| ViewId {
             sequence,
             number: position,
-            step: *first.entry(pose).or_insert(step),
+            step: *first.entry(state).or_insert(step),
         };
         steps.map(view).collect()
     }
@@ -121,7 +121,7 @@ impl DemonstrationLibrary {
                 views: views.collect(),
                 stages: of.stages(),
                 instruction: of.instruction,
-                poses: of.poses,
+                states: of.states,
                 feedback: of.feedback,
                 actions: of.actions.into_iter().map(Some).collect(),
             })
@@ -133,8 +133,14 @@ impl DemonstrationLibrary {
 
     /// The pose in which a view of the book is seen.
     #[cfg(test)]
-    pub(crate) fn pose(&self, view: ViewId) -> Pose {
-        self.demonstrations[view.number as usize].poses[view.step as usize]
+    pub(crate) fn pose(&self, view: ViewId) -> domain::Pose {
+        let state = self.demonstrations[view.number as usize].states[view.step as usize];
+        state.try_into().unwrap()
+    }
+
+    /// What the world says of itself.
+    pub fn world(&self) -> &WorldDeclaration {
+        &self.book.world
     }
 
     /// The number of cases.

@@ -198,13 +198,13 @@ impl<I: Clone> Engine<I> {
         if let Some(mut done) = done {
             let memory = memory.take();
             // What is wrong with the message changes nothing any more.
-            let _ = done.observe(seen, &report);
+            let _ = done.observe(self.library.world(), seen, &report);
             self.close(done, memory);
             return Ok(None);
         }
         let running = running.as_mut().filter(|running| running.id == seen.episode);
         let running = running.ok_or_else(unknown)?;
-        running.observe(seen, &report)?;
+        running.observe(self.library.world(), seen, &report)?;
         let stage = if is_last { PendingStage::Ended } else { PendingStage::New };
         running.pending = Some(PendingObservation { received_ns, content: None, stage });
         if running.embeds && !is_last {

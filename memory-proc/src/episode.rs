@@ -4,14 +4,16 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
+use case_book::WorldDeclaration;
 use domain::{
-    Action, Arm, Demonstrations, Feedback, FeedbackLevel, Pose, Representation, SegmentContent,
+    ActionCode, Arm, Demonstrations, FeedbackCode, FeedbackLevel, Representation, SegmentContent,
+    State,
 };
 use peer::memory::{Episode, MemoryItem, Query, Step};
 use search::{ContentHash, Embedding};
 use shm_types::message::{
     EXPERIENCE, EXTERNAL, EpisodeEnd, FrameId, MAX_ITEMS, MAX_SEGMENT, MemoryEpisodeConfig,
-    NO_ACTION, NO_FRAME, Observation, Recall, RecallTrace, SnapshotId, StepReport,
+    NO_FRAME, Observation, Recall, RecallTrace, SnapshotId, StepReport, read_action,
 };
 
 use crate::bank::MemoryBank;
@@ -167,9 +169,9 @@ pub(crate) struct MemoryEpisode {
 /// The agent's state.
 pub(crate) struct CurrentStep {
     pub(crate) step: u32,
-    pub(crate) pose: Pose,
-    pub(crate) feedback: Feedback,
-    pub(crate) action: Option<Action>,
+    pub(crate) state: State,
+    pub(crate) feedback: FeedbackCode,
+    pub(crate) action: Option<ActionCode>,
     pub(crate) frame: FrameId,
     /// Whether the episode is over.
     pub(crate) is_last: bool,
@@ -221,7 +223,7 @@ impl MemoryEpisode {
             if none && representation.uses_demonstrations() {
                 return Err(refused(format!("{representation} memory of no demonstrations")));
             }
-            let settings = settings(config, representation).map_err(refused)?;
+            let settings = settings(library.world(), config, representation).map_err(refused)?;
             let embeds = representation.matches_views();
             let kind = MemoryKind::BuiltIn { representation, settings, set };
             if is_shared && !none {
@@ -272,19 +274,18 @@ impl MemoryEpisode {
     /// Checks and takes the next observation, with the report of its step.
     pub(crate) fn observe(
         &mut self,
+        world: &WorldDeclaration,
         seen: &Observation,
         report: &StepReport,
     ) -> Result<(), String> {
         let Observation { episode, step, frame, .. } = *seen;
         let broken =
             |what: String| format!("observation of episode {episode}, step {step}: {what}");
-        let pose = Pose::try_from(seen.pose).map_err(|error| broken(error.to_string()))?;
+        let state = world.read_state(&seen.state).map_err(|error| broken(error.to_string()))?;
         let feedback =
-            Feedback::try_from(seen.feedback).map_err(|error| broken(error.to_string()))?;
-        let action = match seen.action {
-            NO_ACTION => None,
-            code => Some(Action::try_from(code).map_err(|error| broken(error.to_string()))?),
-        };
+            world.read_feedback(seen.feedback).map_err(|error| broken(error.to_string()))?;
+        let action = read_action(seen.action).and_then(|action| world.read_action(action));
+        let action = action.map_err(|error| broken(error.to_string()))?;
         if frame == NO_FRAME && seen.last == 0 {
             return Err(broken("it names no frame".into()));
         }
@@ -295,7 +296,7 @@ impl MemoryEpisode {
         let stage = u32::from(report.sub_goals);
         let recording = self.stream.as_mut().and_then(|part| part.recording.as_mut());
         if let Some(Recording { lived, is_complete }) = recording {
-            lived.poses.push(pose);
+            lived.states.push(state);
             lived.feedback.push(feedback);
             lived.stages.push(stage);
             if step > 0 {
@@ -304,7 +305,7 @@ impl MemoryEpisode {
             *is_complete = report.ended == EpisodeEnd::Complete as u8;
         }
         let is_last = seen.last == 1;
-        self.current = Some(CurrentStep { step, pose, feedback, action, frame, is_last, stage });
+        self.current = Some(CurrentStep { step, state, feedback, action, frame, is_last, stage });
         Ok(())
     }
 
@@ -350,7 +351,7 @@ impl MemoryEpisode {
             lane: self.lane,
             episode: self.id,
             step: current.step,
-            pose: current.pose,
+            state: current.state,
             last_action: current.action,
             feedback: current.feedback,
             frame: None,
@@ -482,6 +483,7 @@ fn bank_part(
 
 /// The settings of a built-in memory.
 fn settings(
+    world: &WorldDeclaration,
     config: &MemoryEpisodeConfig,
     representation: Representation,
 ) -> Result<MemorySettings, String> {
@@ -499,6 +501,7 @@ fn settings(
         segment,
         hits: hits.into(),
         keyframes: keyframes.into(),
+        turns: world.action_codes().filter(|code| world.is_turn(*code)).collect(),
         embeddings: Arc::default(),
         documents: Vec::new(),
     })

@@ -11,8 +11,8 @@ use bytemuck::Zeroable;
 use peer::memory::{MemoryItem, Source, Views};
 use shm_types::documents::Content;
 use shm_types::message::{
-    DocumentId, FrameId, ItemKind, MAX_ITEMS, MAX_SEGMENT, MAX_SOURCES, MAX_STEPS, NO_ACTION,
-    NO_DOCUMENT, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, TrajectoryStep,
+    DocumentId, FrameId, ItemKind, MAX_ITEMS, MAX_SEGMENT, MAX_SOURCES, MAX_STEPS, NO_DOCUMENT,
+    NO_FRAME, RecalledItem, RecalledSource, SegmentStep, TrajectoryStep, action_code,
 };
 
 use crate::bank::MemoryBank;
@@ -146,7 +146,7 @@ fn parts(given: &[MemoryItem], kept: &[usize], bank: &MemoryBank) -> Vec<Part> {
             MemoryItem::Frame { .. } => kind = ItemKind::Frame,
             MemoryItem::Steps { source, views, distance, .. } => {
                 let count = source.count as usize;
-                let length = bank.demonstrations[source.demonstration as usize].poses.len();
+                let length = bank.demonstrations[source.demonstration as usize].states.len();
                 whole = count == length;
                 if count > MAX_SEGMENT.min(room) || matches!(views, Views::Keyframes(_)) {
                     kind = ItemKind::Trajectory;
@@ -231,7 +231,7 @@ fn demonstration<'b>(
     let demonstration = all.get(number as usize).ok_or_else(|| {
         format!("names demonstration {number}, but the bank has {} (from 0)", all.len())
     })?;
-    let length = demonstration.poses.len();
+    let length = demonstration.states.len();
     let end = u64::from(first) + u64::from(count);
     if count == 0 || end > length as u64 {
         return Err(format!(
@@ -438,7 +438,7 @@ impl Assembler<'_> {
             let action = action.filter(|_| actions && at < last);
             SegmentStep {
                 frame: view.unwrap_or(NO_FRAME),
-                action: action.map_or(NO_ACTION, |action| action as u8),
+                action: action_code(action),
                 reserved: [0; 7],
             }
         };

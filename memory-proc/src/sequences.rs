@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use bytemuck::Zeroable;
-use domain::{Action, Feedback, FeedbackLevel, Pose};
+use domain::{ActionCode, FeedbackCode, FeedbackLevel, State};
 use peer::memory::EpisodeEnd;
 use serde::{Deserialize, Serialize};
 use shm_types::message::{EXPERIENCE, SnapshotId, SnapshotReport};
@@ -45,51 +45,41 @@ const MEMORY_FOLDER: &str = "memory";
 pub(crate) struct StoredExperience {
     position: u32,
     instruction: String,
-    poses: Vec<Pose>,
-    /// The codes of the feedback.
-    feedback: Vec<u8>,
+    states: Vec<State>,
+    feedback: Vec<FeedbackCode>,
     /// The steps at which sub-goals were completed.
     sub_goals: Vec<u32>,
-    /// The letters of the actions; [`NO_LETTER`] where there was none.
-    actions: String,
+    /// `None` where an answer could not be read.
+    actions: Vec<Option<ActionCode>>,
 }
-
-/// Stands for an action that could not be read.
-const NO_LETTER: char = '-';
 
 impl StoredExperience {
     /// An episode, as it was lived.
     fn new(lived: &RememberedDemonstration) -> Self {
-        let letter = |action: &Option<Action>| action.map_or(NO_LETTER, Action::letter);
         Self {
             position: lived.case,
             instruction: lived.instruction.clone(),
-            poses: lived.poses.clone(),
-            feedback: lived.feedback.iter().map(|feedback| *feedback as u8).collect(),
+            states: lived.states.clone(),
+            feedback: lived.feedback.clone(),
             sub_goals: lived.sub_goals(),
-            actions: lived.actions.iter().map(letter).collect(),
+            actions: lived.actions.clone(),
         }
     }
 
     /// The episode, of this sequence; `None` if its parts do not belong together.
     pub(crate) fn lived(self, sequence: u64) -> Option<RememberedDemonstration> {
-        let action = |letter| match letter {
-            NO_LETTER => Some(None),
-            letter => Action::from_letter(letter).map(Some),
-        };
-        let feedback = self.feedback.iter().map(|code| Feedback::try_from(*code).ok());
         let stage = |step: u32| self.sub_goals.iter().filter(|at| **at <= step).count() as u32;
         let lived = RememberedDemonstration {
             case: self.position,
             number: EXPERIENCE,
-            views: RememberedDemonstration::lived_views(sequence, self.position, &self.poses),
-            stages: (0..self.poses.len() as u32).map(stage).collect(),
-            feedback: feedback.collect::<Option<_>>()?,
-            actions: self.actions.chars().map(action).collect::<Option<_>>()?,
+            views: RememberedDemonstration::lived_views(sequence, self.position, &self.states),
+            stages: (0..self.states.len() as u32).map(stage).collect(),
+            feedback: self.feedback,
+            actions: self.actions,
             instruction: self.instruction,
-            poses: self.poses,
+            states: self.states,
         };
-        let states = lived.poses.len();
+        let states = lived.states.len();
         ((lived.feedback.len(), lived.actions.len() + 1) == (states, states)).then_some(lived)
     }
 }
@@ -362,7 +352,7 @@ impl SequenceMemory {
             success: (part.feedback != FeedbackLevel::None).then_some(recording.is_complete),
             sub_goals: (part.feedback == FeedbackLevel::SubGoals).then_some(&sub_goals),
         };
-        let views = RememberedDemonstration::lived_views(part.sequence, lived.case, &lived.poses);
+        let views = RememberedDemonstration::lived_views(part.sequence, lived.case, &lived.states);
         let lived = RememberedDemonstration { views, ..lived.clone() };
         Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(lived));
         let own = self.begin_snapshot(folder, part.sequence)?;

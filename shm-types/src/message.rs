@@ -20,7 +20,7 @@ mod text;
 
 pub use codes::{
     CODE_SETS, EpisodeEnd, EpisodeOutcome, ErrorReportKind, ItemKind, Learning, Role, StepKind,
-    ViewRequestKind, read_action, read_flag,
+    ViewRequestKind, action_code, read_action, read_flag,
 };
 pub use counts::DecisionCounts;
 pub use domain::limits::{MAX_EXTERNAL_MEMORIES, MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW};

@@ -7,8 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::file::Check;
 
-/// What agents do, are told and see in a world, in words. It holds nothing about cases, so every process may know it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+/// What agents do, are told and see in a world, in words. It holds nothing about cases, so every process may know it. The
+/// default is none that a world could have.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Default)]
 #[serde(deny_unknown_fields)]
 pub struct WorldDeclaration {
     /// The name: small letters, digits and hyphens.
@@ -111,6 +112,11 @@ impl WorldDeclaration {
     pub fn action_of(&self, letter: char) -> Option<ActionCode> {
         let found = self.actions.iter().position(|action| action.letter == letter);
         found.map(|code| ActionCode(code as u8))
+    }
+
+    /// Whether an action is a turn: its words begin with `turn`.
+    pub fn is_turn(&self, action: ActionCode) -> bool {
+        self.action_words(action).split(' ').next() == Some("turn")
     }
 
     /// The feedback with this code on the wire or in a file, if there is one.

@@ -5,10 +5,14 @@ use std::collections::{BTreeMap, HashSet};
 use domain::{ActionCode, DemonstrationKind, Demonstrations, FeedbackCode, Mixture, State};
 use serde::{Deserialize, Serialize};
 
+use crate::WorldDeclaration;
+
 /// The demonstrations of a run.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Default)]
 #[serde(deny_unknown_fields)]
 pub struct DemonstrationBook {
+    /// What the world says of itself.
+    pub world: WorldDeclaration,
     /// The demonstrations. Everything else names them by their index.
     pub demonstrations: Vec<Demonstration>,
     /// The cases, in the order of the [`CaseBook`](crate::CaseBook).

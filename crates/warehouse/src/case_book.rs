@@ -330,7 +330,7 @@ impl<'w> Writer<'w> {
     fn new(worlds: &'w Worlds<'w>) -> Self {
         Self {
             worlds,
-            book: DemonstrationBook::default(),
+            book: DemonstrationBook { world: declaration(), ..DemonstrationBook::default() },
             parts_of: HashMap::new(),
             parts: HashMap::new(),
             views: HashMap::new(),

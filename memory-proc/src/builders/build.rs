@@ -107,7 +107,9 @@ fn read_views(
         for (&view, &ViewPlace { demonstration, step }) in views {
             progress.report("views", seen.len(), views.len())?;
             pixels.read_exact(&mut rgba).map_err(|_| anyhow!("{RENDERER} ended early"))?;
-            let pose = book.demonstrations[demonstration as usize].poses[step as usize];
+            let state = book.demonstrations[demonstration as usize].states[step as usize];
+            let pose =
+                Pose::try_from(state).context("documents are built of the warehouse only")?;
             seen.insert(view, Arc::new(read_plates(size, &rgba, pose)));
         }
         Ok::<_, anyhow::Error>(seen)

@@ -60,9 +60,15 @@ fn transcript(
     seen: impl Fn(u32) -> Option<Arc<FrameReading>>,
 ) -> Option<Transcript> {
     let actions = of.actions.iter().copied().map(Some).chain([None]);
-    let states = of.poses.iter().zip(&of.feedback).zip(of.stages()).zip(&of.views);
-    let steps = states.zip(actions).map(|((((&pose, &feedback), completed), &view), action)| {
-        Some(TranscriptStep { pose, feedback, seen: seen(view)?, completed, action })
+    let states = of.states.iter().zip(&of.feedback).zip(of.stages()).zip(&of.views);
+    let steps = states.zip(actions).map(|((((&state, &feedback), completed), &view), action)| {
+        Some(TranscriptStep {
+            pose: state.try_into().ok()?,
+            feedback: feedback.try_into().ok()?,
+            seen: seen(view)?,
+            completed,
+            action: action.map(Action::try_from).transpose().ok()?,
+        })
     });
     Some(Transcript { instruction: of.instruction.clone(), steps: steps.collect::<Option<_>>()? })
 }

@@ -7,7 +7,7 @@ use peer::memory::{MemoryItem, Source, Views};
 use search::Embedding;
 use shm_types::message::{
     AnswerItem, AnswerSource, ExternalAnswer, ExternalEpisode, ExternalQuery, ItemKind, Learning,
-    MAX_EMBEDDING, MAX_ITEMS, MAX_SOURCES, NO_ACTION, write_text,
+    MAX_EMBEDDING, MAX_ITEMS, MAX_SOURCES, action_code, write_text,
 };
 
 use crate::episode::MemoryEpisode;
@@ -44,9 +44,9 @@ pub(super) fn query_message(
         frame: current.frame,
         lane: episode.lane,
         step: current.step,
-        pose: current.pose.into(),
-        feedback: current.feedback as u8,
-        action: current.action.map_or(NO_ACTION, |action| action as u8),
+        state: current.state.padded(),
+        feedback: current.feedback.0,
+        action: action_code(current.action),
         last: current.is_last.into(),
         ..Zeroable::zeroed()
     });

@@ -1,10 +1,10 @@
 //! Adaptive memory: episodic retrieval that verifies, updates and forgets while it is used.
 //!
-//! It stores trajectories: the demonstrations, and its own successful episodes. A trajectory `T` has poses `p`, actions `a`,
+//! It stores trajectories: the demonstrations, and its own successful episodes. A trajectory `T` has states `p`, actions `a`,
 //! feedback `f` and embedded views `e`; its transition `k` leads from step `k` to step `k + 1`.
 //!
 //! **Recall.** At step `t` of an episode with instruction `I`, the candidates are the steps of the trajectories with
-//! instruction `I`, or of all trajectories if none has it. Those whose transition is cut or changed no pose are left out.
+//! instruction `I`, or of all trajectories if none has it. Those whose transition is cut or changed no state are left out.
 //! With the cosine distance `d` and a margin `EPSILON`, it supplies the continuation, to the horizon or the next such
 //! transition, of
 //!
@@ -17,7 +17,7 @@
 //! visits to one place in one stage, an own episode continues from the later. Before anything is learned this is episodic
 //! retrieval among the demonstrations of the task.
 //!
-//! **Verify.** The agent was in pose `p`, took action `a`, and got feedback `f'`, pose `p'` and view `e'`. Every stored
+//! **Verify.** The agent was in state `p`, took action `a`, and got feedback `f'`, state `p'` and view `e'`. Every stored
 //! transition with `p[k] = p` and `a[k] = a` had predicted that. It is
 //!
 //! ```text
@@ -39,7 +39,7 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::path::Path;
 use std::sync::Arc;
 
-use domain::{Action, Feedback, Pose, SegmentContent};
+use domain::{ActionCode, FeedbackCode, SegmentContent, State};
 use peer::memory::{
     Demonstration, Episode, EpisodeEnd, Memory, MemoryError, MemoryItem, Query, Source, Step, Views,
 };
@@ -69,12 +69,10 @@ const VIEWS_FILE: &str = "views.f32";
 /// A step of a trajectory. The last has no transition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 struct StoredStep {
-    /// Column, row, heading.
-    pose: [u8; 3],
-    /// Code of the action.
-    action: Option<u8>,
-    /// Code of the feedback to the action before.
-    feedback: u8,
+    state: State,
+    action: Option<ActionCode>,
+    /// The feedback to the action before.
+    feedback: FeedbackCode,
     /// Sub-goals completed, if that is known.
     stage: Option<u32>,
     content: [u8; 16],
@@ -83,20 +81,9 @@ struct StoredStep {
 }
 
 impl StoredStep {
-    fn new(pose: Pose, action: Option<Action>, feedback: Feedback) -> Self {
-        Self {
-            pose: code_of(pose),
-            action: action.map(|action| action as u8),
-            feedback: feedback as u8,
-            stage: None,
-            content: [0; 16],
-            is_cut: false,
-        }
+    fn new(state: State, action: Option<ActionCode>, feedback: FeedbackCode) -> Self {
+        Self { state, action, feedback, stage: None, content: [0; 16], is_cut: false }
     }
-}
-
-fn code_of(Pose { cell, heading }: Pose) -> [u8; 3] {
-    [cell.x, cell.y, heading as u8]
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -119,10 +106,10 @@ impl OwnTrajectory {
         self.views.get(step).map(Embedding::as_slice)
     }
 
-    /// Whether a transition can be supplied: it is not cut, and changed the pose.
+    /// Whether a transition can be supplied: it is not cut, and changed the state.
     fn continues(&self, step: usize) -> bool {
         let now = &self.steps[step];
-        !now.is_cut && self.steps.get(step + 1).is_some_and(|next| next.pose != now.pose)
+        !now.is_cut && self.steps.get(step + 1).is_some_and(|next| next.state != now.state)
     }
 
     /// Whether a later transition is cut.
@@ -131,7 +118,7 @@ impl OwnTrajectory {
     }
 
     fn is_same_path(&self, other: &[StoredStep]) -> bool {
-        let path = |step: &StoredStep| (step.pose, step.action, step.feedback);
+        let path = |step: &StoredStep| (step.state, step.action, step.feedback);
         self.steps.iter().map(path).eq(other.iter().map(path))
     }
 }
@@ -148,7 +135,7 @@ struct Running {
 
 /// What [`Memory::save`] writes, beside the views of own episodes.
 #[derive(Serialize, Deserialize)]
-struct State {
+struct Stored {
     episodes: u32,
     dimension: usize,
     trajectories: Vec<OwnTrajectory>,
@@ -283,19 +270,18 @@ impl Adaptive {
     /// Verifies the transitions that had predicted a step, given the step before.
     fn verify(&mut self, before: StoredStep, now: &Step<'_>) -> BTreeSet<u32> {
         let mut verified = BTreeSet::new();
-        let Some(action) = now.last_action.map(|action| action as u8) else { return verified };
-        let (pose, feedback) = (code_of(now.pose), now.feedback as u8);
+        let Some(action) = now.last_action else { return verified };
         let mut has_changed = false;
         for of in &mut self.trajectories {
             for at in 1..of.steps.len() {
                 let (from, to) = (of.steps[at - 1], of.steps[at]);
-                if (from.pose, from.action) != (before.pose, Some(action)) {
+                if (from.state, from.action) != (before.state, Some(action)) {
                     continue;
                 }
                 let views = of.view(at).zip(now.embedding);
                 let shows_same = views.map(|(known, seen)| distance(known, seen) <= TAU);
-                let is_same =
-                    (to.pose, to.feedback) == (pose, feedback) && shows_same != Some(false);
+                let is_same = (to.state, to.feedback) == (now.state, now.feedback)
+                    && shows_same != Some(false);
                 if is_same {
                     verified.insert(of.number);
                 }
@@ -374,7 +360,7 @@ impl Memory for Adaptive {
             let steps = of.steps.iter().zip(of.stages).map(|(step, &stage)| StoredStep {
                 stage: Some(stage),
                 content: step.content_hash,
-                ..StoredStep::new(step.pose, step.action, step.feedback)
+                ..StoredStep::new(step.state, step.action, step.feedback)
             });
             self.trajectories.push(OwnTrajectory {
                 number,
@@ -400,10 +386,10 @@ impl Memory for Adaptive {
     fn observe(&mut self, step: &Step<'_>) -> Result<(), MemoryError> {
         let Some(mut running) = self.running.remove(&step.episode) else { return Ok(()) };
         if let Some(before) = running.steps.last_mut() {
-            before.action = step.last_action.map(|action| action as u8);
+            before.action = step.last_action;
             running.verified.extend(self.verify(*before, step));
         }
-        running.steps.push(StoredStep::new(step.pose, None, step.feedback));
+        running.steps.push(StoredStep::new(step.state, None, step.feedback));
         running.views.extend(step.embedding.and_then(|view| Embedding::restored(view.to_vec())));
         self.running.insert(step.episode, running);
         Ok(())
@@ -430,7 +416,7 @@ impl Memory for Adaptive {
     }
 
     fn save(&mut self, folder: &Path) -> Result<(), MemoryError> {
-        let state = State {
+        let stored = Stored {
             episodes: self.episodes,
             dimension: self.dimension,
             trajectories: self.trajectories.clone(),
@@ -444,23 +430,24 @@ impl Memory for Adaptive {
         let write = |name, bytes: &[u8]| {
             durable::write_file(&folder.join(name), bytes).map_err(MemoryError::new)
         };
-        write(STATE_FILE, &serde_json::to_vec(&state).map_err(MemoryError::new)?)?;
+        write(STATE_FILE, &serde_json::to_vec(&stored).map_err(MemoryError::new)?)?;
         write(VIEWS_FILE, &views)
     }
 
     fn load(&mut self, folder: &Path) -> Result<(), MemoryError> {
         let read = |name| durable::read(&folder.join(name)).map_err(MemoryError::new);
-        let state: State = serde_json::from_slice(&read(STATE_FILE)?).map_err(MemoryError::new)?;
+        let stored: Stored =
+            serde_json::from_slice(&read(STATE_FILE)?).map_err(MemoryError::new)?;
         let views = read(VIEWS_FILE)?;
         let (views, []) = views.as_chunks() else {
             return Err(MemoryError::new(format_args!("{VIEWS_FILE} is cut off")));
         };
         let views: Vec<f32> = views.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
-        let mut views = views.chunks(state.dimension.max(1));
+        let mut views = views.chunks(stored.dimension.max(1));
         let mut built: BTreeMap<u32, Vec<Embedding>> =
             self.trajectories.drain(..).map(|of| (of.number, of.views)).collect();
-        (self.episodes, self.dimension) = (state.episodes, state.dimension);
-        for mut of in state.trajectories {
+        (self.episodes, self.dimension) = (stored.episodes, stored.dimension);
+        for mut of in stored.trajectories {
             of.views = match of.is_own {
                 false => built.remove(&of.number).unwrap_or_default(),
                 true => {

@@ -58,7 +58,7 @@ impl Memory for Episodic {
                 let embedding = embeddings.get(&step.content_hash).ok_or_else(|| {
                     MemoryError::new(format_args!(
                         "the view of {} has not been embedded",
-                        step.pose
+                        step.state
                     ))
                 })?;
                 let entry = ViewEntry { demonstration: number, step: at as u16, stage };

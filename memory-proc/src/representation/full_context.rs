@@ -13,20 +13,22 @@
 //!
 //! A keyframe is a step, not a view: a view that the expert saw twice may appear twice. Actions are always complete.
 
-use domain::Action;
+use domain::ActionCode;
 use peer::memory::{Demonstration, Memory, MemoryError, MemoryItem, Query, Source, Views};
 
 /// All demonstrations of a case.
 #[derive(Debug)]
 pub(super) struct FullContext {
     budget: usize,
+    /// The actions that are turns.
+    turns: Vec<ActionCode>,
     items: Vec<MemoryItem>,
 }
 
 impl FullContext {
-    /// With at most `budget` keyframes.
-    pub(super) fn new(budget: usize) -> Self {
-        Self { budget, items: Vec::new() }
+    /// With at most `budget` keyframes, in a world where `turns` are turns.
+    pub(super) fn new(budget: usize, turns: Vec<ActionCode>) -> Self {
+        Self { budget, turns, items: Vec::new() }
     }
 }
 
@@ -37,7 +39,9 @@ impl Memory for FullContext {
         let chosen = demonstrations.iter().zip(shares).zip(0..);
         let items = chosen.map(|((of, share), demonstration)| MemoryItem::Steps {
             source: Source { demonstration, first: 0, count: of.steps.len() as u32 },
-            views: Views::Keyframes(keyframes(of, share).into_iter().map(|t| t as u32).collect()),
+            views: Views::Keyframes(
+                keyframes(of, share, &self.turns).into_iter().map(|t| t as u32).collect(),
+            ),
             actions: true,
             distance: None,
         });
@@ -78,27 +82,27 @@ enum Moment {
 impl Moment {
     const ALL: [Self; 5] = [Self::Start, Self::End, Self::SubGoal, Self::BeforeTurn, Self::Other];
 
-    fn of(demonstration: &Demonstration<'_>, step: usize) -> Self {
-        const TURNS: [Option<Action>; 3] =
-            [Some(Action::TurnLeft), Some(Action::TurnRight), Some(Action::TurnAround)];
+    fn of(demonstration: &Demonstration<'_>, step: usize, turns: &[ActionCode]) -> Self {
         let Demonstration { steps, stages, .. } = demonstration;
         match step {
             0 => Self::Start,
             _ if step + 1 == steps.len() => Self::End,
             _ if stages[step] > stages[step - 1] => Self::SubGoal,
-            _ if TURNS.contains(&steps[step].action) => Self::BeforeTurn,
+            _ if steps[step].action.is_some_and(|action| turns.contains(&action)) => {
+                Self::BeforeTurn
+            }
             _ => Self::Other,
         }
     }
 }
 
 /// The steps of `share` keyframes, ascending.
-fn keyframes(demonstration: &Demonstration<'_>, share: usize) -> Vec<usize> {
+fn keyframes(demonstration: &Demonstration<'_>, share: usize, turns: &[ActionCode]) -> Vec<usize> {
     let mut chosen = Vec::with_capacity(share);
     for moment in Moment::ALL {
         let steps = 0..demonstration.steps.len();
         let members: Vec<usize> =
-            steps.filter(|&step| Moment::of(demonstration, step) == moment).collect();
+            steps.filter(|&step| Moment::of(demonstration, step, turns) == moment).collect();
         let places = members.len().min(share - chosen.len());
         chosen.extend((0..places).map(|i| members[(2 * i + 1) * members.len() / (2 * places)]));
     }

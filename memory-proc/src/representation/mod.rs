@@ -11,7 +11,7 @@
 
 use std::sync::Arc;
 
-use domain::{Representation, SegmentContent};
+use domain::{ActionCode, Representation, SegmentContent};
 use peer::memory::Memory;
 
 use crate::bank::Embeddings;
@@ -26,7 +26,9 @@ pub(crate) mod testing;
 /// A built-in memory, which has to be built.
 pub fn built_in(representation: Representation, settings: &MemorySettings) -> Box<dyn Memory> {
     match representation {
-        Representation::FullContext => Box::new(full_context::FullContext::new(settings.keyframes)),
+        Representation::FullContext => {
+            Box::new(full_context::FullContext::new(settings.keyframes, settings.turns.clone()))
+        }
         Representation::Episodic => Box::new(episodic::Episodic::new(settings)),
         Representation::Adaptive => Box::new(adaptive::Adaptive::new(settings)),
         Representation::Working
@@ -54,6 +56,8 @@ pub struct MemorySettings {
     pub hits: usize,
     /// Keyframes of all demonstrations together, at most.
     pub keyframes: usize,
+    /// The actions of the world that are turns.
+    pub turns: Vec<ActionCode>,
     /// The embeddings of the demonstrations' views.
     pub embeddings: Arc<Embeddings>,
     /// The texts that [`RepresentationInfo::documents`](domain::representation::RepresentationInfo) names, in order.

@@ -133,6 +133,11 @@ pub fn read_action(code: u8) -> Result<Option<ActionCode>, UnknownCode> {
     }
 }
 
+/// The code of an action; [`NO_ACTION`] for none.
+pub fn action_code(action: Option<ActionCode>) -> u8 {
+    action.map_or(NO_ACTION, |ActionCode(code)| code)
+}
+
 /// Reads a field that is 0 or 1.
 ///
 /// # Errors

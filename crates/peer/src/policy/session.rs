@@ -4,14 +4,14 @@ use std::sync::{Arc, mpsc};
 
 use bytemuck::Zeroable;
 use case_book::WorldDeclaration;
+use domain::Reasoning;
 use domain::prompt_log::{
     PromptLogEntry, RecordedAnswer, RecordedExchange, RecordedRequest, RecordedTiming,
     RecordedUsage,
 };
-use domain::{ActionCode, Reasoning};
 use shm_types::message::{
-    self, DocumentId, NO_ACTION, NOT_MEASURED, Observation, PolicyEpisodeConfig, Recall, RequestId,
-    Role, write_text,
+    self, DocumentId, NOT_MEASURED, Observation, PolicyEpisodeConfig, Recall, RequestId, Role,
+    action_code, write_text,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
@@ -383,7 +383,7 @@ impl OpenRequest {
             images: decision.images,
             attempts: usage.attempts,
             outcome: decision.answer.outcome() as u8,
-            action: decision.answer.action().map_or(NO_ACTION, |ActionCode(code)| code),
+            action: action_code(decision.answer.action()),
             replayed: usage.replayed.into(),
             reasoning: reasoning as u8,
             ..Zeroable::zeroed()

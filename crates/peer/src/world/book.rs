@@ -35,7 +35,7 @@ pub(super) fn write_books(
     let mut stage = Stage::new(simulator.environment()?);
     let mut writer =
         Writer { world: &world, cases: &cases, stage: &mut stage, acted: HashMap::new() };
-    let mut book = DemonstrationBook::default();
+    let mut book = DemonstrationBook { world: world.clone(), ..DemonstrationBook::default() };
     let mut numbers = PictureNumbers::default();
     let mut of_history = HashMap::new();
     for (number, case) in (0_u32..).zip(&cases) {

@@ -12,12 +12,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytemuck::Zeroable;
-use domain::ActionCode;
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::{
-    EpisodeEnd, Eviction, Handshake, Heartbeat, NO_ACTION, NO_DOCUMENT, NO_FRAME, Observation,
-    Role, ShutdownReport, StepCommand, StepReport, Stop, View, ViewRequest, ViewRequestKind,
-    WorldEpisodeConfig,
+    EpisodeEnd, Eviction, Handshake, Heartbeat, NO_DOCUMENT, NO_FRAME, Observation, Role,
+    ShutdownReport, StepCommand, StepReport, Stop, View, ViewRequest, ViewRequestKind,
+    WorldEpisodeConfig, action_code,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
@@ -378,7 +377,7 @@ impl<'a, W: World> WorldSession<'a, W> {
             step: report.step,
             state: state.padded(),
             feedback: feedback.0,
-            action: action.map_or(NO_ACTION, |ActionCode(code)| code),
+            action: action_code(action),
             last: ends.into(),
             reserved: [0; 5],
         };
