@@ -17,6 +17,7 @@ mod recorded_run;
 mod results;
 mod serve;
 mod step;
+mod world;
 
 use pyo3::prelude::*;
 
@@ -40,6 +41,8 @@ mod _native {
     use crate::serve::{serve, serve_memory};
     #[pymodule_export]
     use crate::step::Step;
+    #[pymodule_export]
+    use crate::world::{WritablePixels, world_main};
 
     #[pymodule_init]
     fn init(_module: &Bound<'_, PyModule>) -> PyResult<()> {

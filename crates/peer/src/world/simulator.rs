@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use case_book::WorldDeclaration;
 use domain::names::named;
 use domain::{ActionCode, DemonstrationKind, FeedbackCode, Route, Start, State};
+use serde::Deserialize;
 use serde_json::{Map, Value};
 
 use super::WorldFailure;
@@ -125,7 +126,8 @@ impl TrajectoryName {
 }
 
 /// A case: a task with its starts, and what the expert does from them.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct CaseDeclaration {
     /// The id; no two cases have the same.
     pub id: String,

@@ -1,0 +1,247 @@
+"""A world of your own: a simulator and its tasks, in which policies and memories are evaluated.
+
+    class Corridor(World):
+        name, version = "corridor", "1"
+        rules = "You walk along a corridor of ten cells. ..."
+        actions = ["walk east", "walk west"]
+        state = [Field("cell")]
+
+        def cases(self): ...
+        def reset(self, episode): ...
+        def step(self, action): ...
+        def render(self, pixels): ...
+
+    if __name__ == "__main__":
+        main(Corridor)
+
+`memtransfer run --world-cmd "python corridor.py"` evaluates in it. See docs/own-world.md.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import string
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy
+from numpy.typing import NDArray
+
+from memtransfer import _native
+
+START, DONE, NO_EFFECT = 0, 1, 2
+"""Numbers of the first three sentences of `World.feedback`."""
+
+TRAJECTORIES = ("original", "opposite", "nearby", "distant", "new", "blocked", "after")
+"""The names of an expert's trajectories: demonstrations from four starts; references from the start at which a case is tested,
+where the way is free and where it is blocked; and a demonstration where it is blocked."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A number of a state."""
+
+    name: str
+    words: Sequence[str] = ()
+    """The words for 0, 1, 2 and so on, if it is a choice among some."""
+    digits: int = 0
+    """Digits after the point in prompts, where it is a number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A task with its starts, and what an expert does from them."""
+
+    id: str
+    """Letters, digits, `-` and `_`."""
+    instruction: str
+    """The task, in words."""
+    trajectories: Mapping[str, Sequence[int]]
+    """The expert's actions, by name (`TRAJECTORIES`). `original` and `new` have to be there."""
+    task: str = ""
+    """The name of its task in `World.tasks`; the first one's if empty."""
+    irrelevant: Sequence[tuple[str, str]] = ()
+    """Two demonstrations of other cases that have nothing to do with this one: the ids of their cases, and their names."""
+    confusable: Sequence[tuple[str, str]] = ()
+    """Two demonstrations of other cases that are like this one and lead elsewhere."""
+    data: Any = field(default=None, compare=False)
+    """Whatever the world needs to begin an episode."""
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """How an episode begins."""
+
+    case: Case
+    start: str
+    """Where: `original`, `opposite`, `nearby`, `distant` or `new`."""
+    blocked: bool
+    """Whether the way is blocked."""
+    seed: int
+    """For random choices of a world that is not deterministic."""
+
+
+@dataclass(slots=True)
+class Observation:
+    """What a world says after the begin of an episode and after each step."""
+
+    state: Sequence[float]
+    """The state of the agent: a number for each field."""
+    feedback: int = DONE
+    """The number of a sentence of `World.feedback`. After the begin it is always the first."""
+    sub_goals: int = 0
+    """Sub-goals completed so far."""
+    required: int = 1
+    """All sub-goals of the task. The task is complete, and the episode ends, when all are completed."""
+    failed: bool = False
+    """Whether the task can no longer be completed: the episode ends."""
+    conflict: bool = False
+    """Whether the agent ran in this step into what blocks the way."""
+    state_hash: int | None = None
+    """A number of 64 bits that is the same exactly where everything is that determines what is seen and what follows. Pictures of
+    such states are rendered once. `None`: every step is rendered."""
+
+
+class World(ABC):
+    """A simulator of one episode at a time. Each lane of a run has an instance of its own, in one process and one thread."""
+
+    name: str
+    """Small letters, digits and hyphens."""
+    version: str
+    """The version of the rules. Change it with whatever changes results."""
+    rules: str
+    """The first part of a model's prompt: what the agent is, how the world works, what the actions do, what the feedback means."""
+    actions: Sequence[str]
+    """The words of the actions, small letters: at most 62."""
+    letters: str = ""
+    """A letter or digit for each action in logs; chosen by position if empty."""
+    state: Sequence[Field]
+    """The numbers of a state: at most 16."""
+    state_sentence: str = ""
+    """A state in a sentence of the prompt, `{name}` for a field; names and numbers if empty."""
+    feedback: Sequence[str] = (
+        "The episode has just begun.",
+        "The action was carried out.",
+        "The action changed nothing.",
+        "Your last answer was not understood: nothing happened.",
+    )
+    """What an agent is told after an action. The first is for the begin, the last for an answer that could not be read."""
+    tasks: Mapping[str, str] = {"task": "all tasks"}
+    """The names of the kinds of tasks, and the groups that they are in."""
+    deterministic: bool = True
+    """Whether the same actions lead from the same start to the same states and pictures, always and everywhere."""
+
+    @abstractmethod
+    def cases(self) -> Iterable[Case]:
+        """Returns the cases, always the same in the same order."""
+
+    @abstractmethod
+    def reset(self, episode: Episode) -> Observation:
+        """Begins an episode. What it raises ends the episode without a result."""
+
+    @abstractmethod
+    def step(self, action: int) -> Observation:
+        """Takes an action. Not called after the end of an episode."""
+
+    @abstractmethod
+    def render(self, pixels: NDArray[numpy.uint8]) -> None:
+        """Draws what the agent sees now into `pixels`, of the shape (height, width, 4): red, green, blue and alpha, the first row at
+        the top. The array is shared memory: fill it, and do not keep it."""
+
+    def facts(self) -> Mapping[str, Any]:
+        """Returns facts of the episode that has ended, for its record, of what JSON can hold."""
+        return {}
+
+    def _reset(self, case: str, start: str, blocked: bool, seed: int) -> tuple[Any, ...]:
+        known = self.__dict__.setdefault("_cases", {})
+        if not known:
+            known.update({listed.id: listed for listed in self.cases()})
+        observation = self.reset(Episode(known[case], start, blocked, seed))
+        return _told(observation, feedback=START)
+
+    def _step(self, action: int) -> tuple[Any, ...]:
+        observation = self.step(action)
+        return _told(observation, feedback=observation.feedback)
+
+    def _render(self, pixels: Any) -> None:
+        self.render(numpy.asarray(pixels))
+
+    def _facts(self) -> str:
+        return json.dumps(dict(self.facts()))
+
+
+def _told(observation: Observation, feedback: int) -> tuple[Any, ...]:
+    state = [float(number) for number in observation.state]
+    if not all(map(math.isfinite, state)):
+        raise ValueError(f"the state {state} has a number that is not finite")
+    if not isinstance(observation.state_hash, int | None):
+        raise TypeError(f"the hash {observation.state_hash!r} of a state is not an int")
+    return (
+        state,
+        int(feedback),
+        int(observation.sub_goals),
+        int(observation.required),
+        bool(observation.failed),
+        bool(observation.conflict),
+        observation.state_hash,
+    )
+
+
+def declaration(world: World) -> dict[str, Any]:
+    """Returns what a world says of itself, as the case book has it."""
+    letters = world.letters or string.ascii_letters + string.digits
+    if len(letters) < len(world.actions):
+        raise ValueError(f"{len(world.actions)} actions, and letters for {len(letters)}")
+    sentence = world.state_sentence or "State: " + ", ".join(f"{of.name} {{{of.name}}}" for of in world.state) + "."
+    return {
+        "name": world.name,
+        "version": world.version,
+        "rules": world.rules.strip(),
+        "actions": [{"letter": letter, "words": words} for letter, words in zip(letters, world.actions)],
+        "state": [{"name": of.name, "words": list(of.words), "digits": of.digits} for of in world.state],
+        "state_sentence": sentence,
+        "feedback": list(world.feedback),
+        "is_deterministic": world.deterministic,
+    }
+
+
+def _case(world: World, case: Case) -> dict[str, Any]:
+    names = list(world.tasks)
+    task = case.task or names[0]
+    if task not in names:
+        raise ValueError(f"case {case.id}: {task!r} is none of the world's tasks {names}")
+    unknown = set(case.trajectories) - set(TRAJECTORIES)
+    if unknown:
+        raise ValueError(f"case {case.id}: {sorted(unknown)} are no names of trajectories; those are {TRAJECTORIES}")
+    return {
+        "id": case.id,
+        "task": 1 + names.index(task),
+        "instruction": case.instruction,
+        "trajectories": {name: [int(action) for action in taken] for name, taken in case.trajectories.items()},
+        "irrelevant": [list(history) for history in case.irrelevant],
+        "confusable": [list(history) for history in case.confusable],
+    }
+
+
+def main(world: Callable[[], World]) -> None:
+    """Does what the program's arguments say with a world: `memtransfer run --world-cmd` and others add them. Exits with status 1 and a
+    message if that fails. `world` makes an instance; it is called for each lane."""
+    # What is printed must not mix with answers.
+    sys.stdout = sys.stderr
+    try:
+        one = world()
+        declared = json.dumps(declaration(one))
+        cases = json.dumps([_case(one, case) for case in one.cases()])
+        # While the world waits, no Python code runs, so no Python handler would.
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+        _native.world_main(world, declared, cases, sys.argv[1:])
+    except (RuntimeError, ValueError) as error:
+        print(f"{os.path.basename(sys.argv[0])}: {error}", file=sys.stderr)
+        sys.exit(1)
