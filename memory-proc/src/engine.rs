@@ -117,28 +117,24 @@ impl<I: Clone> Engine<I> {
     pub fn config(&mut self, config: &MemoryEpisodeConfig) -> Result<(), String> {
         let Self { externals, library, .. } = self;
         let external = |set| match config.sequence {
-            0 => externals.bank(config, set, library),
-            _ => externals.of_stream(config),
+            0 => externals.of_bank(config, set, library),
+            _ => externals.of_sequence(config),
         };
-        let episode = MemoryEpisode::announced(config, library, external)?;
+        let refused = |what: String| format!("config of episode {}: {what}", config.episode);
+        let episode = MemoryEpisode::announced(config, library, external).map_err(refused)?;
         if episode.learns() && !self.sequences.can_save() {
-            return Err(format!(
-                "config of episode {}: its memory learns, and memory-proc was started without --snapshots",
-                config.episode
-            ));
+            let what = "its memory learns, and memory-proc was started without --snapshots";
+            return Err(refused(what.to_owned()));
         }
         let (needed, room) = (episode.view_ids().len(), self.views.pinned.room());
         if needed > room {
-            return Err(format!(
-                "config of episode {}: its memory needs {needed} views and there is room for {room}: raise \
-                 --frame-budget or lower --lanes",
-                config.episode
-            ));
+            return Err(refused(format!(
+                "its memory needs {needed} views and there is room for {room}: raise --frame-budget or lower --lanes"
+            )));
         }
         let lanes = self.lanes.len();
-        let lane = self.lanes.get_mut(config.lane as usize).ok_or_else(|| {
-            format!("config of episode {}: lane {} of {lanes}", config.episode, config.lane)
-        })?;
+        let lane = self.lanes.get_mut(config.lane as usize);
+        let lane = lane.ok_or_else(|| refused(format!("lane {} of {lanes}", config.lane)))?;
         if let Some(bank) = episode.own_bank() {
             self.externals.retain(bank);
         }

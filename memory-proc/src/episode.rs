@@ -179,73 +179,72 @@ pub(crate) struct CurrentStep {
     stage: u32,
 }
 
-/// What an external memory needs of an episode's bank.
-pub(crate) struct ExternalBank {
-    /// `None` before the first step of an episode of a stream.
-    pub(crate) id: Option<u64>,
+/// What is known about an episode's memory before its first step.
+pub(crate) struct AnnouncedMemory {
+    pub(crate) kind: MemoryKind,
+    /// As [`MemoryEpisode::bank`].
     pub(crate) bank: Arc<MemoryBank>,
+    /// As [`MemoryEpisode::pins_bank`].
     pub(crate) pins_bank: bool,
+    /// As [`MemoryEpisode::embeds`].
     pub(crate) embeds: bool,
 }
 
 impl MemoryEpisode {
-    /// The episode that a message announces. `external` finds the bank of an external memory.
+    /// The episode that a message announces. `external` finds the bank of an external memory for a set of demonstrations.
     pub(crate) fn announced(
         config: &MemoryEpisodeConfig,
         library: &DemonstrationLibrary,
-        external: impl FnOnce(Demonstrations) -> Result<ExternalBank, String>,
+        external: impl FnOnce(Demonstrations) -> Result<AnnouncedMemory, String>,
     ) -> Result<Self, String> {
-        let MemoryEpisodeConfig { case, demonstrations, lane, .. } = *config;
-        let refused = |what: String| format!("config of episode {}: {what}", config.episode);
+        let MemoryEpisodeConfig { case, demonstrations, .. } = *config;
         let unknown = || {
-            refused(format!(
+            format!(
                 "case {case} with demonstrations {demonstrations:#b}, but there are {} cases, and no such set for \
                  them; are both processes started with the same demonstrations?",
                 library.case_count()
-            ))
+            )
         };
         let set = Demonstrations::from_bits(demonstrations).ok_or_else(unknown)?;
         let chosen = library.of_case(case, set).ok_or_else(unknown)?;
         let instruction = library.instruction(case).ok_or_else(unknown)?;
-        let none = chosen.is_empty();
-        // Memories of large banks are shared, as those of sequences are.
-        let is_shared = config.sequence != 0 || set.bank_size().is_some();
-        let (kind, bank, pins_bank, embeds) = if config.representation == EXTERNAL {
-            if none {
-                return Err(refused("external memory of no demonstrations".to_owned()));
+        // A memory of no demonstrations has nothing that could persist or be shared.
+        let has_demonstrations = !chosen.is_empty();
+        let is_in_sequence = has_demonstrations && config.sequence != 0;
+        let has_large_bank = has_demonstrations && set.bank_size().is_some();
+        let memory = match config.representation {
+            EXTERNAL if !has_demonstrations => {
+                return Err("external memory of no demonstrations".to_owned());
             }
-            let index = config.external;
-            let ExternalBank { id, bank, pins_bank, embeds } = external(set).map_err(refused)?;
-            (MemoryKind::External { index, bank: id }, bank, pins_bank, embeds)
-        } else {
-            let representation = Representation::try_from(config.representation)
-                .map_err(|error| refused(error.to_string()))?;
-            if none && representation.uses_demonstrations() {
-                return Err(refused(format!("{representation} memory of no demonstrations")));
-            }
-            let settings = settings(library.world(), config, representation).map_err(refused)?;
-            let embeds = representation.matches_views();
-            let kind = MemoryKind::BuiltIn { representation, settings, set };
-            if is_shared && !none {
-                (kind, Arc::default(), false, embeds)
-            } else {
-                (kind, Arc::new(MemoryBank::new(chosen)), embeds, embeds)
+            EXTERNAL => external(set)?,
+            code => {
+                let representation =
+                    Representation::try_from(code).map_err(|error| error.to_string())?;
+                if !has_demonstrations && representation.uses_demonstrations() {
+                    return Err(format!("{representation} memory of no demonstrations"));
+                }
+                let settings = settings(library.world(), config, representation)?;
+                let kind = MemoryKind::BuiltIn { representation, settings, set };
+                let embeds = representation.matches_views();
+                if is_in_sequence || has_large_bank {
+                    AnnouncedMemory { kind, bank: Arc::default(), pins_bank: false, embeds }
+                } else {
+                    let bank = Arc::new(MemoryBank::new(chosen));
+                    AnnouncedMemory { kind, bank, pins_bank: embeds, embeds }
+                }
             }
         };
+        let AnnouncedMemory { kind, bank, pins_bank, embeds } = memory;
         let stream = match &kind {
-            // A memory of no demonstrations has nothing that could persist.
-            _ if none => None,
-            _ if config.sequence != 0 => {
-                Some(stream_part(config, set, library, instruction).map_err(refused)?)
-            }
-            MemoryKind::BuiltIn { representation, settings, .. } if is_shared => {
+            _ if is_in_sequence => Some(stream_part(config, set, library, instruction)?),
+            MemoryKind::BuiltIn { representation, settings, .. } if has_large_bank => {
                 Some(bank_part(config, set, library, (*representation, settings)))
             }
             _ => None,
         };
         Ok(Self {
             id: config.episode,
-            lane,
+            lane: config.lane,
             kind,
             stream,
             begun: false,

@@ -16,7 +16,7 @@ use super::{ExternalMemories, ToExternal, is_over};
 use crate::bank::{BankSteps, Collecting, MemoryBank};
 use crate::demonstrations::DemonstrationLibrary;
 use crate::embedded_views::EmbeddedViews;
-use crate::episode::{ExternalBank, Reason, Unready};
+use crate::episode::{AnnouncedMemory, MemoryKind, Reason, Unready};
 
 /// Banks without an episode that are kept built.
 const KEPT_BANKS: usize = 64;
@@ -76,13 +76,13 @@ enum StoreState {
 }
 
 impl ExternalMemories {
-    /// The bank that an episode remembers.
-    pub(crate) fn bank(
+    /// The memory of an episode outside of sequences, with the bank that it remembers.
+    pub(crate) fn of_bank(
         &mut self,
         config: &MemoryEpisodeConfig,
         set: Demonstrations,
         library: &DemonstrationLibrary,
-    ) -> Result<ExternalBank, String> {
+    ) -> Result<AnnouncedMemory, String> {
         let &MemoryEpisodeConfig { external: index, case, .. } = config;
         let &MemoryDescription { scope, embeddings: embeds, frames, .. } =
             self.description(index)?;
@@ -118,19 +118,19 @@ impl ExternalMemories {
                 id
             }
         };
-        let HostBank { bank, pins_bank, embeds, .. } = &self.banks[&id];
-        Ok(ExternalBank {
-            id: Some(id),
-            bank: bank.clone(),
-            pins_bank: *pins_bank,
-            embeds: *embeds,
-        })
+        let &HostBank { ref bank, pins_bank, embeds, .. } = &self.banks[&id];
+        let kind = MemoryKind::External { index, bank: Some(id) };
+        Ok(AnnouncedMemory { kind, bank: bank.clone(), pins_bank, embeds })
     }
 
-    /// What is known about the bank of a sequence before its first step.
-    pub(crate) fn of_stream(&self, config: &MemoryEpisodeConfig) -> Result<ExternalBank, String> {
+    /// The memory of an episode of a sequence.
+    pub(crate) fn of_sequence(
+        &self,
+        config: &MemoryEpisodeConfig,
+    ) -> Result<AnnouncedMemory, String> {
         let embeds = self.description(config.external)?.embeddings;
-        Ok(ExternalBank { id: None, bank: Arc::default(), pins_bank: false, embeds })
+        let kind = MemoryKind::External { index: config.external, bank: None };
+        Ok(AnnouncedMemory { kind, bank: Arc::default(), pins_bank: false, embeds })
     }
 
     /// Publishes a bank for the memory of a sequence. Returns its id.
