@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use anyhow::{Context, Result, bail};
 use case_book::{CaseBook, LearnedEpisode};
 use domain::Start;
-use results::log::EpisodeRecord;
+use run_log::EpisodeRecord;
 use shm_types::message::SnapshotId;
 
 use crate::plan::{PlannedEpisode, StreamPart};

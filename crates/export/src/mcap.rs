@@ -23,9 +23,9 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use domain::Action;
-use results::log::RunLog;
-use results::score::Failure;
-use results::source::{SourceStep, sources};
+use run_log::RunLog;
+use run_log::source::{SourceStep, sources};
+use scores::Failure;
 use serde::Serialize;
 use serde_json::{Value, json};
 

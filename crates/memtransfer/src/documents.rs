@@ -3,14 +3,14 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
+use conditions::settings::{DocumentSource, RunSettings};
 use documents::{
     DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, Sources, StoredDocument,
 };
 use orchestrator::books::Books;
 use orchestrator::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};
 use orchestrator::progress::BuildProgress;
-use results::log::{DOCUMENTS_FOLDER, DocumentFacts, RunFolder};
-use results::settings::{DocumentSource, RunSettings};
+use run_log::{DOCUMENTS_FOLDER, DocumentFacts, RunFolder};
 
 use crate::signals::Signals;
 

@@ -7,13 +7,13 @@ use super::{Exit, WorldArgs, print, print_json, world_program};
 use anyhow::{Context, bail};
 use case_book::{BookRequest, CaseFacts, StreamsRequest};
 use clap::{Args, Subcommand};
+use conditions::Condition;
+use conditions::settings::{RunSettings, StreamSettings};
 use domain::{Route, Start, TaskType};
 use report::table::table;
-use results::conditions::Condition;
-use results::date::date;
-use results::log::RunLog;
-use results::score::score;
-use results::settings::{RunSettings, StreamSettings};
+use run_log::RunLog;
+use run_log::date::date;
+use scores::score;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use settings::{Layer, SHIPPED_SUITES, resolve, select_cases};
@@ -351,9 +351,9 @@ fn run_row(folder: &Path) -> Vec<Value> {
 mod tests {
     use std::collections::BTreeMap;
 
-    use results::conditions::PolicyKind;
-    use results::log::testing::manifest;
-    use results::log::{RunFolder, SessionEvent};
+    use conditions::PolicyKind;
+    use rigs::records::manifest;
+    use run_log::{RunFolder, SessionEvent};
 
     use super::*;
 

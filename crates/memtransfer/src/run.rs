@@ -10,8 +10,8 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use clap::Args;
 use flags::{RunOptions, SettingFlags, source_of};
-use results::log::{EpisodeError, RunLog};
-use results::score::WithoutAction;
+use run_log::answers::WithoutAction;
+use run_log::{EpisodeError, RunLog};
 use settings::{Layer, resolve};
 
 use super::run_plan::{

@@ -7,6 +7,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
 use build_commit::COMMIT;
+use conditions::cost::ModelPrices;
+use conditions::settings::{Group, RunSettings};
+use conditions::{Demonstrations, Route, Start};
 use domain::prompt_log::session_folder;
 use domain::representation::Trajectories;
 use domain::{ExternalName, cache_folder, shell_word};
@@ -27,13 +30,10 @@ use orchestrator::session::RunSession;
 use orchestrator::status::EpisodeCounts;
 use orchestrator::streams::Remaining;
 use orchestrator::trace::RunTrace;
-use results::conditions::{Demonstrations, Route, Start};
-use results::cost::ModelPrices;
-use results::log::{
+use run_log::{
     DOCUMENTS_FOLDER, FORMAT, LOGS_FOLDER, LogError, Manifest, Opened, PROMPTS_FOLDER, RunFolder,
     RunLog, UnitId,
 };
-use results::settings::{Group, RunSettings};
 use rustix::io::Errno;
 use shm_types::message::{MAX_SOURCES, WIRE_VERSION};
 use shm_types::{RunDir, registry};

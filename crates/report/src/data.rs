@@ -1,11 +1,9 @@
 //! The flat tables of a report: a row for each episode, and a row for each condition with every figure.
 
-use results::conditions::Condition;
-use results::key::EpisodeKey;
-use results::log::{EpisodeRecord, EpisodeTimings, RecallTotals, RunLog, Stages, StreamRecord};
-use results::score::{
-    ConditionScore, Derived, Estimate, Failure, Spread, StreamScore, path_weight,
-};
+use conditions::Condition;
+use conditions::key::EpisodeKey;
+use run_log::{EpisodeRecord, EpisodeTimings, RecallTotals, RunLog, Stages, StreamRecord};
+use scores::{ConditionScore, Derived, Estimate, Failure, Spread, StreamScore, path_weight};
 
 use domain::TaskGroup;
 

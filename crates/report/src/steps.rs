@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use results::log::{RequestRecord, RunLog};
+use run_log::{RequestRecord, RunLog};
 use world_client::{EpisodeTimeline, TimelineStep};
 
 use super::data::add_run;
@@ -74,7 +74,7 @@ mod tests {
     use domain::{Action, Heading, Pose};
 
     use super::*;
-    use results::log::testing::{log, record};
+    use rigs::records::{log, record};
 
     #[test]
     fn every_moment_has_a_row_and_the_last_one_no_action() {

@@ -1,14 +1,14 @@
 //! Made-up runs of the whole paper suite and of streams, as plausible as a hash of names can make them.
 
+use conditions::key::EpisodeKey;
+use conditions::settings::{Group, RunSettings};
+use conditions::{Condition, Demonstrations, Route, SegmentContent, Start};
+use domain::events::{Requirement, Visit};
 use domain::{
     Action, Arm, Heading, MemoryKind, Pose, Representation, StreamOrder, TaskGroup, TaskType,
 };
-use results::conditions::{Condition, Demonstrations, Route, SegmentContent, Start};
-use results::events::{Requirement, Visit};
-use results::key::EpisodeKey;
-use results::log::testing::{external_memory, log, record, sequence, settings, stream_log, under};
-use results::log::{Ending, EpisodeRecord, RecallTotals, RunLog, StreamRecord, Unread};
-use results::settings::{Group, RunSettings};
+use rigs::records::{external_memory, log, record, sequence, settings, stream_log, under};
+use run_log::{Ending, EpisodeRecord, RecallTotals, RunLog, StreamRecord, Unread};
 
 /// Every condition of the shipped suite `paper`, each with its number of runs.
 pub(crate) fn paper_conditions() -> Vec<(Condition, u32)> {

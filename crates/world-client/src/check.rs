@@ -5,7 +5,7 @@ use std::fmt::{self, Debug};
 use anyhow::{Result, ensure};
 use case_book::act::{EpisodeEvents, EpisodeParts};
 use domain::{Action, Route, Start};
-use results::log::{Ending, EpisodeRecord};
+use run_log::{Ending, EpisodeRecord};
 use serde::Serialize;
 
 use crate::RecordedRun;

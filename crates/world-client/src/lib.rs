@@ -22,8 +22,8 @@ pub use world::RunWorld;
 use std::path::Path;
 
 use anyhow::Result;
-use results::conditions::Frames;
-use results::log::RunLog;
+use conditions::Frames;
+use run_log::RunLog;
 
 /// What a reader of views must know about a run whose frames were a control.
 pub fn control_notice(frames: Frames) -> Option<String> {

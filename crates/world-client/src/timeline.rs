@@ -3,8 +3,8 @@
 use anyhow::Result;
 use case_book::act::{ActedEpisode, ActedReference, EpisodeParts, EpisodeScenery};
 use domain::{Action, Feedback, Pose};
-use results::log::EpisodeRecord;
-use results::score::Failure;
+use run_log::EpisodeRecord;
+use scores::Failure;
 use serde::{Serialize, Serializer};
 
 use crate::frames::ViewKey;
@@ -169,7 +169,7 @@ fn events(record: &EpisodeRecord) -> Vec<EpisodeEvent> {
 
 #[cfg(test)]
 mod tests {
-    use results::log::testing::record;
+    use rigs::records::record;
 
     use super::*;
 

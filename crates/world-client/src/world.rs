@@ -10,9 +10,9 @@ use case_book::act::{
     EpisodeParts, EpisodeRequest, Scene, StreamBlockPlace, WorldDescription,
 };
 use case_book::{CaseFacts, GREY_VARIANT};
+use conditions::Frames;
 use domain::{Action, Pose, Route, Start};
-use results::conditions::Frames;
-use results::log::{EpisodeRecord, RunLog};
+use run_log::{EpisodeRecord, RunLog};
 
 use crate::frames::ViewKey;
 use crate::program::{Asker, WorldAccess, describe};

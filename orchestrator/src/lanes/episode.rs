@@ -4,11 +4,9 @@ use std::collections::BTreeMap;
 
 use bytemuck::Zeroable;
 use case_book::EpisodeFacts;
+use conditions::Route;
 use domain::{Action, Heading, MemoryKind, Outcome, Pose, Start, hex};
-use results::conditions::Route;
-use results::log::{
-    BlockedRecord, Ending, EpisodeRecord, RecallTotals, Stages, StreamRecord, Unread,
-};
+use run_log::{BlockedRecord, Ending, EpisodeRecord, RecallTotals, Stages, StreamRecord, Unread};
 use shm_types::message::{
     Decision, EXTERNAL, EpisodeEnd, MemoryEpisodeConfig, NO_ACTION, NO_FRAME, NOT_MEASURED,
     PolicyEpisodeConfig, RecallTrace, Role, SnapshotReport, StepCommand, StepKind, StepReport,

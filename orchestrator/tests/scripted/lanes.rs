@@ -2,6 +2,8 @@
 
 use bytemuck::Zeroable;
 use case_book::{CaseInState, StreamBlock, StreamFacts, StreamsFacts};
+use conditions::key::{EpisodeKey, StreamPlace};
+use conditions::{Condition, Demonstrations, Route, Start, Variation};
 use conformance::messages::{self, recall_trace};
 use domain::events::{Requirement, Visit};
 use domain::{Action, Arm, Cell, FeedbackLevel, Mixture, Outcome, Representation, StreamOrder};
@@ -9,10 +11,8 @@ use orchestrator::books::Books;
 use orchestrator::lanes::{AnswerError, EpisodeOpening, FinishedEpisode, Lanes, Rules, Turn};
 use orchestrator::plan::{PlannedEpisode, StreamPart, sequence_id};
 use orchestrator::streams::Remaining;
-use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
-use results::key::{EpisodeKey, StreamPlace};
-use results::log::Ending;
 use rigs::scripted::{ScriptedSim, ScriptedStep, request};
+use run_log::Ending;
 use shm_types::message::{
     Decision, EXPERIENCE, EpisodeEnd, MemoryEpisodeConfig, NO_FRAME, NOT_MEASURED, Observation,
     RecallTrace, RecalledSource, Role, SnapshotReport, StepReport,

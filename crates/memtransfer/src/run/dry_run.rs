@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
+use conditions::cost::ModelPrices;
 use orchestrator::plan::PlannedEpisode;
 use report::table;
-use results::cost::ModelPrices;
-use results::log::{EpisodeRecord, LogError, RunLog};
+use run_log::{EpisodeRecord, LogError, RunLog};
 
 use crate::documents::RunDocuments;
 use crate::estimate::{Basis, RunEstimate};

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use domain::MemoryKind;
-use results::score::{ConditionScore, Failure, worst_cases};
+use scores::{ConditionScore, Failure, worst_cases};
 
 use crate::document::{ReportBlock, Table};
 use crate::plot::{Stack, StackRow, stack};
@@ -81,7 +81,7 @@ pub(crate) fn failures_table(view: &ScoredRun<'_>) -> Option<Table> {
 /// The cases that fail most; `None` when nothing failed.
 pub(crate) fn worst_table(view: &ScoredRun<'_>, most: usize) -> Option<Table> {
     let cases = worst_cases(view.log, most);
-    let row = |case: results::score::CaseScore| {
+    let row = |case: scores::CaseScore| {
         let failed = format!("{} of {}", case.failed, case.episodes);
         let kind = case.failure.name().to_owned();
         (case.case, vec![case.task.to_string(), failed, kind, case.example])

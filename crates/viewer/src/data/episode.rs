@@ -7,12 +7,12 @@ use anyhow::{Context, Result};
 use case_book::act::{
     ActedDemonstration, DemonstrationsRequest, EpisodeParts, EpisodeScenery, Target,
 };
+use conditions::key::EpisodeKey;
+use domain::events::Requirement;
 use domain::{Arm, Cell, DemonstrationKind, Demonstrations, Pose};
-use results::events::Requirement;
-use results::key::EpisodeKey;
-use results::log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
-use results::score::Failure;
-use results::source::{SourceStep, distances, sources};
+use run_log::source::{SourceStep, distances, sources};
+use run_log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
+use scores::Failure;
 use serde::Serialize;
 use world_client::{EpisodeTimeline, RunWorld};
 

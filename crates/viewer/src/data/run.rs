@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 
 use anyhow::Result;
 use case_book::CaseFacts;
+use conditions::Condition;
 use domain::{Action, Feedback, TaskGroup, TaskType};
-use results::conditions::Condition;
-use results::log::{EpisodeRecord, RunLog};
-use results::score::{Failure, WithoutAction};
+use run_log::answers::WithoutAction;
+use run_log::{EpisodeRecord, RunLog};
+use scores::Failure;
 use serde::Serialize;
 use world_client::RunWorld;
 

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use case_book::DEMONSTRATIONS_FILE;
+use conditions::settings::RunSettings;
 use orchestrator::budget::Budget;
 use orchestrator::frame_budget::Demand;
 use orchestrator::lanes::Lanes;
@@ -23,11 +24,10 @@ use orchestrator::status::EpisodeCounts;
 use orchestrator::streams::Remaining;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use results::log::{
+use run_log::{
     EPISODES_FILE, LOGS_FOLDER, Opened, RunFolder, RunLog, SNAPSHOTS_FOLDER, SessionEvent,
     SessionRecord, TIMINGS_FILE, read_journal,
 };
-use results::settings::RunSettings;
 use shm_types::RunDir;
 use shm_types::message::Role;
 use supervise::{Children, Launch};

@@ -1,5 +1,5 @@
-use results::conditions::Route;
-use results::log::testing::{log, record};
+use conditions::Route;
+use rigs::records::{log, record};
 use serde_json::Value;
 use warehouse::{CaseSet, TrajectoryKind, Variant, Warehouse};
 
