@@ -33,7 +33,7 @@ impl Experience {
             variant,
             actions: record.actions.clone(),
             is_complete: record.is_success(),
-            completes_in: record.stream.as_ref()?.completes_in.clone()?,
+            completes_in: record.shared_facts().completes_in?,
         })
     }
 

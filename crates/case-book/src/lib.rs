@@ -9,7 +9,7 @@
 //!
 //! Both are identified by their content ([`BookFile`]).
 //!
-//! What the world tells and is told about single episodes is data as well: [`EpisodeFacts`], [`LearnedEpisode`], and for those
+//! What the world tells and is told about single episodes is data as well: [`EpisodeFacts`], of which every world has [`SharedFacts`], [`LearnedEpisode`], and for those
 //! who show episodes [`act`].
 
 pub mod act;
@@ -23,12 +23,17 @@ mod tests;
 mod text;
 
 pub use cases::{
-    CaseBook, CaseFacts, CaseInState, Reference, StreamBlock, StreamFacts, StreamsFacts, WorldFacts,
+    CaseBook, CaseFacts, CaseInState, FailureKind, HARNESS_FAILURES, LOOPED, OUT_OF_STEPS,
+    Reference, StreamBlock, StreamFacts, StreamsFacts, TaskFacts, TaskGroupFacts, UNREADABLE,
+    WorldFacts,
 };
 pub use demonstrations::{
     CaseDemonstrations, Demonstration, DemonstrationBook, StreamDemonstrations, ViewPlace,
 };
-pub use episodes::{EpisodeFacts, LEARNED_FILE, LearnedEpisode};
+pub use episodes::{
+    EpisodeFacts, FailureFact, LEARNED_FILE, LOOP_STEPS, LOOP_VISITS, LearnedEpisode, PathFact,
+    SharedFacts, looped_at,
+};
 pub use file::{BookError, BookFile, CASE_BOOK_FILE, DEMONSTRATIONS_FILE};
 pub use request::{BookRequest, ElsewhereRequest, StreamsRequest};
 

@@ -172,7 +172,7 @@ fn blocked_routes_have_rows_for_all_demonstrations_and_conflicts_are_of_one_star
         "episodic/new/blocked/original/h20",
     ];
     let mut log = made_up(&only(&conditions), &[1, 9]);
-    for record in log.episodes.iter_mut().filter(|record| record.tried_closed.is_some()) {
+    for record in log.episodes.iter_mut().filter(|record| record.had_conflict().is_some()) {
         let blocked = BlockedRecord { invalidated: true, ..BlockedRecord::default() };
         record.blocked = Some(blocked);
     }

@@ -6,9 +6,10 @@
 
 use std::collections::BTreeMap;
 
+use case_book::{FailureKind, WorldFacts};
 use conditions::settings::{RunSettings, StreamSettings};
 use conditions::{Condition, Demonstrations, Start, Variation};
-use domain::{Arm, FeedbackLevel, Heading, Outcome, Pose, Representation, StreamOrder};
+use domain::{Arm, FeedbackLevel, Outcome, Representation, StreamOrder};
 use run_log::{
     Ending, EpisodeRecord, EpisodeTimings, ExternalMemoryFacts, FORMAT, Manifest, RecallTotals,
     RequestRecord, RunLog, Stages, StreamRecord,
@@ -85,7 +86,7 @@ pub fn without_checksums(text: &str) -> String {
 /// The record of `case` under episodic memory: a success is 10 steps for a reference of 8, a failure 200.
 pub fn record(case: &str, success: bool) -> EpisodeRecord {
     let steps: u8 = if success { 10 } else { 200 };
-    keyed(made(json!({
+    let mut record = keyed(made(json!({
         "key": "",
         "memory": "episodic",
         "start": "original",
@@ -101,11 +102,68 @@ pub fn record(case: &str, success: bool) -> EpisodeRecord {
         "actions": "f".repeat(steps.into()),
         "sub_goals": if success { vec![10] } else { vec![] },
         "required": 1,
-        "start_pose": Pose::new(1, 2, Heading::N),
-        "final_pose": Pose::new(1, 2 + steps, Heading::N),
         "requests": steps,
         "images": u64::from(steps) * 14,
-    })))
+        "world": {
+            "start_pose": "1,2,N",
+            "final_pose": format!("1,{},N", 2 + steps),
+            "visits": [],
+            "first_seen": {},
+            "blocked_moves": [],
+        },
+    })));
+    if !success {
+        tell_failure(&mut record, "never-saw", steps.into());
+    }
+    record
+}
+
+/// Sets the fact that an episode failed in this way, which was decided after `step` steps.
+pub fn tell_failure(record: &mut EpisodeRecord, kind: &str, step: u32) {
+    tell(record, "failure", json!({"kind": kind, "step": step}));
+}
+
+/// Sets a fact that the world tells of an episode.
+pub fn tell(record: &mut EpisodeRecord, fact: &str, value: impl Into<Value>) {
+    record.world.insert(fact.to_owned(), value.into());
+}
+
+/// A world with the groups, tasks and kinds of failure of the warehouse.
+pub fn world() -> WorldFacts {
+    let groups = [
+        ("basic", "Basic (T1–T2)", &[1, 2][..]),
+        ("multi-object", "Multi-object (T3–T6)", &[3, 4, 5, 6]),
+        ("return loops", "Return loops (T7, T8, T10)", &[7, 8, 10]),
+        ("revisit", "Revisit (T9)", &[9]),
+    ];
+    let tasks = groups.iter().flat_map(|(group, _, numbers)| {
+        numbers.iter().map(move |number| json!({"number": number, "name": format!("task {number}"), "group": group}))
+    });
+    let failures = [
+        ("unreadable", "in at least half of the answers no action could be read"),
+        (
+            "blocked",
+            "tried to enter a closed cell, then met no requirement and hardly went anywhere new",
+        ),
+        ("looped", "at least 5 times in the same state within the last 60 steps"),
+        ("wrong-order", "stood before B ahead of A, and not again after it"),
+        ("no-return", "everything done except the return to the origin"),
+        ("no-revisit", "everything done except visiting the same instance again"),
+        ("missed-instance", "visited some of the instances and not all"),
+        ("never-saw", "the target that was next was never in view"),
+        ("saw-and-left", "the target that was next was in view and was never reached"),
+        ("out-of-steps", "none of the other kinds"),
+    ];
+    made(json!({
+        "name": "warehouse",
+        "version": "1",
+        "hashes": {},
+        "views": 0,
+        "elsewhere_views": 0,
+        "groups": groups.map(|(name, heading, _)| json!({"name": name, "heading": heading})),
+        "tasks": tasks.collect::<Vec<_>>(),
+        "failures": failures.map(FailureKind::new),
+    }))
 }
 
 /// The record with the key that its fields make, and the seed of that in a run with the master seed of [`settings`].
@@ -149,14 +207,15 @@ pub fn stream_record(case: &str, success: bool) -> EpisodeRecord {
         stale: 1,
         snapshot: Some("0123456789abcdef".repeat(2)),
         store_bytes: Some(1000),
-        completes_in: Some([0].into()),
     };
-    keyed(EpisodeRecord {
+    let mut record = EpisodeRecord {
         start: Start::New,
         arm: Arm::Learning,
         stream: Some(stream),
         ..record(case, success)
-    })
+    };
+    tell(&mut record, "completes_in", json!([0]));
+    keyed(record)
 }
 
 /// A whole sequence: an evaluation of all `blocks`, and for each one round of learning and another evaluation. A block is
@@ -189,9 +248,15 @@ pub fn sequence(
                 stale: u32::from(block > 0),
                 snapshot: learns.then(|| "0123456789abcdef".repeat(2)),
                 store_bytes: Some(1000 * (1 + after as u64)),
-                completes_in: learns.then(|| [0].into()),
             };
-            let record = record(case, outcome(&place, case));
+            let success = outcome(&place, case);
+            let mut record = record(case, success);
+            // Two cells, or 192, further than the end of a reference of nine.
+            let distance_m = if success { 3.0 } else { 18_528.0 };
+            tell(&mut record, "path", json!({"distance_m": distance_m, "length": 9}));
+            if learns {
+                tell(&mut record, "completes_in", json!([0]));
+            }
             episodes.push(under(condition, EpisodeRecord { run, stream: Some(place), ..record }));
         }
     };
@@ -287,6 +352,7 @@ pub fn log(episodes: Vec<EpisodeRecord>) -> RunLog {
         dir: "run".into(),
         name: "run".to_owned(),
         manifest: Manifest { episodes: episodes.len() as u32, ..manifest() },
+        world: world(),
         timings: episodes.iter().map(timings).collect(),
         episodes,
         requests: Vec::new(),

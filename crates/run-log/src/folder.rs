@@ -14,6 +14,7 @@ use super::files::{
     TIMINGS_FILE, memory_log_names,
 };
 use super::journal::unchecked;
+use super::known::KnownFacts;
 use super::manifest::{CODE, CODE_OF_POLICY, POLICY};
 use super::{
     Difference, EpisodeError, EpisodeRecord, EpisodeTimings, Journal, LogError, Manifest,
@@ -90,7 +91,7 @@ impl RunFolder {
             }
             None => manifest,
         };
-        let check = check_records(dir, &manifest)?;
+        let check = check_records(KnownFacts::of(dir, &manifest)?, &manifest);
         manifest.write(dir)?;
 
         let (episodes, finished) = journal(&dir.join(EPISODES_FILE), check, &mut notes)?;

@@ -3,14 +3,15 @@
 
 use std::path::Path;
 
-use case_book::{BookError, BookFile, CASE_BOOK_FILE, CaseBook};
+use case_book::{BookError, BookFile, CASE_BOOK_FILE, CaseBook, WorldFacts};
 
 use super::{EpisodeRecord, Manifest, PlannedFacts};
 
 /// Seed and cases of a run.
+#[derive(Debug)]
 pub(super) struct KnownFacts {
     seed: u64,
-    /// The case book; `None` in the folders of earlier versions.
+    /// The case book; `None` before the world has written it.
     book: Option<CaseBook>,
 }
 
@@ -23,6 +24,11 @@ impl KnownFacts {
         let path = dir.join(CASE_BOOK_FILE);
         let file = path.exists().then(|| BookFile::read(&path)).transpose()?;
         Ok(Self { seed: manifest.settings.seed, book: file.map(|file| file.book) })
+    }
+
+    /// What the case book says about the world.
+    pub(super) fn world(&self) -> WorldFacts {
+        self.book.as_ref().map(|book| book.world.clone()).unwrap_or_default()
     }
 
     /// Checks the seed, the task and the reference of a record whose fields make its key.
@@ -45,6 +51,11 @@ impl KnownFacts {
                 }
             }
             .unwrap_or(0);
+            if let Some(failure) = record.shared_facts().failure
+                && book.world.failure_index(&failure.kind).is_none()
+            {
+                return Err(format!("the world has no kind of failure {}", failure.kind));
+            }
         }
         facts.check(PlannedFacts::of(record), &record.key, "by its run")
     }
@@ -55,8 +66,8 @@ mod tests {
     use domain::{Heading, Pose, Route, Start};
 
     use super::*;
-    use crate::records::{manifest, record};
-    use case_book::{CaseFacts, Reference, WorldFacts};
+    use crate::records::{manifest, record, world};
+    use case_book::{CaseFacts, Reference};
 
     fn book() -> CaseBook {
         let reference = Reference {
@@ -73,14 +84,7 @@ mod tests {
             references: vec![reference],
             invalidated_when_blocked: false,
         };
-        let world = WorldFacts {
-            name: String::new(),
-            version: String::new(),
-            hashes: [].into(),
-            views: 0,
-            elsewhere_views: 0,
-        };
-        CaseBook { world, cases: vec![case], streams: None, stale: [].into() }
+        CaseBook { world: world(), cases: vec![case], streams: None, stale: [].into() }
     }
 
     #[test]
@@ -104,12 +108,17 @@ mod tests {
             problem(|record| record.seed = 9),
             problem(|record| record.reference = 9),
             problem(|record| record.case = "t99-01".to_owned()),
+            problem(|record| {
+                let fell = serde_json::json!({"kind": "fell", "step": 4});
+                record.world.insert("failure".to_owned(), fell);
+            }),
         ];
         insta::assert_snapshot!(problems.join("\n"), @r#"
         "task" of episodic/original/unchanged/original/run1/t01-01 is 9, and 1 by its run
         "seed" of episodic/original/unchanged/original/run1/t01-01 is 9, and 12812761443170901343 by its run
         "reference" of episodic/original/unchanged/original/run1/t01-01 is 9, and 16 by its run
         the run has no case t99-01
+        the world has no kind of failure fell
         "#);
         std::fs::write(&path, "{}").unwrap();
         let error = KnownFacts::of(folder.path(), &run).err().unwrap().to_string();

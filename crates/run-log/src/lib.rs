@@ -32,7 +32,6 @@ mod merge;
 pub mod policy;
 mod read;
 mod record;
-mod replay;
 mod sealed;
 pub mod source;
 pub mod step_view;
@@ -94,6 +93,19 @@ pub enum LogError {
         path: PathBuf,
         /// What is wrong with it.
         problem: String,
+    },
+    /// Another version of the program wrote the folder.
+    #[error(
+        "{} is a run folder of format {format}, and this program reads format {FORMAT}: read it with {writer}, which wrote it",
+        dir.display()
+    )]
+    OtherFormat {
+        /// The folder.
+        dir: PathBuf,
+        /// Its format.
+        format: u64,
+        /// The program that wrote it.
+        writer: String,
     },
     /// The case book cannot be used.
     #[error("{0}. Records are checked with it: restore it, or run into another --out")]

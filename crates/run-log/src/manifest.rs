@@ -2,7 +2,6 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
-use std::ops::RangeInclusive;
 use std::path::Path;
 
 use domain::ExternalName;
@@ -13,11 +12,9 @@ use super::{LogError, system};
 use conditions::cost::ModelPrices;
 use conditions::settings::{Key, RunSettings};
 
-/// Changes when programs that read the old files cannot read the new ones. Since 3, the lines of journals have checksums.
-pub const FORMAT: u32 = 3;
-
-/// The formats that this program reads.
-const READABLE: RangeInclusive<u32> = 2..=FORMAT;
+/// Changes when programs that read the old files cannot read the new ones. Since 4, what only the world
+/// understands is one object of a record.
+pub const FORMAT: u32 = 4;
 
 /// The name of the hash of the other warehouse in which tasks are demonstrated.
 pub const ELSEWHERE_HASH: &str = "elsewhere";
@@ -195,6 +192,14 @@ fn contents_of(name: &str) -> String {
     format!("contents of {name}")
 }
 
+/// The program that wrote a manifest, as it names itself there.
+fn writer(manifest: &Value) -> String {
+    let text = |name: &str| manifest.get(name).and_then(Value::as_str);
+    let version = text("version").unwrap_or("of an unknown version");
+    let commit = text("commit").map(|commit| format!(" (commit {commit})"));
+    format!("memtransfer {version}{}", commit.unwrap_or_default())
+}
+
 impl Manifest {
     /// Reads the manifest in the run folder `dir`.
     ///
@@ -207,12 +212,10 @@ impl Manifest {
         let value: Value = serde_json::from_slice(&text).map_err(|e| broken(e.to_string()))?;
         // The format comes first: a manifest of another format may have other fields.
         match value.get("format").and_then(Value::as_u64) {
-            Some(format) if u32::try_from(format).is_ok_and(|one| READABLE.contains(&one)) => {}
+            Some(format) if format == u64::from(FORMAT) => {}
             Some(format) => {
-                let (first, last) = READABLE.into_inner();
-                return Err(broken(format!(
-                    "format {format}, this program reads {first} to {last}"
-                )));
+                let (dir, writer) = (dir.to_owned(), writer(&value));
+                return Err(LogError::OtherFormat { dir, format, writer });
             }
             None => {
                 return Err(broken("it is not the manifest of a run: it has no format".to_owned()));

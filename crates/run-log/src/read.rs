@@ -3,9 +3,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use case_book::WorldFacts;
+
 use super::check::check_records;
 use super::files::{EPISODES_FILE, ERRORS_FILE, REQUESTS_FILE, SESSIONS_FILE, TIMINGS_FILE};
 use super::journal::unchecked;
+use super::known::KnownFacts;
 use super::manifest::MANIFEST_FILE;
 use super::{
     DamagedLine, EpisodeError, EpisodeRecord, EpisodeTimings, LogError, Manifest, RequestRecord,
@@ -22,6 +25,8 @@ pub struct RunLog {
     pub name: String,
     /// The manifest.
     pub manifest: Manifest,
+    /// The world, from the case book; the default for a run that was killed before the world wrote that.
+    pub world: WorldFacts,
     /// Finished episodes, by key.
     pub episodes: Vec<EpisodeRecord>,
     /// Their timings, by key.
@@ -63,7 +68,9 @@ impl RunLog {
         }
         let manifest = Manifest::read(dir)?;
         let mut damaged = Vec::new();
-        let check = check_records(dir, &manifest)?;
+        let known = KnownFacts::of(dir, &manifest)?;
+        let world = known.world();
+        let check = check_records(known, &manifest);
         let mut episodes = read(dir, EPISODES_FILE, check, &mut damaged)?;
         episodes.sort_by(|a: &EpisodeRecord, b| a.key.cmp(&b.key));
         let timings: Vec<EpisodeTimings> = read(dir, TIMINGS_FILE, unchecked, &mut damaged)?;
@@ -80,7 +87,18 @@ impl RunLog {
         let errors = errors.into_values().collect();
         let sessions = read(dir, SESSIONS_FILE, unchecked, &mut damaged)?;
         let (dir, name) = (dir.to_owned(), last_parts(dir, 1));
-        Ok(Self { dir, name, manifest, episodes, timings, requests, errors, sessions, damaged })
+        Ok(Self {
+            dir,
+            name,
+            manifest,
+            world,
+            episodes,
+            timings,
+            requests,
+            errors,
+            sessions,
+            damaged,
+        })
     }
 
     /// The types of the tasks of cases, by the case's id: of those that the manifest or an episode tells.

@@ -4,21 +4,19 @@
 //! of lanes, or killed and resumed, give the same lines in another order. Everything else about an episode
 //! goes into its [`EpisodeTimings`].
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
+use case_book::SharedFacts;
 use domain::names::named;
-use domain::{
-    Arm, ExternalName, FeedbackLevel, MemoryKind, Outcome, Pose, SEQUENCE_ENDED, StreamOrder,
-    TaskType,
-};
+use domain::{Arm, ExternalName, FeedbackLevel, MemoryKind, Outcome, SEQUENCE_ENDED, StreamOrder};
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 
 use conditions::key::{EpisodeKey, StreamPlace};
 use conditions::{
     Condition, Demonstrations, Hint, Route, SegmentContent, Start, Variation, is_default,
     is_standard_window, standard_window,
 };
-use domain::events::{Requirement, Visit};
 
 named! {
     /// How an episode ended.
@@ -70,33 +68,16 @@ pub struct EpisodeRecord {
     pub steps: u32,
     /// Length of the reference, l_i.
     pub reference: u32,
-    /// The actions, a letter for each step (`f b l r` moves, `L R U` turns), `?` for an unreadable answer.
+    /// The actions, a letter of the world for each step, `?` for an unreadable answer.
     pub actions: String,
     /// For each sub-goal, in order of completion: the step at which it was completed.
     pub sub_goals: Vec<u32>,
     /// Sub-goals of the whole task; a return is the last. The episode is complete when `sub_goals` has as many.
     pub required: u32,
-    /// Every arrival before an item that the task is about, whether or not it counted, in order: `12A@3,7` is after 12
-    /// steps before an A, on the cell in column 3 and row 7.
-    #[serde(skip_serializing_if = "Vec::is_empty", default)]
-    pub visits: Vec<Visit>,
-    /// For A, B or C: the first step whose view showed one, whatever the distance. Absent for what was never in view.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty", default)]
-    pub first_seen: BTreeMap<Requirement, u32>,
-    /// The steps, from 1, whose move was blocked and left the agent in place. With `start_pose` and `actions`, they
-    /// determine where the agent was at every step.
-    #[serde(skip_serializing_if = "Vec::is_empty", default)]
-    pub blocked_moves: Vec<u32>,
-    /// On a blocked route: whether the agent tried to enter a newly closed cell, b_i. Absent elsewhere.
+    /// On a blocked route: the first step, from 1, at which the agent ran into what the route's variant changed. Absent when it
+    /// did not, and elsewhere.
     #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub tried_closed: Option<bool>,
-    /// The step, from 1, of the first such try. Absent when there was none.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub tried_closed_at: Option<u32>,
-    /// Where the agent began.
-    pub start_pose: Pose,
-    /// Where it ended.
-    pub final_pose: Pose,
+    pub conflict_at: Option<u32>,
     /// Requests to the policy. Absent where there was no policy to ask (the expert).
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub requests: Option<u32>,
@@ -147,6 +128,9 @@ pub struct EpisodeRecord {
     /// Where the episode stands in its stream, and what its memory knew. Absent outside of streams.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub stream: Option<StreamRecord>,
+    /// What the world tells of the episode: a JSON object that only the world and its own scores understand, but for the
+    /// [`SharedFacts`] that it may have.
+    pub world: Map<String, Value>,
 }
 
 /// What a record of an episode on a blocked route holds beside the rest.
@@ -188,8 +172,7 @@ pub struct StreamRecord {
     /// Whether events have invalidated the case's original demonstration: replayed in this world, it does not complete
     /// the task.
     pub invalidated: bool,
-    /// The actions of the reference, a letter for each, from `start_pose` on. Absent in earlier logs.
-    #[serde(skip_serializing_if = "String::is_empty", default)]
+    /// The actions of the reference, a letter for each.
     pub reference_actions: String,
     /// Sources that memory retrieved.
     pub retrievals: u32,
@@ -202,9 +185,6 @@ pub struct StreamRecord {
     /// The size of the memory's store at the end of the episode, in bytes. Absent if it told none.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub store_bytes: Option<u64>,
-    /// The variants of the run's streams in which the episode's actions complete its task. Only for one that was learned from.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub completes_in: Option<BTreeSet<u32>>,
 }
 
 impl StreamRecord {
@@ -233,9 +213,15 @@ impl EpisodeRecord {
         }
     }
 
-    /// The type of its task; `None` if there is none of that number.
-    pub fn task_type(&self) -> Option<TaskType> {
-        TaskType::try_from(self.task).ok()
+    /// What every world may tell of an episode. The default if it is told in another form, which no record that was
+    /// [checked](Self::check) has.
+    pub fn shared_facts(&self) -> SharedFacts {
+        SharedFacts::of(&self.world).unwrap_or_default()
+    }
+
+    /// On a blocked route: whether the agent ran into what the route's variant changed, b_i. `None` elsewhere.
+    pub fn had_conflict(&self) -> Option<bool> {
+        (self.route == Route::Blocked).then_some(self.conflict_at.is_some())
     }
 
     /// The key that its fields make.

@@ -36,12 +36,12 @@ pub struct Derived {
 
 /// `F = 100 / N * sum b_i` of one run: the episodes that tried to enter a newly closed cell.
 pub(super) fn follow(records: &[&EpisodeRecord]) -> Option<f64> {
-    percentage(records.iter().filter_map(|record| record.tried_closed))
+    percentage(records.iter().filter_map(|record| record.had_conflict()))
 }
 
 /// `C = 100 * sum b_i s_i / sum b_i` of one run: the successes among those. Undefined, not zero, when no b_i is 1.
 pub(super) fn recovery(records: &[&EpisodeRecord]) -> Option<f64> {
-    let tried = records.iter().filter(|record| record.tried_closed == Some(true));
+    let tried = records.iter().filter(|record| record.had_conflict() == Some(true));
     percentage(tried.map(|record| record.is_success()))
 }
 

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use case_book::WorldFacts;
 use domain::Representation;
 use serde::Serialize;
 
@@ -117,6 +118,7 @@ pub(super) fn score_condition(
     trials: &Trials<'_>,
     planned: usize,
     timings: &BTreeMap<&str, &EpisodeTimings>,
+    world: &WorldFacts,
 ) -> Option<ConditionScore> {
     let planned = planned.max(trials.count());
     Some(ConditionScore {
@@ -132,14 +134,14 @@ pub(super) fn score_condition(
         spl: trials
             .over_runs(success::path_weighted)?
             .within(cases(trials, |record| Some(path_weight(record))).interval(Interval::SHARE)),
-        groups: success::groups(trials),
+        groups: success::groups(trials, world),
         blocked: (condition.route == Route::Blocked).then(|| {
             let within = |spread: Option<Spread>, units: Units| {
                 spread.map(|spread| spread.within(units.interval(Interval::PERCENT)))
             };
-            let tried = |record: &EpisodeRecord| record.tried_closed.map(percent);
+            let tried = |record: &EpisodeRecord| record.had_conflict().map(percent);
             let recovered = |record: &EpisodeRecord| {
-                (record.tried_closed == Some(true)).then(|| succeeded(record))
+                (record.had_conflict() == Some(true)).then(|| succeeded(record))
             };
             BlockedScore {
                 follow: within(trials.over_runs(blocked::follow), cases(trials, tried)),
@@ -154,7 +156,7 @@ pub(super) fn score_condition(
         tokens_per_100: tokens(trials),
         unread: trials.over_runs(cost::unread),
         from_other_cases: trials.over_runs(cost::from_other_cases),
-        failures: Failures::of(trials.iter()),
+        failures: Failures::of(trials.iter(), world),
         stage_us: stage_us(condition, trials, timings),
     })
 }

@@ -43,7 +43,7 @@ pub(super) fn conflicts(
         .collect();
     let scored = of_cases.iter().filter_map(|(condition, trials)| {
         let planned = planned.episodes(condition, invalidated.len());
-        score_condition(*condition, trials, planned, timings)
+        score_condition(*condition, trials, planned, timings, &log.world)
     });
     let mut scores: Vec<ConditionScore> = scored.collect();
     relate(&mut scores, &of_cases);

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use case_book::WorldFacts;
 use serde::Serialize;
 
 use super::Planned;
@@ -10,7 +11,7 @@ use super::mean::percentage;
 use super::trial::Trials;
 use conditions::Condition;
 use run_log::source::{SourceStep, sources};
-use run_log::{EpisodeRecord, EpisodeTimings};
+use run_log::{EpisodeRecord, EpisodeTimings, RunLog};
 
 /// A memory with a bank of one size.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -39,13 +40,15 @@ pub struct GrowthScore {
 }
 
 /// The scores of the conditions with banks, by memory and size, each after working memory on the same start and route. Empty
-/// without a bank. `tasks`: the type of the task of every case that the log tells, by the case's id.
+/// without a bank.
 pub(super) fn growth(
+    log: &RunLog,
     trials: &BTreeMap<Condition, Trials<'_>>,
     planned: &Planned,
     timings: &BTreeMap<&str, &EpisodeTimings>,
-    tasks: &BTreeMap<&str, u8>,
 ) -> Vec<GrowthScore> {
+    // The type of the task of every case that the log tells.
+    let tasks = log.tasks();
     let has_bank = |condition: &Condition| condition.demonstrations.bank_size().is_some();
     if !trials.keys().any(has_bank) {
         return Vec::new();
@@ -57,7 +60,7 @@ pub(super) fn growth(
         .filter(|(condition, _)| is_shown(condition))
         .filter_map(|(condition, trials)| {
             let planned = planned.episodes(condition, planned.cases);
-            of_condition(*condition, trials, planned, timings, tasks)
+            of_condition(*condition, trials, planned, timings, (&log.world, &tasks))
         })
         .collect();
     found.sort_by_key(|one| {
@@ -72,7 +75,7 @@ fn of_condition(
     trials: &Trials<'_>,
     planned: usize,
     timings: &BTreeMap<&str, &EpisodeTimings>,
-    tasks: &BTreeMap<&str, u8>,
+    (world, tasks): (&WorldFacts, &BTreeMap<&str, u8>),
 ) -> Option<GrowthScore> {
     let sources: Vec<(&EpisodeRecord, Option<String>)> = trials
         .iter()
@@ -105,7 +108,7 @@ fn of_condition(
     let tokens = sum(|record| record.memory_tokens).zip(asked);
     Some(GrowthScore {
         size: condition.demonstrations.bank_size().unwrap_or(0),
-        score: score_condition(condition, trials, planned, timings)?,
+        score: score_condition(condition, trials, planned, timings, world)?,
         from_own_case: percentage(sources.iter().map(|(_, other)| other.is_none())),
         from_same_type: same_type.and_then(|same| percentage(same.into_iter())),
         search_us: us(per_recall(&|of| of.stages.search)),

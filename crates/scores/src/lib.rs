@@ -50,7 +50,7 @@ pub use blocked::{BlockedScore, Derived};
 pub use comparison::{Comparison, FigureDifference, compare};
 pub use condition::{Bounds, ConditionScore};
 pub use conflict::HISTORIES;
-pub use failure::{Failure, Failures, LOOP_STEPS, LOOP_VISITS, NEW_CELLS};
+pub use failure::{Failures, failure_of};
 pub use growth::GrowthScore;
 pub use interval::Interval;
 pub use memory::MemoryScore;
@@ -124,13 +124,13 @@ pub fn score(log: &RunLog) -> Scores {
     let planned = if streams.is_some() { Planned::default() } else { Planned::of(&log.manifest) };
     let scored = trials.iter().filter_map(|(condition, trials)| {
         let planned = planned.episodes(condition, planned.cases);
-        condition::score_condition(*condition, trials, planned, &timings)
+        condition::score_condition(*condition, trials, planned, &timings, &log.world)
     });
     let mut conditions: Vec<ConditionScore> = scored.collect();
     condition::relate(&mut conditions, &trials);
     Scores {
         policy: log.manifest.policy_label(),
-        growth: growth::growth(&trials, &planned, &timings, &log.tasks()),
+        growth: growth::growth(log, &trials, &planned, &timings),
         conflicts: conflict::conflicts(log, &trials, &planned, &timings),
         conditions,
         planned: log.manifest.episodes as usize,

@@ -1,7 +1,7 @@
 //! Success rate and success weighted by path length (specification, section 7; paper, equation `eq:sr_spl`), over
 //! all tasks and for each group of them.
 
-use domain::{TaskGroup, TaskType};
+use case_book::{TaskGroupFacts, WorldFacts};
 use serde::Serialize;
 
 use super::mean::{mean, percentage};
@@ -24,28 +24,24 @@ pub(super) fn path_weighted(records: &[&EpisodeRecord]) -> Option<f64> {
 }
 
 /// The success rate of the tasks of one group (paper, table `tab:tasks`).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct GroupScore {
-    /// The group.
-    #[serde(serialize_with = "by_name")]
-    pub group: TaskGroup,
+    /// The name of the group.
+    pub group: String,
     /// Success rate in percent over runs, of the group's episodes alone.
     pub sr: Spread,
 }
 
-fn by_name<S: serde::Serializer>(group: &TaskGroup, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.serialize_str(group.name())
-}
-
-/// The groups that have an episode.
-pub(super) fn groups(trials: &Trials<'_>) -> Vec<GroupScore> {
-    let rate = |group: TaskGroup| {
+/// The groups of `world` that have an episode.
+pub(super) fn groups(trials: &Trials<'_>, world: &WorldFacts) -> Vec<GroupScore> {
+    let rate = |group: &str| {
         trials.over_runs(|run| {
-            let of_group =
-                run.iter().filter(|record| record.task_type().map(TaskType::group) == Some(group));
+            let of_group = run.iter().filter(|record| world.group_of(record.task) == Some(group));
             percentage(of_group.map(|record| record.is_success()))
         })
     };
-    let scored = |group: TaskGroup| Some(GroupScore { group, sr: rate(group)? });
-    TaskGroup::ALL.into_iter().filter_map(scored).collect()
+    let scored = |TaskGroupFacts { name, .. }: &TaskGroupFacts| {
+        Some(GroupScore { sr: rate(name)?, group: name.clone() })
+    };
+    world.groups.iter().filter_map(scored).collect()
 }

@@ -115,7 +115,7 @@ fn task_groups_are_scored_by_themselves_per_run() {
         of_task(9, "h", true, 1),
     ]));
     let means: Vec<_> =
-        found.groups.iter().map(|score| (score.group.name(), score.sr.mean)).collect();
+        found.groups.iter().map(|score| (score.group.as_str(), score.sr.mean)).collect();
     let expected =
         [("basic", 75.0), ("multi-object", 100.0 / 3.0), ("return loops", 0.0), ("revisit", 100.0)];
     assert_eq!(means, expected);
@@ -137,7 +137,7 @@ fn episode(
         record.demonstrations = Demonstrations::NONE;
     }
     record.route = if tried.is_some() { Route::Blocked } else { Route::Unchanged };
-    record.tried_closed = tried;
+    record.conflict_at = tried.filter(|tried| *tried).map(|_| 3);
     in_run(run, record)
 }
 
@@ -174,7 +174,7 @@ fn follow_and_recovery_per_run_and_undefined_is_not_zero() {
     near(recovery.std.unwrap(), 100.0 / 3.0 * 2.0_f64.sqrt());
     assert_eq!((follow.runs, recovery.runs), (3, 2));
     assert_eq!((found.change, found.retention), (None, None), "nothing to compare with was run");
-    records.iter_mut().for_each(|record| record.tried_closed = Some(false));
+    records.iter_mut().for_each(|record| record.conflict_at = None);
     let found = blocked_score(&log(records), Representation::Episodic);
     assert_eq!((found.follow.unwrap().mean, found.recovery), (0.0, None));
 }

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use case_book::WorldFacts;
 use serde::Serialize;
 
-use super::failure::Failure;
+use super::failure::{Failures, failure_of};
 use run_log::{EpisodeRecord, RunLog};
 
 /// A case over all conditions and runs.
@@ -18,8 +19,8 @@ pub struct CaseScore {
     pub episodes: usize,
     /// Episodes that failed.
     pub failed: usize,
-    /// The most frequent kind of failure; the first of equals.
-    pub failure: Failure,
+    /// The name of the most frequent kind of failure; the first of equals.
+    pub failure: String,
     /// An episode that failed in this way, for `memtransfer show`.
     pub example: String,
 }
@@ -31,30 +32,27 @@ pub fn worst_cases(log: &RunLog, most: usize) -> Vec<CaseScore> {
         by_case.entry(&record.case).or_default().push(record);
     }
     let mut cases: Vec<CaseScore> =
-        by_case.values().filter_map(|records| case_score(records)).collect();
+        by_case.values().filter_map(|records| case_score(records, &log.world)).collect();
     // Stable: equals stay in the order of their ids.
     cases.sort_by(|a, b| (b.failed * a.episodes).cmp(&(a.failed * b.episodes)));
     cases.truncate(most);
     cases
 }
 
-fn case_score(records: &[&EpisodeRecord]) -> Option<CaseScore> {
-    let mut kinds: BTreeMap<Failure, Vec<&EpisodeRecord>> = BTreeMap::new();
-    for record in records {
-        if let Some(kind) = Failure::of(record) {
-            kinds.entry(kind).or_default().push(record);
-        }
-    }
-    let failed = kinds.values().map(Vec::len).sum();
-    let (failure, examples) =
-        kinds.into_iter().max_by_key(|(kind, of)| (of.len(), std::cmp::Reverse(*kind)))?;
-    let first = records.first()?;
+fn case_score(records: &[&EpisodeRecord], world: &WorldFacts) -> Option<CaseScore> {
+    let failures = Failures::of(records.iter().copied(), world);
+    let most = failures.iter().map(|(_, count)| count).max()?;
+    let (failure, _) = failures.iter().find(|(_, count)| *count == most && most > 0)?;
+    let is_example = |record: &&&EpisodeRecord| {
+        failure_of(record, world).is_some_and(|found| found.kind == failure)
+    };
+    let example = records.iter().find(is_example)?;
     Some(CaseScore {
-        case: first.case.clone(),
-        task: first.task,
+        case: example.case.clone(),
+        task: example.task,
         episodes: records.len(),
-        failed,
-        failure,
-        example: examples.first()?.key.clone(),
+        failed: failures.total(),
+        failure: failure.to_owned(),
+        example: example.key.clone(),
     })
 }

@@ -17,7 +17,7 @@ pub use check::{Difference, check_run};
 pub use program::{Asker, WorldAccess, WorldFiles, WorldProgram};
 pub use selection::Selection;
 pub use timeline::{EpisodeEvent, EpisodeTimeline, EventLevel, TimelineStep};
-pub use world::RunWorld;
+pub use world::{RunWorld, begin_of, facts_of};
 
 use std::path::Path;
 
