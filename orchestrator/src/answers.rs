@@ -7,10 +7,10 @@
 
 use std::collections::BTreeSet;
 
+use conditions::settings::ModelSettings;
 use domain::Outcome;
-use results::log::RequestRecord;
-use results::score::AnswerCounts;
-use results::settings::ModelSettings;
+use run_log::RequestRecord;
+use run_log::answers::AnswerCounts;
 
 /// Answers without an action after which the user is warned.
 const WARN_AFTER: u64 = 10;
@@ -72,7 +72,7 @@ impl AnswerWatch {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use results::log::testing::request;
+    use rigs::records::request;
 
     fn model() -> ModelSettings {
         let settings = serde_json::json!({

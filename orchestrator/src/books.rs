@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use case_book::{
     BookFile, BookRequest, CASE_BOOK_FILE, CaseBook, DEMONSTRATIONS_FILE, DemonstrationBook,
 };
-use results::log::{
+use run_log::{
     CASE_BOOK_HASH, DEMONSTRATIONS_HASH, ELSEWHERE_FILE, ELSEWHERE_HASH, STREAMS_FILE, STREAMS_HASH,
 };
 

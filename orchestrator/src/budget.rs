@@ -2,10 +2,10 @@
 //!
 //! Requests of earlier sessions count, also those of episodes that were repeated.
 
-use results::cost::{ModelPrices, Money};
-use results::log::RequestRecord;
-use results::settings::ModelSettings;
-use results::usage::UsageTotals;
+use conditions::cost::{ModelPrices, Money};
+use conditions::settings::ModelSettings;
+use run_log::RequestRecord;
+use run_log::usage::UsageTotals;
 
 /// What a run has used, and its limits.
 #[derive(Debug, Clone, Default)]
@@ -49,7 +49,7 @@ impl Budget {
             ));
         }
         if let Some((most, prices)) = max_cost {
-            let cost = prices.cost(used);
+            let cost = used.cost(prices);
             if cost >= *most {
                 let currency = &prices.currency;
                 return Some(format!(
@@ -64,7 +64,7 @@ impl Budget {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use results::log::testing::request;
+    use rigs::records::request;
 
     fn budget(max_tokens: Option<u64>, max_cost: Option<&str>, past: &[RequestRecord]) -> Budget {
         let amount = |text: &str| text.parse::<Money>().unwrap();

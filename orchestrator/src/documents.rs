@@ -12,13 +12,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use conditions::Condition;
 use documents::{
     DocumentFolder, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe, Sources,
     StoredDocument,
 };
 use domain::cache_folder;
-use results::conditions::Condition;
-use results::log::DocumentFacts;
+use run_log::DocumentFacts;
 
 /// Locked while documents are built in a folder.
 const LOCK_FILE: &str = "lock";
@@ -298,9 +298,9 @@ fn lock(
 #[cfg(test)]
 mod tests {
     use case_book::BookRequest;
+    use conditions::{Route, Start, Variation};
     use documents::{BuildAccount, DocumentFile, Provenance};
     use domain::{Appearance, Demonstrations, Representation};
-    use results::conditions::{Route, Start, Variation};
     use warehouse::case_book::write_books;
 
     use super::*;

@@ -10,9 +10,9 @@ use std::time::{Duration, Instant};
 
 use crate::command_files::command_files;
 use anyhow::{Context, Result, bail};
+use conditions::settings::RunSettings;
 use domain::ExternalName;
-use results::log::ExternalMemoryFacts;
-use results::settings::RunSettings;
+use run_log::ExternalMemoryFacts;
 use shm_types::description::{DESCRIPTION_FILE, Scope, memory_folder};
 use shm_types::{ATTACH_VARIABLE, MemoryDescription, RunDir, registry};
 use supervise::{Children, Launch};

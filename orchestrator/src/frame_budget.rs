@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::{Result, ensure};
 use case_book::{CaseBook, DemonstrationBook};
+use conditions::{Condition, Route};
 use domain::representation::Trajectories;
-use results::conditions::{Condition, Route};
 use shm_types::attach::MAX_FRAMES;
 use shm_types::{Attach, FrameSize};
 
@@ -189,8 +189,8 @@ fn advice(attach: &Attach, demand: Demand, room: u64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use conditions::Demonstrations;
     use domain::Representation;
-    use results::conditions::Demonstrations;
     use shm_types::RunDir;
 
     use super::*;

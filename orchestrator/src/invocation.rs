@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::Result;
-use results::settings::RunSettings;
+use conditions::settings::RunSettings;
 use shm_types::Attach;
 
 use crate::pipeline::PipelineOptions;

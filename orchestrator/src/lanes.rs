@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 
 use case_book::{CaseBook, LearnedEpisode, WorldDeclaration};
 use domain::{ExternalName, MemoryKind};
-use results::log::{EpisodeRecord, RecallTotals, Stages};
+use run_log::{EpisodeRecord, RecallTotals, Stages};
 use shm_types::message::{
     Decision, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, PolicyEpisodeConfig, RecallTrace, Role,
     SnapshotReport, StepCommand, StepReport, WorldEpisodeConfig,

@@ -4,8 +4,8 @@
 
 use domain::{ExternalName, MemoryKind};
 use hdrhistogram::Histogram;
-use results::latency::{LatencyRecord, LatencySummary};
-use results::log::Stages;
+use run_log::Stages;
+use run_log::latency::{LatencyRecord, LatencySummary};
 
 use crate::lanes::Stamps;
 use crate::status::MemoryStatus;

@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use case_book::DEMONSTRATIONS_FILE;
+use conditions::settings::{ModelSettings, RunSettings};
+use conditions::{Condition, Frames, PolicyKind};
 use domain::MemoryKind;
-use results::conditions::{Condition, Frames, PolicyKind};
-use results::log::{DOCUMENTS_FOLDER, ELSEWHERE_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE};
-use results::settings::{ModelSettings, RunSettings};
+use run_log::{DOCUMENTS_FOLDER, ELSEWHERE_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE};
 use shm_types::message::Role;
 use shm_types::process::shared_memory_space;
 use shm_types::{Attach, FrameControl, FrameSize, Wait};

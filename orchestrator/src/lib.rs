@@ -14,7 +14,7 @@
 //!   Perfetto).
 //! - Measurements: [`machine`], [`profile`].
 //!
-//! Settings are resolved in the crate `settings`; records and scores are in `results`. The command line is the crate
+//! Settings are resolved in the crate `settings`; records are in `run-log`. The command line is the crate
 //! `memtransfer`.
 
 mod answers;

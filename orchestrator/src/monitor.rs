@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use domain::{ExternalName, MemoryKind};
-use results::policy::PolicyLabel;
+use run_log::policy::PolicyLabel;
 use shm_types::message::{Heartbeat, Role};
 
 use crate::lanes::{PendingAnswer, Stamps};
@@ -213,7 +213,7 @@ mod tests {
     fn the_status_file_contains_steps_lanes_and_loads() {
         let run = tempfile::tempdir().unwrap();
         let episodes = EpisodeCounts { planned: 100, earlier: (40, 1), ..EpisodeCounts::default() };
-        let policy = results::log::testing::manifest().policy_label();
+        let policy = rigs::records::manifest().policy_label();
         let mut monitor =
             Monitor::new(run.path(), policy, 8, episodes, ProgressDisplay::new(Verbosity::Notes));
         monitor.updated.0 -= INTERVAL;
@@ -238,10 +238,10 @@ mod tests {
         let status = LiveStatus::read(run.path()).unwrap().unwrap();
         assert_eq!((status.episodes.done(), status.steps, status.lanes), (41, 2, 8));
         assert_eq!((status.waiting["sim"], status.processes["sim"].held), (1, 7));
-        assert_eq!(status.stages.len(), 2 * (results::log::Stages::NAMES.len() + 1));
+        assert_eq!(status.stages.len(), 2 * (run_log::Stages::NAMES.len() + 1));
         let memory = &status.memories[0];
         assert_eq!((memory.name, memory.state.as_str()), (name, "failed 2 times, started again"));
-        let p50 = |latency: &Option<results::latency::LatencySummary>| {
+        let p50 = |latency: &Option<run_log::latency::LatencySummary>| {
             latency.as_ref().map(|latency| latency.p50_us.round())
         };
         assert_eq!(

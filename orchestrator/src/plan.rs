@@ -2,13 +2,13 @@
 //! key and its own seed.
 //!
 //! Pure: the same settings and cases give the same list on every machine. Which of them are finished is in the
-//! run folder ([`results::log`]).
+//! run folder ([`run_log`]).
 
 use case_book::{CaseBook, StreamFacts, StreamsFacts};
+use conditions::key::{EpisodeKey, StreamPlace};
+use conditions::settings::StreamSettings;
+use conditions::{Condition, Route};
 use domain::{ActionCode, Arm, FeedbackLevel, State, StreamOrder};
-use results::conditions::{Condition, Route};
-use results::key::{EpisodeKey, StreamPlace};
-use results::settings::StreamSettings;
 use shm_types::message::SnapshotId;
 
 /// One episode of a run.

@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use anyhow::Result;
 use domain::cache_folder;
 use domain::prompt_log::session_folder;
-use results::log::{
+use run_log::{
     DOCUMENTS_FOLDER, LOGS_FOLDER, LogError, Manifest, Opened, PROMPTS_FOLDER, RunFolder, RunLog,
 };
 use shm_types::{Attach, registry};

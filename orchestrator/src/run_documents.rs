@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
+use conditions::settings::{DocumentSource, RunSettings};
 use documents::{
     DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, Sources, StoredDocument,
 };
-use results::log::{DOCUMENTS_FOLDER, DocumentFacts, RunFolder};
-use results::settings::{DocumentSource, RunSettings};
+use run_log::{DOCUMENTS_FOLDER, DocumentFacts, RunFolder};
 
 use crate::books::Books;
 use crate::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};

@@ -8,9 +8,9 @@ use anyhow::{Result, bail, ensure};
 use build_commit::COMMIT;
 use domain::ExternalName;
 use domain::representation::Trajectories;
-use results::cost::ModelPrices;
-use results::log::{FORMAT, LOGS_FOLDER, Manifest, RunFolder, UnitId};
-use results::settings::RunSettings;
+use conditions::cost::ModelPrices;
+use run_log::{FORMAT, LOGS_FOLDER, Manifest, RunFolder, UnitId};
+use conditions::settings::RunSettings;
 use shm_types::message::{MAX_SOURCES, WIRE_VERSION};
 
 use crate::books::Books;

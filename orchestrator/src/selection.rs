@@ -2,9 +2,9 @@
 
 use anyhow::{Result, ensure};
 use case_book::{BookRequest, CaseBook, ElsewhereRequest, StreamsRequest};
+use conditions::Route;
+use conditions::settings::RunSettings;
 use domain::{Arm, Demonstrations};
-use results::conditions::Route;
-use results::settings::RunSettings;
 use settings::select_cases;
 
 use crate::books::Books;

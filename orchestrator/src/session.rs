@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use domain::{ExternalName, Outcome, Reasoning};
-use results::log::{EpisodeError, EpisodeTimings, RequestRecord, RunFolder, SessionEvent};
+use run_log::{EpisodeError, EpisodeTimings, RequestRecord, RunFolder, SessionEvent};
 use shm_types::ATTACH_VARIABLE;
 use shm_types::message::{Heartbeat, Role, ShutdownReport, read_text};
 use shm_types::process::monotonic_ns;

@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use domain::{ExternalName, MemoryKind};
-use results::latency::LatencySummary;
-use results::policy::PolicyLabel;
+use run_log::latency::LatencySummary;
+use run_log::policy::PolicyLabel;
 use serde::{Deserialize, Serialize};
 
 /// Name of the file in a run's folder.
@@ -248,7 +248,7 @@ mod tests {
         assert_eq!(after(counts, 1, 0.0).line(), "0/400 episodes");
         let counts = EpisodeCounts { finished: (50, 20), ..counts };
         insta::assert_snapshot!(after(counts, 1000, 10.0).line(), @"50/400 episodes, 100 steps/s, SR 40.0 %, 1 min 10 s left");
-        let policy = Some(results::log::testing::manifest().policy_label());
+        let policy = Some(rigs::records::manifest().policy_label());
         let marked = LiveStatus { policy, ..after(counts, 1000, 10.0) };
         insta::assert_snapshot!(marked.line(), @"50/400 episodes, 100 steps/s, SR 40.0 % (scripted stand-in), 1 min 10 s left");
         // A resumed run counts all episodes; the time left follows from this session's speed.

@@ -12,9 +12,9 @@ use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, bail, ensure};
+use conditions::settings::RunSettings;
 use documents::{DocumentFile, DocumentFolder, DocumentName, Provenance};
 use domain::{RUNTIME_FILE, RUNTIME_SHA256, hex};
-use results::settings::RunSettings;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use shm_types::message::Role;

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use anyhow::{Context, Result, bail};
 use case_book::{CaseBook, LearnedEpisode, WorldDeclaration};
 use domain::Start;
-use results::log::EpisodeRecord;
+use run_log::EpisodeRecord;
 use shm_types::message::SnapshotId;
 
 use crate::plan::{PlannedEpisode, StreamPart};
@@ -33,7 +33,7 @@ impl Experience {
             variant,
             actions: record.actions.clone(),
             is_complete: record.is_success(),
-            completes_in: record.stream.as_ref()?.completes_in.clone()?,
+            completes_in: record.shared_facts().completes_in?,
         })
     }
 

@@ -1,7 +1,7 @@
 //! Case books for tests, written in this process.
 
 use case_book::{BookFile, BookRequest};
-use results::settings::RunSettings;
+use conditions::settings::RunSettings;
 use settings::{Layer, resolve};
 use warehouse::case_book::write_books;
 

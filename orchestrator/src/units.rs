@@ -9,9 +9,9 @@ use std::ops::Range;
 use std::path::Path;
 
 use anyhow::{Context, Error, Result, anyhow, bail, ensure};
-use results::conditions::PolicyKind;
-use results::log::{Manifest, PlannedFacts, UnitEpisode, UnitId};
-use results::settings::RunSettings;
+use conditions::PolicyKind;
+use conditions::settings::RunSettings;
+use run_log::{Manifest, PlannedFacts, UnitEpisode, UnitId};
 use serde::{Deserialize, Serialize};
 
 use crate::plan::PlannedEpisode;
@@ -108,10 +108,10 @@ impl UnitPlan {
             "`units` is {units}, and {episodes} episodes in units of {unit_episodes} are {divided}"
         );
         ensure!(
-            manifest.format == results::log::FORMAT,
+            manifest.format == run_log::FORMAT,
             "`format` of its manifest is {}, and this program has {}",
             manifest.format,
-            results::log::FORMAT
+            run_log::FORMAT
         );
         ensure!(manifest.unit.is_none(), "`unit` is set, and a plan is no unit");
         ensure!(manifest.processes.is_empty(), "`processes` is set, and no process has begun");
@@ -243,7 +243,7 @@ impl ReadPlan {
 
 #[cfg(test)]
 mod tests {
-    use results::log::testing::manifest;
+    use rigs::records::manifest;
 
     use super::*;
     use crate::testing::select;

@@ -134,6 +134,8 @@ class World(ABC):
     """What an agent is told after an action. The first is for the begin, the last for an answer that could not be read."""
     tasks: Mapping[str, str] = {"task": "all tasks"}
     """The names of the kinds of tasks, and the groups that they are in."""
+    failures: Mapping[str, str] = {}
+    """Kinds of failure that the world has words for, and what they mean. `facts` can name one."""
     deterministic: bool = True
     """Whether the same actions lead from the same start to the same states and pictures, always and everywhere."""
 
@@ -155,7 +157,8 @@ class World(ABC):
         the top. The array is shared memory: fill it, and do not keep it."""
 
     def facts(self) -> Mapping[str, Any]:
-        """Returns facts of the episode that has ended, for its record, of what JSON can hold."""
+        """Returns facts of the episode that has ended, for its record, of what JSON can hold. `failure`, a dict with `kind` and `step`,
+        says in one of the words of `failures` why it failed."""
         return {}
 
     def _reset(self, case: str, start: str, blocked: bool, seed: int) -> tuple[Any, ...]:
@@ -229,6 +232,15 @@ def _case(world: World, case: Case) -> dict[str, Any]:
     }
 
 
+def _tasks(world: World) -> dict[str, Any]:
+    numbered = enumerate(world.tasks.items(), start=1)
+    return {
+        "tasks": [{"number": number, "name": name, "group": group} for number, (name, group) in numbered],
+        "failures": [{"name": name, "words": words} for name, words in world.failures.items()],
+        "cases": [_case(world, case) for case in world.cases()],
+    }
+
+
 def main(world: Callable[[], World]) -> None:
     """Does what the program's arguments say with a world: `memtransfer run --world-cmd` and others add them. Exits with status 1 and a
     message if that fails. `world` makes an instance; it is called for each lane."""
@@ -237,11 +249,11 @@ def main(world: Callable[[], World]) -> None:
     try:
         one = world()
         declared = json.dumps(declaration(one))
-        cases = json.dumps([_case(one, case) for case in one.cases()])
+        tasks = json.dumps(_tasks(one))
         # While the world waits, no Python code runs, so no Python handler would.
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
-        _native.world_main(world, declared, cases, sys.argv[1:])
+        _native.world_main(world, declared, tasks, sys.argv[1:])
     except (RuntimeError, ValueError) as error:
         print(f"{os.path.basename(sys.argv[0])}: {error}", file=sys.stderr)
         sys.exit(1)

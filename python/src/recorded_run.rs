@@ -9,8 +9,7 @@ use domain::{Action, Cell, Heading, Pose};
 use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use results::log::{EpisodeRecord, LogError};
-use results::score::Failure;
+use run_log::{EpisodeRecord, LogError};
 use serde::Serialize;
 use sim_proc::renderer::{Backend, RenderSettings};
 use sim_proc::view_source::ViewSource;
@@ -175,10 +174,11 @@ impl RecordedRun {
     fn episode<'a>(&'a self, record: &'a EpisodeRecord) -> anyhow::Result<TrajectoryData<'a>> {
         let parts = EpisodeParts { reference: true, scenery: true, ..EpisodeParts::default() };
         let timeline = EpisodeTimeline::new(&self.run.world, record, parts)?;
-        let EpisodeTimeline { instruction, variant, steps, reference, scenery, .. } = timeline;
+        let EpisodeTimeline { instruction, variant, steps, reference, scenery, failure, .. } =
+            timeline;
         let scenery = scenery.context("an episode without scenery")?;
         let reference = reference.iter().flat_map(|reference| &reference.poses);
-        let failure = Failure::of(record).map(|kind| (kind.to_string(), kind.decided_at(record)));
+        let failure = failure.map(|failure| (failure.kind, failure.step));
         Ok(TrajectoryData {
             id: record.key.clone(),
             case: &record.case,

@@ -6,7 +6,7 @@ use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyList;
 use report::{DataFrame, Values, episodes_frame, timings_frame};
-use results::log::{LogError, RunLog};
+use run_log::{LogError, RunLog};
 
 /// A column: its name, the kind of its values, and the values, `None` where there is none.
 type DataColumn<'py> = (String, &'static str, Bound<'py, PyList>);

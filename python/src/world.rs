@@ -2,7 +2,7 @@
 
 use std::sync::Mutex;
 
-use case_book::{BookFile, WorldDeclaration};
+use case_book::{BookFile, FailureKind, TaskFacts, WorldDeclaration};
 use domain::{ActionCode, FeedbackCode, State};
 use peer::world::{
     CaseDeclaration, Environment, EpisodeBegin, Observed, Simulator, WorldFailure, program,
@@ -12,22 +12,31 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::{Map, Value};
 
-/// Does what `arguments` say with the world that `create` makes, for each lane one. `declaration` and `cases` are JSON.
+/// What a world is, beside its declaration.
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Tasks {
+    tasks: Vec<TaskFacts>,
+    failures: Vec<FailureKind>,
+    cases: Vec<CaseDeclaration>,
+}
+
+/// Does what `arguments` say with the world that `create` makes, for each lane one. `declaration` and `tasks` are JSON.
 #[pyfunction]
 pub(crate) fn world_main(
     create: &Bound<'_, PyAny>,
     declaration: String,
-    cases: &str,
+    tasks: &str,
     arguments: Vec<String>,
 ) -> PyResult<()> {
     let py = create.py();
     let failed = |failure: WorldFailure| PyRuntimeError::new_err(failure.to_string());
     let declared = BookFile::<WorldDeclaration>::parse(declaration, "the declaration of the world");
     let declaration = declared.map_err(|error| failed(error.into()))?.book;
-    let cases = serde_json::from_str(cases).map_err(|error| failed(error.into()))?;
+    let tasks = serde_json::from_str(tasks).map_err(|error| failed(error.into()))?;
     let raised = Mutex::new(None);
     let simulator =
-        PythonSimulator { create: create.clone().unbind(), declaration, cases, raised };
+        PythonSimulator { create: create.clone().unbind(), declaration, tasks, raised };
     let ended = py.detach(|| program::run(&simulator, &arguments));
     let raised = simulator.raised.into_inner().ok().flatten();
     match (ended, raised) {
@@ -42,7 +51,7 @@ pub(crate) fn world_main(
 struct PythonSimulator {
     create: Py<PyAny>,
     declaration: WorldDeclaration,
-    cases: Vec<CaseDeclaration>,
+    tasks: Tasks,
     /// What making one has raised.
     raised: Mutex<Option<PyErr>>,
 }
@@ -53,7 +62,15 @@ impl Simulator for PythonSimulator {
     }
 
     fn cases(&self) -> Result<Vec<CaseDeclaration>, WorldFailure> {
-        Ok(self.cases.clone())
+        Ok(self.tasks.cases.clone())
+    }
+
+    fn tasks(&self) -> Vec<TaskFacts> {
+        self.tasks.tasks.clone()
+    }
+
+    fn failures(&self) -> Vec<FailureKind> {
+        self.tasks.failures.clone()
     }
 
     fn environment(&self) -> Result<Box<dyn Environment>, WorldFailure> {

@@ -14,7 +14,7 @@ from memtransfer.export.common import ExportError, new, refuse_existing
 from memtransfer.export.rerun import events
 from memtransfer.trajectories import Recording, Trajectory, _trajectories
 
-RUN = Path(__file__).parents[2] / "crates/results/tests/rq2-version-1"
+RUN = Path(__file__).parents[2] / "crates/scores/tests/rq2-version-1"
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:

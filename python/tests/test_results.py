@@ -11,7 +11,7 @@ import pytest
 
 from memtransfer.results import read
 
-RUN = Path(__file__).parents[2] / "crates/results/tests/rq2-version-1"
+RUN = Path(__file__).parents[2] / "crates/scores/tests/rq2-version-1"
 
 
 def test_a_folder_without_a_run(tmp_path: Path) -> None:

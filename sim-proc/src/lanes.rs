@@ -1,17 +1,18 @@
 //! The lanes: which episode each runs, how far it is, and how commands change that.
 
+use std::collections::HashMap;
 use std::hash::{Hash, Hasher};
 
 use case_book::EpisodeFacts;
 use domain::{Action, Cell, Feedback, Pose, Start, UnknownCode};
 use shm_types::message::{EpisodeEnd, StepCommand, StepKind, WorldEpisodeConfig, read_flag};
-use warehouse::{EventRecorder, Progress, step};
+use warehouse::{EndedEpisode, EventRecorder, Progress, step};
 
 use crate::lived::LivedEpisodes;
 use crate::worlds::{WorldParts, Worlds};
 
 /// What follows from the beginning of an episode, or from a command.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Stepped {
     /// The lane.
     pub lane: usize,
@@ -40,10 +41,15 @@ pub struct Stepped {
 struct SimulatedEpisode {
     config: WorldEpisodeConfig,
     world: WorldParts,
-    start: Pose,
     pose: Pose,
     step: u32,
+    /// The poses, the begin first.
+    poses: Vec<Pose>,
     progress: Progress,
+    /// The steps at which sub-goals were completed, in order.
+    sub_goals: Vec<u32>,
+    /// The first step that tried to enter a closed cell.
+    conflict_at: Option<u32>,
     events: EventRecorder,
     blocked_moves: Vec<u32>,
     actions: Vec<Action>,
@@ -56,12 +62,13 @@ pub struct SimulatedLanes {
     lanes: Vec<Option<SimulatedEpisode>>,
     /// The episodes that memories learn from.
     lived: LivedEpisodes,
+    references: References,
 }
 
 impl SimulatedLanes {
     /// `lanes` idle lanes in `worlds`, after the episodes `lived` that memories have learned from before.
     pub fn new(lived: LivedEpisodes, worlds: Worlds, lanes: usize) -> Self {
-        Self { worlds, lanes: vec![None; lanes], lived }
+        Self { worlds, lanes: vec![None; lanes], lived, references: References::default() }
     }
 
     /// The episodes that memories learn from.
@@ -121,13 +128,16 @@ impl SimulatedLanes {
         let mut events = EventRecorder::new(warehouse, &case.task);
         events.stands(0, pose);
         events.looks(warehouse, 0, pose);
+        let progress = Progress::new(warehouse, &case.task, pose.cell);
         let episode = SimulatedEpisode {
             config: *config,
             world,
-            start: pose,
             pose,
             step: 0,
-            progress: Progress::new(warehouse, &case.task, pose.cell),
+            poses: vec![pose],
+            sub_goals: vec![0; progress.stage() as usize],
+            progress,
+            conflict_at: None,
             events,
             blocked_moves: Vec::new(),
             actions: Vec::new(),
@@ -170,7 +180,9 @@ impl SimulatedLanes {
             self.lived.step(of, stepped.pose);
         }
         if stepped.ended != EpisodeEnd::GoesOn {
-            stepped.facts = lane.take().map(|episode| episode.facts(&self.worlds));
+            let references = &mut self.references;
+            let ended = lane.take();
+            stepped.facts = ended.and_then(|episode| episode.facts(&self.worlds, references));
         }
         Ok(Some(stepped))
     }
@@ -202,8 +214,13 @@ impl SimulatedEpisode {
         if feedback == Feedback::Blocked {
             self.blocked_moves.push(self.step);
         }
+        if conflict {
+            self.conflict_at.get_or_insert(self.step);
+        }
+        self.poses.push(self.pose);
         self.events.stands(self.step, self.pose);
-        self.progress.visit(self.pose.cell);
+        let met = self.progress.visit(self.pose.cell);
+        self.sub_goals.extend((0..met).map(|_| self.step));
         let ended = if self.progress.is_complete() {
             EpisodeEnd::Complete
         } else if self.step >= self.config.max_steps {
@@ -239,17 +256,42 @@ impl SimulatedEpisode {
     }
 
     /// The facts of the episode, which has ended.
-    fn facts(self, worlds: &Worlds) -> EpisodeFacts {
-        let Self { config, start, pose, events, blocked_moves, actions, .. } = self;
-        EpisodeFacts {
-            start_pose: start,
-            final_pose: pose,
-            visits: events.visits,
-            first_seen: events.first_seen,
-            blocked_moves,
-            completes_in: (config.learns != 0)
-                .then(|| worlds.completed_in(config.case, start, actions)),
+    fn facts(self, worlds: &Worlds, references: &mut References) -> Option<EpisodeFacts> {
+        let Self { config, poses, sub_goals, progress, .. } = self;
+        let WorldEpisodeConfig { case: number, variant, learns, .. } = config;
+        let case = worlds.case(number)?;
+        let begin = *poses.first()?;
+        let reference = references.poses(worlds, number, variant, begin);
+        let ended = EndedEpisode {
+            task: &case.task,
+            poses: &poses,
+            sub_goals: &sub_goals,
+            required: progress.total(),
+            events: self.events,
+            blocked_moves: self.blocked_moves,
+            conflict_at: self.conflict_at.filter(|_| variant == 1 + number),
+            reference,
+            completes_in: (learns != 0).then(|| worlds.completed_in(number, begin, self.actions)),
+        };
+        ended.facts()
+    }
+}
+
+/// What the expert does in the streams of a run, planned when the first episode of a case in a variant ends.
+#[derive(Debug, Default)]
+struct References {
+    /// The poses by case and variant; empty for a case that cannot be solved there.
+    planned: HashMap<(u32, u32), Vec<Pose>>,
+}
+
+impl References {
+    /// The poses of the reference of case number `case` from `begin` in `variant`; empty if that is not of a stream.
+    fn poses(&mut self, worlds: &Worlds, case: u32, variant: u32, begin: Pose) -> &[Pose] {
+        if !worlds.is_of_streams(variant) {
+            return &[];
         }
+        let plan = || worlds.reference_poses(case, variant, begin).unwrap_or_default();
+        self.planned.entry((case, variant)).or_insert_with(plan)
     }
 }
 

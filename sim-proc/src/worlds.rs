@@ -223,6 +223,20 @@ impl Worlds {
         self.of_streams.iter().copied().filter(completes).collect()
     }
 
+    /// Whether episodes of the run's streams take place in the variant with this number.
+    pub fn is_of_streams(&self, variant: u32) -> bool {
+        self.of_streams.contains(&variant)
+    }
+
+    /// The poses of what the expert does from `begin` for case number `case` in `variant`; `None` if there is nothing.
+    pub fn reference_poses(&self, case: u32, variant: u32, begin: Pose) -> Option<Vec<Pose>> {
+        let (task, parts) = (&self.case(case)?.task, self.variant(variant)?);
+        let (warehouse, variant) = (self.warehouse(parts).clone(), self.closed(parts).clone());
+        let state = WorldState { warehouse, variant };
+        let (trajectory, _) = state.reference(&state.expert(), task, begin)?;
+        Some(trajectory.replay(&state.warehouse, task, &state.variant).poses)
+    }
+
     /// The closed passages of `world`.
     ///
     /// # Panics

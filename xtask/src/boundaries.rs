@@ -11,6 +11,7 @@ use crate::workspace::Workspace;
 const MUST_NOT_LINK: &[(&[&str], &[&str], &str)] = &[
     (
         &[
+            "conditions",
             "documents",
             "domain",
             "export",
@@ -21,7 +22,8 @@ const MUST_NOT_LINK: &[(&[&str], &[&str], &str)] = &[
             "plates",
             "policy-proc",
             "report",
-            "results",
+            "run-log",
+            "scores",
             "settings",
             "viewer",
             "world-client",
@@ -30,23 +32,39 @@ const MUST_NOT_LINK: &[(&[&str], &[&str], &str)] = &[
         "only the world knows the world: others have the case book that it writes or ask it, and a policy has its requests",
     ),
     (
-        &["domain", "export", "report", "results", "search", "viewer", "warehouse", "world-client"],
+        &[
+            "conditions",
+            "domain",
+            "export",
+            "report",
+            "run-log",
+            "scores",
+            "search",
+            "viewer",
+            "warehouse",
+            "world-client",
+        ],
         &["iceoryx2"],
         "reading a run folder and computing the world must not need shared memory",
     ),
     (
         &["memory-proc", "policy-proc", "sim-proc"],
-        &["memory-proc", "orchestrator", "policy-proc", "results", "sim-proc"],
+        &["memory-proc", "orchestrator", "policy-proc", "run-log", "sim-proc"],
         "processes share the wire, not each other's code",
     ),
     (
-        &["orchestrator", "results"],
-        &["export", "report", "viewer"],
-        "recording and scoring are done before a report is rendered, and know nothing of it",
+        &["conditions", "orchestrator", "run-log"],
+        &["export", "report", "scores", "viewer"],
+        "a run is recorded before it is scored, and what records it knows nothing of scores",
     ),
     (
-        &["export", "report", "results", "viewer"],
-        &["orchestrator"],
+        &["scores"],
+        &["export", "report", "viewer"],
+        "scores are computed before a report is rendered, and know nothing of it",
+    ),
+    (
+        &["conditions", "export", "report", "run-log", "scores", "viewer", "world-client"],
+        &["memory-proc", "orchestrator", "policy-proc", "sim-proc", "supervise"],
         "a run is scored and rendered from its folder alone, not by what executes it",
     ),
 ];
@@ -161,11 +179,11 @@ mod tests {
             &["policy-proc links warehouse and must not"],
         );
         check(
-            &[("results", &["shm-types"]), ("shm-types", &["iceoryx2"])],
-            &["results links iceoryx2"],
+            &[("run-log", &["shm-types"]), ("shm-types", &["iceoryx2"])],
+            &["run-log links iceoryx2"],
         );
         check(
-            &[("orchestrator", &["results", "report"])],
+            &[("orchestrator", &["run-log", "report"])],
             &["orchestrator links report and must not"],
         );
         check(&[("orchestrator", &["ureq"])], &["orchestrator depends on ureq, which only llm"]);

@@ -3,14 +3,12 @@
 //! Everything that shows or checks an episode asks here for what only the world knows. The world is named by the number of
 //! one of its variants, as in the rest of the case book.
 
-use std::collections::BTreeMap;
-
-use domain::events::{Requirement, Visit};
 use domain::{
     ActionCode, Cell, DemonstrationKind, Demonstrations, FeedbackCode, Route, Start, State,
     StreamOrder,
 };
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 
 use crate::cases::{CaseFacts, WorldFacts};
 
@@ -93,8 +91,8 @@ pub struct EpisodeRequest {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EpisodeParts {
-    /// [`ActedEpisode::events`].
-    pub events: bool,
+    /// [`ActedEpisode::facts`].
+    pub facts: bool,
     /// [`ActedEpisode::reference`].
     pub reference: bool,
     /// [`ActedEpisode::scenery`].
@@ -131,26 +129,14 @@ pub struct ActedEpisode {
     pub sub_goals: Vec<u32>,
     /// Sub-goals of the whole task.
     pub required: u32,
-    /// What happened beside.
-    pub events: Option<EpisodeEvents>,
+    /// Its facts, as the world tells them when an episode ends; without those of what is learned.
+    pub facts: Option<Map<String, Value>>,
+    /// The first step at which the agent ran into what the variant changed.
+    pub conflict_at: Option<u32>,
     /// What the expert does from the same begin; absent if the task cannot be completed.
     pub reference: Option<ActedReference>,
     /// What a map of it shows.
     pub scenery: Option<EpisodeScenery>,
-}
-
-/// Facts of an episode that only this world understands.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct EpisodeEvents {
-    /// Every arrival before an item that the task is about, whether or not it counted, in order.
-    pub visits: Vec<Visit>,
-    /// For A, B or C: the first step whose view showed one, the last step's excepted: its view is not rendered.
-    pub first_seen: BTreeMap<Requirement, u32>,
-    /// The steps whose move was blocked.
-    pub blocked_moves: Vec<u32>,
-    /// The first step that tried to enter a closed cell.
-    pub tried_closed_at: Option<u32>,
 }
 
 /// The reference of an episode.

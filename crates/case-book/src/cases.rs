@@ -24,8 +24,8 @@ pub struct CaseBook {
     pub stale: BTreeMap<u32, BTreeSet<u32>>,
 }
 
-/// What a world is.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+/// What identifies a world, and the words of its own that figures are named with.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WorldFacts {
     /// What it says of itself to every process.
@@ -36,6 +36,87 @@ pub struct WorldFacts {
     pub views: u32,
     /// The same of the other world in which tasks are demonstrated; 0 if there is none.
     pub elsewhere_views: u32,
+    /// The groups of tasks in results, in the order of tables.
+    pub groups: Vec<TaskGroupFacts>,
+    /// The types of tasks.
+    pub tasks: Vec<TaskFacts>,
+    /// Every kind of failure, those of [`HARNESS_FAILURES`] among them. An episode has the first that applies.
+    pub failures: Vec<FailureKind>,
+}
+
+/// A group of tasks.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TaskGroupFacts {
+    /// The name.
+    pub name: String,
+    /// The heading of its columns in tables.
+    pub heading: String,
+}
+
+/// A type of tasks.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TaskFacts {
+    /// The number, by which cases name it.
+    pub number: u8,
+    /// The name.
+    pub name: String,
+    /// The name of its group.
+    pub group: String,
+}
+
+/// A kind of failure.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FailureKind {
+    /// The name.
+    pub name: String,
+    /// What it means, for a legend.
+    pub words: String,
+}
+
+/// The kind of failure of an episode in which no action could be read in at least half of the answers.
+pub const UNREADABLE: &str = "unreadable";
+/// The kind of failure of an episode that ended in a [loop](crate::looped_at).
+pub const LOOPED: &str = "looped";
+/// The kind of failure to which no other kind applies.
+pub const OUT_OF_STEPS: &str = "out-of-steps";
+
+/// The kinds of failure that episodes in every world have: name and meaning.
+pub const HARNESS_FAILURES: [(&str, &str); 3] = [
+    (UNREADABLE, "in at least half of the answers no action could be read"),
+    (LOOPED, "at least 5 times in the same state within the last 60 steps"),
+    (OUT_OF_STEPS, "none of the other kinds"),
+];
+
+impl FailureKind {
+    /// The kind with this name and meaning.
+    pub fn new((name, words): (&str, &str)) -> Self {
+        Self { name: name.to_owned(), words: words.to_owned() }
+    }
+}
+
+impl WorldFacts {
+    /// The type of tasks with this number.
+    pub fn task(&self, number: u8) -> Option<&TaskFacts> {
+        self.tasks.iter().find(|task| task.number == number)
+    }
+
+    /// The name of the group of the type of tasks with this number.
+    pub fn group_of(&self, task: u8) -> Option<&str> {
+        self.task(task).map(|task| task.group.as_str())
+    }
+
+    /// The index of the kind of failure with this name.
+    pub fn failure_index(&self, name: &str) -> Option<usize> {
+        self.failures.iter().position(|kind| kind.name == name)
+    }
+
+    /// The meaning of the kind of failure with this name; for one that the world does not list, the name itself.
+    pub fn failure_words<'a>(&'a self, name: &'a str) -> &'a str {
+        self.failure_index(name).map_or(name, |index| &self.failures[index].words)
+    }
 }
 
 /// A case: a task with its starts.

@@ -5,9 +5,74 @@ use std::collections::{BTreeMap, BTreeSet};
 use domain::events::{Requirement, Visit};
 use domain::{ActionCode, Pose, Start};
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 
-/// The facts of an episode that only the world knows.
+/// Of the facts of an episode, those that scores of every world need. A world leaves out what it does not know.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default)]
+pub struct SharedFacts {
+    /// Why the episode failed, as far as the world has a word for it.
+    pub failure: Option<FailureFact>,
+    /// See [`looped_at`].
+    pub looped_at: Option<u32>,
+    /// For an episode of a stream: how closely its path follows the reference.
+    pub path: Option<PathFact>,
+    /// For an episode that is learned from: the variants of the run's streams in which its actions complete its task.
+    pub completes_in: Option<BTreeSet<u32>>,
+}
+
+impl SharedFacts {
+    /// Those in the JSON object of all facts.
+    ///
+    /// # Errors
+    /// What is wrong with one of them.
+    pub fn of(facts: &Map<String, Value>) -> Result<Self, serde_json::Error> {
+        Self::deserialize(facts)
+    }
+}
+
+/// A failure, in a word of the world.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FailureFact {
+    /// The name of its [kind](crate::FailureKind).
+    pub kind: String,
+    /// The number of steps after which it was decided.
+    pub step: u32,
+}
+
+/// How closely a path follows that of the reference.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PathFact {
+    /// The distance of the two under dynamic time warping, in metres.
+    pub distance_m: f64,
+    /// The number of places that the reference goes through.
+    pub length: u32,
+}
+
+/// Number of steps at the end of an episode in which a loop is looked for.
+pub const LOOP_STEPS: usize = 60;
+/// Number of times in one state that count as a loop.
+pub const LOOP_VISITS: usize = 5;
+
+/// The step of the [`LOOP_VISITS`]th visit to a state within the last [`LOOP_STEPS`] steps, the first such. `states` are those
+/// of the episode, its begin first.
+pub fn looped_at<S: Ord>(states: &[S]) -> Option<u32> {
+    let first = states.len().saturating_sub(LOOP_STEPS);
+    let mut visits: BTreeMap<&S, usize> = BTreeMap::new();
+    for (step, state) in (0..).zip(states).skip(first) {
+        let count = visits.entry(state).or_default();
+        *count += 1;
+        if *count == LOOP_VISITS {
+            return Some(step);
+        }
+    }
+    None
+}
+
+/// The facts of an episode that only the world knows: of ours, a warehouse.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EpisodeFacts {
     /// The state in which it began.
@@ -20,7 +85,16 @@ pub struct EpisodeFacts {
     pub first_seen: BTreeMap<Requirement, u32>,
     /// The steps at which a move was blocked.
     pub blocked_moves: Vec<u32>,
-    /// For an episode that is learned from: the variants of the run's streams in which its actions complete its task.
+    /// As in [`SharedFacts`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub failure: Option<FailureFact>,
+    /// As in [`SharedFacts`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub looped_at: Option<u32>,
+    /// As in [`SharedFacts`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub path: Option<PathFact>,
+    /// As in [`SharedFacts`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub completes_in: Option<BTreeSet<u32>>,
 }
@@ -45,4 +119,31 @@ pub struct LearnedEpisode {
     pub variant: u32,
     /// The action of each step; `None` where there was none and the state stayed what it was.
     pub actions: Vec<Option<ActionCode>>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loop_is_five_visits_to_a_state_within_the_last_sixty_steps() {
+        let states = |turns: u32| (0..180).chain((0..turns).map(|turn| 179 + turn % 4));
+        let found = |turns| looped_at(&states(turns).collect::<Vec<u32>>());
+        // The state 179 at step 179, and then every fourth step from 180 on.
+        assert_eq!((found(13), found(12), found(20)), (Some(192), None, Some(192)));
+        let early: Vec<u32> = (0..20).map(|_| 0).chain(1..=60).collect();
+        assert_eq!((looped_at(&early), looped_at::<u32>(&[])), (None, None));
+    }
+
+    #[test]
+    fn shared_facts_are_found_among_those_of_a_world() {
+        let facts = serde_json::json!({
+            "visits": 3, "looped_at": 7, "failure": {"kind": "fell", "step": 4},
+        });
+        let shared = SharedFacts::of(facts.as_object().unwrap()).unwrap();
+        let failure = Some(FailureFact { kind: "fell".to_owned(), step: 4 });
+        assert_eq!(shared, SharedFacts { failure, looped_at: Some(7), ..SharedFacts::default() });
+        let bad = serde_json::json!({"looped_at": "soon"});
+        assert!(SharedFacts::of(bad.as_object().unwrap()).is_err());
+    }
 }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::{CaseBook, DemonstrationBook};
+use crate::{CaseBook, DemonstrationBook, HARNESS_FAILURES, WorldFacts};
 
 /// The file of the [`CaseBook`] in a run folder.
 pub const CASE_BOOK_FILE: &str = "case-book.json";
@@ -50,6 +50,24 @@ pub enum BookError {
     },
 }
 
+impl WorldFacts {
+    /// What is wrong with its words.
+    fn problem(&self) -> Option<String> {
+        let Self { groups, tasks, failures, .. } = self;
+        let mut known = HashSet::new();
+        if let Some(kind) = failures.iter().find(|kind| !known.insert(&kind.name)) {
+            return Some(format!("it has the kind of failure {} twice", kind.name));
+        }
+        let lacks = |(name, _): &&(&str, &str)| self.failure_index(name).is_none();
+        if let Some((name, _)) = HARNESS_FAILURES.iter().find(lacks) {
+            return Some(format!("it lacks the kind of failure {name}"));
+        }
+        let homeless =
+            tasks.iter().find(|task| !groups.iter().any(|group| group.name == task.group));
+        homeless.map(|task| format!("task {} is in no group", task.number))
+    }
+}
+
 /// What the parts of a book have to fulfil.
 pub(crate) trait Check {
     fn problem(&self) -> Option<String>;
@@ -63,6 +81,9 @@ impl Check for CaseBook {
         let mut known = HashSet::new();
         if let Some(case) = self.cases.iter().find(|case| !known.insert(&case.id)) {
             return Some(format!("it has case {} twice", case.id));
+        }
+        if let Some(problem) = self.world.problem() {
+            return Some(problem);
         }
         let count = self.cases.len() as u32;
         let streams = self.streams.iter().flat_map(|streams| &streams.streams);

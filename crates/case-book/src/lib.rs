@@ -11,7 +11,8 @@
 //!
 //! A part of the first is for every process: [`WorldDeclaration`], what agents do, see and are told, in words.
 //!
-//! What the world tells and is told about single episodes is data as well: [`EpisodeFacts`], [`LearnedEpisode`], and for those
+//! What the world tells and is told about single episodes is data as well: [`EpisodeFacts`], of which every world has
+//! [`SharedFacts`], [`LearnedEpisode`], and for those
 //! who show episodes [`act`].
 
 pub mod act;
@@ -25,13 +26,18 @@ mod request;
 mod tests;
 
 pub use cases::{
-    CaseBook, CaseFacts, CaseInState, Reference, StreamBlock, StreamFacts, StreamsFacts, WorldFacts,
+    CaseBook, CaseFacts, CaseInState, FailureKind, HARNESS_FAILURES, LOOPED, OUT_OF_STEPS,
+    Reference, StreamBlock, StreamFacts, StreamsFacts, TaskFacts, TaskGroupFacts, UNREADABLE,
+    WorldFacts,
 };
 pub use declaration::{ActionDeclaration, ForeignState, NO_LETTER, StateField, WorldDeclaration};
 pub use demonstrations::{
     CaseDemonstrations, Demonstration, DemonstrationBook, StreamDemonstrations, ViewPlace,
 };
-pub use episodes::{EpisodeFacts, LEARNED_FILE, LearnedEpisode};
+pub use episodes::{
+    EpisodeFacts, FailureFact, LEARNED_FILE, LOOP_STEPS, LOOP_VISITS, LearnedEpisode, PathFact,
+    SharedFacts, looped_at,
+};
 pub use file::{BookError, BookFile, CASE_BOOK_FILE, DEMONSTRATIONS_FILE, WORLD_FILE};
 pub use request::{BookRequest, ElsewhereRequest, StreamsRequest};
 

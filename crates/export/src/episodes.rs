@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use case_book::act::EpisodeParts;
-use results::log::RunLog;
+use run_log::RunLog;
 use world_client::frames::{ViewFormat, ViewKey, ViewRenderer, view_arguments};
 use world_client::{EpisodeTimeline, RecordedRun, RunWorld, WorldProgram};
 

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::{Result, bail};
-use results::conditions::{Condition, Frames};
-use results::date::date;
-use results::log::RunLog;
-use results::score::{ConditionScore, Interval, Scores, StreamScore, score};
+use conditions::{Condition, Frames};
+use run_log::RunLog;
+use run_log::date::date;
+use scores::{ConditionScore, Interval, Scores, StreamScore, score};
 
 use crate::files::{is_file, write_text};
 
@@ -147,7 +147,7 @@ fn yaml(
 #[cfg(test)]
 mod tests {
     use domain::StreamOrder;
-    use results::log::testing::{log, record, sequence, stream_log};
+    use rigs::records::{log, record, sequence, stream_log};
 
     use super::*;
 

@@ -23,9 +23,8 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use domain::Action;
-use results::log::RunLog;
-use results::score::Failure;
-use results::source::{SourceStep, sources};
+use run_log::RunLog;
+use run_log::source::{SourceStep, sources};
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -79,7 +78,7 @@ struct McapEpisode<'a> {
     run: u32,
     success: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
-    failure: Option<&'static str>,
+    failure: Option<&'a str>,
     #[serde(skip_serializing_if = "Option::is_none")]
     decided_at: Option<u32>,
     steps: u32,
@@ -176,7 +175,7 @@ impl EpisodeSink for McapRecording {
     fn episode(&mut self, moments: &Moments<'_>) -> Result<()> {
         let timeline = &moments.timeline;
         let record = timeline.record;
-        let failure = Failure::of(record);
+        let failure = timeline.failure.as_ref();
         let about = McapEpisode {
             key: &record.key,
             instruction: &timeline.instruction,
@@ -184,8 +183,8 @@ impl EpisodeSink for McapRecording {
             case: &record.case,
             run: record.run,
             success: record.is_success(),
-            failure: failure.map(Failure::name),
-            decided_at: failure.map(|failure| failure.decided_at(record)),
+            failure: failure.map(|failure| failure.kind.as_str()),
+            decided_at: failure.map(|failure| failure.step),
             steps: record.steps,
             reference: record.reference,
         };

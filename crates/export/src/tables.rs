@@ -56,7 +56,7 @@ pub fn write_tables(run: &RecordedRun, format: TableFormat, dir: &Path) -> Resul
 
 #[cfg(test)]
 mod tests {
-    use results::log::testing::{log, record};
+    use rigs::records::{log, record};
 
     use super::*;
 

@@ -162,7 +162,7 @@ impl Profile {
 pub(crate) mod tests {
     use domain::Representation;
     use orchestrator::profile::recorder::{AccessPart, StepClass};
-    use results::latency::LatencySummary;
+    use run_log::latency::LatencySummary;
 
     use super::*;
 

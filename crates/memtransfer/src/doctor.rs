@@ -7,6 +7,7 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, anyhow, bail, ensure};
 use clap::{Args, ValueEnum};
+use conditions::settings::RunSettings;
 use documents::DocumentName;
 use domain::cache_folder;
 use llm::{Endpoint, Servers, Source};
@@ -14,7 +15,6 @@ use orchestrator::documents::needed;
 use orchestrator::run_documents::{RunDocuments, listed};
 use orchestrator::scratch::{self, ScratchFolder};
 use orchestrator::selection::SelectedCases;
-use results::settings::RunSettings;
 use rustix::fs::{Access, access};
 use rustix::io::Errno;
 use rustix::process::{Resource, getrlimit};

@@ -7,18 +7,18 @@
 
 use std::collections::BTreeMap;
 
+use conditions::Condition;
+use conditions::cost::ModelPrices;
+use conditions::cost::Money;
+use conditions::settings::{ModelSettings, RunSettings};
 use documents::DocumentName;
 use domain::representation::Trajectories;
 use orchestrator::books::Books;
 use orchestrator::documents::needed;
 use orchestrator::plan::PlannedEpisode;
 use prompt::tokens;
-use results::conditions::Condition;
-use results::cost::ModelPrices;
-use results::cost::Money;
-use results::log::EpisodeRecord;
-use results::settings::{ModelSettings, RunSettings};
-use results::usage::UsageTotals;
+use run_log::EpisodeRecord;
+use run_log::usage::UsageTotals;
 
 /// Characters of a prompt that are always there: rules, task, the current pose and feedback.
 const ALWAYS: u64 = 2420;
@@ -60,11 +60,12 @@ impl RunEstimate {
     pub(crate) fn cost(&self, prices: &ModelPrices) -> Option<[Money; 2]> {
         let prompt_each = self.prompt_each?;
         Some(self.requests.map(|requests| {
-            prices.cost(&UsageTotals {
+            let usage = UsageTotals {
                 prompt_tokens: requests * prompt_each,
                 completion_tokens: requests * self.answer_each,
                 ..UsageTotals::default()
-            })
+            };
+            usage.cost(prices)
         }))
     }
 }
@@ -172,7 +173,7 @@ pub(crate) mod tests {
     }
     use case_book::{BookFile, BookRequest};
     use orchestrator::plan::plan;
-    use results::log::testing::record;
+    use rigs::records::record;
     use settings::{Layer, resolve};
     use warehouse::case_book::write_books;
 

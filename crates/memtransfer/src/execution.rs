@@ -11,8 +11,8 @@ use orchestrator::launch;
 use orchestrator::progress::Verbosity;
 use orchestrator::run::{self, RunOutcome};
 use orchestrator::run_plan::RunPlan;
-use results::conditions::{Demonstrations, Route, Start};
-use results::settings::{Group, RunSettings};
+use conditions::{Demonstrations, Route, Start};
+use conditions::settings::{Group, RunSettings};
 use rustix::io::Errno;
 
 use super::run::flags::RunOptions;
@@ -107,7 +107,7 @@ pub(super) fn same_command() -> String {
 
 #[cfg(test)]
 mod tests {
-    use results::log::LogError;
+    use run_log::LogError;
 
     use super::*;
 

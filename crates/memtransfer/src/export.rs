@@ -6,13 +6,13 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use clap::builder::TypedValueParser;
 use clap::{Args, ValueEnum};
+use conditions::key::EpisodeKey;
+use conditions::settings::CaseSelector;
 use domain::shell_word;
 use export::{
     EpisodeFormat, Episodes, HubDataset, TableFormat, Timing, write_results, write_tables,
 };
-use results::key::EpisodeKey;
-use results::log::RunLog;
-use results::settings::CaseSelector;
+use run_log::RunLog;
 use settings::select_cases;
 use world_client::{RecordedRun, Selection};
 

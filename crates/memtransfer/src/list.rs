@@ -5,15 +5,16 @@ use std::path::{Path, PathBuf};
 
 use super::{Exit, WorldArgs, print, print_json, world_program};
 use anyhow::{Context, bail};
+use case_book::act::WorldDescription;
 use case_book::{BookRequest, CaseFacts, StreamsRequest};
 use clap::{Args, Subcommand};
-use domain::{Route, Start, TaskType};
+use conditions::Condition;
+use conditions::settings::{RunSettings, StreamSettings};
+use domain::{Route, Start};
 use report::table::table;
-use results::conditions::Condition;
-use results::date::date;
-use results::log::RunLog;
-use results::score::score;
-use results::settings::{RunSettings, StreamSettings};
+use run_log::RunLog;
+use run_log::date::date;
+use scores::score;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use settings::{Layer, SHIPPED_SUITES, resolve, select_cases};
@@ -94,7 +95,7 @@ pub(super) fn run(args: &ListArgs) -> anyhow::Result<Exit> {
             cases(&selected_cases(&resolve([Layer::flags(flags)?])?.settings)?)?
         }
         ListWhat::Histories(world) => histories(world)?,
-        ListWhat::Tasks(world) => tasks(&world_program()?.describe(&world.flags())?.cases),
+        ListWhat::Tasks(world) => tasks(&world_program()?.describe(&world.flags())?),
         ListWhat::Items(world) => items(world)?,
         ListWhat::Suites => suites()?,
         ListWhat::Conditions { suite } => conditions(suite)?,
@@ -187,13 +188,13 @@ fn histories(world: &WorldArgs) -> anyhow::Result<Listing> {
     Ok(Listing { header, numbers: 4, rows: list("histories", world.flags())? })
 }
 
-fn tasks(cases: &[CaseFacts]) -> Listing {
-    let rows = TaskType::ALL.into_iter().map(|task_type| {
-        let of_type = || cases.iter().filter(|case| case.task == task_type.number());
+fn tasks(world: &WorldDescription) -> Listing {
+    let rows = world.world.tasks.iter().map(|task| {
+        let of_type = || world.cases.iter().filter(|case| case.task == task.number);
         vec![
-            json!(format!("t{:02}", task_type.number())),
-            json!(task_type.name()),
-            json!(task_type.group().name()),
+            json!(format!("t{:02}", task.number)),
+            json!(task.name),
+            json!(task.group),
             json!(of_type().next().map(|case| &case.instruction)),
             json!(of_type().count()),
         ]
@@ -351,9 +352,9 @@ fn run_row(folder: &Path) -> Vec<Value> {
 mod tests {
     use std::collections::BTreeMap;
 
-    use results::conditions::PolicyKind;
-    use results::log::testing::manifest;
-    use results::log::{RunFolder, SessionEvent};
+    use conditions::PolicyKind;
+    use rigs::records::manifest;
+    use run_log::{RunFolder, SessionEvent};
 
     use super::*;
 

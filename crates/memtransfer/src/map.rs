@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Error, bail};
 use clap::Args;
-use results::settings::CaseSelector;
+use conditions::settings::CaseSelector;
 use settings::select_cases;
 
 use super::{Exit, WorldArgs, print, world_program, write_file};

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use case_book::{BookRequest, ElsewhereRequest};
 use clap::{Args, Subcommand, ValueEnum};
+use conditions::settings::Drawn;
 use documents::{
     DocumentFile, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe, Sources,
     StoredDocument, kind,
@@ -15,7 +16,6 @@ use orchestrator::books::Books;
 use orchestrator::documents::{DocumentRequest, ModelServer, document_folder};
 use orchestrator::progress::{BuildProgress, Verbosity};
 use report::table::table;
-use results::settings::Drawn;
 use serde_json::json;
 use settings::{Layer, variable};
 use shm_types::FrameSize;

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use conditions::settings::RunSettings;
 use domain::shell_word;
 use orchestrator::selection::SelectedCases;
 use orchestrator::units::{ReadPlan, UnitPlan};
-use results::log::{EPISODES_FILE, Manifest, UnitFolders, merge};
-use results::settings::RunSettings;
+use run_log::{EPISODES_FILE, Manifest, UnitFolders, merge};
 use settings::{Layer, on_this_machine};
 
 use super::{Exit, print};

@@ -6,12 +6,12 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
+use conditions::PolicyKind;
+use conditions::settings::RunSettings;
 use domain::cache_folder;
 use orchestrator::run_plan::{ALL, Purpose, RunPlan};
 use orchestrator::store::{Shipment, Store};
 use orchestrator::units::{UNIT_EPISODES, UnitPlan};
-use results::conditions::PolicyKind;
-use results::settings::RunSettings;
 use settings::{Layer, resolve};
 
 use super::execution::{
@@ -140,7 +140,7 @@ pub(super) fn check(settings: &RunSettings) -> Result<()> {
     if settings.external_memory {
         bail!("workers start the memory: give its command with --memory-cmd");
     }
-    let limited = |model: &results::settings::ModelSettings| {
+    let limited = |model: &conditions::settings::ModelSettings| {
         model.max_cost.is_some() || model.max_tokens_total.is_some()
     };
     if settings.model.as_ref().is_some_and(limited) {

@@ -7,6 +7,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use anyhow::{Context, Result, ensure};
 use build_commit::COMMIT;
 use clap::Args;
+use conditions::representation;
+use conditions::settings::RunSettings;
 use domain::{Representation, cache_folder};
 use orchestrator::invocation::Invocation;
 use orchestrator::machine::{Machine, floors};
@@ -16,8 +18,7 @@ use orchestrator::progress::Verbosity;
 use orchestrator::run::{RunOutcome, observe};
 use orchestrator::run_plan::{ALL, Purpose, RunPlan};
 use orchestrator::scratch::ScratchFolder;
-use results::conditions::representation;
-use results::settings::RunSettings;
+use run_log::DOCUMENTS_FOLDER;
 use settings::{Layer, resolve, variable};
 use shm_types::message::Role;
 

@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 use case_book::act::DemonstrationsRequest;
 use clap::Args;
+use conditions::Frames;
 use domain::{Appearance, DemonstrationKind, Demonstrations, Pose, Route, Start};
 use png_file::{Channels, encode};
 use program::AppearanceArgs;
-use results::conditions::Frames;
 use world_client::RunWorld;
 use world_client::frames::{ViewFormat, ViewKey, ViewRenderer};
 

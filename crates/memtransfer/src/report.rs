@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::bail;
 use clap::Args;
-use results::compare::tell_apart;
-use results::log::RunLog;
+use run_log::RunLog;
+use run_log::tell_apart;
 
 use super::{Exit, print};
 

@@ -12,8 +12,8 @@ use clap::Args;
 use flags::{RunOptions, SettingFlags, source_of};
 use orchestrator::run::RunOutcome;
 use orchestrator::run_plan::{ALL, Purpose, RunPlan};
-use results::log::{EpisodeError, RunLog};
-use results::score::WithoutAction;
+use run_log::answers::WithoutAction;
+use run_log::{EpisodeError, RunLog};
 use settings::{Layer, resolve};
 
 use super::execution::{

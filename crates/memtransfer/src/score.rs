@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use results::compare::{compare_conditions, compare_runs, differing_settings, tell_apart};
-use results::log::{Difference, RunLog};
-use results::policy::PolicyLabel;
-use results::score::{Comparison, score};
+use run_log::policy::PolicyLabel;
+use run_log::{Difference, RunLog, tell_apart};
+use scores::compare::{compare_conditions, compare_runs, differing_settings};
+use scores::{Comparison, score};
 use serde::Serialize;
 
 use super::{Exit, print, print_json, warn_of_damage};

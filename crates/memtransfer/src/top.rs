@@ -13,7 +13,7 @@ use domain::{MemoryKind, Representation, shell_word};
 use orchestrator::pipeline::Participant;
 use orchestrator::status::{LiveStatus, MemoryStatus, StageLatency};
 use report::table::table;
-use results::latency::LatencySummary;
+use run_log::latency::LatencySummary;
 use shm_types::message::Role;
 
 use super::{Exit, print, print_json};
@@ -236,7 +236,7 @@ fn stages(status: &LiveStatus, memory: MemoryKind) -> String {
 
 #[cfg(test)]
 mod tests {
-    use results::log::Stages;
+    use run_log::Stages;
 
     use super::*;
     use orchestrator::status::{EpisodeCounts, ProcessStatus};

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::Result;
 use clap::Args;
-use results::compare::tell_apart;
+use run_log::tell_apart;
 use viewer::{Address, Site, ViewServer, write_bundle};
 use world_client::{RecordedRun, Selection};
 

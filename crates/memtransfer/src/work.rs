@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Error, Result, anyhow, bail};
 use clap::Args;
+use conditions::settings::Effect;
 use domain::cache_folder;
 use llm::Source;
 use orchestrator::invocation::Invocation;
@@ -13,8 +14,7 @@ use orchestrator::run_documents::RunDocuments;
 use orchestrator::run_plan::{Purpose, RunPlan};
 use orchestrator::selection::SelectedCases;
 use orchestrator::units::{ReadPlan, UnitPlan};
-use results::log::{Manifest, RunFolder, RunLog, UnitId, finish_unit, unit_folder};
-use results::settings::Effect;
+use run_log::{Manifest, RunFolder, RunLog, UnitId, finish_unit, unit_folder};
 use settings::{KEYS, Key, Layer, on_this_machine, variable};
 use shm_types::process::die_with_parent;
 

@@ -7,9 +7,10 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use conditions::PolicyKind;
 use orchestrator::units::UnitPlan;
-use results::conditions::PolicyKind;
-use results::log::{RunFolder, testing};
+use rigs::records;
+use run_log::RunFolder;
 use tempfile::TempDir;
 
 /// `memtransfer ARGUMENTS` in `dir`, away from this machine's settings.
@@ -364,11 +365,11 @@ fn a_dry_run_counts_and_touches_nothing() {
 #[test]
 fn a_run_without_prompts_is_shown_and_a_missing_case_explained() {
     let dir = dir();
-    let mut manifest = testing::manifest();
+    let mut manifest = records::manifest();
     manifest.settings.cases = vec!["t01".parse().unwrap()];
     let mut folder = RunFolder::open(&dir.path().join("run"), manifest, false).unwrap().folder;
-    let record = testing::record("t01-01", true);
-    let timings = testing::timings(&record);
+    let record = records::record("t01-01", true);
+    let timings = records::timings(&record);
     let by_key = format!("show run {} 0", record.key);
     folder.finish(&[(record, timings)]).unwrap();
     drop(folder);
@@ -391,13 +392,13 @@ fn a_run_without_prompts_is_shown_and_a_missing_case_explained() {
 
 /// Makes the finished run `name` of `policy` in `dir`: one case under two conditions.
 fn finished_run(dir: &Path, name: &str, policy: PolicyKind) {
-    let mut manifest = testing::manifest();
+    let mut manifest = records::manifest();
     (manifest.settings.policy, manifest.episodes) = (policy, 2);
     let mut folder = RunFolder::open(&dir.join(name), manifest, false).unwrap().folder;
-    let record = testing::record("t01-01", true);
+    let record = records::record("t01-01", true);
     let other = "working/original/unchanged/none".parse().unwrap();
-    for record in [record.clone(), testing::under(other, record)] {
-        let timings = testing::timings(&record);
+    for record in [record.clone(), records::under(other, record)] {
+        let timings = records::timings(&record);
         folder.finish(&[(record, timings)]).unwrap();
     }
 }
@@ -510,12 +511,12 @@ fn every_output_with_figures_of_a_run_names_a_policy_that_is_no_model() {
 fn damaged_lines_are_named_by_all_that_leave_them_out() {
     let dir = dir();
     for (name, seed) in [("a", 1), ("b", 2)] {
-        let mut manifest = testing::manifest();
+        let mut manifest = records::manifest();
         manifest.settings.seed = seed;
         let mut folder = RunFolder::open(&dir.path().join(name), manifest, false).unwrap().folder;
-        let mut record = testing::record("t01-01", true);
+        let mut record = records::record("t01-01", true);
         record.seed = record.own_key().seed(seed);
-        let timings = testing::timings(&record);
+        let timings = records::timings(&record);
         folder.finish(&[(record, timings)]).unwrap();
     }
     let path = dir.path().join("a/episodes.jsonl");
@@ -590,7 +591,7 @@ fn what_is_no_regular_file_is_refused_at_once() {
         rustix::fs::mkfifoat(rustix::fs::CWD, dir.path().join(path), mode).unwrap();
     };
     for run in ["runs/pipe", "runs/episodes"] {
-        drop(RunFolder::open(&dir.path().join(run), testing::manifest(), false).unwrap());
+        drop(RunFolder::open(&dir.path().join(run), records::manifest(), false).unwrap());
     }
     fs::remove_file(dir.path().join("runs/pipe/manifest.json")).unwrap();
     fs::remove_file(dir.path().join("runs/episodes/episodes.jsonl")).unwrap();
@@ -623,9 +624,9 @@ fn what_is_no_regular_file_is_refused_at_once() {
 fn a_report_is_written_beside_the_folder_and_follows_no_link() {
     let dir = dir();
     let mut folder =
-        RunFolder::open(&dir.path().join("run"), testing::manifest(), false).unwrap().folder;
-    let record = testing::record("t01-01", true);
-    let timings = testing::timings(&record);
+        RunFolder::open(&dir.path().join("run"), records::manifest(), false).unwrap().folder;
+    let record = records::record("t01-01", true);
+    let timings = records::timings(&record);
     folder.finish(&[(record, timings)]).unwrap();
     drop(folder);
     let report = dir.path().join("run/report");
@@ -726,7 +727,7 @@ fn files_with_commands(dir: &Path) -> [String; 2] {
         fs::write(dir.join(file), &suite).unwrap();
     }
     // The plan of a run of the same commands, which its author gave on the command line.
-    let mut manifest = testing::manifest();
+    let mut manifest = records::manifest();
     manifest.settings.memory_cmd = vec![memory.clone()];
     let plan = UnitPlan::new(manifest, 500);
     plan.write(&dir.join("plan.json")).unwrap();
@@ -770,7 +771,7 @@ fn a_dry_run_starts_no_program() {
 #[test]
 fn a_dry_run_lists_the_memories_that_the_folder_names() {
     let dir = dir();
-    let mut manifest = testing::manifest();
+    let mut manifest = records::manifest();
     manifest.settings.memory_cmd = vec!["./mine".to_owned()];
     let facts = serde_json::json!({"index": 0, "version": "1", "command": "./mine", "scope": "case",
         "embeddings": false, "frames": false, "deterministic": true, "learns": false, "sdk": "-"});

@@ -1,13 +1,14 @@
 //! The flat tables of a report: a row for each episode, and a row for each condition with every figure.
 
-use results::conditions::Condition;
-use results::key::EpisodeKey;
-use results::log::{EpisodeRecord, EpisodeTimings, RecallTotals, RunLog, Stages, StreamRecord};
-use results::score::{
-    ConditionScore, Derived, Estimate, Failure, Spread, StreamScore, path_weight,
-};
+use std::collections::BTreeSet;
 
-use domain::TaskGroup;
+use case_book::WorldFacts;
+use conditions::Condition;
+use conditions::key::EpisodeKey;
+use run_log::{EpisodeRecord, EpisodeTimings, RecallTotals, RunLog, Stages, StreamRecord};
+use scores::{ConditionScore, Derived, Estimate, Spread, StreamScore, failure_of, path_weight};
+
+use serde_json::Value;
 
 use super::frame::{DataFrame, FrameBuilder};
 use super::view::ScoredRun;
@@ -54,7 +55,7 @@ pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
     frame.whole("run", |row| Some(row.parts.as_ref()?.run));
     frame.text("case", |row| Some(row.parts.as_ref()?.case.clone()));
     frame.whole("task", |row| Some(row.record?.task));
-    frame.text("group", |row| Some(row.record?.task_type()?.group().name().to_owned()));
+    frame.text("group", |row| Some(row.log.world.group_of(row.record?.task)?.to_owned()));
     frame.text("seed", |row| Some(row.record?.seed.to_string()));
     frame.text("ending", |row| {
         Some(row.record.map_or("given-up".to_owned(), |record| record.ending.to_string()))
@@ -62,15 +63,12 @@ pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
     frame.flag("success", |row| Some(row.record?.is_success()));
     frame.real("spl", |row| Some(path_weight(row.record?)));
     frame.text("error", |row| row.error.map(str::to_owned));
-    frame.text("failure", |row| Some(Failure::of(row.record?)?.name().to_owned()));
+    frame.text("failure", |row| Some(failure_of(row.record?, &row.log.world)?.kind));
     frame.whole("steps", |row| Some(row.record?.steps));
     frame.whole("reference", |row| Some(row.record?.reference));
     frame.whole("sub_goals_met", |row| Some(row.record?.sub_goals.len()));
     frame.whole("sub_goals", |row| Some(row.record?.required));
-    frame.flag("tried_closed", |row| row.record?.tried_closed);
-    frame.whole("blocked_moves", |row| Some(row.record?.blocked_moves.len()));
-    frame.text("start_pose", |row| Some(row.record?.start_pose.to_string()));
-    frame.text("final_pose", |row| Some(row.record?.final_pose.to_string()));
+    frame.flag("conflict", |row| row.record?.had_conflict());
     frame.text("actions", |row| Some(row.record?.actions.clone()));
     frame.whole("requests", |row| row.record?.requests);
     frame.whole("images", |row| row.record?.images);
@@ -103,12 +101,27 @@ pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
     frame.whole("sources_blocked", |row| Some(row.record?.blocked?.retrievals));
     frame.whole("stale_blocked", |row| Some(row.record?.blocked?.stale));
     add_stream(&mut frame, |row| row.record?.stream.as_ref());
+    add_world(&mut frame, &rows);
     for (index, stage) in Stages::NAMES.into_iter().enumerate() {
         frame.real(format!("{stage}_us"), |row| {
             Some(row.timings?.stages.values()[index] as f64 / 1000.0)
         });
     }
     frame.finish()
+}
+
+/// A column for each fact that the worlds tell of episodes: texts as they are, anything else as JSON.
+fn add_world<'a>(frame: &mut FrameBuilder<'_, EpisodeRow<'a>>, rows: &[EpisodeRow<'a>]) {
+    let facts: BTreeSet<&String> =
+        rows.iter().filter_map(|row| row.record).flat_map(|record| record.world.keys()).collect();
+    for fact in facts {
+        frame.text(format!("world_{fact}"), |row| {
+            Some(match row.record?.world.get(fact)? {
+                Value::String(text) => text.clone(),
+                value => value.to_string(),
+            })
+        });
+    }
 }
 
 /// A row for each episode of the runs: when and where it ran, and the nanoseconds of all its steps in each stage.
@@ -176,18 +189,20 @@ pub(super) fn conditions(views: &[ScoredRun<'_>]) -> DataFrame {
         frame.real(name, |(_, score)| Some(derived(score)?.value));
         frame.interval(name, |(_, score)| derived(score)?.interval);
     }
-    for group in TaskGroup::ALL {
-        let of = move |score: &ConditionScore| {
-            score.groups.iter().find(|found| found.group == group).map(|found| found.sr)
+    for group in names(views, |world| world.groups.iter().map(|group| &group.name).collect()) {
+        let of = |score: &ConditionScore| {
+            score.groups.iter().find(|found| found.group == *group).map(|found| found.sr)
         };
-        let name = format!("sr_{}", group.name().replace([' ', '-'], "_"));
+        let name = format!("sr_{}", group.replace([' ', '-'], "_"));
         frame.real(name.clone(), |(_, score)| Some(of(score)?.mean));
         frame.real(format!("{name}_std"), |(_, score)| of(score)?.std);
     }
     frame.real("mean_steps", |(_, score)| score.mean_steps);
-    for (index, kind) in Failure::ALL.iter().enumerate() {
-        let name = format!("failed_{}", kind.name().replace('-', "_"));
-        frame.whole(name, |(_, score)| Some(score.failures.iter().nth(index)?.1));
+    for kind in names(views, |world| world.failures.iter().map(|kind| &kind.name).collect()) {
+        let name = format!("failed_{}", kind.replace('-', "_"));
+        frame.whole(name, |(_, score)| {
+            Some(score.failures.iter().find(|(found, _)| found == kind)?.1)
+        });
     }
     for stage in Stages::NAMES {
         frame.real(format!("{stage}_us"), |(_, score)| score.stage_us.as_ref()?.stage(stage));
@@ -203,6 +218,20 @@ pub(super) fn conditions(views: &[ScoredRun<'_>]) -> DataFrame {
     });
     frame.text("published_source", |(view, score)| Some(published(view, score)?.source));
     frame.finish()
+}
+
+/// The names that `of` finds in the worlds of the runs, each once, in their order.
+fn names<'a>(
+    views: &'a [ScoredRun<'_>],
+    of: impl Fn(&'a WorldFacts) -> Vec<&'a String>,
+) -> Vec<&'a String> {
+    let mut found = Vec::new();
+    for name in views.iter().flat_map(|view| of(&view.log.world)) {
+        if !found.contains(&name) {
+            found.push(name);
+        }
+    }
+    found
 }
 
 /// The columns that say of which run a row is, and whose figures it holds.

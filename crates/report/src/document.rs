@@ -2,7 +2,7 @@
 //!
 //! A [`TableCell`] cannot be empty: where there is no figure, it gives the reason.
 
-use results::policy::PolicyLabel;
+use run_log::policy::PolicyLabel;
 
 use super::plot::ReportFigure;
 

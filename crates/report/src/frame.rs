@@ -1,6 +1,6 @@
 //! Flat tables of figures for other programs: typed columns in full precision, with nulls.
 
-use results::score::Interval;
+use scores::Interval;
 
 /// A table of values.
 #[derive(Debug, Clone, PartialEq)]

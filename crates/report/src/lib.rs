@@ -1,6 +1,6 @@
 //! Reports about runs, from their logs alone.
 //!
-//! Three steps: [`score`](results::score) computes, `sections/` arranges figures into a [`ReportDocument`] of sections, tables
+//! Three steps: [`score`](scores) computes, `sections/` arranges figures into a [`ReportDocument`] of sections, tables
 //! and plots, and one file for each format writes it: `html.rs`, `csv.rs`, `parquet.rs`, `terminal.rs`.
 //! The published figures are data ([`Published`], `assets/published.toml`).
 //!
@@ -41,8 +41,8 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use durable::{FolderDraft, KnownNames};
-use results::log::{REPORT_FOLDER, RunLog, report_names};
-use results::score::score;
+use run_log::{REPORT_FOLDER, RunLog, report_names};
+use scores::score;
 use view::ScoredRun;
 
 /// The page.
@@ -229,7 +229,7 @@ fn write_file(
 mod folder_tests {
     use std::os::unix::fs::symlink;
 
-    use results::log::testing::{log, record};
+    use rigs::records::{log, record};
 
     use super::*;
 

@@ -17,7 +17,7 @@ pub struct Published {
     pub conditions: Vec<PublishedCondition>,
 }
 
-/// The figures of one condition. Units as in [`ConditionScore`](results::score::ConditionScore), tokens in millions.
+/// The figures of one condition. Units as in [`ConditionScore`](scores::ConditionScore), tokens in millions.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 #[expect(missing_docs, reason = "the figures are those of ConditionScore and are named like them")]

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use results::log::{RequestRecord, RunLog};
+use run_log::{RequestRecord, RunLog};
 use world_client::{EpisodeTimeline, TimelineStep};
 
 use super::data::add_run;
@@ -54,9 +54,9 @@ pub fn steps_frame(log: &RunLog, episodes: &[EpisodeTimeline<'_>]) -> DataFrame 
     frame.flag("is_last", |row| Some(row.moment.step == row.timeline.record.steps));
     frame.whole("sub_goals_met", |row| Some(row.moment.sub_goals));
     frame.whole("sub_goals", |row| Some(row.timeline.record.required));
-    frame.flag("tried_closed", |row| {
-        row.timeline.record.tried_closed?;
-        Some(row.timeline.record.tried_closed_at == Some(row.moment.step))
+    frame.flag("conflict", |row| {
+        row.timeline.record.had_conflict()?;
+        Some(row.timeline.record.conflict_at == Some(row.moment.step))
     });
     frame.text("sources", |row| word(row.moment.retrieved));
     frame.text("distances", |row| word(row.moment.distances));
@@ -71,25 +71,33 @@ pub fn steps_frame(log: &RunLog, episodes: &[EpisodeTimeline<'_>]) -> DataFrame 
 
 #[cfg(test)]
 mod tests {
-    use domain::{Action, Heading, Pose};
+    use conditions::Route;
+    use domain::{Action, Feedback, Heading, Pose};
 
     use super::*;
-    use results::log::testing::{log, record};
+    use rigs::records::{log, record};
 
     #[test]
     fn every_moment_has_a_row_and_the_last_one_no_action() {
         let mut one = record("t01-01", false);
-        one.start_pose = Pose::new(5, 0, Heading::N);
         (one.actions, one.steps) = ("fR?f".to_owned(), 4);
-        (one.blocked_moves, one.sub_goals) = (vec![4], vec![1]);
+        one.sub_goals = vec![1];
         one.retrieved = Some("o3 - n1+o2 o4".to_owned());
         one.distances = Some("0.0132 - 0+- -".to_owned());
-        (one.tried_closed, one.tried_closed_at) = (Some(true), Some(4));
+        (one.route, one.conflict_at) = (Route::Blocked, Some(4));
         let [retrieved, distances] =
             [&one.retrieved, &one.distances].map(|words| words.as_deref().unwrap().split(' '));
         let memory = retrieved.map(Some).zip(distances.map(Some)).chain([(None, None)]);
         let actions = one.actions.chars().map(Action::from_letter).chain([None]);
-        let moments = (0..).zip(one.replay()).zip(actions).zip(memory);
+        let at = |y, heading| Pose::new(5, y, heading);
+        let states = [
+            (at(0, Heading::N), Feedback::Start),
+            (at(1, Heading::N), Feedback::Moved),
+            (at(1, Heading::E), Feedback::Turned),
+            (at(1, Heading::E), Feedback::NotUnderstood),
+            (at(1, Heading::E), Feedback::Blocked),
+        ];
+        let moments = (0..).zip(states).zip(actions).zip(memory);
         let steps = moments.map(|(((step, (pose, feedback)), action), (retrieved, distances))| {
             let (sub_goals, view) = (usize::from(step > 0), (0, pose));
             TimelineStep { step, pose, feedback, action, sub_goals, retrieved, distances, view }
@@ -100,6 +108,7 @@ mod tests {
             variant: 0,
             steps: steps.collect(),
             events: Vec::new(),
+            failure: None,
             reference: None,
             scenery: None,
         };
@@ -108,7 +117,7 @@ mod tests {
         let text =
             String::from_utf8(csv).unwrap().replace("episodic/original/unchanged/original/", "");
         insta::assert_snapshot!(text, @"
-        log,policy,policy_role,key,memory,case,run,step,x,y,heading,feedback,action,is_last,sub_goals_met,sub_goals,tried_closed,sources,distances,outcome,latency_us,images,prompt_tokens,completion_tokens,memory_tokens
+        log,policy,policy_role,key,memory,case,run,step,x,y,heading,feedback,action,is_last,sub_goals_met,sub_goals,conflict,sources,distances,outcome,latency_us,images,prompt_tokens,completion_tokens,memory_tokens
         run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,0,5,0,N,The episode has just begun.,move forward,false,0,1,false,o3,0.0132,,,,,,
         run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,1,5,1,N,You moved.,turn right,false,1,1,false,,,,,,,,
         run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,2,5,1,E,You turned.,,false,1,1,false,n1+o2,0+-,,,,,,

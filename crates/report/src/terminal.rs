@@ -3,9 +3,9 @@
 use std::fmt::Write;
 
 use domain::shell_word;
-use results::compare::differing_settings;
-use results::log::RunLog;
-use results::score::{Comparison, FigureDifference, score};
+use run_log::RunLog;
+use scores::compare::differing_settings;
+use scores::{Comparison, FigureDifference, score};
 
 use super::document::{Table, TableCell};
 use super::published::Published;
@@ -231,12 +231,12 @@ fn wrapped(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use results::log::EpisodeRecord;
-    use results::log::testing::{log, record, under};
+    use rigs::records::{log, record, under};
+    use run_log::EpisodeRecord;
 
     use super::*;
     use crate::testing::{made_up, paper_conditions};
-    use results::score::Interval;
+    use scores::Interval;
 
     fn is_narrow(text: &str) {
         let wide = text.lines().find(|line| line.chars().count() > 100 && !line.contains("Run:"));
@@ -254,7 +254,7 @@ mod tests {
     #[test]
     fn every_table_fits_a_hundred_columns() {
         let mut log = made_up(&paper_conditions(), &[1, 2, 3]);
-        let request = results::log::testing::request(&log.episodes[0].key, 1);
+        let request = rigs::records::request(&log.episodes[0].key, 1);
         log.requests = vec![request];
         let text = summary(&log);
         assert!(text.contains("Requests to the model") && text.contains("Blocked routes"));
@@ -262,7 +262,7 @@ mod tests {
         let mut other = log.clone();
         other.manifest.settings.max_steps = 60;
         let text =
-            compared_runs(&log, &other, &results::compare::compare_runs(&log, &other).unwrap());
+            compared_runs(&log, &other, &scores::compare::compare_runs(&log, &other).unwrap());
         assert!(text.contains("max-steps differs: 200 in made-up, 60 in made-up"), "{text}");
         is_narrow(&text);
     }

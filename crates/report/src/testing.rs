@@ -1,14 +1,13 @@
 //! Made-up runs of the whole paper suite and of streams, as plausible as a hash of names can make them.
 
-use domain::{
-    Action, Arm, Heading, MemoryKind, Pose, Representation, StreamOrder, TaskGroup, TaskType,
+use conditions::key::EpisodeKey;
+use conditions::settings::{Group, RunSettings};
+use conditions::{Condition, Demonstrations, Route, SegmentContent, Start};
+use domain::{Action, Arm, MemoryKind, Representation, StreamOrder};
+use rigs::records::{
+    external_memory, log, record, sequence, settings, stream_log, tell, tell_failure, under, world,
 };
-use results::conditions::{Condition, Demonstrations, Route, SegmentContent, Start};
-use results::events::{Requirement, Visit};
-use results::key::EpisodeKey;
-use results::log::testing::{external_memory, log, record, sequence, settings, stream_log, under};
-use results::log::{Ending, EpisodeRecord, RecallTotals, RunLog, StreamRecord, Unread};
-use results::settings::{Group, RunSettings};
+use run_log::{Ending, EpisodeRecord, RecallTotals, RunLog, StreamRecord, Unread};
 
 /// Every condition of the shipped suite `paper`, each with its number of runs.
 pub(crate) fn paper_conditions() -> Vec<(Condition, u32)> {
@@ -76,50 +75,45 @@ fn episode(key: EpisodeKey, task: u8) -> EpisodeRecord {
     let luck = hash(&key, |key| key.condition.memory = Representation::Working.into()) % 60;
     let chance = (luck + hash(&key, |_| {}) % 40) as i64;
     let condition = key.condition;
-    let task_type = TaskType::try_from(task).unwrap();
-    let less = if task_type == TaskType::Revisit { 20 } else { 0 };
+    let world = world();
+    let group = world.group_of(task).unwrap();
+    let less = if group == "revisit" { 20 } else { 0 };
     let success = chance < likely(&condition) - less;
     let record = EpisodeRecord { run: key.run, task, ..record(&key.case, success) };
     let mut record = under(condition, record);
     record.steps = if success { 20 + chance as u32 } else { 200 };
-    (record.reference, record.required) =
-        (18, if task_type.group() == TaskGroup::Basic { 1 } else { 3 });
+    (record.reference, record.required) = (18, if group == "basic" { 1 } else { 3 });
     record.requests = Some(record.steps);
     record.images = Some(u64::from(record.steps) * u64::from(settings().images(&condition)));
-    record.start_pose = Pose::new(8, 0, Heading::N);
     record.sub_goals =
         if success { vec![record.steps; record.required as usize] } else { Vec::new() };
     record.actions = Action::Forward.letter().to_string().repeat(record.steps as usize);
     let tried = condition.route == Route::Blocked && chance % 5 != 0;
-    record.tried_closed = (condition.route == Route::Blocked).then_some(tried);
+    record.conflict_at = (condition.route == Route::Blocked && tried).then_some(20);
     if condition.memory == Representation::Episodic {
         let other = condition.demonstrations.mixture().is_some();
         record.retrieved = Some(if other { "o1 p2 t03-07:o4" } else { "o1 o2 o3" }.to_owned());
         record.distance = Some(0.25);
     }
     if !success {
-        fail(&mut record, chance);
+        fail(&mut record, chance, group == "basic");
     }
     record
 }
 
 /// Makes the failure one of several kinds.
-fn fail(record: &mut EpisodeRecord, chance: i64) {
+fn fail(record: &mut EpisodeRecord, chance: i64, is_basic: bool) {
     record.ending = Ending::OutOfSteps;
-    if record.tried_closed == Some(true) && chance % 3 == 0 {
-        record.tried_closed_at = Some(190);
+    if record.conflict_at.is_some() && chance % 3 == 0 {
+        tell_failure(record, "blocked", 190);
         return;
     }
     match chance % 4 {
-        0 => record.actions = "L".repeat(200),
-        1 => drop(record.first_seen.insert(Requirement::A, 12)),
-        2 if record.task_type().map(TaskType::group) != Some(TaskGroup::Basic) => {
-            let cell = record.start_pose.cell;
-            record.visits = vec![
-                Visit { step: 3, requirement: Requirement::B, cell },
-                Visit { step: 9, requirement: Requirement::A, cell },
-            ];
+        0 => tell(record, "looped_at", 156),
+        1 => tell_failure(record, "saw-and-left", 12),
+        2 if !is_basic => {
             record.sub_goals = vec![9];
+            tell_failure(record, "wrong-order", 3);
         }
         _ => record.unread = Unread { unreadable: chance as u32, empty: 0, refused: 1, cut_off: 0 },
     }

@@ -1,7 +1,7 @@
 //! The report of a made-up run, and that it is complete.
 
-use results::conditions::{Condition, PolicyKind};
-use results::log::{BlockedRecord, EpisodeError, EpisodeRecord};
+use conditions::{Condition, PolicyKind};
+use run_log::{BlockedRecord, EpisodeError, EpisodeRecord};
 
 use super::testing::{made_up, made_up_streams, paper_conditions};
 use super::view::THEIRS;
@@ -172,7 +172,7 @@ fn blocked_routes_have_rows_for_all_demonstrations_and_conflicts_are_of_one_star
         "episodic/new/blocked/original/h20",
     ];
     let mut log = made_up(&only(&conditions), &[1, 9]);
-    for record in log.episodes.iter_mut().filter(|record| record.tried_closed.is_some()) {
+    for record in log.episodes.iter_mut().filter(|record| record.had_conflict().is_some()) {
         let blocked = BlockedRecord { invalidated: true, ..BlockedRecord::default() };
         record.blocked = Some(blocked);
     }
@@ -298,7 +298,7 @@ fn the_page_names_the_policy_and_is_self_contained() {
         assert!(!text.contains(foreign), "{foreign}");
     }
     log.manifest.settings.policy = PolicyKind::Random;
-    log.manifest.settings.frames = results::conditions::Frames::Blank;
+    log.manifest.settings.frames = conditions::Frames::Blank;
     let text = page(&log);
     assert!(
         !text.contains("stand-in") && text.contains("lower bound") && text.contains("Control:")
@@ -412,7 +412,7 @@ fn every_file_of_a_report_names_a_policy_that_is_no_model() {
     for timings in &mut beyond.timings {
         (timings.recalls.store_bytes, timings.recalls.requests) = (Some(4096), timings.steps);
     }
-    beyond.requests = vec![results::log::testing::request(&beyond.episodes[0].key, 1)];
+    beyond.requests = vec![rigs::records::request(&beyond.episodes[0].key, 1)];
     let small = vec![beyond.clone()];
     let both = vec![beyond.clone(), RunLog { name: "other".to_owned(), ..beyond }];
     let paper = made_up(&paper_conditions(), &[1, 9]);

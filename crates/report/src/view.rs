@@ -2,10 +2,10 @@
 
 use std::collections::BTreeSet;
 
+use conditions::Condition;
 use domain::{ExternalName, MemoryKind, Representation};
-use results::conditions::Condition;
-use results::log::RunLog;
-use results::score::{ConditionScore, Interval, Scores, Spread};
+use run_log::RunLog;
+use scores::{ConditionScore, Interval, Scores, Spread};
 
 use super::document::{Missing, RowGroup, TableCell, TableColumn, TableRow};
 use super::published::{Published, PublishedCondition, PublishedSpread};

@@ -98,6 +98,9 @@ impl ScriptedSim {
             visits: Vec::new(),
             first_seen: BTreeMap::new(),
             blocked_moves: blocked_moves.clone(),
+            failure: None,
+            looped_at: None,
+            path: None,
             completes_in: (config.learns == 1).then(BTreeSet::new),
         });
         let ended = if ends { EpisodeEnd::StepLimit } else { EpisodeEnd::GoesOn } as u8;

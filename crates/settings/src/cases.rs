@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use conditions::settings::CaseSelector;
 use domain::names::UnknownName;
-use results::settings::CaseSelector;
 
 /// The indices into `ids` that `selectors` and `limit` choose, ascending, each once.
 ///

@@ -4,8 +4,8 @@ use std::ffi::OsString;
 use std::fmt;
 
 use anyhow::{Result, anyhow, ensure};
+use conditions::settings::{KEYS, Key, STREAM_TABLE, Scope, StreamSettings, VARIABLE_PREFIX};
 use domain::names::{UnknownName, nearest};
-use results::settings::{KEYS, Key, STREAM_TABLE, Scope, StreamSettings, VARIABLE_PREFIX};
 use serde_json::{Map, Value};
 
 /// Variables with the prefix that are not settings: folders, the user's own ONNX Runtime, and what tests use.
@@ -233,7 +233,7 @@ mod tests {
     fn defaults_are_values_that_keys_can_have() {
         let defaults = Layer::defaults().unwrap();
         assert_eq!(defaults.values["max-steps"], domain::MAX_STEPS);
-        assert_eq!(defaults.values["image-budget"], results::settings::MAX_IMAGES);
+        assert_eq!(defaults.values["image-budget"], conditions::settings::MAX_IMAGES);
     }
 
     #[test]

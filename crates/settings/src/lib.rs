@@ -11,7 +11,7 @@ mod resolve;
 mod suite;
 
 pub use cases::select_cases;
+pub use conditions::settings::{KEYS, Key, MAX_IMAGES};
 pub use layer::{Layer, Origin, variable};
 pub use resolve::{Resolved, check, check_values, commands, on_this_machine, resolve};
-pub use results::settings::{KEYS, Key, MAX_IMAGES};
 pub use suite::{SHIPPED_SUITES, load_suite};

@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use anyhow::{Context, Error, Result, anyhow, bail, ensure};
+use conditions::settings::{
+    Drawn, KEYS, Key, MAX_IMAGES, RunSettings, STREAM_TABLE, Scope, SuiteName,
+};
+use conditions::{Condition, Demonstrations, PolicyKind, Route, Start, Variation};
 use domain::limits::MAX_EXTERNAL_MEMORIES;
 use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use domain::representation::Trajectories;
 use domain::{Arm, Representation};
-use results::conditions::{Condition, Demonstrations, PolicyKind, Route, Start, Variation};
-use results::settings::{
-    Drawn, KEYS, Key, MAX_IMAGES, RunSettings, STREAM_TABLE, Scope, SuiteName,
-};
 use serde_json::{Map, Value, json};
 
 use super::layer::{Layer, Origin};

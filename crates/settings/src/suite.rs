@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use anyhow::{Result, anyhow, ensure};
+use conditions::settings::SuiteName;
 use domain::names::UnknownName;
-use results::settings::SuiteName;
 
 use super::Layer;
 

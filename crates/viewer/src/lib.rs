@@ -4,7 +4,7 @@
 //! end without a build step (`web/`). [`write_bundle`] writes them to a folder that opens from the disk, [`ViewServer`] answers
 //! requests with the same files, made when they are asked for.
 //!
-//! What is not here: figures and tables (`results`), pixels and the rules of the world (`sim-proc`, a child process).
+//! What is not here: figures and tables (`scores`, `report`), pixels and the rules of the world (`sim-proc`, a child process).
 
 mod bundle;
 pub mod data;

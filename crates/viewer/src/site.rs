@@ -21,16 +21,16 @@ use std::io::ErrorKind;
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
+use conditions::Condition;
+use conditions::key::EpisodeKey;
 use domain::prompt_log::{image_file, is_hash};
 use png_file::RgbaImage;
 use report::Published;
-use results::conditions::Condition;
-use results::key::EpisodeKey;
-use results::log::{
+use run_log::step_view::{PromptLog, is_named, read_logged};
+use run_log::{
     EPISODES_FILE, EpisodeRecord, EpisodeTimings, JournalTail, PROMPTS_FOLDER, REQUESTS_FILE,
     RequestRecord, RunLog, STATUS_FILE, TIMINGS_FILE,
 };
-use results::step_view::{PromptLog, is_named, read_logged};
 use serde_json::{Value, json};
 use world_client::frames::{ViewKey, ViewRenderer, jpeg, view_arguments};
 use world_client::{RecordedRun, RunWorld, WorldAccess, WorldProgram};
@@ -468,8 +468,8 @@ mod tests {
     use std::fs::{self, OpenOptions};
     use std::io::Write;
 
-    use results::log::RunFolder;
-    use results::log::testing::{keyed, manifest, record};
+    use rigs::records::{keyed, manifest, record};
+    use run_log::RunFolder;
 
     use super::*;
 

@@ -27,7 +27,7 @@ memtransfer.EpisodeView = class {
     const met = episode.subGoals.filter((at) => at === step).length;
     const visit = episode.visits.find((one) => one.step === step);
     return [before, visit && `Stands before ${visit.letter}.`, met > 0 && "A sub-goal is complete.",
-      episode.triedClosedAt === step && "Tried to enter the closed passage.",
+      episode.conflictAt === step && "Tried to enter the closed passage.",
       episode.failure && episode.failure.step === step && `The failure is decided: ${episode.failure.kind}.`,
       `Column ${x}, row ${y}, facing ${memtransfer.HEADINGS[heading]}.`].filter(Boolean).join(" ");
   }
@@ -82,7 +82,7 @@ memtransfer.EpisodeView = class {
       ...episode.blockedMoves.map((step) => [step, "blocked", "×", "move blocked"]),
       ...[...episode.actions].flatMap((letter, at) => (letter === "?" ? [[at + 1, "unread", "?", "answer not readable"]] : [])),
     ];
-    if (episode.triedClosedAt !== null) moments.push([episode.triedClosedAt, "closed", "■", "tried to enter the closed passage"]);
+    if (episode.conflictAt !== null) moments.push([episode.conflictAt, "closed", "■", "tried to enter the closed passage"]);
     if (episode.failure) moments.push([episode.failure.step, "failed", "⚑", `failure decided: ${episode.failure.kind}`]);
     return moments.sort((a, b) => a[0] - b[0]);
   }
@@ -122,12 +122,12 @@ memtransfer.EpisodeView = class {
       const one = episode.demonstrations[demonstration];
       const source = (text, at) => h("button", { type: "button", class: "step-link", onclick: () => this.onSource(this, demonstration, at) }, text);
       sentences.push(from === null
-        ? h("p", {}, "The agent tried to enter the closed passage at ", step(episode.triedClosedAt), ". Memory was built from the ",
+        ? h("p", {}, "The agent tried to enter the closed passage at ", step(episode.conflictAt), ". Memory was built from the ",
           source(one.title, Math.max(enters - 1, 0)), `, which uses that passage from its step ${enters} on.`)
-        : h("p", {}, "The agent tried to enter the closed passage at ", step(episode.triedClosedAt), ". What memory supplied for that step leads into it: ",
+        : h("p", {}, "The agent tried to enter the closed passage at ", step(episode.conflictAt), ". What memory supplied for that step leads into it: ",
           source(`step ${from} of the ${one.title}`, from), from === enters ? ", which is inside that passage." : `, which enters that passage at its step ${enters}.`));
-    } else if (episode.triedClosedAt !== null) {
-      sentences.push(h("p", {}, "The agent tried to enter the closed passage at ", step(episode.triedClosedAt), "; what memory supplied for that step does not lead into it."));
+    } else if (episode.conflictAt !== null) {
+      sentences.push(h("p", {}, "The agent tried to enter the closed passage at ", step(episode.conflictAt), "; what memory supplied for that step does not lead into it."));
     }
     if (episode.failure) {
       sentences.push(h("p", {}, h("b", {}, `Failed, ${episode.failure.kind}: `), `${episode.failure.meaning}. Decided at `, step(episode.failure.step), "."));

@@ -5,14 +5,15 @@ use std::rc::Rc;
 
 use case_book::act::{
     ActAnswer, ActRequest, ActedDemonstration, ActedEpisode, ActedReference, DemonstrationsRequest,
-    EpisodeEvents, EpisodeRequest, EpisodeScenery, Scene, StreamBlockPlace, Target,
-    WorldDescription,
+    EpisodeRequest, EpisodeScenery, Scene, StreamBlockPlace, Target, WorldDescription,
 };
-use domain::{Action, ActionCode, Cell, DemonstrationKind, Feedback, Pose, State};
+use domain::{Action, ActionCode, Cell, DemonstrationKind, Feedback, Pose, Route, State};
+use serde_json::Value;
 
 use crate::case::{Case, History, TrajectoryKind};
 use crate::case_book::{case_facts, converted};
 use crate::dynamics::{Variant, step};
+use crate::ended::EndedEpisode;
 use crate::event_recorder::EventRecorder;
 use crate::map;
 use crate::progress::Progress;
@@ -126,10 +127,43 @@ impl Stage {
             true => self.reference(request, index, listed, begin)?,
             false => None,
         };
+        let (conflict_at, facts) = match parts.facts {
+            true => {
+                let is_blocked_route =
+                    request.reference.is_some_and(|(_, route)| route == Route::Blocked);
+                let conflict_at =
+                    conflict_at(variant, actions, &steps).filter(|_| is_blocked_route);
+                // Paths are compared in streams.
+                let of_stream = reference.as_ref().filter(|_| request.reference.is_none());
+                let of_stream = of_stream.map_or(&[][..], |reference| &reference.states);
+                let of_stream: Vec<Pose> =
+                    of_stream.iter().filter_map(|&state| state.try_into().ok()).collect();
+                let ended = EndedEpisode {
+                    task: &task,
+                    poses: &steps.poses,
+                    sub_goals: &steps.sub_goals,
+                    required: steps.required,
+                    events: events(warehouse, &task, &steps.poses),
+                    blocked_moves: blocked_moves(&steps),
+                    conflict_at,
+                    reference: &of_stream,
+                    completes_in: None,
+                };
+                (conflict_at, ended.facts())
+            }
+            false => (None, None),
+        };
+        let facts =
+            facts.map(|facts| serde_json::to_value(facts).map_err(|error| error.to_string()));
+        let facts = facts.transpose()?.and_then(|facts| match facts {
+            Value::Object(facts) => Some(facts),
+            _ => None,
+        });
         Ok(ActedEpisode {
             task: task.task_type().number(),
             instruction: task.instruction(&warehouse.catalogue),
-            events: parts.events.then(|| events(&state, &task, actions, &steps)),
+            facts,
+            conflict_at,
             reference,
             scenery,
             states: converted(&steps.poses),
@@ -299,37 +333,33 @@ impl Steps {
     }
 }
 
-/// What happened beside the steps: whether or not a visit counted, and what was in view, the last step excepted.
-fn events(
-    state: &WorldState,
-    task: &Task,
-    actions: &[Option<Action>],
-    steps: &Steps,
-) -> EpisodeEvents {
-    let WorldState { warehouse, variant } = state;
+/// Whether or not a visit counted, and what was in view, the last step excepted.
+fn events(warehouse: &Warehouse, task: &Task, poses: &[Pose]) -> EventRecorder {
     let mut recorder = EventRecorder::new(warehouse, task);
-    for (taken, pose) in (0_u32..).zip(&steps.poses) {
+    for (taken, pose) in (0_u32..).zip(poses) {
         recorder.stands(taken, *pose);
-        if taken == 0 || (taken as usize) < actions.len() {
+        if taken == 0 || (taken as usize) + 1 < poses.len() {
             recorder.looks(warehouse, taken, *pose);
         }
     }
-    let EventRecorder { visits, first_seen, .. } = recorder;
-    let mut events = EpisodeEvents { visits, first_seen, ..EpisodeEvents::default() };
-    for ((taken, action), (pose, feedback)) in
-        (1..).zip(actions).zip(steps.poses.iter().zip(steps.feedback.iter().skip(1)))
-    {
-        if *feedback != Feedback::Blocked {
-            continue;
-        }
-        events.blocked_moves.push(taken);
+    recorder
+}
+
+/// The steps whose move was blocked.
+fn blocked_moves(steps: &Steps) -> Vec<u32> {
+    let feedback = (0..).zip(&steps.feedback);
+    feedback.filter(|(_, feedback)| **feedback == Feedback::Blocked).map(|(at, _)| at).collect()
+}
+
+/// The first step that tried to enter a cell that is closed in `variant`.
+fn conflict_at(variant: &Variant, actions: &[Option<Action>], steps: &Steps) -> Option<u32> {
+    let tried = |(action, pose): (&Option<Action>, &Pose)| {
         let direction = action.and_then(Action::move_direction);
         let entered = direction.and_then(|it| pose.cell.step(pose.heading.turned(it)));
-        if entered.is_some_and(|cell| variant.is_closed(cell)) {
-            events.tried_closed_at.get_or_insert(taken);
-        }
-    }
-    events
+        entered.is_some_and(|cell| variant.is_closed(cell))
+    };
+    let index = actions.iter().zip(&steps.poses).position(tried)?;
+    Some(index as u32 + 1)
 }
 
 /// By step, the cells that came into view for the first time.
@@ -377,11 +407,9 @@ fn demonstration(
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use case_book::act::EpisodeParts;
-    use domain::events::Requirement;
-    use domain::{Demonstrations, FeedbackCode, Route, Start};
+    use domain::{Demonstrations, FeedbackCode, Start};
+    use serde_json::json;
 
     use super::*;
 
@@ -394,7 +422,7 @@ mod tests {
             begin: None,
             actions: actions.into_iter().map(|action| action.map(Into::into)).collect(),
             stream: None,
-            parts: EpisodeParts { events: true, reference: true, scenery: true },
+            parts: EpisodeParts { facts: true, reference: true, scenery: true },
         }
     }
 
@@ -406,12 +434,11 @@ mod tests {
         let steps = reference.actions.iter().take(reference.length as usize);
         let steps = steps.map(|action| Action::try_from(*action).ok()).collect();
         let acted = stage.episode(&request("t06-01", 0, steps)).unwrap();
-        let events = acted.events.unwrap();
-        let visits: Vec<String> = events.visits.iter().map(ToString::to_string).collect();
         assert_eq!((acted.sub_goals, acted.required), (vec![22, 57], 2));
-        assert_eq!(visits, ["22A@6,28", "57B@6,1"]);
-        assert_eq!(events.first_seen, BTreeMap::from([(Requirement::A, 8), (Requirement::B, 52)]));
-        assert!(events.blocked_moves.is_empty());
+        let facts = Value::from(acted.facts.unwrap());
+        assert_eq!(facts["visits"], json!(["22A@6,28", "57B@6,1"]));
+        assert_eq!(facts["first_seen"], json!({"A": 8, "B": 52}));
+        assert_eq!((&facts["blocked_moves"], facts.get("failure")), (&json!([]), None));
     }
 
     #[test]
@@ -427,20 +454,23 @@ mod tests {
         let mut stage = Stage::new(worlds);
         let steps = vec![None, Some(Action::Forward)];
         let mut acted = |variant| {
+            let route = if variant == 0 { Route::Unchanged } else { Route::Blocked };
             let request = EpisodeRequest {
                 begin: beside.map(Into::into),
+                reference: Some((Start::New, route)),
                 ..request(&case.id, variant, steps.clone())
             };
             stage.episode(&request).unwrap()
         };
         let blocked = acted(1);
-        let events = blocked.events.unwrap();
+        let facts = Value::from(blocked.facts.unwrap());
         assert_eq!(blocked.states, [State::from(beside.unwrap()); 3]);
         assert_eq!(
             blocked.feedback[1..],
             [Feedback::NotUnderstood, Feedback::Blocked].map(FeedbackCode::from)
         );
-        assert_eq!((events.blocked_moves, events.tried_closed_at), (vec![2], Some(2)));
+        assert_eq!((&facts["blocked_moves"], blocked.conflict_at), (&json!([2]), Some(2)));
+        assert_eq!(facts["failure"], json!({"kind": "blocked", "step": 2}));
         assert_eq!(blocked.scenery.unwrap().closed, case.barricade);
         assert_eq!(Pose::try_from(acted(0).states[2]).unwrap().cell, closed);
     }

@@ -6,12 +6,12 @@ use std::path::Path;
 use case_book::{
     BookRequest, CaseBook, CaseDemonstrations, CaseFacts, CaseInState, Demonstration,
     DemonstrationBook, ElsewhereRequest, Reference, StreamBlock, StreamDemonstrations, StreamFacts,
-    StreamsFacts, StreamsRequest, WorldFacts,
+    StreamsFacts, StreamsRequest, TaskFacts, TaskGroupFacts, WorldFacts,
 };
 use domain::names::UnknownName;
 use domain::{
     Action, Cell, DemonstrationKind, Demonstrations, Mixture, Pose, Route, Start, State,
-    StreamOrder,
+    StreamOrder, TaskGroup, TaskType,
 };
 
 use crate::asset::AssetError;
@@ -21,6 +21,7 @@ use crate::declaration::declaration;
 use crate::dynamics::Variant;
 use crate::elsewhere::{ELSEWHERE_VARIANT, Elsewhere};
 use crate::elsewhere_source::ElsewhereError;
+use crate::failure::failure_kinds;
 use crate::plan::{Planner, Prices};
 use crate::state::WorldState;
 use crate::stream::{StreamError, StreamSet};
@@ -162,7 +163,28 @@ pub(crate) fn world_facts(
         hashes: asset_hashes(assets)?,
         views: view_count(warehouse),
         elsewhere_views: elsewhere.map_or(0, |other| view_count(other.warehouse())),
+        groups: TaskGroup::ALL.map(group_facts).into(),
+        tasks: TaskType::ALL.map(task_facts).into(),
+        failures: failure_kinds(),
     })
+}
+
+fn group_facts(group: TaskGroup) -> TaskGroupFacts {
+    let heading = match group {
+        TaskGroup::Basic => "Basic (T1–T2)",
+        TaskGroup::MultiObject => "Multi-object (T3–T6)",
+        TaskGroup::ReturnLoop => "Return loops (T7, T8, T10)",
+        TaskGroup::Revisit => "Revisit (T9)",
+    };
+    TaskGroupFacts { name: group.name().to_owned(), heading: heading.to_owned() }
+}
+
+fn task_facts(task: TaskType) -> TaskFacts {
+    TaskFacts {
+        number: task.number(),
+        name: task.name().to_owned(),
+        group: task.group().name().to_owned(),
+    }
 }
 
 /// BLAKE3 of the assets, in hexadecimal digits, by name.

@@ -7,6 +7,7 @@
 //! - [`History`]: a demonstration of a case; [`Demonstrated`]: it in its world; [`mixed`]: histories of other tasks.
 //! - [`Elsewhere`]: another warehouse, in which the tasks of cases are demonstrated.
 //! - [`WorldState`]: a warehouse after changes; [`stream`]: blocks of cases with events between them.
+//! - [`EndedEpisode`]: the facts of an episode, with the kind of its failure.
 //! - [`plan`]: expert trajectories and the fewest steps; [`sight`]: which items are in view, computed on the floor plan.
 //! - [`case_book`]: what a run knows about the cases, as data; [`act`]: episodes and demonstrations, acted out for others.
 //! - [`GeneratedWorld`]: a warehouse from a seed; [`CaseSet::generate`]: cases from a seed; [`validate`](mod@validate): every constraint checked by replay; [`map`]:
@@ -28,13 +29,16 @@ mod draw;
 pub mod dynamics;
 mod elsewhere;
 mod elsewhere_source;
+mod ended;
 mod event_recorder;
+mod failure;
 mod generate;
 mod generate_world;
 pub mod layout;
 pub mod map;
 pub mod mixed;
 mod order;
+mod path;
 pub mod plan;
 pub mod progress;
 mod racks;
@@ -61,6 +65,7 @@ pub use demonstrated::{Demonstrated, Viewpoint};
 pub use dynamics::{Variant, step};
 pub use elsewhere::{ELSEWHERE_VARIANT, Elsewhere};
 pub use elsewhere_source::ElsewhereError;
+pub use ended::EndedEpisode;
 pub use event_recorder::EventRecorder;
 pub use generate::{GenerateError, MAX_CASES, SHIPPED_COUNT, SHIPPED_SEED};
 pub use generate_world::{GeneratedWorld, MIN_SIDE, corridors};

@@ -1,14 +1,15 @@
 //! Whether a log says what its world makes of the episodes.
 
+use std::collections::BTreeSet;
 use std::fmt::{self, Debug};
 
 use anyhow::{Result, ensure};
-use case_book::act::{EpisodeEvents, EpisodeParts};
+use case_book::act::EpisodeParts;
 use domain::{Action, Route, Start};
-use results::log::{Ending, EpisodeRecord};
+use run_log::{Ending, EpisodeRecord};
 use serde::Serialize;
 
-use crate::RecordedRun;
+use crate::{RecordedRun, begin_of};
 
 /// A field of a record that is not what its world makes of the episode.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -16,7 +17,7 @@ pub struct Difference {
     /// The episode's key.
     pub key: String,
     /// The field.
-    pub field: &'static str,
+    pub field: String,
     /// What the log has.
     pub logged: String,
     /// What the world says.
@@ -30,8 +31,8 @@ impl fmt::Display for Difference {
     }
 }
 
-/// Acts out every episode of `run` and compares: task, reference, start, steps, ending, sub-goals, visits, first sights, blocked
-/// moves, tries to enter a closed cell, final pose.
+/// Acts out every episode of `run` and compares: task, reference, steps, ending, sub-goals, when it ran into what the variant
+/// changed, and the facts of its world, but for those of what is learned.
 ///
 /// # Errors
 /// When the world is not that of the run, or an episode does not fit it.
@@ -57,36 +58,29 @@ fn check_episode(run: &RecordedRun, record: &EpisodeRecord) -> Result<Vec<Differ
         Some(_) => (Start::New, Route::Unchanged),
         None => (record.start, record.route),
     };
-    let begin = case.reference(start, route).map_or(record.start_pose, |listed| listed.begin);
-    let parts = EpisodeParts { events: true, reference: true, ..EpisodeParts::default() };
+    let begin =
+        case.reference(start, route).map_or_else(|| begin_of(record), |listed| Ok(listed.begin))?;
+    let parts = EpisodeParts { facts: true, reference: true, ..EpisodeParts::default() };
     let acted = world.act_in(record, world.variant(record)?, begin, parts)?;
-    let events = acted.events.unwrap_or_default();
-    let EpisodeEvents { visits, first_seen, blocked_moves, tried_closed_at } = events;
     let is_complete = acted.sub_goals.len() == acted.required as usize;
     let last_met = acted.sub_goals.last().copied().unwrap_or(0);
     let (ending, steps) = match is_complete {
         true => (Ending::Complete, last_met),
         false => (Ending::OutOfSteps, log.manifest.settings.max_steps),
     };
-    let is_blocked = record.route == Route::Blocked;
-    let tried_closed_at = tried_closed_at.filter(|_| is_blocked);
     let mut compared = Comparison { key: &record.key, found: Vec::new() };
-    compared.field("start_pose", &record.start_pose, &begin);
     compared.field("task", &record.task, &acted.task);
     compared.field("steps", &record.steps, &steps);
     compared.field("ending", &record.ending, &ending);
     compared.field("sub_goals", &record.sub_goals, &acted.sub_goals);
     compared.field("required", &record.required, &acted.required);
-    compared.field("visits", &record.visits, &visits);
-    compared.field("first_seen", &record.first_seen, &first_seen);
-    compared.field("blocked_moves", &record.blocked_moves, &blocked_moves);
-    compared.field("tried_closed_at", &record.tried_closed_at, &tried_closed_at);
-    compared.field(
-        "tried_closed",
-        &record.tried_closed,
-        &is_blocked.then_some(tried_closed_at.is_some()),
-    );
-    compared.field("final_pose", &Some(record.final_pose), &acted.poses.last().copied());
+    compared.field("conflict_at", &record.conflict_at, &acted.conflict_at);
+    let facts = acted.facts.unwrap_or_default();
+    let names: BTreeSet<&String> = record.world.keys().chain(facts.keys()).collect();
+    // What is learned from an episode is not told when it is acted out.
+    for name in names.into_iter().filter(|name| *name != "completes_in") {
+        compared.field(name, &record.world.get(name), &facts.get(name));
+    }
     let reference = acted.reference;
     let length = reference.as_ref().map(|reference| reference.length);
     compared.field("reference", &Some(record.reference), &length);
@@ -98,10 +92,7 @@ fn check_episode(run: &RecordedRun, record: &EpisodeRecord) -> Result<Vec<Differ
         compared.field("invalidated", &Some(stream.invalidated), &invalidated);
         let actions = reference.iter().flat_map(|reference| &reference.actions);
         let actions: String = actions.map(|action| Action::letter(*action)).collect();
-        // Earlier logs do not have it.
-        if !stream.reference_actions.is_empty() {
-            compared.field("reference_actions", &stream.reference_actions, &actions);
-        }
+        compared.field("reference_actions", &stream.reference_actions, &actions);
     }
     Ok(compared.found)
 }
@@ -113,10 +104,11 @@ struct Comparison<'a> {
 }
 
 impl Comparison<'_> {
-    fn field<T: PartialEq + Debug>(&mut self, field: &'static str, logged: &T, acted: &T) {
+    fn field<T: PartialEq + Debug>(&mut self, field: &str, logged: &T, acted: &T) {
         if logged != acted {
             let (logged, acted) = (format!("{logged:?}"), format!("{acted:?}"));
-            self.found.push(Difference { key: self.key.to_owned(), field, logged, acted });
+            let (key, field) = (self.key.to_owned(), field.to_owned());
+            self.found.push(Difference { key, field, logged, acted });
         }
     }
 }

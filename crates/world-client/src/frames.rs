@@ -8,7 +8,7 @@ use std::thread;
 use anyhow::{Context, Result, anyhow};
 use domain::Pose;
 use jpeg_encoder::{ColorType, Encoder};
-use results::log::RunLog;
+use run_log::RunLog;
 
 use crate::program::{WorldFiles, WorldProgram};
 

@@ -17,13 +17,13 @@ pub use check::{Difference, check_run};
 pub use program::{Asker, WorldAccess, WorldFiles, WorldProgram};
 pub use selection::Selection;
 pub use timeline::{EpisodeEvent, EpisodeTimeline, EventLevel, TimelineStep};
-pub use world::RunWorld;
+pub use world::{RunWorld, begin_of, facts_of};
 
 use std::path::Path;
 
 use anyhow::Result;
-use results::conditions::Frames;
-use results::log::RunLog;
+use conditions::Frames;
+use run_log::RunLog;
 
 /// What a reader of views must know about a run whose frames were a control.
 pub fn control_notice(frames: Frames) -> Option<String> {

@@ -9,7 +9,7 @@ use std::rc::Rc;
 
 use anyhow::{Context, Result, bail};
 use case_book::act::{ActAnswer, ActRequest, WorldDescription};
-use results::log::{ELSEWHERE_FILE, ELSEWHERE_HASH, RunLog, STREAMS_FILE};
+use run_log::{ELSEWHERE_FILE, ELSEWHERE_HASH, RunLog, STREAMS_FILE};
 
 /// The program that knows the world, `sim-proc`, and a variable that it needs.
 #[derive(Debug, Clone)]

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::str::FromStr;
 
-use results::log::RunLog;
+use run_log::RunLog;
 
 /// Episodes of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,7 +49,7 @@ impl Selection {
 
 #[cfg(test)]
 mod tests {
-    use results::log::testing::{log, record};
+    use rigs::records::{log, record};
 
     use super::*;
 

@@ -2,9 +2,10 @@
 
 use anyhow::Result;
 use case_book::act::{ActedEpisode, ActedReference, EpisodeParts, EpisodeScenery};
+use case_book::{FailureFact, WorldFacts};
 use domain::{Action, Feedback, Pose};
-use results::log::EpisodeRecord;
-use results::score::Failure;
+use run_log::EpisodeRecord;
+use scores::failure_of;
 use serde::{Serialize, Serializer};
 
 use crate::frames::ViewKey;
@@ -23,6 +24,8 @@ pub struct EpisodeTimeline<'a> {
     pub steps: Vec<TimelineStep<'a>>,
     /// What happened beside the moves, in the order of steps.
     pub events: Vec<EpisodeEvent>,
+    /// Why it failed; `None` for a success.
+    pub failure: Option<FailureFact>,
     /// What the expert does, if it was asked for and there is something.
     pub reference: Option<ActedReference>,
     /// What a map shows, if it was asked for.
@@ -72,11 +75,12 @@ impl<'a> EpisodeTimeline<'a> {
         let variant = world.variant(record)?;
         let acted = world.act(record, parts)?;
         let views = world.seen(variant, &acted.poses)?;
-        Ok(Self::of(record, variant, acted, views))
+        Ok(Self::of(record, &world.description().world, variant, acted, views))
     }
 
     fn of(
         record: &'a EpisodeRecord,
+        world: &WorldFacts,
         variant: u32,
         acted: ActedEpisode,
         views: Vec<ViewKey>,
@@ -85,6 +89,8 @@ impl<'a> EpisodeTimeline<'a> {
             |column: &'a Option<String>| column.as_deref().unwrap_or_default().split_whitespace();
         let (mut retrieved, mut distances) = (words(&record.retrieved), words(&record.distances));
         let mut actions = record.actions.chars();
+        let failure = failure_of(record, world);
+        let events = events(record, world, failure.as_ref(), &acted.feedback);
         let moments = (0..).zip(acted.poses).zip(acted.feedback).zip(views);
         let steps = moments.map(|(((step, pose), feedback), view)| TimelineStep {
             step,
@@ -100,7 +106,8 @@ impl<'a> EpisodeTimeline<'a> {
             record,
             variant,
             steps: steps.collect(),
-            events: events(record),
+            events,
+            failure,
             instruction: acted.instruction,
             reference: acted.reference,
             scenery: acted.scenery,
@@ -136,8 +143,13 @@ pub struct EpisodeEvent {
     pub words: String,
 }
 
-/// The events of an episode in the order of steps.
-fn events(record: &EpisodeRecord) -> Vec<EpisodeEvent> {
+/// The events of an episode in `world` with this failure and feedback by step, in the order of steps.
+fn events(
+    record: &EpisodeRecord,
+    world: &WorldFacts,
+    failure: Option<&FailureFact>,
+    feedback: &[Feedback],
+) -> Vec<EpisodeEvent> {
     let mut events = Vec::new();
     let mut add = |step: u32, level: EventLevel, words: &str| {
         events.push(EpisodeEvent { step, level, words: words.to_owned() });
@@ -147,20 +159,22 @@ fn events(record: &EpisodeRecord) -> Vec<EpisodeEvent> {
             add(step, EventLevel::Warning, "no action could be read in the answer");
         }
     }
-    for &step in &record.blocked_moves {
-        add(step, EventLevel::Warning, "the move was blocked");
+    for (step, feedback) in (0..).zip(feedback) {
+        if *feedback == Feedback::Blocked {
+            add(step, EventLevel::Warning, "the move was blocked");
+        }
     }
-    if let Some(step) = record.tried_closed_at {
+    if let Some(step) = record.conflict_at {
         add(step, EventLevel::Warning, "tried to enter the closed passage");
     }
     for (met, &step) in (1..).zip(&record.sub_goals) {
         add(step, EventLevel::Info, &format!("sub-goal {met} of {} is met", record.required));
     }
-    match Failure::of(record) {
+    match failure {
         None => add(record.steps, EventLevel::Info, "the task is complete"),
-        Some(failure) => {
-            let words = format!("failed: {failure} ({})", failure.meaning());
-            add(failure.decided_at(record), EventLevel::Error, &words);
+        Some(FailureFact { kind, step }) => {
+            let words = format!("failed: {kind} ({})", world.failure_words(kind));
+            add(*step, EventLevel::Error, &words);
         }
     }
     events.sort_by_key(|event| event.step);
@@ -169,7 +183,7 @@ fn events(record: &EpisodeRecord) -> Vec<EpisodeEvent> {
 
 #[cfg(test)]
 mod tests {
-    use results::log::testing::record;
+    use rigs::records::{record, tell_failure, world};
 
     use super::*;
 
@@ -177,9 +191,13 @@ mod tests {
     fn events_are_in_the_order_of_steps() {
         let mut one = record("a", false);
         (one.actions, one.steps, one.required) = ("f?ff".to_owned(), 4, 2);
-        (one.blocked_moves, one.tried_closed_at) = (vec![3], Some(3));
+        one.conflict_at = Some(3);
+        tell_failure(&mut one, "blocked", 3);
+        let mut feedback = [Feedback::Moved; 5];
+        feedback[3] = Feedback::Blocked;
         one.sub_goals = vec![1];
-        let shown: Vec<String> = events(&one)
+        let failure = failure_of(&one, &world());
+        let shown: Vec<String> = events(&one, &world(), failure.as_ref(), &feedback)
             .into_iter()
             .map(|EpisodeEvent { step, level, words }| format!("{step} {level:?} {words}"))
             .collect();
@@ -195,6 +213,6 @@ mod tests {
             level: EventLevel::Info,
             words: "the task is complete".to_owned(),
         };
-        assert_eq!(events(&record("a", true)).pop(), Some(last));
+        assert_eq!(events(&record("a", true), &world(), None, &[]).pop(), Some(last));
     }
 }

@@ -9,13 +9,31 @@ use case_book::act::{
     ActAnswer, ActRequest, ActedDemonstration, ActedEpisode, ActedReference, DemonstrationsRequest,
     EpisodeParts, EpisodeRequest, Scene, StreamBlockPlace, WorldDescription,
 };
-use case_book::{CaseFacts, GREY_VARIANT};
+use case_book::{CaseFacts, EpisodeFacts, GREY_VARIANT};
+use conditions::Frames;
 use domain::{Action, Pose, Route, Start};
-use results::conditions::Frames;
-use results::log::{EpisodeRecord, RunLog};
+use run_log::{EpisodeRecord, RunLog};
+use serde::Deserialize;
 
 use crate::frames::ViewKey;
 use crate::program::{Asker, WorldAccess, describe};
+
+/// What the world has told of an episode, as that world understands it.
+///
+/// # Errors
+/// When another world has told it.
+pub fn facts_of(record: &EpisodeRecord) -> Result<EpisodeFacts> {
+    let facts = EpisodeFacts::deserialize(&record.world);
+    facts.with_context(|| format!("the facts of {} are not those of a warehouse", record.key))
+}
+
+/// The pose in which an episode began.
+///
+/// # Errors
+/// As of [`facts_of`].
+pub fn begin_of(record: &EpisodeRecord) -> Result<Pose> {
+    Ok(facts_of(record)?.start_pose)
+}
 
 /// The world of a run: its cases, and answers about its episodes.
 #[derive(Debug)]
@@ -115,7 +133,7 @@ impl RunWorld {
     /// # Errors
     /// When it does not fit the world.
     pub fn act(&self, record: &EpisodeRecord, parts: EpisodeParts) -> Result<ActedEpisode> {
-        self.act_in(record, self.variant(record)?, record.start_pose, parts)
+        self.act_in(record, self.variant(record)?, begin_of(record)?, parts)
     }
 
     /// As [`act`](Self::act), from `begin` in the world variant `variant`.

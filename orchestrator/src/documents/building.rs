@@ -12,7 +12,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use case_book::{BookFile, DEMONSTRATIONS_FILE};
 use documents::{DocumentFolder, DocumentName, Recipe};
-use results::log::ELSEWHERE_FILE;
+use run_log::ELSEWHERE_FILE;
 use shm_types::message::Role;
 use supervise::Launch;
 

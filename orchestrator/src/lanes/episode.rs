@@ -1,14 +1,11 @@
 //! One episode in a lane, from its first command to its record.
 
-use std::collections::BTreeMap;
-
 use bytemuck::Zeroable;
-use case_book::{EpisodeFacts, NO_LETTER};
-use domain::{ActionCode, Heading, MemoryKind, Outcome, Pose, Start, UnknownCode, hex};
-use results::conditions::Route;
-use results::log::{
-    BlockedRecord, Ending, EpisodeRecord, RecallTotals, Stages, StreamRecord, Unread,
-};
+use case_book::NO_LETTER;
+use conditions::Route;
+use domain::{ActionCode, MemoryKind, Outcome, Start, UnknownCode, hex};
+use run_log::{BlockedRecord, Ending, EpisodeRecord, RecallTotals, Stages, StreamRecord, Unread};
+use serde_json::Map;
 use shm_types::message::{
     Decision, EXTERNAL, EpisodeEnd, MemoryEpisodeConfig, NO_ACTION, NO_FRAME, NOT_MEASURED,
     PolicyEpisodeConfig, RecallTrace, Role, SnapshotReport, StepCommand, StepKind, StepReport,
@@ -41,9 +38,6 @@ pub(super) struct ActiveEpisode {
     snapshot: Option<SnapshotReport>,
     result: FinishedEpisode,
 }
-
-/// Where an episode begins of which the case book has no reference, until the simulator tells.
-const NOWHERE: Pose = Pose::new(0, 0, Heading::N);
 
 /// The answer that the episode waits for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -88,13 +82,7 @@ impl ActiveEpisode {
             actions: String::new(),
             sub_goals: Vec::new(),
             required: 0,
-            visits: Vec::new(),
-            first_seen: BTreeMap::new(),
-            blocked_moves: Vec::new(),
-            tried_closed: is_blocked.then_some(false),
-            tried_closed_at: None,
-            start_pose: NOWHERE,
-            final_pose: NOWHERE,
+            conflict_at: None,
             requests: has_policy.then_some(0),
             images: has_policy.then_some(0),
             images_dropped: 0,
@@ -132,9 +120,9 @@ impl ActiveEpisode {
                     stale: 0,
                     snapshot: None,
                     store_bytes: None,
-                    completes_in: None,
                 }
             }),
+            world: Map::new(),
         };
         Self {
             variant: episode.variant(book),
@@ -257,12 +245,9 @@ impl ActiveEpisode {
         if self.awaited != Awaited::Report || step != self.result.record.steps {
             return Err(self.unexpected(Role::Sim, step));
         }
-        let ended = self.take_report(report, notes).map_err(|problem| AnswerError::Invalid {
-            role: Role::Sim,
-            lane,
-            step,
-            problem,
-        })?;
+        let ended = self
+            .take_report(context, report, notes)
+            .map_err(|problem| AnswerError::Invalid { role: Role::Sim, lane, step, problem })?;
         self.stamps.reported(report);
         self.since_ns = context.now_ns;
         self.awaited = if ended { Awaited::Snapshot } else { Awaited::Decision };
@@ -273,7 +258,12 @@ impl ActiveEpisode {
     ///
     /// # Errors
     /// What is wrong with it.
-    fn take_report(&mut self, report: &StepReport, notes: &[Note]) -> Result<bool, String> {
+    fn take_report(
+        &mut self,
+        context: &Context<'_>,
+        report: &StepReport,
+        notes: &[Note],
+    ) -> Result<bool, String> {
         let ended = EpisodeEnd::try_from(report.ended).map_err(|unknown| unknown.to_string())?;
         let conflict = read_flag(report.conflict).map_err(|unknown| unknown.to_string())?;
         let has_ended = ended != EpisodeEnd::GoesOn;
@@ -287,9 +277,8 @@ impl ActiveEpisode {
         }
         record.sub_goals.resize(sub_goals, record.steps);
         record.required = required;
-        if conflict && record.tried_closed == Some(false) {
-            record.tried_closed = Some(true);
-            record.tried_closed_at = Some(record.steps);
+        if conflict && record.route == Route::Blocked {
+            record.conflict_at.get_or_insert(record.steps);
         }
         if !has_ended {
             return Ok(false);
@@ -300,17 +289,15 @@ impl ActiveEpisode {
         let note = notes.iter().find(|note| note.header.id == report.facts);
         let note = note.ok_or_else(|| "its facts are missing".to_owned())?;
         let bytes = note.bytes.as_ref().map_err(ToString::to_string)?;
-        let facts: EpisodeFacts =
+        record.world =
             serde_json::from_slice(bytes).map_err(|error| format!("its facts: {error}"))?;
-        record.start_pose = facts.start_pose;
-        record.final_pose = facts.final_pose;
-        record.visits = facts.visits;
-        record.first_seen = facts.first_seen;
-        record.blocked_moves = facts.blocked_moves;
-        if let Some(stream) = &mut record.stream {
-            stream.completes_in = facts.completes_in;
+        record.check_world()?;
+        let failure = record.shared_facts().failure;
+        let is_unknown = |kind: &str| context.book().world.failure_index(kind).is_none();
+        match failure.filter(|failure| is_unknown(&failure.kind)) {
+            Some(failure) => Err(format!("it has no kind of failure {}", failure.kind)),
+            None => Ok(true),
         }
-        Ok(true)
     }
 
     /// Whether a memory learns from it.

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use domain::{Arm, DemonstrationKind};
-use results::log::EpisodeRecord;
-use results::source::distance_word;
+use run_log::EpisodeRecord;
+use run_log::source::distance_word;
 use shm_types::message::{EXPERIENCE, RecalledSource};
 
 use super::Context;

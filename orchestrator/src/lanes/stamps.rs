@@ -1,7 +1,7 @@
 //! Time stamps of one step, taken from its messages.
 
 use domain::MemoryKind;
-use results::log::Stages;
+use run_log::Stages;
 use shm_types::message::{Decision, RecallTrace, StepReport};
 
 /// When one step passed from stage to stage: CLOCK_MONOTONIC nanoseconds, the same clock in every process. A stage

@@ -11,8 +11,8 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
+use conditions::key::EpisodeKey;
 use domain::MemoryKind;
-use results::key::EpisodeKey;
 
 use crate::plan::PlannedEpisode;
 
@@ -234,7 +234,7 @@ mod tests {
 
     use super::*;
     use crate::plan::StreamPart;
-    use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
+    use conditions::{Condition, Demonstrations, Route, Start, Variation};
 
     const LANES: usize = 16;
 

@@ -8,7 +8,7 @@ use anyhow::Result;
 use domain::MemoryKind;
 use domain::names::named;
 use hdrhistogram::Histogram;
-use results::latency::LatencySummary;
+use run_log::latency::LatencySummary;
 use serde::{Deserialize, Serialize};
 
 use crate::lanes::{FinishedEpisode, Stamps};

@@ -7,12 +7,12 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
+use conditions::Condition;
 use conformance::messages::{recall, recall_trace};
 use orchestrator::external_memory::ExternalMemory;
 use orchestrator::lanes::Lanes;
 use orchestrator::pipeline::{Ending, MemoryState, PipelineOptions, run_episodes};
 use orchestrator::plan::plan;
-use results::conditions::Condition;
 use rigs::process::ScratchRun;
 use rigs::scripted::{ScriptedProcess, ScriptedRun, request};
 use shm_types::description::{DESCRIPTION_FILE, memory_folder};

@@ -2,6 +2,8 @@
 
 use bytemuck::Zeroable;
 use case_book::{CaseInState, StreamBlock, StreamFacts, StreamsFacts};
+use conditions::key::{EpisodeKey, StreamPlace};
+use conditions::{Condition, Demonstrations, Route, Start, Variation};
 use conformance::messages::{self, recall_trace};
 use domain::events::{Requirement, Visit};
 use domain::{Action, Arm, Cell, FeedbackLevel, Mixture, Outcome, Representation, StreamOrder};
@@ -9,10 +11,9 @@ use orchestrator::books::Books;
 use orchestrator::lanes::{AnswerError, EpisodeOpening, FinishedEpisode, Lanes, Rules, Turn};
 use orchestrator::plan::{PlannedEpisode, StreamPart, sequence_id};
 use orchestrator::streams::Remaining;
-use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
-use results::key::{EpisodeKey, StreamPlace};
-use results::log::Ending;
 use rigs::scripted::{ScriptedSim, ScriptedStep, request};
+use run_log::Ending;
+use serde_json::{Value, json};
 use shm_types::message::{
     Decision, EXPERIENCE, EpisodeEnd, MemoryEpisodeConfig, NO_FRAME, NOT_MEASURED, Observation,
     RecallTrace, RecalledSource, Role, SnapshotReport, StepReport,
@@ -126,7 +127,7 @@ fn the_expert_takes_the_steps_of_the_reference() {
         assert_eq!((record.ending, record.steps), (Ending::Complete, record.reference));
         let taken: Vec<Action> = record.actions.chars().filter_map(Action::from_letter).collect();
         assert_eq!(taken, reference.actions[..reference.length as usize]);
-        assert_eq!(record.tried_closed, (route == Route::Blocked).then_some(false));
+        assert_eq!(record.had_conflict(), (route == Route::Blocked).then_some(false));
         assert_eq!((record.requests, record.images), (None, None));
         assert_eq!(record.sub_goals, [record.steps]);
     }
@@ -149,10 +150,16 @@ fn the_record_has_what_the_world_tells() {
     };
     let forward = |_| Some(Action::Forward);
     let record = run(rules, blocked, forward, trace, told).record;
-    assert_eq!((record.tried_closed, record.tried_closed_at), (Some(true), Some(2)));
+    assert_eq!((record.had_conflict(), record.conflict_at), (Some(true), Some(2)));
     assert_eq!((record.sub_goals, record.required), (vec![3], 2));
-    assert_eq!((record.visits, record.blocked_moves), (vec![visit], vec![1, 2, 3, 4, 5, 6]));
-    assert_eq!(record.first_seen, [(Requirement::A, 1)].into());
+    let expected = json!({
+        "start_pose": "3,4,E",
+        "final_pose": "3,4,E",
+        "visits": ["2A@3,4"],
+        "first_seen": {"A": 1},
+        "blocked_moves": [1, 2, 3, 4, 5, 6],
+    });
+    assert_eq!(Value::from(record.world), expected);
 }
 
 #[test]
@@ -164,11 +171,10 @@ fn an_episode_ends_at_the_limit_and_counts_what_happened() {
     let record = finished.record;
     assert_eq!((record.ending, record.steps), (Ending::OutOfSteps, 9));
     assert_eq!(record.actions, "LLLL?LLLL");
-    assert_eq!(record.start_pose, record.final_pose);
     assert_eq!((record.requests, record.images), (Some(9), Some(27)));
     assert_eq!((record.prompt_tokens, record.unread.unreadable), (None, 1));
     assert_eq!((record.retrieved, record.distance), (None, None));
-    assert_eq!((record.required, record.visits, record.blocked_moves), (1, vec![], vec![]));
+    assert_eq!((record.required, &record.world["blocked_moves"]), (1, &json!([])));
 }
 
 #[test]
@@ -519,7 +525,7 @@ fn an_episode_of_a_stream_takes_place_in_its_world_and_ends_with_its_snapshot() 
     let stream = record.stream.as_ref().unwrap();
     assert_eq!((stream.retrievals, stream.stale, stream.invalidated), (record.steps, 0, false));
     assert_eq!(stream.snapshot, Some("01".repeat(16)));
-    assert_eq!(stream.completes_in, Some([0].into()));
+    assert_eq!(record.shared_facts().completes_in, Some([0].into()));
     assert_eq!((stream.store_bytes, first.episode.part.unwrap().snapshot), (Some(99), [1; 16]));
     let [learned] = &lanes.learned_episodes()[..] else { panic!("one episode") };
     assert_eq!((learned.position, learned.case, learned.variant), (0, case as u32, 0));
@@ -551,7 +557,7 @@ fn an_episode_of_a_stream_takes_place_in_its_world_and_ends_with_its_snapshot() 
     let missing = "the log lacks adaptive/new/unchanged/original/learning/run1/s0-drawn-000/";
     assert!(error.starts_with(missing), "{error}");
     let mut earlier = first.record;
-    earlier.stream.as_mut().unwrap().completes_in = None;
+    earlier.world.remove("completes_in");
     let error = Remaining::of(book, &planned, &[earlier]).unwrap_err().to_string();
     assert!(error.contains("an earlier version has written it"), "{error}");
 }

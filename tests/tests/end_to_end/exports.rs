@@ -7,7 +7,7 @@ use case_book::act::EpisodeParts;
 use domain::prompt_log::RecordedItem;
 use memtransfer_tests::{Bench, Ended, needs, program, repository};
 use png_file::RgbaImage;
-use results::step_view::{RecordedPrompt, look_up};
+use run_log::step_view::{RecordedPrompt, look_up};
 use serde_json::{Value, json};
 use world_client::frames::{ViewFormat, ViewRenderer, view_arguments};
 use world_client::{EpisodeTimeline, RecordedRun, WorldProgram};

@@ -10,7 +10,7 @@ fn scores_and_comparisons_are_those_of_an_independent_implementation() {
     let mut python = Command::new(needs::python());
     python.arg(repository("tests/python/compare_scores.py"));
     python.arg(program("memtransfer"));
-    python.arg(repository("crates/results/tests/rq2-version-1/manifest.json"));
+    python.arg(repository("crates/scores/tests/rq2-version-1/manifest.json"));
     python.arg(bench.out("drawn"));
     let ended = Ended::run(&mut python).expect(0);
     assert_eq!(ended.stdout, "200 comparisons agree\n20 blocked conditions agree\n");

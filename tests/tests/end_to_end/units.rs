@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use memtransfer_tests::{Bench, Ended, episodes, program, repository, sorted_log, words};
-use results::log::testing::without_checksums;
+use rigs::records::without_checksums;
 
 /// Three memories from two starts, small.
 const SMALL: &str = r#"

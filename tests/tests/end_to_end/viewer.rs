@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use domain::prompt_log::PromptLogEntry;
 use memtransfer_tests::browser::Browser;
 use memtransfer_tests::{Bench, records};
-use results::log::RunLog;
-use results::log::testing::without_checksums;
+use rigs::records::without_checksums;
+use run_log::RunLog;
 use serde_json::{Value, json};
 
 /// A run on blocked routes, in which some agents run into the barricade.

@@ -9,7 +9,7 @@ use report::{
     Curve, Curves, ReportBlock, ReportDocument, ReportFigure, ReportSection, RowGroup, Stack,
     StackRow, Table, TableCell, TableColumn, TableRow, curves, stack,
 };
-use results::latency::LatencySummary;
+use run_log::latency::LatencySummary;
 
 use super::{AccessRun, CacheState, Profile};
 

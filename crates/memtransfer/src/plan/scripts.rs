@@ -6,8 +6,8 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use conditions::settings::RunSettings;
 use llm::Source;
-use results::settings::RunSettings;
 
 use crate::commands::ALLOW;
 

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
+use conditions::cost::ModelPrices;
 use orchestrator::plan::PlannedEpisode;
 use orchestrator::run_documents::{RunDocuments, listed};
 use orchestrator::run_plan::RunPlan;
 use report::table;
-use results::cost::ModelPrices;
-use results::log::{EpisodeRecord, LogError, RunLog};
+use run_log::{EpisodeRecord, LogError, RunLog};
 
 use crate::estimate::{Basis, RunEstimate};
 

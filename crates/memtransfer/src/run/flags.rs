@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, Error, FromArgMatches};
+use conditions::settings::Effect;
 use llm::Source;
-use results::settings::Effect;
 use settings::{KEYS, Key, Layer, Origin};
 
 /// Settings that were given as flags, each with its text: any, or [those of a machine](Key::of_machine).

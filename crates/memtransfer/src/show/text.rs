@@ -5,8 +5,8 @@ use std::fmt::Write;
 use domain::Action;
 use domain::prompt_log::{RecordedItem, RecordedPart, RecordedView};
 use report::table::table;
-use results::source::{SourceStep, distances, sources};
-use results::step_view::{RecordedPrompt, facts, title};
+use run_log::source::{SourceStep, distances, sources};
+use run_log::step_view::{RecordedPrompt, facts, title};
 use world_client::TimelineStep;
 
 use super::{ShownEpisode, ShownStep};
@@ -169,7 +169,7 @@ fn indented(text: &mut String, content: &str) {
 #[cfg(test)]
 mod tests {
     use domain::{Feedback, Heading, Pose};
-    use results::log::testing::manifest;
+    use rigs::records::manifest;
     use world_client::{EpisodeEvent, EventLevel};
 
     use super::*;

@@ -15,6 +15,7 @@ use super::stage::{ActedTrajectory, Stage, StageBegin};
 /// A simulator, asked by those who show or check episodes.
 pub(super) struct ActingSimulator {
     world: WorldDeclaration,
+    description: WorldDescription,
     cases: Vec<CaseDeclaration>,
     stage: Stage,
 }
@@ -22,13 +23,23 @@ pub(super) struct ActingSimulator {
 impl ActingSimulator {
     pub(super) fn new(simulator: &(impl Simulator + ?Sized)) -> Result<Self, WorldFailure> {
         let (world, cases) = (simulator.declaration(), simulator.cases()?);
-        Ok(Self { world, cases, stage: Stage::new(simulator.environment()?) })
+        let mut stage = Stage::new(simulator.environment()?);
+        let count = cases.len() as u32;
+        let listed: Result<_, WorldFailure> =
+            (0..count).map(|number| case_facts(&world, &cases, &mut stage, number)).collect();
+        let description = WorldDescription {
+            world: world_facts(simulator)?,
+            cases: listed?,
+            blocked: (1..=count).collect(),
+            states: Vec::new(),
+        };
+        Ok(Self { world, description, cases, stage })
     }
 
     /// Answers a request; one that cannot be met with an error.
     pub(super) fn answer(&mut self, request: &ActRequest) -> ActAnswer {
         let answer = match request {
-            ActRequest::World => self.describe().map(ActAnswer::World),
+            ActRequest::World => Ok(ActAnswer::World(self.description.clone())),
             ActRequest::Episode(episode) => {
                 self.episode(episode).map(|acted| ActAnswer::Episode(Box::new(acted)))
             }
@@ -39,20 +50,6 @@ impl ActingSimulator {
             ActRequest::Swapped(..) => Err("this world swaps no views".into()),
         };
         answer.unwrap_or_else(|failure| ActAnswer::Error(failure.to_string()))
-    }
-
-    fn describe(&mut self) -> Result<WorldDescription, WorldFailure> {
-        let count = self.cases.len() as u32;
-        let mut cases = Vec::new();
-        for number in 0..count {
-            cases.push(case_facts(&self.world, &self.cases, &mut self.stage, number)?);
-        }
-        Ok(WorldDescription {
-            world: world_facts(&self.world),
-            cases,
-            blocked: (1..=count).collect(),
-            states: Vec::new(),
-        })
     }
 
     fn number(&self, id: &str) -> Result<u32, WorldFailure> {
@@ -84,7 +81,8 @@ impl ActingSimulator {
             feedback: acted.moments.iter().map(|moment| moment.feedback).collect(),
             sub_goals: acted.sub_goals.clone(),
             required: first.required,
-            events: None,
+            facts: None,
+            conflict_at: acted.conflict_at(),
             reference,
             scenery: None,
         })

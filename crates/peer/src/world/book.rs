@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use case_book::{
     BookRequest, CaseBook, CaseDemonstrations, CaseFacts, Demonstration, DemonstrationBook,
-    Reference, WorldDeclaration, WorldFacts,
+    FailureKind, HARNESS_FAILURES, Reference, TaskFacts, TaskGroupFacts, WorldDeclaration,
+    WorldFacts,
 };
 use domain::{DemonstrationKind, Route, Start};
 
@@ -75,18 +76,41 @@ pub(super) fn write_books(
     let count = cases.len() as u32;
     let facts: Result<Vec<_>, WorldFailure> =
         (0..count).map(|number| writer.facts(number)).collect();
-    let case_book = CaseBook { world: world_facts(&world), cases: facts?, streams: None, stale };
+    let case_book =
+        CaseBook { world: world_facts(simulator)?, cases: facts?, streams: None, stale };
     Ok((case_book, book))
 }
 
-/// What identifies the world.
-pub(super) fn world_facts(world: &WorldDeclaration) -> WorldFacts {
-    WorldFacts {
-        declaration: world.clone(),
+/// What the world is, with the words that figures are named with.
+///
+/// # Errors
+/// When kinds of tasks are not numbered from 1.
+pub(super) fn world_facts(
+    simulator: &(impl Simulator + ?Sized),
+) -> Result<WorldFacts, WorldFailure> {
+    let tasks = simulator.tasks();
+    if tasks.is_empty() || (1..).zip(&tasks).any(|(number, task)| task.number != number) {
+        return Err("the kinds of tasks are not numbered from 1".into());
+    }
+    let mut groups: Vec<TaskGroupFacts> = Vec::new();
+    for TaskFacts { group, .. } in &tasks {
+        if groups.iter().all(|known| known.name != *group) {
+            groups.push(TaskGroupFacts { name: group.clone(), heading: group.clone() });
+        }
+    }
+    let [unreadable, looped, out_of_steps] = HARNESS_FAILURES.map(FailureKind::new);
+    let mut failures = vec![unreadable];
+    failures.extend(simulator.failures());
+    failures.extend([looped, out_of_steps]);
+    Ok(WorldFacts {
+        declaration: simulator.declaration(),
         hashes: BTreeMap::new(),
         views: MOST_VIEWS,
         elsewhere_views: 0,
-    }
+        groups,
+        tasks,
+        failures,
+    })
 }
 
 /// Case number `number` as the book has it.

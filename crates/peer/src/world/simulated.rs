@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use case_book::{DemonstrationBook, WorldDeclaration};
+use case_book::{DemonstrationBook, WorldDeclaration, looped_at};
 use domain::{ActionCode, Start, State};
 use serde_json::{Map, Value, json};
 use shm_types::Attach;
@@ -62,7 +62,8 @@ struct Lane {
 struct RunningEpisode {
     config: WorldEpisodeConfig,
     step: u32,
-    begin: State,
+    /// The states, the begin first.
+    states: Vec<State>,
     now: Observed,
 }
 
@@ -112,7 +113,7 @@ impl<'s, S: Simulator + ?Sized> SimulatedWorld<'s, S> {
         let Lane { environment: Some(environment), episode: Some(episode) } = lane else {
             return Err("the lane is in no episode".to_owned().into());
         };
-        let RunningEpisode { config, step, begin, now } = episode;
+        let RunningEpisode { config, step, states, now } = episode;
         self.check(now).map_err(Refusal::Episode)?;
         let ended = if is_complete(now) {
             EpisodeEnd::Complete
@@ -140,7 +141,7 @@ impl<'s, S: Simulator + ?Sized> SimulatedWorld<'s, S> {
             required: now.required,
             conflict: now.conflict,
             ended,
-            facts: has_ended.then(|| facts(*begin, now.state, environment.facts())),
+            facts: has_ended.then(|| facts(states, environment.facts())),
             state_hash: if *step == 0 || has_ended { state_hash(now) } else { 0 },
         };
         if has_ended {
@@ -170,11 +171,14 @@ fn state_hash(observed: &Observed) -> u64 {
     })
 }
 
-/// The facts of an episode: those of the environment, with the states of begin and end.
-fn facts(begin: State, end: State, own: Map<String, Value>) -> String {
+/// The facts of an episode: those of the environment, with the states of begin and end, and whether it went in a loop.
+fn facts(states: &[State], own: Map<String, Value>) -> String {
     let mut facts = Map::new();
-    facts.insert("start_state".to_owned(), json!(begin));
-    facts.insert("final_state".to_owned(), json!(end));
+    facts.insert("start_state".to_owned(), json!(states.first()));
+    facts.insert("final_state".to_owned(), json!(states.last()));
+    if let Some(step) = looped_at(states) {
+        facts.insert("looped_at".to_owned(), json!(step));
+    }
     facts.extend(own);
     Value::Object(facts).to_string()
 }
@@ -209,7 +213,8 @@ impl<S: Simulator + ?Sized> World for SimulatedWorld<'_, S> {
         };
         let begin = EpisodeBegin { case: named, start, is_blocked, seed };
         let now = environment.reset(&begin).map_err(Refusal::of)?;
-        lane.episode = Some(RunningEpisode { config: *config, step: 0, begin: now.state, now });
+        lane.episode =
+            Some(RunningEpisode { config: *config, step: 0, states: vec![now.state], now });
         self.moment(lane, None)
     }
 
@@ -250,6 +255,7 @@ impl<S: Simulator + ?Sized> World for SimulatedWorld<'_, S> {
             },
         };
         episode.step = step;
+        episode.states.push(episode.now.state);
         self.moment(lane, action).map(Some)
     }
 

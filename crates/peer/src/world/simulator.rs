@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use case_book::WorldDeclaration;
+use case_book::{FailureKind, TaskFacts, WorldDeclaration};
 use domain::names::named;
 use domain::{ActionCode, DemonstrationKind, FeedbackCode, Route, Start, State};
 use serde::Deserialize;
@@ -15,6 +15,15 @@ use super::WorldFailure;
 pub trait Simulator {
     /// What the world says of itself.
     fn declaration(&self) -> WorldDeclaration;
+
+    /// What kinds of tasks there are, numbered from 1, and the groups that they are in.
+    fn tasks(&self) -> Vec<TaskFacts>;
+
+    /// Kinds of failure that the world has words for, beside those of the harness; [facts](Environment::facts) of an episode can
+    /// name one.
+    fn failures(&self) -> Vec<FailureKind> {
+        Vec::new()
+    }
 
     /// The cases, always the same in the same order.
     ///
@@ -49,7 +58,8 @@ pub trait Environment {
     /// When the world cannot be drawn. Its process ends then.
     fn render(&mut self, width: u32, height: u32, pixels: &mut [u8]) -> Result<(), WorldFailure>;
 
-    /// Facts of the episode that has ended, for its record: whatever helps to understand it.
+    /// Facts of the episode that has ended, for its record: whatever helps to understand it. `failure`, an object with `kind` and
+    /// `step`, says in one of the world's [words](Simulator::failures) why it failed.
     fn facts(&mut self) -> Map<String, Value> {
         Map::new()
     }

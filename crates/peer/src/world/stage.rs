@@ -26,6 +26,11 @@ pub(super) struct ActedTrajectory {
 }
 
 impl ActedTrajectory {
+    /// The first step at which the agent ran into what blocks the way.
+    pub(super) fn conflict_at(&self) -> Option<u32> {
+        self.moments.iter().position(|moment| moment.conflict).map(|step| step as u32)
+    }
+
     /// The steps that complete the task; `None` if they do not.
     pub(super) fn length(&self) -> Option<u32> {
         self.moments.iter().position(is_complete).map(|step| step as u32)

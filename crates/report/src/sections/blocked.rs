@@ -1,8 +1,8 @@
 //! Table `tab:rq2`: what a blocked route does to each representation; and the same with other demonstrations.
 
+use conditions::{Condition, Route};
 use domain::MemoryKind;
-use results::conditions::{Condition, Route};
-use results::score::{BlockedScore, Derived};
+use scores::{BlockedScore, Derived};
 
 use crate::document::{Missing, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::view::{

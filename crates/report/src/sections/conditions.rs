@@ -1,7 +1,7 @@
 //! Every condition that was run.
 
-use results::conditions::{Condition, Route};
-use results::score::ConditionScore;
+use conditions::{Condition, Route};
+use scores::ConditionScore;
 
 use super::main_table::{NO_REQUESTS, NO_TOKENS};
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeSet;
 
+use conditions::{Condition, Demonstrations, Route, Start, Variation};
 use domain::{Arm, MemoryKind};
-use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
-use results::score::{ConditionScore, HISTORIES};
+use scores::{ConditionScore, HISTORIES};
 
 use super::blocked::NONE_TRIED;
 use super::missing::NOTHING_RETRIEVED;

@@ -1,8 +1,8 @@
 //! Images, tokens and answers, for each representation.
 
+use conditions::Variation;
 use domain::MemoryKind;
-use results::conditions::Variation;
-use results::score::RequestScore;
+use scores::RequestScore;
 
 use super::main_table::{NO_REQUESTS, mega};
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use domain::MemoryKind;
-use results::score::{ConditionScore, Failure, worst_cases};
+use scores::{ConditionScore, worst_cases};
 
 use crate::document::{ReportBlock, Table};
 use crate::plot::{Stack, StackRow, stack};
@@ -17,10 +17,10 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let Some(table) = failures_table(view) else { return Vec::new() };
     let text = "Each failed episode is of one kind: the first rule that applies, in the order of the rows. First comes \
                 how an episode went wrong, then what was missing.";
-    let present = Failure::ALL
-        .iter()
-        .filter(|kind| table.groups[0].rows.iter().any(|row| row.label == kind.name()));
-    let terms = present.map(|kind| (kind.name().to_owned(), kind.meaning().to_owned()));
+    let kinds = &view.log.world.failures;
+    let present =
+        kinds.iter().filter(|kind| table.groups[0].rows.iter().any(|row| row.label == kind.name));
+    let terms = present.map(|kind| (kind.name.clone(), kind.words.clone()));
     let mut blocks = vec![ReportBlock::Text(text.to_owned()), ReportBlock::Terms(terms.collect())];
     let bars = view.scores.conditions.iter().map(|score| StackRow {
         label: format!("{}: {}", title(score.condition.memory), setting(&score.condition)),
@@ -33,7 +33,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
             .to_owned(),
         axis: "Failed episodes, % of all",
         to: Some(100.0),
-        parts: Failure::ALL.iter().map(|kind| kind.name().to_owned()).collect(),
+        parts: kinds.iter().map(|kind| kind.name.clone()).collect(),
         rows: bars.collect(),
     })));
     blocks.push(ReportBlock::Table(table));
@@ -51,19 +51,19 @@ pub(crate) fn failures_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = &view.scores.conditions;
     let memories: BTreeSet<MemoryKind> =
         scores.iter().map(|score| score.condition.memory).collect();
-    let count = |kind: Option<Failure>, memory: Option<MemoryKind>| -> usize {
+    let count = |kind: Option<&str>, memory: Option<MemoryKind>| -> usize {
         let of_memory =
             scores.iter().filter(|score| memory.is_none_or(|m| score.condition.memory == m));
         let counts = of_memory.flat_map(|score| score.failures.iter());
         counts.filter(|(found, _)| kind.is_none_or(|kind| *found == kind)).map(|(_, n)| n).sum()
     };
-    let row = |label: &str, kind: Option<Failure>| {
+    let row = |label: &str, kind: Option<&str>| {
         let by_memory = memories.iter().map(|memory| count(kind, Some(*memory)).to_string());
         (label.to_owned(), by_memory.chain([count(kind, None).to_string()]).collect())
     };
-    let kinds = Failure::ALL.iter().filter(|kind| count(Some(**kind), None) > 0);
-    let mut rows: Vec<(String, Vec<String>)> =
-        kinds.map(|kind| row(kind.name(), Some(*kind))).collect();
+    let kinds = view.log.world.failures.iter().map(|kind| kind.name.as_str());
+    let kinds = kinds.filter(|kind| count(Some(kind), None) > 0);
+    let mut rows: Vec<(String, Vec<String>)> = kinds.map(|kind| row(kind, Some(kind))).collect();
     if rows.is_empty() {
         return None;
     }
@@ -81,9 +81,9 @@ pub(crate) fn failures_table(view: &ScoredRun<'_>) -> Option<Table> {
 /// The cases that fail most; `None` when nothing failed.
 pub(crate) fn worst_table(view: &ScoredRun<'_>, most: usize) -> Option<Table> {
     let cases = worst_cases(view.log, most);
-    let row = |case: results::score::CaseScore| {
+    let row = |case: scores::CaseScore| {
         let failed = format!("{} of {}", case.failed, case.episodes);
-        let kind = case.failure.name().to_owned();
+        let kind = case.failure;
         (case.case, vec![case.task.to_string(), failed, kind, case.example])
     };
     let rows: Vec<(String, Vec<String>)> = cases.into_iter().map(row).collect();

@@ -1,28 +1,22 @@
 //! Table `tab:tasks`: success rate by task group, unchanged and blocked.
 
-use domain::TaskGroup;
+use case_book::TaskGroupFacts;
 
 use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
 use crate::view::{ScoredRun, name, pair_stubs, plain_or};
 
-const HEADINGS: [(TaskGroup, &str); 4] = [
-    (TaskGroup::Basic, "Basic (T1–T2)"),
-    (TaskGroup::MultiObject, "Multi-object (T3–T6)"),
-    (TaskGroup::ReturnLoop, "Return loops (T7, T8, T10)"),
-    (TaskGroup::Revisit, "Revisit (T9)"),
-];
-
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
-    let columns = HEADINGS.iter().flat_map(|(_, heading)| {
-        ["unchanged", "blocked"].map(|route| TableColumn::under(*heading, route))
+    let groups = &view.log.world.groups;
+    let columns = groups.iter().flat_map(|group| {
+        ["unchanged", "blocked"].map(|route| TableColumn::under(&*group.heading, route))
     });
     let names = |representation| {
         ["new/unchanged", "new/blocked"].map(|rest| name(representation, rest, "4"))
     };
-    let each = |representation, cell: &dyn Fn(TaskGroup, &str) -> TableCell| {
+    let each = |representation, cell: &dyn Fn(&str, &str) -> TableCell| {
         let names = names(representation);
-        let both = |(group, _): &(TaskGroup, &str)| names.each_ref().map(|name| cell(*group, name));
-        HEADINGS.iter().flat_map(both).collect::<Vec<_>>()
+        let both = |group: &TaskGroupFacts| names.each_ref().map(|name| cell(&group.name, name));
+        groups.iter().flat_map(both).collect::<Vec<_>>()
     };
     let ours = |representation| {
         each(representation, &|group, name| {
@@ -36,9 +30,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     };
     let theirs = |representation| {
         each(representation, &|group, name| {
-            view.theirs(name, |published| {
-                published.group(group.name()).map(|rate| format!("{rate:.0}"))
-            })
+            view.theirs(name, |published| published.group(group).map(|rate| format!("{rate:.0}")))
         })
     };
     let table = Table {

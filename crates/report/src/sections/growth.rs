@@ -1,6 +1,6 @@
 //! Banks of different sizes: success, right retrievals and costs against size.
 
-use results::score::GrowthScore;
+use scores::GrowthScore;
 
 use super::main_table::{NO_TOKENS, rate_figure, rate_rows};
 use super::missing::{NO_RECALL, NO_STORE, NOTHING_RETRIEVED};

@@ -1,7 +1,7 @@
 //! Table `tab:main`: six representations in the four settings of the three questions, with what they cost.
 
 use domain::MemoryKind;
-use results::score::{ConditionScore, Interval};
+use scores::{ConditionScore, Interval};
 
 use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
 use crate::plot::{Dot, DotRow, dots};

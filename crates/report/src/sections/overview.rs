@@ -2,12 +2,13 @@
 
 use std::collections::BTreeSet;
 
+use conditions::{Condition, Frames};
 use domain::representation::RepresentationInfo;
 use domain::{Appearance, Representation};
-use results::conditions::{Condition, Frames};
-use results::log::{EpisodeError, EpisodeRecord, ExternalMemoryFacts, Manifest};
-use results::score::{RequestScore, WithoutAction};
-use results::usage::UsageTotals;
+use run_log::answers::WithoutAction;
+use run_log::usage::UsageTotals;
+use run_log::{EpisodeError, EpisodeRecord, ExternalMemoryFacts, Manifest};
+use scores::RequestScore;
 
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, title};

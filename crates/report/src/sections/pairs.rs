@@ -1,9 +1,9 @@
 //! The comparisons that the paper's questions ask for, paired by case and repetition.
 
+use conditions::Condition;
 use domain::{ExternalName, MemoryKind, Representation};
-use results::compare::compare_conditions;
-use results::conditions::Condition;
-use results::score::{Comparison, FigureDifference};
+use scores::compare::compare_conditions;
+use scores::{Comparison, FigureDifference};
 
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::sections::conditions::setting;

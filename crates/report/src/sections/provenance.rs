@@ -1,6 +1,6 @@
 //! The origin of the run's figures: program, settings, contents, processes.
 
-use results::log::SessionEvent;
+use run_log::SessionEvent;
 use serde_json::Value;
 
 use super::overview::facts_table;

@@ -3,8 +3,8 @@
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 
-use results::conditions::{Condition, Route};
-use results::score::{ConditionScore, Estimate, Spread, StreamScore};
+use conditions::{Condition, Route};
+use scores::{ConditionScore, Estimate, Spread, StreamScore};
 use serde_json::Value;
 
 use super::blocked::NONE_TRIED;
@@ -218,7 +218,7 @@ fn condition_cells(score: &ConditionScore) -> Vec<TableCell> {
         Route::Unchanged => UNCHANGED,
         Route::Blocked => NONE_TRIED,
     };
-    let blocked = |of: fn(results::score::BlockedScore) -> Option<Spread>| {
+    let blocked = |of: fn(scores::BlockedScore) -> Option<Spread>| {
         sure_or(score.blocked.and_then(of), 1, missing.clone())
     };
     let mean = |spread: Option<Spread>| spread.map(|spread| spread.mean);
@@ -250,8 +250,8 @@ fn stream_cells(score: &StreamScore) -> Vec<TableCell> {
 #[cfg(test)]
 mod tests {
     use domain::StreamOrder;
-    use results::log::testing::{keyed, log, record, stream_log, stream_record};
-    use results::log::{EpisodeRecord, RunLog, UnitId};
+    use rigs::records::{keyed, log, record, stream_log, stream_record};
+    use run_log::{EpisodeRecord, RunLog, UnitId};
 
     use crate::published::Published;
     use crate::views;

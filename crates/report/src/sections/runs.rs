@@ -2,8 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use results::compare::{compare_runs, differing_settings};
-use results::conditions::Condition;
+use conditions::Condition;
+use scores::compare::{compare_runs, differing_settings};
 
 use super::overview::notices;
 use super::pairs::{cells, columns};

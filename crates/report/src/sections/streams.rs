@@ -10,10 +10,10 @@ pub(crate) use cost::necessity_table;
 pub(crate) use retention::transfer_table;
 pub(crate) use success::{differences_table, success_table};
 
+use conditions::{Condition, Variation};
 use domain::{Arm, FeedbackLevel};
-use results::conditions::{Condition, Variation};
-use results::score::{Estimate, StreamScore, StreamScores};
 use retention::matrix_table;
+use scores::{Estimate, StreamScore, StreamScores};
 
 use crate::document::{Missing, ReportBlock, ReportSection, RowGroup, TableCell, TableRow};
 use crate::sections::overview::how_to_continue;

@@ -1,7 +1,7 @@
 //! What each memory supplied, how long that took, and how large it is.
 
 use domain::MemoryKind;
-use results::score::MemoryScore;
+use scores::MemoryScore;
 
 use crate::document::{Missing, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, plain_or, title};

@@ -1,8 +1,8 @@
 //! The time of a step by stage.
 
 use domain::MemoryKind;
-use results::log::Stages;
-use results::score::StageTimes;
+use run_log::Stages;
+use scores::StageTimes;
 
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableColumn, TableRow};
 use crate::plot::{Stack, StackRow, stack};

@@ -1,5 +1,5 @@
-use results::conditions::Condition;
-use results::settings::RunSettings;
+use conditions::Condition;
+use conditions::settings::RunSettings;
 
 use super::*;
 use crate::resolve::merge;

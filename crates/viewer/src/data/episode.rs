@@ -4,17 +4,17 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::iter::{repeat, repeat_with};
 
 use anyhow::{Context, Result};
+use case_book::FailureFact;
 use case_book::act::{
     ActedDemonstration, DemonstrationsRequest, EpisodeParts, EpisodeScenery, Target,
 };
+use conditions::key::EpisodeKey;
+use domain::events::Requirement;
 use domain::{Arm, Cell, DemonstrationKind, Demonstrations, Pose};
-use results::events::Requirement;
-use results::key::EpisodeKey;
-use results::log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
-use results::score::Failure;
-use results::source::{SourceStep, distances, sources};
+use run_log::source::{SourceStep, distances, sources};
+use run_log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
 use serde::Serialize;
-use world_client::{EpisodeTimeline, RunWorld};
+use world_client::{EpisodeTimeline, RunWorld, begin_of, facts_of};
 
 use super::{PoseData, cell_data, pose_data};
 use crate::view_file::ViewFile;
@@ -57,8 +57,8 @@ pub struct EpisodeData {
     required: u32,
     visits: Vec<VisitData>,
     first_seen: BTreeMap<Requirement, u32>,
-    /// The step at which the agent first tried to enter a closed cell.
-    tried_closed_at: Option<u32>,
+    /// On a blocked route: the step at which the agent first tried to enter a closed cell.
+    conflict_at: Option<u32>,
     /// The closed cells.
     closed: Vec<(u8, u8)>,
     /// Whether it is of the first block of its sequence.
@@ -96,7 +96,7 @@ type Supplied = (usize, u32, Option<f64>);
 #[derive(Debug, Serialize)]
 pub struct FailureData {
     kind: String,
-    meaning: &'static str,
+    meaning: String,
     /// The step after which it was decided.
     step: u32,
 }
@@ -183,7 +183,8 @@ impl EpisodeData {
         let &LoggedEpisode { record, timings, horizon, prompts, .. } = episode;
         let parts = EpisodeParts { reference: true, scenery: true, ..EpisodeParts::default() };
         let timeline = EpisodeTimeline::new(world, record, parts)?;
-        let EpisodeTimeline { instruction, variant, steps, reference, scenery, .. } = timeline;
+        let EpisodeTimeline { instruction, variant, steps, reference, scenery, failure, .. } =
+            timeline;
         let scenery = scenery.context("an episode without scenery")?;
         let EpisodeScenery { came_into_view, closed, targets, changes } = scenery;
         let columns = u16::from(world.scene(variant)?.size().0);
@@ -193,7 +194,8 @@ impl EpisodeData {
         };
         let mut memory = DemonstrationCollector { world, record, variant, found: Vec::new() };
         let supplied = memory.supplied(experience)?;
-        let failure = Failure::of(record);
+        let told = facts_of(record)?;
+        let world_facts = &world.description().world;
         let stages = timings.map(|timings| {
             let mean = |total: u64| total / u64::from(timings.steps.max(1)) / 1000;
             Stages::NAMES.into_iter().zip(timings.stages.values().map(mean)).collect()
@@ -210,18 +212,18 @@ impl EpisodeData {
             ending: record.ending.name(),
             steps: record.steps,
             reference: record.reference,
-            failure: failure.map(|kind| FailureData {
-                kind: kind.to_string(),
-                meaning: kind.meaning(),
-                step: kind.decided_at(record),
+            failure: failure.map(|FailureFact { kind, step }| FailureData {
+                meaning: world_facts.failure_words(&kind).to_owned(),
+                kind,
+                step,
             }),
             poses: steps.iter().map(|step| pose_data(&step.pose)).collect(),
             feedback: steps.iter().map(|step| step.feedback as u8).collect(),
             actions: record.actions.clone(),
-            blocked_moves: record.blocked_moves.clone(),
+            blocked_moves: told.blocked_moves,
             sub_goals: record.sub_goals.clone(),
             required: record.required,
-            visits: record
+            visits: told
                 .visits
                 .iter()
                 .map(|visit| VisitData {
@@ -230,8 +232,8 @@ impl EpisodeData {
                     cell: cell_data(&visit.cell),
                 })
                 .collect(),
-            first_seen: record.first_seen.clone(),
-            tried_closed_at: record.tried_closed_at,
+            first_seen: told.first_seen,
+            conflict_at: record.conflict_at,
             led: led(horizon, record, &closed, &demonstrations, &supplied),
             closed: closed.iter().map(cell_data).collect(),
             first_block: record.stream.as_ref().is_some_and(|stream| stream.place == 0),
@@ -419,7 +421,7 @@ impl DemonstrationCollector<'_> {
         let acted = world.act(past, EpisodeParts::default())?;
         let is_stale = past.is_success() && {
             let here =
-                world.act_in(past, self.variant, past.start_pose, EpisodeParts::default())?;
+                world.act_in(past, self.variant, begin_of(past)?, EpisodeParts::default())?;
             here.sub_goals.len() < here.required as usize
         };
         let demonstration = DemonstrationData {
@@ -450,7 +452,7 @@ fn led(
     demonstrations: &[DemonstrationData],
     supplied: &[Vec<Supplied>],
 ) -> Option<LedData> {
-    let tried_at = record.tried_closed_at? as usize;
+    let tried_at = record.conflict_at? as usize;
     let enters = |demonstration: usize, from: u32, most: u32| {
         let supplied = demonstrations.get(demonstration).filter(|one| !one.elsewhere)?;
         let poses = supplied.at.iter().enumerate();

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use domain::prompt_log::{Hash, RecordedItem, RecordedPart, RecordedView};
-use results::log::EpisodeTimings;
-use results::step_view::{PromptLog, RecordedPrompt, facts, title};
+use run_log::EpisodeTimings;
+use run_log::step_view::{PromptLog, RecordedPrompt, facts, title};
 use serde::Serialize;
 
 /// The prompt of one step.

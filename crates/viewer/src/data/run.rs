@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
-use case_book::CaseFacts;
-use domain::{Action, Feedback, TaskGroup, TaskType};
-use results::conditions::Condition;
-use results::log::{EpisodeRecord, RunLog};
-use results::score::{Failure, WithoutAction};
+use case_book::{CaseFacts, FailureKind, WorldFacts};
+use conditions::Condition;
+use domain::{Action, Feedback};
+use run_log::answers::WithoutAction;
+use run_log::{EpisodeRecord, RunLog};
+use scores::failure_of;
 use serde::Serialize;
 use world_client::RunWorld;
 
@@ -22,11 +23,11 @@ pub struct RunData {
     /// Episodes of the whole run.
     planned: u32,
     conditions: Vec<ConditionData>,
-    groups: [&'static str; TaskGroup::ALL.len()],
+    groups: Vec<String>,
     cases: Vec<CaseData>,
     /// Every kind of failure with its meaning. An episode's outcome is 0 for a success, and otherwise 1 + the index of its
     /// failure.
-    failures: Vec<(String, &'static str)>,
+    failures: Vec<(String, String)>,
     /// By the letter in an episode's actions.
     actions: BTreeMap<char, &'static str>,
     /// In words, by number.
@@ -56,7 +57,7 @@ struct CaseData {
     /// Index of its group.
     group: usize,
     /// The name of its type.
-    task: &'static str,
+    task: String,
     instruction: String,
 }
 
@@ -77,6 +78,7 @@ impl RunData {
         has_views: impl Fn(usize) -> bool,
     ) -> Result<Self> {
         let episodes = log.episodes.iter().enumerate();
+        let facts_of_world = &world.description().world;
         let scene = world.scene(0)?;
         let ((columns, rows), (cell, margin)) = (scene.size(), scene.measures);
         let condition = |condition: &Condition| {
@@ -90,9 +92,14 @@ impl RunData {
             facts: facts(log),
             planned: log.manifest.episodes,
             conditions: conditions.iter().map(condition).collect(),
-            groups: TaskGroup::ALL.map(TaskGroup::name),
-            cases: world.description().cases.iter().map(case_data).collect(),
-            failures: Failure::ALL.iter().map(|kind| (kind.to_string(), kind.meaning())).collect(),
+            groups: facts_of_world.groups.iter().map(|group| group.name.clone()).collect(),
+            cases: world
+                .description()
+                .cases
+                .iter()
+                .map(|case| case_data(facts_of_world, case))
+                .collect(),
+            failures: facts_of_world.failures.iter().map(failure_data).collect(),
             actions: Action::ALL.iter().map(|action| (action.letter(), action.words())).collect(),
             feedback: Feedback::ALL.iter().map(|feedback| feedback.words()).collect(),
             map: (cell.into(), margin.into(), columns, rows),
@@ -106,13 +113,17 @@ impl RunData {
     }
 }
 
-fn case_data(case: &CaseFacts) -> CaseData {
-    let task = TaskType::try_from(case.task).ok();
-    let is_group = |group: &TaskGroup| task.is_some_and(|task| task.group() == *group);
+fn failure_data(FailureKind { name, words }: &FailureKind) -> (String, String) {
+    (name.clone(), words.clone())
+}
+
+fn case_data(world: &WorldFacts, case: &CaseFacts) -> CaseData {
+    let task = world.task(case.task);
+    let group = task.and_then(|task| world.groups.iter().position(|of| of.name == task.group));
     CaseData {
         id: case.id.clone(),
-        group: TaskGroup::ALL.iter().position(is_group).unwrap_or(0),
-        task: task.map_or("", TaskType::name),
+        group: group.unwrap_or(0),
+        task: task.map(|task| task.name.clone()).unwrap_or_default(),
         instruction: case.instruction.clone(),
     }
 }
@@ -131,7 +142,7 @@ pub fn row(
         conditions.iter().position(|one| *one == condition)?,
         world.index(&record.case)?,
         record.run,
-        outcome(record),
+        outcome(&world.description().world, record),
         record.steps,
         record.reference,
         has_views.into(),
@@ -139,9 +150,11 @@ pub fn row(
     ))
 }
 
-/// 0 for a success, otherwise 1 + the index of the failure.
-pub(super) fn outcome(record: &EpisodeRecord) -> usize {
-    Failure::of(record).map_or(0, |failure| 1 + failure as usize)
+/// 0 for a success, otherwise 1 + the index of the failure; that of the last kind for one that the world does not list.
+pub(super) fn outcome(world: &WorldFacts, record: &EpisodeRecord) -> usize {
+    let last = world.failures.len();
+    let index = |kind: &str| world.failure_index(kind).map_or(last, |index| 1 + index);
+    failure_of(record, world).map_or(0, |failure| index(&failure.kind))
 }
 
 fn facts(log: &RunLog) -> Vec<(&'static str, String)> {

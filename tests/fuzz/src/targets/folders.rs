@@ -9,14 +9,14 @@ use std::sync::OnceLock;
 use orchestrator::status::LiveStatus;
 use orchestrator::units::UnitPlan;
 use report::Published;
-use results::compare::compare_runs;
-use results::latency::LatencyRecord;
-use results::log::{
+use run_log::latency::LatencyRecord;
+use run_log::step_view::PromptLog;
+use run_log::{
     Manifest, PlannedFacts, RunFolder, RunLog, UnitEpisode, UnitFolders, merge, read_journal,
     unit_folder,
 };
-use results::score::score;
-use results::step_view::PromptLog;
+use scores::compare::compare_runs;
+use scores::score;
 use serde_json::Value;
 use viewer::Site;
 use warehouse::RunWorlds;

@@ -3,14 +3,14 @@
 use std::fs;
 use std::path::Path;
 
+use conditions::cost::{ModelPrices, Money};
+use conditions::key::EpisodeKey;
+use conditions::settings::{CaseSelector, RunSettings};
+use conditions::{Condition, Demonstrations};
+use domain::events::Visit;
 use domain::{Action, ExternalName, MemoryKind, Pose};
 use memory_proc::manifest::EncoderManifest;
 use orchestrator::plan::plan;
-use results::conditions::{Condition, Demonstrations};
-use results::cost::{ModelPrices, Money};
-use results::events::Visit;
-use results::key::EpisodeKey;
-use results::settings::{CaseSelector, RunSettings};
 use settings::{Layer, resolve};
 use shm_types::description::DESCRIPTION_FILE;
 use shm_types::{Attach, MemoryDescription};

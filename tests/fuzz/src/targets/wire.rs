@@ -4,6 +4,8 @@ use std::sync::{Arc, OnceLock};
 
 use bytemuck::Zeroable;
 use case_book::{BookFile, BookRequest, EpisodeFacts};
+use conditions::key::EpisodeKey;
+use conditions::{Condition, Demonstrations, Route, Start, Variation};
 use conformance::messages;
 use domain::{Action, Arm, DocumentKind, Feedback, Heading, Pose, Representation};
 use memory_proc::bank::MemoryBank;
@@ -13,8 +15,6 @@ use orchestrator::books::Books;
 use orchestrator::lanes::{AnswerError, Lanes, Rules, Turn};
 use orchestrator::plan::PlannedEpisode;
 use peer::policy::fuzzing::{Incoming, requests};
-use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
-use results::key::EpisodeKey;
 use rigs::scripted::{ScriptedSim, ScriptedStep};
 use shm_types::banks::BankHeader;
 use shm_types::documents::{Content, Document};

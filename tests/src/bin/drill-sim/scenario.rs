@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use case_book::{BookFile, BookRequest};
+use conditions::settings::RunSettings;
 use orchestrator::books::Books;
 use orchestrator::external_memory::ExternalMemory;
 use orchestrator::plan::PlannedEpisode;
 use orchestrator::selection::SelectedCases;
-use results::settings::RunSettings;
+use run_log::{FORMAT, Manifest};
 use settings::{Layer, resolve};
 use sim_proc::worlds::Worlds;
 use warehouse::case_book::write_books;

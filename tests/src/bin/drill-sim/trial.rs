@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use case_book::DEMONSTRATIONS_FILE;
+use conditions::settings::RunSettings;
 use orchestrator::external_memory::StartedMemories;
 use orchestrator::frame_budget::Demand;
 use orchestrator::invocation::Invocation;
@@ -20,10 +21,9 @@ use orchestrator::run::{self, RunOutcome};
 use orchestrator::run_plan::RunPlan;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use results::log::{
+use run_log::{
     EPISODES_FILE, SNAPSHOTS_FOLDER, SessionEvent, SessionRecord, TIMINGS_FILE, read_journal,
 };
-use results::settings::RunSettings;
 use shm_types::RunDir;
 use supervise::Children;
 

@@ -1,7 +1,7 @@
 //! Adaptation lag, stale reuse, robustness against the order of blocks.
 
 use domain::StreamOrder;
-use results::score::{OrderScore, StreamScore};
+use scores::{OrderScore, StreamScore};
 
 use super::{by_condition, memory_and_arm, sure};
 use crate::document::{Missing, Table, TableCell, TableColumn};

@@ -1,6 +1,6 @@
 //! What memory costs against its size, and which cases need it.
 
-use results::score::{Necessity, NecessitySuccess, StreamCost, StreamScore, StreamScores};
+use scores::{Necessity, NecessitySuccess, StreamCost, StreamScore, StreamScores};
 
 use super::{arm, is_tested, memory_and_arm, short, sure};
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};

@@ -1,6 +1,6 @@
 //! The matrix R; average success, transfer and forgetting.
 
-use results::score::{StreamScore, StreamScores};
+use scores::{StreamScore, StreamScores};
 
 use super::{arm, by_condition, memory_and_arm, sure};
 use crate::document::{Missing, RowGroup, Table, TableColumn, TableRow};

@@ -1,8 +1,8 @@
 //! Success over the stream, before and after events, and paired differences.
 
+use conditions::Condition;
 use domain::{Arm, MemoryKind, Representation};
-use results::conditions::Condition;
-use results::score::{FigureDifference, RoundScore, StreamScore, StreamScores};
+use scores::{FigureDifference, RoundScore, StreamScore, StreamScores};
 
 use super::{by_condition, is_tested, memory_and_arm, short, sure};
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};

@@ -1,5 +1,5 @@
-use results::conditions::Route;
-use results::log::testing::{log, record};
+use conditions::Route;
+use rigs::records::{log, record, tell};
 use serde_json::Value;
 use warehouse::{CaseSet, TrajectoryKind, Variant, Warehouse};
 
@@ -14,7 +14,8 @@ fn episode(
 ) -> EpisodeData {
     let cases = CaseSet::shipped();
     let mut record = record(&cases.cases[0].id, false);
-    (record.start_pose, record.actions) = (cases.cases[0].test.start, actions.to_owned());
+    tell(&mut record, "start_pose", cases.cases[0].test.start.to_string());
+    record.actions = actions.to_owned();
     record.steps = actions.len() as u32;
     record.retrieved = retrieved.map(str::to_owned);
     changes(&mut record);
@@ -32,7 +33,7 @@ fn episode(
 /// An episode on the blocked route that tries to enter the closed passage at step 2.
 fn data(retrieved: Option<&str>) -> Value {
     let data = episode("LR", retrieved, |record| {
-        (record.route, record.tried_closed_at) = (Route::Blocked, Some(2));
+        (record.route, record.conflict_at) = (Route::Blocked, Some(2));
         record.distances = retrieved.map(|_| "- 0.0132".to_owned());
     });
     serde_json::to_value(data).unwrap()

@@ -1,0 +1,343 @@
+//! Conditions of episodes (memory, start, route, demonstrations and variations of the prompt), the names of episodes, and
+//! the settings of a run as its manifest records them.
+//!
+//! Which conditions a run has is in its [`settings`]; where those come from is the crate `settings`'s.
+
+pub mod cost;
+pub mod key;
+pub mod settings;
+mod variation;
+
+pub use domain::{Demonstrations, Route, Start, UnknownDemonstrations};
+pub use variation::{
+    Hint, MAX_WINDOW, SegmentContent, Variation, is_default, is_standard_window, standard_window,
+};
+
+use std::fmt;
+use std::str::FromStr;
+
+use domain::names::{UnknownName, named};
+use domain::representation::{RepresentationInfo, Trajectories};
+use domain::{Arm, MemoryKind, Representation};
+use serde::{Deserialize, Serialize};
+
+named! {
+    /// The kind of policy.
+    PolicyKind, "policy" {
+        /// A scripted stand-in that looks at the pixels and at the recall it is given.
+        Grounded = "grounded",
+        /// A model behind an OpenAI-compatible endpoint.
+        Openai = "openai",
+        /// A user's own program, on the wire.
+        External = "external",
+        /// Chooses every action at random, seeded.
+        Random = "random",
+        /// Replays the reference trajectory: privileged, the upper bound of the scale.
+        Expert = "expert",
+    }
+
+    /// The format in which views are sent to a model.
+    ImageFormat, "image format" {
+        /// Without loss.
+        Png = "png",
+        /// Smaller, with a little loss.
+        Jpeg = "jpeg",
+    }
+
+    /// What frames show: the true view, or a control that proves that results come from pixels. What memory supplies is
+    /// replaced by the last one only.
+    Frames, "kind of frames" {
+        /// The true view.
+        Rendered = "rendered",
+        /// Uniform grey.
+        Blank = "blank",
+        /// The view of another pose.
+        Swapped = "swapped",
+        /// Uniform grey, in the views that memory supplies as well; and memory supplies no texts.
+        BlankAll = "blank-all",
+    }
+}
+
+/// The representation that a word names.
+///
+/// # Errors
+/// When it names none; the message names the nearest.
+pub fn representation(word: &str) -> Result<Representation, UnknownName> {
+    let unknown = |_| {
+        UnknownName::new("memory", word, Representation::ALL.iter().map(|member| member.name()))
+    };
+    word.parse().map_err(unknown)
+}
+
+impl PolicyKind {
+    /// Whether it runs in a process of its own, on observations and memory. The expert does not.
+    pub const fn has_process(self) -> bool {
+        match self {
+            Self::Grounded | Self::Openai | Self::External | Self::Random => true,
+            Self::Expert => false,
+        }
+    }
+}
+
+/// One cell of a table of results. Written `memory/start/route/demonstrations`, followed by the deviations from the
+/// standard [`Variation`] and by the arm where it is not `frozen`: `working/original/unchanged/none/h20`,
+/// `episodic/new/unchanged/original/learning`.
+///
+/// Always in its normal form, see [`Condition::new`] and [`Condition::with_arm`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Condition {
+    /// The memory.
+    pub memory: MemoryKind,
+    /// The start.
+    pub start: Start,
+    /// The route.
+    pub route: Route,
+    /// The demonstrations.
+    pub demonstrations: Demonstrations,
+    /// The changes to the prompt.
+    #[serde(flatten)]
+    pub variation: Variation,
+    /// What the memory is built from, and whether it changes. Only streams have another arm than `frozen`.
+    #[serde(skip_serializing_if = "is_default", default)]
+    pub arm: Arm,
+}
+
+impl Condition {
+    /// Whether all of `words`, which are separated by `,` or `/`, are words of its name, or its arm: `episodic,new,frozen`.
+    pub fn has_words(&self, words: &str) -> bool {
+        let name = self.to_string();
+        // The arm `frozen` has no word in the name.
+        let own: Vec<&str> = name.split('/').chain([self.arm.word()]).collect();
+        words.split([',', '/']).all(|word| own.contains(&word.trim()))
+    }
+
+    /// Returns the condition, in the arm `frozen`, in its normal form: settings without effect have their standard values, so that two
+    /// conditions differ only if their episodes can. `None` if there is no such condition.
+    ///
+    /// - A memory that needs no demonstration has none; the others need at least one.
+    /// - A blocked route is defined for the new start only (specification, section 4).
+    /// - The content of a segment varies only for memories that retrieve one.
+    /// - The hint applies where it is true and of use: at the original start, with the original demonstration alone,
+    ///   for a memory that supplies trajectories, or may do so.
+    pub fn new(
+        memory: impl Into<MemoryKind>,
+        start: Start,
+        route: Route,
+        demonstrations: Demonstrations,
+        variation: Variation,
+    ) -> Option<Self> {
+        let memory = memory.into();
+        let demonstrations =
+            if memory.uses_demonstrations() { demonstrations } else { Demonstrations::NONE };
+        let exists = (start, route) != (Start::Original, Route::Blocked)
+            && (memory.uses_demonstrations() != (demonstrations == Demonstrations::NONE));
+        let arm = Arm::Frozen;
+        let mut condition = Self { memory, start, route, demonstrations, variation, arm };
+        let varies = |info: RepresentationInfo| info.trajectories == Trajectories::Segment;
+        if !memory.describe().is_some_and(varies) {
+            condition.variation.segment = SegmentContent::default();
+        }
+        if !condition.can_be_hinted() {
+            condition.variation.hint = Hint::default();
+        }
+        exists.then_some(condition)
+    }
+
+    /// The condition in `arm`. A memory that needs no demonstration is always `frozen`: no arm changes it.
+    pub fn with_arm(self, arm: Arm) -> Self {
+        let arm = if self.memory.uses_demonstrations() { arm } else { Arm::Frozen };
+        Self { arm, ..self }
+    }
+
+    /// Whether the demonstration starts where the episode does, and is supplied to the policy.
+    fn can_be_hinted(&self) -> bool {
+        self.start == Start::Original
+            && self.demonstrations == Demonstrations::ORIGINAL
+            && self.memory.supplies_trajectories()
+    }
+
+    /// Whether the prompt states that the demonstration starts where the episode does.
+    pub fn is_hinted(&self) -> bool {
+        self.can_be_hinted() && self.variation.hint == Hint::On
+    }
+}
+
+impl fmt::Display for Condition {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { memory, start, route, demonstrations, variation, arm } = self;
+        write!(f, "{memory}/{start}/{route}/{demonstrations}{variation}")?;
+        if is_default(arm) { Ok(()) } else { write!(f, "/{}", arm.word()) }
+    }
+}
+
+/// A text that is not a condition.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum BadCondition {
+    /// A part has an unknown name.
+    #[error(transparent)]
+    Name(#[from] UnknownName),
+    /// The demonstrations are not valid.
+    #[error(transparent)]
+    Demonstrations(#[from] UnknownDemonstrations),
+    /// A part is missing, or there is one too many.
+    #[error(
+        "`{0}` is not a condition: write memory/start/route/demonstrations, then any deviation from the \
+         standard (/h20, /images, /no-hint) and the arm (/learning, /oracle, /wrong)"
+    )]
+    Parts(String),
+    /// Not in its normal form, or there is no such condition.
+    #[error("there is no condition `{given}`{}", normal.map_or_else(
+        String::new, |normal| format!("; its episodes are those of `{normal}`")
+    ))]
+    NotNormal {
+        /// The text.
+        given: String,
+        /// The normal form of its condition, if there is one.
+        normal: Option<Condition>,
+    },
+}
+
+impl FromStr for Condition {
+    type Err = BadCondition;
+
+    /// Of a built-in memory: see [`Condition::logged`] for others.
+    fn from_str(text: &str) -> Result<Self, BadCondition> {
+        Self::read(text, |word| representation(word).map(MemoryKind::BuiltIn))
+    }
+}
+
+impl Condition {
+    /// Reads a condition from a log, where any well-formed name of a memory is one.
+    ///
+    /// # Errors
+    /// When the text is not a condition.
+    pub fn logged(text: &str) -> Result<Self, BadCondition> {
+        Self::read(text, |word| word.parse().or_else(|_| representation(word).map(Into::into)))
+    }
+
+    fn read(
+        text: &str,
+        memory: impl Fn(&str) -> Result<MemoryKind, UnknownName>,
+    ) -> Result<Self, BadCondition> {
+        let bad = || BadCondition::Parts(text.to_owned());
+        let mut parts = text.split('/');
+        let mut next = || parts.next().ok_or_else(bad);
+        let memory = memory(next()?)?;
+        let (start, route) = (next()?.parse()?, next()?.parse()?);
+        let demonstrations = next()?.parse()?;
+        let (mut variation, mut arm) = (Variation::STANDARD, Arm::Frozen);
+        for part in parts {
+            match Arm::ALL.iter().find(|arm| arm.word() == part) {
+                Some(found) => arm = *found,
+                None if variation.read(part) => {}
+                None => return Err(bad()),
+            }
+        }
+        let normal = Self::new(memory, start, route, demonstrations, variation);
+        let normal = normal.map(|condition| condition.with_arm(arm));
+        match normal {
+            Some(condition) if condition.to_string() == text => Ok(condition),
+            _ => Err(BadCondition::NotNormal { given: text.to_owned(), normal }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_condition_is_found_by_words_and_by_its_arm() {
+        let frozen: Condition = "episodic/new/unchanged/original".parse().unwrap();
+        let learning = frozen.with_arm(Arm::Learning);
+        for (words, found) in [
+            ("episodic,new", [true, true]),
+            ("episodic,frozen", [true, false]),
+            ("learning", [false, true]),
+        ] {
+            assert_eq!([frozen, learning].map(|one| one.has_words(words)), found, "{words}");
+        }
+    }
+
+    #[test]
+    fn a_condition_is_reduced_to_its_normal_form() {
+        let all = Variation { window: 20, segment: SegmentContent::Images, hint: Hint::Off };
+        let written = |memory, start, route, demonstrations: &str| {
+            let demonstrations = demonstrations.parse().unwrap();
+            let condition = Condition::new(memory, start, route, demonstrations, all);
+            condition.map_or("none".to_owned(), |condition| {
+                assert_eq!(condition.to_string().parse(), Ok(condition));
+                let json = serde_json::to_string(&condition).unwrap();
+                assert_eq!(serde_json::from_str::<Condition>(&json).unwrap(), condition);
+                condition.to_string()
+            })
+        };
+        use Representation::{Episodic, FullContext, Summary, Working};
+        use Route::{Blocked, Unchanged};
+        for (found, expected) in [
+            (
+                written(Working, Start::Original, Unchanged, "4"),
+                "working/original/unchanged/none/h20",
+            ),
+            (
+                written(Episodic, Start::Original, Unchanged, "original"),
+                "episodic/original/unchanged/original/h20/images/no-hint",
+            ),
+            (
+                written(Episodic, Start::Original, Unchanged, "nearby"),
+                "episodic/original/unchanged/nearby/h20/images",
+            ),
+            (
+                written(Episodic, Start::New, Blocked, "original"),
+                "episodic/new/blocked/original/h20/images",
+            ),
+            (
+                written(FullContext, Start::Original, Unchanged, "original"),
+                "full-context/original/unchanged/original/h20/no-hint",
+            ),
+            (
+                written(Summary, Start::Original, Unchanged, "original"),
+                "summary/original/unchanged/original/h20",
+            ),
+            (written(Episodic, Start::Original, Blocked, "4"), "none"),
+            (written(Episodic, Start::New, Unchanged, "none"), "none"),
+        ] {
+            assert_eq!(found, expected);
+        }
+        let standard = Condition::new(
+            Episodic,
+            Start::Original,
+            Unchanged,
+            Demonstrations::ORIGINAL,
+            Variation::STANDARD,
+        );
+        let json = serde_json::to_value(standard.unwrap()).unwrap();
+        assert_eq!(json.as_object().unwrap().len(), 4, "the standard is left out: {json}");
+    }
+
+    #[test]
+    fn an_external_memory_is_known_by_name_in_a_log_only() {
+        let memory: MemoryKind = "top-3".parse().unwrap();
+        let all = Variation { window: 6, segment: SegmentContent::Images, hint: Hint::Off };
+        let demonstrations = Demonstrations::ORIGINAL;
+        let condition =
+            Condition::new(memory, Start::Original, Route::Unchanged, demonstrations, all).unwrap();
+        let text = condition.to_string();
+        assert_eq!(text, "top-3/original/unchanged/original/no-hint");
+        assert_eq!(Condition::logged(&text), Ok(condition));
+        let none = Demonstrations::NONE;
+        assert_eq!(Condition::new(memory, Start::New, Route::Unchanged, none, all), None);
+        insta::assert_snapshot!(text.parse::<Condition>().unwrap_err(), @"unknown memory `top-3` (known: working, full-context, summary, semantic, hybrid, episodic, adaptive)");
+        assert!(Condition::logged("Top 3/new/unchanged/4").is_err());
+    }
+
+    #[test]
+    fn errors_name_the_condition_that_was_probably_meant() {
+        let error = |text: &str| text.parse::<Condition>().unwrap_err().to_string();
+        insta::assert_snapshot!(error("episodic/new/unchanged"), @"`episodic/new/unchanged` is not a condition: write memory/start/route/demonstrations, then any deviation from the standard (/h20, /images, /no-hint) and the arm (/learning, /oracle, /wrong)");
+        insta::assert_snapshot!(error("working/new/unchanged/none/h200"), @"`working/new/unchanged/none/h200` is not a condition: write memory/start/route/demonstrations, then any deviation from the standard (/h20, /images, /no-hint) and the arm (/learning, /oracle, /wrong)");
+        insta::assert_snapshot!(error("working/new/unchanged/4/h6"), @"there is no condition `working/new/unchanged/4/h6`; its episodes are those of `working/new/unchanged/none`");
+        insta::assert_snapshot!(error("episodic/original/blocked/4"), @"there is no condition `episodic/original/blocked/4`");
+        insta::assert_snapshot!(error("episodic/newer/blocked/4"), @"unknown start `newer`: did you mean `new`? (known: original, new)");
+    }
+}

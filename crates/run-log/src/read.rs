@@ -1,0 +1,173 @@
+//! A run folder as it is read.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use case_book::WorldFacts;
+
+use super::check::check_records;
+use super::files::{EPISODES_FILE, ERRORS_FILE, REQUESTS_FILE, SESSIONS_FILE, TIMINGS_FILE};
+use super::journal::unchecked;
+use super::known::KnownFacts;
+use super::manifest::MANIFEST_FILE;
+use super::{
+    DamagedLine, EpisodeError, EpisodeRecord, EpisodeTimings, LogError, Manifest, RequestRecord,
+    SessionRecord, read_journal,
+};
+
+/// A run folder as it is read, also while another process writes to it.
+#[derive(Debug, Clone)]
+pub struct RunLog {
+    /// The folder.
+    pub dir: PathBuf,
+    /// The name of the run among others: the last part of its folder, and as much before it as
+    /// [`tell_apart`] has added.
+    pub name: String,
+    /// The manifest.
+    pub manifest: Manifest,
+    /// The world, from the case book; the default for a run that was killed before the world wrote that.
+    pub world: WorldFacts,
+    /// Finished episodes, by key.
+    pub episodes: Vec<EpisodeRecord>,
+    /// Their timings, by key.
+    pub timings: Vec<EpisodeTimings>,
+    /// Requests to the model in the order of their answers, those of unfinished attempts at an episode included.
+    pub requests: Vec<RequestRecord>,
+    /// Episodes that were given up and not finished since, by key: the last error of each.
+    pub errors: Vec<EpisodeError>,
+    /// Events of the sessions.
+    pub sessions: Vec<SessionRecord>,
+    /// Lines that cannot be used, and whose content is missing above. Resuming the run sets them aside and repeats
+    /// their episodes.
+    pub damaged: Vec<DamagedLine>,
+}
+
+impl RunLog {
+    /// Checks that a run whose episodes have the keys `planned` contains every finished episode: a run can grow, but
+    /// not shrink.
+    ///
+    /// # Errors
+    /// When a finished episode is missing from `planned`.
+    pub fn check_planned(&self, planned: &BTreeSet<String>) -> Result<(), LogError> {
+        let mut outside = self.episodes.iter().filter(|record| !planned.contains(&record.key));
+        let Some(first) = outside.next() else { return Ok(()) };
+        Err(LogError::NotPlanned {
+            dir: self.dir.clone(),
+            count: 1 + outside.count(),
+            example: first.key.clone(),
+        })
+    }
+
+    /// Reads the run in `dir`.
+    ///
+    /// # Errors
+    /// When there is none, or its log is broken.
+    pub fn read(dir: &Path) -> Result<Self, LogError> {
+        if !dir.join(MANIFEST_FILE).exists() {
+            return Err(LogError::NoRun(dir.to_owned()));
+        }
+        let manifest = Manifest::read(dir)?;
+        let mut damaged = Vec::new();
+        let known = KnownFacts::of(dir, &manifest)?;
+        let world = known.world();
+        let check = check_records(known, &manifest);
+        let mut episodes = read(dir, EPISODES_FILE, check, &mut damaged)?;
+        episodes.sort_by(|a: &EpisodeRecord, b| a.key.cmp(&b.key));
+        let timings: Vec<EpisodeTimings> = read(dir, TIMINGS_FILE, unchecked, &mut damaged)?;
+        // The last of each key: those of an episode that was set aside come before those of its repetition.
+        let timings: BTreeMap<String, EpisodeTimings> =
+            timings.into_iter().map(|timings| (timings.key.clone(), timings)).collect();
+        let timings = timings.into_values().collect();
+        let requests = read(dir, REQUESTS_FILE, unchecked, &mut damaged)?;
+        let finished: BTreeSet<&str> = episodes.iter().map(|record| record.key.as_str()).collect();
+        let errors: Vec<EpisodeError> = read(dir, ERRORS_FILE, unchecked, &mut damaged)?;
+        let open = errors.into_iter().filter(|error| !finished.contains(error.key.as_str()));
+        let errors: BTreeMap<String, EpisodeError> =
+            open.map(|error| (error.key.clone(), error)).collect();
+        let errors = errors.into_values().collect();
+        let sessions = read(dir, SESSIONS_FILE, unchecked, &mut damaged)?;
+        let (dir, name) = (dir.to_owned(), last_parts(dir, 1));
+        Ok(Self {
+            dir,
+            name,
+            manifest,
+            world,
+            episodes,
+            timings,
+            requests,
+            errors,
+            sessions,
+            damaged,
+        })
+    }
+
+    /// The types of the tasks of cases, by the case's id: of those that the manifest or an episode tells.
+    pub fn tasks(&self) -> BTreeMap<&str, u8> {
+        let told = self.manifest.tasks.iter().map(|(case, task)| (case.as_str(), *task));
+        told.chain(self.episodes.iter().map(|one| (one.case.as_str(), one.task))).collect()
+    }
+
+    /// The timings of the finished episodes, by key.
+    pub fn timings_by_key(&self) -> BTreeMap<&str, &EpisodeTimings> {
+        self.timings.iter().map(|timings| (timings.key.as_str(), timings)).collect()
+    }
+
+    /// When the run began, in seconds since 1970.
+    pub fn began_unix_s(&self) -> Option<u64> {
+        self.sessions.iter().map(|record| record.unix_s).min()
+    }
+}
+
+/// Gives runs whose folders have the same last part longer names: as many parts as it takes to tell them apart.
+pub fn tell_apart<'a>(logs: impl IntoIterator<Item = &'a mut RunLog>) {
+    let logs: Vec<&mut RunLog> = logs.into_iter().collect();
+    let folders: Vec<PathBuf> =
+        logs.iter().map(|log| log.dir.canonicalize().unwrap_or(log.dir.clone())).collect();
+    for (at, log) in logs.into_iter().enumerate() {
+        let others = || folders.iter().filter(|folder| **folder != folders[at]);
+        let is_shared = |count: &usize| {
+            others().any(|other| last_parts(other, *count) == last_parts(&folders[at], *count))
+        };
+        let longest = folders[at].components().count();
+        let enough = (1..longest).find(|count| !is_shared(count)).unwrap_or(longest);
+        log.name = last_parts(&folders[at], enough);
+    }
+}
+
+/// The last `count` parts of `dir`.
+fn last_parts(dir: &Path, count: usize) -> String {
+    let parts: Vec<_> = dir.components().collect();
+    let last: PathBuf = parts[parts.len().saturating_sub(count)..].iter().collect();
+    last.to_string_lossy().into_owned()
+}
+
+fn read<T: serde::de::DeserializeOwned>(
+    dir: &Path,
+    file: &str,
+    check: impl FnMut(&T) -> Result<(), String>,
+    damaged: &mut Vec<DamagedLine>,
+) -> Result<Vec<T>, LogError> {
+    let contents = read_journal(&dir.join(file), check)?;
+    damaged.extend(contents.damaged);
+    Ok(contents.entries)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::records::log;
+
+    #[test]
+    fn runs_are_told_apart_by_their_folders() {
+        let names = |folders: &[&str]| -> Vec<String> {
+            let at = |folder: &&str| RunLog { dir: folder.into(), ..log(vec![]) };
+            let mut logs: Vec<RunLog> = folders.iter().map(at).collect();
+            tell_apart(&mut logs);
+            logs.into_iter().map(|log| log.name).collect()
+        };
+        assert_eq!(names(&["/runs/a", "/runs/b"]), ["a", "b"]);
+        assert_eq!(names(&["/x/runs/a", "/y/runs/a", "/x/b"]), ["x/runs/a", "y/runs/a", "b"]);
+        assert_eq!(names(&["/a", "/x/a"]), ["/a", "x/a"]);
+        assert_eq!(names(&["/runs/a", "/runs/a"]), ["a", "a"]);
+    }
+}
