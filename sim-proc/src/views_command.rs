@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use case_book::{BookFile, DemonstrationBook};
-use domain::Pose;
+use domain::{Pose, State};
 
 use crate::renderer::RenderSettings;
 use crate::renderer_args::RendererArgs;
@@ -37,6 +37,12 @@ fn parse_size(text: &str) -> Result<(u32, u32), String> {
     sides.ok_or_else(|| "expected width x height, for example 448x448".to_owned())
 }
 
+/// A pose, written with the letter of its heading or as a state.
+fn pose(text: &str) -> Option<Pose> {
+    let of_state = || text.parse::<State>().ok()?.try_into().ok();
+    text.parse().ok().or_else(of_state)
+}
+
 /// Answers until stdin ends.
 ///
 /// # Errors
@@ -52,7 +58,7 @@ pub fn run(args: &ViewsArgs) -> Result<()> {
     let book = book.transpose()?.map(|file| file.book);
     let named = |line: &str| {
         let (first, second) = line.split_once(' ')?;
-        let Some(book) = &book else { return Some((first.parse().ok()?, second.parse().ok()?)) };
+        let Some(book) = &book else { return Some((first.parse().ok()?, pose(second)?)) };
         let of = book.demonstrations.get(first.parse::<usize>().ok()?)?;
         Some((of.variant, Pose::try_from(*of.states.get(second.parse::<usize>().ok()?)?).ok()?))
     };

@@ -107,6 +107,19 @@ impl std::fmt::Display for State {
     }
 }
 
+/// As [`Display`](std::fmt::Display) writes it.
+impl std::str::FromStr for State {
+    type Err = crate::UnknownCode;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let numbers: Option<Vec<f32>> = text.split(',').map(|number| number.parse().ok()).collect();
+        let state = numbers.and_then(|numbers| Self::new(&numbers).ok());
+        state.ok_or_else(|| {
+            crate::UnknownCode::new(text, "a state (numbers with commas between them)")
+        })
+    }
+}
+
 impl TryFrom<Vec<f32>> for State {
     type Error = InvalidState;
 
@@ -153,6 +166,8 @@ mod tests {
         assert_eq!(state(&[3.0, 12.0, 0.5]).to_string(), "3,12,0.5");
         let text = serde_json::to_string(&state(&[3.0, 0.1])).unwrap();
         assert_eq!(text, "[3.0,0.1]");
+        assert_eq!("3,0.1".parse(), Ok(state(&[3.0, 0.1])));
+        assert!("3,,1".parse::<State>().is_err());
         assert_eq!(serde_json::from_str::<State>(&text).unwrap(), state(&[3.0, 0.1]));
     }
 

@@ -22,7 +22,7 @@ use std::io::BufWriter;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use domain::Action;
+use domain::Pose;
 use run_log::RunLog;
 use run_log::source::{SourceStep, sources};
 use serde::Serialize;
@@ -59,9 +59,9 @@ struct McapStep<'a> {
     x: u8,
     y: u8,
     heading: char,
-    feedback: &'static str,
+    feedback: &'a str,
     #[serde(skip_serializing_if = "Option::is_none")]
-    action: Option<&'static str>,
+    action: Option<&'a str>,
     sub_goals_met: usize,
     sub_goals: u32,
     sources: Vec<String>,
@@ -193,7 +193,9 @@ impl EpisodeSink for McapRecording {
         self.file.message(self.channels.transforms, begins, &foxglove::camera_mount(begins));
         let mut events = timeline.events.iter().peekable();
         for moment in &timeline.steps {
-            let (step, pose) = (moment.step, moment.pose);
+            let step = moment.step;
+            let pose = Pose::try_from(moment.state)
+                .context("only episodes of the warehouse have poses to record")?;
             let at = self.instant(step);
             let image = moments.images.get(&moment.view).context("a view was not rendered")?;
             self.file.message(self.channels.camera, at, &foxglove::image(at, image));
@@ -206,8 +208,8 @@ impl EpisodeSink for McapRecording {
                 x: pose.cell.x,
                 y: pose.cell.y,
                 heading: pose.heading.letter(),
-                feedback: moment.feedback.words(),
-                action: moment.action.map(Action::words),
+                feedback: &moment.feedback,
+                action: moment.action.as_deref(),
                 sub_goals_met: moment.sub_goals,
                 sub_goals: record.required,
                 sources: supplied.iter().map(SourceStep::in_words).collect(),

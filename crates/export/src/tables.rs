@@ -33,7 +33,7 @@ pub fn write_tables(run: &RecordedRun, format: TableFormat, dir: &Path) -> Resul
     let episodes: Vec<_> = log.episodes.iter().map(timeline).collect::<Result<_>>()?;
     let frames = [
         ("episodes", episodes_frame(std::slice::from_ref(log))),
-        ("steps", steps_frame(log, &episodes)),
+        ("steps", steps_frame(log, world.declaration(), &episodes)),
     ];
     let mut files = Vec::new();
     for (name, frame) in frames {
@@ -64,7 +64,10 @@ mod tests {
     fn every_column_is_described() {
         let page = include_str!("../../../docs/exports.md");
         let log = log(vec![record("t01-01", true)]);
-        for frame in [episodes_frame(std::slice::from_ref(&log)), steps_frame(&log, &[])] {
+        for frame in [
+            episodes_frame(std::slice::from_ref(&log)),
+            steps_frame(&log, &warehouse::declaration(), &[]),
+        ] {
             for column in &frame.columns {
                 let name = format!("`{}`", column.name);
                 assert!(page.contains(&name), "docs/exports.md does not describe {name}");

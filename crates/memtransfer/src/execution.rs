@@ -4,6 +4,8 @@ use std::io;
 use std::path::Path;
 
 use anyhow::{Result, anyhow};
+use conditions::settings::{Group, RunSettings};
+use conditions::{Demonstrations, Route, Start};
 use domain::shell_word;
 use llm::Servers;
 use orchestrator::invocation::Invocation;
@@ -11,8 +13,6 @@ use orchestrator::launch;
 use orchestrator::progress::Verbosity;
 use orchestrator::run::{self, RunOutcome};
 use orchestrator::run_plan::RunPlan;
-use conditions::{Demonstrations, Route, Start};
-use conditions::settings::{Group, RunSettings};
 use rustix::io::Errno;
 
 use super::run::flags::RunOptions;

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail, ensure};
 use case_book::act::DemonstrationsRequest;
 use clap::Args;
 use conditions::Frames;
-use domain::{Appearance, DemonstrationKind, Demonstrations, Pose, Route, Start};
+use domain::{Appearance, DemonstrationKind, Demonstrations, Pose, Route, Start, State};
 use png_file::{Channels, encode};
 use program::AppearanceArgs;
 use world_client::RunWorld;
@@ -86,8 +86,8 @@ impl CaseTrajectory {
         found.ok_or_else(|| format!("expected one of {}", Self::ALL.map(Self::name).join(", ")))
     }
 
-    /// Its world variant and its poses.
-    fn act(self, world: &RunWorld, case: &str) -> Result<(u32, Vec<Pose>)> {
+    /// Its world variant and its states.
+    fn act(self, world: &RunWorld, case: &str) -> Result<(u32, Vec<State>)> {
         let Some(index) = world.index(case) else {
             bail!("there is no case {case:?}; `memtransfer ls cases` lists the cases");
         };
@@ -101,12 +101,12 @@ impl CaseTrajectory {
                     planned: false,
                 })?;
                 let acted = acted.into_iter().next().context("there is no such demonstration")?;
-                return Ok((acted.variant, acted.poses));
+                return Ok((acted.variant, acted.states));
             }
             Self::Test => (Route::Unchanged, 0),
             Self::Blocked => (Route::Blocked, world.description().blocked[index]),
         };
-        Ok((variant, world.reference(case, variant, (Start::New, route))?.poses))
+        Ok((variant, world.reference(case, variant, (Start::New, route))?.states))
     }
 }
 
@@ -119,16 +119,16 @@ pub(super) fn run(args: &RenderArgs) -> Result<Exit> {
                 "the cell of pose {pose} is not free floor; `memtransfer map` shows the floor plan"
             );
             let name = format!("view-{}-{}-{}.png", pose.cell.x, pose.cell.y, pose.heading);
-            (vec![(0, pose)], vec![args.out.clone().unwrap_or_else(|| name.into())])
+            (vec![(0, pose.into())], vec![args.out.clone().unwrap_or_else(|| name.into())])
         }
         (None, Some(id)) => {
-            let (variant, poses) = args.trajectory.act(&world, id)?;
+            let (variant, states) = args.trajectory.act(&world, id)?;
             let folder = args.out.clone().unwrap_or_else(|| args.trajectory_folder(id));
             fs::create_dir_all(&folder)
                 .with_context(|| format!("cannot create the folder {}", folder.display()))?;
-            let files = (0..poses.len()).map(|step| folder.join(format!("{step:03}.png")));
+            let files = (0..states.len()).map(|step| folder.join(format!("{step:03}.png")));
             let files = files.collect();
-            (poses.into_iter().map(|pose| (variant, pose)).collect(), files)
+            (states.into_iter().map(|state| (variant, state)).collect(), files)
         }
         (None, None) => bail!("give --pose or --case"),
     };

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use case_book::WorldDeclaration;
 use run_log::{RequestRecord, RunLog};
 use world_client::{EpisodeTimeline, TimelineStep};
 
@@ -22,7 +23,11 @@ fn word(word: Option<&str>) -> Option<String> {
 }
 
 /// A row for each moment of these episodes of `log`: the start, and after every step. `docs/exports.md` describes the columns.
-pub fn steps_frame(log: &RunLog, episodes: &[EpisodeTimeline<'_>]) -> DataFrame {
+pub fn steps_frame(
+    log: &RunLog,
+    world: &WorldDeclaration,
+    episodes: &[EpisodeTimeline<'_>],
+) -> DataFrame {
     let asked: BTreeSet<&str> = episodes.iter().map(|one| one.record.key.as_str()).collect();
     // The last one of a step: requests of attempts that were given up come before those of the finished one.
     let requests: BTreeMap<(&str, u32), &RequestRecord> = log
@@ -46,11 +51,20 @@ pub fn steps_frame(log: &RunLog, episodes: &[EpisodeTimeline<'_>]) -> DataFrame 
     frame.text("case", |row| Some(row.timeline.record.case.clone()));
     frame.whole("run", |row| Some(row.timeline.record.run));
     frame.whole("step", |row| Some(row.moment.step));
-    frame.whole("x", |row| Some(row.moment.pose.cell.x));
-    frame.whole("y", |row| Some(row.moment.pose.cell.y));
-    frame.text("heading", |row| Some(row.moment.pose.heading.letter().to_string()));
-    frame.text("feedback", |row| Some(row.moment.feedback.words().to_owned()));
-    frame.text("action", |row| Some(row.moment.action?.words().to_owned()));
+    for (place, field) in world.state.iter().enumerate() {
+        if field.words.is_empty() {
+            frame.real(&field.name, |row| {
+                Some(row.moment.state.numbers().get(place)?).copied().map(f64::from)
+            });
+        } else {
+            frame.text(&field.name, |row| {
+                let words = world.state_words(&row.moment.state);
+                words.into_iter().nth(place).map(|(_, word)| word)
+            });
+        }
+    }
+    frame.text("feedback", |row| Some(row.moment.feedback.clone()));
+    frame.text("action", |row| row.moment.action.clone());
     frame.flag("is_last", |row| Some(row.moment.step == row.timeline.record.steps));
     frame.whole("sub_goals_met", |row| Some(row.moment.sub_goals));
     frame.whole("sub_goals", |row| Some(row.timeline.record.required));

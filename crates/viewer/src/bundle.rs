@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use case_book::{ELSEWHERE_VARIANT, GREY_VARIANT};
-use domain::Pose;
+use domain::State;
 use durable::{FolderDraft, KnownNames};
 use world_client::Selection;
 use world_client::frames::ViewKey;
@@ -172,23 +172,23 @@ impl BundleFolder<'_> {
             data.limit_demonstration_views(DEMONSTRATION_VIEWS);
             wanted.extend(data.view_names().into_iter().filter_map(ViewFile::of_name));
         }
-        // World after world from each pose, the unchanged one first: another's view is left out where it looks the same.
-        let mut views: BTreeSet<(Pose, u32)> = BTreeSet::new();
-        for &ViewFile { view: (variant, pose), .. } in &wanted {
-            views.insert((pose, variant));
+        // World after world in each state, the unchanged one first: another's view is left out where it looks the same.
+        let mut views: BTreeSet<(State, u32)> = BTreeSet::new();
+        for &ViewFile { view: (variant, state), .. } in &wanted {
+            views.insert((state, variant));
             if ![ELSEWHERE_VARIANT, GREY_VARIANT].contains(&variant) {
-                views.insert((pose, 0));
+                views.insert((state, 0));
             }
         }
         let views: Vec<ViewKey> =
-            views.into_iter().map(|(pose, variant)| (variant, pose)).collect();
+            views.into_iter().map(|(state, variant)| (variant, state)).collect();
         let (mut unchanged, mut same) = (None, BTreeMap::new());
         let mut written = BTreeSet::new();
         run.render(&views, |view, rgba| {
-            let (variant, pose) = view;
+            let (variant, state) = view;
             let pixels = blake3::hash(rgba);
-            let is_same = variant != 0 && unchanged == Some((pose, pixels));
-            let shown = if is_same { (0, pose) } else { view };
+            let is_same = variant != 0 && unchanged == Some((state, pixels));
+            let shown = if is_same { (0, state) } else { view };
             for is_small in [false, true] {
                 let (file, target) =
                     (ViewFile { view, is_small }, ViewFile { view: shown, is_small });
@@ -205,7 +205,7 @@ impl BundleFolder<'_> {
                 }
             }
             if variant == 0 {
-                unchanged = Some((pose, pixels));
+                unchanged = Some((state, pixels));
             }
             Ok(())
         })?;

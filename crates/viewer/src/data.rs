@@ -8,13 +8,18 @@ pub use episode::{DemonstrationData, EpisodeData, FailureData, LoggedEpisode};
 pub use prompts::{PromptData, image_hashes, prompts};
 pub use run::{EpisodeCell, RunData, row};
 
-use domain::{Cell, Pose};
+use domain::{Cell, Pose, State};
 
 /// A pose: column, row, code of the heading (clockwise from north).
 type PoseData = (u8, u8, u8);
 
-fn pose_data(pose: &Pose) -> PoseData {
-    (pose.cell.x, pose.cell.y, pose.heading as u8)
+fn pose_data(state: &State) -> PoseData {
+    let pose = Pose::try_from(*state);
+    pose.map_or((0, 0, 0), |pose| (pose.cell.x, pose.cell.y, pose.heading as u8))
+}
+
+fn cell_of(state: &State) -> Option<(u8, u8)> {
+    Pose::try_from(*state).ok().map(|pose| cell_data(&pose.cell))
 }
 
 fn cell_data(cell: &Cell) -> (u8, u8) {

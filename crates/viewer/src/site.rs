@@ -23,6 +23,7 @@ use std::path::Path;
 use anyhow::{Context, Result, ensure};
 use conditions::Condition;
 use conditions::key::EpisodeKey;
+use domain::Pose;
 use domain::prompt_log::{image_file, is_hash};
 use png_file::RgbaImage;
 use report::Published;
@@ -332,7 +333,8 @@ impl RunPages {
     }
 
     fn view(&mut self, wanted: ViewFile) -> Result<Option<File>> {
-        let (variant, pose) = wanted.view;
+        let (variant, state) = wanted.view;
+        let Ok(pose) = Pose::try_from(state) else { return Ok(None) };
         if !self.world.scene(variant).is_ok_and(|scene| scene.is_floor(pose.cell)) {
             return Ok(None);
         }

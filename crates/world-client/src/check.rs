@@ -5,7 +5,7 @@ use std::fmt::{self, Debug};
 
 use anyhow::{Result, ensure};
 use case_book::act::EpisodeParts;
-use domain::{Action, Route, Start};
+use domain::{Route, Start};
 use run_log::{Ending, EpisodeRecord};
 use serde::Serialize;
 
@@ -58,8 +58,8 @@ fn check_episode(run: &RecordedRun, record: &EpisodeRecord) -> Result<Vec<Differ
         Some(_) => (Start::New, Route::Unchanged),
         None => (record.start, record.route),
     };
-    let begin =
-        case.reference(start, route).map_or_else(|| begin_of(record), |listed| Ok(listed.begin))?;
+    let listed = case.reference(start, route).map(|listed| listed.begin);
+    let begin = listed.or_else(|| begin_of(record));
     let parts = EpisodeParts { facts: true, reference: true, ..EpisodeParts::default() };
     let acted = world.act_in(record, world.variant(record)?, begin, parts)?;
     let is_complete = acted.sub_goals.len() == acted.required as usize;
@@ -91,7 +91,7 @@ fn check_episode(run: &RecordedRun, record: &EpisodeRecord) -> Result<Vec<Differ
     if let Some(stream) = &record.stream {
         compared.field("invalidated", &Some(stream.invalidated), &invalidated);
         let actions = reference.iter().flat_map(|reference| &reference.actions);
-        let actions: String = actions.map(|action| Action::letter(*action)).collect();
+        let actions = world.declaration().letters(actions.copied().map(Some));
         compared.field("reference_actions", &stream.reference_actions, &actions);
     }
     Ok(compared.found)

@@ -6,7 +6,7 @@ use std::process::{Child, ChildStdin, ChildStdout};
 use std::thread;
 
 use anyhow::{Context, Result, anyhow};
-use domain::Pose;
+use domain::State;
 use jpeg_encoder::{ColorType, Encoder};
 use run_log::RunLog;
 
@@ -21,8 +21,8 @@ pub struct ViewFormat {
     pub quality: u8,
 }
 
-/// What a view shows: the number of the world variant, or [`GREY_VARIANT`](case_book::GREY_VARIANT), and the pose.
-pub type ViewKey = (u32, Pose);
+/// What a view shows: the number of the world variant, or [`GREY_VARIANT`](case_book::GREY_VARIANT), and the state.
+pub type ViewKey = (u32, State);
 
 /// `sim-proc views` as a child process. It ends when this is dropped.
 #[derive(Debug)]
@@ -87,8 +87,8 @@ impl ViewRenderer {
         let requests = thread::scope(|scope| {
             // Asked for from another thread, so that rendering and encoding overlap and neither pipe is stuck.
             let asking = thread::Builder::new().spawn_scoped(scope, move || {
-                for (variant, pose) in views {
-                    writeln!(requests, "{variant} {pose}")?;
+                for (variant, state) in views {
+                    writeln!(requests, "{variant} {state}")?;
                 }
                 requests.flush()?;
                 Ok::<_, io::Error>(requests)
@@ -146,14 +146,14 @@ pub fn half(edge: u16, rgba: &[u8]) -> Vec<u8> {
 }
 
 /// The name of the file of a view.
-pub fn file_name((variant, pose): ViewKey) -> String {
-    format!("{variant}-{}-{}-{}.jpg", pose.cell.x, pose.cell.y, pose.heading)
+pub fn file_name((variant, state): ViewKey) -> String {
+    format!("{variant}-{}.jpg", state.to_string().replace(',', "_"))
 }
 
 /// The view whose file has this name.
 pub fn of_file_name(name: &str) -> Option<ViewKey> {
-    let (variant, pose) = name.strip_suffix(".jpg")?.split_once('-')?;
-    let view = (variant.parse().ok()?, pose.replace('-', ",").parse().ok()?);
+    let (variant, state) = name.strip_suffix(".jpg")?.split_once('-')?;
+    let view = (variant.parse().ok()?, state.replace('_', ",").parse().ok()?);
     (file_name(view) == name).then_some(view)
 }
 

@@ -3,10 +3,10 @@
 use anyhow::Result;
 use case_book::act::{ActedEpisode, ActedReference, EpisodeParts, EpisodeScenery};
 use case_book::{FailureFact, WorldFacts};
-use domain::{Action, Feedback, Pose};
+use domain::{FeedbackCode, State};
 use run_log::EpisodeRecord;
 use scores::failure_of;
-use serde::{Serialize, Serializer};
+use serde::Serialize;
 
 use crate::frames::ViewKey;
 use crate::world::RunWorld;
@@ -38,14 +38,19 @@ pub struct TimelineStep<'a> {
     /// Steps taken before.
     #[serde(skip)]
     pub step: u32,
-    /// The agent's pose.
-    pub pose: Pose,
-    /// The feedback on the last action.
-    #[serde(serialize_with = "in_words")]
-    pub feedback: Feedback,
-    /// What the agent did next; `None` at the end and where the answer could not be read.
-    #[serde(serialize_with = "action_in_words")]
-    pub action: Option<Action>,
+    /// The agent's state.
+    #[serde(skip)]
+    pub state: State,
+    /// The state in words, with commas between its numbers.
+    #[serde(rename = "state")]
+    pub state_text: String,
+    /// The feedback on the last action, in words.
+    pub feedback: String,
+    /// The same, as a code.
+    #[serde(skip)]
+    pub feedback_code: FeedbackCode,
+    /// What the agent did next, in words; `None` at the end and where the answer could not be read.
+    pub action: Option<String>,
     /// The sub-goals met so far.
     #[serde(skip)]
     pub sub_goals: usize,
@@ -58,14 +63,6 @@ pub struct TimelineStep<'a> {
     pub view: ViewKey,
 }
 
-fn in_words<S: Serializer>(feedback: &Feedback, to: S) -> Result<S::Ok, S::Error> {
-    to.serialize_str(feedback.words())
-}
-
-fn action_in_words<S: Serializer>(action: &Option<Action>, to: S) -> Result<S::Ok, S::Error> {
-    action.map(Action::words).serialize(to)
-}
-
 impl<'a> EpisodeTimeline<'a> {
     /// The episode of `record`, which took place in `world`, with these parts.
     ///
@@ -74,7 +71,7 @@ impl<'a> EpisodeTimeline<'a> {
     pub fn new(world: &RunWorld, record: &'a EpisodeRecord, parts: EpisodeParts) -> Result<Self> {
         let variant = world.variant(record)?;
         let acted = world.act(record, parts)?;
-        let views = world.seen(variant, &acted.poses)?;
+        let views = world.seen(variant, &acted.states)?;
         Ok(Self::of(record, &world.description().world, variant, acted, views))
     }
 
@@ -90,13 +87,17 @@ impl<'a> EpisodeTimeline<'a> {
         let (mut retrieved, mut distances) = (words(&record.retrieved), words(&record.distances));
         let mut actions = record.actions.chars();
         let failure = failure_of(record, world);
-        let events = events(record, world, failure.as_ref(), &acted.feedback);
-        let moments = (0..).zip(acted.poses).zip(acted.feedback).zip(views);
-        let steps = moments.map(|(((step, pose), feedback), view)| TimelineStep {
+        let events = events(record, world, failure.as_ref(), &acted);
+        let declaration = &world.declaration;
+        let in_words = |action| declaration.action_words(action).to_owned();
+        let moments = (0..).zip(acted.states).zip(acted.feedback).zip(views);
+        let steps = moments.map(|(((step, state), feedback), view)| TimelineStep {
             step,
-            pose,
-            feedback,
-            action: actions.next().and_then(Action::from_letter),
+            state,
+            state_text: declaration.state_text(&state),
+            feedback: declaration.feedback_sentence(feedback).to_owned(),
+            feedback_code: feedback,
+            action: actions.next().and_then(|letter| declaration.action_of(letter)).map(in_words),
             sub_goals: record.sub_goals.iter().filter(|met| **met <= step).count(),
             retrieved: retrieved.next(),
             distances: distances.next(),
@@ -143,29 +144,31 @@ pub struct EpisodeEvent {
     pub words: String,
 }
 
-/// The events of an episode in `world` with this failure and feedback by step, in the order of steps.
+/// The events of an episode in `world` with this failure, which was acted out, in the order of steps.
 fn events(
     record: &EpisodeRecord,
     world: &WorldFacts,
     failure: Option<&FailureFact>,
-    feedback: &[Feedback],
+    acted: &ActedEpisode,
 ) -> Vec<EpisodeEvent> {
+    let declaration = &world.declaration;
     let mut events = Vec::new();
     let mut add = |step: u32, level: EventLevel, words: &str| {
         events.push(EpisodeEvent { step, level, words: words.to_owned() });
     };
     for (step, letter) in (1..).zip(record.actions.chars()) {
-        if Action::from_letter(letter).is_none() {
+        if declaration.action_of(letter).is_none() {
             add(step, EventLevel::Warning, "no action could be read in the answer");
         }
     }
-    for (step, feedback) in (0..).zip(feedback) {
-        if *feedback == Feedback::Blocked {
-            add(step, EventLevel::Warning, "the move was blocked");
+    let states = acted.states.windows(2).zip(acted.feedback.iter().skip(1));
+    for (step, (states, feedback)) in (1..).zip(states) {
+        if states[0] == states[1] && *feedback != declaration.not_understood() {
+            add(step, EventLevel::Warning, declaration.feedback_sentence(*feedback));
         }
     }
     if let Some(step) = record.conflict_at {
-        add(step, EventLevel::Warning, "tried to enter the closed passage");
+        add(step, EventLevel::Warning, "ran into what blocks the way");
     }
     for (met, &step) in (1..).zip(&record.sub_goals) {
         add(step, EventLevel::Info, &format!("sub-goal {met} of {} is met", record.required));

@@ -9,9 +9,9 @@ use case_book::act::{
     ActAnswer, ActRequest, ActedDemonstration, ActedEpisode, ActedReference, DemonstrationsRequest,
     EpisodeParts, EpisodeRequest, Scene, StreamBlockPlace, WorldDescription,
 };
-use case_book::{CaseFacts, EpisodeFacts, GREY_VARIANT};
+use case_book::{CaseFacts, EpisodeFacts, GREY_VARIANT, WorldDeclaration};
 use conditions::Frames;
-use domain::{Action, Pose, Route, Start};
+use domain::{Pose, Route, Start, State};
 use run_log::{EpisodeRecord, RunLog};
 use serde::Deserialize;
 
@@ -27,12 +27,11 @@ pub fn facts_of(record: &EpisodeRecord) -> Result<EpisodeFacts> {
     facts.with_context(|| format!("the facts of {} are not those of a warehouse", record.key))
 }
 
-/// The pose in which an episode began.
-///
-/// # Errors
-/// As of [`facts_of`].
-pub fn begin_of(record: &EpisodeRecord) -> Result<Pose> {
-    Ok(facts_of(record)?.start_pose)
+/// The state in which an episode began, if its world has told it.
+pub fn begin_of(record: &EpisodeRecord) -> Option<State> {
+    let told = |name: &str| record.world.get(name);
+    let pose = || Some(Pose::deserialize(told("start_pose")?).ok()?.into());
+    told("start_state").and_then(|state| State::deserialize(state).ok()).or_else(pose)
 }
 
 /// The world of a run: its cases, and answers about its episodes.
@@ -69,6 +68,11 @@ impl RunWorld {
         &self.description
     }
 
+    /// What the world says of itself.
+    pub fn declaration(&self) -> &WorldDeclaration {
+        &self.description.world.declaration
+    }
+
     /// The index of the case with this id.
     pub fn index(&self, id: &str) -> Option<usize> {
         self.description.cases.iter().position(|case| case.id == id)
@@ -100,18 +104,18 @@ impl RunWorld {
         })
     }
 
-    /// The views that the policy was shown at `poses` in the world variant `variant`: others than the true ones where frames
+    /// The views that the policy was shown in `states` in the world variant `variant`: others than the true ones where frames
     /// were a control.
     ///
     /// # Errors
     /// When there is no such variant.
-    pub fn seen(&self, variant: u32, poses: &[Pose]) -> Result<Vec<ViewKey>> {
-        let of = |variant, poses: &[Pose]| poses.iter().map(|pose| (variant, *pose)).collect();
+    pub fn seen(&self, variant: u32, states: &[State]) -> Result<Vec<ViewKey>> {
+        let of = |variant, states: &[State]| states.iter().map(|state| (variant, *state)).collect();
         Ok(match self.frames {
-            Frames::Rendered => of(variant, poses),
-            Frames::Blank | Frames::BlankAll => of(GREY_VARIANT, poses),
+            Frames::Rendered => of(variant, states),
+            Frames::Blank | Frames::BlankAll => of(GREY_VARIANT, states),
             Frames::Swapped => {
-                let request = ActRequest::Swapped(variant, poses.to_vec());
+                let request = ActRequest::Swapped(variant, states.to_vec());
                 let ActAnswer::Swapped(shown) = self.asker.borrow_mut().ask(&request)? else {
                     bail!("the world swaps something else");
                 };
@@ -120,11 +124,11 @@ impl RunWorld {
         })
     }
 
-    /// The view from `pose` in the world variant `variant` that memory was given.
-    pub fn supplied(&self, variant: u32, pose: Pose) -> ViewKey {
+    /// The view in `state` in the world variant `variant` that memory was given.
+    pub fn supplied(&self, variant: u32, state: State) -> ViewKey {
         match self.frames {
-            Frames::BlankAll => (GREY_VARIANT, pose),
-            Frames::Rendered | Frames::Blank | Frames::Swapped => (variant, pose),
+            Frames::BlankAll => (GREY_VARIANT, state),
+            Frames::Rendered | Frames::Blank | Frames::Swapped => (variant, state),
         }
     }
 
@@ -133,10 +137,10 @@ impl RunWorld {
     /// # Errors
     /// When it does not fit the world.
     pub fn act(&self, record: &EpisodeRecord, parts: EpisodeParts) -> Result<ActedEpisode> {
-        self.act_in(record, self.variant(record)?, begin_of(record)?, parts)
+        self.act_in(record, self.variant(record)?, begin_of(record), parts)
     }
 
-    /// As [`act`](Self::act), from `begin` in the world variant `variant`.
+    /// As [`act`](Self::act), from `begin`, or from where its reference begins, in the world variant `variant`.
     ///
     /// # Errors
     /// Likewise.
@@ -144,15 +148,19 @@ impl RunWorld {
         &self,
         record: &EpisodeRecord,
         variant: u32,
-        begin: Pose,
+        begin: Option<State>,
         parts: EpisodeParts,
     ) -> Result<ActedEpisode> {
         let request = EpisodeRequest {
             case: record.case.clone(),
             variant,
             reference: record.stream.is_none().then_some((record.start, record.route)),
-            begin: Some(begin),
-            actions: record.actions.chars().map(Action::from_letter).collect(),
+            begin,
+            actions: record
+                .actions
+                .chars()
+                .map(|letter| self.declaration().action_of(letter))
+                .collect(),
             stream: record.stream.as_ref().map(|stream| StreamBlockPlace {
                 stream: stream.stream,
                 order: stream.order,

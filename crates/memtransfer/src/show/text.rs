@@ -2,7 +2,6 @@
 
 use std::fmt::Write;
 
-use domain::Action;
 use domain::prompt_log::{RecordedItem, RecordedPart, RecordedView};
 use report::table::table;
 use run_log::source::{SourceStep, distances, sources};
@@ -25,16 +24,16 @@ pub(super) fn episode(shown: &ShownEpisode) -> String {
     for event in *events {
         let _ = writeln!(text, "  after {:>3}  {}", event.step, event.words);
     }
-    let mut rows = table(&["Step", "Pose", "Feedback", "Action", "Retrieved", "Distances"], 0);
+    let mut rows = table(&["Step", "State", "Feedback", "Action", "Retrieved", "Distances"], 0);
     (1..6).for_each(|column| rows.set_text(column));
     for (number, step) in steps.iter().enumerate() {
-        let TimelineStep { pose, feedback, action, retrieved, distances, .. } = step;
+        let TimelineStep { state_text, feedback, action, retrieved, distances, .. } = step;
         let column = |word: &Option<&str>| word.unwrap_or_default().to_owned();
         rows.add_row([
             number.to_string(),
-            pose.to_string(),
-            feedback.words().to_owned(),
-            action.map_or("?", Action::words).to_owned(),
+            state_text.clone(),
+            feedback.clone(),
+            action.as_deref().unwrap_or("?").to_owned(),
             column(retrieved),
             column(distances),
         ]);
@@ -52,10 +51,12 @@ pub(super) fn step(shown: &ShownStep) -> String {
     if let Some(prompt) = &shown.prompt {
         fact("Task", &prompt.entry.request.instruction);
     }
-    let TimelineStep { pose, feedback, action, retrieved, distances: told, .. } = shown.logged;
-    fact("Pose", &format!("{pose} (column, row, heading)"));
-    fact("Feedback", feedback.words());
-    fact("Action", action.map_or("none that could be read: the agent stayed", Action::words));
+    let TimelineStep { state_text, feedback, action, retrieved, distances: told, .. } =
+        shown.logged;
+    fact("State", state_text);
+    fact("Feedback", feedback);
+    let stayed = "none that could be read: the agent stayed";
+    fact("Action", action.as_deref().unwrap_or(stayed));
     if let Some(retrieved) = retrieved {
         let told = distances(told.unwrap_or_default());
         let told = told.into_iter().chain(std::iter::repeat(None));

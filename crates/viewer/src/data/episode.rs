@@ -10,13 +10,13 @@ use case_book::act::{
 };
 use conditions::key::EpisodeKey;
 use domain::events::Requirement;
-use domain::{Arm, Cell, DemonstrationKind, Demonstrations, Pose};
+use domain::{Arm, Cell, DemonstrationKind, Demonstrations, Pose, State};
 use run_log::source::{SourceStep, distances, sources};
 use run_log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
 use serde::Serialize;
 use world_client::{EpisodeTimeline, RunWorld, begin_of, facts_of};
 
-use super::{PoseData, cell_data, pose_data};
+use super::{PoseData, cell_data, cell_of, pose_data};
 use crate::view_file::ViewFile;
 
 /// What the log has about an episode.
@@ -132,7 +132,7 @@ pub struct DemonstrationData {
     #[serde(skip)]
     variant: u32,
     #[serde(skip)]
-    at: Vec<Pose>,
+    at: Vec<State>,
 }
 
 /// A source that leads into a closed cell.
@@ -203,7 +203,7 @@ impl EpisodeData {
         let mut demonstrations: Vec<DemonstrationData> =
             memory.found.into_iter().map(|(_, demonstration)| demonstration).collect();
         for one in &mut demonstrations {
-            let views = one.at.iter().map(|pose| world.supplied(one.variant, *pose));
+            let views = one.at.iter().map(|state| world.supplied(one.variant, *state));
             one.views = views.map(|view| ViewFile { view, is_small: true }.name()).collect();
         }
         Ok(Self {
@@ -217,8 +217,8 @@ impl EpisodeData {
                 kind,
                 step,
             }),
-            poses: steps.iter().map(|step| pose_data(&step.pose)).collect(),
-            feedback: steps.iter().map(|step| step.feedback as u8).collect(),
+            poses: steps.iter().map(|step| pose_data(&step.state)).collect(),
+            feedback: steps.iter().map(|step| step.feedback_code.0).collect(),
             actions: record.actions.clone(),
             blocked_moves: told.blocked_moves,
             sub_goals: record.sub_goals.clone(),
@@ -242,7 +242,7 @@ impl EpisodeData {
             ground: record.stream.as_ref().map_or(0, |stream| stream.world),
             reference_path: reference
                 .iter()
-                .flat_map(|reference| reference.poses.iter().map(|pose| cell_data(&pose.cell)))
+                .flat_map(|reference| reference.states.iter().filter_map(|state| cell_of(state)))
                 .collect(),
             seen: came_into_view.into_iter().map(seen).collect(),
             demonstrations,
@@ -402,11 +402,11 @@ impl DemonstrationCollector<'_> {
             episode: None,
             stale: acted.is_stale,
             elsewhere: kind == DemonstrationKind::Elsewhere,
-            poses: acted.poses.iter().map(pose_data).collect(),
-            actions: acted.actions.iter().map(|action| action.letter()).collect(),
+            poses: acted.states.iter().map(pose_data).collect(),
+            actions: self.world.declaration().letters(acted.actions.iter().copied().map(Some)),
             views: Vec::new(),
             variant: acted.variant,
-            at: acted.poses,
+            at: acted.states,
         };
         self.found.push((DemonstrationOrigin::Demonstration(case, kind), demonstration));
     }
@@ -420,8 +420,7 @@ impl DemonstrationCollector<'_> {
         let world = self.world;
         let acted = world.act(past, EpisodeParts::default())?;
         let is_stale = past.is_success() && {
-            let here =
-                world.act_in(past, self.variant, begin_of(past)?, EpisodeParts::default())?;
+            let here = world.act_in(past, self.variant, begin_of(past), EpisodeParts::default())?;
             here.sub_goals.len() < here.required as usize
         };
         let demonstration = DemonstrationData {
@@ -429,11 +428,11 @@ impl DemonstrationCollector<'_> {
             episode: Some(past.key.clone()),
             stale: is_stale,
             elsewhere: false,
-            poses: acted.poses.iter().map(pose_data).collect(),
+            poses: acted.states.iter().map(pose_data).collect(),
             actions: past.actions.clone(),
             views: Vec::new(),
             variant: world.variant(past)?,
-            at: acted.poses,
+            at: acted.states,
         };
         self.found.push((origin, demonstration));
         Ok(self.found.len() - 1)
@@ -455,9 +454,9 @@ fn led(
     let tried_at = record.conflict_at? as usize;
     let enters = |demonstration: usize, from: u32, most: u32| {
         let supplied = demonstrations.get(demonstration).filter(|one| !one.elsewhere)?;
-        let poses = supplied.at.iter().enumerate();
-        let mut ahead = poses.skip(from as usize).take(most as usize + 1);
-        let (step, _) = ahead.find(|(_, pose)| closed.contains(&pose.cell))?;
+        let cells = supplied.at.iter().map(|&state| Some(Pose::try_from(state).ok()?.cell));
+        let mut ahead = cells.enumerate().skip(from as usize).take(most as usize + 1);
+        let (step, _) = ahead.find(|(_, cell)| cell.is_some_and(|cell| closed.contains(&cell)))?;
         u32::try_from(step).ok()
     };
     if supplied.is_empty() {

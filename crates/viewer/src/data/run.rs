@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use anyhow::Result;
 use case_book::{CaseFacts, FailureKind, WorldFacts};
 use conditions::Condition;
-use domain::{Action, Feedback};
 use run_log::answers::WithoutAction;
 use run_log::{EpisodeRecord, RunLog};
 use scores::failure_of;
@@ -29,9 +28,9 @@ pub struct RunData {
     /// failure.
     failures: Vec<(String, String)>,
     /// By the letter in an episode's actions.
-    actions: BTreeMap<char, &'static str>,
+    actions: BTreeMap<char, String>,
     /// In words, by number.
-    feedback: Vec<&'static str>,
+    feedback: Vec<String>,
     /// Side of a cell, width of the border, columns and rows of the map.
     map: (f64, f64, u8, u8),
     /// The folder of its views.
@@ -79,6 +78,7 @@ impl RunData {
     ) -> Result<Self> {
         let episodes = log.episodes.iter().enumerate();
         let facts_of_world = &world.description().world;
+        let declaration = world.declaration();
         let scene = world.scene(0)?;
         let ((columns, rows), (cell, margin)) = (scene.size(), scene.measures);
         let condition = |condition: &Condition| {
@@ -100,8 +100,8 @@ impl RunData {
                 .map(|case| case_data(facts_of_world, case))
                 .collect(),
             failures: facts_of_world.failures.iter().map(failure_data).collect(),
-            actions: Action::ALL.iter().map(|action| (action.letter(), action.words())).collect(),
-            feedback: Feedback::ALL.iter().map(|feedback| feedback.words()).collect(),
+            actions: declaration.actions.iter().map(|of| (of.letter, of.words.clone())).collect(),
+            feedback: declaration.feedback.clone(),
             map: (cell.into(), margin.into(), columns, rows),
             views,
             episodes: episodes
