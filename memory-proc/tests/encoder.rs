@@ -107,7 +107,8 @@ fn an_embedding_does_not_depend_on_other_images() {
         expected.push(bits(&alone.embed_all([picture.clone()]).unwrap()[0]));
     }
     let mut together = encoder(3);
-    for (batch, offset) in [(2, 5), (3, 1), (7, 2), (16, 4)] {
+    // Fewer images than workers, as many, and more than two for each.
+    for (batch, offset) in [(2, 5), (3, 1), (7, 2)] {
         let order: Vec<usize> = (0..batch).map(|i| (5 * i + offset) % images.len()).collect();
         let batch = order.iter().map(|&index| images[index].clone());
         for (&index, embedding) in order.iter().zip(together.embed_all(batch).unwrap()) {

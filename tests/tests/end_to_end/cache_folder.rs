@@ -6,12 +6,12 @@ use std::path::Path;
 use std::process::Command;
 
 use memory_proc::paths::CacheFolder;
-use memtransfer_tests::{Bench, Ended};
+use memtransfer_tests::{Bench, Ended, words};
 use rustix::process::geteuid;
 
-/// A run whose memories need a document and the encoder.
-const RUN: [&str; 9] =
-    ["run", "--memory", "summary,episodic", "--limit", "1", "--starts", "new", "--max-steps", "6"];
+/// A run whose memories need a document and the encoder. One case: each of its views is embedded here for the first time.
+const RUN: &str =
+    "run --memory summary,episodic --cases t01-01 --starts new --max-steps 6 --frame-size 64";
 
 /// `memtransfer ARGUMENTS` with the cache folder `cache`. For root permissions hold, too: without its capability to override them.
 fn command(bench: &Bench, cache: &Path, args: &[&str]) -> Command {
@@ -68,8 +68,10 @@ fn a_cache_folder_that_holds_everything_need_not_be_writable() {
         let findings = findings.as_array().unwrap().iter();
         findings.clone().find(|one| one["what"] == "cache folder").unwrap().clone()
     };
-    let run =
-        |out: &str| Ended::run(&mut command(&bench, &cache, &[&RUN[..], &["--out", out]].concat()));
+    let run = |out: &str| {
+        let args = [&words(RUN)[..], &["--out", out]].concat();
+        Ended::run(&mut command(&bench, &cache, &args))
+    };
     run("writable").expect(0);
     assert_eq!((&doctor()["ok"], &doctor()["doubtful"]), (&true.into(), &serde_json::Value::Null));
 

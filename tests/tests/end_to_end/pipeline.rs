@@ -54,15 +54,17 @@ fn the_log_depends_neither_on_lanes_nor_on_crashes() {
     bench.run(&slice("wide", "32")).expect(0);
     assert_eq!(sorted_log(&bench.out("wide")), reference, "1 lane or 32");
 
-    for role in ["sim", "memory", "policy"] {
-        let out = format!("{role}-killed");
-        let child = bench.start(&slice(&out, "4"));
-        wait_for_episodes(&bench.out(&out), 2);
+    let child = bench.start(&slice("parts-killed", "4"));
+    let roles = [("sim", 2), ("memory", 8), ("policy", 14)];
+    for (role, after) in roles {
+        wait_for_episodes(&bench.out("parts-killed"), after);
         kill(process_of(bench.registry.path(), role));
-        let ended = Ended::of(child).expect(0);
-        assert!(ended.stderr.contains(&format!("the {role} process")), "{}", ended.stderr);
-        assert_eq!(sorted_log(&bench.out(&out)), reference, "{role} killed");
     }
+    let ended = Ended::of(child).expect(0);
+    for (role, _) in roles {
+        assert!(ended.stderr.contains(&format!("the {role} process")), "{}", ended.stderr);
+    }
+    assert_eq!(sorted_log(&bench.out("parts-killed")), reference, "its processes killed in turn");
 
     let child = bench.start(&slice("killed", "4"));
     wait_for_episodes(&bench.out("killed"), 2);

@@ -26,14 +26,13 @@ fn tasks_demonstrated_elsewhere_are_tested_here_and_nothing_changes_the_log() {
     assert_eq!(reference.len(), EPISODES);
     run(&bench, &["--lanes", "16", "--out", "wide"]).expect(0);
     assert_eq!(sorted_log(&bench.out("wide")), reference, "1 lane or 16");
-    for role in ["sim", "memory"] {
-        let out = format!("{role}-killed");
-        let child = bench.start(&[&words(SLICE)[..], &["--lanes", "4", "--out", &out]].concat());
-        wait_for_episodes(&bench.out(&out), 2);
+    let child = bench.start(&[&words(SLICE)[..], &["--lanes", "4", "--out", "killed"]].concat());
+    for (role, after) in [("sim", 2), ("memory", 8)] {
+        wait_for_episodes(&bench.out("killed"), after);
         kill(process_of(bench.registry.path(), role));
-        Ended::of(child).expect(0);
-        assert_eq!(sorted_log(&bench.out(&out)), reference, "{role} killed");
     }
+    Ended::of(child).expect(0);
+    assert_eq!(sorted_log(&bench.out("killed")), reference, "its processes killed in turn");
 
     // What was retrieved says where it is from.
     for record in records(&bench.out("one")) {

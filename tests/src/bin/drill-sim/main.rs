@@ -55,18 +55,18 @@ struct Arguments {
     /// The first seed
     #[arg(long, value_name = "S", default_value_t = 0)]
     first_seed: u64,
-    /// Run this seed alone, and print the faults that came
-    #[arg(long, value_name = "K")]
-    seed: Option<u64>,
+    /// Run these seeds alone, and print the faults that came
+    #[arg(long, value_name = "K", value_delimiter = ',')]
+    seed: Vec<u64>,
     /// Stop after so many minutes
     #[arg(long, value_name = "M")]
     minutes: Option<f64>,
     /// Write a summary as JSON
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Plant a defect, which has to be found
-    #[arg(long, value_name = "DEFECT")]
-    plant: Option<Plant>,
+    /// Plant these defects, one in each execution of a seed; each has to be found
+    #[arg(long, value_name = "DEFECT", value_delimiter = ',')]
+    plant: Vec<Plant>,
 }
 
 /// A defect that is planted to see whether it is found.
@@ -159,12 +159,18 @@ fn run(arguments: &Arguments) -> Result<usize> {
 
     let begun = Instant::now();
     let mut totals = Totals::default();
-    let seeds = match arguments.seed {
-        Some(seed) => seed..seed + 1,
-        None => arguments.first_seed..arguments.first_seed + arguments.seeds,
+    let seeds: Vec<u64> = match &arguments.seed[..] {
+        [] => (arguments.first_seed..arguments.first_seed + arguments.seeds).collect(),
+        chosen => chosen.to_vec(),
+    };
+    let plants: Vec<Option<Plant>> = match &arguments.plant[..] {
+        [] => vec![None],
+        chosen => chosen.iter().copied().map(Some).collect(),
     };
     let mut shown = Instant::now();
-    for seed in seeds {
+    for (seed, plant) in
+        seeds.into_iter().flat_map(|seed| plants.iter().map(move |plant| (seed, *plant)))
+    {
         let minutes = begun.elapsed().as_secs_f64() / 60.0;
         if arguments.minutes.is_some_and(|most| minutes >= most) {
             break;
@@ -174,7 +180,7 @@ fn run(arguments: &Arguments) -> Result<usize> {
         let scenario = &scenarios[plan.scenario];
         let trial = |plan: &Plan| {
             let expected = &known[plan.scenario].log;
-            execute(scenario, plan, (seed, arguments.plant), &place, Some(expected))
+            execute(scenario, plan, (seed, plant), &place, Some(expected))
         };
         let outcome = trial(&plan).with_context(|| format!("seed {seed}"))?;
         totals.add(&outcome);
@@ -182,7 +188,7 @@ fn run(arguments: &Arguments) -> Result<usize> {
         if totals.seeds == 1 && trial(&plan)?.account.digest != outcome.account.digest {
             totals.violations.push(format!("seed {seed}: another execution took another course"));
         }
-        if arguments.seed.is_some() {
+        if !arguments.seed.is_empty() {
             describe(&plan, scenario, &outcome);
         }
         if !outcome.violations.is_empty() {
@@ -191,9 +197,10 @@ fn run(arguments: &Arguments) -> Result<usize> {
             describe(&plan, scenario, &outcome);
             let violations = outcome.violations.join("; ");
             let trace = outcome.account.trace.join(", ");
+            let planted = plant.map_or(String::new(), |plant| format!(", planted {plant:?}"));
             totals
                 .violations
-                .push(format!("seed {seed} ({}): {violations} [{trace}]", scenario.name));
+                .push(format!("seed {seed} ({}{planted}): {violations} [{trace}]", scenario.name));
         }
         if shown.elapsed() > Duration::from_secs(10) {
             shown = Instant::now();
