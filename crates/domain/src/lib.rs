@@ -21,7 +21,6 @@ pub mod representation;
 pub mod search_profile;
 mod shell;
 mod stream;
-mod task;
 
 pub use appearance::Appearance;
 pub use cache::{
@@ -39,7 +38,6 @@ pub use pose::{Action, Cell, Feedback, Heading, Pose, UnknownCode};
 pub use representation::Representation;
 pub use shell::shell_word;
 pub use stream::{EventKind, StreamOrder, StreamRules};
-pub use task::{TaskGroup, TaskType, UnknownTaskType};
 
 /// The step limit of an episode, T_max in the paper.
 pub const MAX_STEPS: u32 = 200;

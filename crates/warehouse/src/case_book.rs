@@ -9,10 +9,7 @@ use case_book::{
     StreamsFacts, StreamsRequest, TaskFacts, TaskGroupFacts, WorldFacts,
 };
 use domain::names::UnknownName;
-use domain::{
-    Cell, DemonstrationKind, Demonstrations, Mixture, Pose, Route, Start, StreamOrder, TaskGroup,
-    TaskType,
-};
+use domain::{Cell, DemonstrationKind, Demonstrations, Mixture, Pose, Route, Start, StreamOrder};
 
 use crate::asset::AssetError;
 use crate::case::{Case, CaseSet, History, TrajectoryKind};
@@ -24,6 +21,7 @@ use crate::failure::failure_kinds;
 use crate::plan::{Planner, Prices};
 use crate::state::WorldState;
 use crate::stream::{StreamError, StreamSet};
+use crate::task_type::{TaskGroup, TaskType};
 use crate::trajectory::Trajectory;
 use crate::world::{CATALOGUE_FILE, LAYOUT_FILE, Warehouse};
 
