@@ -15,7 +15,7 @@ use memory_proc::paths::{CacheFolder, RuntimeLibrary};
 use serde_json::json;
 use shm_types::attach::FrameSize;
 use sim_proc::renderer::{RenderSettings, Renderer, ViewSpec};
-use sim_proc::view_control::every_pose;
+use warehouse::every_pose;
 use warehouse::{Variant, Warehouse};
 
 use crate::session::threads;

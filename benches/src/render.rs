@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 use shm_types::attach::{FrameSize, PAGE_BYTES};
 use sim_proc::render_workers::open_renderers;
 use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, Samples, ViewSpec};
-use sim_proc::view_control::every_pose;
+use warehouse::every_pose;
 use warehouse::{Variant, Warehouse};
 
 use crate::results::median;

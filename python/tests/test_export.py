@@ -85,8 +85,8 @@ def test_steps_without_an_action_are_no_decisions() -> None:
     (trajectory,) = _trajectories(
         """[{"id": "a/b", "case": "t01-01", "task": 1, "instruction": "Go.", "start": "new", "variant": 0,
         "poses": [[1, 2, 0], [1, 2, 0], [1, 3, 0], [1, 3, 0]], "feedback": [0, 4, 1, 3], "actions": [null, 0, 0],
-        "sub_goals": [2], "required": 2, "success": false, "failure": ["other", 3], "closed": [], "targets": [],
-        "reference": [], "record": {"retrieved": "o1 - o2", "tried_closed_at": 3}}]"""
+        "sub_goals": [2], "required": 2, "success": false, "failure": ["out-of-steps", 3], "closed": [], "targets": [],
+        "reference": [], "record": {"retrieved": "o1 - o2", "conflict_at": 3}}]"""
     )
     assert isinstance(trajectory, Trajectory)
     assert (trajectory.decided, trajectory.unread) == ([1, 2], 1)
@@ -101,5 +101,5 @@ def test_steps_without_an_action_are_no_decisions() -> None:
         "2 sub-goal 1 of 2 completed",
         "3 move forward: blocked",
         "3 tried to enter the closed passage",
-        "3 failure decided here: other",
+        "3 failure decided here: out-of-steps",
     ]

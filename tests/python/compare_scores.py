@@ -51,18 +51,15 @@ def draw_condition(random, condition, cases, repetitions, kept, run_seed):
                 "steps": steps,
                 "reference": reference,
                 "actions": "f" * steps,
-                "blocked_moves": list(range(1, steps + 1)),
                 "sub_goals": [steps] if success else [],
                 "required": 1,
-                "start_pose": "1,1,N",
-                "final_pose": "1,1,N",
+                "world": {},
             }
             if variation:
                 record["window"] = int(variation[0][1:])
             if route == "blocked":
-                record["tried_closed"] = bool(random.random() < 0.6)
-                if record["tried_closed"]:
-                    record["tried_closed_at"] = 1
+                if random.random() < 0.6:
+                    record["conflict_at"] = 1
             records.append(record)
     return records
 
@@ -82,11 +79,11 @@ def path_length(record):
 
 
 def tried(record):
-    return 100.0 * record["tried_closed"] if "tried_closed" in record else None
+    return 100.0 * ("conflict_at" in record) if record["route"] == "blocked" else None
 
 
 def recovered(record):
-    return success(record) if record.get("tried_closed") else None
+    return success(record) if "conflict_at" in record else None
 
 
 # The interval of section 7: `values` are the cases' means, `weights` their weights, and a case lies between `low` and `high`.

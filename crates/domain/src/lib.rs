@@ -22,7 +22,6 @@ pub mod search_profile;
 mod shell;
 mod state;
 mod stream;
-mod task;
 
 pub use appearance::Appearance;
 pub use cache::{
@@ -41,7 +40,6 @@ pub use representation::Representation;
 pub use shell::shell_word;
 pub use state::{ActionCode, FeedbackCode, InvalidState, MAX_ACTIONS, MAX_STATE, State};
 pub use stream::{EventKind, StreamOrder, StreamRules};
-pub use task::{TaskGroup, TaskType, UnknownTaskType};
 
 /// The step limit of an episode, T_max in the paper.
 pub const MAX_STEPS: u32 = 200;

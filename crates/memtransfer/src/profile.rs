@@ -18,7 +18,6 @@ use orchestrator::progress::Verbosity;
 use orchestrator::run::{RunOutcome, observe};
 use orchestrator::run_plan::{ALL, Purpose, RunPlan};
 use orchestrator::scratch::ScratchFolder;
-use run_log::DOCUMENTS_FOLDER;
 use settings::{Layer, resolve, variable};
 use shm_types::message::Role;
 

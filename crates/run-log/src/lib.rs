@@ -96,12 +96,12 @@ pub enum LogError {
     },
     /// Another version of the program wrote the folder.
     #[error(
-        "{} is a run folder of format {format}, and this program reads format {FORMAT}: read it with {writer}, which wrote it",
-        dir.display()
+        "{}: the run has format {format}, and this program reads format {FORMAT}: {writer} wrote it and can read it. The files beside \
+         it are untouched; to run, choose another --out", path.display()
     )]
     OtherFormat {
-        /// The folder.
-        dir: PathBuf,
+        /// The manifest.
+        path: PathBuf,
         /// Its format.
         format: u64,
         /// The program that wrote it.

@@ -214,8 +214,8 @@ impl Manifest {
         match value.get("format").and_then(Value::as_u64) {
             Some(format) if format == u64::from(FORMAT) => {}
             Some(format) => {
-                let (dir, writer) = (dir.to_owned(), writer(&value));
-                return Err(LogError::OtherFormat { dir, format, writer });
+                let (path, writer) = (path.clone(), writer(&value));
+                return Err(LogError::OtherFormat { path, format, writer });
             }
             None => {
                 return Err(broken("it is not the manifest of a run: it has no format".to_owned()));

@@ -11,7 +11,7 @@ use case_book::{
 use domain::names::UnknownName;
 use domain::{
     Action, Cell, DemonstrationKind, Demonstrations, Mixture, Pose, Route, Start, State,
-    StreamOrder, TaskGroup, TaskType,
+    StreamOrder,
 };
 
 use crate::asset::AssetError;
@@ -25,6 +25,7 @@ use crate::failure::failure_kinds;
 use crate::plan::{Planner, Prices};
 use crate::state::WorldState;
 use crate::stream::{StreamError, StreamSet};
+use crate::task_type::{TaskGroup, TaskType};
 use crate::trajectory::Trajectory;
 use crate::world::{CATALOGUE_FILE, LAYOUT_FILE, Warehouse};
 

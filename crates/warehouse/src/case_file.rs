@@ -10,13 +10,14 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use domain::{Action, Cell, DemonstrationKind, MAX_STEPS, Mixture, Pose, TaskType};
+use domain::{Action, Cell, DemonstrationKind, MAX_STEPS, Mixture, Pose};
 use serde::Deserialize;
 
 use crate::asset::{AssetError, Problem, invalid, read, toml};
 use crate::case::{Case, CaseSet, History, TrajectoryKind};
 use crate::catalogue::Catalogue;
 use crate::task::{Task, TaskSubject};
+use crate::task_type::TaskType;
 use crate::trajectory::Trajectory;
 use crate::world::{CATALOGUE_FILE, LAYOUT_FILE, SHIPPED_CATALOGUE, SHIPPED_LAYOUT, Warehouse};
 

@@ -8,9 +8,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use case_book::{FailureFact, FailureKind, HARNESS_FAILURES};
+use domain::Pose;
 use domain::events::{Requirement, Visit};
 use domain::names::named;
-use domain::{Pose, TaskType};
+
+use crate::task_type::TaskType;
 
 named! {
     /// Why an episode failed: the first of these that applies, in this order.

@@ -9,7 +9,7 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
-use domain::{Cell, DemonstrationKind, Heading, Pose, TaskType};
+use domain::{Cell, DemonstrationKind, Heading, Pose};
 
 use crate::case::{Case, CaseSet, History};
 use crate::constraints::{
@@ -24,6 +24,7 @@ use crate::mixed::{self, TooFew};
 use crate::plan::{Planner, Prices};
 use crate::sight::shows_face;
 use crate::task::Task;
+use crate::task_type::TaskType;
 use crate::trajectory::{Replay, Trajectory};
 use crate::world::{Item, Warehouse};
 

@@ -48,6 +48,7 @@ mod state;
 pub mod stream;
 mod swapped;
 pub mod task;
+mod task_type;
 #[cfg(test)]
 mod testing;
 mod trajectory;
@@ -77,6 +78,7 @@ pub use state::{StockChange, WorldChange, WorldChangeError, WorldState};
 pub use stream::{StreamError, StreamSet};
 pub use swapped::{GREY_VARIANT, SwappedPoses, every_pose};
 pub use task::{Phase, Task};
+pub use task_type::{TaskGroup, TaskType, UnknownTaskType};
 pub use trajectory::{Replay, Trajectory};
 pub use validate::validate;
 pub use world::{CATALOGUE_FILE, Item, LAYOUT_FILE, Warehouse};

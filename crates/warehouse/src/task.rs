@@ -3,9 +3,8 @@
 //! Types and categories are indices into the [`Catalogue`]. [`Progress`](crate::Progress) and the planner both work on the
 //! [`Phase`]s of a task.
 
-use domain::{TaskGroup, TaskType};
-
 use crate::catalogue::Catalogue;
+use crate::task_type::{TaskGroup, TaskType};
 use crate::world::{Item, Warehouse};
 
 /// A task. `a` and `b` are item types, `c` is a category (specification, section 3).

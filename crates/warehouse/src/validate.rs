@@ -8,7 +8,7 @@ mod report;
 use std::collections::BTreeSet;
 use std::fmt;
 
-use domain::{Cell, MAX_STEPS, Pose, TaskType};
+use domain::{Cell, MAX_STEPS, Pose};
 use plates::Plate;
 
 use crate::case::{Case, CaseSet, TrajectoryKind};
@@ -23,6 +23,7 @@ use crate::plan::{Planner, Prices};
 use crate::trajectory::Replay;
 use crate::world::{Item, Warehouse, groups};
 
+use crate::task_type::TaskType;
 pub use report::{ConstraintResult, CountRange, HistoryStatistics, ValidationReport};
 use report::{at_least, ensure, equal};
 

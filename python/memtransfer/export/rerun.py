@@ -135,9 +135,9 @@ def events(trajectory: Trajectory, policy: str) -> list[tuple[int, str, str]]:
             found.append((step, "TRACE", action.words))
     for number, step in enumerate(trajectory.sub_goals, 1):
         found.append((step, "INFO", f"sub-goal {number} of {trajectory.required} completed"))
-    tried = record.get("tried_closed_at")
-    if tried is not None:
-        found.append((tried, "WARN", "tried to enter the closed passage"))
+    conflict = record.get("conflict_at")
+    if conflict is not None:
+        found.append((conflict, "WARN", "tried to enter the closed passage"))
     if trajectory.success:
         found.append((len(trajectory.actions), "INFO", "task complete"))
     if trajectory.failure is not None:

@@ -56,11 +56,11 @@ fn a_true_run_is_valid_and_an_edited_action_ending_or_sub_goal_is_found() {
         let met = record["sub_goals"].as_array().unwrap().len() as u64;
         record["ending"] == "out-of-steps" && met + 1 < record["required"].as_u64().unwrap()
     };
-    let has_blocked_move = |record: &Value| record["blocked_moves"][0].is_u64();
+    let has_blocked_move = |record: &Value| record["world"]["blocked_moves"][0].is_u64();
     let edits: [EditOf<'_>; 3] = [
         // Another move into what blocked the way, or not: the log says that it did.
         ("blocked_moves", &has_blocked_move, &|record| {
-            let at = record["blocked_moves"][0].as_u64().unwrap() as usize - 1;
+            let at = record["world"]["blocked_moves"][0].as_u64().unwrap() as usize - 1;
             let actions = record["actions"].as_str().unwrap();
             let other = if actions[at..].starts_with('f') { "b" } else { "f" };
             let edited = format!("{}{other}{}", &actions[..at], &actions[at + 1..]);

@@ -385,15 +385,17 @@ fn nothing_is_removed_that_no_manifest_of_a_run_describes() {
         "{".to_owned(),
         String::new(),
         // Of a version that this program does not know, and a damaged one.
-        manifest_of_a_run.replacen("\"format\":3", "\"format\":99", 1),
+        manifest_of_a_run.replacen("\"format\":4", "\"format\":99", 1),
         manifest_of_a_run.replacen("\"settings\"", "\"setting\"", 1),
     ] {
         fs::write(path(MANIFEST_FILE), &foreign).unwrap();
         let before = listed();
         for fresh in [false, true] {
             let error = RunFolder::open(dir.path(), manifest(), fresh).unwrap_err();
-            assert!(matches!(error, LogError::BrokenManifest { .. }), "{error}");
-            assert!(error.to_string().contains("the files beside it are untouched"), "{error}");
+            let is_refused =
+                matches!(error, LogError::BrokenManifest { .. } | LogError::OtherFormat { .. });
+            assert!(is_refused, "{error}");
+            assert!(error.to_string().contains("iles beside it are untouched"), "{error}");
         }
         assert!(RunFolder::remove_memory_logs(dir.path()).is_ok(), "there are none");
         assert_eq!(listed(), before);

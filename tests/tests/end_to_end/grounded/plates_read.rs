@@ -1,7 +1,7 @@
 //! Plates that are read from rendered views, compared with the catalogue.
 
 use plates::{self, Landmark, Plate};
-use sim_proc::view_control::every_pose;
+use warehouse::every_pose;
 use warehouse::sight::shows_face;
 use warehouse::{Item, Variant, Warehouse};
 

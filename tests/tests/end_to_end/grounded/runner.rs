@@ -6,7 +6,7 @@ use std::sync::Arc;
 use domain::{Action, Demonstrations, DocumentKind, Feedback, MAX_STEPS, Pose, Representation};
 use peer::{Item, PastView, Policy, Request, StepsView, TextView};
 use policy_proc::grounded::Grounded;
-use sim_proc::view_control::every_pose;
+use warehouse::every_pose;
 use warehouse::{Case, CaseSet, Progress, TrajectoryKind, Variant, Warehouse, step};
 
 use super::documents;

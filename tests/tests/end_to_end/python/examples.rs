@@ -67,7 +67,7 @@ fn the_pixels_example_avoids_obstacles() {
     let (mut moves, mut blocked) = (0, 0);
     for record in &records {
         moves += record["actions"].as_str().unwrap().matches('f').count();
-        blocked += record["blocked_moves"].as_array().map_or(0, Vec::len);
+        blocked += record["world"]["blocked_moves"].as_array().map_or(0, Vec::len);
     }
     assert!(moves > 30 && blocked * 10 < moves, "{blocked} of {moves} moves were blocked");
 }
