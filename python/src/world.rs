@@ -35,8 +35,7 @@ pub(crate) fn world_main(
     let declaration = declared.map_err(|error| failed(error.into()))?.book;
     let tasks = serde_json::from_str(tasks).map_err(|error| failed(error.into()))?;
     let raised = Mutex::new(None);
-    let simulator =
-        PythonSimulator { create: create.clone().unbind(), declaration, tasks, raised };
+    let simulator = PythonSimulator { create: create.clone().unbind(), declaration, tasks, raised };
     let ended = py.detach(|| program::run(&simulator, &arguments));
     let raised = simulator.raised.into_inner().ok().flatten();
     match (ended, raised) {
@@ -94,7 +93,8 @@ struct PythonEnvironment(Py<PyAny>);
 type Told = (Vec<f32>, u8, u32, u32, bool, bool, Option<u64>);
 
 fn observed(py: Python<'_>, told: PyResult<Py<PyAny>>) -> Result<Observed, WorldFailure> {
-    let told = told.and_then(|told| told.extract::<Told>(py)).map_err(|error| failure(py, &error))?;
+    let told =
+        told.and_then(|told| told.extract::<Told>(py)).map_err(|error| failure(py, &error))?;
     let (state, feedback, sub_goals, required, has_failed, conflict, state_hash) = told;
     Ok(Observed {
         state: State::new(&state)?,
@@ -109,7 +109,8 @@ fn observed(py: Python<'_>, told: PyResult<Py<PyAny>>) -> Result<Observed, World
 
 /// An exception in one line.
 fn told(py: Python<'_>, error: &PyErr) -> WorldFailure {
-    let kind = error.get_type(py).name().map_or_else(|_| "error".to_owned(), |name| name.to_string());
+    let kind =
+        error.get_type(py).name().map_or_else(|_| "error".to_owned(), |name| name.to_string());
     format!("{kind}: {}", error.value(py)).into()
 }
 
@@ -148,7 +149,8 @@ impl Environment for PythonEnvironment {
 
     fn facts(&mut self) -> Map<String, Value> {
         Python::attach(|py| {
-            let text = self.0.call_method0(py, "_facts").and_then(|text| text.extract::<String>(py));
+            let text =
+                self.0.call_method0(py, "_facts").and_then(|text| text.extract::<String>(py));
             let text = text.map_err(|error| failure(py, &error));
             text.ok().and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()
         })
