@@ -187,6 +187,20 @@ impl WorldDeclaration {
         Ok(())
     }
 
+    /// What is wrong with a trajectory, if it has states, actions or feedback that the world does not declare.
+    pub(crate) fn trajectory_problem(
+        &self,
+        states: &[State],
+        actions: &[ActionCode],
+        feedback: &[FeedbackCode],
+    ) -> Option<String> {
+        let state = || states.iter().find_map(|state| self.check_state(state).err());
+        let action = || actions.iter().find_map(|action| self.read_action(Some(*action)).err());
+        let feedback = || feedback.iter().find_map(|code| self.read_feedback(code.0).err());
+        let code = || action().or_else(feedback).map(|unknown| unknown.to_string());
+        state().map(|foreign| foreign.to_string()).or_else(code)
+    }
+
     fn foreign(&self, problem: String) -> ForeignState {
         ForeignState { world: self.name.clone(), problem }
     }
