@@ -342,7 +342,8 @@ pub(crate) mod tests {
 
     #[test]
     fn what_a_world_may_not_declare_is_named() {
-        let broken: [(fn(&mut WorldDeclaration), &str); 8] = [
+        type Breaks = fn(&mut WorldDeclaration);
+        let broken: [(Breaks, &str); 8] = [
             (|world| world.name = "Doors".to_owned(), "\"name\""),
             (|world| world.rules = " ".to_owned(), "\"rules\""),
             (|world| world.actions.clear(), "0 actions"),
