@@ -87,7 +87,7 @@ impl Stage {
     /// happens, and the feedback is that of `world` for it.
     ///
     /// # Errors
-    /// When there is no such case, or the environment fails or says what is not of `world`.
+    /// When there is no such case or action, or the environment fails or says what is not of `world`.
     pub(super) fn act(
         &mut self,
         cases: &[CaseDeclaration],
@@ -104,6 +104,7 @@ impl Stage {
             if is_complete(before) || before.has_failed {
                 break;
             }
+            let action = world.read_action(action)?;
             let observed = match action {
                 Some(action) => self.step(action)?,
                 None => {
