@@ -13,8 +13,6 @@
         def read(self, env):
             return env.unwrapped.agent_pos
 
-        def cases(self): ...
-
 Needs Gymnasium: `pip install './python[gym]'`.
 """
 
@@ -47,15 +45,15 @@ class GymWorld(World):
 
     @abstractmethod
     def begin(self, env: _Env, episode: Episode) -> None:
-        """Puts the environment, which has just been reset, into the state in which `episode` begins. The reset had the episode's seed,
-        or 0 if the world is deterministic."""
+        """Puts the environment into the start of `episode`. It has been reset with the episode's seed; with 0 if `deterministic`."""
 
     @abstractmethod
     def read(self, env: _Env) -> Sequence[float]:
         """Returns the numbers of the state."""
 
     def reset(self, episode: Episode) -> Observation:
-        self._env = self._env or self.make()
+        if self._env is None:
+            self._env = self.make()
         self._env.reset(seed=0 if self.deterministic else episode.seed)
         self.begin(self._env, episode)
         self._state = [float(number) for number in self.read(self._env)]

@@ -118,7 +118,7 @@ WRONG = {
             return [Case("a", "Walk.", {"original": [0], "new": [0, 2]})]""",
     "case reach-7 of the world corridor: it has no trajectory `new`": """
         def cases(self):
-            return [Case("reach-7", "Walk.", {"original": [0]})]""",
+            return [Case("reach-7", "Walk.", {"original": [0], "blocked": [1]})]""",
     "case a of the world corridor: the trajectory 'other' is none of original, opposite,": """
         def cases(self):
             return [Case("a", "Walk.", {"other": [0]})]""",
