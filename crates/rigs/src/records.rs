@@ -30,6 +30,7 @@ pub fn manifest() -> Manifest {
         documents: BTreeMap::new(),
         memories: BTreeMap::new(),
         policy_files: BTreeMap::new(),
+        world_files: BTreeMap::new(),
         prices: None,
         episodes: 4,
         unit: None,
