@@ -14,7 +14,7 @@ use std::time::Duration;
 use bytemuck::Zeroable;
 use case_book::{BookFile, BookRequest, DEMONSTRATIONS_FILE, DemonstrationBook};
 use documents::{BuildAccount, DocumentFile, DocumentFolder, Provenance};
-use domain::{Demonstrations, DocumentKind, Pose, Representation, SegmentContent};
+use domain::{Demonstrations, DocumentKind, Representation, SegmentContent, State};
 use memory_proc::embedding_cache::stored;
 use memory_proc::paths::CacheFolder;
 use peer::memory::{
@@ -85,7 +85,7 @@ fn memory_with(arguments: &[&OsStr]) -> MemoryRig {
         command.arg("--demonstrations").arg(written_into(folder, &book));
         command
     });
-    rig.neighbours.demonstrations = poses_of(book);
+    rig.neighbours.demonstrations = states_of(book);
     rig
 }
 
@@ -96,8 +96,13 @@ fn written_into(folder: &Path, book: &DemonstrationBook) -> PathBuf {
     file
 }
 
-fn poses_of(book: DemonstrationBook) -> Vec<Vec<Pose>> {
-    book.demonstrations.into_iter().map(|of| of.poses).collect()
+fn states_of(book: DemonstrationBook) -> Vec<Vec<State>> {
+    book.demonstrations.into_iter().map(|of| of.states).collect()
+}
+
+/// The states of a replay.
+fn states(replay: &Replay) -> Vec<State> {
+    replay.poses.iter().copied().map(State::from).collect()
 }
 
 /// The observation at `step` of a case's trajectory of this kind.
@@ -105,7 +110,7 @@ fn observation(replay: &Replay, case: &Case, kind: TrajectoryKind, step: usize) 
     let actions = &case.trajectory(kind).actions;
     Observation {
         step: step as u32,
-        pose: replay.poses[step].into(),
+        state: State::from(replay.poses[step]).padded(),
         feedback: replay.feedback[step] as u8,
         action: if step == 0 { NO_ACTION } else { actions[step - 1] as u8 },
         ..Zeroable::zeroed()
@@ -161,8 +166,8 @@ fn a_run_is_answered_with_reports_of_unusable_messages() {
         let matched = usize::from(source.first);
         let shown = rig.segment(&recall);
         let until = (matched + 3).min(length(case));
-        assert_eq!(shown, replay.poses[matched..=until]);
-        assert_eq!(shown[0], replay.poses[step]);
+        assert_eq!(shown, states(&replay)[matched..=until]);
+        assert_eq!(shown[0], states(&replay)[step]);
     }
 
     rig.observe(Observation { episode: 12, lane: 1, ..seen(0) });
@@ -299,8 +304,8 @@ fn without_an_encoder_every_memory_but_episodic_is_served() {
             let actions = cases[0].trajectory(start).actions.iter().map(|&action| action as u8);
             let actions: Vec<u8> = actions.chain([NO_ACTION]).collect();
             assert_eq!(these.iter().map(|step| step.action).collect::<Vec<_>>(), actions);
-            for (step, pose) in these.iter().zip(&walk.poses) {
-                assert!(step.frame == NO_FRAME || rig.neighbours.shown[&step.frame] == *pose);
+            for (step, state) in these.iter().zip(states(&walk)) {
+                assert!(step.frame == NO_FRAME || rig.neighbours.shown[&step.frame] == state);
             }
             assert!(these[0].frame != NO_FRAME && these[these.len() - 1].frame != NO_FRAME);
             rest = others;
@@ -361,7 +366,7 @@ fn memory_with_external(method: Scripted, arguments: &[&str]) -> MemoryRig {
         command.arg("--demonstrations").arg(written_into(run, &book));
         command
     });
-    rig.neighbours.demonstrations = poses_of(book);
+    rig.neighbours.demonstrations = states_of(book);
     rig
 }
 
@@ -390,7 +395,7 @@ fn an_external_memory_supplies_what_it_names_and_fails_its_own_episodes_only() {
     let instruction = cases[0].task.instruction(&warehouse.catalogue);
     let [(_, 1, Content::Note(text))] = &named[..] else { panic!("{named:?}") };
     assert_eq!(*text, instruction);
-    assert_eq!(rig.segment(&recall), replay.poses[1..3]);
+    assert_eq!(rig.segment(&recall), states(&replay)[1..3]);
     assert!(trace.method_ns > 0 && trace.embedded_ns + trace.method_ns <= trace.searched_ns);
 
     // It fails; then it hangs. Each costs its own episode, and the other lane goes on.

@@ -35,6 +35,11 @@ fn draw(count: usize, episode_seed: u64, step: u32) -> ActionCode {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use conformance::messages::scripted_world;
+    use peer::{FeedbackCode, FrameView, State};
+
     use super::*;
 
     #[test]
@@ -45,6 +50,42 @@ mod tests {
         let mut counts = [0; 7];
         actions(3).for_each(|action| counts[usize::from(action.0)] += 1);
         assert!(counts.iter().all(|count| (850..1150).contains(count)), "{counts:?}");
+    }
+
+    #[test]
+    fn every_action_of_a_world_is_drawn_and_no_other() {
+        for count in [1, 3, 64] {
+            let mut counts = vec![0; count];
+            let steps = 0..1000 * count as u32;
+            steps.for_each(|step| counts[usize::from(draw(count, 3, step).0)] += 1);
+            assert!(counts.iter().all(|count| (850..1150).contains(count)), "{counts:?}");
+        }
+    }
+
+    #[test]
+    fn a_world_of_three_actions_gets_its_own() {
+        let mut world = scripted_world();
+        world.actions.truncate(3);
+        let world = Arc::new(world);
+        let request = |step| Request {
+            lane: 0,
+            step,
+            episode: 1,
+            episode_seed: 20_260_101,
+            repeat: 1,
+            instruction: "",
+            state: State::new(&[0.0; 3]).unwrap(),
+            feedback: FeedbackCode::START,
+            frame: FrameView::NONE,
+            window: &[],
+            items: &[],
+            starts_as_demonstrated: false,
+            demonstrated_elsewhere: false,
+            world: &world,
+        };
+        let requests: Vec<_> = (0..24).map(request).collect();
+        let actions = Random.act(&requests).into_iter().map(|decision| decision.answer.action());
+        insta::assert_snapshot!(world.letters(actions), @"blfffllbfbbblflbfbbllllf");
     }
 
     #[test]

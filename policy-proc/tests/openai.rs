@@ -280,7 +280,7 @@ fn without_images_a_model_gets_plain_text_and_memory_its_share() {
     let mut bench = Bench::new(server, OpenaiSettings { image_budget: 0, ..settings() });
     let frame = bench.publish(1);
     // As much text as the rest of the prompt, and more.
-    let text = "- blue barrel: stand at (1, 2)\n".repeat(200);
+    let text = "- blue barrel: stand at (1, 2)\n".repeat(60);
     let item = messages::text(0, text.len());
     let document = bench.publish_document(&Content::Summary(text));
     bench.begin_lane(3);

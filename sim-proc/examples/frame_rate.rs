@@ -11,8 +11,7 @@ use domain::Pose;
 use sim_proc::renderer::{
     Backend, Destination, RenderJob, RenderSettings, Renderer, Samples, ViewSpec,
 };
-use sim_proc::view_control::every_pose;
-use warehouse::{Variant, Warehouse};
+use warehouse::{Variant, Warehouse, every_pose};
 
 const PAGE: usize = 4096;
 

@@ -53,7 +53,7 @@ mod tests {
         let mut asked = |line: &str| serde_json::to_string(&answer(&mut stage, line)).unwrap();
         let episode = |case: &str, variant: u32, begin: &str, actions: &str| {
             format!(
-                r#"{{"episode":{{"case":"{case}","variant":{variant},"reference":null,"begin":{begin},"actions":"{actions}","stream":null,"parts":{{}}}}}}"#
+                r#"{{"episode":{{"case":"{case}","variant":{variant},"reference":null,"begin":{begin},"actions":[{actions}],"stream":null,"parts":{{}}}}}}"#
             )
         };
         for (line, expected) in [
@@ -62,13 +62,14 @@ mod tests {
             ("{\"scene\":7000}".to_owned(), "there is no world variant 7000"),
             (episode("t99-01", 0, "null", ""), "there is no case t99-01"),
             (episode("t01-01", 0, "null", ""), "needs a begin"),
-            (episode("t01-01", 0, "\"255,255,N\"", ""), "not free floor"),
-            (episode("t01-01", 0, "\"3,12,N\"", "fx"), "'x' is not an action"),
+            (episode("t01-01", 0, "[255,255,0]", ""), "not free floor"),
+            (episode("t01-01", 0, "[3,12,4]", ""), "4 is not a heading"),
+            (episode("t01-01", 0, "[3,12,0]", "0,9"), "9 is not an action"),
         ] {
             let told = asked(&line);
             assert!(told.starts_with("{\"error\":") && told.contains(expected), "{line}: {told}");
         }
-        let acted = asked(&episode("t01-01", 0, "\"3,12,N\"", "f?"));
+        let acted = asked(&episode("t01-01", 0, "[3,12,0]", "0,null"));
         assert!(acted.starts_with("{\"episode\":"), "{acted}");
     }
 }

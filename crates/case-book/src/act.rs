@@ -29,6 +29,7 @@ pub enum ActRequest {
 }
 
 /// An answer.
+#[expect(clippy::large_enum_variant, reason = "there is one at a time")]
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ActAnswer {

@@ -187,6 +187,20 @@ impl WorldDeclaration {
         Ok(())
     }
 
+    /// What is wrong with a trajectory, if it has states, actions or feedback that the world does not declare.
+    pub(crate) fn trajectory_problem(
+        &self,
+        states: &[State],
+        actions: &[ActionCode],
+        feedback: &[FeedbackCode],
+    ) -> Option<String> {
+        let state = || states.iter().find_map(|state| self.check_state(state).err());
+        let action = || actions.iter().find_map(|action| self.read_action(Some(*action)).err());
+        let feedback = || feedback.iter().find_map(|code| self.read_feedback(code.0).err());
+        let code = || action().or_else(feedback).map(|unknown| unknown.to_string());
+        state().map(|foreign| foreign.to_string()).or_else(code)
+    }
+
     fn foreign(&self, problem: String) -> ForeignState {
         ForeignState { world: self.name.clone(), problem }
     }
@@ -328,7 +342,8 @@ pub(crate) mod tests {
 
     #[test]
     fn what_a_world_may_not_declare_is_named() {
-        let broken: [(fn(&mut WorldDeclaration), &str); 8] = [
+        type Breaks = fn(&mut WorldDeclaration);
+        let broken: [(Breaks, &str); 8] = [
             (|world| world.name = "Doors".to_owned(), "\"name\""),
             (|world| world.rules = " ".to_owned(), "\"rules\""),
             (|world| world.actions.clear(), "0 actions"),

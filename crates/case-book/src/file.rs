@@ -4,6 +4,7 @@ use std::collections::HashSet;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use domain::{ActionCode, State};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -85,6 +86,17 @@ impl Check for CaseBook {
         if let Some(problem) = self.world.problem() {
             return Some(problem);
         }
+        let references = self.cases.iter().flat_map(|case| &case.references);
+        let references = references.map(|of| (of.begin, &of.actions));
+        let in_states = self.streams.iter().flat_map(|streams| &streams.states);
+        let in_states = in_states.flat_map(|cases| cases.values());
+        let in_states = in_states.map(|case| (case.begin, &case.actions));
+        let problem = |(begin, actions): (State, &Vec<ActionCode>)| {
+            self.world.declaration.trajectory_problem(&[begin], actions, &[])
+        };
+        if let Some(problem) = references.chain(in_states).find_map(problem) {
+            return Some(format!("the expert's trajectory of a case: {problem}"));
+        }
         let count = self.cases.len() as u32;
         let streams = self.streams.iter().flat_map(|streams| &streams.streams);
         let blocks = streams.flat_map(|stream| &stream.blocks);
@@ -102,6 +114,9 @@ impl Check for CaseBook {
 
 impl Check for DemonstrationBook {
     fn problem(&self) -> Option<String> {
+        if let Some(problem) = self.world.problem() {
+            return Some(problem);
+        }
         let count = self.demonstrations.len() as u32;
         let named = self.cases.iter().flat_map(|case| {
             let lists = [&case.own, &case.irrelevant, &case.confusable];
@@ -117,7 +132,10 @@ impl Check for DemonstrationBook {
         if self.demonstrations.iter().any(|of| of.case >= cases) {
             return Some(format!("a demonstration is of a case that is not among {cases}"));
         }
-        self.demonstrations.iter().find_map(crate::Demonstration::problem)
+        self.demonstrations.iter().find_map(|of| {
+            let foreign = || self.world.trajectory_problem(&of.states, &of.actions, &of.feedback);
+            of.problem().or_else(|| foreign().map(|problem| format!("a demonstration: {problem}")))
+        })
     }
 }
 

@@ -3,6 +3,7 @@
 use domain::{ActionCode, DemonstrationKind, Demonstrations, FeedbackCode, State, StreamOrder};
 
 use super::*;
+use crate::declaration::tests::doors;
 
 /// A turn on the spot.
 fn demonstration(case: u32, kind: DemonstrationKind) -> Demonstration {
@@ -11,10 +12,10 @@ fn demonstration(case: u32, kind: DemonstrationKind) -> Demonstration {
         kind,
         variant: 0,
         instruction: "Find a cone.".to_owned(),
-        states: [0.0, 1.0].map(|heading| State::new(&[1.0, 2.0, heading]).unwrap()).to_vec(),
-        feedback: vec![FeedbackCode::START, FeedbackCode(2)],
+        states: [0.0, 1.0].map(|heading| State::new(&[1.0, heading]).unwrap()).to_vec(),
+        feedback: vec![FeedbackCode::START, FeedbackCode(1)],
         sub_goals: vec![1],
-        actions: vec![ActionCode(5)],
+        actions: vec![ActionCode(1)],
         views: vec![0, 1],
     }
 }
@@ -32,6 +33,7 @@ fn book() -> DemonstrationBook {
         ..CaseDemonstrations::default()
     };
     DemonstrationBook {
+        world: doors(),
         demonstrations,
         cases: vec![case([0, 1, 2, 3], [6, 5], Some(8)), case([4, 5, 6, 7], [2, 1], None)],
         bank_order: vec![5, 0, 7, 1, 2, 6, 4, 3],
@@ -107,10 +109,13 @@ fn a_book_that_names_what_it_lacks_is_refused() {
         ("\"after\":8", "\"after\":9", "a set names a demonstration that is not among 9"),
         ("\"bank_order\":[5", "\"bank_order\":[10", "a set names a demonstration"),
         ("\"case\":1", "\"case\":2", "a demonstration is of a case that is not among 2"),
-        ("\"actions\":\"R\"", "\"actions\":\"x\"", "'x' is not an action"),
-        ("\"actions\":\"R\"", "\"actions\":\"Rf\"", "a demonstration has 2 states"),
+        ("\"actions\":[1]", "\"actions\":[2]", "demonstration: 2 is not an action of this world"),
+        ("\"actions\":[1]", "\"actions\":[1,0]", "a demonstration has 2 states"),
+        ("\"feedback\":[0,1]", "\"feedback\":[0,3]", "3 is not a feedback of this world"),
+        ("[1.0,1.0]", "[1.0,2.0]", "no state of the world doors: heading is 2, not one of 0 to 1"),
+        ("\"name\":\"doors\"", "\"name\":\"Doors\"", "its \"name\" is not"),
         ("\"views\"", "\"wievs\"", "unknown field `wievs`"),
-        ("{\"demonstrations\"", "\"demonstrations\"", "is not part of a case book"),
+        ("{\"world\"", "\"world\"", "is not part of a case book"),
     ] {
         let error = read(good.text.replacen(from, to, 1)).unwrap_err().to_string();
         assert!(error.starts_with("here is not part of a case book: "), "{error}");

@@ -149,7 +149,7 @@ pub(crate) mod tests {
         let sources = sources(FRAME);
         let views = sources.views(Demonstrations::ALL);
         let poses: BTreeSet<_> =
-            sources.demonstrations(Demonstrations::ALL).iter().flat_map(|of| &of.poses).collect();
+            sources.demonstrations(Demonstrations::ALL).iter().flat_map(|of| &of.states).collect();
         assert_eq!(views.len(), poses.len(), "all take place in one variant");
         for (view, ViewPlace { demonstration, step }) in views {
             let of = &sources.book.demonstrations[demonstration as usize];

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::mpsc;
 
 use bytemuck::Zeroable;
-use domain::{Action, Feedback, Heading, Pose};
+use domain::{Action, Feedback, Heading, Pose, State};
 use peer::memory::{
     Demonstration, Episode, EpisodeEnd, Memory, MemoryDescription, MemoryError, MemoryItem, Method,
     Query, Scope, Source, Step, Views, serve,
@@ -152,7 +152,7 @@ impl Memory for Recorder {
             assert!(of.stages.is_empty() && of.bank.is_some() && of.dimension() == 2);
             self.say(format!(
                 "{} at {} sees {greys:?} as {rows:?} does {actions:?}",
-                of.instruction, of.steps[0].pose
+                of.instruction, of.steps[0].state
             ));
         }
         Ok(())
@@ -183,9 +183,9 @@ impl Memory for Recorder {
             .iter()
             .map(|past| (past.frame.pixels()[0], past.action, past.feedback))
             .collect();
-        let Step { step, frame, embedding, pose, .. } = query.now;
+        let Step { step, frame, embedding, state, .. } = query.now;
         let grey = frame.unwrap().pixels[0];
-        self.say(format!("step {step} at {pose} sees {grey} as {embedding:?} after {window:?}"));
+        self.say(format!("step {step} at {state} sees {grey} as {embedding:?} after {window:?}"));
         assert_eq!((query.stage, query.instruction), (None, "Find a cone."));
         let source = Source { demonstration: 0, first: 1, count: 2 };
         match step {
@@ -245,10 +245,10 @@ fn bank(frames: [FrameId; 3], instruction: &str) -> BankContent {
     let step = |(at, frame): (u8, FrameId)| BankStep {
         frame,
         content_hash: [at; 16],
-        pose: Pose::new(1, at, Heading::N).into(),
+        state: State::from(Pose::new(1, at, Heading::N)).padded(),
         action: if at == 2 { NO_ACTION } else { Action::Forward as u8 },
         feedback: Feedback::Moved as u8,
-        reserved: [0; 2],
+        reserved: [0; 6],
     };
     let demonstration = BankDemonstration {
         first_step: 0,
@@ -270,7 +270,7 @@ fn query(lane: u32, episode: u64, step: u32, frame: FrameId) -> ExternalQuery {
         episode,
         step,
         frame,
-        pose: Pose::new(2, 3, Heading::E).into(),
+        state: State::from(Pose::new(2, 3, Heading::E)).padded(),
         action: if step == 0 { NO_ACTION } else { Action::TurnLeft as u8 },
         feedback: Feedback::Turned as u8,
         embedding_len: 2,
@@ -294,15 +294,15 @@ fn a_memory_is_built_asked_and_ended() {
     assert_eq!((built.bank, built.failure, built.store_bytes), (5, 0, 1000));
     assert_eq!(
         rig.told(),
-        "Find a barrel. at 1,0,N sees [10, 20, 30] as [[1.0, 0.0], [0.0, 1.0], [0.6, 0.8]] does [Some(Forward), \
-         Some(Forward), None]"
+        "Find a barrel. at 1,0,0 sees [10, 20, 30] as [[1.0, 0.0], [0.0, 1.0], [0.6, 0.8]] does \
+         [Some(ActionCode(0)), Some(ActionCode(0)), None]"
     );
 
     rig.begin(2, 41, 5);
     let now = rig.publish(40);
     rig.ask(&query(2, 41, 0, now));
     assert_eq!(rig.told(), "episode 41 in 2: Find a cone. seed 5 repeat 1 budgets 9 99");
-    assert_eq!(rig.told(), "step 0 at 2,3,E sees 40 as Some([0.6, 0.8]) after []");
+    assert_eq!(rig.told(), "step 0 at 2,3,1 sees 40 as Some([0.6, 0.8]) after []");
     let answer = rig.answer();
     assert_eq!((answer.lane, answer.episode, answer.step, answer.failed), (2, 41, 0, 0));
     assert_eq!((answer.items_len, answer.sources_len, answer.tokens), (4, 1, 17));
@@ -323,7 +323,7 @@ fn a_memory_is_built_asked_and_ended() {
     rig.ask(&query(2, 41, 1, later));
     assert_eq!(
         rig.told(),
-        "step 1 at 2,3,E sees 50 as Some([0.6, 0.8]) after [(40, Some(TurnLeft), Turned)]"
+        "step 1 at 2,3,1 sees 50 as Some([0.6, 0.8]) after [(40, Some(ActionCode(4)), FeedbackCode(2))]"
     );
     for step in 1..3 {
         let answer = rig.answer();
@@ -483,7 +483,7 @@ fn an_end_with_an_unknown_code_is_an_error_of_that_episode() {
     for (episode, end, reason) in [
         (41, ExternalQuery { outcome: 3, ..last }, unknown_outcome),
         (42, ExternalQuery { sub_goals_len: 25, ..last }, "25 sub-goals are too many"),
-        (43, ExternalQuery { action: 9, ..last }, "9 is not an action (0 to 6)"),
+        (43, ExternalQuery { action: 9, ..last }, "9 is not an action of this world"),
     ] {
         rig.begin_as(Learning::Learns, 0, episode, 5);
         rig.ask(&ExternalQuery { episode, ..end });
@@ -512,7 +512,7 @@ fn a_query_with_an_unknown_code_fails_its_episode() {
     rig.publish_bank(5, &bank(frames, "Find a barrel."));
     let now = query(0, 0, 0, frames[0]);
     for (episode, asked, reason) in [
-        (41, ExternalQuery { action: 9, ..now }, "9 is not an action (0 to 6)"),
+        (41, ExternalQuery { action: 9, ..now }, "9 is not an action of this world"),
         (42, ExternalQuery { last: 2, ..now }, "2 is not a flag (0 no, 1 yes)"),
         (
             43,

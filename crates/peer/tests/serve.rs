@@ -8,14 +8,14 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use conformance::messages::{
-    config, item, observation, recall, supplied, supply, text as whole_text,
+    config, item, observation, recall, scripted_world, supplied, supply, text as whole_text,
 };
 use domain::hex;
 use domain::prompt_log::{
     PromptLogEntry, RecordedExchange, RecordedItem, RecordedMessage, RecordedPart, entries_file,
     session_folder,
 };
-use domain::{Action, Feedback, Outcome};
+use domain::{Action, ActionCode, Feedback, Outcome};
 use peer::{
     Answer, Answers, Batch, Decider, Decision, FrameView, Item, Policy, Request, RequestId,
     ServeError, StepsView, Usage, serve,
@@ -90,12 +90,12 @@ impl Policy for Recorder {
                 .map(|past| (grey(past.frame), past.action, past.feedback))
                 .collect();
             let items: Vec<_> = request.items.iter().map(|item| told(item, grey)).collect();
-            let Request { lane, step, episode_seed, instruction, pose, feedback, .. } = request;
+            let Request { lane, step, episode_seed, instruction, state, feedback, .. } = request;
             let hint = if request.starts_as_demonstrated { ", hinted" } else { "" };
             let frame = grey(request.frame);
             self.0
                 .send(format!(
-                    "lane {lane} step {step} seed {episode_seed} {instruction:?} at {pose} \
+                    "lane {lane} step {step} seed {episode_seed} {instruction:?} at {state} \
                      {feedback:?} sees {frame} after {window:?} remembers [{}]{hint}",
                     items.join(", ")
                 ))
@@ -152,6 +152,8 @@ fn items_of_every_kind_reach_the_policy() {
     let documents = &mut rig.neighbours.documents;
     let note = documents.publish(Some((0, 9)), &Content::Note("Zurück!".into())).unwrap();
     let steps = documents.publish(Some((0, 9)), &Content::Trajectories(steps)).unwrap();
+    let foreign = Content::Trajectories(vec![step(0, view, 7)]);
+    let foreign = documents.publish(Some((0, 9)), &foreign).unwrap();
     let text = |document, first_byte, bytes| RecalledItem {
         document,
         first_byte,
@@ -181,11 +183,11 @@ fn items_of_every_kind_reach_the_policy() {
     assert_eq!(heard.recv().unwrap(), "reset 0");
     let told = heard.recv().unwrap().replace("], ", "],\n");
     insta::assert_snapshot!(told, @r#"
-    lane 0 step 0 seed 0 "Find a cone." at 3,4,E Start sees 10 after [] remembers [part at Some(0.125) [(Some(40), Some(TurnLeft)), (Some(10), None)],
-    Summary "a cone at (1, 2)", whole at None [(Some(40), Some(Forward)), (None, None)],
+    lane 0 step 0 seed 0 "Find a cone." at 3,4,1 FeedbackCode(0) sees 10 after [] remembers [part at Some(0.125) [(Some(40), Some(ActionCode(4))), (Some(10), None)],
+    Summary "a cone at (1, 2)", whole at None [(Some(40), Some(ActionCode(0))), (None, None)],
     whole at None [(Some(10), None)],
     40 "urück", 10 "", part at None [(None, None)],
-    whole at None [(None, Some(Left)), (None, Some(Left))]],
+    whole at None [(None, Some(ActionCode(2))), (None, Some(ActionCode(2)))]],
     hinted
     "#);
 
@@ -199,6 +201,7 @@ fn items_of_every_kind_reach_the_policy() {
         RecalledItem { kind: ItemKind::Frame as u8, steps: 1, ..text(note, 4, 9) },
         trajectory(2, 2, 1),
         RecalledItem { document: note, ..trajectory(0, 1, 1) },
+        RecalledItem { document: foreign, ..trajectory(0, 1, 1) },
     ];
     let mut reports = Vec::new();
     for (step, bad) in (1..).zip(cases) {
@@ -216,6 +219,7 @@ fn items_of_every_kind_reach_the_policy() {
     recall for lane 0, step 6: item 0 has the bytes 4..13 of document 1099511627778, which has 8 and no characters that begin and end there
     recall for lane 0, step 7: item 0 has the steps 2..4 of document 1099511627779 with 3
     recall for lane 0, step 8: item 0 has steps of document 1099511627778, which is of kind note
+    recall for lane 0, step 9: item 0 has steps of document 1099511627780: 7 is not an action of this world
     ");
     rig.stop();
 }
@@ -250,28 +254,56 @@ fn answers_may_come_later_in_any_order_from_any_thread_or_not_at_all() {
     let decision = |action| Decision { answer: Answer::Act(action), images: 1, usage: None };
     let decide = |lane: usize, action| taken[lane].1.decide(taken[lane].0, decision(action));
 
-    decide(3, Action::Right);
+    decide(3, Action::Right.into());
     assert_eq!(rig.decisions(1)[0].lane, 3);
     // Lane 2 begins another episode: the answer to the earlier one is late.
     rig.begin(&config(2, 62, "Find a barrel."));
     rig.notify();
     let no_such_lane = RequestId { lane: 77, ..taken[0].0 };
-    taken[0].1.decide(no_such_lane, decision(Action::Left));
+    taken[0].1.decide(no_such_lane, decision(Action::Left.into()));
     taken[1].1.fail(taken[1].0, "status 400: too many images");
     let (report, text) = rig.error_report();
     assert_eq!(
         (report.kind, report.lane, report.episode, text.as_str()),
         (ErrorReportKind::Episode as u32, 1, 51, "status 400: too many images")
     );
-    decide(2, Action::Left);
-    decide(3, Action::Left);
-    decide(0, Action::Backward);
+    decide(2, Action::Left.into());
+    decide(3, Action::Left.into());
+    decide(0, Action::Backward.into());
     let answered = rig.decisions(1);
     assert_eq!(answered.len(), 1, "late and repeated answers are dropped: {answered:?}");
     assert_eq!((answered[0].lane, answered[0].action), (0, Action::Backward as u8));
 
     taken[0].1.stop_run("the server is down");
     assert_eq!(rig.error_report().0.kind, ErrorReportKind::Run as u32);
+    rig.stop();
+}
+
+#[test]
+fn an_action_that_the_world_does_not_have_fails_its_episode_alone() {
+    let (hand_over, taken) = mpsc::channel();
+    let (mut rig, _) = serving(Deferred(hand_over));
+    let frame = rig.publish(10);
+    let world = scripted_world();
+    let past_the_last = ActionCode(world.actions.len() as u8);
+    for (lane, action) in [(0, past_the_last), (1, ActionCode(u8::MAX)), (2, ActionCode(0))] {
+        let first = id(lane, 50 + u64::from(lane), 0);
+        rig.begin(&config(lane, first.episode, "Find a cone."));
+        rig.step(&observation(first, frame), &recall(first, &[]));
+        let (id, answers) = taken.recv_timeout(LONG).unwrap();
+        answers.decide(id, Decision { answer: Answer::Act(action), images: 1, usage: None });
+        if world.read_action(Some(action)).is_ok() {
+            assert_eq!(rig.decisions(1)[0].lane, lane, "no decision was sent for the lanes before");
+            continue;
+        }
+        let (report, text) = rig.error_report();
+        assert_eq!(
+            (report.kind, report.lane, report.episode),
+            (ErrorReportKind::Episode as u32, lane, first.episode)
+        );
+        let ActionCode(code) = action;
+        assert_eq!(text, format!("the policy's answer: {code} is not an action of this world"));
+    }
     rig.stop();
 }
 
@@ -331,7 +363,7 @@ fn prompts_are_logged_and_a_log_that_cannot_be_written_stops_the_run() {
             reply: Some("go on".to_owned()),
             unread: None,
         });
-        let answer = Answer::Act(Action::Forward);
+        let answer = Answer::Act(Action::Forward.into());
         answers.decide(request, Decision { answer, images: 1, usage });
     };
     let usage = Usage { prompt_tokens: Some(7), attempts: 1, ..Usage::default() };
@@ -430,10 +462,10 @@ fn a_policy_gets_its_requests_with_window_and_segment() {
     let mut heard: Vec<_> = heard.iter().collect();
     heard.sort();
     insta::assert_snapshot!(heard.join("\n"), @r#"
-    lane 0 step 0 seed 0 "Find a red barrel." at 3,4,E Start sees 30 after [] remembers []
-    lane 2 step 0 seed 2 "Find a blue barrel." at 3,4,E Start sees 20 after [] remembers []
-    lane 2 step 1 seed 2 "Find a blue barrel." at 3,4,E NotUnderstood sees 30 after [(20, None, NotUnderstood)] remembers []
-    lane 2 step 2 seed 2 "Find a blue barrel." at 3,4,E Blocked sees 10 after [(20, None, NotUnderstood), (30, Some(Left), Blocked)] remembers [part at Some(0.125) [(Some(10), Some(TurnLeft)), (Some(20), None)]]
+    lane 0 step 0 seed 0 "Find a red barrel." at 3,4,1 FeedbackCode(0) sees 30 after [] remembers []
+    lane 2 step 0 seed 2 "Find a blue barrel." at 3,4,1 FeedbackCode(0) sees 20 after [] remembers []
+    lane 2 step 1 seed 2 "Find a blue barrel." at 3,4,1 FeedbackCode(4) sees 30 after [(20, None, FeedbackCode(4))] remembers []
+    lane 2 step 2 seed 2 "Find a blue barrel." at 3,4,1 FeedbackCode(3) sees 10 after [(20, None, FeedbackCode(4)), (30, Some(ActionCode(2)), FeedbackCode(3))] remembers [part at Some(0.125) [(Some(10), Some(ActionCode(4))), (Some(20), None)]]
     reset 0
     reset 2
     "#);
@@ -446,15 +478,15 @@ fn invalid_messages_are_reported_and_the_others_answered() {
     let frame = rig.publish(1);
     rig.begin(&config(1, 5, "Find a blue barrel."));
     rig.begin(&config(9, 6, "Find a blue barrel."));
-    let mut bad_pose = observation(id(1, 5, 0), frame);
-    bad_pose.pose.0[2] = 200;
-    rig.step(&bad_pose, &Recall { items_len: 99, ..recall(id(1, 5, 0), &[]) });
+    let mut bad_state = observation(id(1, 5, 0), frame);
+    bad_state.state[2] = 200.0;
+    rig.step(&bad_state, &Recall { items_len: 99, ..recall(id(1, 5, 0), &[]) });
     let mut texts = rig.error_texts(3);
     rig.step(&observation(id(1, 5, 0), frame), &recall(id(1, 5, 0), &[12_345]));
     texts.extend(rig.error_texts(1));
     insta::assert_snapshot!(texts.join("\n"), @r#"
     episode config for lane 9: the run has 4 lanes
-    observation for lane 1, step 0: 200 is not a heading (0 N, 1 E, 2 S, 3 W)
+    observation for lane 1, step 0: this is no state of the world scripted: heading is 200, not one of 0 to 3
     recall for lane 1, step 0: 99 items, but at most 8 fit
     lane 1, step 0: frame 12345 is not in the store: it was evicted too early or never published
     "#);

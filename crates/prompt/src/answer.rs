@@ -212,11 +212,16 @@ fn is_walk(word: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use domain::Action;
+    use warehouse::declaration;
+
     use super::UnreadAnswer::{CutOff, Empty, NoAction, Refused};
     use super::*;
+    use crate::tests::doors;
 
     #[test]
     fn every_action_is_read_in_every_form() {
+        let world = declaration();
         for action in Action::ALL {
             let words = action.words();
             let (first, second) = words.split_once(' ').unwrap();
@@ -235,13 +240,14 @@ mod tests {
                 format!("I cannot go there. Do not turn left, {words}."),
                 format!("The path ahead? Blocked. Answer = {words}"),
             ] {
-                assert_eq!(read_answer(&text), Ok(action), "{text:?}");
+                assert_eq!(read_answer(&world, &text), Ok(action.into()), "{text:?}");
             }
         }
     }
 
     #[test]
     fn the_first_action_counts() {
+        let world = declaration();
         for (text, expected) in [
             ("move one step forward, then turn left", Ok(Action::Forward)),
             ("Rotating to the left by 90 degrees", Ok(Action::TurnLeft)),
@@ -281,7 +287,31 @@ mod tests {
             (" \n...", Err(Empty)),
             ("<think>turn left", Err(Empty)),
         ] {
-            assert_eq!(read_answer(text), expected, "{text:?}");
+            let expected = expected.map(ActionCode::from);
+            assert_eq!(read_answer(&world, text), expected, "{text:?}");
+        }
+    }
+
+    #[test]
+    fn actions_of_another_world_are_read_by_their_own_words() {
+        let world = doors();
+        let [open, open_slowly] = [0, 1].map(ActionCode);
+        for (text, expected) in [
+            ("open door", Ok(open)),
+            ("Open_Door!", Ok(open)),
+            ("open door 2 slowly", Ok(open_slowly)),
+            ("I should open door 2 slowly, not open door.", Ok(open_slowly)),
+            ("{\"thought\": \"open door?\", \"action\": \"open door 2 slowly\"}", Ok(open_slowly)),
+            ("Do not open door 2 slowly; open door", Ok(open)),
+            // Words of an action that do not follow each other, and moves and turns, which this world does not have.
+            ("open the door", Err(NoAction)),
+            ("open", Err(NoAction)),
+            ("move forward", Err(NoAction)),
+            ("turn left", Err(NoAction)),
+            ("u-turn", Err(NoAction)),
+            ("", Err(Empty)),
+        ] {
+            assert_eq!(read_answer(&world, text), expected, "{text:?}");
         }
     }
 
@@ -294,14 +324,16 @@ mod tests {
             ("<think>turn left", Err(CutOff)),
             ("I'm sorry, but I can't assist with th", Err(Refused)),
         ] {
-            assert_eq!(read_cut_off_answer(text), expected, "{text:?}");
+            let expected = expected.map(ActionCode::from);
+            assert_eq!(read_cut_off_answer(&declaration(), text), expected, "{text:?}");
         }
     }
 
     proptest::proptest! {
         #[test]
         fn no_text_causes_a_panic(text in proptest::prelude::any::<String>()) {
-            let _ = read_answer(&text);
+            let _ = read_answer(&declaration(), &text);
+            let _ = read_answer(&doors(), &text);
         }
     }
 }

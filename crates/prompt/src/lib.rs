@@ -15,6 +15,8 @@ mod budget;
 pub mod image;
 mod render;
 mod template;
+#[cfg(test)]
+mod tests;
 pub mod tokens;
 
 use peer::{FrameView, Request, WorldDeclaration};

@@ -9,9 +9,9 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use domain::hex;
-use domain::{Action, DocumentKind, Feedback, Heading, Pose};
+use domain::{Action, DocumentKind, Feedback, Heading, Pose, hex};
 use peer::{CaptionedView, FrameView, Item, PastView, Request, StepView, StepsView, TextView};
 use prompt::{PartContent, Prompt, PromptPart, PromptSection};
 use serde::{Deserialize, Serialize};
@@ -105,15 +105,15 @@ fn outcome(plain: &PlainRequest, image_budget: u32) -> (Value, String) {
     let window: Vec<_> = window
         .map(|past| PastView {
             frame: view(&past.view),
-            action: action(&past.action),
-            feedback: feedback(&past.feedback),
+            action: action(&past.action).map(Action::into),
+            feedback: feedback(&past.feedback).into(),
         })
         .collect();
     let steps = |item: &PlainItem| -> Vec<StepView<'_>> {
         let PlainItem::Steps { steps, .. } = item else { return Vec::new() };
         let step = |step: &PlainStep| StepView {
             frame: step.view.as_deref().map(view),
-            action: action(&step.action),
+            action: action(&step.action).map(Action::into),
         };
         steps.iter().map(step).collect()
     };
@@ -144,13 +144,14 @@ fn outcome(plain: &PlainRequest, image_budget: u32) -> (Value, String) {
         episode_seed: 4711,
         repeat: 2,
         instruction: &plain.instruction,
-        pose: Pose::new(column, row, heading),
-        feedback: feedback(&plain.feedback),
+        state: Pose::new(column, row, heading).into(),
+        feedback: feedback(&plain.feedback).into(),
         frame: view(&plain.view),
         window: &window,
         items: &items,
         starts_as_demonstrated: plain.starts_as_demonstrated,
         demonstrated_elsewhere: plain.demonstrated_elsewhere,
+        world: &Arc::new(warehouse::declaration()),
     };
     let prompt = Prompt::new(&request, image_budget);
     let sections: Vec<_> = prompt.parts.iter().map(|part| part.section.name()).collect();

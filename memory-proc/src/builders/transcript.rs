@@ -96,7 +96,7 @@ pub(super) fn sha256(transcripts: &[Transcript]) -> String {
 #[cfg(test)]
 mod tests {
     use case_book::{BookRequest, ElsewhereRequest};
-    use domain::{Appearance, Heading};
+    use domain::{ActionCode, Appearance, Heading};
     use warehouse::case_book::write_books;
     use warehouse::{CaseSet, Warehouse};
 
@@ -190,9 +190,10 @@ mod tests {
         let demonstration = sources.demonstrations(Demonstrations::ORIGINAL)[0];
         let Transcript { instruction, steps } = &all[0];
         assert_eq!(*instruction, demonstration.instruction);
-        let actions: Vec<_> = steps.iter().filter_map(|step| step.action).collect();
+        let actions: Vec<_> =
+            steps.iter().filter_map(|step| step.action).map(ActionCode::from).collect();
         assert_eq!(actions, demonstration.actions);
-        assert_eq!((steps[0].pose, steps[0].completed), (demonstration.poses[0], 0));
+        assert_eq!((steps[0].pose.into(), steps[0].completed), (demonstration.states[0], 0));
         assert!(steps[steps.len() - 1].completed > 0);
         let but_one = |view| (view != demonstration.views[3]).then(Arc::default);
         assert_eq!(transcripts(&sources, Demonstrations::ORIGINAL, but_one), None);

@@ -3,10 +3,10 @@
 use domain::Representation::{Episodic, FullContext, Working};
 use domain::{Demonstrations, Feedback, Heading, Pose, Representation};
 use proptest::prelude::*;
-use shm_types::message::{EXTERNAL, NO_ACTION, NO_FRAME};
+use shm_types::message::{EXTERNAL, MAX_STATE, NO_ACTION, NO_FRAME};
 use warehouse::TrajectoryKind;
 
-use self::rig::{Answer, Rig, Script, content, replay_set};
+use self::rig::{Answer, Rig, Script, content, pose_of, replay_set};
 use super::*;
 
 mod external;
@@ -185,11 +185,9 @@ fn unusable_messages_are_refused_with_a_reason() {
     refuse(&mut rig, Observation { action: 7, ..first }, "7 is not an action");
     refuse(&mut rig, Observation { feedback: 5, ..first }, "5 is not a feedback");
     refuse(&mut rig, Observation { frame: NO_FRAME, ..first }, "it names no frame");
-    refuse(
-        &mut rig,
-        Observation { pose: shm_types::message::WirePose([1, 1, 4, 0]), ..first },
-        "4 is not a heading",
-    );
+    let mut foreign = first;
+    foreign.state[2] = 4.0;
+    refuse(&mut rig, foreign, "no state of the world warehouse: heading is 4, not one of 0 to 3");
     let pose = Pose::new(0, 0, Heading::N);
     let view_id = ViewId { sequence: 9, number: 0, step: 3 };
     let unexpected = rig.engine.view(view_id, 9, [0; 16], pose);
@@ -288,13 +286,14 @@ proptest! {
                     ..bytemuck::Zeroable::zeroed()
                 });
             } else {
-                let pose = shm_types::message::WirePose([a, b, c, d]);
+                let mut state = [0.0; MAX_STATE];
+                state[..4].copy_from_slice(&[a, b, c % 5, d % 2].map(f32::from));
                 let seen = Observation {
                     episode,
                     lane,
                     step: small,
                     frame: 1,
-                    pose,
+                    state,
                     feedback: e,
                     action: f,
                     last: g % 2,
@@ -302,7 +301,7 @@ proptest! {
                 };
                 let _ = rig.report(&seen);
                 if let Ok(Some(_)) = rig.engine.observe(&seen, 1) {
-                    let pose = Pose::try_from(pose).unwrap();
+                    let pose = pose_of(&state);
                     rig.engine.current_view(lane, content(pose), pose);
                 }
             }

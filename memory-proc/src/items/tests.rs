@@ -2,6 +2,7 @@
 
 use domain::Action;
 use proptest::prelude::*;
+use shm_types::message::NO_ACTION;
 
 use super::*;
 use crate::representation::testing::{TestDocuments, demonstration};

@@ -175,6 +175,6 @@ mod tests {
     fn a_missing_embedding_is_an_error() {
         let mut memory = Episodic::new(&settings());
         let error = build(&mut memory, &[demonstration(1, 5, 9)]).unwrap_err().to_string();
-        assert_eq!(error, "the view of 3,5,N has not been embedded");
+        assert_eq!(error, "the view of 3,5,0 has not been embedded");
     }
 }

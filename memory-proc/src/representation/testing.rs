@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use anyhow::bail;
-use domain::{Action, Demonstrations, DocumentKind, Feedback, Heading, Pose, SegmentContent};
+use domain::{
+    Action, ActionCode, Demonstrations, DocumentKind, Feedback, Heading, Pose, SegmentContent,
+};
 use peer::memory::{Memory, MemoryError, MemoryItem, Query, Step};
 use shm_types::documents::Content;
 use shm_types::message::DocumentId;
@@ -20,7 +22,7 @@ pub(crate) fn demonstration(number: u16, from: u8, steps: u8) -> RememberedDemon
         case: 8,
         number,
         instruction: "Find a cone.".to_owned(),
-        poses: all.clone().map(|t| Pose::new(3, from + t, Heading::N)).collect(),
+        states: all.clone().map(|t| Pose::new(3, from + t, Heading::N).into()).collect(),
         // Named by the row.
         views: all
             .clone()
@@ -28,11 +30,16 @@ pub(crate) fn demonstration(number: u16, from: u8, steps: u8) -> RememberedDemon
             .collect(),
         feedback: all
             .clone()
-            .map(|t| if t == 0 { Feedback::Start } else { Feedback::Moved })
+            .map(|t| if t == 0 { Feedback::Start } else { Feedback::Moved }.into())
             .collect(),
         stages: all.map(|t| u32::from(t >= 2)).collect(),
-        actions: vec![Some(Action::Forward); usize::from(steps)],
+        actions: vec![Some(Action::Forward.into()); usize::from(steps)],
     }
+}
+
+/// The actions of the warehouse that are turns.
+pub(crate) fn turns() -> Vec<ActionCode> {
+    [Action::TurnLeft, Action::TurnRight, Action::TurnAround].map(ActionCode::from).to_vec()
 }
 
 /// The standard settings.
@@ -42,6 +49,7 @@ pub(crate) fn settings() -> MemorySettings {
         segment: SegmentContent::Actions,
         hits: 1,
         keyframes: 40,
+        turns: turns(),
         embeddings: Arc::default(),
         documents: Vec::new(),
     }
@@ -81,9 +89,9 @@ pub(crate) fn recall(
         lane: 1,
         episode: 7,
         step,
-        pose: Pose::new(0, 0, Heading::N),
+        state: Pose::new(0, 0, Heading::N).into(),
         last_action: None,
-        feedback: Feedback::Start,
+        feedback: Feedback::Start.into(),
         frame: None,
         embedding,
         pinned: None,

@@ -125,7 +125,8 @@ fn the_expert_takes_the_steps_of_the_reference() {
         let limit = |step: &mut ScriptedStep| complete_after(step, reference.length);
         let record = run(rules, episode(&books, 3, start, route), |_| None, trace, limit).record;
         assert_eq!((record.ending, record.steps), (Ending::Complete, record.reference));
-        let taken: Vec<Action> = record.actions.chars().filter_map(Action::from_letter).collect();
+        let world = &books.cases.book.world.declaration;
+        let taken: Vec<_> = record.actions.chars().filter_map(|c| world.action_of(c)).collect();
         assert_eq!(taken, reference.actions[..reference.length as usize]);
         assert_eq!(record.had_conflict(), (route == Route::Blocked).then_some(false));
         assert_eq!((record.requests, record.images), (None, None));
@@ -529,7 +530,9 @@ fn an_episode_of_a_stream_takes_place_in_its_world_and_ends_with_its_snapshot() 
     assert_eq!((stream.store_bytes, first.episode.part.unwrap().snapshot), (Some(99), [1; 16]));
     let [learned] = &lanes.learned_episodes()[..] else { panic!("one episode") };
     assert_eq!((learned.position, learned.case, learned.variant), (0, case as u32, 0));
-    assert_eq!((learned.start, &learned.actions), (Start::New, &record.actions));
+    assert_eq!(learned.start, Start::New);
+    let world = &books.cases.book.world.declaration;
+    assert_eq!(world.letters(learned.actions.iter().copied()), record.actions);
 
     // In the other world the demonstration and the own experience are stale.
     let sources = [own, source(0, EXPERIENCE)];

@@ -76,10 +76,13 @@ fn before(pose: Pose, action: Option<Action>, feedback: Feedback) -> Pose {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use conformance::messages::scripted_world;
+    use peer::{FrameView, PastView};
     use proptest::prelude::*;
 
     use super::*;
-    use peer::{FrameView, PastView};
 
     fn pose() -> impl Strategy<Value = Pose> {
         (1..250_u8, 1..250_u8, 0..4_u8)
@@ -103,7 +106,8 @@ mod tests {
                     _ => Feedback::Blocked,
                 };
                 past.push(PastPose { pose: at, action: Some(action), feedback });
-                window.push(PastView { frame, action: Some(action), feedback });
+                let (taken, told) = (Some(action.into()), feedback.into());
+                window.push(PastView { frame, action: taken, feedback: told });
                 at = if feedback == Feedback::Blocked { at } else { to.unwrap() };
             }
             let request = Request {
@@ -113,19 +117,20 @@ mod tests {
                 repeat: 1,
                 episode_seed: 0,
                 instruction: "",
-                pose: at,
-                feedback: Feedback::Start,
+                state: at.into(),
+                feedback: Feedback::Start.into(),
                 frame,
                 window: &window,
                 items: &[],
                 starts_as_demonstrated: false,
                 demonstrated_elsewhere: false,
+                world: &Arc::new(scripted_world()),
             };
-            let recent = RecentSteps::of(&request);
+            let recent = RecentSteps::of(&request).unwrap();
             prop_assert_eq!(recent.past, past);
             prop_assert_eq!(recent.origin, Some(start));
             let later = Request { step: request.step + 1, ..request };
-            prop_assert_eq!(RecentSteps::of(&later).origin, None);
+            prop_assert_eq!(RecentSteps::of(&later).unwrap().origin, None);
         }
     }
 }

@@ -1,5 +1,8 @@
 //! The policy's decisions in painted aisles.
 
+use std::sync::Arc;
+
+use conformance::messages::scripted_world;
 use domain::{Action, Feedback, Heading, Pose};
 use peer::{
     CaptionedView, Decision, DocumentKind, FrameView, Item, PastView, Policy, Request, StepView,
@@ -89,12 +92,15 @@ impl Ask {
 
         let window = self.window.iter().map(|&(_, action, feedback)| PastView {
             frame: next(),
-            action: Some(action),
-            feedback,
+            action: Some(action.into()),
+            feedback: feedback.into(),
         });
         let window: Vec<_> = window.collect();
         let mut supplied = |steps: &Vec<(Pose, Option<Action>)>| -> Vec<_> {
-            let step = |&(_, action): &_| StepView { frame: Some(next()), action };
+            let step = |&(_, action): &(Pose, Option<Action>)| StepView {
+                frame: Some(next()),
+                action: action.map(Action::into),
+            };
             steps.iter().map(step).collect()
         };
         let segments: Vec<_> = self.segments.iter().map(&mut supplied).collect();
@@ -120,8 +126,8 @@ impl Ask {
             repeat: 1,
             episode_seed: self.seed,
             instruction: &self.instruction,
-            pose,
-            feedback: window.last().map_or(Feedback::Start, |past| past.feedback),
+            state: pose.into(),
+            feedback: window.last().map_or(Feedback::Start.into(), |past| past.feedback),
             frame: if self.is_blank {
                 blank_frame(first_id + 500)
             } else {
@@ -131,6 +137,7 @@ impl Ask {
             items: &items,
             starts_as_demonstrated: false,
             demonstrated_elsewhere: self.is_elsewhere,
+            world: &Arc::new(scripted_world()),
         })
     }
 }
@@ -139,7 +146,7 @@ impl Ask {
 fn act(request: &Request<'_>) -> Action {
     let decisions = Grounded::default().act(std::slice::from_ref(request));
     let [Decision { answer, .. }] = decisions[..] else { panic!("{decisions:?}") };
-    answer.action().unwrap()
+    answer.action().unwrap().try_into().unwrap()
 }
 
 const HERE: Pose = Pose::new(10, 12, Heading::N);
@@ -391,9 +398,16 @@ proptest! {
         let noise = FrameView { id: 2, content_hash, width: 32, height: 32, pixels: &pixels };
         for frame in [frame(&texture, 1), noise] {
             let past = past.iter();
-            let window = past.map(|&(action, feedback)| PastView { frame, action: Some(action), feedback });
+            let window = past.map(|&(action, feedback)| PastView {
+                frame,
+                action: Some(action.into()),
+                feedback: feedback.into(),
+            });
             let window: Vec<_> = window.collect();
-            let steps = actions.iter().map(|&action| StepView { frame: Some(frame), action });
+            let steps = actions.iter().map(|action| StepView {
+                frame: Some(frame),
+                action: action.map(Action::into),
+            });
             let steps: Vec<_> = steps.collect();
             let segment = StepsView { distance: None, is_whole: false, steps: &steps };
             act(&Request {
@@ -403,8 +417,8 @@ proptest! {
                 repeat: 1,
                 episode_seed: 7,
                 instruction: "Find a blue barrel, then return to the cell where you started.",
-                pose: Pose::new(x, y, Heading::ALL[heading]),
-                feedback: Feedback::Moved,
+                state: Pose::new(x, y, Heading::ALL[heading]).into(),
+                feedback: Feedback::Moved.into(),
                 frame,
                 window: &window,
                 items: &[
@@ -413,6 +427,7 @@ proptest! {
                 ],
                 starts_as_demonstrated: false,
                 demonstrated_elsewhere: false,
+                world: &Arc::new(scripted_world()),
             });
         }
     }

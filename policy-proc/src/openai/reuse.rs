@@ -86,7 +86,11 @@ mod tests {
                 PromptPart { section: PromptSection::Memory, content }
             }
         };
-        Prompt { system: SYSTEM, parts: parts.iter().map(part).collect(), images_asked: 0 }
+        Prompt {
+            system: SYSTEM.to_owned(),
+            parts: parts.iter().map(part).collect(),
+            images_asked: 0,
+        }
     }
 
     #[test]

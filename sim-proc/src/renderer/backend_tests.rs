@@ -4,7 +4,7 @@ use raster::Level;
 use warehouse::{CaseSet, Variant, Warehouse};
 
 use super::*;
-use crate::view_control::every_pose;
+use warehouse::every_pose;
 
 fn renderer(warehouse: &Warehouse, settings: &RenderSettings, backend: Backend) -> Renderer {
     let backend = Some(backend);

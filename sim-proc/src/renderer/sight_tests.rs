@@ -7,7 +7,7 @@ use super::mesh::builder::Detail;
 use super::mesh::items::item;
 use super::{Backend, RenderSettings, Renderer};
 use crate::first_views::{FirstView, first_views, shown_targets};
-use crate::view_control::every_pose;
+use warehouse::every_pose;
 
 fn renderer(warehouse: &Warehouse) -> Renderer {
     let settings = RenderSettings { backend: Some(Backend::Cpu), ..RenderSettings::default() };

@@ -6,12 +6,11 @@ use std::path::Path;
 use domain::camera::{CAMERA_HEIGHT_M, focal_length_px};
 use domain::{Appearance, Cell, Heading, Pose};
 use plates::Plate;
-use warehouse::{CaseSet, StockChange, Variant, WorldChange, WorldState};
+use warehouse::{CaseSet, StockChange, Variant, WorldChange, WorldState, every_pose};
 
 use super::camera::Camera;
 use super::visibility::{VisibleSet, nearest_first};
 use super::*;
-use crate::view_control::every_pose;
 
 const SIDE_PX: u32 = 448;
 

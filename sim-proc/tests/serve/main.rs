@@ -10,23 +10,23 @@ use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver as Permissions, channel};
 
-use anyhow::Result;
 use bytemuck::Zeroable;
 use case_book::EpisodeFacts;
 use conformance::messages;
 use domain::{Action, Feedback, Heading, Pose};
+use peer::world::{RenderTask, RenderWorker, WorldFailure};
 use shm_types::FrameControl;
 use shm_types::message::{
     EpisodeEnd, FrameId, NO_FRAME, ShutdownReport, StepCommand, ViewRequest, WorldEpisodeConfig,
 };
-use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use sim_proc::renderer::{Backend, Renderer, ViewSpec};
+use sim_proc::world::{WarehousePicture, WarehouseRendering};
 use warehouse::{CaseSet, TrajectoryKind, Variant, Warehouse, step};
 
 use rig::{
     CodeWorker, SMALL, act, code, code_with, elsewhere, elsewhere_demonstration, error_report,
-    fatal_error, is_near, poses, reset, setup, shown_code, shows_stock, simulator, simulator_with,
-    small, step_at, worlds,
+    fatal_error, is_near, pose_of, poses, reset, setup, setup_with, shown_code, shows_stock,
+    simulator, simulator_with, small, step_at,
 };
 
 #[test]
@@ -49,7 +49,7 @@ fn episodes_run_by_the_dynamics_and_show_what_is_there() {
         let lanes: BTreeSet<u32> = observations.iter().map(|o| o.lane).collect();
         assert_eq!(lanes, BTreeSet::from([0, 1, 2, 3]));
         for o in &observations {
-            assert_eq!((o.pose, o.feedback), (pose.into(), feedback as u8));
+            assert_eq!((pose_of(o), o.feedback), (pose, feedback as u8));
             assert_eq!((o.step, o.episode, o.last), (n as u32, 10 + u64::from(o.lane), 0));
             assert_eq!(o.frame, observations[0].frame, "one view, one frame");
             assert!(
@@ -229,7 +229,7 @@ fn an_episode_longer_than_the_store_evicts_and_memory_stays_bounded() {
                 let (episode, step) = (n as u64 / 3 * 3, (n % 3) as u32);
                 sim.ask(&act(lane as u32, episode, step, Action::TurnRight))
             };
-            recent[lane].push((seen.frame, Pose::try_from(seen.pose).unwrap()));
+            recent[lane].push((seen.frame, pose_of(&seen)));
             assert!(sim.neighbours.stores[0].len() <= 6);
         }
         for (frame, pose) in recent.concat() {
@@ -249,7 +249,7 @@ fn controls_change_what_lanes_see_and_only_one_what_memory_gets() {
         let mut shown = BTreeSet::new();
         for (episode, &pose) in poses.iter().step_by(50).enumerate() {
             let seen = sim.ask(&reset(0, episode as u64, 0, pose));
-            assert_eq!(seen.pose, pose.into());
+            assert_eq!(pose_of(&seen), pose);
             let pixel = shown_code(&mut sim, seen.frame);
             assert_ne!(pixel, code(&Variant::UNCHANGED, pose));
             assert_eq!(pixel == [128, 128, 128, 255], control != FrameControl::Swapped);
@@ -323,18 +323,18 @@ fn a_store_that_is_too_small_is_reported() {
 /// Panics at its first task.
 struct PanickingWorker;
 
-impl RenderWorker for PanickingWorker {
-    fn render_into(&mut self, _tasks: &mut [RenderTask<'_>]) -> Result<u64> {
+impl RenderWorker<WarehousePicture> for PanickingWorker {
+    fn render_into(
+        &mut self,
+        _tasks: &mut [RenderTask<'_, WarehousePicture>],
+    ) -> Result<u64, WorldFailure> {
         panic!("this worker panics, as the test wants");
     }
 }
 
 #[test]
 fn a_panicking_worker_ends_the_run() {
-    let panicking_setup = || RenderSetup {
-        workers: vec![Box::new(PanickingWorker), Box::new(PanickingWorker)],
-        ..setup()
-    };
+    let panicking_setup = || setup_with(vec![Box::new(PanickingWorker), Box::new(PanickingWorker)]);
     let mut sim = simulator_with(|_| {}, false, move |_| Ok(panicking_setup()));
     sim.command(&reset(0, 1, 0, poses()[0]));
     assert_eq!(
@@ -346,8 +346,11 @@ fn a_panicking_worker_ends_the_run() {
 /// Waits for permission before each batch.
 struct WaitingWorker(Permissions<()>);
 
-impl RenderWorker for WaitingWorker {
-    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64> {
+impl RenderWorker<WarehousePicture> for WaitingWorker {
+    fn render_into(
+        &mut self,
+        tasks: &mut [RenderTask<'_, WarehousePicture>],
+    ) -> Result<u64, WorldFailure> {
         // After a failed test the channel is closed.
         let _ = self.0.recv();
         CodeWorker.render_into(tasks)
@@ -359,9 +362,8 @@ fn no_lane_waits_for_the_view_of_another() {
     // The sender is dropped before the rig.
     let (mut sim, go_on) = {
         let (go_on, permissions) = channel();
-        let workers: Vec<Box<dyn RenderWorker>> = vec![Box::new(WaitingWorker(permissions))];
-        let open = move |_| Ok(RenderSetup { workers, ..setup() });
-        (simulator_with(|_| {}, false, open), go_on)
+        let worker = Box::new(WaitingWorker(permissions));
+        (simulator_with(|_| {}, false, |_| Ok(setup_with(vec![worker]))), go_on)
     };
     let poses = poses();
     let (here, elsewhere) = (poses[0], poses[50]);
@@ -378,7 +380,7 @@ fn no_lane_waits_for_the_view_of_another() {
 
     go_on.send(()).unwrap();
     let seen = sim.observe(1)[0];
-    assert_eq!((seen.lane, seen.episode, seen.pose), (1, 2, elsewhere.into()));
+    assert_eq!((seen.lane, seen.episode, pose_of(&seen)), (1, 2, elsewhere));
     assert!(seen.report.stepped_ns < seen.report.rendered_ns);
     assert_eq!(shown_code(&mut sim, seen.frame), code(&Variant::UNCHANGED, elsewhere));
     assert_eq!(sim.stop().frames_rendered, 2);
@@ -453,7 +455,7 @@ fn the_renderer_writes_into_the_frame_store() {
             (attach.frame, attach.frame_capacity, attach.lanes, attach.window) = (SMALL, 6, 1, 2)
         },
         false,
-        |_| RenderSetup::open(&worlds(), small(None), None),
+        |world| WarehouseRendering::open(world.worlds(), small(None), None),
     );
     let handshake = sim.handshake();
     let facts = handshake.facts().unwrap();
@@ -462,7 +464,7 @@ fn the_renderer_writes_into_the_frame_store() {
     let variant = Variant::closing(case.barricade.iter().copied());
     let mut seen = sim.ask(&reset(0, 1, 1, case.blocked.start));
     for (&action, step) in case.blocked.actions.iter().zip(1..) {
-        let pose = Pose::try_from(seen.pose).unwrap();
+        let pose = pose_of(&seen);
         let view = ViewSpec { pose, variant: &variant, stock: 0 };
         let expected = renderer.render_image(view).unwrap();
         for store in &mut sim.neighbours.stores {
@@ -492,12 +494,12 @@ fn views_that_another_simulator_has_rendered_are_read_from_files() {
         let mut sim = simulator_with(
             |attach| attach.frame = SMALL,
             false,
-            move |_| RenderSetup::open(&worlds(), settings, Some(&root)),
+            move |world| WarehouseRendering::open(world.worlds(), settings, Some(&root)),
         );
         sim.handshake();
         let mut seen = sim.ask(&reset(0, 1, 1, case.blocked.start));
         for (&action, step) in case.blocked.actions.iter().zip(1..) {
-            let pose = Pose::try_from(seen.pose).unwrap();
+            let pose = pose_of(&seen);
             let view = ViewSpec { pose, variant: &variant, stock: 0 };
             let expected = renderer.render_image(view).unwrap();
             let frame = sim.neighbours.stores[0].get(seen.frame).unwrap().unwrap();
@@ -542,7 +544,7 @@ fn views_of_the_other_warehouse_are_those_of_a_simulator_that_is_started_in_it()
     let mut sim = simulator_with(
         |attach| attach.frame = SMALL,
         false,
-        move |_| RenderSetup::open(&worlds(), with, None),
+        move |world| WarehouseRendering::open(world.worlds(), with, None),
     );
     sim.handshake();
     let (tested, other) = (Warehouse::shipped(), elsewhere());

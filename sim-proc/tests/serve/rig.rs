@@ -5,18 +5,19 @@ use std::collections::BTreeMap;
 use anyhow::Result;
 use case_book::{Demonstration, DemonstrationBook};
 use conformance::messages;
-use domain::{Action, Cell, DemonstrationKind, Heading, Pose};
+use domain::{Action, Cell, DemonstrationKind, Heading, Pose, State};
+use peer::world::{
+    RenderSetup, RenderTask, RenderWorker, Renderers, WorldFailure, serve_generation,
+};
 use rigs::process::SimRig;
-use shm_types::message::{FrameId, RequestId, Role, StepCommand, WirePose, WorldEpisodeConfig};
+use shm_types::message::{FrameId, Observation, RequestId, Role, StepCommand, WorldEpisodeConfig};
 use shm_types::{Attach, Bus, FrameSize};
-use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use sim_proc::renderer::{Backend, RenderSettings, ViewSpec, VisibleChanges};
-use sim_proc::serve::serve;
-use sim_proc::view_control::every_pose;
+use sim_proc::world::{WarehousePicture, WarehouseRendering, WarehouseWorld};
 use sim_proc::worlds::Worlds;
 use warehouse::{
     Case, CaseSet, ELSEWHERE_VARIANT, Elsewhere, StockChange, Trajectory, Variant, Warehouse,
-    WorldChange, WorldState,
+    WorldChange, WorldState, every_pose,
 };
 
 /// Fills a slot with pixels that encode the pose, the stock and the number of nearby closed cells.
@@ -27,10 +28,10 @@ pub(crate) fn code(variant: &Variant, pose: Pose) -> [u8; 4] {
 }
 
 pub(crate) fn code_with(stock: u32, variant: &Variant, pose: Pose) -> [u8; 4] {
-    let WirePose([x, y, heading, _]) = pose.into();
+    let Pose { cell: Cell { x, y }, heading } = pose;
     let size = if is_near(variant, pose) { variant.closed().len() } else { 0 };
     let stock = if shows_stock(pose) { stock as u8 } else { 0 };
-    [x, y, heading | stock << 4, size as u8]
+    [x, y, heading as u8 | stock << 4, size as u8]
 }
 
 /// Barricades are visible for four cells in all directions.
@@ -43,9 +44,13 @@ pub(crate) fn shows_stock(pose: Pose) -> bool {
     pose.cell.y.is_multiple_of(2)
 }
 
-impl RenderWorker for CodeWorker {
-    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64> {
-        for RenderTask { stock, variant, pose, slot, .. } in &mut *tasks {
+impl RenderWorker<WarehousePicture> for CodeWorker {
+    fn render_into(
+        &mut self,
+        tasks: &mut [RenderTask<'_, WarehousePicture>],
+    ) -> Result<u64, WorldFailure> {
+        for RenderTask { picture, slot, .. } in &mut *tasks {
+            let WarehousePicture { stock, variant, pose } = picture;
             let code = code_with(*stock, variant, *pose);
             slot.pixels_mut().chunks_exact_mut(4).for_each(|pixel| pixel.copy_from_slice(&code));
         }
@@ -54,17 +59,25 @@ impl RenderWorker for CodeWorker {
     }
 }
 
+/// A render worker on a thread of its own.
+pub(crate) type Worker = Box<dyn RenderWorker<WarehousePicture> + Send>;
+
 /// Two workers.
-pub(crate) fn setup() -> RenderSetup {
-    RenderSetup {
-        workers: vec![Box::new(CodeWorker), Box::new(CodeWorker)],
-        on_serve_thread: false,
-        batch_views: 3,
+pub(crate) fn setup() -> WarehouseRendering {
+    setup_with(vec![Box::new(CodeWorker), Box::new(CodeWorker)])
+}
+
+/// These workers.
+pub(crate) fn setup_with(workers: Vec<Worker>) -> WarehouseRendering {
+    WarehouseRendering {
+        setup: RenderSetup {
+            renderers: Renderers::Threads { workers, batch: 3 },
+            facts: vec![("backend", "test".to_owned())],
+        },
         find_changes: Box::new(|ViewSpec { pose, variant, stock }| VisibleChanges {
             stock: stock != 0 && shows_stock(pose),
             barricades: is_near(variant, pose),
         }),
-        facts: vec![("backend", "test".to_owned())],
     }
 }
 
@@ -118,12 +131,12 @@ fn demonstrations() -> DemonstrationBook {
     let elsewhere = elsewhere();
     let (task, shown) = elsewhere.demonstration(0).unwrap();
     let shown = shown.replay(elsewhere.warehouse(), task, &Variant::UNCHANGED).poses;
-    let demonstration = |(variant, poses)| Demonstration {
+    let demonstration = |(variant, poses): (u32, Vec<Pose>)| Demonstration {
         case: 0,
         kind: DemonstrationKind::Original,
         variant,
         instruction: String::new(),
-        poses,
+        states: poses.into_iter().map(State::from).collect(),
         feedback: Vec::new(),
         sub_goals: Vec::new(),
         actions: Vec::new(),
@@ -131,7 +144,8 @@ fn demonstrations() -> DemonstrationBook {
     };
     let all = variants.chain([(ELSEWHERE_VARIANT, shown)]);
     let demonstrations = all.map(demonstration).collect();
-    DemonstrationBook { demonstrations, ..DemonstrationBook::default() }
+    let world = warehouse::declaration();
+    DemonstrationBook { world, demonstrations, ..DemonstrationBook::default() }
 }
 
 /// The step of [`demonstrations`] at `pose`.
@@ -154,16 +168,18 @@ pub(crate) fn elsewhere() -> Elsewhere {
 pub(crate) fn simulator_with(
     change: impl FnOnce(&mut Attach),
     warm_views: bool,
-    open: impl FnOnce(FrameSize) -> Result<RenderSetup> + Send + 'static,
+    open: impl FnOnce(&WarehouseWorld) -> Result<WarehouseRendering> + Send + 'static,
 ) -> SimRig {
     let change = |attach: &mut Attach| {
         attach.frame = FrameSize { width: 64, height: 32 };
         change(attach);
     };
     SimRig::in_thread(change, move |folder| {
-        let bus = Bus::join(Attach::read(folder)?, Role::Sim)?;
-        let open = || open(bus.attach().frame);
-        serve(&bus, worlds(), demonstrations(), warm_views, open)
+        let attach = Attach::read(folder)?;
+        let mut world = WarehouseWorld::new(&attach, worlds(), demonstrations())?;
+        let bus = Bus::join(attach, Role::Sim)?;
+        let open = |world: &mut WarehouseWorld| Ok(open(world)?.install(world));
+        Ok(serve_generation(&bus, &mut world, warm_views, open)?)
     })
 }
 
@@ -178,6 +194,12 @@ pub(crate) fn fatal_error(rig: &mut SimRig) -> String {
     let report = error_report(rig);
     assert_eq!(rig.end().unwrap_err().to_string(), report);
     report
+}
+
+/// The pose of the agent.
+pub(crate) fn pose_of(seen: &Observation) -> Pose {
+    let state = warehouse::declaration().read_state(&seen.state).unwrap();
+    Pose::try_from(state).unwrap()
 }
 
 /// The code in the frame's pixels, as both consumers read it.

@@ -123,7 +123,7 @@ fn forty_requests_at_once_get_their_own_replies() {
 fn a_request_carries_key_and_body() {
     let server = Server::turns([Reaction::says("North.")]).unwrap();
     let bench = Bench::new(&server.base_url(), settings(1, 0));
-    let request = ChatRequest { choices: vec!["go"], ..ChatRequest::text("Where?", 30) };
+    let request = ChatRequest { choices: vec!["go".to_owned()], ..ChatRequest::text("Where?", 30) };
     let reply = bench.client.ask(&request, 0).unwrap().reply;
     assert_eq!((reply.text(), reply.model.as_deref()), ("North.", Some("scripted")));
     assert_eq!((reply.prompt_tokens, reply.completion_tokens), (Some(10), Some(5)));

@@ -27,13 +27,15 @@ pub fn requests(
     documents: &[Arc<Document>],
     messages: impl IntoIterator<Item = Incoming>,
 ) -> (Vec<PinnedStep>, usize) {
-    let mut join = Join::new(lanes, world);
+    let mut join = Join::new(lanes, Arc::clone(&world));
     let (mut complete, mut refused) = (Vec::new(), 0);
     for message in messages {
         let taken = match message {
             Incoming::Config(config) => join.begin(&config),
             Incoming::Observation(observation) => join.observe(&observation),
-            Incoming::Recall(recall) => Recalled::read(&recall).and_then(|read| join.recall(read)),
+            Incoming::Recall(recall) => {
+                Recalled::read(&world, &recall).and_then(|read| join.recall(read))
+            }
         };
         refused += usize::from(taken.is_err());
         for ready in join.take_ready() {

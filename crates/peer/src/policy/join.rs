@@ -104,7 +104,7 @@ pub(super) struct StepsKind {
 
 impl Recalled {
     /// Reads a message where it lies.
-    pub(super) fn read(message: &Recall) -> Result<Self, String> {
+    pub(super) fn read(world: &WorldDeclaration, message: &Recall) -> Result<Self, String> {
         let &Recall { lane, step, episode, .. } = message;
         let count = |what, count: u32, most: usize| {
             let fits = usize::try_from(count).ok().filter(|&count| count <= most);
@@ -112,7 +112,10 @@ impl Recalled {
         };
         let items = &message.items[..count("items", message.items_len, MAX_ITEMS)?];
         let steps = &message.steps[..count("steps", message.steps_len, MAX_STEPS)?];
-        let supplied = |supplied: &SegmentStep| Ok((supplied.frame, read_action(supplied.action)?));
+        let supplied = |supplied: &SegmentStep| {
+            let action = read_action(supplied.action)?;
+            Ok((supplied.frame, world.read_action(action)?))
+        };
         let steps = steps.iter().map(supplied).collect::<Result<Vec<_>, UnknownCode>>();
         let steps = steps.map_err(|problem| bad(RECALL, lane, step, problem))?;
         let items = items.iter().enumerate().map(|(item, content)| {
@@ -351,6 +354,8 @@ pub(super) fn bad_item(lane: u32, step: u32, item: usize, problem: &str) -> Stri
 #[cfg(test)]
 mod tests {
     use bytemuck::Zeroable;
+    use conformance::messages::scripted_world;
+    use domain::{Action, Feedback};
     use shm_types::message::{NO_ACTION, write_text};
 
     use super::*;
@@ -371,12 +376,12 @@ mod tests {
     }
 
     fn recalled(join: &mut Join, message: &Recall) -> Result<(), String> {
-        join.recall(Recalled::read(message)?)
+        join.recall(Recalled::read(&scripted_world(), message)?)
     }
 
     /// Two lanes; episode 5 runs in the second one.
     fn join() -> Join {
-        let mut join = Join::new(2);
+        let mut join = Join::new(2, Arc::new(scripted_world()));
         join.begin(&config(1, 5)).unwrap();
         join
     }
@@ -412,8 +417,11 @@ mod tests {
             recalled(&mut join, &recall(1, 5, step)).unwrap();
             windows.push(join.take_ready().pop().unwrap().window);
         }
-        let past =
-            |step: u64, action| JoinedStep { frame: 100 + step, action, feedback: Feedback::Moved };
+        let past = |step: u64, action: Option<Action>| JoinedStep {
+            frame: 100 + step,
+            action: action.map(ActionCode::from),
+            feedback: Feedback::Moved.into(),
+        };
         let first = past(0, Some(Action::Backward));
         let (second, third) = (past(1, None), past(2, Some(Action::Right)));
         let expected = [vec![], vec![first], vec![first, second], vec![second, third]];
@@ -454,10 +462,13 @@ mod tests {
     fn invalid_messages_are_described_and_change_nothing() {
         let mut join = join();
         let no_text = PolicyEpisodeConfig { instruction_len: 4000, ..config(1, 6) };
-        let mut bad_pose = observation(1, 5, 0);
-        bad_pose.pose.0[2] = 9;
-        let mut bad_action = Recall { steps_len: 1, ..recall(1, 5, 0) };
-        bad_action.steps[0].action = 77;
+        let mut bad_state = observation(1, 5, 0);
+        bad_state.state[2] = 9.0;
+        let with_action = |action| {
+            let mut recall = Recall { steps_len: 1, ..recall(1, 5, 0) };
+            recall.steps[0].action = action;
+            recall
+        };
         let with = |item| {
             let mut recall = Recall { items_len: 2, steps_len: 4, ..recall(1, 5, 0) };
             recall.items[1] = item;
@@ -473,14 +484,15 @@ mod tests {
             join.begin(&PolicyEpisodeConfig { window: 33, ..config(1, 6) }),
             join.begin(&PolicyEpisodeConfig { demonstrated_elsewhere: 2, ..config(1, 6) }),
             join.observe(&Observation { last: 7, ..observation(1, 5, 0) }),
-            join.observe(&bad_pose),
+            join.observe(&bad_state),
             join.observe(&Observation { feedback: 8, ..observation(1, 5, 0) }),
             join.observe(&Observation { action: 7, ..observation(1, 5, 0) }),
             join.observe(&Observation { frame: NO_FRAME, ..observation(1, 5, 0) }),
             join.observe(&observation(1, 5, 1)),
             recalled(&mut join, &Recall { items_len: 1 << 31, ..recall(1, 5, 0) }),
             recalled(&mut join, &Recall { steps_len: 49, ..recall(1, 5, 0) }),
-            recalled(&mut join, &bad_action),
+            recalled(&mut join, &with_action(77)),
+            recalled(&mut join, &with_action(7)),
             recalled(&mut join, &with(of_kind(9))),
             recalled(&mut join, &steps(ItemKind::Steps, 2, 0)),
             recalled(&mut join, &steps(ItemKind::Steps, 2, 3)),
@@ -497,14 +509,15 @@ mod tests {
         episode config for lane 1, step 0: 33 past steps, but at most 32 fit
         episode config for lane 1, step 0: 2 is not a flag (0 no, 1 yes)
         observation for lane 1, step 0: 7 is not a flag (0 no, 1 yes)
-        observation for lane 1, step 0: 9 is not a heading (0 N, 1 E, 2 S, 3 W)
-        observation for lane 1, step 0: 8 is not a feedback (0 to 4)
-        observation for lane 1, step 0: 7 is not an action (0 to 6)
+        observation for lane 1, step 0: this is no state of the world scripted: heading is 9, not one of 0 to 3
+        observation for lane 1, step 0: 8 is not a feedback of this world
+        observation for lane 1, step 0: 7 is not an action of this world
         observation for lane 1, step 0: it names no frame
         observation for lane 1, step 1: step 0 is next
         recall for lane 1, step 0: 2147483648 items, but at most 8 fit
         recall for lane 1, step 0: 49 steps, but at most 48 fit
-        recall for lane 1, step 0: 77 is not an action (0 to 6)
+        recall for lane 1, step 0: 77 is not an action (0 to 63)
+        recall for lane 1, step 0: 7 is not an action of this world
         recall for lane 1, step 0: item 1 is invalid: 9 is not an item kind (0 text, 1 steps, 2 trajectory, 3 frame)
         recall for lane 1, step 0: item 1 has no steps
         recall for lane 1, step 0: item 1 has the steps 2..5 of a message with 4
@@ -527,15 +540,16 @@ mod tests {
             counts in (0..=MAX_ITEMS as u32, 0..=MAX_STEPS as u32),
             ranges in proptest::collection::vec((0..60_u32, 0..60_u32, 0..5_u8), MAX_ITEMS),
         ) {
+            let world = scripted_world();
             let mut recall: Recall = bytemuck::pod_read_unaligned(&bytes);
-            let _ = Recalled::read(&recall);
+            let _ = Recalled::read(&world, &recall);
             (recall.items_len, recall.steps_len) = counts;
             recall.steps.iter_mut().for_each(|step| step.action %= 7);
-            let _ = Recalled::read(&recall);
+            let _ = Recalled::read(&world, &recall);
             for (item, range) in recall.items.iter_mut().zip(ranges) {
                 (item.first_step, item.steps, item.kind) = range;
             }
-            if let Ok(recalled) = Recalled::read(&recall) {
+            if let Ok(recalled) = Recalled::read(&world, &recall) {
                 assert_eq!(recalled.items.len(), counts.0 as usize);
             }
         }

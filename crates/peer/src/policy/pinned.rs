@@ -116,12 +116,17 @@ impl PinnedStep {
                     let (id, len) = (document.id, content.len());
                     return Err(format!("has the steps {steps:?} of document {id} with {len}"));
                 };
+                let world = &self.step.episode.world;
                 for demonstration in content.chunk_by(|a, b| a.trajectory == b.trajectory) {
                     let first = self.steps.len();
-                    let steps = demonstration.iter();
-                    let steps =
-                        steps.map(|step| (step.frame, read_action(step.action).ok().flatten()));
-                    self.steps.extend(steps);
+                    for step in demonstration {
+                        let action = read_action(step.action);
+                        let action = action.and_then(|action| world.read_action(action));
+                        let action = action.map_err(|unknown| {
+                            format!("has steps of document {}: {unknown}", document.id)
+                        })?;
+                        self.steps.push((step.frame, action));
+                    }
                     self.items.push(PinnedItem::Steps(*kind, first..self.steps.len()));
                 }
             }

@@ -110,7 +110,8 @@ impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
     fn receive(&mut self, errors: &mut ErrorReporter) -> Result<(), ServeError> {
         let mut recalls = Vec::new();
         while recalls.len() < self.open.len()
-            && let Some(recalled) = self.recalls.next_with(Recalled::read)?
+            && let Some(recalled) =
+                self.recalls.next_with(|recall| Recalled::read(&self.world, recall))?
         {
             recalls.push(recalled);
         }

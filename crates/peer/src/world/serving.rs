@@ -354,7 +354,7 @@ impl<'a, W: World> WorldSession<'a, W> {
                 !matches!(answer, PendingView::Step(_, waiting, _) if waiting.lane == report.lane)
             });
         }
-        let view = (!ends).then(|| match self.control {
+        let view = (!ends).then_some(match self.control {
             FrameControl::Blank | FrameControl::BlankAll => Shown::Grey,
             FrameControl::Rendered | FrameControl::Swapped => Shown::View(moment.view),
         });

@@ -5,7 +5,6 @@
 //! in the order in which they were unpinned. This is bookkeeping only: nothing here renders, sends or waits.
 
 use std::collections::{BTreeMap, VecDeque};
-
 use std::fmt::Debug;
 use std::hash::Hash;
 
@@ -254,10 +253,6 @@ mod tests {
 
     use super::*;
 
-    fn view(n: u8) -> u8 {
-        n
-    }
-
     /// Starts to render up to `most` views.
     fn take_missing(views: &mut ViewCache<u8>, most: usize) -> Vec<u8> {
         let next = || {
@@ -278,61 +273,61 @@ mod tests {
     #[test]
     fn views_of_lanes_are_rendered_first_and_once() {
         let mut views = ViewCache::new(9, 2, 6);
-        views.pin_for_memory(view(1));
-        views.pin_for_memory(view(2));
-        views.show(0, view(3));
-        views.show(1, view(2));
-        assert_eq!(take_missing(&mut views, 2), [view(3), view(2)]);
-        assert_eq!(take_missing(&mut views, 2), [view(1)]);
-        assert_eq!(take_missing(&mut views, 2), []);
+        views.pin_for_memory(1);
+        views.pin_for_memory(2);
+        views.show(0, 3);
+        views.show(1, 2);
+        assert_eq!(take_missing(&mut views, 2), [3, 2]);
+        assert_eq!(take_missing(&mut views, 2), [1]);
+        assert!(take_missing(&mut views, 2).is_empty());
     }
 
     #[test]
     fn a_lane_pins_its_window_and_two_more() {
         let mut views = ViewCache::new(3, 1, 1);
         for n in 1..=4 {
-            views.show(0, view(n));
+            views.show(0, n);
             let evicted = views.make_room().unwrap();
             assert_eq!(evicted, if n == 4 { vec![1] } else { vec![] });
             render_missing(&mut views, n.into());
         }
-        assert_eq!([1, 2, 3, 4].map(|n| views.frame(view(n))), [None, Some(2), Some(3), Some(4)]);
+        assert_eq!([1, 2, 3, 4].map(|n| views.frame(n)), [None, Some(2), Some(3), Some(4)]);
         views.clear_lane(0);
-        views.pin_for_memory(view(9));
+        views.pin_for_memory(9);
         assert_eq!(views.make_room(), Ok(vec![2]));
     }
 
     #[test]
     fn a_pinned_view_stays_until_it_is_released_as_often() {
         let mut views = ViewCache::new(1, 1, 0);
-        views.pin_for_memory(view(1));
-        views.pin_for_memory(view(1));
+        views.pin_for_memory(1);
+        views.pin_for_memory(1);
         render_missing(&mut views, 7);
         assert_eq!(views.release(8), Err(NotPinned(8)));
         assert_eq!(views.release(7), Ok(()));
-        views.pin_for_memory(view(2));
+        views.pin_for_memory(2);
         let error = views.make_room().unwrap_err();
         assert_eq!(error, CacheFull { needed: 2, capacity: 1 });
         assert!(error.to_string().contains("raise --frame-budget or lower --lanes"));
         assert_eq!(views.release(7), Ok(()));
         assert_eq!(views.release(7), Err(NotPinned(7)));
         assert_eq!(views.make_room(), Ok(vec![7]));
-        assert_eq!(views.frame(view(1)), None);
+        assert_eq!(views.frame(1), None);
     }
 
     #[test]
     fn a_view_without_pins_is_not_rendered() {
         let mut views = ViewCache::new(1, 1, 0);
-        views.show(0, view(1));
+        views.show(0, 1);
         views.clear_lane(0);
-        assert_eq!(take_missing(&mut views, 9), []);
+        assert!(take_missing(&mut views, 9).is_empty());
         // A view that is unpinned while it is rendered can be evicted afterwards.
-        views.show(0, view(2));
-        assert_eq!(take_missing(&mut views, 9), [view(2)]);
+        views.show(0, 2);
+        assert_eq!(take_missing(&mut views, 9), [2]);
         views.clear_lane(0);
-        views.pin_for_memory(view(3));
+        views.pin_for_memory(3);
         assert_eq!(views.make_room(), Ok(vec![]));
-        views.insert(view(2), 5);
+        views.insert(2, 5);
         assert_eq!(views.make_room(), Ok(vec![5]));
     }
 
@@ -371,7 +366,7 @@ mod tests {
                 let before = pinned(&lanes, &holds);
                 match op {
                     Op::Show(lane, n) => {
-                        views.show(lane, view(n));
+                        views.show(lane, n);
                         lanes[lane].push(n);
                         if lanes[lane].len() > window + 2 {
                             lanes[lane].remove(0);
@@ -388,7 +383,7 @@ mod tests {
                         }
                     }
                     Op::Pin(n) => {
-                        views.pin_for_memory(view(n));
+                        views.pin_for_memory(n);
                         holds[usize::from(n)] += 1;
                     }
                     Op::Release(n) => {
@@ -399,8 +394,7 @@ mod tests {
                     }
                     Op::Render(most) => {
                         for taken in take_missing(&mut views, most) {
-                            let u8::WorldParts { pose, .. } = taken else { unreachable!() };
-                            let n = usize::from(pose.cell.x);
+                            let n = usize::from(taken);
                             prop_assert!(frames[n].is_none());
                             next += 1;
                             frames[n] = Some(next);
@@ -432,7 +426,7 @@ mod tests {
                     }
                 }
                 for (n, frame) in frames.iter().enumerate() {
-                    prop_assert_eq!(views.frame(view(n as u8)), *frame);
+                    prop_assert_eq!(views.frame(n as u8), *frame);
                 }
             }
         }

@@ -18,7 +18,7 @@ use shm_types::{BankContent, Note};
 use warehouse::TrajectoryKind;
 
 use super::super::*;
-use super::rig::{Rig, Script};
+use super::rig::{Rig, Script, pose_of};
 use crate::external::{ExternalLimits, ExternalMemories};
 
 const SECOND: u64 = 1_000_000_000;
@@ -162,8 +162,7 @@ fn an_episode_is_built_announced_asked_and_ended() {
     let script = rig.begin(0, 7, 3);
     rig.settle();
     let [(bank, content)] = &rig.banks[..] else { panic!("{:?}", rig.banks) };
-    let poses: Vec<Pose> =
-        content.steps.iter().map(|step| Pose::try_from(step.pose).unwrap()).collect();
+    let poses: Vec<Pose> = content.steps.iter().map(|step| pose_of(&step.state)).collect();
     assert_eq!(content.demonstrations.len(), 4);
     for (step, pose) in content.steps.iter().zip(&poses) {
         assert_eq!(rig.rig.frames[step.frame as usize - 1], *pose);

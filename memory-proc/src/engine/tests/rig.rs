@@ -4,11 +4,11 @@ use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 
 use case_book::BookRequest;
-use domain::{Demonstrations, Pose, Representation};
+use domain::{Demonstrations, Pose, Representation, State};
 use shm_types::documents::Content;
 use shm_types::message::{
-    EpisodeEnd, ItemKind, NO_ACTION, NO_FRAME, RecalledItem, RecalledSource, SegmentStep,
-    ViewRequestKind,
+    EpisodeEnd, ItemKind, MAX_STATE, NO_ACTION, NO_FRAME, RecalledItem, RecalledSource,
+    SegmentStep, ViewRequestKind,
 };
 use warehouse::case_book::write_books;
 use warehouse::{CaseSet, History, TrajectoryKind, Warehouse};
@@ -25,6 +25,12 @@ pub(super) fn content(pose: Pose) -> ContentHash {
 pub(super) fn embedding(content: ContentHash) -> Embedding {
     let raw: Vec<f32> = content.iter().map(|&byte| f32::from(byte) - 127.5).collect();
     Embedding::normalised(&raw).unwrap()
+}
+
+/// The pose in a message.
+pub(super) fn pose_of(state: &[f32; MAX_STATE]) -> Pose {
+    let state = warehouse::declaration().read_state(state).unwrap();
+    Pose::try_from(state).unwrap()
 }
 
 /// An episode that follows one of its case's trajectories in the unchanged world.
@@ -131,7 +137,7 @@ impl Rig {
             frame: NO_FRAME,
             step: step as u32,
             lane,
-            pose: replay.poses[step].into(),
+            state: State::from(replay.poses[step]).padded(),
             feedback: replay.feedback[step] as u8,
             action: if step == 0 { NO_ACTION } else { actions[step - 1] as u8 },
             last: u8::from(step == last),
@@ -167,7 +173,7 @@ impl Rig {
     }
 
     pub(super) fn observe(&mut self, mut seen: Observation) -> Result<(), String> {
-        let pose = Pose::try_from(seen.pose).unwrap();
+        let pose = pose_of(&seen.state);
         seen.frame = if seen.last == 1 { NO_FRAME } else { self.frame(pose) };
         self.report(&seen)?;
         if let Some(frame) = self.engine.observe(&seen, 1)? {
@@ -196,7 +202,7 @@ impl Rig {
         }
         let view = |step| ViewId { sequence, number, step };
         let poses = (0..).zip(&script.observations);
-        self.lived.extend(poses.map(|(step, seen)| (view(step), seen.pose.try_into().unwrap())));
+        self.lived.extend(poses.map(|(step, seen)| (view(step), pose_of(&seen.state))));
     }
 
     /// The rig after a restart of the process.

@@ -6,7 +6,10 @@ use std::path::{Path, PathBuf};
 
 use case_book::{BookRequest, Demonstration, DemonstrationBook, StreamDemonstrations};
 use domain::Representation::{self, Adaptive, Episodic, Working};
-use domain::{Action, Arm, DemonstrationKind, Demonstrations, Feedback, FeedbackLevel, Pose};
+use domain::{
+    Action, ActionCode, Arm, DemonstrationKind, Demonstrations, Feedback, FeedbackCode,
+    FeedbackLevel, Pose, State,
+};
 use shm_types::message::{EXPERIENCE, SnapshotId};
 use tempfile::TempDir;
 use warehouse::case_book::write_books;
@@ -14,7 +17,7 @@ use warehouse::plan::{Planner, Prices};
 use warehouse::{CaseSet, TrajectoryKind, Variant, Warehouse};
 
 use super::super::*;
-use super::rig::{Rig, Script};
+use super::rig::{Rig, Script, pose_of};
 use crate::demonstrations::BankOrigin;
 use crate::external::{ExternalLimits, ExternalMemories};
 
@@ -48,10 +51,10 @@ fn book() -> DemonstrationBook {
             kind: DemonstrationKind::Original,
             variant: CLOSED,
             instruction: book.cases[number as usize].instruction.clone(),
-            poses: replay.poses,
-            feedback: replay.feedback,
+            states: replay.poses.into_iter().map(State::from).collect(),
+            feedback: replay.feedback.into_iter().map(FeedbackCode::from).collect(),
             sub_goals: replay.goal_steps,
-            actions: trajectory.actions,
+            actions: trajectory.actions.into_iter().map(ActionCode::from).collect(),
             // None is one of the unchanged world.
             views: (0..states).map(|step| 100_000 + 1000 * number + step).collect(),
         });
@@ -297,16 +300,16 @@ fn an_experience_is_read_again_as_it_was() {
     // An answer that could not be read, after three steps.
     let mut seen = lesson.observations.clone();
     seen.truncate(5);
-    seen[3].pose = seen[2].pose;
+    seen[3].state = seen[2].state;
     (seen[3].action, seen[3].feedback) = (u8::MAX, Feedback::NotUnderstood as u8);
-    seen[4].pose = seen[3].pose;
+    seen[4].state = seen[3].state;
     (seen[4].action, seen[4].feedback) = (Action::TurnAround as u8, Feedback::Turned as u8);
     let turned = {
-        let mut pose = Pose::try_from(seen[4].pose).unwrap();
+        let mut pose = pose_of(&seen[4].state);
         pose.heading = pose.heading.turned(2);
         pose
     };
-    seen[4].pose = turned.into();
+    seen[4].state = State::from(turned).padded();
     seen[4].last = 1;
     lesson.observations = seen;
     run.learn(&lesson);
@@ -316,7 +319,7 @@ fn an_experience_is_read_again_as_it_was() {
     };
     let lived = bank(&mut run);
     assert_eq!((lived.case, lived.number), (1, EXPERIENCE));
-    assert_eq!(lived.actions[2..], [None, Some(Action::TurnAround)]);
+    assert_eq!(lived.actions[2..], [None, Some(Action::TurnAround.into())]);
     run.restart();
     let script = run.script(3, Arm::Learning, Adaptive);
     run.sources(&script);

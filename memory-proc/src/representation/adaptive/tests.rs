@@ -1,6 +1,6 @@
 use std::fs;
 
-use domain::{Heading, Pose};
+use domain::{Action, Feedback, Heading, Pose};
 use peer::memory::EpisodeEnd;
 use search::Embedding;
 
@@ -48,9 +48,9 @@ fn step<'a>(number: usize, seen: &Seen, embedding: Option<&'a [f32]>) -> Step<'a
         lane: 0,
         episode: 9,
         step: number as u32,
-        pose,
-        last_action,
-        feedback,
+        state: pose.into(),
+        last_action: last_action.map(Action::into),
+        feedback: feedback.into(),
         frame: None,
         embedding,
         pinned: None,

@@ -1,13 +1,12 @@
 //! The choice of keyframes: examples by hand, and properties.
 
-use domain::Heading;
+use domain::{Action, Feedback, Heading, Pose};
 use proptest::prelude::*;
 
-use super::super::testing::{build, demonstration, recall};
+use super::super::testing::{build, demonstration, recall, turns};
 use super::*;
 use crate::bank::{BankSteps, MemoryBank};
 use crate::demonstrations::{RememberedDemonstration, ViewId};
-use domain::{Feedback, Pose};
 
 /// A demonstration that takes `actions`, completing a sub-goal at each of `goals`; pose `t` is unlike any other.
 fn acted(actions: &str, goals: &[usize]) -> RememberedDemonstration {
@@ -20,17 +19,17 @@ fn acted(actions: &str, goals: &[usize]) -> RememberedDemonstration {
             .map(|step| ViewId { sequence: 0, number: 0, step })
             .collect(),
         instruction: String::new(),
-        feedback: steps.clone().map(|_| Feedback::Moved).collect(),
-        poses: steps.clone().map(|t| Pose::new(t as u8, 0, Heading::N)).collect(),
+        feedback: steps.clone().map(|_| Feedback::Moved.into()).collect(),
+        states: steps.clone().map(|t| Pose::new(t as u8, 0, Heading::N).into()).collect(),
         stages: steps.map(|t| goals.iter().filter(|&&goal| goal <= t).count() as u32).collect(),
-        actions: actions.into_iter().map(Some).collect(),
+        actions: actions.into_iter().map(|action| Some(action.into())).collect(),
     }
 }
 
 /// The steps of `share` keyframes.
 fn chosen(demonstration: &RememberedDemonstration, share: usize) -> Vec<usize> {
     let bank = MemoryBank::new(vec![demonstration.clone()]);
-    keyframes(&BankSteps::without_views(&bank).demonstrations()[0], share)
+    keyframes(&BankSteps::without_views(&bank).demonstrations()[0], share, &turns())
 }
 
 #[test]
@@ -78,7 +77,7 @@ fn the_budget_is_shared_fairly() {
 
 /// The keyframes of each demonstration.
 fn supplied(demonstrations: &[RememberedDemonstration], keyframes: usize) -> Vec<Vec<u32>> {
-    let mut memory = FullContext::new(keyframes);
+    let mut memory = FullContext::new(keyframes, turns());
     build(&mut memory, demonstrations).unwrap();
     let items = recall(&mut memory, None, 0, 3).unwrap();
     let shown = items.into_iter().zip(0..).map(|(item, number)| match item {
@@ -88,7 +87,7 @@ fn supplied(demonstrations: &[RememberedDemonstration], keyframes: usize) -> Vec
             actions: true,
             distance: None,
         } => {
-            let count = demonstrations[number as usize].poses.len() as u32;
+            let count = demonstrations[number as usize].states.len() as u32;
             assert_eq!(source, Source { demonstration: number, first: 0, count });
             shown
         }
@@ -116,7 +115,7 @@ proptest! {
             .map(|(actions, goals)| acted(actions, &goals.iter().copied().collect::<Vec<_>>()))
             .collect();
         let shown = supplied(&demonstrations, budget);
-        let all: usize = demonstrations.iter().map(|demonstration| demonstration.poses.len()).sum();
+        let all: usize = demonstrations.iter().map(|demonstration| demonstration.states.len()).sum();
         let shares: Vec<usize> = shown.iter().map(Vec::len).collect();
         prop_assert_eq!(shares.iter().sum::<usize>(), budget.min(all), "the whole budget, and never more");
         let bank = MemoryBank::new(demonstrations.clone());
@@ -131,7 +130,7 @@ proptest! {
             // A moment is kept only if all more important moments are.
             let moments = |kept: bool| {
                 let these = (0..length).filter(move |&step| is_kept(step) == kept);
-                these.map(|step| Moment::of(demonstration, step) as u8)
+                these.map(|step| Moment::of(demonstration, step, &turns()) as u8)
             };
             if let (Some(least), Some(most)) = (moments(true).max(), moments(false).min()) {
                 prop_assert!(least <= most);
@@ -140,7 +139,7 @@ proptest! {
             for (other, theirs) in shares.iter().enumerate() {
                 let mine = shares[number];
                 let fair = theirs + usize::from(number < other);
-                prop_assert!(mine <= fair || *theirs == demonstrations[other].poses.len());
+                prop_assert!(mine <= fair || *theirs == demonstrations[other].states.len());
             }
         }
     }
