@@ -113,6 +113,8 @@ pub struct Rig<N: SubjectNeighbours> {
     pub neighbours: N,
     /// The subject's first words, until the test asks for them.
     first_words: (Option<Handshake>, Option<ErrorReport>),
+    /// Reports of another kind than was asked for, oldest first, until the test asks for theirs.
+    other_reports: Vec<ErrorReport>,
     _run: ScratchRun,
 }
 
@@ -158,7 +160,8 @@ impl<N: SubjectNeighbours> Rig<N> {
         let run = ScratchRun::new(&[N::SUBJECT], change);
         let neighbours = N::join(run.attach()).unwrap();
         let subject = subject(run.path());
-        let mut rig = Self { subject, neighbours, first_words: (None, None), _run: run };
+        let (first_words, other_reports) = ((None, None), Vec::new());
+        let mut rig = Self { subject, neighbours, first_words, other_reports, _run: run };
         while rig.first_words == (None, None) && !rig.subject.has_ended() {
             rig.neighbours.respond();
             rig.neighbours.wait().unwrap();
@@ -203,22 +206,32 @@ impl<N: SubjectNeighbours> Rig<N> {
         })
     }
 
-    /// The next error report that is one, and its text: facts are passed over.
+    /// The next error report that is one, and its text. Facts are kept for [`learned_facts`](Self::learned_facts).
     pub fn error_report(&mut self) -> (ErrorReport, String) {
         self.report(|kind| kind != ErrorReportKind::Facts as u32)
     }
 
-    /// The facts that the subject has learned since its handshake, as JSON. Other reports are passed over.
+    /// The next facts that the subject has learned since its handshake, as JSON. Other reports are kept for
+    /// [`error_report`](Self::error_report).
     pub fn learned_facts(&mut self) -> String {
         self.report(|kind| kind == ErrorReportKind::Facts as u32).1
     }
 
     fn report(&mut self, is_awaited: impl Fn(u32) -> bool) -> (ErrorReport, String) {
-        let mut first = self.first_words.1.take();
-        let report = self.until(|neighbours| {
-            let next = first.take().or_else(|| neighbours.error_reports.next().unwrap());
-            next.filter(|report| is_awaited(report.kind))
-        });
+        let mut others = std::mem::take(&mut self.other_reports);
+        others.extend(self.first_words.1.take());
+        let report = match others.iter().position(|report| is_awaited(report.kind)) {
+            Some(kept) => others.remove(kept),
+            None => self.until(|neighbours| {
+                let next = neighbours.error_reports.next().unwrap()?;
+                if !is_awaited(next.kind) {
+                    others.push(next);
+                    return None;
+                }
+                Some(next)
+            }),
+        };
+        self.other_reports = others;
         (report, read_text(&report.text, report.text_len).unwrap().to_owned())
     }
 
