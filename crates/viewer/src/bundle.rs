@@ -219,17 +219,17 @@ mod tests {
 
     #[test]
     fn the_files_of_a_bundle_have_known_names() {
-        use domain::{Cell, Heading};
+        use domain::State;
 
         let names = KnownNames::new(PAGES).unwrap();
         for (name, _) in FRONT_END.into_iter().chain([(MARK, &[][..])]) {
             assert!(names.has(Path::new(name)), "{name}");
         }
-        for heading in Heading::ALL {
-            let pose = Pose { cell: Cell { x: 12, y: 0 }, heading };
+        for numbers in [&[12.0, 0.0, 3.0][..], &[-0.25]] {
+            let state = State::new(numbers).unwrap();
             for (is_small, variant) in [(true, GREY_VARIANT), (false, ELSEWHERE_VARIANT)] {
                 let name =
-                    format!("run2/views/{}", ViewFile { view: (variant, pose), is_small }.name());
+                    format!("run2/views/{}", ViewFile { view: (variant, state), is_small }.name());
                 assert!(names.has(Path::new(&name)), "{name}");
             }
         }
