@@ -93,7 +93,7 @@ impl ActingSimulator {
         begin: StageBegin,
         actions: impl IntoIterator<Item = Option<ActionCode>>,
     ) -> Result<ActedTrajectory, WorldFailure> {
-        self.stage.act(&self.cases, begin, actions, self.world.not_understood())
+        self.stage.act(&self.cases, begin, actions, &self.world)
     }
 
     fn reference(

@@ -14,7 +14,7 @@ use shm_types::message::{
 use super::simulator::{
     CaseDeclaration, Environment, EpisodeBegin, Observed, Simulator, TrajectoryName,
 };
-use super::stage::{Stage, StageBegin, is_complete};
+use super::stage::{Stage, StageBegin, check, is_complete};
 use super::{
     Moment, Refusal, RenderSetup, RenderTask, RenderWorker, Renderers, World, WorldFailure,
 };
@@ -114,7 +114,7 @@ impl<'s, S: Simulator + ?Sized> SimulatedWorld<'s, S> {
             return Err("the lane is in no episode".to_owned().into());
         };
         let RunningEpisode { config, step, states, now } = episode;
-        self.check(now).map_err(Refusal::Episode)?;
+        check(&self.declaration, now).map_err(Refusal::Episode)?;
         let ended = if is_complete(now) {
             EpisodeEnd::Complete
         } else if now.has_failed {
@@ -141,24 +141,17 @@ impl<'s, S: Simulator + ?Sized> SimulatedWorld<'s, S> {
             required: now.required,
             conflict: now.conflict,
             ended,
-            facts: has_ended.then(|| facts(states, environment.facts())),
+            facts: if has_ended {
+                Some(facts(states, environment.facts().map_err(Refusal::of)?))
+            } else {
+                None
+            },
             state_hash: if *step == 0 || has_ended { state_hash(now) } else { 0 },
         };
         if has_ended {
             lane.episode = None;
         }
         Ok(moment)
-    }
-
-    /// Checks what an environment says.
-    fn check(&self, observed: &Observed) -> Result<(), String> {
-        let Observed { state, feedback, sub_goals, required, .. } = observed;
-        self.declaration.check_state(state).map_err(|foreign| foreign.to_string())?;
-        self.declaration.read_feedback(feedback.0).map_err(|unknown| unknown.to_string())?;
-        if *required == 0 || sub_goals > required {
-            return Err(format!("{sub_goals} of {required} sub-goals cannot be complete"));
-        }
-        Ok(())
     }
 }
 
