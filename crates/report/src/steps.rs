@@ -144,12 +144,12 @@ mod tests {
         let text =
             String::from_utf8(csv).unwrap().replace("episodic/original/unchanged/original/", "");
         insta::assert_snapshot!(text, @"
-        log,policy,policy_role,key,memory,case,run,step,x,y,heading,feedback,action,is_last,sub_goals_met,sub_goals,conflict,sources,distances,outcome,latency_us,images,prompt_tokens,completion_tokens,memory_tokens
-        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,0,5,0,N,The episode has just begun.,move forward,false,0,1,false,o3,0.0132,,,,,,
-        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,1,5,1,N,You moved.,turn right,false,1,1,false,,,,,,,,
-        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,2,5,1,E,You turned.,,false,1,1,false,n1+o2,0+-,,,,,,
-        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,3,5,1,E,Your last answer was not understood: you did not move.,move forward,false,1,1,false,o4,,,,,,,
-        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,4,5,1,E,Something blocks the way: you did not move.,,true,1,1,true,,,,,,,,
+        log,policy,policy_role,key,memory,case,run,step,column,row,heading,feedback,action,is_last,sub_goals_met,sub_goals,conflict,sources,distances,outcome,latency_us,images,prompt_tokens,completion_tokens,memory_tokens
+        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,0,5,0,north,The episode has just begun.,move forward,false,0,1,false,o3,0.0132,,,,,,
+        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,1,5,1,north,You moved.,turn right,false,1,1,false,,,,,,,,
+        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,2,5,1,east,You turned.,,false,1,1,false,n1+o2,0+-,,,,,,
+        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,3,5,1,east,Your last answer was not understood: you did not move.,move forward,false,1,1,false,o4,,,,,,,
+        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,4,5,1,east,Something blocks the way: you did not move.,,true,1,1,true,,,,,,,,
         ");
     }
 }

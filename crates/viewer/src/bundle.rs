@@ -76,7 +76,8 @@ const PAGES: [&str; 7] = [
     "run[0-9]+/(prompts|episodes)/[0-9]+\\.js",
     "run[0-9]+/images/[0-9a-fA-F]{32}\\.jpg",
     "run[0-9]+/maps/[0-9]+\\.svg",
-    "run[0-9]+/views/[0-9]+-[0-9]+-[0-9]+-[NESW](-small)?\\.jpg",
+    // Bundles of earlier versions have the letters of headings.
+    "run[0-9]+/views/[0-9]+-[-0-9._NESW]+(-small)?\\.jpg",
 ];
 
 /// What is in the folder `dir` and no part of a bundle. A symbolic link is replaced, not what it points to.

@@ -227,8 +227,8 @@ mod tests {
         insta::assert_snapshot!(shown.join("\n"), @"
         1 Info sub-goal 1 of 2 is met
         2 Warning no action could be read in the answer
-        3 Warning the move was blocked
-        3 Warning tried to enter the closed passage
+        3 Warning Something blocks the way: you did not move.
+        3 Warning ran into what blocks the way
         3 Error failed: blocked (tried to enter a closed cell, then met no requirement and hardly went anywhere new)
         ");
         let last = EpisodeEvent {

@@ -215,12 +215,12 @@ mod tests {
           after   1  sub-goal 1 of 2 is met
           after   3  failed: never-saw
         ────────────────────────────────────────────────────────────────────────────────────────────────────
-        Step  Pose   Feedback                                             Action        Retrieved  Distances
+        Step  State      Feedback                                         Action        Retrieved  Distances
         ────────────────────────────────────────────────────────────────────────────────────────────────────
-           0  1,2,N  The episode has just begun.                          move forward  o12
-           1  1,3,N  You moved.                                           ?             -
-           2  1,3,N  Your last answer was not understood: you did not     turn left     o3+n4
-                     move.
+           0  1,2,north  The episode has just begun.                      move forward  o12
+           1  1,3,north  You moved.                                       ?             -
+           2  1,3,north  Your last answer was not understood: you did     turn left     o3+n4
+                         not move.
         ────────────────────────────────────────────────────────────────────────────────────────────────────
         ");
     }
