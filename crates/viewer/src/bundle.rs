@@ -140,7 +140,9 @@ impl BundleFolder<'_> {
             } else {
                 data.prompts = false;
             }
-            grounds.insert(data.ground);
+            if run.has_map() {
+                grounds.insert(data.ground);
+            }
             let file = RunPages::episode_file(name, index, &data)?;
             self.write(&format!("{name}/episodes/{index}.js"), &file)?;
         }

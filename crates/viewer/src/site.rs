@@ -312,8 +312,16 @@ impl RunPages {
         File::script(&format!("{folder}/prompts/{index}"), &data)
     }
 
-    /// The drawing of the floor of world state `ground`.
+    /// Whether the run's world draws maps.
+    pub(crate) fn has_map(&self) -> bool {
+        self.world.has_map()
+    }
+
+    /// The drawing of the floor of world state `ground`; `None` in a world that draws none.
     pub(crate) fn map(&self, ground: u32) -> Result<Option<File>> {
+        if !self.has_map() {
+            return Ok(None);
+        }
         let states = &self.world.description().states;
         let variant = match states.get(ground as usize) {
             None if ground > 0 => return Ok(None),
