@@ -12,6 +12,8 @@ use case_book::{
 use run_log::{
     CASE_BOOK_HASH, DEMONSTRATIONS_HASH, ELSEWHERE_FILE, ELSEWHERE_HASH, STREAMS_FILE, STREAMS_HASH,
 };
+use shm_types::message::Role;
+use supervise::Launch;
 
 /// The program of the world.
 const PROGRAM: &str = "sim-proc";
@@ -29,29 +31,40 @@ pub struct Books {
     pub elsewhere: Option<String>,
 }
 
+/// The command of a world of the user's.
+fn external(command: &str) -> Result<Command> {
+    let launch = Launch::command(Role::Sim, command)?;
+    let mut command = Command::new(launch.program);
+    command.args(launch.args);
+    Ok(command)
+}
+
 impl Books {
-    /// Those that the world writes for `request`.
+    /// Those that the world which `command` starts, or the warehouse, writes for `request`.
     ///
     /// # Errors
     /// When the world's program is missing or cannot write them; with what it printed.
-    pub fn of_world(request: &BookRequest) -> Result<Self> {
+    pub fn of_world(command: Option<&str>, request: &BookRequest) -> Result<Self> {
         let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
         let (asked, out) = (folder.path().join("request.json"), folder.path().join("out"));
         fs::write(&asked, serde_json::to_vec(request)?)
             .with_context(|| format!("cannot write {}", asked.display()))?;
-        let mut command = Command::new(supervise::sibling(PROGRAM)?);
+        let (name, mut command) = match command {
+            Some(command) => (command, external(command)?),
+            None => (PROGRAM, Command::new(supervise::sibling(PROGRAM)?)),
+        };
         command.arg("book").arg("--request").arg(&asked).arg("--out").arg(&out);
         let ended = command.stdin(Stdio::null()).output();
-        let ended = ended.with_context(|| format!("cannot start {PROGRAM}"))?;
+        let ended = ended.with_context(|| format!("cannot start {name}"))?;
         if !ended.status.success() {
             let printed = String::from_utf8_lossy(&ended.stderr);
             let printed = printed.trim().trim_start_matches("error: ");
             match printed.is_empty() {
-                true => bail!("{PROGRAM} book ended with {}", ended.status),
+                true => bail!("{name} book ended with {}", ended.status),
                 false => bail!("{printed}"),
             }
         }
-        Self::read(&out)
+        Self::read(&out).with_context(|| format!("{name} has written no case book"))
     }
 
     /// Those in the folder `folder`.

@@ -58,7 +58,8 @@ pub(crate) fn pipeline_options(
 
 /// Lets the simulator share its views with those of other units, through `folder`.
 pub(crate) fn share_views(options: &mut PipelineOptions, folder: &Path) {
-    for sim in options.launches.iter_mut().filter(|launch| launch.role == Role::Sim) {
+    let own = |launch: &&mut Launch| launch.role == Role::Sim && launch.command.is_none();
+    for sim in options.launches.iter_mut().filter(own) {
         sim.args.extend(["--views".into(), folder.into()]);
     }
 }
@@ -174,7 +175,14 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     ];
     renderer.extend(settings.appearance().flags().map(|(flag, value)| (flag, Some(value))));
     let serve = || vec!["serve".into()];
-    let mut sim = Launch::sibling(Role::Sim, "sim-proc", serve())?.with_flags(renderer);
+    let mut sim = match settings.world_cmd.as_deref() {
+        Some(command) => {
+            let mut sim = Launch::command(Role::Sim, command)?;
+            sim.args.extend(serve());
+            sim.with_flags([demonstrations.clone()])
+        }
+        None => Launch::sibling(Role::Sim, "sim-proc", serve())?.with_flags(renderer),
+    };
     if settings.warm_views {
         sim.args.push("--warm-views".into());
     }

@@ -6,11 +6,11 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail, ensure};
 use build_commit::COMMIT;
+use conditions::cost::ModelPrices;
+use conditions::settings::RunSettings;
 use domain::ExternalName;
 use domain::representation::Trajectories;
-use conditions::cost::ModelPrices;
 use run_log::{FORMAT, LOGS_FOLDER, Manifest, RunFolder, UnitId};
-use conditions::settings::RunSettings;
 use shm_types::message::{MAX_SOURCES, WIRE_VERSION};
 
 use crate::books::Books;
@@ -139,6 +139,7 @@ impl RunPlan {
         let memories = self.memories().iter();
         let memories = memories.map(|memory| Ok((memory.name, memory.facts()?)));
         let policy_cmd = self.settings.policy_cmd.as_deref();
+        let world_cmd = self.settings.world_cmd.as_deref();
         Ok(Manifest {
             format: FORMAT,
             version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -150,6 +151,7 @@ impl RunPlan {
             documents: BTreeMap::new(),
             memories: memories.collect::<Result<_>>()?,
             policy_files: policy_cmd.map(command_files).transpose()?.unwrap_or_default(),
+            world_files: world_cmd.map(command_files).transpose()?.unwrap_or_default(),
             prices: self.prices.clone(),
             episodes: self.episodes.len() as u32,
             unit: self.unit.clone(),

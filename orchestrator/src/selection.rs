@@ -25,7 +25,8 @@ impl SelectedCases {
     /// # Errors
     /// When assets cannot be used, there is no such case or bank, or no streams can be drawn.
     pub fn of(settings: &RunSettings) -> Result<Self> {
-        Self::written_by(Books::of_world, settings)
+        let command = settings.world_cmd.as_deref();
+        Self::written_by(|request| Books::of_world(command, request), settings)
     }
 
     /// What `settings` select of books that `write` writes.

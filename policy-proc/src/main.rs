@@ -9,6 +9,7 @@ use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
 use peer::{Decider, serve};
 use policy_proc::grounded::Grounded;
+use policy_proc::imitate::Imitate;
 use policy_proc::random::Random;
 use shm_types::ATTACH_VARIABLE;
 
@@ -45,6 +46,8 @@ enum BuiltInPolicy {
     Random,
     /// A scripted stand-in for a model: reads label plates, follows the memory, explores
     Grounded,
+    /// A scripted stand-in for any world: does what the expert did where memory shows it, and explores otherwise
+    Imitate,
     /// A vision-language model behind an OpenAI-compatible endpoint
     Openai,
 }
@@ -67,6 +70,7 @@ fn take_part(
     let mut policy: Box<dyn Decider> = match policy {
         BuiltInPolicy::Random => Box::new(Random),
         BuiltInPolicy::Grounded => Box::new(Grounded::default()),
+        BuiltInPolicy::Imitate => Box::new(Imitate),
         BuiltInPolicy::Openai => Box::new(cli::openai::policy(model)?),
     };
     serve(policy.as_mut(), attach_dir).context("the policy process cannot continue")

@@ -26,7 +26,7 @@ impl Policy for Random {
 }
 
 /// One of `count` actions.
-fn draw(count: usize, episode_seed: u64, step: u32) -> ActionCode {
+pub(crate) fn draw(count: usize, episode_seed: u64, step: u32) -> ActionCode {
     let mut rng = ChaCha8Rng::seed_from_u64(episode_seed);
     rng.set_stream(u64::from(step));
     // The bias of the remainder is at most 64 / 2^64.

@@ -14,7 +14,7 @@ from functools import cache
 from memtransfer import _native
 from memtransfer.codes import Action, Feedback, Heading
 
-_HEADINGS = tuple(Heading)
+_ACTIONS, _FEEDBACK, _HEADINGS = tuple(Action), tuple(Feedback), tuple(Heading)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +84,11 @@ class WorldDeclaration:
 
     def action(self, action: int) -> Action | int:
         """Returns an action as runs give it: an `Action` if the world has the warehouse's actions, otherwise the number."""
-        return Action(action) if self.actions == WAREHOUSE.actions else action
+        return _ACTIONS[action] if self.actions == WAREHOUSE.actions else action
 
     def told(self, feedback: int) -> Feedback | int:
         """Returns a feedback as runs give it: a `Feedback` if the world has the warehouse's sentences, otherwise the number."""
-        return Feedback(feedback) if self.feedback == WAREHOUSE.feedback else feedback
+        return _FEEDBACK[feedback] if self.feedback == WAREHOUSE.feedback else feedback
 
     def pose(self, state: Sequence[float]) -> Pose:
         """Returns the pose that a state is.

@@ -26,6 +26,8 @@ named! {
     PolicyKind, "policy" {
         /// A scripted stand-in that looks at the pixels and at the recall it is given.
         Grounded = "grounded",
+        /// A scripted stand-in for any world that does what the expert did.
+        Imitate = "imitate",
         /// A model behind an OpenAI-compatible endpoint.
         Openai = "openai",
         /// A user's own program, on the wire.
@@ -73,7 +75,7 @@ impl PolicyKind {
     /// Whether it runs in a process of its own, on observations and memory. The expert does not.
     pub const fn has_process(self) -> bool {
         match self {
-            Self::Grounded | Self::Openai | Self::External | Self::Random => true,
+            Self::Grounded | Self::Imitate | Self::Openai | Self::External | Self::Random => true,
             Self::Expert => false,
         }
     }

@@ -49,6 +49,9 @@ pub struct RunSettings {
     pub policy: PolicyKind,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub policy_cmd: Option<String>,
+    /// The command that starts another world than the warehouse.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub world_cmd: Option<String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub memory_cmd: Vec<String>,
     /// Whether an external memory is awaited that the user starts: the word `external` in `--memory`.

@@ -44,6 +44,7 @@ use std::process::ExitCode;
 use ::report::table::{WIDTH, wrap};
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
+use conditions::settings::Key;
 use program::in_one_line;
 use supervise::{QUIET_DRIVER, sibling};
 use world_client::WorldProgram;
@@ -125,7 +126,11 @@ enum MemtransferVerb {
 
 /// The program that knows the world.
 fn world_program() -> anyhow::Result<WorldProgram> {
-    Ok(WorldProgram { path: sibling("sim-proc")?, variable: QUIET_DRIVER })
+    let key = Key::find("world-cmd").map(|key| key.variable());
+    let world_cmd = key.and_then(|variable| std::env::var(variable).ok());
+    let world_cmd = world_cmd.filter(|command| !command.is_empty());
+    let (path, arguments) = (sibling("sim-proc")?, Vec::new());
+    Ok(WorldProgram { path, arguments, world_cmd, variable: QUIET_DRIVER })
 }
 
 /// Writes a file that a user has named, and makes its folder.

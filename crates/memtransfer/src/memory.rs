@@ -213,15 +213,18 @@ impl MadeFor {
         } = self;
         let of_run = variable("seed")?.and_then(|seed| seed.as_u64());
         let take_place_elsewhere = demos.iter().any(|set| set.take_place_elsewhere());
-        let books = Books::of_world(&BookRequest {
-            assets: assets.clone(),
-            demonstrations: demos.to_vec(),
-            elsewhere: take_place_elsewhere.then(|| ElsewhereRequest {
-                assets: elsewhere,
-                seed: seed.or(of_run).unwrap_or(SEED),
-            }),
-            ..BookRequest::default()
-        })?;
+        let books = Books::of_world(
+            None,
+            &BookRequest {
+                assets: assets.clone(),
+                demonstrations: demos.to_vec(),
+                elsewhere: take_place_elsewhere.then(|| ElsewhereRequest {
+                    assets: elsewhere,
+                    seed: seed.or(of_run).unwrap_or(SEED),
+                }),
+                ..BookRequest::default()
+            },
+        )?;
         let size = variable("frame-size")?.and_then(|size| u32::try_from(size.as_u64()?).ok());
         let frame_size = frame_size.or(size).unwrap_or(FrameSize::DEFAULT.width);
         let drawn = variable("labels")?.and_then(|word| word.as_str()?.parse().ok());

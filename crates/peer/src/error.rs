@@ -86,6 +86,7 @@ pub enum ServeError {
 const fn flag(role: Role) -> &'static str {
     match role {
         Role::ExternalMemory => Role::Memory.word(),
+        Role::Sim => "world",
         role => role.word(),
     }
 }

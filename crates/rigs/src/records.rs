@@ -2,8 +2,6 @@
 //!
 //! The tests of `run-log` itself include this file, because what this crate links is not the crate that is tested.
 
-#![expect(clippy::unwrap_used, reason = "a fixture that cannot be made fails its test")]
-
 use std::collections::BTreeMap;
 
 use case_book::{FailureKind, WorldFacts};
@@ -30,6 +28,7 @@ pub fn manifest() -> Manifest {
         documents: BTreeMap::new(),
         memories: BTreeMap::new(),
         policy_files: BTreeMap::new(),
+        world_files: BTreeMap::new(),
         prices: None,
         episodes: 4,
         unit: None,

@@ -59,6 +59,9 @@ pub struct Manifest {
     /// The files that the policy's command names, with their BLAKE3 hashes; empty in the manifests of earlier versions.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub policy_files: BTreeMap<String, String>,
+    /// The files that the command of another world names, with their BLAKE3 hashes.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub world_files: BTreeMap<String, String>,
     /// The prices of the model's tokens, if they were given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prices: Option<ModelPrices>,
@@ -281,6 +284,8 @@ impl Manifest {
             ours.extend(self.policy_facts());
             theirs.extend(there.policy_facts());
         }
+        ours.extend(self.world_facts());
+        theirs.extend(there.world_facts());
         // A run can grow: by demonstrations in another warehouse, and its books by cases and conditions.
         let selected = |of: &Self| {
             let RunSettings { cases, limit, groups, .. } = &of.settings;
@@ -365,6 +370,11 @@ impl Manifest {
             facts.extend(memory.facts(&format!("memory {name}")));
         }
         facts
+    }
+
+    /// The facts of the world's code.
+    fn world_facts(&self) -> Facts {
+        file_facts(&self.world_files, "the world").collect()
     }
 
     /// The facts of the policy's code.

@@ -76,7 +76,7 @@ impl Manifest {
             (facts.get(STAND_IN_FACT)? == "true").then_some(PolicyRole::StandIn)
         };
         match self.settings.policy {
-            PolicyKind::Grounded => Some(PolicyRole::StandIn),
+            PolicyKind::Grounded | PolicyKind::Imitate => Some(PolicyRole::StandIn),
             PolicyKind::Random => Some(PolicyRole::LowerBound),
             PolicyKind::Expert => Some(PolicyRole::UpperBound),
             PolicyKind::Openai | PolicyKind::External => is_stand_in(),

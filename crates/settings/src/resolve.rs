@@ -7,7 +7,7 @@ use anyhow::{Context, Error, Result, anyhow, bail, ensure};
 use conditions::settings::{
     Drawn, KEYS, Key, MAX_IMAGES, RunSettings, STREAM_TABLE, Scope, SuiteName,
 };
-use conditions::{Condition, Demonstrations, PolicyKind, Route, Start, Variation};
+use conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
 use domain::limits::MAX_EXTERNAL_MEMORIES;
 use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use domain::representation::Trajectories;
@@ -327,7 +327,9 @@ fn irrelevant_to(policy: PolicyKind) -> Vec<(&'static str, Value)> {
         ("hint", json!([hint])),
     ];
     match policy {
-        PolicyKind::Grounded | PolicyKind::Openai | PolicyKind::External => Vec::new(),
+        PolicyKind::Grounded | PolicyKind::Imitate | PolicyKind::Openai | PolicyKind::External => {
+            Vec::new()
+        }
         PolicyKind::Random => given,
         // Every repetition is the same.
         PolicyKind::Expert => given.into_iter().chain([("runs", json!(1))]).collect(),
@@ -352,6 +354,9 @@ pub fn check(settings: &RunSettings) -> Result<()> {
     );
     check_arms(settings)?;
     let conditions = settings.conditions();
+    if settings.world_cmd.is_some() {
+        check_own_world(settings, &conditions)?;
+    }
     if settings.plates == Drawn::Off {
         check_without_plates(settings.policy, &conditions)?;
     }
@@ -415,6 +420,42 @@ fn check_arms(settings: &RunSettings) -> Result<()> {
         bail!(
             "{other}: in a suite of streams every episode begins at the new start, on the unchanged route, with the \
              original demonstrations: starts = [\"new\"], routes = [\"unchanged\"], demos = [\"original\"]"
+        );
+    }
+    Ok(())
+}
+
+/// Checks that nothing in a run in another world is of the warehouse.
+fn check_own_world(settings: &RunSettings, conditions: &[Condition]) -> Result<()> {
+    ensure!(
+        settings.policy != PolicyKind::Grounded,
+        "--policy grounded reads the plates of the warehouse, and --world-cmd names another world: choose another --policy, \
+         for example imitate"
+    );
+    let of_warehouse = [
+        ("assets", settings.assets.is_some()),
+        ("elsewhere", settings.elsewhere.is_some()),
+        ("plates", settings.plates == Drawn::Off),
+        ("labels", settings.labels == Drawn::Off),
+        ("appearance-seed", settings.appearance_seed != 0),
+        ("frames swapped", settings.frames == Frames::Swapped),
+        ("warm-views", settings.warm_views),
+        ("adapter", settings.adapter.is_some()),
+        ("backend", settings.backend.is_some()),
+    ];
+    if let Some((setting, _)) = of_warehouse.into_iter().find(|(_, is_given)| *is_given) {
+        bail!(
+            "--{setting} is about the warehouse, and --world-cmd names another world: leave one of them out"
+        );
+    }
+    let reads = |condition: &&Condition| {
+        condition.memory.describe().is_some_and(|info| !info.documents.is_empty())
+    };
+    if let Some(condition) = conditions.iter().find(reads) {
+        bail!(
+            "the documents of {} memory are built from the plates of the warehouse, and --world-cmd names another world: \
+             choose memories without documents (--memory working,full-context,episodic,adaptive)",
+            condition.memory
         );
     }
     Ok(())

@@ -521,7 +521,12 @@ mod tests {
             file.write_all(text.as_bytes()).unwrap();
         };
         add(&line(&record("t01-01", true)));
-        let program = WorldProgram { path: "/nonexistent".into(), variable: ("UNUSED", "") };
+        let program = WorldProgram {
+            path: "/nonexistent".into(),
+            arguments: Vec::new(),
+            world_cmd: None,
+            variable: ("UNUSED", ""),
+        };
         let run = RecordedRun::read(&folder, &crate::testing::built_in()).unwrap();
         let mut site = Site::new(vec![run], &program, true).unwrap();
         assert_eq!(news(&mut site, 1), (0, 0));

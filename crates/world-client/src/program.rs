@@ -11,11 +11,16 @@ use anyhow::{Context, Result, bail};
 use case_book::act::{ActAnswer, ActRequest, WorldDescription};
 use run_log::{ELSEWHERE_FILE, ELSEWHERE_HASH, RunLog, STREAMS_FILE};
 
-/// The program that knows the world, `sim-proc`, and a variable that it needs.
+/// The program that knows the world, `sim-proc`, and a variable that it needs; or that of another world.
 #[derive(Debug, Clone)]
 pub struct WorldProgram {
     /// Its path.
     pub path: PathBuf,
+    /// Its first arguments.
+    pub arguments: Vec<String>,
+    /// The command that starts the worlds of runs in other worlds, if the user has given one. What a run folder says is not
+    /// started: it may come from anyone.
+    pub world_cmd: Option<String>,
     /// Name and value of the variable.
     pub variable: (&'static str, &'static str),
 }
@@ -115,7 +120,25 @@ impl WorldProgram {
     /// Access to the worlds of runs through this program.
     pub fn access(&self) -> WorldAccess {
         let program = self.clone();
-        WorldAccess::new(move |log| program.asker(&WorldFiles::of(log).arguments()))
+        WorldAccess::new(move |log| program.of_run(log)?.asker(&WorldFiles::of(log).arguments()))
+    }
+
+    /// The program of the world of the run `log`.
+    ///
+    /// # Errors
+    /// When it is another world, and the user has not said how to start it.
+    pub fn of_run(&self, log: &RunLog) -> Result<Self> {
+        let Some(recorded) = &log.manifest.settings.world_cmd else { return Ok(self.clone()) };
+        let Some(command) = &self.world_cmd else {
+            bail!(
+                "this run took place in another world, which has to be asked: if you trust its program, set the variable \
+                 MEMTRANSFER_WORLD_CMD to the command that starts it; the run was made with: {recorded}"
+            );
+        };
+        let words = shlex::split(command).unwrap_or_default();
+        let (path, arguments) =
+            words.split_first().context("MEMTRANSFER_WORLD_CMD is no command")?;
+        Ok(Self { path: path.into(), arguments: arguments.to_vec(), ..self.clone() })
     }
 
     /// Starts it to answer about the world that `arguments` say.
@@ -159,7 +182,7 @@ impl WorldProgram {
     /// It with `verb` and its variable.
     pub fn command(&self, verb: &str) -> Command {
         let mut command = Command::new(&self.path);
-        command.arg(verb).env(self.variable.0, self.variable.1);
+        command.args(&self.arguments).arg(verb).env(self.variable.0, self.variable.1);
         command
     }
 

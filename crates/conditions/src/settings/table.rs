@@ -181,12 +181,15 @@ pub const KEYS: &[Key] = keys! {
     "suite" "NAME|FILE" Text(any), Run Nothing = "quick",
         "A shipped suite by name, or a suite file (TOML)";
     "policy" "NAME" Text(parses::<PolicyKind>), Run Outcome = "grounded",
-        "What decides: grounded (scripted, needs no model), openai (a model behind an \
+        "What decides: grounded (scripted, needs no model), imitate (scripted, for any world), openai (a model behind an \
          OpenAI-compatible endpoint), external (your own program), random, or expert (replays the \
          reference)";
     "policy-cmd" COMMAND Text(is_command), Run Outcome,
         "The command that starts your own policy, for example \"python my_policy.py\"; implies \
          --policy external";
+    "world-cmd" COMMAND Text(is_command), Run Nothing,
+        "The command that starts a world of your own in place of the warehouse, for example \"python my_world.py\"; \
+         `book`, `serve` and `act` are added to it";
     "memory" "LIST" List(is_memory), Group Selection = "working,full-context,summary,semantic,hybrid,episodic",
         "Memories: working, full-context, summary, semantic, hybrid, episodic, adaptive; external \
          for one of your own that you start yourself (the run prints how); none for external ones only";

@@ -18,6 +18,7 @@ mod wakeups;
 use std::fmt::Debug;
 use std::hash::Hash;
 
+pub use case_book::{FailureKind, TaskFacts};
 use domain::{ActionCode, FeedbackCode, State};
 use shm_types::FrameSlot;
 use shm_types::message::{EpisodeEnd, StepCommand, ViewRequest, WorldEpisodeConfig};

@@ -18,7 +18,7 @@ use super::serving::serve_watched;
 use super::simulated::SimulatedWorld;
 use super::simulator::Simulator;
 use crate::error::ServeError;
-use crate::run::serve_generations;
+use crate::run::{folder_from_environment, serve_generations};
 
 /// How long to wait for the shared memory of the generation before.
 const ROOM_TIMEOUT: Duration = Duration::from_secs(30);
@@ -28,7 +28,7 @@ pub const USAGE: &str = "\
 usage: WORLD VERB, as `memtransfer run --world-cmd WORLD` adds it
 
   book --request FILE --out DIR              write the case book of a run
-  serve --attach DIR --demonstrations FILE   take part in a run until it stops
+  serve --demonstrations FILE                take part in the run that MEMTRANSFER_ATTACH names until it stops
   act                                        act out the episodes that stdin names, a line of JSON each
 ";
 
@@ -48,7 +48,8 @@ pub fn run(
             book(simulator, &request, &out)
         }
         "serve" => {
-            let [attach, demonstrations] = paths(rest, ["--attach", "--demonstrations"])?;
+            let [demonstrations] = paths(rest, ["--demonstrations"])?;
+            let attach = folder_from_environment(Role::Sim)?;
             Ok(serve(simulator, &attach, &demonstrations)?)
         }
         "act" if rest.is_empty() => act(simulator),

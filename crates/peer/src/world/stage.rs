@@ -3,6 +3,7 @@
 
 use case_book::WorldDeclaration;
 use domain::ActionCode;
+use serde_json::{Map, Value};
 
 use super::WorldFailure;
 use super::simulator::{CaseDeclaration, Environment, EpisodeBegin, Observed, TrajectoryName};
@@ -87,7 +88,7 @@ impl Stage {
     /// happens, and the feedback is that of `world` for it.
     ///
     /// # Errors
-    /// When there is no such case, or the environment fails or says what is not of `world`.
+    /// When there is no such case or action, or the environment fails or says what is not of `world`.
     pub(super) fn act(
         &mut self,
         cases: &[CaseDeclaration],
@@ -104,6 +105,7 @@ impl Stage {
             if is_complete(before) || before.has_failed {
                 break;
             }
+            let action = world.read_action(action)?;
             let observed = match action {
                 Some(action) => self.step(action)?,
                 None => {
@@ -116,6 +118,14 @@ impl Stage {
             acted.moments.push(observed);
         }
         Ok(acted)
+    }
+
+    /// The facts of what was acted out last.
+    ///
+    /// # Errors
+    /// When the environment fails.
+    pub(super) fn facts(&mut self) -> Result<Map<String, Value>, WorldFailure> {
+        self.environment.facts()
     }
 
     fn step(&mut self, action: ActionCode) -> Result<Observed, WorldFailure> {
