@@ -247,7 +247,7 @@ impl EpisodeData {
             ground: record.stream.as_ref().map_or(0, |stream| stream.world),
             reference_path: reference
                 .iter()
-                .flat_map(|reference| reference.states.iter().filter_map(|state| cell_of(state)))
+                .flat_map(|reference| reference.states.iter().filter_map(cell_of))
                 .collect(),
             seen: came_into_view.into_iter().map(seen).collect(),
             demonstrations,
