@@ -291,7 +291,7 @@ fn a_broken_contract_ends_the_policy_with_a_message() {
     for (policy_trait, said) in [
         ("no_answers", "policy no_answers answered 0 of 1 requests: it must answer each once"),
         ("returns_none", "policy returns_none returned None from act"),
-        ("number", "policy number answered 3 (int): an answer is an Action"),
+        ("number", "policy number answered 7 (int): an answer is an Action, the number (0 to 6)"),
         ("acted", "policy acted answered <Outcome.ACTED: 0> (Outcome)"),
         ("negative", "does not fit into a message"),
         ("numbers", "policy numbers: its facts must be text"),
