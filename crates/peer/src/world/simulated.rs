@@ -142,7 +142,8 @@ impl<'s, S: Simulator + ?Sized> SimulatedWorld<'s, S> {
             conflict: now.conflict,
             ended,
             facts: if has_ended {
-                Some(facts(states, environment.facts().map_err(Refusal::of)?))
+                let own = environment.facts().map_err(Refusal::of)?;
+                Some(Value::Object(facts(states, own)).to_string())
             } else {
                 None
             },
@@ -156,7 +157,7 @@ impl<'s, S: Simulator + ?Sized> SimulatedWorld<'s, S> {
 }
 
 /// A hash of what an environment is in: its own, or that of the agent's state.
-fn state_hash(observed: &Observed) -> u64 {
+pub(super) fn state_hash(observed: &Observed) -> u64 {
     observed.state_hash.unwrap_or_else(|| {
         let numbers = observed.state.numbers().iter().flat_map(|number| number.to_le_bytes());
         let hash = blake3::hash(&numbers.collect::<Vec<u8>>());
@@ -165,7 +166,7 @@ fn state_hash(observed: &Observed) -> u64 {
 }
 
 /// The facts of an episode: those of the environment, with the states of begin and end, and whether it went in a loop.
-fn facts(states: &[State], own: Map<String, Value>) -> String {
+pub(super) fn facts(states: &[State], own: Map<String, Value>) -> Map<String, Value> {
     let mut facts = Map::new();
     facts.insert("start_state".to_owned(), json!(states.first()));
     facts.insert("final_state".to_owned(), json!(states.last()));
@@ -173,7 +174,7 @@ fn facts(states: &[State], own: Map<String, Value>) -> String {
         facts.insert("looped_at".to_owned(), json!(step));
     }
     facts.extend(own);
-    Value::Object(facts).to_string()
+    facts
 }
 
 impl<S: Simulator + ?Sized> World for SimulatedWorld<'_, S> {

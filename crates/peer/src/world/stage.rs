@@ -3,6 +3,7 @@
 
 use case_book::WorldDeclaration;
 use domain::ActionCode;
+use serde_json::{Map, Value};
 
 use super::WorldFailure;
 use super::simulator::{CaseDeclaration, Environment, EpisodeBegin, Observed, TrajectoryName};
@@ -117,6 +118,14 @@ impl Stage {
             acted.moments.push(observed);
         }
         Ok(acted)
+    }
+
+    /// The facts of what was acted out last.
+    ///
+    /// # Errors
+    /// When the environment fails.
+    pub(super) fn facts(&mut self) -> Result<Map<String, Value>, WorldFailure> {
+        self.environment.facts()
     }
 
     fn step(&mut self, action: ActionCode) -> Result<Observed, WorldFailure> {
