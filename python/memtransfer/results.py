@@ -38,7 +38,8 @@ class Results:
     """The run's settings, versions and hashes, and what each process reported about itself."""
     episodes: pd.DataFrame
     """One row per episode. An episode without a result has the ending `given-up`, an `error`, and no figures.
-    A figure that was not measured is missing (`pd.NA`)."""
+    A figure that was not measured is missing (`pd.NA`). What the world told of an episode is in the columns `world_...`, as text or
+    JSON; of the warehouse, the number of `blocked_moves` and whether the agent `tried_closed` passages are figures."""
     timings: pd.DataFrame
     """One row per finished episode: nanoseconds spent in each stage, summed over its steps."""
     sessions: list[dict[str, Any]]
@@ -57,6 +58,11 @@ def read(folder: str | Path) -> Results:
         warnings.warn(f"damaged, left out: {line}", stacklevel=2)
     frame = _frame(episodes).rename(columns={"sub_goals": "required"})
     frame["seed"] = frame["seed"].astype("UInt64")
+    if "world_blocked_moves" in frame:
+        # Facts of the warehouse that have a column of their own.
+        moves = frame["world_blocked_moves"].map(lambda steps: len(json.loads(steps)), na_action="ignore")
+        frame["blocked_moves"] = moves.astype("Int64")
+        frame["tried_closed"] = frame["conflict"]
     return Results(
         folder=Path(folder),
         manifest=json.loads(manifest),

@@ -14,7 +14,8 @@
     if __name__ == "__main__":
         main(Corridor)
 
-`memtransfer run --world-cmd "python corridor.py"` evaluates in it. Gymnasium environments are worlds with `memtransfer.gym_world`.
+`memtransfer run --world-cmd "python corridor.py"` evaluates in it. `memtransfer.gym_world` makes worlds of
+Gymnasium environments. The guide is `docs/own-world.md` of the project.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from memtransfer import (
     Steps,
     serve,
 )
+from memtransfer.declaration import WAREHOUSE, Field
 
 
 class TopThree(Memory):
@@ -62,6 +64,18 @@ def test_a_route_names_the_task_the_start_and_the_corners() -> None:
         "Stay.", *(getattr(demonstration(), name)[:1] for name in ("states", "actions", "feedback", "embeddings"))
     )
     assert stays.route() == '"Stay." from (3, 4) facing N: stay.'
+
+
+def test_a_demonstration_in_another_world_has_numbers() -> None:
+    world = dataclasses.replace(WAREHOUSE, name="lock", actions=("pull", "turn"), state=(Field("angle"),), feedback=("Begin.", "What?"))
+    states = np.array([[0.5], [1.5]], dtype=np.float32)
+    codes = np.array([1, -1], dtype=np.int32), np.array([0, 1], dtype=np.int32)
+    turns = Demonstration("Turn it.", states, *codes, np.eye(2, dtype=np.float32), world=world)
+    assert len(turns) == 2 and turns[0] == DemonstrationStep((0.5,), 1, 0, world)
+    assert type(turns[0].action) is int and turns.world.action_words(turns[0].action) == "turn"
+    for read in (lambda: turns.poses, lambda: turns[0].pose, lambda: turns.route()):
+        with pytest.raises(AttributeError, match="the world lock has no poses: its states have the numbers angle"):
+            read()
 
 
 def test_frames_that_were_not_declared_are_missing_with_a_reason() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import base64
+import copy
+import dataclasses
 import json
 import struct
 import zlib
@@ -27,8 +29,10 @@ from memtransfer import (
     RememberedView,
     Request,
     Segment,
+    WorldDeclaration,
 )
 from memtransfer import prompt as prompts
+from memtransfer.declaration import WAREHOUSE, Field
 
 GOLDEN = sorted((Path(__file__).parents[2] / "crates/prompt/tests/cases").glob("*.json"))
 
@@ -92,6 +96,61 @@ def test_golden_files(path: Path) -> None:
     )
     assert {name: prompt.images(name) for name in prompts.SECTIONS} == expected["images"]
     assert {name: prompt.characters(name) for name in prompts.SECTIONS} == expected["characters"]
+
+
+LOCK = WorldDeclaration(
+    name="lock",
+    version="1",
+    rules="You open a lock.",
+    actions=("pull", "turn left"),
+    letters="pl",
+    state=(Field("angle", digits=1), Field("bolt", ["open", "shut"])),
+    state_sentence="The angle is {angle} and the bolt is {bolt}.",
+    feedback=("Begin.", "Click.", "What?"),
+    deterministic=True,
+)
+
+
+def test_a_prompt_is_in_the_words_of_its_world() -> None:
+    view = frame("00" * 16)
+    steps = (RememberedStep(view, 1), RememberedStep(None, None))
+    window = [PastStep(view, 0, 2), PastStep(view, None, 1)]
+    asked = Request(
+        0, 2, 1, 0, 1, "Open it.", (3.25, 1.0), 1, view, window, [Segment(0.5, steps)], world=LOCK
+    )
+    prompt = prompts.render(asked, image_budget=0)
+    text = prompt.system + "".join(part.text or "" for part in prompt.parts)
+    for words in ("You open a lock.", "The angle is 3.2 and the bolt is shut.", "turn left", "pull", "Click.", "What?"):
+        assert words in text, text
+    assert "warehouse" not in text and "move forward" not in text
+    for changes, problem in [
+        ({"state": (3.25, 2.0)}, "no state of the world lock: bolt is 2, not one of 0 to 1"),
+        ({"state": (3.25,)}, "it has 1 numbers in place of 2"),
+        ({"feedback": 3}, "3 is not a feedback of this world"),
+        ({"window": [PastStep(view, 2, 1)]}, r"2 is no action of the world lock: give the number \(0 to 1\)"),
+        ({"window": [PastStep(view, Action.FORWARD, 1)]}, "is no action of the world lock"),
+    ]:
+        wrong = copy.copy(asked)
+        for name, value in changes.items():
+            setattr(wrong, name, value)
+        with pytest.raises(ValueError, match=problem):
+            prompts.render(wrong)
+    asked.window = [PastStep(view, "pull", 1), PastStep(view, Action.TURN_LEFT, 1)]  # type: ignore[arg-type]
+    assert prompts.render(asked).images_asked == 4
+    with pytest.raises(TypeError, match="a world is a WorldDeclaration, not a str"):
+        asked.world = "lock"  # type: ignore[assignment]
+        prompts.render(asked)
+
+
+def test_an_answer_is_read_in_the_words_of_its_world() -> None:
+    assert prompts.read_answer("I will pull now.", world=LOCK) == 0
+    turned = prompts.read_answer("turn left", world=LOCK)
+    assert turned == 1 and type(turned) is int
+    assert prompts.read_answer("move forward", world=LOCK) is Outcome.UNREADABLE
+    assert prompts.read_answer("turn left", world=WAREHOUSE) is Action.TURN_LEFT
+    broken = dataclasses.replace(LOCK, name="Lock")
+    with pytest.raises(ValueError, match='the declaration of the world is not valid: its "name"'):
+        prompts.read_answer("pull", world=broken)
 
 
 def test_settings_are_arguments_of_a_client() -> None:

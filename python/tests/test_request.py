@@ -81,6 +81,20 @@ def test_a_frame_can_be_copied() -> None:
         assert (copied.pixels == frame.pixels).all() and not copied.pixels.flags.writeable
 
 
+def test_a_state_of_the_warehouse_is_a_pose() -> None:
+    frame = Frame.of(np.zeros((1, 1, 4), dtype=np.uint8))
+    request = Request(0, 0, 1, 5, 1, "Find a barrel.", (3.0, 12.0, 2.0), Feedback.START, frame)
+    assert request.pose == Pose(3, 12, Heading.S) and request.pose.state == request.state
+    assert request.world.name == "warehouse" and request.world.action_words(Action.LEFT) == "move left"
+    assert request.world.action(2) is Action.LEFT and request.world.told(3) is Feedback.BLOCKED
+    for state in [(3.5, 12.0, 2.0), (3.0, 12.0, 4.0)]:
+        request.state = state
+        with pytest.raises(AttributeError, match="is no pose"):
+            request.pose
+    copied = pickle.loads(pickle.dumps(request))
+    assert copied.world == request.world and copied.state == request.state
+
+
 def test_items_are_sorted_by_what_they_are() -> None:
     frame = Frame.of(np.zeros((1, 1, 4), dtype=np.uint8))
     steps = (RememberedStep(frame, Action.LEFT), RememberedStep(None, None))

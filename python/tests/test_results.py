@@ -34,6 +34,13 @@ def test_damaged_lines_are_warned_of(tmp_path: Path) -> None:
     assert len(results.episodes) > 0
 
 
+def test_facts_of_the_warehouse_have_columns_of_their_own() -> None:
+    episodes = read(RUN).episodes
+    counts = [len(json.loads(steps)) for steps in episodes["world_blocked_moves"]]
+    assert episodes["blocked_moves"].tolist() == counts and max(counts) > 0
+    assert (episodes["tried_closed"].notna() == (episodes["route"] == "blocked")).all()
+
+
 def test_the_extra_results_brings_what_reports_are_read_with() -> None:
     project = (Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8")
     (extra,) = re.findall(r"^results = \[(.*)\]$", project, re.MULTILINE)

@@ -39,7 +39,7 @@ def seen(request):
         "repeat": request.repeat,
         "seed": request.episode_seed,
         "instruction": request.instruction,
-        "pose": str(request.pose),
+        "state": list(request.state),
         "feedback": request.feedback.words,
         "frame": request.frame.content_hash.hex(),
         "starts_as_demonstrated": request.starts_as_demonstrated,

@@ -57,7 +57,7 @@ def acted(request):
 
 
 def number(request):
-    return 3
+    return 7
 
 
 def negative(request):

@@ -291,7 +291,7 @@ fn a_broken_contract_ends_the_policy_with_a_message() {
     for (policy_trait, said) in [
         ("no_answers", "policy no_answers answered 0 of 1 requests: it must answer each once"),
         ("returns_none", "policy returns_none returned None from act"),
-        ("number", "policy number answered 3 (int): an answer is an Action"),
+        ("number", "policy number answered 7 (int): an answer is an Action, the number (0 to 6)"),
         ("acted", "policy acted answered <Outcome.ACTED: 0> (Outcome)"),
         ("negative", "does not fit into a message"),
         ("numbers", "policy numbers: its facts must be text"),
@@ -462,4 +462,28 @@ fn without_a_run_a_policy_names_the_command_that_starts_one() {
         try: m.serve(P(), '/nowhere')\nexcept m.AttachError as e: print(e)";
     let ended = python(&["-c", classes], &[]).expect(0);
     assert!(ended.stdout.starts_with("/nowhere is not the folder of a run"), "{}", ended.stdout);
+}
+
+#[test]
+fn policies_and_memories_in_another_world_are_given_its_numbers_and_words() {
+    let bench = Bench::new();
+    let [world, policy, memory] = [
+        ("examples/corridor_world.py", ""),
+        ("tests/policies/any_world.py", "policy"),
+        ("tests/policies/any_world.py", "memory"),
+    ]
+    .map(|(path, arguments)| script(path, arguments));
+    let mut command = bench.command(&["run", "--world-cmd", &world, "--policy-cmd", &policy]);
+    command.args(["--memory", "none", "--memory-cmd", &memory, "--cases", "reach-7,reach-8"]);
+    command.args(["--frame-size", "64", "--out", "corridor"]).env("PYTHONPATH", package());
+    finish(command).expect(0);
+    let records = records(&bench.out("corridor"));
+    let actions: Vec<_> =
+        records.iter().map(|record| record["actions"].as_str().unwrap()).collect();
+    assert!(
+        actions.iter().all(|letters| letters.chars().all(|letter| letter == 'a')),
+        "{actions:?}"
+    );
+    assert!(records.iter().all(|record| record["ending"] == "complete"), "{records:?}");
+    assert_eq!(records.len(), 4);
 }
