@@ -118,7 +118,8 @@ class Minigrid(World):
     def hash(self):
         """Of all that determines what is seen and what follows, but for the mission."""
         env = self.env
-        text = f"{env.agent_pos} {env.agent_dir} {carrying(env)} {self.sub_goals}"
+        column, row = env.agent_pos
+        text = f"{column} {row} {env.agent_dir} {carrying(env)} {self.sub_goals}"
         return int.from_bytes(blake2b(env.grid.encode().tobytes() + text.encode(), digest_size=8).digest(), "little")
 
     def observe(self, feedback, conflict=False):
