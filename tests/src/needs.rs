@@ -41,6 +41,11 @@ pub fn memory_python(name: &str) -> PathBuf {
     installed(&format!("python-memories/{name}/bin/python"))
 }
 
+/// The Python with the packages of the example world in `examples/worlds/NAME`.
+pub fn world_python(name: &str) -> PathBuf {
+    installed(&format!("python-worlds/{name}/bin/python"))
+}
+
 /// The model of the default encoder.
 pub fn encoder_model() -> PathBuf {
     installed("models/dinov2-s14.onnx")

@@ -225,7 +225,13 @@ impl RunningStage {
         if !matches!(sent, Some(Ok(()))) || self.answers.read_line(&mut answer)? == 0 {
             bail!("the program that knows the world ended early; its messages are above");
         }
-        serde_json::from_str(&answer).context("the program that knows the world is another version")
+        serde_json::from_str(&answer).with_context(|| {
+            let begin: String = answer.trim_end().chars().take(80).collect();
+            format!(
+                "the program that knows the world is another version, or something in it prints to standard output: it \
+                 answered `{begin}`"
+            )
+        })
     }
 }
 

@@ -11,6 +11,7 @@ mod documents;
 mod drill_sim;
 mod engines;
 mod example_policies;
+mod example_worlds;
 mod exports;
 mod external;
 mod faulty_server;

@@ -1,0 +1,64 @@
+//! The example worlds, which others wrote, in short runs: `examples/worlds`.
+
+use std::process::Command;
+
+use memtransfer_tests::{Bench, Ended, needs, records, repository, sorted_log, words};
+use serde_json::Value;
+
+/// `memtransfer run` in the example world `name`, of two cases on small frames, not started yet.
+fn run(bench: &Bench, name: &str, cases: &str, line: &str) -> Command {
+    let script = repository(&format!("examples/worlds/{name}/world.py"));
+    let world = format!("{} {}", needs::world_python(name).display(), script.display());
+    let mut command = bench.command(&["run", "--world-cmd", &world, "--cases", cases]);
+    command.args(words("--frame-size 64 --max-steps 60 --starts original,new"));
+    command.args(words("--routes unchanged,blocked"));
+    command.args(words(line)).env("PYTHONPATH", repository("python"));
+    command
+}
+
+/// How the episodes of a run with this memory ended that began at `start` on `route`.
+fn endings<'a>(records: &'a [Value], memory: &str, start: &str, route: &str) -> Vec<&'a str> {
+    let is_of = |record: &&Value| {
+        record["memory"] == memory && record["start"] == start && record["route"] == route
+    };
+    records.iter().filter(is_of).map(|record| record["ending"].as_str().unwrap()).collect()
+}
+
+#[test]
+fn demonstrations_of_minigrid_are_imitated_and_its_log_depends_on_no_lanes() {
+    let bench = Bench::new();
+    let cases = "g1-2-pick-up,g1-5-unlock";
+    let line = "--policy imitate --memory full-context,episodic";
+    for lanes in ["1", "8"] {
+        let line = format!("{line} --lanes {lanes} --out {lanes}");
+        Ended::run(&mut run(&bench, "minigrid", cases, &line)).expect(0);
+    }
+    let imitated = records(&bench.out("8"));
+    assert_eq!(imitated.len(), 2 * 2 * 3);
+    for memory in ["full-context", "episodic"] {
+        let demonstrated = endings(&imitated, memory, "original", "unchanged");
+        assert_eq!(demonstrated, ["complete"; 2], "{memory}");
+    }
+    assert_eq!(sorted_log(&bench.out("1")), sorted_log(&bench.out("8")));
+    // A log is true: every episode is acted out again.
+    let script = repository("examples/worlds/minigrid/world.py");
+    let world = format!("{} {}", needs::world_python("minigrid").display(), script.display());
+    let mut validate = bench.command(&["validate", "8"]);
+    validate.env("MEMTRANSFER_WORLD_CMD", world).env("PYTHONPATH", repository("python"));
+    let valid = Ended::run(&mut validate).expect(0).stdout;
+    assert_eq!(valid, "12 episodes, 0 differences, 0 damaged lines\n");
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn the_expert_of_minigrid_completes_every_reference() {
+    let bench = Bench::new();
+    let line = "--policy expert --memory working --out out";
+    Ended::run(&mut run(&bench, "minigrid", "g0-3-put-next,g2-4-open", line)).expect(0);
+    let records = records(&bench.out("out"));
+    for (start, route) in [("original", "unchanged"), ("new", "unchanged"), ("new", "blocked")] {
+        assert_eq!(endings(&records, "working", start, route), ["complete"; 2], "{start} {route}");
+    }
+    assert!(records.iter().all(|record| record["steps"] == record["reference"]), "{records:?}");
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
