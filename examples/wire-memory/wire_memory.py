@@ -1,11 +1,12 @@
 """A memory on plain iceoryx2, without the package `memtransfer`. Everything it does is in docs/wire.md.
 
-It remembers places: it supplies how the demonstration went on that came closest to the agent's pose, and its task.
+It remembers states: it supplies how the demonstration went on that came closest to the agent's state, and its task.
 """
 
 import ctypes
 import fcntl
 import json
+import math
 import os
 import sys
 import time
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION, EXTERNAL_MEMORY = 12, 4
+WIRE_VERSION, EXTERNAL_MEMORY = 13, 4
 TEXT, STEPS = 0, 1
 SEGMENT = 6
 NOT_MEASURED = 2**32 - 1
@@ -37,7 +38,6 @@ def struct(name, size, fields):
     return made
 
 
-WirePose = struct("WirePose", 4, "x: u8, y: u8, heading: u8, reserved: u8")
 FrameHeader = struct("FrameHeader", 32, "id: u64, width: u32, height: u32, content_hash: u8 x 16")
 Page = struct("Page", PAGE_BYTES, "pixels: u8 x 4096")
 Eviction = struct("Eviction", 8, "frame: u64")
@@ -51,13 +51,13 @@ ShutdownReport = struct("ShutdownReport", 48, """role: u32, external: u32, frame
 BankHeader = struct("BankHeader", 32, """id: u64, demonstrations: u32, steps: u32, dimension: u32, text_bytes: u32,
     reserved: u64""")
 BankDemonstration = struct("BankDemonstration", 16, "first_step: u32, steps: u32, first_byte: u32, bytes: u32")
-BankStep = struct("BankStep", 32, """frame: u64, content_hash: u8 x 16, pose: WirePose, action: u8, feedback: u8,
-    reserved: u8 x 2""")
+BankStep = struct("BankStep", 96, """frame: u64, content_hash: u8 x 16, state: f32 x 16, action: u8, feedback: u8,
+    reserved: u8 x 6""")
 NoteHeader = struct("NoteHeader", 24, "id: u64, episode: u64, lane: u32, reserved: u32")
 ExternalEpisode = struct("ExternalEpisode", 280, """episode: u64, bank: u64, seed: u64, lane: u32, text_budget: u32,
     image_budget: u32, repeat: u32, instruction_len: u32, learning: u32, instruction: u8 x 232""")
-ExternalQuery = struct("ExternalQuery", 4200, """episode: u64, frame: u64, sent_ns: u64, lane: u32, step: u32,
-    pose: WirePose, embedding_len: u32, feedback: u8, action: u8, last: u8, outcome: u8, reserved: u8 x 4,
+ExternalQuery = struct("ExternalQuery", 4264, """episode: u64, frame: u64, sent_ns: u64, lane: u32, step: u32,
+    state: f32 x 16, embedding_len: u32, feedback: u8, action: u8, last: u8, outcome: u8, reserved: u8 x 8,
     demonstration: u32, sub_goals_len: u32, sub_goals: u16 x 24, embedding: f32 x 1024""")
 ExternalBuilt = struct("ExternalBuilt", 32, "bank: u64, store_bytes: u64, failure: u64, took_ns: u64")
 AnswerItem = struct("AnswerItem", 28, """first_byte: u32, bytes: u32, demonstration: u32, first_step: u32, steps: u32,
@@ -75,6 +75,7 @@ class Run:
         attach = json.loads((folder / "attach.json").read_text())
         if attach["wire_version"] != WIRE_VERSION:
             raise SystemExit(f"this run speaks wire version {attach['wire_version']}, not {WIRE_VERSION}")
+        self.world = json.loads((folder / "world.json").read_text())
         self.index, self.orchestrator_pid = index, attach["orchestrator_pid"]
         externals, lanes, capacity = len(attach["external_memories"]), attach["lanes"], attach["frame_capacity"]
         config = iox2.config.default()
@@ -166,7 +167,7 @@ class Run:
             self.listener.timed_wait(iox2.Duration.from_millis(500))
 
     def build(self, sample, memories):
-        """Builds a memory from a bank: for each demonstration its task and its poses."""
+        """Builds a memory from a bank: for each demonstration its task and its states."""
         started, header = time.monotonic_ns(), BankHeader.from_address(sample.user_header_ptr)
         bank, count, steps = header.id, header.demonstrations, header.steps
         if count == 0:
@@ -174,15 +175,15 @@ class Run:
             return
         # Demonstrations, steps, embeddings and text follow each other, each from a multiple of 8 bytes.
         first_step = 16 * count
-        first_byte = first_step + 32 * steps + (4 * steps * header.dimension + 7) // 8 * 8
+        first_byte = first_step + 96 * steps + (4 * steps * header.dimension + 7) // 8 * 8
         content = ctypes.string_at(sample.payload_ptr, first_byte + header.text_bytes)
         memory = []
         for part in (BankDemonstration * count).from_buffer_copy(content):
             if part.first_step + part.steps > steps:
                 return self.report(f"bank {bank}: a demonstration lies outside of it")
             text = content[first_byte + part.first_byte :][: part.bytes].decode()
-            part = (BankStep * part.steps).from_buffer_copy(content, first_step + 32 * part.first_step)
-            memory.append((text, [(step.pose.x, step.pose.y, step.pose.heading) for step in part]))
+            part = (BankStep * part.steps).from_buffer_copy(content, first_step + 96 * part.first_step)
+            memory.append((text, [list(step.state) for step in part]))
         memories[bank] = memory
         send(self.built, ExternalBuilt(bank=bank, took_ns=time.monotonic_ns() - started))
         self.host.notify()
@@ -203,15 +204,15 @@ class Run:
         """Writes the items into the answer, and returns their text."""
         if memory is None or episode.instruction_len > 232:
             raise ValueError(f"bank {episode.bank} or the instruction of {episode.instruction_len} bytes is unknown")
-        if query.feedback > 4 or query.pose.heading > 3:
-            raise ValueError(f"invalid values: feedback {query.feedback}, heading {query.pose.heading}")
-        x, y, heading = query.pose.x, query.pose.y, query.pose.heading
-        places = ((abs(px - x) + abs(py - y) + (0.5 if ph != heading else 0), number, step)
-                  for number, (_, poses) in enumerate(memory) for step, (px, py, ph) in enumerate(poses))
+        now = list(query.state)
+        if query.feedback >= len(self.world["feedback"]) or not self.is_state(now):
+            raise ValueError(f"invalid values: feedback {query.feedback}, state {now}")
+        places = ((self.distance(now, state), number, step)
+                  for number, (_, states) in enumerate(memory) for step, state in enumerate(states))
         # Equal distances: the first demonstration and step, so that equal queries have equal answers.
         distance, number, first = min(places)
-        task, poses = memory[number]
-        steps = min(SEGMENT, len(poses) - first)
+        task, states = memory[number]
+        steps = min(SEGMENT, len(states) - first)
         # An item that does not fit into a budget would be dropped: without their views, steps always fit.
         answer.items[0] = AnswerItem(kind=STEPS, demonstration=number, first_step=first, steps=steps,
             distance=distance, views=steps <= episode.image_budget, actions=1)
@@ -223,6 +224,18 @@ class Run:
         answer.sources[0] = AnswerSource(item=1, demonstration=number, first_step=first, steps=steps)
         answer.items_len, answer.sources_len = 2, 1
         return text
+
+    def is_state(self, numbers):
+        """Whether each number is one that the world's field can have, with zeros after them."""
+        fields = self.world["state"]
+        known = lambda field, number: number in range(len(field["words"])) if field.get("words") else math.isfinite(number)
+        return all(map(known, fields, numbers)) and not any(numbers[len(fields):])
+
+    def distance(self, one, other):
+        """The sum of the differences; another word, such as another heading, counts half."""
+        fields = self.world["state"]
+        differences = (0.5 * (a != b) if field.get("words") else abs(a - b) for field, a, b in zip(fields, one, other))
+        return sum(differences)
 
     def publish_note(self, query, text):
         loan = self.notes.loan_slice_uninit(len(text))

@@ -13,11 +13,10 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION = 12
+WIRE_VERSION = 13
 ROLES = ("orchestrator", "sim", "memory", "policy", "external-memory")
 POLICY = ROLES.index("policy")
-FORWARD, TURN_LEFT, NO_ACTION = 0, 4, 255
-BLOCKED, ACTED = 3, 0
+NO_ACTION, ACTED = 255, 0
 STEPS = 1  # the kind of item that has its steps in the message
 NOT_MEASURED = 2**32 - 1
 PAGE_BYTES = 4096
@@ -39,7 +38,6 @@ def struct(name, size, fields):
     return made
 
 
-WirePose = struct("WirePose", 4, "x: u8, y: u8, heading: u8, reserved: u8")
 RecalledItem = struct("RecalledItem", 32, """document: u64, distance: f32, first_step: u32, steps: u32, first_byte: u32,
     bytes: u32, kind: u8, whole: u8, reserved: u8 x 2""")
 SegmentStep = struct("SegmentStep", 16, "frame: u64, action: u8, reserved: u8 x 7")
@@ -54,8 +52,8 @@ ShutdownReport = struct("ShutdownReport", 48, """role: u32, external: u32, frame
     frames_evicted: u64, frames_received: u64, pixel_bytes_copied: u64, error_reports: u64""")
 PolicyEpisodeConfig = struct("PolicyEpisodeConfig", 264, """episode: u64, seed: u64, lane: u32, instruction_len: u32,
     repeat: u32, starts_as_demonstrated: u8, window: u8, demonstrated_elsewhere: u8, reserved: u8, instruction: u8 x 232""")
-Observation = struct("Observation", 32, """episode: u64, frame: u64, lane: u32, step: u32, pose: WirePose,
-    feedback: u8, action: u8, last: u8, reserved: u8""")
+Observation = struct("Observation", 96, """episode: u64, frame: u64, lane: u32, step: u32, state: f32 x 16,
+    feedback: u8, action: u8, last: u8, reserved: u8 x 5""")
 Recall = struct("Recall", 1064, """episode: u64, received_ns: u64, sent_ns: u64, lane: u32, step: u32, items_len: u32,
     steps_len: u32, items: RecalledItem x 8, steps: SegmentStep x 48""")
 Decision = struct("Decision", 272, """episode: u64, received_ns: u64, started_ns: u64, prompted_ns: u64, sent_ns: u64,
@@ -71,6 +69,11 @@ class Run:
         attach = json.loads((folder / "attach.json").read_text())
         if attach["wire_version"] != WIRE_VERSION:
             raise SystemExit(f"this run speaks wire version {attach['wire_version']}, not {WIRE_VERSION}")
+        world = json.loads((folder / "world.json").read_text())
+        # A code is a place in the world's lists.
+        actions = [action["words"] for action in world["actions"]]
+        self.forward, self.turn_left = actions.index("move forward"), actions.index("turn left")
+        self.blocked = world["feedback"].index("Something blocks the way: you did not move.")
         self.lock = os.open(folder / "lock", os.O_RDONLY)
         fcntl.flock(self.lock, fcntl.LOCK_SH)
         config = iox2.config.default()
@@ -176,7 +179,7 @@ class Run:
         start = 4 * header.width * (header.height // 2)
         horizon = ctypes.string_at(frame.payload_ptr + start, 4 * header.width)
         is_blank = horizon == horizon[:4] * header.width
-        return TURN_LEFT if is_blank or observation.feedback == BLOCKED else FORWARD
+        return self.turn_left if is_blank or observation.feedback == self.blocked else self.forward
 
 
 def create(builder, senders, receivers, borrowed, buffer):

@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::Duration;
 
 use bytemuck::Zeroable;
-use case_book::{BookFile, BookRequest, DEMONSTRATIONS_FILE, DemonstrationBook};
+use case_book::{BookFile, BookRequest, DEMONSTRATIONS_FILE, DemonstrationBook, WorldDeclaration};
 use documents::{BuildAccount, DocumentFile, DocumentFolder, Provenance};
 use domain::{Demonstrations, DocumentKind, Representation, SegmentContent, State};
 use memory_proc::embedding_cache::stored;
@@ -47,7 +47,7 @@ impl MemoryMethod for Scripted {
         MemoryDescription { name: "scripted".to_owned(), ..MemoryDescription::default() }
     }
 
-    fn create(&self) -> Box<dyn Memory + '_> {
+    fn create(&self, _world: &Arc<WorldDeclaration>) -> Box<dyn Memory + '_> {
         Box::new(self.clone())
     }
 }

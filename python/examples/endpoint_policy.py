@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 from openai import OpenAI, OpenAIError
 
-from memtransfer import Action, Decision, Exchange, Failed, Policy, Usage, run
+from memtransfer import Decision, Exchange, Failed, Outcome, Policy, Usage, run
 from memtransfer.prompt import IMAGE_BUDGET, SETTINGS, VERSION, read_answer, render
 
 
@@ -54,8 +54,8 @@ class Endpoint(Policy):
             model=reply.model,
         )
         text = choice.message.content or ""
-        answer = read_answer(text, cut_off=choice.finish_reason == "length")
-        read = isinstance(answer, Action)
+        answer = read_answer(text, choice.finish_reason == "length", request.world)
+        read = not isinstance(answer, Outcome)
         # Stored with `--log-prompts`, for `memtransfer show`.
         exchange = Exchange(messages, text, unread=None if read else answer.words)
         rest = {"images": prompt.images_sent, "usage": usage, "exchange": exchange}

@@ -1,4 +1,4 @@
-"""Policies and memories for MemTransfer in Python, and the results of runs.
+"""Policies, memories and worlds for MemTransfer in Python, and the results of runs.
 
     from memtransfer import Action, Policy, run
 
@@ -12,13 +12,15 @@
 
 `memtransfer.prompt` renders the benchmark's own prompt and reads a model's answers; `memtransfer.results` reads
 the folder of a run. `Memory` is a memory of your own. `gymnasium.make("memtransfer:MemTransfer-v0")` makes an
-environment. The guides are `docs/python.md`, `docs/memory.md` and `docs/gymnasium.md` of the project.
+environment. `memtransfer.world` is for a world of your own. The guides are `docs/python.md`, `docs/memory.md` and
+`docs/gymnasium.md` of the project.
 """
 
 from contextlib import suppress
 
 from memtransfer._native import Frame
 from memtransfer.codes import Action, DocumentKind, Feedback, Heading, Outcome
+from memtransfer.declaration import Pose, WorldDeclaration
 from memtransfer.errors import (
     AttachError,
     BusError,
@@ -26,6 +28,7 @@ from memtransfer.errors import (
     MemTransferError,
     PolicyError,
     PromptLogError,
+    WorldError,
 )
 from memtransfer.memory import (
     Demonstration,
@@ -50,7 +53,6 @@ from memtransfer.request import (
     Failed,
     Item,
     PastStep,
-    Pose,
     RememberedStep,
     RememberedView,
     Request,
@@ -118,6 +120,8 @@ __all__ = [
     "Trajectory",
     "Usage",
     "View",
+    "WorldDeclaration",
+    "WorldError",
     "run",
     "serve",
 ]

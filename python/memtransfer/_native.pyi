@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from memtransfer.codes import Action, Outcome
+from memtransfer.declaration import WorldDeclaration
 from memtransfer.memory import Memory
 from memtransfer.policy import Policy
 from memtransfer.request import Request
+from memtransfer.world import World
 
 class Frame:
     """A view. Its pixels are in shared memory and never change."""
@@ -112,13 +114,19 @@ def serve_memory(
     description: tuple[str, str, str, bool, bool, bool, bool, str],
     folder: str | PathLike[str] | None,
 ) -> None: ...
+def world_main(
+    create: Callable[[], World], declaration: str, tasks: str, arguments: list[str]
+) -> None: ...
+def warehouse_declaration() -> str: ...
 def version() -> str: ...
 def template() -> str: ...
 def settings() -> str: ...
 def render(
     request: Request, image_budget: int
 ) -> tuple[str, list[tuple[str, str | None, Frame | None]]]: ...
-def read_answer(text: str, cut_off: bool) -> Action | Outcome: ...
+def read_answer(
+    text: str, cut_off: bool, world: WorldDeclaration | None
+) -> Action | int | Outcome: ...
 def png(frame: Frame) -> bytes:
     """Returns a frame as a PNG file, without its alpha channel."""
 

@@ -26,5 +26,9 @@ class FrameGone(MemTransferError):
     """
 
 
+class WorldError(MemTransferError):
+    """The world broke its contract: its declaration, a case or an observation is not valid."""
+
+
 class PolicyError(MemTransferError):
     """The policy broke its contract: the wrong number of answers, or a value that is not an answer."""

@@ -39,7 +39,7 @@ from inspect_ai.scorer import Score, Scorer, Target, grouped, mean, scorer, stde
 from inspect_ai.solver import Generate, Solver, TaskState, solver
 
 from memtransfer import _native
-from memtransfer.codes import Action, Outcome
+from memtransfer.codes import Outcome
 from memtransfer.errors import MemTransferError
 from memtransfer.policy import Policy
 from memtransfer.prompt import IMAGE_BUDGET, SETTINGS, VERSION, Prompt, data_url, read_answer, render
@@ -190,9 +190,9 @@ class _Model(Policy):
         )
         refused = output.stop_reason == "content_filter"
         cut_off = output.stop_reason in ("max_tokens", "model_length")
-        answer = Outcome.REFUSED if refused else read_answer(output.completion, cut_off)
+        answer = Outcome.REFUSED if refused else read_answer(output.completion, cut_off, request.world)
         rest: dict[str, Any] = {"images": prompt.images_sent, "usage": usage}
-        return Decision(answer, **rest) if isinstance(answer, Action) else Decision(None, answer, **rest)
+        return Decision(None, answer, **rest) if isinstance(answer, Outcome) else Decision(answer, **rest)
 
 
 def _model() -> Model:

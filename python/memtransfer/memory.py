@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -29,20 +29,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from memtransfer._native import Frame
-from memtransfer.codes import Action, Feedback, Heading
-from memtransfer.request import Pose, ReadWhenUsed
+from memtransfer.codes import Action, Feedback
+from memtransfer.declaration import WAREHOUSE, InState, WorldDeclaration
+from memtransfer.request import ReadWhenUsed
 
 
 @dataclass(frozen=True, slots=True)
-class DemonstrationStep:
+class DemonstrationStep(InState):
     """One step of a demonstration."""
 
-    pose: Pose
-    """The expert's pose."""
-    action: Action | None
-    """The expert's action there; `None` at the end of the demonstration."""
-    feedback: Feedback
-    """The result of the action before."""
+    state: Sequence[float]
+    """The expert's state."""
+    action: Action | int | None
+    """The expert's action there, an `Action` in the warehouse; `None` at the end of the demonstration."""
+    feedback: Feedback | int
+    """The result of the action before, a `Feedback` in the warehouse."""
+    world: WorldDeclaration = field(default=WAREHOUSE, repr=False)
+    """What the world says of itself."""
 
 
 class _NoFrames(tuple[Frame, ...]):
@@ -63,35 +66,48 @@ class Demonstration(Sequence[DemonstrationStep]):
 
     instruction: str
     """The demonstrated task, in English."""
-    poses: NDArray[np.int32]
-    """By step: column (from the west), row (from the south), and the code of the heading."""
+    states: NDArray[np.float32]
+    """By step: the numbers of the expert's state, which `world.state` names."""
     actions: NDArray[np.int32]
-    """By step: the code of the expert's action; -1 at the end, where there is none."""
+    """By step: the number of the expert's action; -1 at the end, where there is none."""
     feedback: NDArray[np.int32]
-    """By step: the code of the feedback to the action before."""
+    """By step: the number of the feedback to the action before."""
     embeddings: NDArray[np.float32]
     """By step: the embedding of the view, of length 1. Read-only, and the run's own memory: nothing is copied. It has
     no columns if `Memory.embeddings` is false."""
     frames: Sequence[Frame] = ()
     """By step: the view. Empty unless `Memory.frames` is true. Pixels are available while `Memory.build` runs: copy
     what you keep."""
+    world: WorldDeclaration = WAREHOUSE
+    """What the world says of itself."""
 
     def __post_init__(self) -> None:
         if not self.frames:
             object.__setattr__(self, "frames", _NoFrames())
 
     def __len__(self) -> int:
-        return len(self.poses)
+        return len(self.states)
+
+    @property
+    def poses(self) -> NDArray[np.int32]:
+        """By step: column (from the west), row (from the south), and the code of the heading, in worlds whose states are poses.
+
+        Raises:
+            AttributeError: The world has no poses.
+        """
+        for state in self.states[:1]:
+            self.world.pose(state.tolist())
+        return self.states.astype(np.int32)
 
     def __getitem__(self, step: Any) -> Any:
         if isinstance(step, slice):
             return [self[number] for number in range(*step.indices(len(self)))]
-        x, y, heading = (int(number) for number in self.poses[step])
         action = int(self.actions[step])
         return DemonstrationStep(
-            Pose(x, y, _HEADINGS[heading]),
-            None if action < 0 else _ACTIONS[action],
-            _FEEDBACK[int(self.feedback[step])],
+            tuple(self.states[step].tolist()),
+            None if action < 0 else self.world.action(action),
+            self.world.told(int(self.feedback[step])),
+            self.world,
         )
 
     def __iter__(self) -> Iterator[DemonstrationStep]:
@@ -100,9 +116,10 @@ class Demonstration(Sequence[DemonstrationStep]):
     def route(self) -> str:
         """Returns the demonstration as a line of text: the task, the start, and the straight legs of the route.
 
-        For example `"Find a blue barrel." from (14, 11) facing S: south 3 to (14, 8), west 5 to (9, 8).`
+        It takes a world whose states are poses. For example `"Find a blue barrel." from (14, 11) facing S: south 3 to (14, 8), west 5 to (9, 8).`
         """
-        cells: list[tuple[int, int]] = [(int(x), int(y)) for x, y, _ in self.poses]
+        poses = [step.pose for step in self]
+        cells = [(pose.x, pose.y) for pose in poses]
         legs: list[tuple[str, int, tuple[int, int]]] = []
         for (x, y), here in zip(cells, cells[1:]):
             if here == (x, y):
@@ -113,11 +130,9 @@ class Demonstration(Sequence[DemonstrationStep]):
             else:
                 legs.append((direction, 1, here))
         said = ", ".join(f"{direction} {count} to {cell}" for direction, count, cell in legs)
-        heading = _HEADINGS[int(self.poses[0][2])].name
+        heading = poses[0].heading.name
         return f'"{self.instruction}" from {cells[0]} facing {heading}: {said or "stay"}.'
 
-
-_HEADINGS, _ACTIONS, _FEEDBACK = tuple(Heading), tuple(Action), tuple(Feedback)
 
 _DIRECTIONS = {(0, 1): "north", (1, 0): "east", (0, -1): "south", (-1, 0): "west"}
 
@@ -162,21 +177,23 @@ class EpisodeEnd:
 
 
 @dataclass(frozen=True, slots=True)
-class RecentStep:
+class RecentStep(InState):
     """One of the agent's last steps."""
 
     frame: Frame
     """The view before the action."""
-    pose: Pose
-    """The pose before the action."""
-    action: Action | None
-    """The action taken; `None` if the policy's answer held none."""
-    feedback: Feedback
-    """The result of the action."""
+    state: Sequence[float]
+    """The state before the action."""
+    action: Action | int | None
+    """The action taken, an `Action` in the warehouse; `None` if the policy's answer held none."""
+    feedback: Feedback | int
+    """The result of the action, a `Feedback` in the warehouse."""
+    world: WorldDeclaration = field(default=WAREHOUSE, repr=False)
+    """What the world says of itself."""
 
 
 @dataclass(slots=True, eq=False)
-class Query:
+class Query(InState):
     """The agent's state at a step of an episode."""
 
     episode: int
@@ -187,12 +204,12 @@ class Query:
     """Number of steps taken so far."""
     instruction: str
     """The agent's task, in English."""
-    pose: Pose
-    """The agent's position and heading."""
-    last_action: Action | None
-    """The action that led here; `None` at the start, and if the policy's answer held none."""
-    feedback: Feedback
-    """The result of the last action."""
+    state: Sequence[float]
+    """The agent's state: the numbers that `world.state` names. In the warehouse it is a pose: see `pose`."""
+    last_action: Action | int | None
+    """The action that led here, an `Action` in the warehouse; `None` at the start, and if the policy's answer held none."""
+    feedback: Feedback | int
+    """The result of the last action: a `Feedback` in the warehouse, elsewhere its number among `world.feedback`."""
     frame: Frame | None = None
     """The current view; `None` at the end of an episode, in `Memory.observe`."""
     embedding: NDArray[np.float32] | None = None
@@ -204,6 +221,8 @@ class Query:
     """Maximum number of images in the answer."""
     text_budget: int = 0
     """Maximum number of bytes of text in the answer."""
+    world: WorldDeclaration = field(default=WAREHOUSE, repr=False)
+    """What the world says of itself."""
 
 
 class ServedQuery(ReadWhenUsed, Query):

@@ -18,6 +18,7 @@ from typing import Any
 from memtransfer import _native
 from memtransfer._native import Frame, image_name, png
 from memtransfer.codes import Action, Outcome
+from memtransfer.declaration import WorldDeclaration
 from memtransfer.request import Request
 
 _settings: dict[str, Any] = json.loads(_native.settings())
@@ -35,7 +36,8 @@ SETTINGS: Mapping[str, Any] = {name: _settings[name] for name in ("temperature",
 """The benchmark's sampling settings, as arguments for `client.chat.completions.create`."""
 
 CHOICES: Sequence[str] = tuple(_settings["choices"])
-"""The seven answers, for servers that can restrict a reply to given texts."""
+"""The seven answers of the warehouse, for servers that can restrict a reply to given texts. In any world they are
+`request.world.actions`."""
 
 SECTIONS = ("rules", "memory", "task", "window", "now")
 """The sections of a prompt, in order."""
@@ -115,7 +117,7 @@ class Prompt:
 
 
 def render(request: Request, image_budget: int = IMAGE_BUDGET) -> Prompt:
-    """Returns the prompt for `request` with at most `image_budget` images.
+    """Returns the prompt for `request` with at most `image_budget` images, in the words of `request.world`.
 
     Images are dropped in this order: keyframes of demonstrations (evenly spread ones stay), retrieved views
     (last first), views of the window (oldest first), the current view. A short text replaces each of them.
@@ -124,12 +126,16 @@ def render(request: Request, image_budget: int = IMAGE_BUDGET) -> Prompt:
     return Prompt(system, [Part(*part) for part in parts], request.images())
 
 
-def read_answer(text: str, cut_off: bool = False) -> Action | Outcome:
+def read_answer(
+    text: str, cut_off: bool = False, world: WorldDeclaration | None = None
+) -> Action | int | Outcome:
     """Returns the action that a model's reply names, or EMPTY, UNREADABLE, REFUSED or CUT_OFF.
 
-    `cut_off` says that the reply ran out of tokens: without an action, it is CUT_OFF.
+    `cut_off` says that the reply ran out of tokens: without an action, it is CUT_OFF. `world` is that of the request
+    (`request.world`); without one, the actions are those of the warehouse. An action is an `Action` in the warehouse, otherwise its
+    number. An `Outcome` is a number as well: tell them apart with `isinstance(answer, Outcome)`.
     """
-    return _native.read_answer(text, cut_off)
+    return _native.read_answer(text, cut_off, world)
 
 
 def data_url(frame: Frame) -> str:

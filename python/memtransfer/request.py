@@ -10,21 +10,8 @@ from dataclasses import dataclass, field, fields
 from typing import Any, TypeAlias
 
 from memtransfer._native import Frame, MemoryStep, Step
-from memtransfer.codes import Action, DocumentKind, Feedback, Heading, Outcome
-
-
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """The position and heading of an agent."""
-
-    x: int
-    """Column, counted from the west."""
-    y: int
-    """Row, counted from the south."""
-    heading: Heading
-
-    def __str__(self) -> str:
-        return f"{self.x},{self.y},{self.heading.name}"
+from memtransfer.codes import Action, DocumentKind, Feedback, Outcome
+from memtransfer.declaration import WAREHOUSE, InState, WorldDeclaration
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +20,10 @@ class PastStep:
 
     frame: Frame
     """The view before the action."""
-    action: Action | None
-    """The action taken; `None` if the answer held none."""
-    feedback: Feedback
-    """The result of the action."""
+    action: Action | int | None
+    """The action taken, an `Action` in the warehouse; `None` if the answer held none."""
+    feedback: Feedback | int
+    """The result of the action, a `Feedback` in the warehouse."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +43,8 @@ class RememberedStep:
 
     frame: Frame | None
     """The view before the action; `None` if it is not supplied. Demonstrations have their keyframes only."""
-    action: Action | None
-    """The expert's action there; `None` at the end of the segment, and in segments without actions."""
+    action: Action | int | None
+    """The expert's action there, an `Action` in the warehouse; `None` at the end of the segment, and in segments without actions."""
 
 
 Trajectory: TypeAlias = tuple[RememberedStep, ...]
@@ -96,7 +83,7 @@ Item: TypeAlias = Document | Segment | RememberedView
 
 
 @dataclass(slots=True, eq=False)
-class Request:
+class Request(InState):
     """Everything a policy may use to decide one step."""
 
     lane: int
@@ -111,10 +98,10 @@ class Request:
     """The repetition of the run, from 1. Equal requests of one repetition may be given the same answer."""
     instruction: str
     """The task, in English."""
-    pose: Pose
-    """The agent's position and heading."""
-    feedback: Feedback
-    """The result of the last action."""
+    state: Sequence[float]
+    """The agent's state: the numbers that `world.state` names. In the warehouse it is a pose: see `pose`."""
+    feedback: Feedback | int
+    """The result of the last action: a `Feedback` in the warehouse, elsewhere its number among `world.feedback`."""
     frame: Frame
     """The current view."""
     window: Sequence[PastStep] = ()
@@ -125,6 +112,8 @@ class Request:
     """Whether a demonstration is known to start in the pose in which this episode started."""
     demonstrated_elsewhere: bool = False
     """Whether the demonstrations are known to have taken place in another warehouse."""
+    world: WorldDeclaration = field(default=WAREHOUSE, repr=False)
+    """What the world says of itself."""
 
     @property
     def documents(self) -> Sequence[Document]:
@@ -248,10 +237,11 @@ class Exchange:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """An answer with its details. An `Action`, or an `Outcome` without an action, is its short form."""
+    """An answer with its details. An action, or an `Outcome` without an action, is its short form."""
 
-    action: Action | None
-    """The action to take; `None` if there is none, which `outcome` explains."""
+    action: Action | int | str | None
+    """The action to take: an `Action` in the warehouse; its number or its words in any world. `None` if there is none, which
+    `outcome` explains."""
     outcome: Outcome = Outcome.ACTED
     """UNREADABLE, EMPTY, REFUSED or CUT_OFF if there is no action."""
     images: int | None = None
@@ -280,5 +270,6 @@ class Failed:
     """The conversation with the model, for the prompt log."""
 
 
-Answer: TypeAlias = Action | Outcome | Decision | Failed | None
-"""What a policy may return for a request. `None` stands for `Outcome.UNREADABLE`."""
+Answer: TypeAlias = Action | int | str | Outcome | Decision | Failed | None
+"""What a policy may return for a request: an action, which can be given by its number or its words, an outcome without an action,
+or one of both with its details. `None` stands for `Outcome.UNREADABLE`."""

@@ -14,26 +14,45 @@
     if __name__ == "__main__":
         main(Corridor)
 
-`memtransfer run --world-cmd "python corridor.py"` evaluates in it. See docs/own-world.md.
+`memtransfer run --world-cmd "python corridor.py"` evaluates in it. Gymnasium environments are worlds with `memtransfer.gym_world`.
 """
 
 from __future__ import annotations
 
+import gc
 import json
 import math
-import os
+import operator
 import signal
 import string
 import sys
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy
+import numpy as np
 from numpy.typing import NDArray
 
 from memtransfer import _native
+from memtransfer.declaration import Field, WorldDeclaration
+from memtransfer.errors import WorldError
+
+__all__ = [
+    "DONE",
+    "NO_EFFECT",
+    "START",
+    "TRAJECTORIES",
+    "Case",
+    "Episode",
+    "Field",
+    "Observation",
+    "World",
+    "WorldError",
+    "declaration",
+    "main",
+]
 
 START, DONE, NO_EFFECT = 0, 1, 2
 """Numbers of the first three sentences of `World.feedback`."""
@@ -44,22 +63,11 @@ where the way is free and where it is blocked; and a demonstration where it is b
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
-    """A number of a state."""
-
-    name: str
-    words: Sequence[str] = ()
-    """The words for 0, 1, 2 and so on, if it is a choice among some."""
-    digits: int = 0
-    """Digits after the point in prompts, where it is a number."""
-
-
-@dataclass(frozen=True, slots=True)
 class Case:
     """A task with its starts, and what an expert does from them."""
 
     id: str
-    """Letters, digits, `-` and `_`."""
+    """1 to 64 letters, digits, `-` and `_`."""
     instruction: str
     """The task, in words."""
     trajectories: Mapping[str, Sequence[int]]
@@ -104,8 +112,9 @@ class Observation:
     conflict: bool = False
     """Whether the agent ran in this step into what blocks the way."""
     state_hash: int | None = None
-    """A number of 64 bits that is the same exactly where everything is that determines what is seen and what follows. Pictures of
-    such states are rendered once. `None`: every step is rendered."""
+    """A number of 64 bits (0 to 2**64 - 1) that is the same exactly where everything is that determines what is seen and what
+    follows. Pictures of such states are rendered once. `None`: every step is rendered. Python's `hash` is not suited: that of texts is
+    another in each process."""
 
 
 class World(ABC):
@@ -152,7 +161,7 @@ class World(ABC):
         """Takes an action. Not called after the end of an episode."""
 
     @abstractmethod
-    def render(self, pixels: NDArray[numpy.uint8]) -> None:
+    def render(self, pixels: NDArray[np.uint8]) -> None:
         """Draws what the agent sees now into `pixels`, of the shape (height, width, 4): red, green, blue and alpha, the first row at
         the top. The array is shared memory: fill it, and do not keep it."""
 
@@ -166,73 +175,115 @@ class World(ABC):
         if not known:
             known.update({listed.id: listed for listed in self.cases()})
         observation = self.reset(Episode(known[case], start, blocked, seed))
-        return _told(observation, feedback=START)
+        return self._told("reset", observation, START)
 
     def _step(self, action: int) -> tuple[Any, ...]:
         observation = self.step(action)
-        return _told(observation, feedback=observation.feedback)
+        return self._told("step", observation, observation.feedback)
+
+    def _told(self, method: str, observation: Observation, feedback: int) -> tuple[Any, ...]:
+        """The numbers of an observation, checked as far as this world does not do it later."""
+        if not isinstance(observation, Observation):
+            raise WorldError(f"{method} returned {observation!r}, which is no Observation")
+        state = [float(number) for number in observation.state]
+        if not all(map(math.isfinite, state)):
+            raise WorldError(f"{method}: the state {state} has a number that is not finite")
+        return (
+            state,
+            _number(f"{method}: the feedback", feedback, len(self.feedback)),
+            _number(f"{method}: the number of sub-goals", observation.sub_goals, 2**32),
+            _number(f"{method}: the number of sub-goals that are required", observation.required, 2**32),
+            bool(observation.failed),
+            bool(observation.conflict),
+            None
+            if observation.state_hash is None
+            else _number(f"{method}: the hash of the state", observation.state_hash, 2**64),
+        )
 
     def _render(self, pixels: Any) -> None:
-        self.render(numpy.asarray(pixels))
+        array = np.asarray(pixels)
+        kept = weakref.ref(array)
+        self.render(array)
+        del array
+        if kept() is not None:
+            gc.collect()
+        if kept() is not None:
+            raise WorldError("render keeps the array that it was given, or a view of it: keep a copy instead")
 
     def _facts(self) -> str:
-        return json.dumps(dict(self.facts()))
+        facts = self.facts()
+        try:
+            return json.dumps(dict(facts), allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise WorldError(f"facts: {facts!r} cannot be written as JSON: {error}") from error
 
 
-def _told(observation: Observation, feedback: int) -> tuple[Any, ...]:
-    state = [float(number) for number in observation.state]
-    if not all(map(math.isfinite, state)):
-        raise ValueError(f"the state {state} has a number that is not finite")
-    if not isinstance(observation.state_hash, int | None):
-        raise TypeError(f"the hash {observation.state_hash!r} of a state is not an int")
-    return (
-        state,
-        int(feedback),
-        int(observation.sub_goals),
-        int(observation.required),
-        bool(observation.failed),
-        bool(observation.conflict),
-        observation.state_hash,
+def _number(name: str, value: Any, limit: int) -> int:
+    """`value`, an integer from 0 to `limit` - 1."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise WorldError(f"{name} is {value!r}, not an integer") from None
+    if not 0 <= number < limit:
+        raise WorldError(f"{name} is {number}, not one of 0 to {limit - 1}")
+    return number
+
+
+def declaration(world: World) -> WorldDeclaration:
+    """Returns what a world says of itself.
+
+    Raises:
+        WorldError: It lacks an attribute, or has not a letter for each action.
+    """
+    for name in ("name", "version", "rules", "actions", "state"):
+        if not hasattr(world, name):
+            raise WorldError(f"the world {type(world).__name__} has no `{name}`")
+    count = len(world.actions)
+    letters = world.letters or (string.ascii_letters + string.digits)[:count]
+    if len(letters) != count:
+        raise WorldError(f"the world {world.name} has {count} actions, and letters for {len(letters)}")
+    sentence = "State: " + ", ".join(f"{of.name} {{{of.name}}}" for of in world.state) + "."
+    return WorldDeclaration(
+        name=world.name,
+        version=world.version,
+        rules=world.rules.strip(),
+        actions=tuple(world.actions),
+        letters=letters,
+        state=tuple(world.state),
+        state_sentence=world.state_sentence or sentence,
+        feedback=tuple(world.feedback),
+        deterministic=world.deterministic,
     )
 
 
-def declaration(world: World) -> dict[str, Any]:
-    """Returns what a world says of itself, as the case book has it."""
-    letters = world.letters or string.ascii_letters + string.digits
-    if len(letters) < len(world.actions):
-        raise ValueError(f"{len(world.actions)} actions, and letters for {len(letters)}")
-    sentence = world.state_sentence or "State: " + ", ".join(f"{of.name} {{{of.name}}}" for of in world.state) + "."
-    return {
-        "name": world.name,
-        "version": world.version,
-        "rules": world.rules.strip(),
-        "actions": [{"letter": letter, "words": words} for letter, words in zip(letters, world.actions)],
-        "state": [{"name": of.name, "words": list(of.words), "digits": of.digits} for of in world.state],
-        "state_sentence": sentence,
-        "feedback": list(world.feedback),
-        "is_deterministic": world.deterministic,
-    }
-
-
 def _case(world: World, case: Case) -> dict[str, Any]:
-    names = list(world.tasks)
-    task = case.task or names[0]
-    if task not in names:
-        raise ValueError(f"case {case.id}: {task!r} is none of the world's tasks {names}")
-    unknown = set(case.trajectories) - set(TRAJECTORIES)
-    if unknown:
-        raise ValueError(f"case {case.id}: {sorted(unknown)} are no names of trajectories; those are {TRAJECTORIES}")
+    of = f"case {case.id} of the world {world.name}"
+    tasks = list(world.tasks)
+    task = case.task or tasks[0]
+    if task not in tasks:
+        raise WorldError(f"{of}: its task {task!r} is none of {', '.join(tasks)}")
+    for name in case.trajectories:
+        if name not in TRAJECTORIES:
+            raise WorldError(f"{of}: the trajectory {name!r} is none of {', '.join(TRAJECTORIES)}")
+    for id, name in (*case.irrelevant, *case.confusable):
+        if name not in TRAJECTORIES:
+            raise WorldError(f"{of}: its history {id} {name!r} is none of {', '.join(TRAJECTORIES)}")
     return {
         "id": case.id,
-        "task": 1 + names.index(task),
+        "task": 1 + tasks.index(task),
         "instruction": case.instruction,
-        "trajectories": {name: [int(action) for action in taken] for name, taken in case.trajectories.items()},
+        "trajectories": {
+            name: [_number(f"{of}: an action of `{name}`", action, len(world.actions)) for action in taken]
+            for name, taken in case.trajectories.items()
+        },
         "irrelevant": [list(history) for history in case.irrelevant],
         "confusable": [list(history) for history in case.confusable],
     }
 
 
 def _tasks(world: World) -> dict[str, Any]:
+    if not world.tasks:
+        raise WorldError(f"the world {world.name} has no tasks")
     numbered = enumerate(world.tasks.items(), start=1)
     return {
         "tasks": [{"number": number, "name": name, "group": group} for number, (name, group) in numbered],
@@ -242,18 +293,18 @@ def _tasks(world: World) -> dict[str, Any]:
 
 
 def main(world: Callable[[], World]) -> None:
-    """Does what the program's arguments say with a world: `memtransfer run --world-cmd` and others add them. Exits with status 1 and a
-    message if that fails. `world` makes an instance; it is called for each lane."""
+    """Does what the program's arguments say with a world: `memtransfer run --world-cmd` adds them to its command. Exits with status 1
+    and a message if that fails. `world` makes an instance; it is called for each lane."""
     # What is printed must not mix with answers.
     sys.stdout = sys.stderr
     try:
         one = world()
-        declared = json.dumps(declaration(one))
+        declared = declaration(one).json()
         tasks = json.dumps(_tasks(one))
         # While the world waits, no Python code runs, so no Python handler would.
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
         _native.world_main(world, declared, tasks, sys.argv[1:])
-    except (RuntimeError, ValueError) as error:
-        print(f"{os.path.basename(sys.argv[0])}: {error}", file=sys.stderr)
+    except WorldError as error:
+        print(f"memtransfer: {error}", file=sys.stderr)
         sys.exit(1)

@@ -1,6 +1,5 @@
 //! The package's Python classes, looked up once.
 
-use domain::{Action, Feedback, Pose};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyString, PyType};
@@ -9,10 +8,9 @@ use pyo3::types::{PyString, PyType};
 pub(crate) struct Classes {
     pub(crate) action: Code,
     pub(crate) feedback: Code,
-    pub(crate) heading: Code,
     pub(crate) outcome: Code,
     pub(crate) document_kind: Code,
-    pub(crate) pose: Py<PyType>,
+    pub(crate) world: Py<PyType>,
     pub(crate) past_step: Py<PyType>,
     pub(crate) remembered_step: Py<PyType>,
     pub(crate) segment: Py<PyType>,
@@ -68,15 +66,15 @@ impl Classes {
         static CLASSES: PyOnceLock<Classes> = PyOnceLock::new();
         CLASSES.get_or_try_init(py, || {
             let codes = py.import("memtransfer.codes")?;
+            let declarations = py.import("memtransfer.declaration")?;
             let requests = py.import("memtransfer.request")?;
             let memories = py.import("memtransfer.memory")?;
             Ok(Self {
                 action: Code::of(&codes, "Action")?,
                 feedback: Code::of(&codes, "Feedback")?,
-                heading: Code::of(&codes, "Heading")?,
                 outcome: Code::of(&codes, "Outcome")?,
                 document_kind: Code::of(&codes, "DocumentKind")?,
-                pose: class(&requests, "Pose")?,
+                world: class(&declarations, "WorldDeclaration")?,
                 past_step: class(&requests, "PastStep")?,
                 remembered_step: class(&requests, "RememberedStep")?,
                 segment: class(&requests, "Segment")?,
@@ -98,30 +96,6 @@ impl Classes {
                 },
             })
         })
-    }
-
-    /// A `memtransfer.Pose`.
-    pub(crate) fn pose_of<'py>(&self, py: Python<'py>, pose: Pose) -> PyResult<Bound<'py, PyAny>> {
-        let heading = self.heading.member(py, pose.heading as u8);
-        self.pose.bind(py).call1((pose.cell.x, pose.cell.y, heading))
-    }
-
-    /// A `memtransfer.Action`, if there is an action.
-    pub(crate) fn action_of<'py>(
-        &self,
-        py: Python<'py>,
-        action: Option<Action>,
-    ) -> Option<Bound<'py, PyAny>> {
-        self.action.member(py, action? as u8)
-    }
-
-    /// A `memtransfer.Feedback`.
-    pub(crate) fn feedback_of<'py>(
-        &self,
-        py: Python<'py>,
-        feedback: Feedback,
-    ) -> Option<Bound<'py, PyAny>> {
-        self.feedback.member(py, feedback as u8)
     }
 }
 

@@ -2,9 +2,11 @@
 //!
 //! The package itself is in `memtransfer/`: plain data classes, the policy interface and the data frames. This
 //! crate serves a Python policy or memory (`serve`), gives numpy the frames in shared memory (`frame`), renders prompts
-//! and reads answers (`prompt`), reads a run's folder (`results`) and its trajectories (`recorded_run`), and steps the Gymnasium environment (`lanes`).
+//! and reads answers (`prompt`), reads a run's folder (`results`) and its trajectories (`recorded_run`), steps the Gymnasium
+//! environment (`lanes`), and serves a world of one's own (`world`).
 
 mod classes;
+mod declaration;
 mod exchange;
 mod frame;
 mod lanes;
@@ -25,6 +27,8 @@ use pyo3::prelude::*;
 mod _native {
     use pyo3::prelude::*;
 
+    #[pymodule_export]
+    use crate::declaration::warehouse_declaration;
     #[pymodule_export]
     use crate::frame::{Frame, SharedPixels};
     #[pymodule_export]

@@ -5,6 +5,8 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
+use domain::ActionCode;
+use peer::WorldDeclaration;
 use peer::memory::{
     Demonstration, Episode, EpisodeEnd, Memory, MemoryDescription, MemoryError, MemoryItem,
     MemoryMethod, Query, Scope, Source, Step, Views,
@@ -16,6 +18,7 @@ use pyo3::types::{PyBool, PyBytes, PyList, PyString, PyTuple};
 use shm_types::{Bank, Frame as SharedFrame};
 
 use crate::classes::Classes;
+use crate::declaration::DeclaredWorld;
 use crate::frame::Frame;
 use crate::query::{MemoryStep, Numbers, as_array};
 
@@ -61,12 +64,12 @@ impl MemoryMethod for PythonMethod {
         self.description.clone()
     }
 
-    fn create(&self) -> Box<dyn Memory + '_> {
+    fn create(&self, world: &Arc<WorldDeclaration>) -> Box<dyn Memory + '_> {
         let name = &*self.description.name;
         let object = Python::attach(|py| {
             let object = self.create.bind(py).call0();
             object
-                .and_then(|object| Object::new(&object))
+                .and_then(|object| Object::new(&object, DeclaredWorld::of(py, world)?))
                 .map_err(|raised| failure(py, name, &raised))
         });
         Box::new(PythonMemory {
@@ -99,6 +102,8 @@ struct Object {
     memory: Py<PyAny>,
     /// The optional methods that its class overrides.
     overrides: Overrides,
+    /// The world of its demonstrations and episodes.
+    world: Arc<DeclaredWorld>,
 }
 
 #[expect(clippy::struct_excessive_bools, reason = "one for each optional method")]
@@ -111,7 +116,7 @@ struct Overrides {
 }
 
 impl Object {
-    fn new(memory: &Bound<'_, PyAny>) -> PyResult<Self> {
+    fn new(memory: &Bound<'_, PyAny>, world: Arc<DeclaredWorld>) -> PyResult<Self> {
         let py = memory.py();
         let (class, base) = (memory.get_type(), Classes::get(py)?.memory.memory.bind(py));
         let overrides = |name: &str| PyResult::Ok(!class.getattr(name)?.is(&base.getattr(name)?));
@@ -122,7 +127,7 @@ impl Object {
             store_bytes: overrides("store_bytes")?,
             tokens: overrides("tokens")?,
         };
-        Ok(Self { memory: memory.clone().unbind(), overrides })
+        Ok(Self { memory: memory.clone().unbind(), overrides, world })
     }
 }
 
@@ -130,11 +135,11 @@ impl<'m> PythonMemory<'m> {
     /// Calls `work` with the Python object; an exception is printed to the log.
     fn call<T>(
         &self,
-        work: impl FnOnce(Python<'_>, &Bound<'_, PyAny>, &Overrides) -> PyResult<T>,
+        work: impl FnOnce(Python<'_>, &Bound<'_, PyAny>, &Object) -> PyResult<T>,
     ) -> Result<T, MemoryError> {
         let object = self.object.as_ref().map_err(Clone::clone)?;
         Python::attach(|py| {
-            work(py, object.memory.bind(py), &object.overrides)
+            work(py, object.memory.bind(py), object)
                 .map_err(|raised| failure(py, self.name, &raised))
         })
     }
@@ -226,11 +231,11 @@ impl Memory for PythonMemory<'_> {
         self.bank = demonstrations.first().and_then(|of| of.bank).cloned();
         self.lengths = demonstrations.iter().map(|of| of.steps.len() as u32).collect();
         self.demonstrations = self.lengths.len();
-        self.call(|py, memory, _| {
+        self.call(|py, memory, object| {
             let mut rows = 0;
             let mut values = Vec::with_capacity(demonstrations.len());
             for of in demonstrations {
-                values.push(demonstration(py, of, rows)?);
+                values.push(demonstration(py, &object.world, of, rows)?);
                 rows += of.steps.len();
             }
             memory.call_method1(intern!(py, "build"), (PyList::new(py, values)?,)).map(drop)
@@ -238,8 +243,8 @@ impl Memory for PythonMemory<'_> {
     }
 
     fn begin_episode(&mut self, episode: &Episode<'_>) -> Result<(), MemoryError> {
-        self.call(|py, memory, overrides| {
-            if !overrides.begin_episode {
+        self.call(|py, memory, object| {
+            if !object.overrides.begin_episode {
                 return Ok(());
             }
             let &Episode {
@@ -264,15 +269,16 @@ impl Memory for PythonMemory<'_> {
         if !self.object.as_ref().is_ok_and(|object| object.overrides.observe) {
             return Ok(());
         }
-        self.call(|py, memory, _| {
-            let step = MemoryStep::of_step(py, step)?;
+        self.call(|py, memory, object| {
+            let step = MemoryStep::of_step(py, &object.world, step)?;
             memory.call_method1(intern!(py, "observe"), (served(py, step)?,)).map(drop)
         })
     }
 
     fn recall(&mut self, query: &Query<'_>) -> Result<Vec<MemoryItem>, MemoryError> {
-        self.call(|py, memory, _| {
-            let query = served(py, MemoryStep::of_query(py, query)?)?;
+        self.call(|py, memory, object| {
+            let query = MemoryStep::of_query(py, &object.world, query)?;
+            let query = served(py, query)?;
             self.items(&memory.call_method1(intern!(py, "recall"), (query,))?)
         })
     }
@@ -282,8 +288,8 @@ impl Memory for PythonMemory<'_> {
         if end.demonstration.is_some() {
             self.lengths.push(steps.unwrap_or_default());
         }
-        self.call(|py, memory, overrides| {
-            if !overrides.end_episode {
+        self.call(|py, memory, object| {
+            if !object.overrides.end_episode {
                 return Ok(());
             }
             let &EpisodeEnd { lane, episode, demonstration, success, sub_goals } = end;
@@ -310,8 +316,8 @@ impl Memory for PythonMemory<'_> {
     }
 
     fn store_bytes(&self) -> Option<u64> {
-        let bytes = self.call(|py, memory, overrides| {
-            if !overrides.store_bytes {
+        let bytes = self.call(|py, memory, object| {
+            if !object.overrides.store_bytes {
                 return Ok(None);
             }
             memory.call_method0(intern!(py, "store_bytes"))?.extract()
@@ -320,8 +326,8 @@ impl Memory for PythonMemory<'_> {
     }
 
     fn tokens(&self) -> Option<u32> {
-        let tokens = self.call(|py, memory, overrides| {
-            if !overrides.tokens {
+        let tokens = self.call(|py, memory, object| {
+            if !object.overrides.tokens {
                 return Ok(None);
             }
             memory.call_method0(intern!(py, "tokens"))?.extract()
@@ -350,37 +356,37 @@ fn served(py: Python<'_>, step: MemoryStep) -> PyResult<Bound<'_, PyAny>> {
 /// A `memtransfer.Demonstration`, whose embeddings begin in the bank's row `first_row`.
 fn demonstration<'py>(
     py: Python<'py>,
+    world: &DeclaredWorld,
     of: &Demonstration<'_>,
     first_row: usize,
 ) -> PyResult<Bound<'py, PyAny>> {
     let steps = of.steps;
-    let poses = steps.iter().flat_map(|step| {
-        let cell = step.pose.cell;
-        [cell.x.into(), cell.y.into(), step.pose.heading as i32]
-    });
-    let actions = steps.iter().map(|step| step.action.map_or(-1, |action| action as i32));
-    let feedback = steps.iter().map(|step| step.feedback as i32);
+    let states = steps.iter().flat_map(|step| step.state.numbers()).copied();
+    let states = numbers(py, "float32", states.map(f32::to_ne_bytes))?;
+    let actions = steps.iter().map(|step| step.action.map_or(-1, |ActionCode(code)| code.into()));
+    let feedback = steps.iter().map(|step| i32::from(step.feedback.0));
     let embeddings = Numbers::of_bank(of, first_row);
     let frames: Vec<Frame> =
         of.frames.iter().map(|frame: &Arc<SharedFrame>| Frame::shared(frame)).collect();
     Classes::get(py)?.memory.demonstration.bind(py).call1((
         of.instruction,
-        integers(py, poses)?.call_method1("reshape", (-1, 3))?,
-        integers(py, actions)?,
-        integers(py, feedback)?,
+        states.call_method1("reshape", (steps.len(), world.declaration.state.len()))?,
+        numbers(py, "int32", actions.map(i32::to_ne_bytes))?,
+        numbers(py, "int32", feedback.map(i32::to_ne_bytes))?,
         as_array(py, embeddings)?,
         PyTuple::new(py, frames)?,
+        world.object.bind(py),
     ))
 }
 
-/// A read-only array of `int32`.
-fn integers<'py>(
+/// A read-only array of numbers of four bytes.
+fn numbers<'py>(
     py: Python<'py>,
-    values: impl Iterator<Item = i32>,
+    kind: &str,
+    values: impl Iterator<Item = [u8; 4]>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let bytes: Vec<u8> = values.flat_map(i32::to_ne_bytes).collect();
-    let numpy = py.import("numpy")?;
-    numpy.call_method1("frombuffer", (PyBytes::new(py, &bytes), numpy.getattr("int32")?))
+    let bytes: Vec<u8> = values.flatten().collect();
+    py.import("numpy")?.call_method1("frombuffer", (PyBytes::new(py, &bytes), kind))
 }
 
 /// A number of a demonstration or step.

@@ -1,6 +1,6 @@
 //! A Python policy as the SDK sees one: requests go in as Python objects, answers come back as decisions.
 
-use domain::{Action, Outcome};
+use domain::Outcome;
 use peer::{Answer, Answers, Batch, Decider, Decision, PinnedStep, RequestId, ServeError, Usage};
 use pyo3::exceptions::PyException;
 use pyo3::intern;
@@ -8,6 +8,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
 use crate::classes::{Classes, error};
+use crate::declaration::DeclaredWorld;
 use crate::exchange;
 use crate::step::Step;
 
@@ -86,7 +87,8 @@ impl PythonPolicy {
         steps.iter().for_each(|step| step.get().release());
         for ((request, pinned), reply) in batch.iter().zip(batch.steps()).zip(replies?) {
             let id = request.id();
-            match self.reply(py, &reply, request.images())? {
+            let world = DeclaredWorld::of(py, request.world)?;
+            match self.reply(py, &world, &reply, request.images())? {
                 Reply::Decided(decision, exchange) => {
                     record(answers, id, pinned, exchange)?;
                     answers.decide(id, decision);
@@ -187,12 +189,13 @@ impl PythonPolicy {
     fn reply<'py>(
         &self,
         py: Python<'py>,
+        world: &DeclaredWorld,
         answer: &Bound<'py, PyAny>,
         images: u32,
     ) -> PyResult<Reply<'py>> {
         let classes = Classes::get(py)?;
         let short = |answer| Ok(Reply::Decided(Decision { answer, images, usage: None }, None));
-        if let Some(action) = classes.action.code(answer)?.and_then(|code| code.try_into().ok()) {
+        if let Some(action) = world.read_action(answer)? {
             return short(Answer::Act(action));
         }
         if answer.is_none() {
@@ -204,7 +207,7 @@ impl PythonPolicy {
             return short(answer);
         }
         if answer.get_type().is(&classes.decision) {
-            let decision = decision(classes, answer, images).map_err(|problem| {
+            let decision = decision(classes, world, answer, images).map_err(|problem| {
                 let problem = format!("{answer:?} does not fit into a message: {problem}");
                 error(py, "PolicyError", problem)
             })?;
@@ -215,11 +218,12 @@ impl PythonPolicy {
             return Ok(Reply::Failed(why, some(answer.getattr("exchange")?)));
         }
         let problem = format!(
-            "policy {} answered {} ({}): an answer is an Action, UNREADABLE, EMPTY, REFUSED, CUT_OFF, None, a Decision \
+            "policy {} answered {} ({}): an answer is {}, or UNREADABLE, EMPTY, REFUSED, CUT_OFF, None, a Decision \
              or Failed",
             self.name,
             answer.repr()?,
-            answer.get_type().name()?
+            answer.get_type().name()?,
+            world.action_forms()
         );
         Err(error(py, "PolicyError", problem))
     }
@@ -296,10 +300,14 @@ fn without_action(code: u8) -> Option<Answer> {
 }
 
 /// A `memtransfer.Decision` about a request with this many images.
-fn decision(classes: &Classes, value: &Bound<'_, PyAny>, images: u32) -> PyResult<Decision> {
+fn decision(
+    classes: &Classes,
+    world: &DeclaredWorld,
+    value: &Bound<'_, PyAny>,
+    images: u32,
+) -> PyResult<Decision> {
     let outcome = classes.outcome.code(&value.getattr("outcome")?)?.and_then(without_action);
-    let action = classes.action.code(&value.getattr("action")?)?;
-    let action = action.and_then(|code| Action::try_from(code).ok()).map(Answer::Act);
+    let action = world.action_in(value)?.map(Answer::Act);
     Ok(Decision {
         answer: action.or(outcome).unwrap_or(Answer::Unreadable),
         images: value.getattr("images")?.extract::<Option<u32>>()?.unwrap_or(images),

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use domain::hex;
-use domain::{Action, Cell, DocumentKind, Feedback, Heading, Pose};
+use domain::{DocumentKind, FeedbackCode, State};
 use peer::{CaptionedView, FrameView, Item, PastView, Request, StepView, StepsView, TextView};
 use prompt::image::{ImageFormat, encode};
 use prompt::{PartContent, Prompt};
@@ -13,6 +13,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyString};
 
 use crate::classes::{Classes, lossy};
+use crate::declaration::DeclaredWorld;
 use crate::frame::Frame;
 
 /// Encoded views that are kept: most views of a request were in the request before.
@@ -32,14 +33,14 @@ pub(crate) fn template() -> PyResult<String> {
     serde_json::to_string(&texts).map_err(|error| PyValueError::new_err(error.to_string()))
 }
 
-/// The settings of the benchmark's requests to a model, as JSON.
+/// The settings of the benchmark's requests to a model, as JSON; the choices are those of the warehouse.
 #[pyfunction]
 pub(crate) fn settings() -> String {
-    prompt::request_settings().to_string()
+    prompt::request_settings(&warehouse::declaration()).to_string()
 }
 
 /// The system message and the parts of the user message: section, text, and the frame where the part is an image.
-type Rendered<'py> = (&'static str, Vec<(&'static str, Option<String>, Option<Bound<'py, Frame>>)>);
+type Rendered<'py> = (String, Vec<(&'static str, Option<String>, Option<Bound<'py, Frame>>)>);
 
 /// Renders `request`, with at most `image_budget` images.
 #[pyfunction]
@@ -48,7 +49,8 @@ pub(crate) fn render<'py>(
     image_budget: u32,
 ) -> PyResult<Rendered<'py>> {
     let mut frames = Frames::default();
-    let read = ReadRequest::new(request, &mut frames)?;
+    let world = DeclaredWorld::read(&request.getattr("world")?)?;
+    let read = ReadRequest::new(&world, request, &mut frames)?;
     let items: Vec<_> = read.items.iter().map(ReadItem::view).collect();
     let request = Request {
         lane: 0,
@@ -57,13 +59,14 @@ pub(crate) fn render<'py>(
         episode_seed: 0,
         repeat: 1,
         instruction: &read.instruction,
-        pose: read.pose,
+        state: read.state,
         feedback: read.feedback,
         frame: read.frame,
         window: &read.window,
         items: &items,
         starts_as_demonstrated: read.starts_as_demonstrated,
         demonstrated_elsewhere: read.demonstrated_elsewhere,
+        world: &world.declaration,
     };
     let prompt = Prompt::new(&request, image_budget);
     let parts = prompt.parts.into_iter().map(|part| {
@@ -94,8 +97,8 @@ impl<'py> Frames<'py> {
 /// A `memtransfer.Request`, as far as the prompt shows it.
 struct ReadRequest {
     instruction: String,
-    pose: Pose,
-    feedback: Feedback,
+    state: State,
+    feedback: FeedbackCode,
     frame: FrameView<'static>,
     window: Vec<PastView<'static>>,
     items: Vec<ReadItem>,
@@ -104,27 +107,29 @@ struct ReadRequest {
 }
 
 impl ReadRequest {
-    fn new<'py>(request: &Bound<'py, PyAny>, frames: &mut Frames<'py>) -> PyResult<Self> {
-        let pose = request.getattr("pose")?;
-        let cell = Cell { x: pose.getattr("x")?.extract()?, y: pose.getattr("y")?.extract()? };
+    fn new<'py>(
+        world: &DeclaredWorld,
+        request: &Bound<'py, PyAny>,
+        frames: &mut Frames<'py>,
+    ) -> PyResult<Self> {
         let frame = frames.view(&request.getattr("frame")?)?;
         let mut window = Vec::new();
         for past in request.getattr("window")?.try_iter()? {
             let past = past?;
             window.push(PastView {
                 frame: frames.view(&past.getattr("frame")?)?,
-                action: action(&past)?,
-                feedback: feedback(&past)?,
+                action: world.action_in(&past)?,
+                feedback: world.feedback_in(&past)?,
             });
         }
         let mut items = Vec::new();
         for item in request.getattr("items")?.try_iter()? {
-            items.push(ReadItem::new(&item?, frames)?);
+            items.push(ReadItem::new(world, &item?, frames)?);
         }
         Ok(Self {
             instruction: request.getattr("instruction")?.extract()?,
-            pose: Pose { cell, heading: code::<Heading>(&pose, "heading")? },
-            feedback: feedback(request)?,
+            state: world.state_in(request)?,
+            feedback: world.feedback_in(request)?,
             frame,
             window,
             items,
@@ -142,18 +147,25 @@ enum ReadItem {
 }
 
 impl ReadItem {
-    fn new<'py>(item: &Bound<'py, PyAny>, frames: &mut Frames<'py>) -> PyResult<Self> {
+    fn new<'py>(
+        world: &DeclaredWorld,
+        item: &Bound<'py, PyAny>,
+        frames: &mut Frames<'py>,
+    ) -> PyResult<Self> {
         let py = item.py();
         let classes = Classes::get(py)?;
         if item.is_instance(classes.document.bind(py))? {
-            Ok(Self::Text(code(item, "kind")?, item.getattr("text")?.extract()?))
+            let kind = item.getattr("kind")?.extract::<u8>()?;
+            let kind = DocumentKind::try_from(kind);
+            let kind = kind.map_err(|problem| PyValueError::new_err(problem.to_string()))?;
+            Ok(Self::Text(kind, item.getattr("text")?.extract()?))
         } else if item.is_instance(classes.segment.bind(py))? {
             let mut steps = Vec::new();
             for step in item.getattr("steps")?.try_iter()? {
                 let step = step?;
                 let frame = step.getattr("frame")?;
                 let frame = if frame.is_none() { None } else { Some(frames.view(&frame)?) };
-                steps.push(StepView { frame, action: action(&step)? });
+                steps.push(StepView { frame, action: world.action_in(&step)? });
             }
             let distance = item.getattr("distance")?.extract()?;
             Ok(Self::Steps { distance, is_whole: item.getattr("is_whole")?.is_truthy()?, steps })
@@ -179,35 +191,26 @@ impl ReadItem {
     }
 }
 
-fn action(step: &Bound<'_, PyAny>) -> PyResult<Option<Action>> {
-    if step.getattr("action")?.is_none() { Ok(None) } else { code(step, "action").map(Some) }
-}
-
-fn feedback(of: &Bound<'_, PyAny>) -> PyResult<Feedback> {
-    code(of, "feedback")
-}
-
-/// The attribute `name`, an integer that is a code of `T`.
-fn code<T: TryFrom<u8, Error: ToString>>(of: &Bound<'_, PyAny>, name: &str) -> PyResult<T> {
-    let code: u8 = of.getattr(name)?.extract()?;
-    T::try_from(code).map_err(|problem| PyValueError::new_err(problem.to_string()))
-}
-
-/// The action that `text` names, or the outcome that says why there is none.
+/// The action of `world` that `text` names, or the outcome that says why there is none.
 #[pyfunction]
 pub(crate) fn read_answer<'py>(
-    py: Python<'py>,
     text: &Bound<'py, PyString>,
     cut_off: bool,
-) -> PyResult<Option<Bound<'py, PyAny>>> {
-    let classes = Classes::get(py)?;
-    let text = lossy(text)?;
-    let read =
-        if cut_off { prompt::read_cut_off_answer(&text) } else { prompt::read_answer(&text) };
-    Ok(match read {
-        Ok(action) => classes.action.member(py, action as u8),
-        Err(why) => classes.outcome.member(py, why.answer().outcome() as u8),
-    })
+    world: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let py = text.py();
+    let world = match world {
+        Some(world) => DeclaredWorld::read(world)?,
+        None => DeclaredWorld::warehouse(py)?,
+    };
+    let read = if cut_off { prompt::read_cut_off_answer } else { prompt::read_answer };
+    match read(&world.declaration, &lossy(text)?) {
+        Ok(action) => world.action(py, Some(action)),
+        Err(why) => {
+            let outcome = Classes::get(py)?.outcome.member(py, why.answer().outcome() as u8);
+            Ok(outcome.into_pyobject(py)?)
+        }
+    }
 }
 
 /// The name of a frame's image in logs.

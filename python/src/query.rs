@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Weak};
 
-use domain::{Action, Feedback, Pose};
+use domain::{ActionCode, FeedbackCode, State};
 use peer::memory::{Demonstration, PastStep, Query, Step};
 use pyo3::exceptions::PyAttributeError;
 use pyo3::prelude::*;
@@ -11,6 +11,7 @@ use pyo3::types::{PyDict, PyTuple};
 use shm_types::{Bank, Frame as SharedFrame};
 
 use crate::classes::{Classes, error};
+use crate::declaration::DeclaredWorld;
 use crate::frame::Frame;
 
 /// The step behind a served query. It keeps no frame resident.
@@ -19,34 +20,39 @@ pub(crate) struct MemoryStep {
     lane: u32,
     episode: u64,
     step: u32,
-    pose: Pose,
-    last_action: Option<Action>,
-    feedback: Feedback,
+    state: State,
+    last_action: Option<ActionCode>,
+    feedback: FeedbackCode,
     frame: Option<Py<Frame>>,
     embedding: Option<Arc<[f32]>>,
     instruction: String,
     window: Vec<Past>,
     image_budget: u32,
     text_budget: u32,
+    world: Arc<DeclaredWorld>,
 }
 
 /// A past step.
 struct Past {
-    pose: Pose,
-    action: Option<Action>,
-    feedback: Feedback,
+    state: State,
+    action: Option<ActionCode>,
+    feedback: FeedbackCode,
     frame: Weak<SharedFrame>,
 }
 
 impl MemoryStep {
-    pub(crate) fn of_step(py: Python<'_>, step: &Step<'_>) -> PyResult<Self> {
-        let &Step { lane, episode, step: number, pose, last_action, feedback, .. } = step;
+    pub(crate) fn of_step(
+        py: Python<'_>,
+        world: &Arc<DeclaredWorld>,
+        step: &Step<'_>,
+    ) -> PyResult<Self> {
+        let &Step { lane, episode, step: number, state, last_action, feedback, .. } = step;
         let frame = step.pinned.map(|frame| Py::new(py, Frame::shared(frame))).transpose()?;
         Ok(Self {
             lane,
             episode,
             step: number,
-            pose,
+            state,
             last_action,
             feedback,
             frame,
@@ -55,20 +61,25 @@ impl MemoryStep {
             window: Vec::new(),
             image_budget: 0,
             text_budget: 0,
+            world: Arc::clone(world),
         })
     }
 
-    pub(crate) fn of_query(py: Python<'_>, query: &Query<'_>) -> PyResult<Self> {
+    pub(crate) fn of_query(
+        py: Python<'_>,
+        world: &Arc<DeclaredWorld>,
+        query: &Query<'_>,
+    ) -> PyResult<Self> {
         let window = query.window.iter().map(|past| {
-            let &PastStep { pose, action, feedback, ref frame } = past;
-            Past { pose, action, feedback, frame: Arc::downgrade(frame) }
+            let &PastStep { state, action, feedback, ref frame } = past;
+            Past { state, action, feedback, frame: Arc::downgrade(frame) }
         });
         Ok(Self {
             instruction: query.instruction.to_owned(),
             window: window.collect(),
             image_budget: query.image_budget,
             text_budget: query.text_budget,
-            ..Self::of_step(py, &query.now)?
+            ..Self::of_step(py, world, &query.now)?
         })
     }
 }
@@ -77,14 +88,16 @@ impl MemoryStep {
 impl MemoryStep {
     /// The value of a field of `memtransfer.Query`.
     fn field<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
-        let classes = Classes::get(py)?;
+        let world = &*self.world;
         Ok(match name {
             "lane" => self.lane.into_pyobject(py)?.into_any(),
             "episode" => self.episode.into_pyobject(py)?.into_any(),
             "step" => self.step.into_pyobject(py)?.into_any(),
-            "pose" => classes.pose_of(py, self.pose)?,
-            "last_action" => classes.action_of(py, self.last_action).into_pyobject(py)?,
-            "feedback" => classes.feedback_of(py, self.feedback).into_pyobject(py)?,
+            "state" => world.state(py, &self.state)?,
+            "pose" => world.pose(py, &self.state)?,
+            "last_action" => world.action(py, self.last_action)?,
+            "feedback" => world.feedback(py, self.feedback)?,
+            "world" => world.object.bind(py).clone(),
             "frame" => self.frame.as_ref().into_pyobject(py)?,
             "embedding" => match &self.embedding {
                 Some(embedding) => as_array(py, Numbers::of_query(embedding))?,
@@ -94,11 +107,14 @@ impl MemoryStep {
             "window" => {
                 let window = self.window.iter().map(|past| {
                     let frame = past.frame.upgrade().ok_or_else(|| window_gone(py))?;
-                    let pose = classes.pose_of(py, past.pose)?;
-                    let action = classes.action_of(py, past.action);
-                    let feedback = classes.feedback_of(py, past.feedback);
-                    let values = (Frame::shared(&frame), pose, action, feedback);
-                    classes.memory.recent_step.bind(py).call1(values)
+                    let values = (
+                        Frame::shared(&frame),
+                        world.state(py, &past.state)?,
+                        world.action(py, past.action)?,
+                        world.feedback(py, past.feedback)?,
+                        world.object.bind(py),
+                    );
+                    Classes::get(py)?.memory.recent_step.bind(py).call1(values)
                 });
                 PyTuple::new(py, window.collect::<PyResult<Vec<_>>>()?)?.into_any()
             }

@@ -3,9 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use case_book::act::{ActedDemonstration, DemonstrationsRequest, EpisodeParts, Target};
-use domain::{Action, Cell, Heading, Pose};
+use domain::{Action, Cell, Heading, Pose, State};
 use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -37,8 +37,13 @@ fn cell_data(cell: Cell) -> CellData {
     (cell.x, cell.y)
 }
 
-fn pose_data(pose: Pose) -> PoseData {
-    (pose.cell.x, pose.cell.y, pose.heading as u8)
+fn pose_data(state: &State) -> anyhow::Result<PoseData> {
+    let Pose { cell, heading } = Pose::try_from(*state)?;
+    Ok((cell.x, cell.y, heading as u8))
+}
+
+fn path(states: &[State]) -> anyhow::Result<Vec<CellData>> {
+    states.iter().map(|state| Ok(cell_data(Pose::try_from(*state)?.cell))).collect()
 }
 
 /// The fields of `memtransfer.trajectories.Trajectory`.
@@ -80,6 +85,11 @@ fn worlds(files: &WorldFiles) -> anyhow::Result<RunWorlds> {
 /// Access to the worlds of runs in this process.
 fn access() -> WorldAccess {
     WorldAccess::new(|log| {
+        let (name, own) = (&log.world.declaration.name, warehouse::declaration().name);
+        ensure!(
+            name.is_empty() || *name == own,
+            "the run took place in the world {name}, and trajectories and views are those of the world {own}"
+        );
         let mut stage = Stage::new(worlds(&WorldFiles::of(log))?);
         Ok(Asker::new(move |request| Ok(stage.answer(request))))
     })
@@ -145,7 +155,8 @@ impl RecordedRun {
     /// cases.
     fn demonstrations(&self) -> PyResult<String> {
         let found = self.acted_demonstrations().map_err(|error| invalid(&error))?;
-        json(&found.iter().map(demonstration).collect::<Vec<_>>())
+        let found = found.iter().map(demonstration).collect::<anyhow::Result<Vec<_>>>();
+        json(&found.map_err(|error| invalid(&error))?)
     }
 
     /// The floor of world variant `variant`: a text for each row from row 0, the most southern, with `.` for free floor
@@ -177,7 +188,7 @@ impl RecordedRun {
         let EpisodeTimeline { instruction, variant, steps, reference, scenery, failure, .. } =
             timeline;
         let scenery = scenery.context("an episode without scenery")?;
-        let reference = reference.iter().flat_map(|reference| &reference.poses);
+        let reference = reference.as_ref().map_or(&[][..], |reference| &reference.states);
         let failure = failure.map(|failure| (failure.kind, failure.step));
         Ok(TrajectoryData {
             id: record.key.clone(),
@@ -186,8 +197,11 @@ impl RecordedRun {
             instruction,
             start: record.start.name(),
             variant,
-            poses: steps.iter().map(|step| pose_data(step.pose)).collect(),
-            feedback: steps.iter().map(|step| step.feedback as u8).collect(),
+            poses: steps
+                .iter()
+                .map(|step| pose_data(&step.state))
+                .collect::<anyhow::Result<_>>()?,
+            feedback: steps.iter().map(|step| step.feedback_code.0).collect(),
             actions: record.actions.chars().map(action_data).collect(),
             sub_goals: record.sub_goals.clone(),
             required: record.required,
@@ -195,7 +209,7 @@ impl RecordedRun {
             failure,
             closed: scenery.closed.into_iter().map(cell_data).collect(),
             targets: targets(scenery.targets),
-            reference: reference.map(|pose| cell_data(pose.cell)).collect(),
+            reference: path(reference)?,
             record: Some(record),
         })
     }
@@ -233,18 +247,17 @@ impl RecordedRun {
             }
         };
         let pose = |&[x, y, heading]: &[u8; 3]| {
-            let heading = Heading::ALL.get(usize::from(heading));
-            Ok(Pose::new(x, y, *heading.context("there is no such heading")?))
+            Ok(State::from(Pose::new(x, y, Heading::try_from(heading)?)))
         };
-        let poses: Vec<Pose> = poses.iter().map(pose).collect::<anyhow::Result<_>>()?;
+        let states: Vec<State> = poses.iter().map(pose).collect::<anyhow::Result<_>>()?;
         let world = &run.world;
         let keys = match seen {
-            true => world.seen(variant, &poses)?,
-            false => poses.iter().map(|pose| world.supplied(variant, *pose)).collect(),
+            true => world.seen(variant, &states)?,
+            false => states.iter().map(|state| world.supplied(variant, *state)).collect(),
         };
         let mut pixels = Vec::new();
-        for (variant, pose) in keys {
-            let view = views.render(variant, pose)?;
+        for (variant, state) in keys {
+            let view = views.render(variant, Pose::try_from(state)?)?;
             pixels.extend(
                 view.as_bytes().as_chunks::<4>().0.iter().flat_map(|&[r, g, b, _]| [r, g, b]),
             );
@@ -259,28 +272,28 @@ fn action_data(letter: char) -> Option<u8> {
 }
 
 /// A demonstration. It ends with the step that completes the task; the expert's turn towards the rack, after it, is left out.
-fn demonstration(acted: &ActedDemonstration) -> TrajectoryData<'_> {
+fn demonstration(acted: &ActedDemonstration) -> anyhow::Result<TrajectoryData<'_>> {
     let length = acted.length.map_or(acted.actions.len(), |length| length as usize);
-    let poses = &acted.poses[..=length];
-    TrajectoryData {
+    let states = &acted.states[..=length];
+    Ok(TrajectoryData {
         id: format!("demonstration/{}/{}", acted.kind.name(), acted.case),
         case: &acted.case,
         task: acted.task,
         instruction: acted.instruction.clone(),
         start: acted.kind.name(),
         variant: acted.variant,
-        feedback: acted.feedback[..=length].iter().map(|feedback| *feedback as u8).collect(),
-        actions: acted.actions[..length].iter().map(|action| Some(*action as u8)).collect(),
+        feedback: acted.feedback[..=length].iter().map(|feedback| feedback.0).collect(),
+        actions: acted.actions[..length].iter().map(|action| Some(action.0)).collect(),
         required: acted.sub_goals.len() as u32,
         sub_goals: acted.sub_goals.clone(),
         success: acted.length.is_some(),
         failure: None,
         closed: acted.closed.iter().copied().map(cell_data).collect(),
         targets: targets(acted.targets.clone()),
-        reference: poses.iter().map(|pose| cell_data(pose.cell)).collect(),
-        poses: poses.iter().copied().map(pose_data).collect(),
+        reference: path(states)?,
+        poses: states.iter().map(pose_data).collect::<anyhow::Result<_>>()?,
         record: None,
-    }
+    })
 }
 
 fn json(value: &impl Serialize) -> PyResult<String> {

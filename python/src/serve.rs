@@ -59,10 +59,15 @@ fn ended(py: Python<'_>, served: Result<(), ServeError>) -> PyResult<()> {
         | ServeError::NotARun(_)
         | ServeError::NotAMemoryFolder(_)
         | ServeError::NoOrchestrator { .. }
+        | ServeError::World(_)
         | ServeError::OwnCode(_)
         | ServeError::Parent(_)
         | ServeError::Bus(BusError::Attach(_) | BusError::Taken { .. }) => "AttachError",
-        ServeError::Bus(_) | ServeError::Spans(_) | ServeError::Frames(_) => "BusError",
+        ServeError::Bus(_)
+        | ServeError::Spans(_)
+        | ServeError::Frame(_)
+        | ServeError::Frames(_)
+        | ServeError::WorldFailed(_) => "BusError",
         ServeError::PromptLog(_) => "PromptLogError",
         ServeError::Answers { .. } | ServeError::Facts(_) | ServeError::Policy(_) => "PolicyError",
     };

@@ -8,6 +8,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
 use crate::classes::{Classes, error};
+use crate::declaration::DeclaredWorld;
 use crate::frame::Frame;
 
 /// The step behind a served request. Its frames and documents are pinned until the request is answered.
@@ -55,8 +56,9 @@ fn field<'py>(
     name: &str,
 ) -> PyResult<Option<Bound<'py, PyAny>>> {
     let classes = Classes::get(py)?;
-    let maker = Maker { py, classes };
     step.with_request(|request| {
+        let world = &*DeclaredWorld::of(py, request.world)?;
+        let maker = Maker { py, classes, world };
         // The pinned frames are in this order: current view, window, items.
         let mut frames = step.frames().iter();
         Ok(Some(match name {
@@ -72,14 +74,16 @@ fn field<'py>(
             "demonstrated_elsewhere" => {
                 request.demonstrated_elsewhere.into_pyobject(py)?.to_owned().into_any()
             }
-            "pose" => classes.pose_of(py, request.pose)?,
-            "feedback" => classes.feedback_of(py, request.feedback).into_pyobject(py)?,
+            "state" => world.state(py, &request.state)?,
+            "pose" => world.pose(py, &request.state)?,
+            "feedback" => world.feedback(py, request.feedback)?,
+            "world" => world.object.bind(py).clone(),
             "frame" => maker.frame(frames.next())?,
             "window" => {
                 let steps = request.window.iter().zip(frames.skip(1)).map(|(past, frame)| {
-                    let feedback = classes.feedback_of(py, past.feedback);
-                    let values =
-                        (maker.frame(Some(frame))?, classes.action_of(py, past.action), feedback);
+                    let action = world.action(py, past.action)?;
+                    let feedback = world.feedback(py, past.feedback)?;
+                    let values = (maker.frame(Some(frame))?, action, feedback);
                     classes.past_step.bind(py).call1(values)
                 });
                 maker.tuple(steps)?
@@ -93,19 +97,20 @@ fn field<'py>(
     })
 }
 
-struct Maker<'py> {
+struct Maker<'py, 'w> {
     py: Python<'py>,
     classes: &'static Classes,
+    world: &'w DeclaredWorld,
 }
 
-impl<'py> Maker<'py> {
+impl<'py> Maker<'py, '_> {
     /// An item, whose views are the next of `frames`.
     fn item<'f>(
         &self,
         item: &Item<'_>,
         frames: &mut impl Iterator<Item = &'f Arc<shm_types::Frame>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let Self { py, classes } = *self;
+        let Self { py, classes, world } = *self;
         match item {
             Item::Text(TextView { id, kind, text }) => {
                 let kind = classes.document_kind.member(py, *kind as u8);
@@ -114,7 +119,7 @@ impl<'py> Maker<'py> {
             Item::Steps(StepsView { distance, is_whole, steps }) => {
                 let steps = self.tuple(steps.iter().map(|step| {
                     let frame = if step.frame.is_some() { frames.next() } else { None };
-                    let values = (self.frame(frame)?, classes.action_of(py, step.action));
+                    let values = (self.frame(frame)?, world.action(py, step.action)?);
                     classes.remembered_step.bind(py).call1(values)
                 }))?;
                 classes.segment.bind(py).call1((*distance, steps, *is_whole))

@@ -1,16 +1,19 @@
 //! Serving a run with a Python world.
 
-use std::sync::Mutex;
-
-use case_book::{BookFile, FailureKind, TaskFacts, WorldDeclaration};
+use case_book::{FailureKind, TaskFacts, WorldDeclaration};
 use domain::{ActionCode, FeedbackCode, State};
 use peer::world::{
     CaseDeclaration, Environment, EpisodeBegin, Observed, Simulator, WorldFailure, program,
 };
-use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::{Map, Value};
+
+use crate::classes::error;
+use crate::declaration::read_declaration;
+
+/// What this package raises where a world breaks its contract.
+const WORLD_ERROR: &str = "WorldError";
 
 /// What a world is, beside its declaration.
 #[derive(serde::Deserialize)]
@@ -30,20 +33,21 @@ pub(crate) fn world_main(
     arguments: Vec<String>,
 ) -> PyResult<()> {
     let py = create.py();
-    let failed = |failure: WorldFailure| PyRuntimeError::new_err(failure.to_string());
-    let declared = BookFile::<WorldDeclaration>::parse(declaration, "the declaration of the world");
-    let declaration = declared.map_err(|error| failed(error.into()))?.book;
-    let tasks = serde_json::from_str(tasks).map_err(|error| failed(error.into()))?;
-    let raised = Mutex::new(None);
-    let simulator = PythonSimulator { create: create.clone().unbind(), declaration, tasks, raised };
-    let ended = py.detach(|| program::run(&simulator, &arguments));
-    let raised = simulator.raised.into_inner().ok().flatten();
-    match (ended, raised) {
-        (Ok(()), _) => Ok(()),
-        // With its traceback.
-        (Err(_), Some(raised)) => Err(raised),
-        (Err(failure), None) => Err(failed(failure)),
-    }
+    let failed = |failure: String| error(py, WORLD_ERROR, failure);
+    let declaration = read_declaration(declaration).map_err(failed)?;
+    let tasks = serde_json::from_str(tasks);
+    let tasks = tasks.map_err(|problem| failed(format!("the cases are not valid: {problem}")))?;
+    let simulator = PythonSimulator { create: create.clone().unbind(), declaration, tasks };
+    let ended = py.detach(|| {
+        program::run(&simulator, &arguments).map_err(|failure| in_one_sentence(&*failure))
+    });
+    ended.map_err(failed)
+}
+
+/// A failure with its causes.
+fn in_one_sentence(failure: &(dyn std::error::Error + 'static)) -> String {
+    let causes = std::iter::successors(Some(failure), |error| error.source());
+    causes.map(ToString::to_string).collect::<Vec<_>>().join(": ")
 }
 
 /// A Python function that makes worlds.
@@ -51,8 +55,6 @@ struct PythonSimulator {
     create: Py<PyAny>,
     declaration: WorldDeclaration,
     tasks: Tasks,
-    /// What making one has raised.
-    raised: Mutex<Option<PyErr>>,
 }
 
 impl Simulator for PythonSimulator {
@@ -73,15 +75,9 @@ impl Simulator for PythonSimulator {
     }
 
     fn environment(&self) -> Result<Box<dyn Environment>, WorldFailure> {
-        Python::attach(|py| match self.create.call0(py) {
-            Ok(world) => Ok(Box::new(PythonEnvironment(world)) as Box<dyn Environment>),
-            Err(error) => {
-                let failure = told(py, &error);
-                if let Ok(mut raised) = self.raised.lock() {
-                    *raised = Some(error);
-                }
-                Err(failure)
-            }
+        Python::attach(|py| {
+            let world = self.create.call0(py).map_err(|raised| failure(py, &raised))?;
+            Ok(Box::new(PythonEnvironment(world)) as Box<dyn Environment>)
         })
     }
 }
@@ -94,7 +90,7 @@ type Told = (Vec<f32>, u8, u32, u32, bool, bool, Option<u64>);
 
 fn observed(py: Python<'_>, told: PyResult<Py<PyAny>>) -> Result<Observed, WorldFailure> {
     let told =
-        told.and_then(|told| told.extract::<Told>(py)).map_err(|error| failure(py, &error))?;
+        told.and_then(|told| told.extract::<Told>(py)).map_err(|raised| failure(py, &raised))?;
     let (state, feedback, sub_goals, required, has_failed, conflict, state_hash) = told;
     Ok(Observed {
         state: State::new(&state)?,
@@ -107,17 +103,17 @@ fn observed(py: Python<'_>, told: PyResult<Py<PyAny>>) -> Result<Observed, World
     })
 }
 
-/// An exception in one line.
-fn told(py: Python<'_>, error: &PyErr) -> WorldFailure {
-    let kind =
-        error.get_type(py).name().map_or_else(|_| "error".to_owned(), |name| name.to_string());
-    format!("{kind}: {}", error.value(py)).into()
-}
-
-/// As [`told`], with the traceback on standard error.
-fn failure(py: Python<'_>, error: &PyErr) -> WorldFailure {
-    error.print(py);
-    told(py, error)
+/// The failure that an exception is to the run. The traceback goes to standard error, unless this package has raised it: then it
+/// says what is wrong.
+fn failure(py: Python<'_>, raised: &PyErr) -> WorldFailure {
+    let (kind, message) = (raised.get_type(py).name(), raised.value(py));
+    match kind.map(|kind| kind.to_string()).as_deref() {
+        Ok(WORLD_ERROR) => message.to_string().into(),
+        kind => {
+            raised.display(py);
+            format!("{}: {message}", kind.unwrap_or("an exception")).into()
+        }
+    }
 }
 
 impl Environment for PythonEnvironment {
@@ -136,23 +132,17 @@ impl Environment for PythonEnvironment {
     fn render(&mut self, width: u32, height: u32, pixels: &mut [u8]) -> Result<(), WorldFailure> {
         Python::attach(|py| {
             let slot = WritablePixels { address: pixels.as_mut_ptr() as usize, width, height };
-            let slot = Bound::new(py, slot)?;
-            let drawn = self.0.call_method1(py, "_render", (&slot,));
-            drawn.map_err(|error| failure(py, &error))?;
-            // The memory is published now: nobody may write into it any more.
-            if slot.get_refcnt() > 1 {
-                return Err("render keeps the array that it was given: copy it instead".into());
-            }
-            Ok(())
+            // It raises where the array is kept: the memory is published now, and nobody may write into it any more.
+            let drawn = self.0.call_method1(py, "_render", (slot,));
+            drawn.map(drop).map_err(|raised| failure(py, &raised))
         })
     }
 
-    fn facts(&mut self) -> Map<String, Value> {
+    fn facts(&mut self) -> Result<Map<String, Value>, WorldFailure> {
         Python::attach(|py| {
             let text =
                 self.0.call_method0(py, "_facts").and_then(|text| text.extract::<String>(py));
-            let text = text.map_err(|error| failure(py, &error));
-            text.ok().and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()
+            Ok(serde_json::from_str(&text.map_err(|raised| failure(py, &raised))?)?)
         })
     }
 }

@@ -31,7 +31,7 @@ def request(step: int = 0, value: int = 150) -> Request:
         episode_seed=5,
         repeat=1,
         instruction="Find a blue barrel.",
-        pose=Pose(3, 12, Heading.N),
+        state=Pose(3, 12, Heading.N).state,
         feedback=Feedback.START,
         frame=Frame.of(np.full((64, 64, 4), value, dtype=np.uint8)),
     )

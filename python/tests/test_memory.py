@@ -36,7 +36,7 @@ def demonstration() -> Demonstration:
     """North, north, a turn to the east, east."""
     return Demonstration(
         instruction="Find a blue barrel.",
-        poses=np.array([[3, 4, 0], [3, 5, 0], [3, 6, 0], [3, 6, 1], [4, 6, 1]], dtype=np.int32),
+        states=np.array([[3, 4, 0], [3, 5, 0], [3, 6, 0], [3, 6, 1], [4, 6, 1]], dtype=np.float32),
         actions=np.array([0, 0, 5, 0, -1], dtype=np.int32),
         feedback=np.array([0, 1, 1, 2, 1], dtype=np.int32),
         embeddings=np.eye(5, dtype=np.float32),
@@ -46,8 +46,8 @@ def demonstration() -> Demonstration:
 def test_a_demonstration_is_a_sequence_of_steps() -> None:
     steps = demonstration()
     assert len(steps) == 5
-    start = DemonstrationStep(Pose(3, 4, Heading.N), Action.FORWARD, Feedback.START)
-    end = DemonstrationStep(Pose(4, 6, Heading.E), None, Feedback.MOVED)
+    start = DemonstrationStep(Pose(3, 4, Heading.N).state, Action.FORWARD, Feedback.START)
+    end = DemonstrationStep(Pose(4, 6, Heading.E).state, None, Feedback.MOVED)
     assert (steps[0], steps[-1]) == (start, end)
     assert [step.action for step in steps[2:4]] == [Action.TURN_RIGHT, Action.FORWARD]
     assert list(steps)[4] == end
@@ -59,7 +59,7 @@ def test_a_route_names_the_task_the_start_and_the_corners() -> None:
     route = demonstration().route()
     assert route == '"Find a blue barrel." from (3, 4) facing N: north 2 to (3, 6), east 1 to (4, 6).'
     stays = Demonstration(
-        "Stay.", *(getattr(demonstration(), name)[:1] for name in ("poses", "actions", "feedback", "embeddings"))
+        "Stay.", *(getattr(demonstration(), name)[:1] for name in ("states", "actions", "feedback", "embeddings"))
     )
     assert stays.route() == '"Stay." from (3, 4) facing N: stay.'
 
@@ -74,8 +74,8 @@ def test_a_memory_can_be_asked_without_a_run() -> None:
     memory = TopThree()
     memory.build([demonstration()])
     embedding = np.array([0, 0.2, 0.9, 0.1, 0], dtype=np.float32)
-    pose = Pose(3, 6, Heading.N)
-    query = Query(1, 0, 0, "Find a blue barrel.", pose, None, Feedback.START, embedding=embedding)
+    state = Pose(3, 6, Heading.N).state
+    query = Query(1, 0, 0, "Find a blue barrel.", state, None, Feedback.START, embedding=embedding)
     assert [item.first for item in memory.recall(query)] == [2, 1, 3]
 
 

@@ -50,7 +50,7 @@ def request(plain: dict[str, Any]) -> Request:
         episode_seed=0,
         repeat=1,
         instruction=plain["instruction"],
-        pose=Pose(plain["pose"]["column"], plain["pose"]["row"], Heading[plain["pose"]["heading"]]),
+        state=Pose(plain["pose"]["column"], plain["pose"]["row"], Heading[plain["pose"]["heading"]]).state,
         feedback=Feedback[plain["feedback"].upper()],
         frame=frame(plain["view"]),
         window=[

@@ -56,7 +56,7 @@ def test_a_frame_of_own_pixels_is_a_read_only_copy() -> None:
 
 def test_a_request_counts_its_images() -> None:
     frame = Frame.of(np.zeros((1, 1, 4), dtype=np.uint8))
-    request = Request(0, 0, 1, 5, 1, "Find a barrel.", Pose(3, 12, Heading.N), Feedback.START, frame)
+    request = Request(0, 0, 1, 5, 1, "Find a barrel.", Pose(3, 12, Heading.N).state, Feedback.START, frame)
     assert request.images() == 1 and str(request.pose) == "3,12,N"
 
 
@@ -88,7 +88,7 @@ def test_items_are_sorted_by_what_they_are() -> None:
     near, part, whole = Segment(0.5, steps, True), Segment(None, steps), Segment(None, steps, True)
     items: list[Item] = [note, near, part, whole, RememberedView(frame, "a rack")]
     request = Request(
-        0, 0, 1, 5, 1, "Find a barrel.", Pose(3, 12, Heading.N), Feedback.START, frame, items=items
+        0, 0, 1, 5, 1, "Find a barrel.", Pose(3, 12, Heading.N).state, Feedback.START, frame, items=items
     )
     assert request.documents == [note] and request.segments == [near, part]
     assert request.segment is near and request.trajectories == [steps]

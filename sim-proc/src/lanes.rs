@@ -321,7 +321,7 @@ mod tests {
     use domain::Route;
     use proptest::prelude::*;
     use shm_types::message::NO_ACTION;
-    use warehouse::{CaseSet, TrajectoryKind, Warehouse};
+    use warehouse::{CaseSet, TrajectoryKind, Warehouse, WorldChange, WorldState};
 
     use super::*;
 
@@ -365,6 +365,36 @@ mod tests {
         assert_eq!((facts.completes_in, facts.blocked_moves.len()), (None, 0));
         let error = lanes.apply(&act(1, 7, 3, Action::Forward)).unwrap_err();
         assert_eq!(error, "command for lane 1, episode 7, step 3: the lane is in no episode");
+    }
+
+    #[test]
+    fn a_failure_a_loop_and_in_streams_the_path_are_told() {
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let spin = |states: Vec<WorldState>, variant: u32| {
+            let worlds = Worlds::new(&warehouse, &cases, states);
+            let mut lanes = SimulatedLanes::new(LivedEpisodes::default(), worlds, 1);
+            let config = WorldEpisodeConfig { max_steps: 20, start: 1, variant, ..config(0, 7) };
+            lanes.begin(&config).unwrap();
+            let mut steps = (1..=20).map(|step| act(0, 7, step, Action::TurnLeft));
+            steps.find_map(|command| lanes.apply(&command).unwrap()?.facts).unwrap()
+        };
+        let unchanged = || WorldState::new(&warehouse, &WorldChange::default()).unwrap();
+        let first = cases.cases.len() as u32 + 1;
+        let case = &cases.cases[0];
+        let reference = case.replay(&warehouse, TrajectoryKind::Test);
+        let mut cells: Vec<_> = reference.poses.iter().map(|pose| pose.cell).collect();
+        cells.dedup();
+        for (states, variant, length) in [
+            (vec![], 0, None),
+            (vec![unchanged()], 0, Some(cells.len())),
+            (vec![unchanged()], first, Some(cells.len())),
+        ] {
+            let facts = spin(states, variant);
+            // The begin, and every fourth turn.
+            assert_eq!(facts.looped_at, Some(16));
+            assert!(facts.failure.is_some_and(|failure| failure.step <= 20));
+            assert_eq!(facts.path.map(|path| path.length as usize), length);
+        }
     }
 
     #[test]

@@ -90,7 +90,7 @@ def read_tables(folder, records):
         record = records[key]
         assert list(of_episode.step) == list(range(record["steps"] + 1))
         last = of_episode.iloc[-1]
-        assert f"{last.x},{last.y},{last.heading}" == record["world"]["final_pose"]
+        assert f"{last.column:.0f},{last.row:.0f},{last.heading[0].upper()}" == record["world"]["final_pose"]
         assert last.is_last and pandas.isna(last.action)
         assert of_episode.action.notna().sum() == sum(letter != "?" for letter in record["actions"])
 

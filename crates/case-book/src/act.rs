@@ -155,7 +155,7 @@ pub struct ActedReference {
 }
 
 /// What a map of an episode shows.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EpisodeScenery {
     /// By step, the cells that came into view for the first time.

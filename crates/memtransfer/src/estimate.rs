@@ -20,8 +20,9 @@ use prompt::tokens;
 use run_log::EpisodeRecord;
 use run_log::usage::UsageTotals;
 
-/// Characters of a prompt that are always there: rules, task, the current pose and feedback.
-const ALWAYS: u64 = 2420;
+/// Characters of a prompt that are always there beside the rules of the world: how to answer, task, the current state and
+/// feedback.
+const ALWAYS: u64 = 824;
 /// Characters of a past step.
 const PAST_STEP: u64 = 88;
 /// Characters around a retrieved view.
@@ -125,7 +126,8 @@ impl Basis<'_> {
 
     /// Tokens of a prompt with a full window, on average over the cases.
     fn prompt(&self, condition: &Condition, missing: &[&PlannedEpisode]) -> Option<u64> {
-        let mut characters = ALWAYS + PAST_STEP * u64::from(condition.variation.window);
+        let rules = self.books.cases.book.world.declaration.rules.chars().count() as u64;
+        let mut characters = ALWAYS + rules + PAST_STEP * u64::from(condition.variation.window);
         characters += match condition.memory.describe().map(|info| info.trajectories) {
             Some(Trajectories::Nothing) => 0,
             Some(Trajectories::Segment) => {
@@ -169,7 +171,10 @@ pub(crate) mod tests {
         );
         let system = template.split("\"\"\"").nth(1).unwrap();
         let system = system.chars().count() as u64;
-        assert!((ALWAYS / 2..ALWAYS * 2).contains(&system), "{system} characters of rules alone");
+        assert!(
+            (ALWAYS / 2..ALWAYS * 2).contains(&system),
+            "{system} characters of the system message alone"
+        );
     }
     use case_book::{BookFile, BookRequest};
     use orchestrator::plan::plan;

@@ -86,10 +86,10 @@ pub fn steps_frame(
 #[cfg(test)]
 mod tests {
     use conditions::Route;
-    use domain::{Action, Feedback, Heading, Pose};
+    use domain::{FeedbackCode, State};
 
     use super::*;
-    use rigs::records::{log, record};
+    use rigs::records::{log, record, world};
 
     #[test]
     fn every_moment_has_a_row_and_the_last_one_no_action() {
@@ -102,19 +102,32 @@ mod tests {
         let [retrieved, distances] =
             [&one.retrieved, &one.distances].map(|words| words.as_deref().unwrap().split(' '));
         let memory = retrieved.map(Some).zip(distances.map(Some)).chain([(None, None)]);
-        let actions = one.actions.chars().map(Action::from_letter).chain([None]);
-        let at = |y, heading| Pose::new(5, y, heading);
+        let world = world().declaration;
+        let words = |action| world.action_words(action).to_owned();
+        let actions = one.actions.chars().map(|letter| world.action_of(letter).map(words));
+        let actions = actions.chain([None]);
         let states = [
-            (at(0, Heading::N), Feedback::Start),
-            (at(1, Heading::N), Feedback::Moved),
-            (at(1, Heading::E), Feedback::Turned),
-            (at(1, Heading::E), Feedback::NotUnderstood),
-            (at(1, Heading::E), Feedback::Blocked),
+            ([5.0, 0.0, 0.0], FeedbackCode::START),
+            ([5.0, 1.0, 0.0], FeedbackCode(1)),
+            ([5.0, 1.0, 1.0], FeedbackCode(2)),
+            ([5.0, 1.0, 1.0], world.not_understood()),
+            ([5.0, 1.0, 1.0], FeedbackCode(3)),
         ];
         let moments = (0..).zip(states).zip(actions).zip(memory);
-        let steps = moments.map(|(((step, (pose, feedback)), action), (retrieved, distances))| {
-            let (sub_goals, view) = (usize::from(step > 0), (0, pose));
-            TimelineStep { step, pose, feedback, action, sub_goals, retrieved, distances, view }
+        let steps = moments.map(|(((step, (numbers, code)), action), (retrieved, distances))| {
+            let state = State::new(&numbers).unwrap();
+            TimelineStep {
+                step,
+                state,
+                state_text: world.state_text(&state),
+                feedback: world.feedback_sentence(code).to_owned(),
+                feedback_code: code,
+                action,
+                sub_goals: usize::from(step > 0),
+                retrieved,
+                distances,
+                view: (0, state),
+            }
         });
         let timeline = EpisodeTimeline {
             record: &one,
@@ -127,16 +140,16 @@ mod tests {
             scenery: None,
         };
         let mut csv = Vec::new();
-        steps_frame(&log(vec![one.clone()]), &[timeline]).write_csv(&mut csv).unwrap();
+        steps_frame(&log(vec![one.clone()]), &world, &[timeline]).write_csv(&mut csv).unwrap();
         let text =
             String::from_utf8(csv).unwrap().replace("episodic/original/unchanged/original/", "");
         insta::assert_snapshot!(text, @"
-        log,policy,policy_role,key,memory,case,run,step,x,y,heading,feedback,action,is_last,sub_goals_met,sub_goals,conflict,sources,distances,outcome,latency_us,images,prompt_tokens,completion_tokens,memory_tokens
-        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,0,5,0,N,The episode has just begun.,move forward,false,0,1,false,o3,0.0132,,,,,,
-        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,1,5,1,N,You moved.,turn right,false,1,1,false,,,,,,,,
-        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,2,5,1,E,You turned.,,false,1,1,false,n1+o2,0+-,,,,,,
-        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,3,5,1,E,Your last answer was not understood: you did not move.,move forward,false,1,1,false,o4,,,,,,,
-        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,4,5,1,E,Something blocks the way: you did not move.,,true,1,1,true,,,,,,,,
+        log,policy,policy_role,key,memory,case,run,step,column,row,heading,feedback,action,is_last,sub_goals_met,sub_goals,conflict,sources,distances,outcome,latency_us,images,prompt_tokens,completion_tokens,memory_tokens
+        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,0,5,0,north,The episode has just begun.,move forward,false,0,1,false,o3,0.0132,,,,,,
+        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,1,5,1,north,You moved.,turn right,false,1,1,false,,,,,,,,
+        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,2,5,1,east,You turned.,,false,1,1,false,n1+o2,0+-,,,,,,
+        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,3,5,1,east,Your last answer was not understood: you did not move.,move forward,false,1,1,false,o4,,,,,,,
+        run,grounded,scripted stand-in,run1/t01-01,episodic,t01-01,1,4,5,1,east,Something blocks the way: you did not move.,,true,1,1,true,,,,,,,,
         ");
     }
 }

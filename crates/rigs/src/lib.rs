@@ -3,5 +3,6 @@
 
 pub mod chat_server;
 pub mod process;
+#[expect(clippy::unwrap_used, reason = "a fixture that cannot be made fails its test")]
 pub mod records;
 pub mod scripted;

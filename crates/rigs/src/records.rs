@@ -2,8 +2,6 @@
 //!
 //! The tests of `run-log` itself include this file, because what this crate links is not the crate that is tested.
 
-#![expect(clippy::unwrap_used, reason = "a fixture that cannot be made fails its test")]
-
 use std::collections::BTreeMap;
 
 use case_book::{FailureKind, WorldFacts};
@@ -129,8 +127,37 @@ pub fn tell(record: &mut EpisodeRecord, fact: &str, value: impl Into<Value>) {
     record.world.insert(fact.to_owned(), value.into());
 }
 
-/// A world with the groups, tasks and kinds of failure of the warehouse.
+/// A world with the declaration, groups, tasks and kinds of failure of the warehouse.
 pub fn world() -> WorldFacts {
+    let actions = [
+        ('f', "move forward"),
+        ('b', "move backward"),
+        ('l', "move left"),
+        ('r', "move right"),
+        ('L', "turn left"),
+        ('R', "turn right"),
+        ('U', "turn around"),
+    ];
+    let declaration = json!({
+        "name": "warehouse",
+        "version": "1",
+        "rules": "Move about in a warehouse.",
+        "actions": actions.map(|(letter, words)| json!({"letter": letter, "words": words})),
+        "state": [
+            {"name": "column"},
+            {"name": "row"},
+            {"name": "heading", "words": ["north", "east", "south", "west"]},
+        ],
+        "state_sentence": "You are in column {column}, row {row}, and face {heading}.",
+        "feedback": [
+            "The episode has just begun.",
+            "You moved.",
+            "You turned.",
+            "Something blocks the way: you did not move.",
+            "Your last answer was not understood: you did not move.",
+        ],
+        "is_deterministic": true,
+    });
     let groups = [
         ("basic", "Basic (T1–T2)", &[1, 2][..]),
         ("multi-object", "Multi-object (T3–T6)", &[3, 4, 5, 6]),
@@ -156,8 +183,7 @@ pub fn world() -> WorldFacts {
         ("out-of-steps", "none of the other kinds"),
     ];
     made(json!({
-        "name": "warehouse",
-        "version": "1",
+        "declaration": declaration,
         "hashes": {},
         "views": 0,
         "elsewhere_views": 0,

@@ -89,7 +89,10 @@ impl EpisodeRecord {
             let (met, required) = (self.sub_goals.len(), self.required);
             format!("\"ending\" is {}, with {met} of {required} sub-goals", self.ending)
         })?;
-        let is_over = if is_complete { self.steps <= max_steps } else { self.steps == max_steps };
+        let is_over = match self.ending {
+            Ending::Complete | Ending::Failed => self.steps <= max_steps,
+            Ending::OutOfSteps => self.steps == max_steps,
+        };
         ensure(is_over, || {
             format!("it ends {} after {} of {max_steps} steps", self.ending, self.steps)
         })

@@ -63,7 +63,7 @@ impl KnownFacts {
 
 #[cfg(test)]
 mod tests {
-    use domain::{Heading, Pose, Route, Start};
+    use domain::{Route, Start, State};
 
     use super::*;
     use crate::records::{manifest, record, world};
@@ -73,7 +73,7 @@ mod tests {
         let reference = Reference {
             start: Start::Original,
             route: Route::Unchanged,
-            begin: Pose::new(0, 0, Heading::N),
+            begin: State::new(&[0.0, 0.0, 0.0]).unwrap(),
             actions: Vec::new(),
             length: 16,
         };

@@ -25,6 +25,8 @@ named! {
         Complete = "complete",
         /// T_max steps were taken without completing it.
         OutOfSteps = "out-of-steps",
+        /// The world ended it before: the task could no longer be completed.
+        Failed = "failed",
     }
 }
 
@@ -70,6 +72,10 @@ pub struct EpisodeRecord {
     pub reference: u32,
     /// The actions, a letter of the world for each step, `?` for an unreadable answer.
     pub actions: String,
+    /// Hashes of the state of the world at its begin and at its end, as the world defines them, in hexadecimal digits; absent
+    /// in a record of an earlier version.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub state_hashes: Option<[String; 2]>,
     /// For each sub-goal, in order of completion: the step at which it was completed.
     pub sub_goals: Vec<u32>,
     /// Sub-goals of the whole task; a return is the last. The episode is complete when `sub_goals` has as many.

@@ -284,7 +284,7 @@ mod tests {
         std::fs::write(text_file(&prompts, &changed), "another text").unwrap();
         let read = |frame: &str, item: serde_json::Value| {
             let request = json!({
-                "repeat": 1, "seed": 5, "instruction": "Find a cone.", "pose": "3,5,N", "feedback": "",
+                "repeat": 1, "seed": 5, "instruction": "Find a cone.", "state": [3, 5, 0], "feedback": "",
                 "frame": frame, "starts_as_demonstrated": false, "window": [], "items": [item],
             });
             let timing =

@@ -1,6 +1,6 @@
 //! Comparisons of conditions and runs by name.
 //!
-//! The statistics are [`score::compare`](crate::comparison)'s.
+//! The statistics are [`compare()`](crate::compare())'s.
 
 use domain::names::UnknownName;
 use domain::shell_word;

@@ -54,17 +54,17 @@ impl ViewFile {
 
 #[cfg(test)]
 mod tests {
-    use domain::{Heading, Pose};
+    use domain::State;
 
     use super::*;
 
     #[test]
     fn files_are_found_by_their_names() {
         for is_small in [false, true] {
-            let file = ViewFile { view: (3, Pose::new(5, 8, Heading::N)), is_small };
+            let file = ViewFile { view: (3, State::new(&[5.0, 8.0, 0.0]).unwrap()), is_small };
             assert_eq!(ViewFile::of_name(&file.name()), Some(file));
         }
-        for name in ["", "-small.jpg", "3-5-8-N-small-small.jpg", "3-5-8-N-small"] {
+        for name in ["", "-small.jpg", "3-5_8_0-small-small.jpg", "3-5_8_0-small"] {
             assert_eq!(ViewFile::of_name(name), None, "{name}");
         }
     }

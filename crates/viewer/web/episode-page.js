@@ -8,7 +8,8 @@ memtransfer.EpisodeView = class {
     Object.assign(this, { run, row, episode, onSource });
     this.map = new memtransfer.EpisodeMap(run, episode);
     this.image = h("img", { class: "view", width: 320, height: 320, alt: "" });
-    this.noView = h("p", { class: "no-view" }, "This bundle has no views of this episode: write it with --episodes all, or use --serve.");
+    this.noView = h("p", { class: "no-view" }, run.map[2] ? "This bundle has no views of this episode: write it with --episodes all, or use --serve."
+      : "Views of this world are not rendered outside of a run.");
     this.happening = h("p", { class: "happening" });
     this.memory = h("div", { class: "memory" });
     const hasViews = episode.views.length > 0;
@@ -29,7 +30,7 @@ memtransfer.EpisodeView = class {
     return [before, visit && `Stands before ${visit.letter}.`, met > 0 && "A sub-goal is complete.",
       episode.conflictAt === step && "Tried to enter the closed passage.",
       episode.failure && episode.failure.step === step && `The failure is decided: ${episode.failure.kind}.`,
-      `Column ${x}, row ${y}, facing ${memtransfer.HEADINGS[heading]}.`].filter(Boolean).join(" ");
+      run.map[2] ? `Column ${x}, row ${y}, facing ${memtransfer.HEADINGS[heading]}.` : `State: ${episode.states[step]}.`].filter(Boolean).join(" ");
   }
 
   show(wanted) {

@@ -11,6 +11,10 @@ memtransfer.EpisodeMap = class {
     const layers = ["seen", "targets", "closed", "reference", "demonstration", "path", "marks", "agent"];
     this.drawing = h("svg", { class: "map-drawing", viewBox: `0 0 ${width} ${height}`, role: "img" },
       layers.map((name) => (this.layers[name] = h("g", { class: `map-${name}` }))));
+    if (columns === 0) {
+      this.element = h("p", { class: "no-map" }, "This world draws no map.");
+      return;
+    }
     this.element = h("div", { class: "map" },
       h("img", { src: `${run.folder}/maps/${episode.ground}.svg`, alt: "", width, height }), this.drawing);
     this.fixed();
@@ -38,6 +42,7 @@ memtransfer.EpisodeMap = class {
 
   /** Shows the episode after `step` steps; `source` is a demonstration and a step in it, or nothing. */
   show(step, source) {
+    if (this.columns === 0) return;
     const { h } = memtransfer;
     const { episode, layers } = this;
     const poses = episode.poses.slice(0, step + 1);

@@ -8,7 +8,7 @@ use case_book::act::{
     EpisodeRequest, EpisodeScenery, Scene, StreamBlockPlace, Target, WorldDescription,
 };
 use domain::{Action, ActionCode, Cell, DemonstrationKind, Feedback, Pose, Route, State};
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 use crate::case::{Case, History, TrajectoryKind};
 use crate::case_book::{case_facts, converted};
@@ -127,38 +127,25 @@ impl Stage {
             true => self.reference(request, index, listed, begin)?,
             false => None,
         };
-        let (conflict_at, facts) = match parts.facts {
-            true => {
-                let is_blocked_route =
-                    request.reference.is_some_and(|(_, route)| route == Route::Blocked);
-                let conflict_at =
-                    conflict_at(variant, actions, &steps).filter(|_| is_blocked_route);
-                // Paths are compared in streams.
-                let of_stream = reference.as_ref().filter(|_| request.reference.is_none());
-                let of_stream = of_stream.map_or(&[][..], |reference| &reference.states);
-                let of_stream: Vec<Pose> =
-                    of_stream.iter().filter_map(|&state| state.try_into().ok()).collect();
-                let ended = EndedEpisode {
-                    task: &task,
-                    poses: &steps.poses,
-                    sub_goals: &steps.sub_goals,
-                    required: steps.required,
-                    events: events(warehouse, &task, &steps.poses),
-                    blocked_moves: blocked_moves(&steps),
-                    conflict_at,
-                    reference: &of_stream,
-                    completes_in: None,
-                };
-                (conflict_at, ended.facts())
-            }
-            false => (None, None),
-        };
-        let facts =
-            facts.map(|facts| serde_json::to_value(facts).map_err(|error| error.to_string()));
-        let facts = facts.transpose()?.and_then(|facts| match facts {
-            Value::Object(facts) => Some(facts),
-            _ => None,
+        let is_blocked_route = request.reference.is_some_and(|(_, route)| route == Route::Blocked);
+        let conflict_at = conflict_at(variant, actions, &steps).filter(|_| is_blocked_route);
+        // Paths are compared in streams.
+        let of_stream = reference.as_ref().filter(|_| request.reference.is_none());
+        let of_stream = of_stream.map_or(&[][..], |reference| &reference.states);
+        let of_stream: Vec<Pose> =
+            of_stream.iter().filter_map(|&state| state.try_into().ok()).collect();
+        let facts = parts.facts.then(|| EndedEpisode {
+            task: &task,
+            poses: &steps.poses,
+            sub_goals: &steps.sub_goals,
+            required: steps.required,
+            events: events(warehouse, &task, &steps.poses),
+            blocked_moves: blocked_moves(&steps),
+            conflict_at,
+            reference: &of_stream,
+            completes_in: None,
         });
+        let facts = facts.and_then(as_object);
         Ok(ActedEpisode {
             task: task.task_type().number(),
             instruction: task.instruction(&warehouse.catalogue),
@@ -330,6 +317,14 @@ impl Steps {
             steps.sub_goals.extend((0..met).map(|_| taken));
         }
         steps
+    }
+}
+
+/// The facts of an episode as a JSON object.
+fn as_object(ended: EndedEpisode<'_>) -> Option<Map<String, Value>> {
+    match serde_json::to_value(ended.facts()?) {
+        Ok(Value::Object(facts)) => Some(facts),
+        _ => None,
     }
 }
 

@@ -66,6 +66,8 @@ fn check_episode(run: &RecordedRun, record: &EpisodeRecord) -> Result<Vec<Differ
     let last_met = acted.sub_goals.last().copied().unwrap_or(0);
     let (ending, steps) = match is_complete {
         true => (Ending::Complete, last_met),
+        // That a task can no longer be completed is the world's to say.
+        false if record.ending == Ending::Failed => (Ending::Failed, record.steps),
         false => (Ending::OutOfSteps, log.manifest.settings.max_steps),
     };
     let mut compared = Comparison { key: &record.key, found: Vec::new() };

@@ -159,16 +159,19 @@ pub fn of_file_name(name: &str) -> Option<ViewKey> {
 
 #[cfg(test)]
 mod tests {
-    use domain::Heading;
-
     use super::*;
 
     #[test]
     fn a_view_is_found_by_the_name_of_its_file() {
-        let view = (17, Pose::new(3, 12, Heading::W));
-        assert_eq!(file_name(view), "17-3-12-W.jpg");
-        assert_eq!(of_file_name("17-3-12-W.jpg"), Some(view));
-        for name in ["", "..", "17-3-12-W", "17-3-12-w.jpg", "-3-12-W.jpg", "017-3-12-W.jpg"] {
+        for (numbers, name) in [(&[3.0, 12.0, 3.0][..], "17-3_12_3.jpg"), (&[-0.5], "17--0.5.jpg")]
+        {
+            let view = (17, State::new(numbers).unwrap());
+            assert_eq!(file_name(view), name);
+            assert_eq!(of_file_name(name), Some(view));
+        }
+        for name in
+            ["", "..", "17-3_12_3", "17-3_12_W.jpg", "17-03_12_3.jpg", "-3_12_3.jpg", "017-3_1.jpg"]
+        {
             assert_eq!(of_file_name(name), None, "{name}");
         }
     }

@@ -190,25 +190,45 @@ mod tests {
 
     use super::*;
 
+    fn acted() -> ActedEpisode {
+        ActedEpisode {
+            task: 1,
+            instruction: String::new(),
+            states: Vec::new(),
+            feedback: Vec::new(),
+            sub_goals: Vec::new(),
+            required: 2,
+            facts: None,
+            conflict_at: None,
+            reference: None,
+            scenery: None,
+        }
+    }
+
     #[test]
     fn events_are_in_the_order_of_steps() {
         let mut one = record("a", false);
         (one.actions, one.steps, one.required) = ("f?ff".to_owned(), 4, 2);
         one.conflict_at = Some(3);
         tell_failure(&mut one, "blocked", 3);
-        let mut feedback = [Feedback::Moved; 5];
-        feedback[3] = Feedback::Blocked;
         one.sub_goals = vec![1];
+        let moved = ActedEpisode {
+            states: [0.0, 1.0, 1.0, 1.0, 2.0]
+                .map(|row| State::new(&[0.0, row, 0.0]).unwrap())
+                .to_vec(),
+            feedback: [0, 1, 4, 3, 1].map(FeedbackCode).to_vec(),
+            ..acted()
+        };
         let failure = failure_of(&one, &world());
-        let shown: Vec<String> = events(&one, &world(), failure.as_ref(), &feedback)
+        let shown: Vec<String> = events(&one, &world(), failure.as_ref(), &moved)
             .into_iter()
             .map(|EpisodeEvent { step, level, words }| format!("{step} {level:?} {words}"))
             .collect();
         insta::assert_snapshot!(shown.join("\n"), @"
         1 Info sub-goal 1 of 2 is met
         2 Warning no action could be read in the answer
-        3 Warning the move was blocked
-        3 Warning tried to enter the closed passage
+        3 Warning Something blocks the way: you did not move.
+        3 Warning ran into what blocks the way
         3 Error failed: blocked (tried to enter a closed cell, then met no requirement and hardly went anywhere new)
         ");
         let last = EpisodeEvent {
@@ -216,6 +236,6 @@ mod tests {
             level: EventLevel::Info,
             words: "the task is complete".to_owned(),
         };
-        assert_eq!(events(&record("a", true), &world(), None, &[]).pop(), Some(last));
+        assert_eq!(events(&record("a", true), &world(), None, &acted()).pop(), Some(last));
     }
 }

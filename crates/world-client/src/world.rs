@@ -68,6 +68,11 @@ impl RunWorld {
         &self.description
     }
 
+    /// Whether the world draws maps, and views of states: the warehouse does.
+    pub fn has_map(&self) -> bool {
+        self.scene(0).is_ok()
+    }
+
     /// What the world says of itself.
     pub fn declaration(&self) -> &WorldDeclaration {
         &self.description.world.declaration

@@ -5,7 +5,9 @@
 //! memtransfer run --policy-cmd examples/rust-policy/target/release/rust-policy
 //! ```
 
-use peer::{Action, Decision, Feedback, FrameView, Policy, Request, serve_from_environment};
+use peer::{
+    Action, ActionCode, Decision, Feedback, FrameView, Policy, Request, serve_from_environment,
+};
 
 /// Follows memory, and otherwise moves towards the light.
 struct Wanderer;
@@ -23,26 +25,27 @@ impl Policy for Wanderer {
 }
 
 // Decide from the request alone: a run can be repeated if equal requests get equal actions.
-fn decide(request: &Request<'_>) -> Action {
+fn decide(request: &Request<'_>) -> ActionCode {
     // Episodic memory: the demonstrated view that is most like the current one, and what the expert did there.
     let demonstrated = request.segments().find_map(|segment| segment.steps.first()?.action);
     if let Some(action) = demonstrated {
         return action;
     }
-    // The feedback on the last action.
-    if request.feedback == Feedback::Blocked {
-        return Action::TurnLeft;
+    // The feedback on the last action. Codes are those of the run's world, here of the warehouse.
+    if request.feedback == Feedback::Blocked.into() {
+        return Action::TurnLeft.into();
     }
     // The current view: 8-bit RGB, rows from top to bottom.
     let width = request.frame.width;
     let [left, ahead, right] = [0, 1, 2].map(|third| brightness(request.frame, third * width / 3));
-    if ahead >= left.max(right) {
+    let action = if ahead >= left.max(right) {
         Action::Forward
     } else if left > right {
         Action::TurnLeft
     } else {
         Action::TurnRight
-    }
+    };
+    action.into()
 }
 
 /// Brightness of the third of the view that starts at column `from`. Samples every eighth pixel.

@@ -24,6 +24,8 @@ use crate::plan::{PlannedEpisode, StreamPart};
 pub(super) struct ActiveEpisode {
     /// The number of the variant that it takes place in.
     variant: u32,
+    /// The hash of the state of the world at its begin.
+    begin_hash: u64,
     awaited: Awaited,
     /// When the awaited answer was asked for.
     since_ns: u64,
@@ -80,6 +82,7 @@ impl ActiveEpisode {
             steps: 0,
             reference: expert.map_or(0, |expert| expert.length),
             actions: String::new(),
+            state_hashes: None,
             sub_goals: Vec::new(),
             required: 0,
             conflict_at: None,
@@ -126,6 +129,7 @@ impl ActiveEpisode {
         };
         Self {
             variant: episode.variant(book),
+            begin_hash: 0,
             awaited: Awaited::Report,
             since_ns: 0,
             stamps: Stamps::new(id, lane, condition.memory),
@@ -270,6 +274,9 @@ impl ActiveEpisode {
         if (report.frame == NO_FRAME) != has_ended {
             return Err(format!("frame {} of an episode that {}", report.frame, ended.word()));
         }
+        if report.step == 0 {
+            self.begin_hash = report.state_hash;
+        }
         let record = &mut self.result.record;
         let (sub_goals, required) = (report.sub_goals.into(), report.required.into());
         if sub_goals < record.sub_goals.len() || report.sub_goals > report.required {
@@ -283,9 +290,13 @@ impl ActiveEpisode {
         if !has_ended {
             return Ok(false);
         }
-        if ended == EpisodeEnd::Complete {
-            record.ending = Ending::Complete;
-        }
+        record.ending = match ended {
+            EpisodeEnd::Complete => Ending::Complete,
+            EpisodeEnd::Failed => Ending::Failed,
+            EpisodeEnd::StepLimit | EpisodeEnd::GoesOn => Ending::OutOfSteps,
+        };
+        let begin = self.begin_hash;
+        record.state_hashes = Some([begin, report.state_hash].map(|hash| format!("{hash:016x}")));
         let note = notes.iter().find(|note| note.header.id == report.facts);
         let note = note.ok_or_else(|| "its facts are missing".to_owned())?;
         let bytes = note.bytes.as_ref().map_err(ToString::to_string)?;

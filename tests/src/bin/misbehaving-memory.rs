@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
 use bytemuck::Zeroable;
-use domain::Feedback;
+use case_book::{BookFile, WORLD_FILE, WorldDeclaration};
 use peer::memory::{Memory, MemoryError, MemoryItem, Method, Query};
 use serde_json::json;
 use shm_types::description::run_of_memory_folder;
@@ -164,6 +164,7 @@ struct Episode {
 fn serve(mode: &str, victim: &str, attach: Attach, index: u8) -> anyhow::Result<()> {
     let watch = ProcessWatch::new(attach.orchestrator_pid)?;
     let lanes = attach.lanes;
+    let world = BookFile::<WorldDeclaration>::read(&attach.root.join(WORLD_FILE))?.book;
     let bus = Bus::join_external_memory(attach, index)?;
     let mut bank_queue = BankReceiver::new(&bus)?;
     let episode_queue = bus.receiver::<ExternalEpisode>()?;
@@ -307,8 +308,8 @@ fn serve(mode: &str, victim: &str, attach: Attach, index: u8) -> anyhow::Result<
             let frame = frames.get(query.frame).ok().flatten();
             let is_usable = frame.is_some()
                 && running.is_valid
-                && domain::Pose::try_from(query.pose).is_ok()
-                && Feedback::try_from(query.feedback).is_ok();
+                && world.read_state(&query.state).is_ok()
+                && world.read_feedback(query.feedback).is_ok();
             answered += 1;
             let received_ns = monotonic_ns();
             let mut usual = ExternalAnswer {

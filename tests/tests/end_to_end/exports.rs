@@ -118,8 +118,12 @@ fn shown_and_exported(bench: &Bench, frames: &str) -> Vec<(RecordedPrompt, RgbaI
     args.extend(["--starts", "new", "--policy", "grounded", "--max-steps", "6", "--log-prompts"]);
     args.extend(["--frame-size", "64", "--frames", frames, "--out", frames]);
     bench.run(&args).expect(0);
-    let program =
-        WorldProgram { path: program("sim-proc"), variable: ("MEMTRANSFER_TEST", "views") };
+    let program = WorldProgram {
+        path: program("sim-proc"),
+        arguments: Vec::new(),
+        world_cmd: None,
+        variable: ("MEMTRANSFER_TEST", "views"),
+    };
     let run = RecordedRun::read(&bench.out(frames), &program.access()).unwrap();
     let RecordedRun { log, world, .. } = run;
     let format = ViewFormat { edge: 64, quality: 90 };

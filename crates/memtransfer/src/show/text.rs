@@ -169,8 +169,8 @@ fn indented(text: &mut String, content: &str) {
 
 #[cfg(test)]
 mod tests {
-    use domain::{Feedback, Heading, Pose};
-    use rigs::records::manifest;
+    use domain::{FeedbackCode, State};
+    use rigs::records::{manifest, world};
     use world_client::{EpisodeEvent, EventLevel};
 
     use super::*;
@@ -182,10 +182,21 @@ mod tests {
             level: EventLevel::Info,
             words: words.to_owned(),
         };
-        let step = |step, y, feedback, action, retrieved| {
-            let pose = Pose::new(1, y, Heading::N);
-            let (sub_goals, distances, view) = (0, None, (0, pose));
-            TimelineStep { step, pose, feedback, action, sub_goals, retrieved, distances, view }
+        let world = world().declaration;
+        let step = |step, row, feedback_code, action: Option<&str>, retrieved| {
+            let state = State::new(&[1.0, row, 0.0]).unwrap();
+            TimelineStep {
+                step,
+                state,
+                state_text: world.state_text(&state),
+                feedback: world.feedback_sentence(feedback_code).to_owned(),
+                feedback_code,
+                action: action.map(str::to_owned),
+                sub_goals: 0,
+                retrieved,
+                distances: None,
+                view: (0, state),
+            }
         };
         let shown = ShownEpisode {
             key: "episodic/original/unchanged/original/run1/a",
@@ -193,9 +204,9 @@ mod tests {
             reference: 8,
             events: &[event(1, "sub-goal 1 of 2 is met"), event(3, "failed: never-saw")],
             steps: &[
-                step(0, 2, Feedback::Start, Some(Action::Forward), Some("o12")),
-                step(1, 3, Feedback::Moved, None, Some("-")),
-                step(2, 3, Feedback::NotUnderstood, Some(Action::TurnLeft), Some("o3+n4")),
+                step(0, 2.0, FeedbackCode::START, Some("move forward"), Some("o12")),
+                step(1, 3.0, FeedbackCode(1), None, Some("-")),
+                step(2, 3.0, world.not_understood(), Some("turn left"), Some("o3+n4")),
             ],
         };
         insta::assert_snapshot!(episode(&shown), @"
@@ -204,12 +215,12 @@ mod tests {
           after   1  sub-goal 1 of 2 is met
           after   3  failed: never-saw
         ────────────────────────────────────────────────────────────────────────────────────────────────────
-        Step  Pose   Feedback                                             Action        Retrieved  Distances
+        Step  State      Feedback                                         Action        Retrieved  Distances
         ────────────────────────────────────────────────────────────────────────────────────────────────────
-           0  1,2,N  The episode has just begun.                          move forward  o12
-           1  1,3,N  You moved.                                           ?             -
-           2  1,3,N  Your last answer was not understood: you did not     turn left     o3+n4
-                     move.
+           0  1,2,north  The episode has just begun.                      move forward  o12
+           1  1,3,north  You moved.                                       ?             -
+           2  1,3,north  Your last answer was not understood: you did     turn left     o3+n4
+                         not move.
         ────────────────────────────────────────────────────────────────────────────────────────────────────
         ");
     }

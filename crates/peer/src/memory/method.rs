@@ -1,5 +1,8 @@
 //! A method of remembering, which makes one memory for each bank.
 
+use std::sync::Arc;
+
+use case_book::WorldDeclaration;
 use shm_types::MemoryDescription;
 
 use super::Memory;
@@ -10,8 +13,8 @@ pub trait MemoryMethod {
     /// filled in if they are empty.
     fn describe(&self) -> MemoryDescription;
 
-    /// A memory for one bank.
-    fn create(&self) -> Box<dyn Memory + '_>;
+    /// A memory for one bank of demonstrations in `world`, which says what states, actions and feedback mean.
+    fn create(&self, world: &Arc<WorldDeclaration>) -> Box<dyn Memory + '_>;
 }
 
 /// A [`MemoryMethod`] of a description and a function that makes memories.
@@ -33,7 +36,7 @@ impl<M: Memory + 'static, F: Fn() -> M> MemoryMethod for Method<F> {
         self.description.clone()
     }
 
-    fn create(&self) -> Box<dyn Memory + '_> {
+    fn create(&self, _world: &Arc<WorldDeclaration>) -> Box<dyn Memory + '_> {
         Box::new((self.create)())
     }
 }

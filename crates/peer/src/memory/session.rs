@@ -122,7 +122,7 @@ impl<'s> MemorySession<'s> {
         }
         let id = bank.id();
         let started_ns = monotonic_ns();
-        let mut memory = self.method.create();
+        let mut memory = self.method.create(&self.world);
         let built = self.demonstrations(Arc::new(bank), connection)?.and_then(|parts| {
             memory.build(&parts.demonstrations())?;
             Ok(memory.store_bytes().unwrap_or(0))

@@ -5,10 +5,11 @@ use case_book::act::{
     ActAnswer, ActRequest, ActedDemonstration, ActedEpisode, ActedReference, DemonstrationsRequest,
     EpisodeRequest, WorldDescription,
 };
-use domain::{ActionCode, DemonstrationKind, Start};
+use domain::{ActionCode, DemonstrationKind, Start, State};
 
 use super::WorldFailure;
 use super::book::{case_facts, world_facts};
+use super::simulated::facts;
 use super::simulator::{CaseDeclaration, Simulator, TrajectoryName};
 use super::stage::{ActedTrajectory, Stage, StageBegin};
 
@@ -63,6 +64,11 @@ impl ActingSimulator {
         let name = TrajectoryName::reference(start, route);
         let begin = StageBegin { case: number, start: name.start(), is_blocked: name.is_blocked() };
         let acted = self.act(begin, request.actions.iter().copied())?;
+        let states: Vec<State> = acted.moments.iter().map(|moment| moment.state).collect();
+        let told = match request.parts.facts {
+            true => Some(facts(&states, self.stage.facts()?)),
+            false => None,
+        };
         let reference = match request.parts.reference {
             true => self.reference(begin, name)?,
             false => None,
@@ -77,11 +83,11 @@ impl ActingSimulator {
         Ok(ActedEpisode {
             task: case.task,
             instruction: case.instruction.clone(),
-            states: acted.moments.iter().map(|moment| moment.state).collect(),
+            states,
             feedback: acted.moments.iter().map(|moment| moment.feedback).collect(),
             sub_goals: acted.sub_goals.clone(),
             required: first.required,
-            facts: None,
+            facts: told,
             conflict_at: acted.conflict_at(),
             reference,
             scenery: None,
@@ -93,7 +99,7 @@ impl ActingSimulator {
         begin: StageBegin,
         actions: impl IntoIterator<Item = Option<ActionCode>>,
     ) -> Result<ActedTrajectory, WorldFailure> {
-        self.stage.act(&self.cases, begin, actions, self.world.not_understood())
+        self.stage.act(&self.cases, begin, actions, &self.world)
     }
 
     fn reference(

@@ -292,7 +292,7 @@ impl Writer<'_> {
     ) -> Result<ActedTrajectory, WorldFailure> {
         let case = &self.cases[begin.case as usize];
         let actions = case.trajectories[&name].iter().copied().map(Some);
-        let acted = self.stage.act(self.cases, begin, actions, self.world.not_understood());
+        let acted = self.stage.act(self.cases, begin, actions, self.world);
         acted.map_err(|failure| format!("case {}: {failure}", case.id).into())
     }
 

@@ -14,7 +14,7 @@ use shm_types::message::{
 use super::simulator::{
     CaseDeclaration, Environment, EpisodeBegin, Observed, Simulator, TrajectoryName,
 };
-use super::stage::{Stage, StageBegin, is_complete};
+use super::stage::{Stage, StageBegin, check, is_complete};
 use super::{
     Moment, Refusal, RenderSetup, RenderTask, RenderWorker, Renderers, World, WorldFailure,
 };
@@ -114,7 +114,7 @@ impl<'s, S: Simulator + ?Sized> SimulatedWorld<'s, S> {
             return Err("the lane is in no episode".to_owned().into());
         };
         let RunningEpisode { config, step, states, now } = episode;
-        self.check(now).map_err(Refusal::Episode)?;
+        check(&self.declaration, now).map_err(Refusal::Episode)?;
         let ended = if is_complete(now) {
             EpisodeEnd::Complete
         } else if now.has_failed {
@@ -141,7 +141,12 @@ impl<'s, S: Simulator + ?Sized> SimulatedWorld<'s, S> {
             required: now.required,
             conflict: now.conflict,
             ended,
-            facts: has_ended.then(|| facts(states, environment.facts())),
+            facts: if has_ended {
+                let own = environment.facts().map_err(Refusal::of)?;
+                Some(Value::Object(facts(states, own)).to_string())
+            } else {
+                None
+            },
             state_hash: if *step == 0 || has_ended { state_hash(now) } else { 0 },
         };
         if has_ended {
@@ -149,21 +154,10 @@ impl<'s, S: Simulator + ?Sized> SimulatedWorld<'s, S> {
         }
         Ok(moment)
     }
-
-    /// Checks what an environment says.
-    fn check(&self, observed: &Observed) -> Result<(), String> {
-        let Observed { state, feedback, sub_goals, required, .. } = observed;
-        self.declaration.check_state(state).map_err(|foreign| foreign.to_string())?;
-        self.declaration.read_feedback(feedback.0).map_err(|unknown| unknown.to_string())?;
-        if *required == 0 || sub_goals > required {
-            return Err(format!("{sub_goals} of {required} sub-goals cannot be complete"));
-        }
-        Ok(())
-    }
 }
 
 /// A hash of what an environment is in: its own, or that of the agent's state.
-fn state_hash(observed: &Observed) -> u64 {
+pub(super) fn state_hash(observed: &Observed) -> u64 {
     observed.state_hash.unwrap_or_else(|| {
         let numbers = observed.state.numbers().iter().flat_map(|number| number.to_le_bytes());
         let hash = blake3::hash(&numbers.collect::<Vec<u8>>());
@@ -172,7 +166,7 @@ fn state_hash(observed: &Observed) -> u64 {
 }
 
 /// The facts of an episode: those of the environment, with the states of begin and end, and whether it went in a loop.
-fn facts(states: &[State], own: Map<String, Value>) -> String {
+pub(super) fn facts(states: &[State], own: Map<String, Value>) -> Map<String, Value> {
     let mut facts = Map::new();
     facts.insert("start_state".to_owned(), json!(states.first()));
     facts.insert("final_state".to_owned(), json!(states.last()));
@@ -180,7 +174,7 @@ fn facts(states: &[State], own: Map<String, Value>) -> String {
         facts.insert("looped_at".to_owned(), json!(step));
     }
     facts.extend(own);
-    Value::Object(facts).to_string()
+    facts
 }
 
 impl<S: Simulator + ?Sized> World for SimulatedWorld<'_, S> {

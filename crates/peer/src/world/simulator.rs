@@ -60,8 +60,11 @@ pub trait Environment {
 
     /// Facts of the episode that has ended, for its record: whatever helps to understand it. `failure`, an object with `kind` and
     /// `step`, says in one of the world's [words](Simulator::failures) why it failed.
-    fn facts(&mut self) -> Map<String, Value> {
-        Map::new()
+    ///
+    /// # Errors
+    /// When there are none. The episode has no result then.
+    fn facts(&mut self) -> Result<Map<String, Value>, WorldFailure> {
+        Ok(Map::new())
     }
 }
 

@@ -1,7 +1,9 @@
 //! An environment that acts out trajectories outside of an episode: for the case book, for views that memory asks for, and for
 //! those who show or check recorded episodes.
 
+use case_book::WorldDeclaration;
 use domain::ActionCode;
+use serde_json::{Map, Value};
 
 use super::WorldFailure;
 use super::simulator::{CaseDeclaration, Environment, EpisodeBegin, Observed, TrajectoryName};
@@ -42,6 +44,20 @@ pub(super) fn is_complete(observed: &Observed) -> bool {
     observed.sub_goals >= observed.required
 }
 
+/// Checks what an environment of `world` says.
+///
+/// # Errors
+/// What is wrong with it.
+pub(super) fn check(world: &WorldDeclaration, observed: &Observed) -> Result<(), String> {
+    let Observed { state, feedback, sub_goals, required, .. } = observed;
+    world.check_state(state).map_err(|foreign| foreign.to_string())?;
+    world.read_feedback(feedback.0).map_err(|unknown| unknown.to_string())?;
+    if *required == 0 || sub_goals > required {
+        return Err(format!("{sub_goals} of {required} sub-goals cannot be complete"));
+    }
+    Ok(())
+}
+
 /// An environment, and where it is.
 pub(super) struct Stage {
     environment: Box<dyn Environment>,
@@ -69,18 +85,19 @@ impl Stage {
     }
 
     /// Acts out `actions`, to the end of the episode if that comes first. `None` is an answer that could not be read: nothing
-    /// happens, and `not_understood` is the feedback.
+    /// happens, and the feedback is that of `world` for it.
     ///
     /// # Errors
-    /// When there is no such case, or the environment fails.
+    /// When there is no such case or action, or the environment fails or says what is not of `world`.
     pub(super) fn act(
         &mut self,
         cases: &[CaseDeclaration],
         begin: StageBegin,
         actions: impl IntoIterator<Item = Option<ActionCode>>,
-        not_understood: domain::FeedbackCode,
+        world: &WorldDeclaration,
     ) -> Result<ActedTrajectory, WorldFailure> {
         let first = self.reset(cases, begin)?;
+        check(world, &first)?;
         let mut acted =
             ActedTrajectory { sub_goals: vec![0; first.sub_goals as usize], moments: vec![first] };
         for (step, action) in (1..).zip(actions) {
@@ -88,15 +105,27 @@ impl Stage {
             if is_complete(before) || before.has_failed {
                 break;
             }
+            let action = world.read_action(action)?;
             let observed = match action {
                 Some(action) => self.step(action)?,
-                None => Observed { feedback: not_understood, conflict: false, ..before.clone() },
+                None => {
+                    Observed { feedback: world.not_understood(), conflict: false, ..before.clone() }
+                }
             };
+            check(world, &observed)?;
             let met = observed.sub_goals.saturating_sub(before.sub_goals);
             acted.sub_goals.extend((0..met).map(|_| step));
             acted.moments.push(observed);
         }
         Ok(acted)
+    }
+
+    /// The facts of what was acted out last.
+    ///
+    /// # Errors
+    /// When the environment fails.
+    pub(super) fn facts(&mut self) -> Result<Map<String, Value>, WorldFailure> {
+        self.environment.facts()
     }
 
     fn step(&mut self, action: ActionCode) -> Result<Observed, WorldFailure> {

@@ -119,10 +119,10 @@ fn what_disagrees_is_named() {
     fs::remove_file(&sessions).unwrap();
     insta::assert_snapshot!(refused(), @"/one/unit-000000: sessions.jsonl names no session; remove this folder and execute the unit again");
     fs::write(&sessions, kept).unwrap();
-    let asked = "\"prompt_tokens\":7,\"final_pose\"";
+    let asked = "\"prompt_tokens\":7,\"world\"";
     for folder in &units.0 {
         let log = folder.join("unit-000000").join(EPISODES_FILE);
-        fs::write(log, old.replacen("\"final_pose\"", asked, 1)).unwrap();
+        fs::write(log, old.replacen("\"world\"", asked, 1)).unwrap();
     }
     insta::assert_snapshot!(refused(), @"/one/unit-000000: requests.jsonl lacks 10 requests of episodic/original/unchanged/original/run1/t01-00000000; remove this folder and execute the unit again");
     for folder in &units.0 {

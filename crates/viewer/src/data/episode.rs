@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::iter::{repeat, repeat_with};
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use case_book::FailureFact;
 use case_book::act::{
     ActedDemonstration, DemonstrationsRequest, EpisodeParts, EpisodeScenery, Target,
@@ -47,6 +47,8 @@ pub struct EpisodeData {
     failure: Option<FailureData>,
     /// By step.
     poses: Vec<PoseData>,
+    /// By step, in words.
+    states: Vec<String>,
     /// By step, as a number.
     feedback: Vec<u8>,
     /// A letter for each action.
@@ -185,16 +187,18 @@ impl EpisodeData {
         let timeline = EpisodeTimeline::new(world, record, parts)?;
         let EpisodeTimeline { instruction, variant, steps, reference, scenery, failure, .. } =
             timeline;
-        let scenery = scenery.context("an episode without scenery")?;
-        let EpisodeScenery { came_into_view, closed, targets, changes } = scenery;
-        let columns = u16::from(world.scene(variant)?.size().0);
+        // A world that draws no map has no scenery, and no views that could be rendered alone.
+        let has_map = world.has_map();
+        let EpisodeScenery { came_into_view, closed, targets, changes } =
+            scenery.unwrap_or_default();
+        let columns = if has_map { u16::from(world.scene(variant)?.size().0) } else { 0 };
         let seen = |cells: Vec<Cell>| {
             let index = |cell: Cell| u16::from(cell.y) * columns + u16::from(cell.x);
             cells.into_iter().map(index).collect()
         };
         let mut memory = DemonstrationCollector { world, record, variant, found: Vec::new() };
         let supplied = memory.supplied(experience)?;
-        let told = facts_of(record)?;
+        let told = if has_map { Some(facts_of(record)?) } else { None };
         let world_facts = &world.description().world;
         let stages = timings.map(|timings| {
             let mean = |total: u64| total / u64::from(timings.steps.max(1)) / 1000;
@@ -203,7 +207,8 @@ impl EpisodeData {
         let mut demonstrations: Vec<DemonstrationData> =
             memory.found.into_iter().map(|(_, demonstration)| demonstration).collect();
         for one in &mut demonstrations {
-            let views = one.at.iter().map(|state| world.supplied(one.variant, *state));
+            let views = one.at.iter().filter(|_| has_map);
+            let views = views.map(|state| world.supplied(one.variant, *state));
             one.views = views.map(|view| ViewFile { view, is_small: true }.name()).collect();
         }
         Ok(Self {
@@ -220,19 +225,19 @@ impl EpisodeData {
             poses: steps.iter().map(|step| pose_data(&step.state)).collect(),
             feedback: steps.iter().map(|step| step.feedback_code.0).collect(),
             actions: record.actions.clone(),
-            blocked_moves: told.blocked_moves,
+            blocked_moves: told.as_ref().map_or_else(Vec::new, |told| told.blocked_moves.clone()),
             sub_goals: record.sub_goals.clone(),
             required: record.required,
             visits: told
-                .visits
                 .iter()
+                .flat_map(|told| &told.visits)
                 .map(|visit| VisitData {
                     step: visit.step,
                     letter: visit.requirement,
                     cell: cell_data(&visit.cell),
                 })
                 .collect(),
-            first_seen: told.first_seen,
+            first_seen: told.map_or_else(BTreeMap::new, |told| told.first_seen),
             conflict_at: record.conflict_at,
             led: led(horizon, record, &closed, &demonstrations, &supplied),
             closed: closed.iter().map(cell_data).collect(),
@@ -247,8 +252,10 @@ impl EpisodeData {
             seen: came_into_view.into_iter().map(seen).collect(),
             demonstrations,
             supplied,
+            states: steps.iter().map(|step| in_words(world, &step.state)).collect(),
             views: steps
                 .iter()
+                .filter(|_| has_map)
                 .map(|step| ViewFile { view: step.view, is_small: false }.name())
                 .collect(),
             facts: facts(record),
@@ -437,6 +444,13 @@ impl DemonstrationCollector<'_> {
         self.found.push((origin, demonstration));
         Ok(self.found.len() - 1)
     }
+}
+
+/// A state: the names of its numbers, and these in words.
+fn in_words(world: &RunWorld, state: &State) -> String {
+    let words = world.declaration().state_words(state);
+    let words: Vec<String> = words.iter().map(|(name, word)| format!("{name} {word}")).collect();
+    words.join(", ")
 }
 
 fn target_data(Target { letter, name, cell }: Target) -> TargetData {

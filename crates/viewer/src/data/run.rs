@@ -79,8 +79,13 @@ impl RunData {
         let episodes = log.episodes.iter().enumerate();
         let facts_of_world = &world.description().world;
         let declaration = world.declaration();
-        let scene = world.scene(0)?;
-        let ((columns, rows), (cell, margin)) = (scene.size(), scene.measures);
+        let ((columns, rows), (cell, margin)) = match world.has_map() {
+            true => {
+                let scene = world.scene(0)?;
+                (scene.size(), scene.measures)
+            }
+            false => ((0, 0), (0, 0)),
+        };
         let condition = |condition: &Condition| {
             let (name, memory) = (condition.to_string(), condition.memory.to_string());
             let rest = name.strip_prefix(&format!("{memory}/")).unwrap_or_default().to_owned();

@@ -157,7 +157,12 @@ pub(crate) fn merged(input: &[u8]) {
 
 /// The program that renders views is not there: a view is an error.
 fn program() -> WorldProgram {
-    WorldProgram { path: "/nonexistent/sim-proc".into(), variable: ("UNUSED", "") }
+    WorldProgram {
+        path: "/nonexistent/sim-proc".into(),
+        arguments: Vec::new(),
+        world_cmd: None,
+        variable: ("UNUSED", ""),
+    }
 }
 
 /// The worlds of a run, in this process.

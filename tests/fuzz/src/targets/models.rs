@@ -3,6 +3,7 @@
 use std::fs;
 use std::sync::{Arc, OnceLock};
 
+use case_book::WorldDeclaration;
 use documents::DocumentFile;
 use domain::{Action, Feedback, Heading, Pose, Representation, SegmentContent};
 use llm::fuzzing;
@@ -11,9 +12,14 @@ use memory_proc::embedding_cache::{EmbeddingCache, stored};
 use memory_proc::representation::{MemorySettings, built_in};
 use peer::memory::{Query, Step};
 use png_file::{Channels, RgbaImage, encode};
-use prompt::{UnreadAnswer, read_answer};
+use prompt::read_answer;
 
 use crate::files::{with_files, with_folder};
+
+fn world() -> &'static WorldDeclaration {
+    static WORLD: OnceLock<WorldDeclaration> = OnceLock::new();
+    WORLD.get_or_init(warehouse::declaration)
+}
 
 /// A reply that is read is stored and read back equal; a server's message is one short line.
 pub(crate) fn reply(input: &[u8]) {
@@ -21,7 +27,7 @@ pub(crate) fn reply(input: &[u8]) {
     assert!(!message.is_empty() && message.chars().count() <= 403);
     assert!(!message.chars().any(char::is_control), "{message:?}");
     let Ok(reply) = fuzzing::reply(input) else { return };
-    let _ = read_answer(reply.text());
+    let _ = read_answer(world(), reply.text());
     let text = serde_json::to_string(&reply).unwrap();
     assert_eq!(serde_json::from_str::<llm::ChatReply>(&text).unwrap().judged(), Ok(reply));
 }
@@ -29,9 +35,12 @@ pub(crate) fn reply(input: &[u8]) {
 /// An answer is one action or none; a name of an action alone is that action.
 pub(crate) fn answer(input: &[u8]) {
     let Ok(text) = str::from_utf8(input) else { return };
-    let _: Result<Action, UnreadAnswer> = read_answer(text);
-    for action in Action::ALL {
-        assert_eq!(read_answer(action.words()), Ok(action));
+    let world = world();
+    if let Ok(action) = read_answer(world, text) {
+        assert_eq!(world.action(action.0), Some(action));
+    }
+    for action in world.action_codes() {
+        assert_eq!(read_answer(world, world.action_words(action)), Ok(action));
     }
 }
 
@@ -106,7 +115,7 @@ pub(crate) fn snapshot(input: &[u8]) {
         if let Ok(text) = fs::read(folder.join("experience.json")) {
             let lived = memory_proc::fuzzing::experiences(&text);
             for demonstration in lived.into_iter().flatten() {
-                assert_eq!(demonstration.poses.len(), demonstration.actions.len() + 1);
+                assert_eq!(demonstration.states.len(), demonstration.actions.len() + 1);
                 let _ = MemoryBank::new([demonstration]);
             }
         }
@@ -115,6 +124,7 @@ pub(crate) fn snapshot(input: &[u8]) {
             segment: SegmentContent::Actions,
             hits: 1,
             keyframes: 40,
+            turns: world().action_codes().filter(|code| world().is_turn(*code)).collect(),
             embeddings: Arc::default(),
             documents: Vec::new(),
         };
@@ -133,9 +143,9 @@ pub(crate) fn snapshot(input: &[u8]) {
             lane: 0,
             episode: 9,
             step: 1,
-            pose: Pose::new(3, 1, Heading::N),
-            last_action: Some(Action::Forward),
-            feedback: Feedback::Moved,
+            state: Pose::new(3, 1, Heading::N).into(),
+            last_action: Some(Action::Forward.into()),
+            feedback: Feedback::Moved.into(),
             frame: None,
             embedding: Some(&[0.6, 0.8]),
             pinned: None,

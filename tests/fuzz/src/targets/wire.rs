@@ -7,7 +7,9 @@ use case_book::{BookFile, BookRequest, EpisodeFacts};
 use conditions::key::EpisodeKey;
 use conditions::{Condition, Demonstrations, Route, Start, Variation};
 use conformance::messages;
-use domain::{Action, Arm, DocumentKind, Feedback, Heading, Pose, Representation};
+use domain::{
+    Action, Arm, DocumentKind, Feedback, Heading, MAX_STATE, Pose, Representation, State,
+};
 use memory_proc::bank::MemoryBank;
 use memory_proc::demonstrations::{RememberedDemonstration, ViewId};
 use memory_proc::items::{Assembler, Budgets, CheckedAnswer, DocumentSupplier, PublishedTexts};
@@ -21,7 +23,7 @@ use shm_types::documents::{Content, Document};
 use shm_types::fuzzing::{check_bank, document, document_bytes};
 use shm_types::message::{
     DocumentId, ExternalAnswer, Handshake, MAX_EXTERNAL_MEMORIES, MAX_ITEMS, MAX_SOURCES,
-    MAX_STEPS, Observation, RequestId, Role, StepReport, WirePose, read_text, write_text,
+    MAX_STEPS, Observation, RequestId, Role, StepReport, read_text, write_text,
 };
 use shm_types::notes::{Note, NoteHeader};
 use warehouse::CaseSet;
@@ -204,10 +206,10 @@ fn bank() -> &'static MemoryBank {
         // Named by the row.
         views: (0..=steps).map(|y| ViewId { sequence: 0, number: 0, step: y.into() }).collect(),
         instruction: "Find a cone.".to_owned(),
-        poses: (0..=steps).map(|y| Pose::new(3, y, Heading::N)).collect(),
-        feedback: vec![Feedback::Moved; usize::from(steps) + 1],
+        states: (0..=steps).map(|y| Pose::new(3, y, Heading::N).into()).collect(),
+        feedback: vec![Feedback::Moved.into(); usize::from(steps) + 1],
         stages: vec![0; usize::from(steps) + 1],
-        actions: vec![Some(Action::Forward); usize::from(steps)],
+        actions: vec![Some(Action::Forward.into()); usize::from(steps)],
     };
     BANK.get_or_init(|| MemoryBank::new([(0, 9), (3, 4), (1, 60)].map(made)))
 }
@@ -261,7 +263,8 @@ pub(crate) fn memory(input: &[u8]) {
         Incoming::Observation(Box::new(messages::observation(id, 9))),
         Incoming::Recall(Box::new(made)),
     ];
-    let (complete, refused) = requests(1, &documents, incoming);
+    let (complete, refused) =
+        requests(1, Arc::new(messages::scripted_world()), &documents, incoming);
     assert_eq!((complete.len(), refused), (1, 0), "the policy refuses a recall of memory");
 }
 
@@ -314,10 +317,16 @@ pub(crate) fn blocks(input: &[u8]) {
                 let mut buffer = vec![0; input.0.len()];
                 assert_eq!(write_text(&mut buffer, text), len);
             }
-            let pose = WirePose([input.byte(), input.byte(), input.byte(), input.byte()]);
-            if let Ok(read) = Pose::try_from(pose) {
-                assert_eq!(WirePose::from(read).0[..3], pose.0[..3]);
-                assert_eq!(read.to_string().parse::<Pose>().unwrap(), read);
+            let mut numbers = [0.0; MAX_STATE];
+            for number in &mut numbers {
+                *number = f32::from_le_bytes([(); 4].map(|()| input.byte()));
+            }
+            if let Ok(state) = State::new(&numbers) {
+                assert_eq!(state.padded(), numbers);
+                assert_eq!(state.to_string().parse(), Ok(state));
+            }
+            if let Ok(state) = messages::scripted_world().read_state(&numbers) {
+                assert_eq!(state.padded(), numbers);
             }
         }
     }

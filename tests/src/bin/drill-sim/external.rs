@@ -71,8 +71,8 @@ fn add_numbers(hasher: &mut blake3::Hasher, numbers: &[f32]) {
 }
 
 fn add_step(hasher: &mut blake3::Hasher, step: &Step<'_>) {
-    let Step { step: number, pose, last_action, feedback, .. } = step;
-    hasher.update(format!("{number} {pose} {last_action:?} {feedback:?}").as_bytes());
+    let Step { step: number, state, last_action, feedback, .. } = step;
+    hasher.update(format!("{number} {state} {last_action:?} {feedback:?}").as_bytes());
     if let Some(frame) = &step.frame {
         hasher.update(&pixels(frame));
     }
@@ -112,7 +112,7 @@ impl Memory for DigestMemory {
         add_step(&mut hasher, &query.now);
         for past in query.window {
             hasher
-                .update(format!("{} {:?} {:?}", past.pose, past.action, past.feedback).as_bytes());
+                .update(format!("{} {:?} {:?}", past.state, past.action, past.feedback).as_bytes());
             hasher.update(&past.frame.content_hash());
         }
         let digest = hasher.finalize();

@@ -12,20 +12,21 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
 use case_book::{BookFile, DemonstrationBook};
-use domain::Action;
 use memory_proc::embedding_cache::EmbeddingCache;
 use memory_proc::encoder::{Encoder, EncoderFacts, Image, Provider};
 use memory_proc::external::ExternalLimits;
 use memory_proc::serve::{ServeSettings, serve_with};
-use peer::{Decision, FrameView, Item, Policy, Request};
+use peer::world::{
+    RenderSetup, RenderTask, RenderWorker, Renderers, WorldFailure, serve_generation,
+};
+use peer::{ActionCode, Decision, FrameView, Item, Policy, Request};
 use search::Embedding;
 use shm_types::clock::{self, monotonic_ns};
-use shm_types::message::{Role, WirePose};
+use shm_types::message::Role;
 use shm_types::{ATTACH_VARIABLE, Attach, Bus};
-use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use sim_proc::renderer::{RenderSettings, VisibleChanges};
-use sim_proc::serve::serve;
 use sim_proc::view_folder::{KeepingWorker, ViewFolder};
+use sim_proc::world::{WarehousePicture, WarehouseRendering, WarehouseWorld};
 use sim_proc::worlds::Worlds;
 use supervise::{Launch, Launcher, Process as Running};
 
@@ -121,7 +122,9 @@ fn take_part(
             let bus = Bus::join(Attach::read(&root)?, Role::Sim)?;
             let views = ViewFolder::open(&files.caches, &worlds, &RenderSettings::default())?;
             let demonstrations = BookFile::<DemonstrationBook>::read(&files.demonstrations)?.book;
-            serve(&bus, worlds, demonstrations, false, || Ok(render_setup(views)))
+            let mut world = WarehouseWorld::new(bus.attach(), worlds, demonstrations)?;
+            let open = |world: &mut WarehouseWorld| Ok(rendering(views).install(world));
+            Ok(serve_generation(&bus, &mut world, false, open)?)
         }
         Role::Memory => {
             let settings = ServeSettings {
@@ -147,27 +150,30 @@ fn take_part(
     }
 }
 
-fn render_setup(views: ViewFolder) -> RenderSetup {
+fn rendering(views: ViewFolder) -> WarehouseRendering {
     let worker = KeepingWorker::new(Box::new(PatternWorker), Arc::new(views), 0);
-    RenderSetup {
-        workers: vec![Box::new(worker)],
-        on_serve_thread: true,
-        batch_views: 1,
+    WarehouseRendering {
+        setup: RenderSetup {
+            renderers: Renderers::Caller(Box::new(worker)),
+            facts: vec![("backend", "pattern".to_owned())],
+        },
         find_changes: Box::new(|view| VisibleChanges {
             stock: view.stock != 0,
             barricades: !view.variant.closed().is_empty(),
         }),
-        facts: vec![("backend", "pattern".to_owned())],
     }
 }
 
 /// Fills a frame with a pattern that names the view.
 struct PatternWorker;
 
-impl RenderWorker for PatternWorker {
-    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64> {
-        for RenderTask { stock, variant, pose, slot, .. } in tasks {
-            let WirePose(pose) = (*pose).into();
+impl RenderWorker<WarehousePicture> for PatternWorker {
+    fn render_into(
+        &mut self,
+        tasks: &mut [RenderTask<'_, WarehousePicture>],
+    ) -> Result<u64, WorldFailure> {
+        for RenderTask { picture, slot, .. } in tasks {
+            let WarehousePicture { stock, variant, pose } = picture;
             let name = format!("{stock} {pose:?} {:?}", variant.closed());
             let name = *blake3::hash(name.as_bytes()).as_bytes();
             slot.pixels_mut()
@@ -216,14 +222,14 @@ impl Policy for DigestPolicy {
 }
 
 impl DigestPolicy {
-    fn action(&self, request: &Request<'_>) -> Action {
+    fn action(&self, request: &Request<'_>) -> ActionCode {
         let mut hasher = blake3::Hasher::new();
         let mut add = |bytes: &[u8]| {
             hasher.update(&(bytes.len() as u64).to_le_bytes());
             hasher.update(bytes);
         };
         add(request.instruction.as_bytes());
-        add(format!("{} {:?} {}", request.pose, request.feedback, request.step).as_bytes());
+        add(format!("{} {:?} {}", request.state, request.feedback, request.step).as_bytes());
         add(&pixels(&request.frame));
         for past in request.window {
             add(format!("{:?} {:?}", past.action, past.feedback).as_bytes());
@@ -253,7 +259,7 @@ impl DigestPolicy {
         let draw = usize::from(hasher.finalize().as_bytes()[0]);
         match shown {
             Some(action) if draw % 4 != 0 => action,
-            _ => Action::ALL[draw % Action::ALL.len()],
+            _ => ActionCode((draw % request.world.actions.len()) as u8),
         }
     }
 }

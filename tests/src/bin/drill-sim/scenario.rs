@@ -10,7 +10,6 @@ use orchestrator::books::Books;
 use orchestrator::external_memory::ExternalMemory;
 use orchestrator::plan::PlannedEpisode;
 use orchestrator::selection::SelectedCases;
-use run_log::{FORMAT, Manifest};
 use settings::{Layer, resolve};
 use sim_proc::worlds::Worlds;
 use warehouse::case_book::write_books;

@@ -29,7 +29,8 @@ pub(crate) fn document(
         Arc::new(FrameReading { frame: [0; 16], landmarks: landmarks.collect() })
     };
     let pose = |ViewPlace { demonstration, step }: ViewPlace| {
-        sources.book().demonstrations[demonstration as usize].poses[step as usize]
+        let of = &sources.book().demonstrations[demonstration as usize];
+        Pose::try_from(of.states[step as usize]).unwrap()
     };
     let views = sources.views(demonstrations).into_iter();
     let seen: HashMap<u32, Arc<FrameReading>> =

@@ -64,7 +64,10 @@ pub(crate) fn trajectory(demonstration: &Demonstration) -> Vec<StepView<'_>> {
     let view = |step: &'_ DemonstrationStep| step.is_keyframe;
     let steps = demonstration.iter();
     steps
-        .map(|step| StepView { frame: view(step).then(|| step.image.frame()), action: step.action })
+        .map(|step| StepView {
+            frame: view(step).then(|| step.image.frame()),
+            action: step.action.map(Into::into),
+        })
         .collect()
 }
 
@@ -90,7 +93,7 @@ pub(crate) fn retrieve<'a>(
     let end = (at + HORIZON).min(from.len() - 1);
     let view = |i: usize| StepView {
         frame: Some(from[i].image.frame()),
-        action: from[i].action.filter(|_| i < end && with_actions),
+        action: from[i].action.filter(|_| i < end && with_actions).map(Into::into),
     };
     Some((if least.0 == 0 { 0.0 } else { 1.0 }, (at..=end).map(view).collect()))
 }

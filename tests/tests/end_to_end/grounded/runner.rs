@@ -3,6 +3,7 @@
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
+use case_book::WorldDeclaration;
 use domain::{Action, Demonstrations, DocumentKind, Feedback, MAX_STEPS, Pose, Representation};
 use peer::{Item, PastView, Policy, Request, StepsView, TextView};
 use policy_proc::grounded::Grounded;
@@ -57,6 +58,7 @@ pub(crate) struct Runner {
     blank: Arc<Image>,
     documents: HashMap<(DocumentKind, usize), (u64, String)>,
     policy: Grounded,
+    world: Arc<WorldDeclaration>,
 }
 
 impl Runner {
@@ -71,6 +73,7 @@ impl Runner {
             blank: Arc::new(Image::new(u64::MAX - 1, 448, 448, vec![128; 448 * 448 * 4])),
             documents: HashMap::new(),
             policy: Grounded::default(),
+            world: Arc::new(warehouse::declaration()),
             warehouse,
         }
     }
@@ -131,16 +134,18 @@ impl Runner {
                 repeat: 1,
                 episode_seed: 20_260_101,
                 instruction: &instruction,
-                pose,
-                feedback,
+                state: pose.into(),
+                feedback: feedback.into(),
                 frame: image.frame(),
                 window: &past,
                 items: &items,
                 starts_as_demonstrated: condition.hint,
                 demonstrated_elsewhere: false,
+                world: &self.world,
             };
             let answer = self.policy.act(&[request])[0].answer;
             let action = answer.action().expect("the grounded policy always acts");
+            let action = Action::try_from(action).expect("the warehouse has the action");
             (pose, feedback) = step(&self.warehouse.layout, &variant, pose, action);
             window.push_back((image, action, feedback));
             if window.len() > condition.window {
@@ -183,5 +188,6 @@ fn is_episodic(condition: Condition) -> bool {
 }
 
 fn past_view((image, action, feedback): &(Arc<Image>, Action, Feedback)) -> PastView<'_> {
-    PastView { frame: image.frame(), action: Some(*action), feedback: *feedback }
+    let (action, feedback) = (Some((*action).into()), (*feedback).into());
+    PastView { frame: image.frame(), action, feedback }
 }

@@ -1,5 +1,5 @@
 use conditions::Route;
-use rigs::records::{log, record, tell};
+use rigs::records::{log, record, tell, tell_failure};
 use serde_json::Value;
 use warehouse::{CaseSet, TrajectoryKind, Variant, Warehouse};
 
@@ -17,6 +17,8 @@ fn episode(
     tell(&mut record, "start_pose", cases.cases[0].test.start.to_string());
     record.actions = actions.to_owned();
     record.steps = actions.len() as u32;
+    let steps = record.steps;
+    tell_failure(&mut record, "never-saw", steps);
     record.retrieved = retrieved.map(str::to_owned);
     changes(&mut record);
     let world = RunWorld::new(&log(Vec::new()), &built_in()).unwrap();
