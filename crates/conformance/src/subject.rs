@@ -135,6 +135,11 @@ pub(crate) trait TestedRole: Default {
         root.to_owned()
     }
 
+    /// Its name, where `facts` are those of its handshake.
+    fn name<'n>(&'n self, facts: &'n BTreeMap<String, String>) -> Option<&'n str> {
+        facts.get(Self::NAME_FACT).map(String::as_str)
+    }
+
     /// How `command` is started to take part in the run in `root`.
     ///
     /// # Errors
@@ -299,7 +304,7 @@ impl<'a, R: TestedRole> Subject<'a, R> {
         let facts = handshake.facts().map_err(|error| {
             Trouble::Wrong(format!("the facts of its handshake cannot be read: {error}"))
         })?;
-        let name = facts.get(R::NAME_FACT).map_or("without a name", String::as_str);
+        let name = self.role.name(&facts).unwrap_or("without a name");
         let seconds = began.elapsed().as_secs_f64();
         self.introduction = format!("{} {name}, ready after {seconds:.1} s", R::NAME_FACT);
         Ok(())

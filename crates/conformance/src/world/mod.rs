@@ -104,6 +104,11 @@ impl TestedRole for WorldRole {
         Attach { participants, window: WINDOW, frame_capacity: FRAMES, ..attach }
     }
 
+    /// The name that its case book declares: the handshake need not say it.
+    fn name<'n>(&'n self, _: &'n BTreeMap<String, String>) -> Option<&'n str> {
+        Some(&self.declaration.name)
+    }
+
     fn launch(command: &str, root: &Path) -> anyhow::Result<Launch> {
         let mut launch = Launch::command(Self::ROLE, command)?;
         launch.args.push("serve".into());
