@@ -10,7 +10,6 @@ use shm_types::message::WIRE_VERSION;
 use supervise::Children;
 
 use crate::Kit;
-use crate::messages::write_scripted_world;
 use crate::subject::{CheckResult, Subject, TestedRole, wait_for_exit, wrong};
 
 /// A check.
@@ -83,7 +82,7 @@ fn orchestrator_ends<R: TestedRole>(kit: &mut Kit<'_, R>) -> CheckResult<String>
 fn another_wire_version<R: TestedRole>(kit: &mut Kit<'_, R>) -> CheckResult<String> {
     kit.kill_subject();
     let (run, attach) = kit.another_run()?;
-    write_scripted_world(run.path()).map_err(anyhow::Error::from)?;
+    R::write_world(run.path()).map_err(anyhow::Error::from)?;
     attach.write(run.path()).map_err(anyhow::Error::from)?;
     let file = run.path().join(ATTACH_FILE);
     let from = format!("\"wire_version\": {WIRE_VERSION}");

@@ -1,7 +1,8 @@
-//! Checks whether an external policy or memory follows the protocol of the wire, in difficult situations over the real bus.
+//! Checks whether an external policy, memory or world follows the protocol of the wire, in difficult situations over the real
+//! bus.
 //!
-//! This process plays the other roles ([`neighbours`]). The quality of decisions and of what a memory supplies is not
-//! checked.
+//! This process plays the other roles ([`neighbours`]). The quality of decisions, of what a memory supplies and of a world's
+//! tasks is not checked.
 
 mod checks;
 mod memory;
@@ -9,6 +10,7 @@ pub mod messages;
 pub mod neighbours;
 mod policy;
 mod subject;
+mod world;
 
 use std::fs;
 use std::path::PathBuf;
@@ -19,12 +21,13 @@ use anyhow::Result;
 use serde::Serialize;
 use shm_types::message::MAX_WINDOW;
 use shm_types::{Attach, FrameSize, RunDir, registry};
-use supervise::{Launch, last_lines};
+use supervise::last_lines;
 
 use self::checks::Check;
 use self::memory::MemoryRole;
 use self::policy::PolicyRole;
 use self::subject::{CheckResult, Subject, Terms, TestedRole, Trouble};
+use self::world::WorldRole;
 
 /// Lanes of the run.
 const LANES: u32 = 64;
@@ -45,9 +48,11 @@ pub enum CheckedRole {
     Policy,
     /// An external memory.
     Memory,
+    /// A world.
+    World,
 }
 
-/// A policy or a memory to check.
+/// A policy, a memory or a world to check.
 #[derive(Debug, Clone)]
 pub struct Conformance {
     /// Which of them.
@@ -56,7 +61,7 @@ pub struct Conformance {
     pub command: String,
     /// How long an answer may take.
     pub answer_timeout: Duration,
-    /// How long it may take to get ready, and a memory to build itself from a bank.
+    /// How long it may take to get ready, a memory to build itself from a bank, and a world to write its case book.
     pub start_timeout: Duration,
     /// Whether warnings count as failures.
     pub strict: bool,
@@ -72,7 +77,7 @@ pub enum CheckVerdict {
     Warning,
     /// The process violates the protocol.
     Failed,
-    /// The check did not run, because an earlier one failed.
+    /// The check did not run, because an earlier one failed, or does not apply.
     Skipped,
 }
 
@@ -113,6 +118,10 @@ impl Conformance {
                 use memory::checks::{CHECKS, REQUIRED_CHECKS};
                 self.play::<MemoryRole>(CHECKS, REQUIRED_CHECKS, stop, observer)
             }
+            CheckedRole::World => {
+                use world::checks::{CHECKS, REQUIRED_CHECKS};
+                self.play::<WorldRole>(CHECKS, REQUIRED_CHECKS, stop, observer)
+            }
         }
     }
 
@@ -124,15 +133,16 @@ impl Conformance {
         stop: &AtomicBool,
         observer: &mut dyn FnMut(&CheckFinding),
     ) -> Result<Vec<CheckFinding>> {
-        let launch = Launch { index: R::index(), ..Launch::command(R::ROLE, &self.command)? };
+        let run = RunDir::create(&registry::default_base())?;
         let terms = Terms {
-            launch: &launch,
+            launch: &R::launch(&self.command, run.path())?,
+            command: &self.command,
             answer_timeout: self.answer_timeout,
             end_timeout: self.answer_timeout.min(MAX_END_TIMEOUT),
             start_timeout: self.start_timeout,
             stop,
         };
-        let mut kit: Kit<'_, R> = Kit::new(&terms)?;
+        let mut kit: Kit<'_, R> = Kit::new(&terms, run)?;
         let mut findings: Vec<CheckFinding> = Vec::with_capacity(checks.len());
         for check in checks {
             let mut first = findings.iter().take(required);
@@ -142,6 +152,7 @@ impl Conformance {
                 Some(failed) => (CheckVerdict::Skipped, format!("it needs \"{}\"", failed.name)),
                 None => match (check.run)(&mut kit) {
                     Ok(remark) => (CheckVerdict::Passed, remark),
+                    Err(Trouble::NotApplicable(why)) => (CheckVerdict::Skipped, why),
                     Err(Trouble::Broken(error)) => return Err(error),
                     Err(Trouble::Wrong(what)) => {
                         // The next check starts a new process.
@@ -177,8 +188,7 @@ struct Kit<'a, R: TestedRole> {
 }
 
 impl<'a, R: TestedRole> Kit<'a, R> {
-    fn new(terms: &'a Terms<'a>) -> Result<Self> {
-        let run = RunDir::create(&registry::default_base())?;
+    fn new(terms: &'a Terms<'a>, run: RunDir) -> Result<Self> {
         let attach = settings::<R>(&run);
         shm_types::process::check_shared_memory(attach.shared_memory_bytes())?;
         Ok(Self { terms, subject: None, attach, run })

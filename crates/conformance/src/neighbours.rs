@@ -6,11 +6,12 @@ use std::time::Duration;
 use bytemuck::Zeroable;
 use shm_types::message::{
     Decision, ErrorReport, Eviction, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery,
-    ExternalStore, ExternalStored, FrameId, Observation, Role, ShutdownReport, Stop,
+    ExternalStore, ExternalStored, FrameId, Observation, Role, ShutdownReport, StepReport, Stop,
+    View,
 };
 use shm_types::{
     Attach, BankPublisher, Bus, BusError, DocumentPublisher, FrameError, FramePublisher,
-    HandshakeReceiver, NoteReceiver, Notifier, PortedMessage, Receiver, Sender,
+    FrameStore, HandshakeReceiver, NoteReceiver, Notifier, PortedMessage, Receiver, Sender,
 };
 
 /// The longest time that [`Neighbours::wait`] waits.
@@ -230,6 +231,49 @@ impl ExternalMemoryNeighbours {
             stores: memory.sender_to(index)?,
             stored: memory.receiver_from(index)?,
             frames: FramePublisher::new(neighbours.bus(&[Role::Sim]))?,
+            neighbours,
+        })
+    }
+}
+
+/// The neighbours of a world.
+#[derive(Debug)]
+pub struct WorldNeighbours {
+    /// What memory and policy see.
+    pub observations: Receiver<Observation>,
+    /// What the orchestrator is told.
+    pub reports: Receiver<StepReport>,
+    /// The facts of episodes.
+    pub facts: NoteReceiver,
+    /// Views that memory has asked for.
+    pub views: Receiver<View>,
+    /// The frames that the world publishes.
+    pub frames: FrameStore,
+    neighbours: Neighbours,
+}
+
+impl Deref for WorldNeighbours {
+    type Target = Neighbours;
+
+    fn deref(&self) -> &Neighbours {
+        &self.neighbours
+    }
+}
+
+impl WorldNeighbours {
+    /// Joins the run of `attach`, whose only participant has to be the world.
+    ///
+    /// # Errors
+    /// When the run cannot be joined.
+    pub fn join(attach: &Attach) -> Result<Self, BusError> {
+        let neighbours = Neighbours::join(attach, Role::Sim)?;
+        let memory = neighbours.bus(&[Role::Memory]);
+        Ok(Self {
+            observations: memory.receiver()?,
+            reports: neighbours.bus(&[Role::Orchestrator]).receiver()?,
+            facts: NoteReceiver::of_facts(neighbours.bus(&[Role::Orchestrator]))?,
+            views: memory.receiver()?,
+            frames: FrameStore::new(memory)?,
             neighbours,
         })
     }

@@ -1,15 +1,15 @@
 //! The process under test: started as a run starts it, asked through its [`neighbours`](crate::neighbours), and watched.
 //!
-//! It tracks its requests, so that each answer is either the one to an open request or a mistake that can be named. What differs between policies and memories is its [`TestedRole`].
+//! It tracks its requests, so that each answer is either the one to an open request or a mistake that can be named. What differs between policies, memories and worlds is its [`TestedRole`].
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
-use std::fs;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
+use std::{fs, io};
 
 use shm_types::message::{ErrorReportKind, FrameId, RequestId, Role, WIRE_VERSION, read_text};
 use shm_types::{Attach, BusError, FrameError, FramePublisher};
@@ -34,6 +34,8 @@ pub(crate) enum Trouble {
     Wrong(String),
     /// The process does something that is wrong unless it is intended.
     Doubtful(String),
+    /// The check does not apply to this process.
+    NotApplicable(String),
     /// The check itself failed.
     Broken(anyhow::Error),
 }
@@ -80,6 +82,8 @@ pub(crate) fn next(id: RequestId) -> RequestId {
 /// How the process is started, and its time limits.
 pub(crate) struct Terms<'a> {
     pub(crate) launch: &'a Launch,
+    /// The command line as the user gave it.
+    pub(crate) command: &'a str,
     pub(crate) answer_timeout: Duration,
     pub(crate) end_timeout: Duration,
     pub(crate) start_timeout: Duration,
@@ -131,6 +135,28 @@ pub(crate) trait TestedRole: Default {
         root.to_owned()
     }
 
+    /// Its name, where `facts` are those of its handshake.
+    fn name<'n>(&'n self, facts: &'n BTreeMap<String, String>) -> Option<&'n str> {
+        facts.get(Self::NAME_FACT).map(String::as_str)
+    }
+
+    /// How `command` is started to take part in the run in `root`.
+    ///
+    /// # Errors
+    /// When it is no command.
+    fn launch(command: &str, root: &Path) -> anyhow::Result<Launch> {
+        let _ = root;
+        Ok(Launch { index: Self::index(), ..Launch::command(Self::ROLE, command)? })
+    }
+
+    /// Writes what the world of the run says of itself.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    fn write_world(root: &Path) -> io::Result<()> {
+        write_scripted_world(root)
+    }
+
     /// Prepares its folder for the start of the process.
     ///
     /// # Errors
@@ -160,9 +186,6 @@ pub(crate) trait TestedRole: Default {
     /// When the run cannot be joined.
     fn join(attach: &Attach) -> Result<Self::Neighbours, BusError>;
 
-    /// Publishes the frames of the run.
-    fn frames(neighbours: &mut Self::Neighbours) -> &mut FramePublisher;
-
     /// The answers that have arrived.
     ///
     /// # Errors
@@ -183,6 +206,12 @@ pub(crate) trait TestedRole: Default {
 
     /// The reason, if the process refuses to answer.
     fn refusal(answer: &Self::Answer) -> Option<String>;
+}
+
+/// A role that is shown frames.
+pub(crate) trait SeesFrames: TestedRole {
+    /// Publishes the frames of the run.
+    fn frames(neighbours: &mut Self::Neighbours) -> &mut FramePublisher;
 }
 
 /// A process in one generation. The fields are dropped in order: the process ends before the services.
@@ -211,7 +240,7 @@ impl<'a, R: TestedRole> Subject<'a, R> {
         if R::WAITS_FOR_RUN {
             Attach::withdraw(root).map_err(anyhow::Error::from)?;
         } else {
-            write_scripted_world(root).map_err(anyhow::Error::from)?;
+            R::write_world(root).map_err(anyhow::Error::from)?;
             attach.write(root).map_err(anyhow::Error::from)?;
         }
         let neighbours = R::join(attach).map_err(anyhow::Error::from)?;
@@ -232,7 +261,7 @@ impl<'a, R: TestedRole> Subject<'a, R> {
         let began = Instant::now();
         subject.role.introduce(&folder, &mut subject.children, terms)?;
         if R::WAITS_FOR_RUN {
-            write_scripted_world(root).map_err(anyhow::Error::from)?;
+            R::write_world(root).map_err(anyhow::Error::from)?;
             attach.write(root).map_err(anyhow::Error::from)?;
         }
         subject.wait_for_handshake(began)?;
@@ -275,7 +304,7 @@ impl<'a, R: TestedRole> Subject<'a, R> {
         let facts = handshake.facts().map_err(|error| {
             Trouble::Wrong(format!("the facts of its handshake cannot be read: {error}"))
         })?;
-        let name = facts.get(R::NAME_FACT).map_or("without a name", String::as_str);
+        let name = self.role.name(&facts).unwrap_or("without a name");
         let seconds = began.elapsed().as_secs_f64();
         self.introduction = format!("{} {name}, ready after {seconds:.1} s", R::NAME_FACT);
         Ok(())
@@ -292,54 +321,6 @@ impl<'a, R: TestedRole> Subject<'a, R> {
             None => Ok(()),
             Some(exit) => wrong(format_args!("its process ended {}", exit.how())),
         }
-    }
-
-    /// Publishes a view: stripes that depend on `seed`.
-    pub(crate) fn view(&mut self, seed: u64) -> CheckResult<FrameId> {
-        let deadline = Instant::now() + RELEASE_TIMEOUT;
-        let size = self.neighbours.attach().frame;
-        let mut pixels = vec![0; size.bytes()];
-        for (number, stripe) in pixels.chunks_mut(4 * STRIPE).enumerate() {
-            let mixed = (number as u64).wrapping_add(seed).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-            let colour = [(mixed >> 56) as u8, (mixed >> 48) as u8, seed as u8, 255];
-            stripe.copy_from_slice(&[colour; STRIPE].as_flattened()[..stripe.len()]);
-        }
-        let mut hash = [0; 16];
-        hash.copy_from_slice(&blake3::hash(&pixels).as_bytes()[..16]);
-        loop {
-            let frames = R::frames(&mut self.neighbours);
-            let published = frames.loan().and_then(|mut slot| {
-                slot.pixels_mut().copy_from_slice(&pixels);
-                frames.publish(slot, hash)
-            });
-            match published {
-                Ok(id) => {
-                    self.resident.push((id, hash));
-                    return Ok(id);
-                }
-                Err(FrameError::NoChunk { chunks }) if Instant::now() > deadline => {
-                    return wrong(format_args!(
-                        "{} s after frames were evicted, it still keeps most of the {chunks} frames of the store",
-                        RELEASE_TIMEOUT.as_secs()
-                    ));
-                }
-                Err(FrameError::NoChunk { .. }) => {
-                    self.neighbours.notify()?;
-                    self.listen()?;
-                    self.check_alive()?;
-                    thread::sleep(TICK);
-                }
-                Err(error) => return wrong(error),
-            }
-        }
-    }
-
-    /// Publishes a view for each of `seeds`.
-    pub(crate) fn views(
-        &mut self,
-        seeds: impl IntoIterator<Item = u64>,
-    ) -> CheckResult<Vec<FrameId>> {
-        seeds.into_iter().map(|seed| self.view(seed)).collect()
     }
 
     /// The content hash of a resident view.
@@ -440,6 +421,11 @@ impl<'a, R: TestedRole> Subject<'a, R> {
             None => Ok(()),
             Some(what) => wrong(format_args!("it reported an error about a valid message: {what}")),
         }
+    }
+
+    /// Whether there are error reports that were not taken.
+    pub(crate) fn has_errors(&self) -> bool {
+        !self.errors.is_empty()
     }
 
     /// Receives messages for `time`.
@@ -578,6 +564,56 @@ impl<'a, R: TestedRole> Subject<'a, R> {
     /// Waits until the process has ended by itself.
     pub(crate) fn wait_for_exit(&mut self) -> CheckResult<ChildExit> {
         wait_for_exit(&mut self.children, self.terms)
+    }
+}
+
+impl<R: SeesFrames> Subject<'_, R> {
+    /// Publishes a view: stripes that depend on `seed`.
+    pub(crate) fn view(&mut self, seed: u64) -> CheckResult<FrameId> {
+        let deadline = Instant::now() + RELEASE_TIMEOUT;
+        let size = self.neighbours.attach().frame;
+        let mut pixels = vec![0; size.bytes()];
+        for (number, stripe) in pixels.chunks_mut(4 * STRIPE).enumerate() {
+            let mixed = (number as u64).wrapping_add(seed).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            let colour = [(mixed >> 56) as u8, (mixed >> 48) as u8, seed as u8, 255];
+            stripe.copy_from_slice(&[colour; STRIPE].as_flattened()[..stripe.len()]);
+        }
+        let mut hash = [0; 16];
+        hash.copy_from_slice(&blake3::hash(&pixels).as_bytes()[..16]);
+        loop {
+            let frames = R::frames(&mut self.neighbours);
+            let published = frames.loan().and_then(|mut slot| {
+                slot.pixels_mut().copy_from_slice(&pixels);
+                frames.publish(slot, hash)
+            });
+            match published {
+                Ok(id) => {
+                    self.resident.push((id, hash));
+                    return Ok(id);
+                }
+                Err(FrameError::NoChunk { chunks }) if Instant::now() > deadline => {
+                    return wrong(format_args!(
+                        "{} s after frames were evicted, it still keeps most of the {chunks} frames of the store",
+                        RELEASE_TIMEOUT.as_secs()
+                    ));
+                }
+                Err(FrameError::NoChunk { .. }) => {
+                    self.neighbours.notify()?;
+                    self.listen()?;
+                    self.check_alive()?;
+                    thread::sleep(TICK);
+                }
+                Err(error) => return wrong(error),
+            }
+        }
+    }
+
+    /// Publishes a view for each of `seeds`.
+    pub(crate) fn views(
+        &mut self,
+        seeds: impl IntoIterator<Item = u64>,
+    ) -> CheckResult<Vec<FrameId>> {
+        seeds.into_iter().map(|seed| self.view(seed)).collect()
     }
 }
 

@@ -1,4 +1,4 @@
-//! `memtransfer conformance`: checks an external policy or an external memory.
+//! `memtransfer conformance`: checks an external policy, an external memory or a world.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -16,16 +16,17 @@ const POLICY_VARIABLE: &str = "MEMTRANSFER_POLICY_CMD";
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The command is started as `memtransfer run` does with --policy-cmd or --memory-cmd: with a folder in
-MEMTRANSFER_ATTACH. The other processes are scripted; the quality of decisions, and of what a memory
-supplies, is not checked.
+The command is started as `memtransfer run` does with --policy-cmd, --memory-cmd or --world-cmd: with
+a folder in MEMTRANSFER_ATTACH; a world with the verbs `book`, `serve` and `act`. The other processes
+are scripted; the quality of decisions, of what a memory supplies and of tasks is not checked.
 
 Exit status: 0 all checks passed, 1 a check failed, 2 the command cannot be started.
 
 Examples:
   memtransfer conformance --policy-cmd 'python my_policy.py'
   memtransfer conformance --policy-cmd ./target/release/my-policy --strict --json
-  memtransfer conformance --memory-cmd 'python my_memory.py'")]
+  memtransfer conformance --memory-cmd 'python my_memory.py'
+  memtransfer conformance --world-cmd ./target/release/my-world")]
 pub(super) struct ConformanceArgs {
     /// The command that starts your policy
     #[arg(long, value_name = "COMMAND", env = POLICY_VARIABLE)]
@@ -35,11 +36,16 @@ pub(super) struct ConformanceArgs {
     #[arg(long, value_name = "COMMAND")]
     memory_cmd: Option<String>,
 
+    /// The command that starts your world, to check a world instead of a policy
+    #[arg(long, value_name = "COMMAND")]
+    world_cmd: Option<String>,
+
     /// Seconds that an answer may take; the end of the process may take as long, but at most 10
     #[arg(long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     step_timeout: u32,
 
-    /// Seconds that the process may take to get ready, and a memory to build itself from a bank
+    /// Seconds that the process may take to get ready, a memory to build itself from a bank, and a world to write its
+    /// case book
     #[arg(long, value_name = "SECONDS", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
     start_timeout: u32,
 
@@ -63,16 +69,7 @@ struct Report<'a> {
 
 pub(super) fn run(args: &ConformanceArgs) -> Result<Exit> {
     let signals = Signals::listen().context("cannot listen to signals")?;
-    let (role, flag, command) = match (&args.memory_cmd, &args.policy_cmd) {
-        (Some(_), Some(policy)) if std::env::var(POLICY_VARIABLE).as_ref() != Ok(policy) => {
-            anyhow::bail!("one program is checked at a time: give --policy-cmd or --memory-cmd")
-        }
-        (Some(memory), _) => (CheckedRole::Memory, "memory_cmd", memory),
-        (None, Some(policy)) => (CheckedRole::Policy, "policy_cmd", policy),
-        (None, None) => {
-            anyhow::bail!("there is nothing to check: give --policy-cmd or --memory-cmd")
-        }
-    };
+    let (role, flag, command) = checked(args)?;
     let conformance = Conformance {
         role,
         command: command.clone(),
@@ -112,6 +109,29 @@ pub(super) fn run(args: &ConformanceArgs) -> Result<Exit> {
         print(&format!("\n{} checks: {}", findings.len(), counts.join(", ")))?;
     }
     Ok(if conforms { Exit::Complete } else { Exit::Failed })
+}
+
+/// What is checked: its role, the flag that names it and its command. A policy that is named by its variable alone gives way.
+fn checked(args: &ConformanceArgs) -> Result<(CheckedRole, &'static str, &String)> {
+    let named = [
+        (CheckedRole::Policy, "policy_cmd", &args.policy_cmd),
+        (CheckedRole::Memory, "memory_cmd", &args.memory_cmd),
+        (CheckedRole::World, "world_cmd", &args.world_cmd),
+    ];
+    let mut given: Vec<_> =
+        named.into_iter().filter_map(|(role, flag, of)| Some((role, flag, of.as_ref()?))).collect();
+    if given.len() > 1 && std::env::var(POLICY_VARIABLE).ok() == args.policy_cmd {
+        given.retain(|(role, ..)| *role != CheckedRole::Policy);
+    }
+    match given[..] {
+        [one] => Ok(one),
+        [] => anyhow::bail!(
+            "there is nothing to check: give --policy-cmd, --memory-cmd or --world-cmd"
+        ),
+        _ => anyhow::bail!(
+            "one program is checked at a time: give --policy-cmd, --memory-cmd or --world-cmd"
+        ),
+    }
 }
 
 /// A finding in a line, or in a paragraph where something is to be done.

@@ -149,7 +149,18 @@ pub fn kill_all() {
 /// # Errors
 /// When it cannot be started, or what it prints cannot be read.
 pub fn output(command: &mut Command, stop: &AtomicBool) -> io::Result<Option<Output>> {
-    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    output_until(command.stdin(Stdio::null()), || stop.load(Ordering::Relaxed))
+}
+
+/// As [`output`], with the stdin that `command` has. `None` if it was killed because `is_over` became true.
+///
+/// # Errors
+/// As [`output`].
+pub fn output_until(
+    command: &mut Command,
+    is_over: impl Fn() -> bool,
+) -> io::Result<Option<Output>> {
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut group = Group::start_watched(command)?;
     let (stdout, stderr) = (group.child.stdout.take(), group.child.stderr.take());
     thread::scope(|scope| {
@@ -168,7 +179,7 @@ pub fn output(command: &mut Command, stop: &AtomicBool) -> io::Result<Option<Out
                 return Err(error);
             }
         };
-        while group.is_alive() && !stop.load(Ordering::Relaxed) {
+        while group.is_alive() && !is_over() {
             thread::sleep(TIME_BETWEEN_LOOKS);
         }
         let is_stopped = group.is_alive();

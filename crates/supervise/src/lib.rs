@@ -30,7 +30,7 @@ use shm_types::description::memory_folder;
 use shm_types::message::Role;
 
 use groups::Group;
-pub use groups::{kill_all, output};
+pub use groups::{kill_all, output, output_until};
 use log_file::{LogFile, LogLimits, LogPosition};
 
 /// Lines of the log shown when a child has ended.

@@ -1,4 +1,4 @@
-//! `memtransfer conformance` passes for policies and memories that keep to the wire, and names the faults of others.
+//! `memtransfer conformance` passes for policies, memories and worlds that keep to the wire, and names the faults of others.
 
 use std::collections::BTreeMap;
 use std::process::Command;
@@ -162,6 +162,81 @@ fn faults_of_a_memory_are_named() {
         ("ignores-the-wire-version", "refuses another wire version", "it still runs"),
     ];
     check_faults(&bench, "memory", &faults);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn faults_of_a_world_are_named() {
+    let bench = Bench::new();
+    let faults = [
+        (
+            "no-book",
+            "writes its case book",
+            "`book` ended with exit status: 1: Error: I cannot write",
+        ),
+        ("another-book", "writes its case book", "another case-book.json the second time"),
+        ("no-new", "writes its case book", "case corridor-1 has no reference from its new start"),
+        ("case-twice", "writes its case book", "it has case corridor-1 twice"),
+        ("lacks-feedback", "writes its case book", "a demonstration has 10 states, 9 feedbacks"),
+        ("no-handshake", "joins", "no handshake within 3 s"),
+        ("begins-elsewhere", "begins as its case book says", "and the case book says 0"),
+        ("draws", "begins the same again", "another state or picture in another lane"),
+        ("other-hashes", "begins the same again", "in two lanes"),
+        ("never-completes", "completes its references", "does not complete the task in 9 steps"),
+        ("early", "completes its references", "in 8 steps, and the case book says 9"),
+        ("resets", "begins anew only when asked", "which could not be executed"),
+        ("silent", "begins anew only when asked", "no error report about a command after the end"),
+        ("no-limit", "stops at the step limit", "`ended` is 0 and `last` 0"),
+        ("walks-on", "stays without an action", "the state is another one"),
+        ("still", "shows what changes", "9 frames are equal, and states are not"),
+        ("transparent", "shows what changes", "it has pixels whose alpha is not 255"),
+        ("never-blocks", "blocks the way", "case corridor-1: at its new start, neither"),
+        ("other-views", "shows memory what lanes see", "memory gets another picture than a lane"),
+        (
+            "believes",
+            "survives invalid messages",
+            "after a command that leaves out a step: an observ",
+        ),
+        ("gives-up", "survives invalid messages", "it gave up the episode of lane 64"),
+        ("acts-nothing", "acts out episodes", "`act` has answered 0 of"),
+        ("acts-otherwise", "acts out episodes", "it begins elsewhere than in 0"),
+        ("leaves-a-lock", "can be restarted", "I run already"),
+        ("ignores-stop", "stops", "it still runs 2 s after its shutdown report"),
+        ("outlives", "ends with the orchestrator", "it still runs after 2 s"),
+        ("ignores-the-wire-version", "refuses another wire version", "it still runs"),
+    ];
+    check_faults(&bench, "world", &faults);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn worlds_without_faults_conform() {
+    let bench = Bench::new();
+    let command = misbehaving("world", "well-behaved");
+    assert_documented("Worlds", &check_conforms(&bench, ["--world-cmd", &command]));
+    check_conforms(&bench, ["--world-cmd", program("sim-proc").to_str().unwrap()]);
+    // What a world does at random is not compared.
+    let command = misbehaving("world", "random");
+    let checks = checks(&bench, ["--world-cmd", &command], LONG, 0);
+    let skipped = |check: &&Value| check["verdict"] == "skipped";
+    let skipped: Vec<_> = checks.iter().filter(skipped).map(|check| &check["name"]).collect();
+    assert_eq!(
+        skipped,
+        [
+            "begins the same again",
+            "completes its references",
+            "blocks the way",
+            "shows memory what lanes see",
+            "acts out episodes"
+        ]
+    );
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn the_example_world_in_rust_conforms() {
+    let bench = Bench::new();
+    check_conforms(&bench, ["--world-cmd", &build_example("rust-world")]);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 

@@ -27,7 +27,7 @@ use supervise::Children;
 use self::answers::Supplied;
 use crate::messages::{external_episode, query};
 use crate::neighbours::{ExternalMemoryNeighbours, TICK};
-use crate::subject::{CheckResult, Subject, Terms, TestedRole, wrong};
+use crate::subject::{CheckResult, SeesFrames, Subject, Terms, TestedRole, wrong};
 
 /// The index of the memory under test. Not 0: a memory has to take it from its folder.
 pub(crate) const INDEX: u8 = 3;
@@ -119,10 +119,6 @@ impl TestedRole for MemoryRole {
         ExternalMemoryNeighbours::join(attach)
     }
 
-    fn frames(neighbours: &mut ExternalMemoryNeighbours) -> &mut FramePublisher {
-        &mut neighbours.frames
-    }
-
     fn receive(
         &mut self,
         neighbours: &mut ExternalMemoryNeighbours,
@@ -161,6 +157,12 @@ impl TestedRole for MemoryRole {
             Err(error) => error.clone(),
         };
         (message.failed == 1).then(reason)
+    }
+}
+
+impl SeesFrames for MemoryRole {
+    fn frames(neighbours: &mut ExternalMemoryNeighbours) -> &mut FramePublisher {
+        &mut neighbours.frames
     }
 }
 

@@ -12,7 +12,7 @@ use shm_types::{Attach, BusError, FramePublisher};
 
 use crate::messages::{config, item, observation, recall, supply};
 use crate::neighbours::PolicyNeighbours;
-use crate::subject::{CheckResult, Subject, TestedRole, Trouble};
+use crate::subject::{CheckResult, SeesFrames, Subject, TestedRole, Trouble};
 
 /// The role of the policy.
 #[derive(Debug, Default)]
@@ -41,10 +41,6 @@ impl TestedRole for PolicyRole {
         PolicyNeighbours::join(attach)
     }
 
-    fn frames(neighbours: &mut PolicyNeighbours) -> &mut FramePublisher {
-        &mut neighbours.frames
-    }
-
     fn receive(
         &mut self,
         neighbours: &mut PolicyNeighbours,
@@ -68,6 +64,12 @@ impl TestedRole for PolicyRole {
     /// A policy sends no decision for what it cannot decide.
     fn refusal(_: &Decision) -> Option<String> {
         None
+    }
+}
+
+impl SeesFrames for PolicyRole {
+    fn frames(neighbours: &mut PolicyNeighbours) -> &mut FramePublisher {
+        &mut neighbours.frames
     }
 }
 

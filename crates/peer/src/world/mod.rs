@@ -23,6 +23,7 @@ use domain::{ActionCode, FeedbackCode, State};
 use shm_types::FrameSlot;
 use shm_types::message::{EpisodeEnd, StepCommand, ViewRequest, WorldEpisodeConfig};
 
+pub use program::serve_world;
 pub use render_pool::GREY;
 pub use serving::serve_generation;
 pub use simulated::{EnvironmentView, SimulatedWorld};

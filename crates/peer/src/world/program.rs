@@ -11,12 +11,12 @@ use shm_types::message::Role;
 use shm_types::process::check_shared_memory;
 use shm_types::{Attach, Bus};
 
-use super::WorldFailure;
 use super::acting::ActingSimulator;
 use super::book::write_books;
 use super::serving::serve_watched;
 use super::simulated::SimulatedWorld;
 use super::simulator::Simulator;
+use super::{RenderSetup, World, WorldFailure};
 use crate::error::ServeError;
 use crate::run::{folder_from_environment, serve_generations};
 
@@ -106,12 +106,33 @@ fn serve(
     demonstrations: &Path,
 ) -> Result<(), ServeError> {
     let demonstrations = BookFile::<DemonstrationBook>::read(demonstrations)?.book;
+    serve_world(
+        folder,
+        false,
+        |attach| SimulatedWorld::new(simulator, attach, demonstrations.clone()),
+        |world, attach| world.rendering(attach),
+    )
+}
+
+/// Serves the world that `make` makes, with the renderers that `open` opens, in every generation of the run whose folder is
+/// `folder`; for `warm_views` see [`serve_generation`](super::serve_generation). It ends with the orchestrator, which need not
+/// have started it.
+///
+/// # Errors
+/// When there is no such run, it cannot be joined or does not fit into shared memory, it ends without a stop message, or the world
+/// fails.
+pub fn serve_world<W: World>(
+    folder: &Path,
+    warm_views: bool,
+    make: impl Fn(&Attach) -> Result<W, WorldFailure>,
+    open: impl Fn(&mut W, &Attach) -> Result<RenderSetup<W::Picture>, WorldFailure>,
+) -> Result<(), ServeError> {
     let join = |attach: Attach| Bus::join(attach, Role::Sim);
     serve_generations(folder, join, |bus, run| {
         let attach = bus.attach();
         wait_for_room(attach)?;
-        let mut world = SimulatedWorld::new(simulator, attach, demonstrations.clone())?;
-        serve_watched(&bus, &mut world, false, Some(run), |world| world.rendering(attach))
+        let mut world = make(attach)?;
+        serve_watched(&bus, &mut world, warm_views, Some(run), |world| open(world, attach))
     })
 }
 
