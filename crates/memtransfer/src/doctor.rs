@@ -9,7 +9,7 @@ use anyhow::{Context, anyhow, bail, ensure};
 use clap::{Args, ValueEnum};
 use conditions::settings::RunSettings;
 use documents::DocumentName;
-use domain::cache_folder;
+use domain::{Pose, cache_folder};
 use llm::{Endpoint, Servers, Source};
 use orchestrator::documents::needed;
 use orchestrator::run_documents::{RunDocuments, listed};
@@ -400,7 +400,8 @@ fn request_size(settings: &RunSettings, documents: &RunDocuments) -> Vec<String>
 fn a_pose(world: &WorldArgs) -> anyhow::Result<String> {
     let world = world_program()?.describe(&world.flags())?;
     let begin = world.cases.first().and_then(|case| Some(case.references.first()?.begin));
-    Ok(begin.map_or_else(|| "1,1,N".to_owned(), |begin| begin.to_string()))
+    let begin = begin.context("the world has no case that begins anywhere")?;
+    Ok(Pose::try_from(begin)?.to_string())
 }
 
 fn with_assets(mut command: Command, world: &WorldArgs) -> Command {

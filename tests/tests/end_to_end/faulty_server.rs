@@ -375,6 +375,8 @@ fn doctor_sends_every_server_a_request_of_the_runs_size_and_times_it() {
         assert!(sized["seconds"].as_f64() > Some(0.0), "{sized}");
     }
     let prompts: Vec<Received> = server.received();
-    let of_run = prompts.iter().filter(|r| r.body.to_string().contains("Answer with one action and nothing else"));
+    let of_run = prompts
+        .iter()
+        .filter(|r| r.body.to_string().contains("Answer with one action and nothing else"));
     assert_eq!(of_run.map(|request| count_images(&request.body)).max(), Some(9));
 }

@@ -8,6 +8,7 @@ use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
+use domain::{Pose, State};
 use memtransfer_tests::llama::{LlamaServer, SEEING_MODEL};
 use memtransfer_tests::proxy::{LoggingProxy, MessagePart, PassedRequest, add_text, hash_of};
 use memtransfer_tests::{Bench, Ended, eventually, records};
@@ -110,13 +111,17 @@ fn the_log_has_what_the_server_got_and_said() {
     assert_eq!(most, expected.map(|(memory, images)| (memory.to_owned(), images)).into());
 
     // The images are the renderer's views of the poses in the log.
-    let views: BTreeMap<&str, &str> = entries
+    let pose = |request: &Value| {
+        let state: State = serde_json::from_value(request["state"].clone()).unwrap();
+        Pose::try_from(state).unwrap().to_string()
+    };
+    let views: BTreeMap<String, &str> = entries
         .iter()
         .map(|entry| &entry["request"])
-        .map(|request| (request["pose"].as_str().unwrap(), request["frame"].as_str().unwrap()))
+        .map(|request| (pose(request), request["frame"].as_str().unwrap()))
         .collect();
     for (pose, hash) in views.into_iter().take(2) {
-        bench.run(&["render", "--pose", pose, "--size", "256", "--out", "view.png"]).expect(0);
+        bench.run(&["render", "--pose", &pose, "--size", "256", "--out", "view.png"]).expect(0);
         let rendered = RgbaImage::read(&bench.out("view.png")).unwrap();
         assert_eq!(hash_of(&rendered), hash, "{pose}");
     }
