@@ -446,74 +446,68 @@ fn shows_memory_the_same(kit: &mut WorldKit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-/// A message that is not valid.
-enum Invalid {
-    Config(WorldEpisodeConfig),
-    Command(StepCommand),
+/// What is wrong with a message, by what it makes of a valid one.
+enum Invalid<'a> {
+    Config(&'a dyn Fn(WorldEpisodeConfig) -> WorldEpisodeConfig),
+    Command(&'a dyn Fn(StepCommand) -> StepCommand),
     View(ViewRequest),
 }
 
 fn invalid_messages(kit: &mut WorldKit<'_>) -> CheckResult<String> {
+    use Invalid::{Command, Config, View};
     let books = WorldBooks::of(kit)?;
     let (begin, reference) = first(&books)?;
-    let action = Some(reference.actions[0]);
+    let first_action = Some(reference.actions[0]);
+    let undeclared = books.cases.world.declaration.actions.len() as u8;
     let subject = kit.subject()?;
     let (mut running, _) = subject.begin_and_wait(21, begin, MANY_STEPS)?;
-    let mut other = subject.begin_and_wait(22, begin, MANY_STEPS)?.0;
-    let idle = RequestId { lane: 23, ..subject.next_episode(23) };
-    let of_case = |subject: &mut TestedWorld<'_>| subject.config(24, begin, MANY_STEPS);
-    let (for_lane, for_case, for_variant, for_start) =
-        (of_case(subject), of_case(subject), of_case(subject), of_case(subject));
-    let following = next(running);
-    let ahead = RequestId { step: running.step + 2, ..running };
-    let with_action = |action| StepCommand { action, ..command(following, None) };
-    let undeclared = books.cases.world.declaration.actions.len() as u8;
-    let messages = [
+    let (mut other, _) = subject.begin_and_wait(22, begin, MANY_STEPS)?;
+    let view = ViewRequest::zeroed();
+    let messages: [(&str, Invalid<'_>); 12] = [
+        ("a config for lane 64 of 64", Config(&|of| WorldEpisodeConfig { lane: LANES, ..of })),
+        ("a config of case 4294967295", Config(&|of| WorldEpisodeConfig { case: u32::MAX, ..of })),
         (
-            "a config for lane 64 of 64",
-            Invalid::Config(WorldEpisodeConfig { lane: LANES, ..for_lane }),
+            "a config of variant 4000000000",
+            Config(&|of| WorldEpisodeConfig { variant: 4_000_000_000, ..of }),
+        ),
+        ("a config with start 7", Config(&|of| WorldEpisodeConfig { start: 7, ..of })),
+        ("a command for lane 64 of 64", Command(&|of| StepCommand { lane: LANES, ..of })),
+        (
+            "a command for an episode that has not begun",
+            Command(&|of| StepCommand { episode: of.episode + 1000, ..of }),
+        ),
+        ("a command of kind 7", Command(&|of| StepCommand { kind: 7, ..of })),
+        ("an action that is not declared", Command(&|of| StepCommand { action: undeclared, ..of })),
+        (
+            "a command that leaves out a step",
+            Command(&|of| StepCommand { step: of.step + 1, ..of }),
         ),
         (
-            "a config of case 4294967295",
-            Invalid::Config(WorldEpisodeConfig { case: u32::MAX, ..for_case }),
+            "a command for a step that was taken",
+            Command(&|of| StepCommand { step: of.step - 1, ..of }),
         ),
-        (
-            "a config of variant 4294967280",
-            Invalid::Config(WorldEpisodeConfig { variant: u32::MAX - 15, ..for_variant }),
-        ),
-        ("a config with start 7", Invalid::Config(WorldEpisodeConfig { start: 7, ..for_start })),
-        (
-            "a command for lane 64 of 64",
-            Invalid::Command(StepCommand { lane: LANES, ..command(following, action) }),
-        ),
-        ("a command for a lane without an episode", Invalid::Command(command(next(idle), action))),
-        (
-            "a command of kind 7",
-            Invalid::Command(StepCommand { kind: 7, ..command(following, action) }),
-        ),
-        (
-            "an action that is not declared",
-            Invalid::Command(StepCommand { kind: 0, ..with_action(undeclared) }),
-        ),
-        ("a command that leaves out a step", Invalid::Command(command(ahead, action))),
-        ("a command for a step that was taken", Invalid::Command(command(running, action))),
         (
             "a request for a view of demonstration 4294967295",
-            Invalid::View(ViewRequest { demonstration: u32::MAX, ..Zeroable::zeroed() }),
+            View(ViewRequest { demonstration: u32::MAX, ..view }),
         ),
-        ("a view request of kind 7", Invalid::View(ViewRequest { kind: 7, ..Zeroable::zeroed() })),
+        ("a view request of kind 7", View(ViewRequest { kind: 7, ..view })),
     ];
     for (what, message) in messages {
-        match message {
-            Invalid::Config(message) => subject.neighbours.send(&message)?,
-            Invalid::Command(message) => subject.neighbours.send(&message)?,
-            Invalid::View(message) => subject.neighbours.send(&message)?,
-        }
-        subject.notify()?;
         let after = |trouble| match trouble {
             Trouble::Wrong(why) => Trouble::Wrong(format!("after {what}: {why}")),
             trouble => trouble,
         };
+        match message {
+            Config(spoil) => {
+                let config = subject.config(24, begin, MANY_STEPS);
+                subject.neighbours.send(&spoil(config))?;
+            }
+            Command(spoil) => {
+                subject.neighbours.send(&spoil(command(next(running), first_action)))?;
+            }
+            View(request) => subject.neighbours.send(&request)?,
+        }
+        subject.notify()?;
         wait_for_report(subject, what).map_err(after)?;
         // The lane is where it was, and the others go on.
         for lane in [&mut running, &mut other] {
@@ -522,12 +516,12 @@ fn invalid_messages(kit: &mut WorldKit<'_>) -> CheckResult<String> {
         }
     }
     // What belongs to an episode that is over comes late, and is dropped.
-    let old = next(running);
-    running = subject.begin_and_wait(21, begin, MANY_STEPS)?.0;
-    subject.expect_none(old);
-    subject.neighbours.send(&command(old, action))?;
+    let late = next(running);
+    (running, _) = subject.begin_and_wait(21, begin, MANY_STEPS)?;
+    subject.expect_none(late);
+    subject.neighbours.send(&command(late, first_action))?;
     subject.notify()?;
-    subject.step(next(running), action)?;
+    subject.step(next(running), first_action)?;
     subject.listen()?;
     subject.take_errors();
     clear_away(subject)
