@@ -99,7 +99,7 @@ fn spoil(fault: &str, folder: &Path) -> anyhow::Result<()> {
         }),
         "case-twice" => change(CASE_BOOK_FILE, &|book| {
             let first = book["cases"][0].clone();
-            book["cases"].as_array_mut().map(|cases| cases.push(first));
+            book["cases"].as_array_mut().into_iter().for_each(|cases| cases.push(first.clone()));
         }),
         "lacks-feedback" => change(DEMONSTRATIONS_FILE, &|book| {
             book["demonstrations"][0]["feedback"].as_array_mut().map(Vec::pop);
