@@ -16,9 +16,10 @@ const POLICY_VARIABLE: &str = "MEMTRANSFER_POLICY_CMD";
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The command is started as `memtransfer run` does with --policy-cmd, --memory-cmd or --world-cmd: with
-a folder in MEMTRANSFER_ATTACH; a world with the verbs `book`, `serve` and `act`. The other processes
-are scripted; the quality of decisions, of what a memory supplies and of tasks is not checked.
+The command is started as `memtransfer run` does with --policy-cmd, --memory-cmd or --world-cmd:
+with a folder in MEMTRANSFER_ATTACH; a world with the verbs `book`, `serve` and `act`. The other
+processes are scripted; the quality of decisions, of what a memory supplies and of tasks is not
+checked.
 
 Exit status: 0 all checks passed, 1 a check failed, 2 the command cannot be started.
 

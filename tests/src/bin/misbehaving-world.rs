@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 use std::rc::Rc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
@@ -36,7 +37,17 @@ const DOOR: usize = ROOMS - 2;
 /// Numbers what must not be the same twice.
 static COUNTER: AtomicU64 = AtomicU64::new(1);
 
-fn main() -> anyhow::Result<()> {
+fn main() -> ExitCode {
+    match use_world() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn use_world() -> anyhow::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let (fault, rest) = arguments.split_first().context("usage: misbehaving-world FAULT VERB")?;
     let verb = rest.first().context("usage: misbehaving-world FAULT VERB")?;
@@ -88,7 +99,7 @@ fn spoil(fault: &str, folder: &Path) -> anyhow::Result<()> {
         }),
         "case-twice" => change(CASE_BOOK_FILE, &|book| {
             let first = book["cases"][0].clone();
-            book["cases"].as_array_mut().map(|cases| cases.push(first));
+            book["cases"].as_array_mut().into_iter().for_each(|cases| cases.push(first.clone()));
         }),
         "lacks-feedback" => change(DEMONSTRATIONS_FILE, &|book| {
             book["demonstrations"][0]["feedback"].as_array_mut().map(Vec::pop);

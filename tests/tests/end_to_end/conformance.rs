@@ -169,11 +169,7 @@ fn faults_of_a_memory_are_named() {
 fn faults_of_a_world_are_named() {
     let bench = Bench::new();
     let faults = [
-        (
-            "no-book",
-            "writes its case book",
-            "`book` ended with exit status: 1: Error: I cannot write",
-        ),
+        ("no-book", "writes its case book", "`book` ended with exit status: 1: I cannot write"),
         ("another-book", "writes its case book", "another case-book.json the second time"),
         ("no-new", "writes its case book", "case corridor-1 has no reference from its new start"),
         ("case-twice", "writes its case book", "it has case corridor-1 twice"),
@@ -195,7 +191,7 @@ fn faults_of_a_world_are_named() {
         (
             "believes",
             "survives invalid messages",
-            "after a command that leaves out a step: an observ",
+            "after a command that leaves out a step: an observation",
         ),
         ("gives-up", "survives invalid messages", "it gave up the episode of lane 64"),
         ("acts-nothing", "acts out episodes", "`act` has answered 0 of"),

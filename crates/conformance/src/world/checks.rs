@@ -371,12 +371,9 @@ fn shows_changes(kit: &mut WorldKit<'_>) -> CheckResult<String> {
         if let Some(problem) = problem {
             return wrong(format_args!("{words}: {problem}"));
         }
-        let differ = |of: &dyn Fn(&Seen) -> Option<[u8; 16]>| {
-            shown.iter().any(|seen| of(seen) != of(shown[0]))
-        };
-        let states_differ =
-            shown.iter().any(|seen| seen.observation.state != shown[0].observation.state);
-        if states_differ && !differ(&Seen::pixels) {
+        let state = |seen: &Seen| seen.observation.state;
+        let states_differ = shown.iter().any(|seen| state(seen) != state(shown[0]));
+        if states_differ && shown.iter().all(|seen| seen.pixels() == shown[0].pixels()) {
             let count = shown.len();
             return wrong(format_args!("{words}: {count} frames are equal, and states are not"));
         }
@@ -432,12 +429,13 @@ fn shows_memory_the_same(kit: &mut WorldKit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let (_, seen) = subject.episode(1, begin, &demonstration.actions, MANY_STEPS)?;
     let seen: Vec<&Seen> = seen.iter().filter(|seen| !seen.is_last()).collect();
-    for step in [0, seen.len() / 2, seen.len() - 1] {
+    for step in [0, seen.len() / 2, seen.len().saturating_sub(1)] {
+        let Some(shown) = seen.get(step) else { return wrong("the episode ends with its begin") };
         let picture = subject.remembered((number, step as u32))?;
         if let Some(problem) = picture.problem {
             return wrong(format_args!("step {step} of demonstration {number}: {problem}"));
         }
-        if picture.hash != seen[step].pixels() {
+        if picture.hash != shown.pixels() {
             return wrong(format_args!(
                 "step {step} of demonstration {number}: memory gets another picture than a lane"
             ));
@@ -446,74 +444,59 @@ fn shows_memory_the_same(kit: &mut WorldKit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-/// A message that is not valid.
-enum Invalid {
-    Config(WorldEpisodeConfig),
-    Command(StepCommand),
+/// What is wrong with a message, by what it makes of a valid one.
+enum Invalid<'a> {
+    Config(&'a dyn Fn(&mut WorldEpisodeConfig)),
+    Command(&'a dyn Fn(&mut StepCommand)),
     View(ViewRequest),
 }
 
 fn invalid_messages(kit: &mut WorldKit<'_>) -> CheckResult<String> {
+    use Invalid::{Command, Config, View};
     let books = WorldBooks::of(kit)?;
     let (begin, reference) = first(&books)?;
-    let action = Some(reference.actions[0]);
+    let first_action = Some(reference.actions[0]);
+    let undeclared = books.cases.world.declaration.actions.len() as u8;
     let subject = kit.subject()?;
     let (mut running, _) = subject.begin_and_wait(21, begin, MANY_STEPS)?;
-    let mut other = subject.begin_and_wait(22, begin, MANY_STEPS)?.0;
-    let idle = RequestId { lane: 23, ..subject.next_episode(23) };
-    let of_case = |subject: &mut TestedWorld<'_>| subject.config(24, begin, MANY_STEPS);
-    let (for_lane, for_case, for_variant, for_start) =
-        (of_case(subject), of_case(subject), of_case(subject), of_case(subject));
-    let following = next(running);
-    let ahead = RequestId { step: running.step + 2, ..running };
-    let with_action = |action| StepCommand { action, ..command(following, None) };
-    let undeclared = books.cases.world.declaration.actions.len() as u8;
-    let messages = [
-        (
-            "a config for lane 64 of 64",
-            Invalid::Config(WorldEpisodeConfig { lane: LANES, ..for_lane }),
-        ),
-        (
-            "a config of case 4294967295",
-            Invalid::Config(WorldEpisodeConfig { case: u32::MAX, ..for_case }),
-        ),
-        (
-            "a config of variant 4294967280",
-            Invalid::Config(WorldEpisodeConfig { variant: u32::MAX - 15, ..for_variant }),
-        ),
-        ("a config with start 7", Invalid::Config(WorldEpisodeConfig { start: 7, ..for_start })),
-        (
-            "a command for lane 64 of 64",
-            Invalid::Command(StepCommand { lane: LANES, ..command(following, action) }),
-        ),
-        ("a command for a lane without an episode", Invalid::Command(command(next(idle), action))),
-        (
-            "a command of kind 7",
-            Invalid::Command(StepCommand { kind: 7, ..command(following, action) }),
-        ),
-        (
-            "an action that is not declared",
-            Invalid::Command(StepCommand { kind: 0, ..with_action(undeclared) }),
-        ),
-        ("a command that leaves out a step", Invalid::Command(command(ahead, action))),
-        ("a command for a step that was taken", Invalid::Command(command(running, action))),
+    let (mut other, _) = subject.begin_and_wait(22, begin, MANY_STEPS)?;
+    let view = ViewRequest::zeroed();
+    let messages: [(&str, Invalid<'_>); 12] = [
+        ("a config for lane 64 of 64", Config(&|of| of.lane = LANES)),
+        ("a config of case 4294967295", Config(&|of| of.case = u32::MAX)),
+        ("a config of variant 4000000000", Config(&|of| of.variant = 4_000_000_000)),
+        ("a config with start 7", Config(&|of| of.start = 7)),
+        ("a command for lane 64 of 64", Command(&|of| of.lane = LANES)),
+        ("a command for an episode that has not begun", Command(&|of| of.episode += 1000)),
+        ("a command of kind 7", Command(&|of| of.kind = 7)),
+        ("an action that is not declared", Command(&|of| of.action = undeclared)),
+        ("a command that leaves out a step", Command(&|of| of.step += 1)),
+        ("a command for a step that was taken", Command(&|of| of.step -= 1)),
         (
             "a request for a view of demonstration 4294967295",
-            Invalid::View(ViewRequest { demonstration: u32::MAX, ..Zeroable::zeroed() }),
+            View(ViewRequest { demonstration: u32::MAX, ..view }),
         ),
-        ("a view request of kind 7", Invalid::View(ViewRequest { kind: 7, ..Zeroable::zeroed() })),
+        ("a view request of kind 7", View(ViewRequest { kind: 7, ..view })),
     ];
     for (what, message) in messages {
-        match message {
-            Invalid::Config(message) => subject.neighbours.send(&message)?,
-            Invalid::Command(message) => subject.neighbours.send(&message)?,
-            Invalid::View(message) => subject.neighbours.send(&message)?,
-        }
-        subject.notify()?;
         let after = |trouble| match trouble {
             Trouble::Wrong(why) => Trouble::Wrong(format!("after {what}: {why}")),
             trouble => trouble,
         };
+        match message {
+            Config(spoil) => {
+                let mut config = subject.config(24, begin, MANY_STEPS);
+                spoil(&mut config);
+                subject.neighbours.send(&config)?;
+            }
+            Command(spoil) => {
+                let mut command = command(next(running), first_action);
+                spoil(&mut command);
+                subject.neighbours.send(&command)?;
+            }
+            View(request) => subject.neighbours.send(&request)?,
+        }
+        subject.notify()?;
         wait_for_report(subject, what).map_err(after)?;
         // The lane is where it was, and the others go on.
         for lane in [&mut running, &mut other] {
@@ -522,12 +505,12 @@ fn invalid_messages(kit: &mut WorldKit<'_>) -> CheckResult<String> {
         }
     }
     // What belongs to an episode that is over comes late, and is dropped.
-    let old = next(running);
-    running = subject.begin_and_wait(21, begin, MANY_STEPS)?.0;
-    subject.expect_none(old);
-    subject.neighbours.send(&command(old, action))?;
+    let late = next(running);
+    (running, _) = subject.begin_and_wait(21, begin, MANY_STEPS)?;
+    subject.expect_none(late);
+    subject.neighbours.send(&command(late, first_action))?;
     subject.notify()?;
-    subject.step(next(running), action)?;
+    subject.step(next(running), first_action)?;
     subject.listen()?;
     subject.take_errors();
     clear_away(subject)
