@@ -25,6 +25,7 @@ LEFT, RIGHT, FORWARD, PICK_UP, DROP, TOGGLE = range(6)
 OBJECTS = {"ball": Ball, "box": Box, "key": Key}
 COLOURS = ("red", "green", "blue", "purple", "yellow", "grey")
 NAMES = [f"{colour} {kind}" for kind in OBJECTS for colour in COLOURS]
+AHEAD = ("no door", "an open door", "a closed door", "a locked door")
 INSTRUCTIONS = {"go to": GoToInstr, "pick up": PickupInstr, "put": PutNextInstr, "open": OpenInstr}
 
 
@@ -65,8 +66,14 @@ class Minigrid(World):
     )
     actions = ("turn left", "turn right", "move forward", "pick up", "drop", "toggle")
     letters = "lrfpdt"
-    state = (Field("column"), Field("row"), Field("heading", ["east", "south", "west", "north"]), Field("carrying", ["nothing", *NAMES]))
-    state_sentence = "You are in column {column}, row {row}, facing {heading}, and carry {carrying}."
+    state = (
+        Field("column"),
+        Field("row"),
+        Field("heading", ["east", "south", "west", "north"]),
+        Field("carrying", ["nothing", *NAMES]),
+        Field("ahead", AHEAD),
+    )
+    state_sentence = "You are in column {column}, row {row}, facing {heading}, and carry {carrying}. In front of you is {ahead}."
     feedback = (
         "The episode has just begun.",
         "The action was carried out.",
@@ -124,7 +131,7 @@ class Minigrid(World):
 
     def observe(self, feedback, conflict=False):
         held = carrying(self.env)
-        state = (*self.env.agent_pos, self.env.agent_dir, 0 if held is None else 1 + NAMES.index(held))
+        state = (*self.env.agent_pos, self.env.agent_dir, 0 if held is None else 1 + NAMES.index(held), ahead(self.env))
         failed = self.failed_at is not None
         return Observation(state, feedback, self.sub_goals, self.required, failed, conflict, state_hash=self.seen)
 
@@ -141,6 +148,12 @@ class Minigrid(World):
 def carrying(env):
     """The name of what the agent carries."""
     return env.carrying and f"{env.carrying.color} {env.carrying.type}"
+
+
+def ahead(env):
+    """The place in `AHEAD` of the door in front of the agent."""
+    cell = env.grid.get(*env.front_pos)
+    return 1 + cell.encode()[2] if isinstance(cell, Door) else 0  # 0, 1, 2: open, closed, locked
 
 
 def instruction(mission):

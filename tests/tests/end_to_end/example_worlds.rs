@@ -5,6 +5,14 @@ use std::process::Command;
 use memtransfer_tests::{Bench, Ended, needs, records, repository, sorted_log, words};
 use serde_json::Value;
 
+#[test]
+fn the_page_of_worlds_shows_the_corridor() {
+    let page = std::fs::read_to_string(repository("docs/own-world.md")).unwrap();
+    let corridor = repository("python/examples/corridor_world.py");
+    let corridor = std::fs::read_to_string(corridor).unwrap();
+    assert!(page.contains(&format!("```python\n{corridor}```")), "the page shows another text");
+}
+
 /// `memtransfer run` in the example world `name`, of two cases on small frames, not started yet.
 fn run(bench: &Bench, name: &str, cases: &str, line: &str) -> Command {
     let script = repository(&format!("examples/worlds/{name}/world.py"));
