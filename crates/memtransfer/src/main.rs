@@ -112,7 +112,7 @@ enum MemtransferVerb {
     Show(show::ShowArgs),
     /// Measure how long an access to memory takes, part by part
     Profile(profile::ProfileArgs),
-    /// Test your own policy, memory or world in difficult situations, and report what it does wrong
+    /// Test your own policy, memory or world, and report what it does wrong
     Conformance(conformance::ConformanceArgs),
     /// Remove what killed runs left in shared memory and temporary folders
     Clean(clean::CleanArgs),
