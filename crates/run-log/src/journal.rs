@@ -391,7 +391,7 @@ mod tests {
             contents.damaged.first().map(ToString::to_string).unwrap_or_default()
         };
         insta::assert_snapshot!(problem("\"task\"", "\"tusk\""), @"j, line 1: unknown field `tusk` at line 1 column 175");
-        insta::assert_snapshot!(problem("\"complete\"", "\"whole\""), @"j, line 1: unknown ending `whole` (known: complete, out-of-steps) at line 1 column 222");
+        insta::assert_snapshot!(problem("\"complete\"", "\"whole\""), @"j, line 1: unknown ending `whole` (known: complete, out-of-steps, failed) at line 1 column 222");
         let word = "x".repeat(1 << 20);
         let long = problem("\"complete\"", &format!("\"{word}\""));
         assert!(long.contains("unknown ending `xxx") && long.len() < 400, "{}", long.len());

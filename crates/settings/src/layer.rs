@@ -225,7 +225,7 @@ mod tests {
         insta::assert_snapshot!(error("frame-size", "100"), @"--frame-size: 100 is not a multiple of 64 from 64 to 4096");
         insta::assert_snapshot!(error("window", "6,40"), @"--window: 40 is not a whole number from 0 to 32");
         insta::assert_snapshot!(error("max-cost", "free"), @"--max-cost: free is not an amount of money, such as 0.25");
-        insta::assert_snapshot!(error("policy", "ground"), @"--policy: unknown policy `ground`: did you mean `grounded`? (known: grounded, openai, external, random, expert)");
+        insta::assert_snapshot!(error("policy", "ground"), @"--policy: unknown policy `ground`: did you mean `grounded`? (known: grounded, imitate, openai, external, random, expert)");
         insta::assert_snapshot!(error("policy-cmd", "a 'b"), @"--policy-cmd: `a 'b` is not a program and its arguments, with every quote closed");
     }
 
