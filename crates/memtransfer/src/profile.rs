@@ -170,7 +170,7 @@ pub(super) fn run(args: &ProfileArgs) -> Result<Exit> {
         unix_s,
         machine: Machine::here(),
         floors: floors::measure(extent.floors).context("cannot start a thread")?,
-        encoder: profiler.settings(RunWay::COLD)?.encoder,
+        encoder: profiler.settings(RunWay::COLD, &args.out)?.encoder,
         runs: Vec::new(),
         searches: Vec::new(),
         problems: Vec::new(),
@@ -236,11 +236,12 @@ struct Profiler<'a> {
 }
 
 impl Profiler<'_> {
-    fn settings(&self, way: RunWay) -> Result<RunSettings> {
-        let Self { args, extent, scratch, .. } = self;
+    /// The settings of a run in the folder `out`.
+    fn settings(&self, way: RunWay, out: &Path) -> Result<RunSettings> {
+        let Self { args, extent, .. } = self;
         let repetitions = if way.caches == CacheState::Cold { 1 } else { extent.repetitions };
         let names: Vec<&str> = extent.memory.iter().map(|memory| memory.name()).collect();
-        let (memory, out) = (names.join(","), scratch.path().join("run").display().to_string());
+        let (memory, out) = (names.join(","), out.display().to_string());
         let numbers = [extent.cases, repetitions, extent.steps, way.lanes, way.spin_us];
         let [cases, runs, steps, lanes, spin_us] = numbers.map(|number| number.to_string());
         let mut flags = vec![
@@ -268,7 +269,9 @@ impl Profiler<'_> {
     /// Runs episodes; `None` when a signal asked to stop. Returns what was measured, and problems.
     fn measure(&self, way: RunWay) -> Result<Option<(AccessRun, Vec<String>)>> {
         let Self { args, scratch, signals, .. } = self;
-        let settings = self.settings(way)?;
+        // Of this way alone: a folder in which a run has begun is refused to another.
+        let folder = ScratchFolder::new().context("cannot make a temporary folder")?;
+        let settings = self.settings(way, &folder.path().join("run"))?;
         ensure!(
             settings.stream.is_none(),
             "`memtransfer profile` measures single episodes: choose a suite without streams, such as quick"
@@ -318,7 +321,7 @@ impl Profiler<'_> {
     }
 }
 
-/// A temporary folder with an empty cache folder and the processes' logs.
+/// A temporary folder with an empty cache folder.
 #[derive(Debug)]
 struct Scratch {
     folder: ScratchFolder,
@@ -340,12 +343,8 @@ impl Scratch {
         Ok(scratch)
     }
 
-    fn path(&self) -> &Path {
-        self.folder.path()
-    }
-
     fn cache(&self) -> PathBuf {
-        self.path().join("cache")
+        self.folder.path().join("cache")
     }
 }
 

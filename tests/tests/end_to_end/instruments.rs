@@ -73,3 +73,28 @@ fn a_run_has_a_live_status_a_trace_and_latencies() {
     assert_eq!(whole.map(|line| line["count"].as_u64().unwrap()).sum::<u64>(), traced_steps);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
+
+#[test]
+fn a_quick_profile_measures_every_way_of_running() {
+    let bench = Bench::new();
+    let line = ["profile", "--quick", "--out", "measured", "--lanes", "2", "--quiet"];
+    bench.run(&line).expect(0);
+    let measured = json(&fs::read_to_string(bench.out("measured/profile.json")).unwrap());
+    let ways: Vec<_> = measured["runs"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|run| {
+            assert!(!run["latencies"].as_array().unwrap().is_empty(), "{run}");
+            (
+                run["caches"].as_str().unwrap(),
+                run["lanes"].as_u64().unwrap(),
+                run["spin_us"].as_u64() > Some(0),
+            )
+        })
+        .collect();
+    assert_eq!(
+        ways,
+        [("cold", 1, false), ("warm", 1, false), ("warm", 1, true), ("warm", 2, false)]
+    );
+}
