@@ -132,7 +132,7 @@ impl Environment for PythonEnvironment {
     fn render(&mut self, width: u32, height: u32, pixels: &mut [u8]) -> Result<(), WorldFailure> {
         Python::attach(|py| {
             let slot = WritablePixels { address: pixels.as_mut_ptr() as usize, width, height };
-            // It raises where the array is kept: the memory is published now, and nobody may write into it any more.
+            // It raises an error if the world kept the array: the memory is published next, and must not change after that.
             let drawn = self.0.call_method1(py, "_render", (slot,));
             drawn.map(drop).map_err(|raised| failure(py, &raised))
         })

@@ -93,8 +93,8 @@ impl WorldDeclaration {
 
     /// The action with these words.
     pub fn action_named(&self, words: &str) -> Option<ActionCode> {
-        let found = self.actions.iter().position(|action| action.words == words);
-        found.map(|code| ActionCode(code as u8))
+        let code = self.actions.iter().position(|action| action.words == words);
+        code.map(|code| ActionCode(code as u8))
     }
 
     /// The letter of an action in logs; [`NO_LETTER`] without one.
@@ -110,8 +110,8 @@ impl WorldDeclaration {
 
     /// The action of a letter; `None` for [`NO_LETTER`], and where no action has it.
     pub fn action_of(&self, letter: char) -> Option<ActionCode> {
-        let found = self.actions.iter().position(|action| action.letter == letter);
-        found.map(|code| ActionCode(code as u8))
+        let code = self.actions.iter().position(|action| action.letter == letter);
+        code.map(|code| ActionCode(code as u8))
     }
 
     /// Whether an action is a turn: its words begin with `turn`.
@@ -160,11 +160,11 @@ impl WorldDeclaration {
     /// # Errors
     /// When they are not a state of this world.
     pub fn read_state(&self, numbers: &[f32; MAX_STATE]) -> Result<State, ForeignState> {
-        let (own, padding) = numbers.split_at(self.state.len().min(MAX_STATE));
+        let (fields, padding) = numbers.split_at(self.state.len().min(MAX_STATE));
         if padding.iter().any(|number| *number != 0.0) {
             return Err(self.foreign(format!("it has more than {} numbers", self.state.len())));
         }
-        let state = State::new(own).map_err(|error| self.foreign(error.to_string()))?;
+        let state = State::new(fields).map_err(|error| self.foreign(error.to_string()))?;
         self.check_state(&state)?;
         Ok(state)
     }
@@ -235,8 +235,8 @@ fn choice(words: &[String], number: f32) -> Option<&str> {
 impl Check for WorldDeclaration {
     fn problem(&self) -> Option<String> {
         let is_name = |text: &str| {
-            let known = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
-            (1..=64).contains(&text.len()) && text.chars().all(known)
+            let is_allowed = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
+            (1..=64).contains(&text.len()) && text.chars().all(is_allowed)
         };
         if !is_name(&self.name) {
             return Some(
@@ -256,18 +256,18 @@ impl Check for WorldDeclaration {
             let count = self.feedback.len();
             return Some(format!("it has {count} sentences of feedback, not 2 to {MAX_FEEDBACK}"));
         }
-        let mut known = HashSet::new();
+        let mut used = HashSet::new();
         for ActionDeclaration { letter, words } in &self.actions {
-            if !letter.is_ascii_alphanumeric() || !known.insert(letter.to_string()) {
+            if !letter.is_ascii_alphanumeric() || !used.insert(letter.to_string()) {
                 return Some(format!(
-                    "the letter {letter:?} of an action is not a letter or digit of its own"
+                    "the letter {letter:?} of an action is not an ASCII letter or digit that no other action has"
                 ));
             }
             let is_word = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == ' ';
             let is_tidy = words.trim() == words && !words.contains("  ") && words.len() >= 2;
-            if !is_tidy || !words.chars().all(is_word) || !known.insert(words.clone()) {
+            if !is_tidy || !words.chars().all(is_word) || !used.insert(words.clone()) {
                 return Some(format!(
-                    "the action {words:?} is not two small letters or more that no other has"
+                    "the words {words:?} of an action are not lowercase, too short, or those of another action"
                 ));
             }
         }
@@ -349,7 +349,7 @@ pub(crate) mod tests {
             (|world| world.actions.clear(), "0 actions"),
             (|world| world.actions[1].letter = 'o', "letter 'o'"),
             (|world| world.actions[1].letter = '?', "letter '?'"),
-            (|world| world.actions[0].words = "Open".to_owned(), "action \"Open\""),
+            (|world| world.actions[0].words = "Open".to_owned(), "words \"Open\""),
             (|world| world.feedback.truncate(1), "1 sentences"),
             (|world| world.state[1].name = "height".to_owned(), "\"height\" twice"),
         ];

@@ -55,8 +55,8 @@ impl WorldFacts {
     /// What is wrong with its words.
     fn problem(&self) -> Option<String> {
         let Self { groups, tasks, failures, .. } = self;
-        let mut known = HashSet::new();
-        if let Some(kind) = failures.iter().find(|kind| !known.insert(&kind.name)) {
+        let mut names = HashSet::new();
+        if let Some(kind) = failures.iter().find(|kind| !names.insert(&kind.name)) {
             return Some(format!("it has the kind of failure {} twice", kind.name));
         }
         let lacks = |(name, _): &&(&str, &str)| self.failure_index(name).is_none();
@@ -79,8 +79,8 @@ impl Check for CaseBook {
         if let Some(problem) = self.world.declaration.problem() {
             return Some(problem);
         }
-        let mut known = HashSet::new();
-        if let Some(case) = self.cases.iter().find(|case| !known.insert(&case.id)) {
+        let mut ids = HashSet::new();
+        if let Some(case) = self.cases.iter().find(|case| !ids.insert(&case.id)) {
             return Some(format!("it has case {} twice", case.id));
         }
         if let Some(problem) = self.world.problem() {

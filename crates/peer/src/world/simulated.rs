@@ -289,7 +289,7 @@ impl RenderWorker<EnvironmentView> for EnvironmentRenderer {
                 stage.render(cases, begin, actions, *size, pixels)?;
                 continue;
             }
-            // Whoever waits for the picture has not moved on.
+            // The lane that waits for this picture has not taken another step.
             let shows = lanes.iter_mut().find_map(|lane| {
                 let RunningEpisode { config, step, now, .. } = lane.episode.as_ref()?;
                 let is_seen = match **picture {
