@@ -37,13 +37,17 @@ fn demonstrations_of_minigrid_are_imitated_and_its_log_depends_on_no_lanes() {
     let bench = Bench::new();
     let cases = "g1-2-pick-up,g1-5-unlock";
     let line = "--policy imitate --memory full-context,episodic";
+    // A memory of another process, which knows nothing of any world.
+    let top_k = repository("examples/memories/top-k/memory.py");
+    let top_k = format!("{} {}", needs::world_python("minigrid").display(), top_k.display());
     for lanes in ["1", "8"] {
         let line = format!("{line} --lanes {lanes} --out {lanes}");
-        Ended::run(&mut run(&bench, "minigrid", cases, &line)).expect(0);
+        let mut run = run(&bench, "minigrid", cases, &line);
+        Ended::run(run.args(["--memory-cmd", &top_k])).expect(0);
     }
     let imitated = records(&bench.out("8"));
-    assert_eq!(imitated.len(), 2 * 2 * 3);
-    for memory in ["full-context", "episodic"] {
+    assert_eq!(imitated.len(), 2 * 3 * 3);
+    for memory in ["full-context", "episodic", "top-k"] {
         let demonstrated = endings(&imitated, memory, "original", "unchanged");
         assert_eq!(demonstrated, ["complete"; 2], "{memory}");
     }
@@ -54,7 +58,7 @@ fn demonstrations_of_minigrid_are_imitated_and_its_log_depends_on_no_lanes() {
     let mut validate = bench.command(&["validate", "8"]);
     validate.env("MEMTRANSFER_WORLD_CMD", world).env("PYTHONPATH", repository("python"));
     let valid = Ended::run(&mut validate).expect(0).stdout;
-    assert_eq!(valid, "12 episodes, 0 differences, 0 damaged lines\n");
+    assert_eq!(valid, "18 episodes, 0 differences, 0 damaged lines\n");
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
