@@ -66,6 +66,9 @@ pub struct ForeignState {
     pub problem: String,
 }
 
+/// The name of the world that is part of this program.
+pub const WAREHOUSE: &str = "warehouse";
+
 /// The letter of a step without an action.
 pub const NO_LETTER: char = '?';
 
@@ -218,12 +221,45 @@ impl WorldDeclaration {
         fields.map(in_words).collect()
     }
 
+    /// A state in a sentence, as prompts have it.
+    pub fn sentence(&self, state: &State) -> String {
+        let words = self.state_words(state);
+        let values: Vec<_> = words.iter().map(|(name, text)| (*name, text.as_str())).collect();
+        fill(&self.state_sentence, &values)
+    }
+
     /// A state in short, for tables: its numbers in words, with commas between them.
     pub fn state_text(&self, state: &State) -> String {
         let words: Vec<String> =
             self.state_words(state).into_iter().map(|(_, text)| text).collect();
         words.join(",")
     }
+}
+
+/// `text` with each `{name}` of `values` replaced. Names inside values are not replaced, and other braces stay.
+pub fn fill(text: &str, values: &[(&str, &str)]) -> String {
+    let mut filled = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(at) = rest.find('{') {
+        let (before, from_brace) = rest.split_at(at);
+        filled.push_str(before);
+        let known = values.iter().find_map(|&(name, value)| {
+            let after = from_brace[1..].strip_prefix(name)?.strip_prefix('}')?;
+            Some((value, after))
+        });
+        match known {
+            Some((value, after)) => {
+                filled.push_str(value);
+                rest = after;
+            }
+            None => {
+                filled.push('{');
+                rest = &from_brace[1..];
+            }
+        }
+    }
+    filled.push_str(rest);
+    filled
 }
 
 /// The word for a number that is a choice.
@@ -329,6 +365,7 @@ pub(crate) mod tests {
         let words = [("height", "1.00".to_owned()), ("heading", "south".to_owned())];
         assert_eq!(world.state_words(&state), words);
         assert_eq!(world.state_text(&state), "1.00,south");
+        assert_eq!(world.sentence(&state), "You are at 1.00 and face south.");
         for (numbers, problem) in [
             (&[1.0, 2.0][..], "heading is 2, not one of 0 to 1"),
             (&[1.0, 0.5], "heading is 0.5, not one of 0 to 1"),
@@ -337,6 +374,20 @@ pub(crate) mod tests {
         ] {
             let error = world.read_state(&padded(numbers)).unwrap_err().to_string();
             assert_eq!(error, format!("this is no state of the world doors: {problem}"));
+        }
+    }
+
+    #[test]
+    fn names_are_replaced_once_and_other_braces_stay() {
+        let values = [("a", "{b}"), ("b", "B")];
+        for (text, filled) in [
+            ("{a} and {b}", "{b} and B"),
+            ("{c} {a", "{c} {a"),
+            ("{{b}}", "{B}"),
+            ("é{a}é", "é{b}é"),
+            ("", ""),
+        ] {
+            assert_eq!(fill(text, &values), filled);
         }
     }
 

@@ -30,7 +30,9 @@ pub use cases::{
     Reference, StreamBlock, StreamFacts, StreamsFacts, TaskFacts, TaskGroupFacts, UNREADABLE,
     WorldFacts,
 };
-pub use declaration::{ActionDeclaration, ForeignState, NO_LETTER, StateField, WorldDeclaration};
+pub use declaration::{
+    ActionDeclaration, ForeignState, NO_LETTER, StateField, WAREHOUSE, WorldDeclaration, fill,
+};
 pub use demonstrations::{
     CaseDemonstrations, Demonstration, DemonstrationBook, StreamDemonstrations, ViewPlace,
 };

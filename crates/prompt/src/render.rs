@@ -1,10 +1,11 @@
 //! Renders a request in the words of the template.
 
+use case_book::fill;
 use domain::{ActionCode, DocumentKind};
 use peer::{CaptionedView, FrameView, Item, Request, StepsView, TextView, WorldDeclaration};
 
 use super::budget::{ImageCounts, ImagePlan};
-use super::template::{Template, fill};
+use super::template::Template;
 use super::{PartContent, Prompt, PromptPart, PromptSection};
 
 /// The prompt for `request` in the words of `template`.
@@ -293,10 +294,7 @@ impl<'a> Writer<'a> {
 
     fn now(&mut self, request: &Request<'a>) {
         let texts = &self.template.now;
-        let words = self.world.state_words(&request.state);
-        let words: Vec<(&str, &str)> =
-            words.iter().map(|(name, text)| (*name, text.as_str())).collect();
-        let state = fill(&self.world.state_sentence, &words);
+        let state = self.world.sentence(&request.state);
         let feedback = self.world.feedback_sentence(request.feedback);
         self.fill(&texts.begin, &[("state", &state), ("feedback", feedback)]);
         self.view(request.frame, self.plan.now);

@@ -1,4 +1,4 @@
-//! The template's file as a struct, and the replacement of names in its texts.
+//! The template's file as a struct.
 
 use std::sync::LazyLock;
 
@@ -53,49 +53,4 @@ pub(super) fn template() -> &'static Template {
         toml::from_str(FILE).expect("the template parses")
     });
     &TEMPLATE
-}
-
-/// `text` with each `{name}` of `values` replaced. Names inside values are not replaced, and other braces stay.
-pub(super) fn fill(text: &str, values: &[(&str, &str)]) -> String {
-    let mut filled = String::with_capacity(text.len());
-    let mut rest = text;
-    while let Some(at) = rest.find('{') {
-        let (before, from_brace) = rest.split_at(at);
-        filled.push_str(before);
-        let known = values.iter().find_map(|&(name, value)| {
-            let after = from_brace[1..].strip_prefix(name)?.strip_prefix('}')?;
-            Some((value, after))
-        });
-        match known {
-            Some((value, after)) => {
-                filled.push_str(value);
-                rest = after;
-            }
-            None => {
-                filled.push('{');
-                rest = &from_brace[1..];
-            }
-        }
-    }
-    filled.push_str(rest);
-    filled
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_are_replaced_once_and_other_braces_stay() {
-        let values = [("a", "{b}"), ("b", "B")];
-        for (text, filled) in [
-            ("{a} and {b}", "{b} and B"),
-            ("{c} {a", "{c} {a"),
-            ("{{b}}", "{B}"),
-            ("é{a}é", "é{b}é"),
-            ("", ""),
-        ] {
-            assert_eq!(fill(text, &values), filled);
-        }
-    }
 }

@@ -30,7 +30,7 @@ use crate::trajectory::Trajectory;
 use crate::world::{CATALOGUE_FILE, LAYOUT_FILE, Warehouse};
 
 /// The name of this world in case books.
-pub const WORLD_NAME: &str = "warehouse";
+pub const WORLD_NAME: &str = case_book::WAREHOUSE;
 
 /// The version of its rules: what an action does, and when a task is complete.
 pub const WORLD_VERSION: &str = "1";

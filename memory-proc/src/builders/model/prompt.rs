@@ -1,5 +1,6 @@
 //! The prompts: templates in text files, and how they are filled in.
 
+use case_book::fill;
 use llm::{ChatMessage, ChatRequest, ChatRole};
 use serde::{Deserialize, Serialize};
 
@@ -75,30 +76,6 @@ impl PromptStage {
     }
 }
 
-/// Fills in a template. Braces inside a value are kept as they are.
-fn fill(template: &str, values: &[(&str, &str)]) -> String {
-    let mut filled = String::new();
-    let mut rest = template;
-    while let Some((before, after)) = rest.split_once('{') {
-        filled.push_str(before);
-        let place = after.split_once('}').and_then(|(name, after)| {
-            let (_, value) = values.iter().find(|(own, _)| *own == name)?;
-            Some((value, after))
-        });
-        match place {
-            Some((value, after)) => {
-                filled.push_str(value);
-                rest = after;
-            }
-            None => {
-                filled.push('{');
-                rest = after;
-            }
-        }
-    }
-    filled + rest
-}
-
 #[cfg(test)]
 mod tests {
     use sha2::{Digest, Sha256};
@@ -132,11 +109,5 @@ mod tests {
                 assert!(!without.contains(['{', '}', '=']) && !without.is_empty(), "{without}");
             }
         }
-    }
-
-    #[test]
-    fn unknown_placeholders_are_kept() {
-        assert_eq!(fill("{a} {b} {", &[("a", "{b}"), ("b", "2")]), "{b} 2 {");
-        assert_eq!(fill("{c}", &[("a", "1")]), "{c}");
     }
 }
