@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use case_book::{Demonstration, DemonstrationBook, ViewPlace};
+use case_book::{Demonstration, DemonstrationBook, ViewPlace, WAREHOUSE};
 use domain::{Appearance, Demonstrations, hex};
 
 use crate::sha256_of_parts;
@@ -67,6 +67,9 @@ impl Sources {
     /// frames' size, their appearance if it is not the standard one, and this program's version, which stands for how the
     /// world is drawn and how plates are read.
     ///
+    /// Of a world other than the warehouse, what it says of itself counts, too, and of demonstrations all that is in words: documents
+    /// are written from these.
+    ///
     /// Test references and other variants are left out: a document does not depend on them.
     pub fn sha256(&self, selection: Demonstrations) -> String {
         let Self { book, appearance, frame_size } = self;
@@ -85,7 +88,14 @@ impl Sources {
         if *appearance != Appearance::STANDARD {
             parts.push(appearance.to_string());
         }
+        let is_warehouse = book.world.name == WAREHOUSE;
+        if !is_warehouse {
+            parts.push(format!("{:?}", book.world));
+        }
         for of in demonstrations {
+            if !is_warehouse {
+                parts.push(format!("{:?} {:?} {:?}", of.states, of.feedback, of.sub_goals));
+            }
             parts.push(of.instruction.clone());
             parts.push(of.states[0].to_string());
             parts.push(hex(&of.actions.iter().map(|action| action.0).collect::<Vec<u8>>()));
@@ -128,6 +138,27 @@ pub(crate) mod tests {
         stocked.variants.insert(0, "other items".to_owned());
         let stocked = Sources::new(stocked, FRAME, Appearance::STANDARD);
         assert_ne!(hash, stocked.sha256(Demonstrations::ALL));
+    }
+
+    /// What is in the words of a document of another world.
+    #[test]
+    fn words_count_in_other_worlds_only() {
+        let book = book(None);
+        let hash = |change: fn(&mut DemonstrationBook), name: &str| {
+            let mut book = book.clone();
+            book.world.name = name.to_owned();
+            change(&mut book);
+            Sources::new(book, FRAME, Appearance::STANDARD).sha256(Demonstrations::ALL)
+        };
+        let changes: [fn(&mut DemonstrationBook); 3] = [
+            |book| book.world.state_sentence.push('!'),
+            |book| book.demonstrations[0].feedback.swap(0, 1),
+            |book| book.demonstrations[0].sub_goals.clear(),
+        ];
+        for change in changes {
+            assert_eq!(hash(change, WAREHOUSE), hash(|_| (), WAREHOUSE));
+            assert_ne!(hash(change, "other"), hash(|_| (), "other"));
+        }
     }
 
     #[test]

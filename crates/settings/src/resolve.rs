@@ -5,7 +5,7 @@ use std::fmt;
 
 use anyhow::{Context, Error, Result, anyhow, bail, ensure};
 use conditions::settings::{
-    Drawn, KEYS, Key, MAX_IMAGES, RunSettings, STREAM_TABLE, Scope, SuiteName,
+    DocumentSource, Drawn, KEYS, Key, MAX_IMAGES, RunSettings, STREAM_TABLE, Scope, SuiteName,
 };
 use conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
 use domain::limits::MAX_EXTERNAL_MEMORIES;
@@ -355,7 +355,7 @@ pub fn check(settings: &RunSettings) -> Result<()> {
     check_arms(settings)?;
     let conditions = settings.conditions();
     if settings.world_cmd.is_some() {
-        check_own_world(settings, &conditions)?;
+        check_own_world(settings)?;
     }
     if settings.plates == Drawn::Off {
         check_without_plates(settings.policy, &conditions)?;
@@ -426,7 +426,7 @@ fn check_arms(settings: &RunSettings) -> Result<()> {
 }
 
 /// Checks that nothing in a run in another world is of the warehouse.
-fn check_own_world(settings: &RunSettings, conditions: &[Condition]) -> Result<()> {
+fn check_own_world(settings: &RunSettings) -> Result<()> {
     ensure!(
         settings.policy != PolicyKind::Grounded,
         "--policy grounded reads the plates of the warehouse, and --world-cmd names another world: choose another --policy, \
@@ -439,6 +439,7 @@ fn check_own_world(settings: &RunSettings, conditions: &[Condition]) -> Result<(
         ("labels", settings.labels == Drawn::Off),
         ("appearance-seed", settings.appearance_seed != 0),
         ("frames swapped", settings.frames == Frames::Swapped),
+        ("documents model", matches!(settings.documents, DocumentSource::Model(_))),
         ("warm-views", settings.warm_views),
         ("adapter", settings.adapter.is_some()),
         ("backend", settings.backend.is_some()),
@@ -446,16 +447,6 @@ fn check_own_world(settings: &RunSettings, conditions: &[Condition]) -> Result<(
     if let Some((setting, _)) = of_warehouse.into_iter().find(|(_, is_given)| *is_given) {
         bail!(
             "--{setting} is about the warehouse, and --world-cmd names another world: leave one of them out"
-        );
-    }
-    let reads = |condition: &&Condition| {
-        condition.memory.describe().is_some_and(|info| !info.documents.is_empty())
-    };
-    if let Some(condition) = conditions.iter().find(reads) {
-        bail!(
-            "the documents of {} memory are built from the plates of the warehouse, and --world-cmd names another world: \
-             choose memories without documents (--memory working,full-context,episodic,adaptive)",
-            condition.memory
         );
     }
     Ok(())

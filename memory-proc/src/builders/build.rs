@@ -1,7 +1,8 @@
 //! Builds documents: reads the views of the demonstrations, which the world renders (`sim-proc views`), then writes one
 //! document after the other.
 //!
-//! A view is rendered and read once, however many demonstrations and documents contain it.
+//! A view is rendered and read once, however many demonstrations and documents contain it. In other worlds than the warehouse no view
+//! is: documents are written from the words of the book.
 
 use std::collections::{BTreeMap, HashMap};
 use std::ffi::OsString;
@@ -13,7 +14,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow};
-use case_book::{BookFile, DemonstrationBook, ViewPlace};
+use case_book::{BookFile, DemonstrationBook, ViewPlace, WAREHOUSE};
 use documents::{DocumentFile, DocumentFolder, DocumentName, Provenance, Recipe, Sources};
 use domain::{Appearance, Pose};
 use search::ContentHash;
@@ -64,11 +65,13 @@ pub fn build(
         views.extend(sources.views(name.demonstrations));
     }
     let mut progress = Progress { out, last_report: None };
-    let seen = read_views(settings, &book, &views, &mut progress)?;
-    settings
-        .wanted
-        .iter()
-        .try_for_each(|&name| write(name, settings, &sources, &seen, builder, &mut progress))
+    // Documents of other worlds are written from the book alone.
+    let is_warehouse = book.world.name == WAREHOUSE;
+    let seen = is_warehouse.then(|| read_views(settings, &book, &views, &mut progress));
+    let seen = seen.transpose()?;
+    settings.wanted.iter().try_for_each(|&name| {
+        write(name, settings, &sources, seen.as_ref(), builder, &mut progress)
+    })
 }
 
 /// Has the world render `views` and reads them.
@@ -108,8 +111,7 @@ fn read_views(
             progress.report("views", seen.len(), views.len())?;
             pixels.read_exact(&mut rgba).map_err(|_| anyhow!("{RENDERER} ended early"))?;
             let state = book.demonstrations[demonstration as usize].states[step as usize];
-            let pose =
-                Pose::try_from(state).context("documents are built of the warehouse only")?;
+            let pose = Pose::try_from(state).context("a state of the warehouse is no pose")?;
             seen.insert(view, Arc::new(read_plates(size, &rgba, pose)));
         }
         Ok::<_, anyhow::Error>(seen)
@@ -128,22 +130,33 @@ fn write(
     name: DocumentName,
     BuildSettings { documents, recipe, .. }: &BuildSettings,
     sources: &Sources,
-    seen: &HashMap<u32, Arc<FrameReading>>,
+    seen: Option<&HashMap<u32, Arc<FrameReading>>>,
     builder: &mut dyn DocumentBuilder,
     progress: &mut Progress<impl Write>,
 ) -> Result<()> {
     let DocumentName { kind, demonstrations } = name;
-    let transcripts = transcripts(sources, demonstrations, |view| seen.get(&view).cloned());
-    let transcripts = transcripts.context("a view of a demonstration was not read")?;
+    let listed = sources.demonstrations(demonstrations);
     let sources_sha256 = sources.sha256(demonstrations);
     let address = recipe.address(name, &sources_sha256);
     let path = DocumentFolder::new(documents).file(name, &address);
     let mut failure = None;
     let steps = path.with_extension("steps");
-    let built = builder.build(kind, &transcripts, &steps, &mut |done, total| {
-        let reported = progress.report("parts", done, total);
-        failure = failure.take().or(reported.err());
-    });
+    let (built, inputs_sha256) = match seen {
+        Some(seen) => {
+            let read = transcripts(sources, demonstrations, |view| seen.get(&view).cloned());
+            let read = read.context("a view of a demonstration was not read")?;
+            let built = builder.build(kind, &read, &steps, &mut |done, total| {
+                let reported = progress.report("parts", done, total);
+                failure = failure.take().or(reported.err());
+            });
+            (built, sha256(&read))
+        }
+        // The sources are all that it reads.
+        None => (
+            builder.build_of_any_world(kind, &sources.book().world, &listed),
+            sources_sha256.clone(),
+        ),
+    };
     let BuiltText { text, account } =
         built.with_context(|| format!("cannot build {}", path.display()))?;
     if let Some(error) = failure {
@@ -154,10 +167,10 @@ fn write(
         demonstrations,
         builder: recipe.builder().to_owned(),
         builder_version: recipe.version(),
-        inputs_sha256: sha256(&transcripts),
+        inputs_sha256,
         sources_sha256,
         text_sha256: String::new(),
-        trajectories: transcripts.len() as u64,
+        trajectories: listed.len() as u64,
         views: sources.views(demonstrations).len() as u64,
         account,
     };

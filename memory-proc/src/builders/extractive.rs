@@ -1,13 +1,16 @@
 //! The extractive builder: deterministic and offline. It writes only what the demonstrations contain.
+//! [`any_world`] is for worlds other than the warehouse.
 //!
 //! Its texts follow a grammar that people, models and programs can read; `docs/documents.md` states it.
 
+pub(super) mod any_world;
 mod semantic;
 mod summary;
 
 use std::path::Path;
 
 use anyhow::bail;
+use case_book::{Demonstration, WorldDeclaration};
 use documents::BuildAccount;
 use domain::DocumentKind;
 use plates::Plate;
@@ -48,6 +51,16 @@ impl DocumentBuilder for Extractive {
             }
         };
         progress(transcripts.len(), transcripts.len());
+        Ok(BuiltText { text, account: BuildAccount::default() })
+    }
+
+    fn build_of_any_world(
+        &mut self,
+        kind: DocumentKind,
+        world: &WorldDeclaration,
+        demonstrations: &[&Demonstration],
+    ) -> anyhow::Result<BuiltText> {
+        let text = any_world::text(kind, world, demonstrations)?;
         Ok(BuiltText { text, account: BuildAccount::default() })
     }
 }

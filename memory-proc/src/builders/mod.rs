@@ -17,6 +17,7 @@ mod transcript;
 
 use std::path::Path;
 
+use case_book::{Demonstration, WorldDeclaration};
 use documents::BuildAccount;
 use domain::DocumentKind;
 
@@ -39,6 +40,17 @@ pub trait DocumentBuilder {
         transcripts: &[Transcript],
         steps: &Path,
         progress: &mut dyn FnMut(usize, usize),
+    ) -> anyhow::Result<BuiltText>;
+
+    /// Writes a document from demonstrations in a world other than the warehouse, in their order.
+    ///
+    /// # Errors
+    /// When the builder writes documents of the warehouse only.
+    fn build_of_any_world(
+        &mut self,
+        kind: DocumentKind,
+        world: &WorldDeclaration,
+        demonstrations: &[&Demonstration],
     ) -> anyhow::Result<BuiltText>;
 }
 

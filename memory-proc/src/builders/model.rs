@@ -17,6 +17,7 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
+use case_book::{Demonstration, WorldDeclaration};
 use documents::{BuildAccount, ModelRecipe, PROMPT_VERSION};
 use domain::DocumentKind;
 use llm::{ChatClient, ChatReply, ReplyContent};
@@ -112,6 +113,18 @@ impl<A: AskModel> DocumentBuilder for ModelBuilder<A> {
         draft.steps.finish()?;
         let model = (!draft.models.is_empty()).then(|| draft.models.join(", "));
         Ok(BuiltText { text: text + "\n", account: BuildAccount { model, ..draft.account } })
+    }
+
+    fn build_of_any_world(
+        &mut self,
+        _: DocumentKind,
+        world: &WorldDeclaration,
+        _: &[&Demonstration],
+    ) -> anyhow::Result<BuiltText> {
+        bail!(
+            "the prompts of the builder `model` are about the warehouse, and the world is {}",
+            world.name
+        )
     }
 }
 

@@ -13,6 +13,37 @@ fn the_page_of_worlds_shows_the_corridor() {
     assert!(page.contains(&format!("```python\n{corridor}```")), "the page shows another text");
 }
 
+/// The text of a document of a run.
+fn document(bench: &Bench, out: &str, name: &str) -> String {
+    let file = bench.out(out).join("documents").join(name);
+    let document: Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
+    document["text"].as_str().unwrap().to_owned()
+}
+
+#[test]
+fn documents_of_the_corridor_are_written_in_its_words() {
+    let bench = Bench::new();
+    let script = repository("python/examples/corridor_world.py");
+    let world = format!("{} {}", needs::python().display(), script.display());
+    let mut run = bench.command(&["run", "--world-cmd", &world, "--out", "out"]);
+    run.args(words("--policy imitate --memory summary,semantic,hybrid --cases reach-7"));
+    run.args(words("--frame-size 64 --max-steps 30")).env("PYTHONPATH", repository("python"));
+    let ended = Ended::run(&mut run).expect(0);
+    assert_eq!(records(&bench.out("out")).len(), 2 * 3);
+    let summary = document(&bench, "out", "summary-original.json");
+    let semantic = document(&bench, "out", "semantic-original.json");
+    let visited = "\n## \"Walk to cell 7, then to cell 6.\"\n- start: You are in cell 2.\n- walk east 5\n\
+                   - sub-goal 1 of 2: You are in cell 7.\n- walk west\n- end: You are in cell 6.\n";
+    assert!(summary.contains(visited), "{summary}");
+    assert!(semantic.contains("- walk west, taken 2 times: cell 2 times\n"), "{semantic}");
+    // A request under hybrid memory has both, and no images of memory.
+    let bytes = (summary.len() + semantic.len()).to_string();
+    let supplied = ["Hybrid", "2.00", "0.00", &bytes];
+    let mut lines = ended.stdout.lines().map(|line| line.split_whitespace().take(4));
+    assert!(lines.any(|cells| cells.eq(supplied)), "{}", ended.stdout);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
 /// `memtransfer run` in the example world `name`, of two cases on small frames, not started yet.
 fn run(bench: &Bench, name: &str, cases: &str, line: &str) -> Command {
     let script = repository(&format!("examples/worlds/{name}/world.py"));

@@ -62,6 +62,10 @@ fn settings_that_contradict_each_other_are_refused() {
     insta::assert_snapshot!(error(&[("plates", "off"), external, ("memory", "hybrid")]), @"the documents of hybrid memory are built from the plates in frames, and with --plates off there are none: leave that out, or choose memories without documents (--memory working,full-context,episodic)");
     assert!(with(&[("plates", "off"), external, ("memory", "working,episodic")]).is_ok());
     assert!(with(&[("labels", "off"), ("appearance-seed", "7")]).is_ok());
+    let elsewhere = [("world-cmd", "w"), ("policy", "imitate"), ("memory", "summary,hybrid")];
+    assert!(with(&elsewhere).is_ok());
+    let by_model = [&elsewhere[..], &[("documents", "model")]].concat();
+    insta::assert_snapshot!(error(&by_model), @"--documents model is about the warehouse, and --world-cmd names another world: leave one of them out");
     insta::assert_snapshot!(error(&[("window", "6,20")]), @"a request under full-context/original/unchanged/original/h20 may need 61 images (the current view, 20 of the window, 40 of memory), and a prompt holds at most 50: lower --window or --keyframes");
     let long = error(&[("window", "20"), ("horizon", "30"), ("keyframes", "20")]);
     assert!(long.ends_with("lower --window, --hits or --horizon"), "{long}");

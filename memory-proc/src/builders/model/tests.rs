@@ -139,6 +139,18 @@ fn a_step_that_changes_no_pose_is_blocked_whatever_the_feedback() {
 }
 
 #[test]
+fn documents_of_other_worlds_are_refused() {
+    let ask = |_: &DocumentPrompt, _: &mut dyn FnMut()| panic!("asked");
+    let mut builder = ModelBuilder::new(ask, room_for(PromptStage::Summary, 1, 0));
+    let world = WorldDeclaration { name: "corridor".to_owned(), ..WorldDeclaration::default() };
+    let error = builder.build_of_any_world(DocumentKind::Summary, &world, &[]).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "the prompts of the builder `model` are about the warehouse, and the world is corridor"
+    );
+}
+
+#[test]
 fn each_summary_continues_the_previous_one() {
     let recipe = room_for(PromptStage::Summary, 2, 60);
     let script = |number, _: &DocumentPrompt| Ok(says(format!("# Summary {number}")));
