@@ -59,6 +59,7 @@ impl Books {
         if !ended.status.success() {
             let printed = String::from_utf8_lossy(&ended.stderr);
             let printed = printed.trim().trim_start_matches("error: ");
+            let printed = printed.trim_start_matches("memtransfer: ");
             match printed.is_empty() {
                 true => bail!("{name} book ended with {}", ended.status),
                 false => bail!("{printed}"),

@@ -134,7 +134,7 @@ fn check_request(
 ) -> Result<(), WorldFailure> {
     let lacks = [
         (request.assets.is_some(), "other assets"),
-        (request.elsewhere.is_some(), "another place in which tasks are demonstrated"),
+        (request.elsewhere.is_some(), "second place in which tasks are demonstrated"),
         (request.streams.is_some(), "streams"),
     ];
     if let Some((_, what)) = lacks.into_iter().find(|(is_asked, _)| *is_asked) {
