@@ -8,7 +8,7 @@ use shm_types::process::monotonic_ns;
 
 use super::generation::{Generation, role};
 use super::startup::{of_unknown_sender, read_handshake, unexpected};
-use super::{Failure, MEMORY_BUILD_TIMEOUT, PipelineOptions, PipelineRun};
+use super::{Failure, MEMORY_BUILD_TIMEOUT, Participant, PipelineOptions, PipelineRun};
 use crate::lanes::PendingAnswer;
 
 impl Generation {
@@ -23,8 +23,8 @@ impl Generation {
         }
         for heartbeat in self.inbox.heartbeats.drain()? {
             let Ok(role) = role(heartbeat.role) else { continue };
-            let Some(sender) = run.options.participant(role, heartbeat.external) else { continue };
-            self.vital_signs.heard(role, &heartbeat, monotonic_ns());
+            let Some(sender) = run.options.participant(role, heartbeat.index) else { continue };
+            self.vital_signs.heard(sender, &heartbeat, monotonic_ns());
             run.observer.heartbeat(sender, &heartbeat);
         }
         if let Some(exit) = self.exited(run.options) {
@@ -71,10 +71,12 @@ impl Generation {
             {
                 return Err(Failure::Retry(why));
             }
-            let (role_name, seconds) = (role.word(), waited.as_secs());
-            let overdue = format!(
-                "the {role_name} process has not answered for {seconds} s (--step-timeout)"
-            );
+            let process = match role {
+                Role::Sim => Participant::world(self.bus.attach().world_of(lane)),
+                role => role.into(),
+            };
+            let (process, seconds) = (process.in_words(), waited.as_secs());
+            let overdue = format!("{process} has not answered for {seconds} s (--step-timeout)");
             if role != Role::Policy {
                 return Err(Failure::Retry(format!("{overdue} and seems to hang")));
             }
@@ -99,7 +101,7 @@ impl Generation {
         let mut halted = None;
         for report in self.inbox.error_reports.drain()? {
             let role = role(report.role).ok();
-            let sender = role.and_then(|role| run.options.participant(role, report.external));
+            let sender = role.and_then(|role| run.options.participant(role, report.index));
             let text = read_text(&report.text, report.text_len).unwrap_or("an unreadable message");
             let what = match sender {
                 Some(sender) => format!("{sender}: {text}"),
@@ -147,7 +149,7 @@ impl Generation {
     pub(super) fn read_last_facts(&self, run: &mut PipelineRun<'_, '_>) -> Result<(), Failure> {
         for report in self.inbox.error_reports.drain()? {
             let role = role(report.role).ok();
-            let sender = role.and_then(|role| run.options.participant(role, report.external));
+            let sender = role.and_then(|role| run.options.participant(role, report.index));
             if report.kind == ErrorReportKind::Facts as u32
                 && let Some(sender) = sender.filter(|sender| sender.memory.is_none())
                 && let Ok(text) = read_text(&report.text, report.text_len)
@@ -199,8 +201,11 @@ impl Generation {
     /// The failure that a process's exit means, if one has exited.
     pub(super) fn exited(&mut self, options: &PipelineOptions) -> Option<Failure> {
         if let Some(&(sender, _)) = self.external.iter().find(|(_, watch)| watch.has_ended()) {
-            let which = sender.memory.map_or("policy".to_owned(), |name| format!("memory {name}"));
-            return Some(Failure::of(sender, format!("the external {which} has exited")));
+            let which = match sender.role {
+                Role::Policy => "the external policy".to_owned(),
+                _ => sender.in_words(),
+            };
+            return Some(Failure::of(sender, format!("{which} has exited")));
         }
         self.children.exited().map(|exit| Failure::of_exit(&exit, options))
     }
