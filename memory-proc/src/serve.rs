@@ -503,9 +503,9 @@ fn external_memories(
     Ok(ExternalMemories::new(descriptions, limits))
 }
 
-/// The number of demonstration views that fit into the frame store beside what running episodes pin: each lane's window,
-/// its current view and the one before.
+/// The number of demonstration views that fit into the frame store of any world beside what running episodes pin: each lane's
+/// window, its current view and the one before.
 pub(crate) fn room_for_views(attach: &Attach) -> usize {
-    let pinned = u64::from(attach.lanes) * (u64::from(attach.window) + 2);
+    let pinned = u64::from(attach.lanes_of_world()) * (u64::from(attach.window) + 2);
     u64::from(attach.frame_capacity).saturating_sub(pinned) as usize
 }

@@ -29,7 +29,7 @@ use shm_types::{Attach, clock};
 use supervise::{ChildExit, Children, Launch, Launcher};
 
 use crate::external_memory::ExternalMemory;
-use crate::lanes::{AnsweredRequest, FinishedEpisode, Lanes, PendingAnswer, Stamps};
+use crate::lanes::{AnsweredRequest, FinishedEpisode, Lanes, Stamps};
 use crate::plan::PlannedEpisode;
 use generation::Generation;
 use queue::{CULPRITS_IN_A_ROW, EpisodeQueue};
@@ -185,8 +185,8 @@ pub trait Observer {
     fn heartbeat(&mut self, _sender: Participant, _heartbeat: &Heartbeat) {}
     /// The policy waits for its model's server, for the reason given, or no longer.
     fn waiting_for_server(&mut self, _reason: Option<&str>) {}
-    /// The answers that are pending. Called several times a second.
-    fn pending(&mut self, _pending: &[PendingAnswer]) {}
+    /// The processes that answers are awaited from, one for each lane that waits. Called several times a second.
+    fn pending(&mut self, _awaited: &[Participant]) {}
     /// `steps` steps were taken since the last call. Called several times a second.
     fn progress(&mut self, _steps: u64) {}
     /// A problem occurred and was dealt with.

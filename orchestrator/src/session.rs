@@ -11,7 +11,7 @@ use shm_types::process::monotonic_ns;
 
 use crate::answers::{AnswerNotice, AnswerWatch};
 use crate::budget::Budget;
-use crate::lanes::{AnsweredRequest, FinishedEpisode, PendingAnswer, Stamps};
+use crate::lanes::{AnsweredRequest, FinishedEpisode, Stamps};
 use crate::machine::Machine;
 use crate::monitor::Monitor;
 use crate::pipeline::{Ending, Facts, MemoryState, Observer, Participant};
@@ -217,8 +217,8 @@ impl Observer for RunSession<'_> {
         self.monitor.waiting_for_server(reason);
     }
 
-    fn pending(&mut self, pending: &[PendingAnswer]) {
-        self.monitor.pending(pending);
+    fn pending(&mut self, awaited: &[Participant]) {
+        self.monitor.pending(awaited);
     }
 
     fn progress(&mut self, _steps: u64) {

@@ -67,7 +67,7 @@ pub struct Attach {
     pub window: u32,
     /// Size of every frame.
     pub frame: FrameSize,
-    /// Frames that may be resident at the same time (`--frame-budget`).
+    /// Frames of each world that may be resident at the same time (`--frame-budget`).
     pub frame_capacity: u32,
     /// How a process waits for work.
     pub wait: Wait,

@@ -5,10 +5,10 @@
 //! changes: iceoryx2 reuses its chunk only after the simulator has evicted it and every consumer has dropped it.
 //!
 //! # Memory
-//! Each world has a store of its own. It owns [`frame_chunks`](crate::Attach::frame_chunks) chunks. The chunk that was freed last is used first, so a
-//! run touches about as many as are in use at the same time. A chunk is free when every consumer has dropped its frame.
-//! There are more chunks than may be resident, so that the simulator need not wait for that; if a consumer falls far
-//! behind, [`FramePublisher::loan`] returns [`FrameError::NoChunk`].
+//! Each world has a store of its own, with [`frame_chunks`](crate::Attach::frame_chunks) chunks. The chunk that was freed
+//! last is used first, so a run touches about as many as are in use at the same time. A chunk is free when every consumer has
+//! dropped its frame. There are more chunks than may be resident, so that the simulator need not wait for that; if a consumer
+//! falls far behind, [`FramePublisher::loan`] returns [`FrameError::NoChunk`].
 //!
 //! # Order
 //! A frame is published before any message that names it, and evicted after every such message has been answered. So a
@@ -42,8 +42,10 @@ pub const FRAME_SERVICE: &str = "frame";
 /// The roles that receive frames.
 pub const FRAME_CONSUMERS: [Role; 3] = [Role::Memory, Role::Policy, Role::ExternalMemory];
 
-/// Bits of a frame id below the generation, and below the index of the world.
+/// Bits of a frame id below the generation.
 const ID_BITS: u32 = 40;
+
+/// Those below the index of the world.
 const NUMBER_BITS: u32 = 36;
 
 const _: () = assert!(MAX_WORLDS <= 1 << (ID_BITS - NUMBER_BITS));
@@ -217,8 +219,8 @@ impl FramePublisher {
         Ok(FrameSlot { sample, size: self.size })
     }
 
-    /// Sends a slot to all consumers as a frame and returns its id. Ids grow by one, and no world of the run uses
-    /// one again.
+    /// Sends a slot to all consumers as a frame and returns its id. Ids grow by one and are never reused within a run, by any of
+    /// its worlds.
     ///
     /// # Errors
     /// When a consumer's queue is full or a consumer other than an external memory is missing.

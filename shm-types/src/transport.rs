@@ -49,8 +49,8 @@ pub enum BusError {
     },
     /// Another living process has the role.
     #[error(
-        "another process has the place of this {} in the run: end the other one, or start this one in another run",
-        role.word()
+        "the run already has a {} process in this place, and there can be only one: end the other one, or start this one in \
+         another run", role.word()
     )]
     Taken {
         /// The role.

@@ -51,8 +51,10 @@ impl Generation {
         let now = monotonic_ns();
         // An encoder that hangs makes no progress.
         let pending = run.lanes.pending(self.vital_signs.memory_busy_ns());
-        run.observer.pending(&pending);
-        for PendingAnswer { role, lane, memory, since_ns, unusable } in pending {
+        let awaited: Vec<Participant> = pending.iter().map(|answer| self.awaited(answer)).collect();
+        run.observer.pending(&awaited);
+        for (answer, process) in pending.into_iter().zip(awaited) {
+            let PendingAnswer { role, lane, memory, since_ns, unusable } = answer;
             let timeout = match role {
                 Role::Policy => run.options.decision_timeout,
                 // The memory process has time limits for external memories, and gives up their episodes.
@@ -71,10 +73,8 @@ impl Generation {
             {
                 return Err(Failure::Retry(why));
             }
-            let process = match role {
-                Role::Sim => Participant::world(self.bus.attach().world_of(lane)),
-                role => role.into(),
-            };
+            // The memory process answers for an external memory, too.
+            let process = if process.memory.is_some() { role.into() } else { process };
             let (process, seconds) = (process.in_words(), waited.as_secs());
             let overdue = format!("{process} has not answered for {seconds} s (--step-timeout)");
             if role != Role::Policy {
@@ -94,6 +94,15 @@ impl Generation {
             run.queue.spoiled(episode, &why);
         }
         Ok(())
+    }
+
+    /// The process that an answer is awaited from.
+    fn awaited(&self, answer: &PendingAnswer) -> Participant {
+        match (answer.role, answer.memory) {
+            (Role::Sim, _) => Participant::world(self.bus.attach().world_of(answer.lane)),
+            (Role::Memory, MemoryKind::External(name)) => name.into(),
+            (role, _) => role.into(),
+        }
     }
 
     /// Handles error reports. Returns why the run has to stop early, if one says so.

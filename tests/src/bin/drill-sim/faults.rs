@@ -141,7 +141,6 @@ impl Plan {
         let Undisturbed { steps, operations, has_external_memory, .. } = scenarios[scenario];
         let processes = if has_external_memory { 5 } else { 4 };
         let lanes = 1 + below(4) as u32;
-        let worlds = 1 + below(3) as u32;
         let spare_frames = [0, 1, 4, 64][below(4) as usize];
         let of_1024 = [2, 16, 128, 1024][below(4) as usize];
         let preemption = Preemption { of_1024, until: u64::MAX };
@@ -169,6 +168,7 @@ impl Plan {
             faults.push(Fault { at: 1 + below(most + most / 3), trouble });
         }
         faults.sort_by_key(|fault| fault.at);
+        let worlds = 1 + below(3) as u32;
         Self { scenario, lanes, worlds, spare_frames, preemption, faults }
     }
 }
