@@ -14,7 +14,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION, EXTERNAL_MEMORY = 13, 4
+WIRE_VERSION, EXTERNAL_MEMORY = 14, 4
 TEXT, STEPS = 0, 1
 SEGMENT = 6
 NOT_MEASURED = 2**32 - 1
@@ -42,11 +42,11 @@ FrameHeader = struct("FrameHeader", 32, "id: u64, width: u32, height: u32, conte
 Page = struct("Page", PAGE_BYTES, "pixels: u8 x 4096")
 Eviction = struct("Eviction", 8, "frame: u64")
 Stop = struct("Stop", 8, "reserved: u64")
-Handshake = struct("Handshake", 512, """wire_version: u32, role: u32, pid: u32, facts_len: u32, external: u32,
+Handshake = struct("Handshake", 512, """wire_version: u32, role: u32, pid: u32, facts_len: u32, index: u32,
     facts: u8 x 492""")
 ErrorReport = struct("ErrorReport", 512, """episode: u64, role: u32, count: u32, kind: u32, lane: u32, text_len: u32,
-    external: u32, text: u8 x 480""")
-ShutdownReport = struct("ShutdownReport", 48, """role: u32, external: u32, frames_rendered: u64, frames_evicted: u64,
+    index: u32, text: u8 x 480""")
+ShutdownReport = struct("ShutdownReport", 48, """role: u32, index: u32, frames_rendered: u64, frames_evicted: u64,
     frames_received: u64, pixel_bytes_copied: u64, error_reports: u64""")
 BankHeader = struct("BankHeader", 32, """id: u64, demonstrations: u32, steps: u32, dimension: u32, text_bytes: u32,
     reserved: u64""")
@@ -77,20 +77,21 @@ class Run:
             raise SystemExit(f"this run speaks wire version {attach['wire_version']}, not {WIRE_VERSION}")
         self.world = json.loads((folder / "world.json").read_text())
         self.index, self.orchestrator_pid = index, attach["orchestrator_pid"]
-        externals, lanes, capacity = len(attach["external_memories"]), attach["lanes"], attach["frame_capacity"]
+        externals, worlds = len(attach["external_memories"]), attach["worlds"]
+        lanes, capacity = attach["lanes"], attach["frame_capacity"]
         config = iox2.config.default()
         config.global_cfg.prefix = iox2.FileName.new(attach["prefix"])
         config.global_cfg.root_path = iox2.Path.new(str(folder))
-        config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 16 + 4 * externals
+        config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 12 + 4 * (worlds + externals)
         self.node = iox2.NodeBuilder.new().config(config).create(iox2.ServiceType.Ipc)
-        self.generation, self.roles, self.lanes = attach["generation"], 4 + externals, lanes
+        self.generation, self.roles, self.lanes = attach["generation"], 3 + worlds + externals, lanes
         chunks = capacity + 32 + capacity // 8 + lanes + 16
         self.queues = {"lanes": 2 * lanes + 16, "frames": 2 * chunks, "few": 256}
 
         self.listener = self.events(f"external-memory-{index}").listener_builder().create()
         self.orchestrator = self.events("orchestrator").notifier_builder().create()
         self.host = self.events("memory").notifier_builder().create()
-        processes = 3 + externals
+        processes = 2 + worlds + externals
         self.handshake = self.service("handshake", Handshake, processes, 1, "few")
         self.errors = publisher(self.service("error-report", ErrorReport, processes, 1, "few"))
         self.shutdown_reports = publisher(self.service("shutdown-report", ShutdownReport, processes, 1, "few"))
@@ -100,10 +101,10 @@ class Run:
         self.episodes = subscribe(f"external-episode-{index}", ExternalEpisode, 1, 1, "lanes")
         self.queries = subscribe(f"external-query-{index}", ExternalQuery, 1, 1, "lanes")
         self.stops = subscribe("stop", Stop, 1, processes, "few")
-        self.evictions = subscribe("eviction", Eviction, 1, 2 + externals, "frames")
+        self.evictions = subscribe("eviction", Eviction, worlds, 2 + externals, "frames")
         frames = self.builder("frame").publish_subscribe(iox2.Slice[Page]).user_header(FrameHeader)
         frames = frames.payload_alignment(iox2.Alignment.new(PAGE_BYTES))
-        self.frames = create(frames, 1, 2 + externals, chunks, chunks).subscriber_builder().create()
+        self.frames = create(frames, worlds, 2 + externals, chunks, chunks).subscriber_builder().create()
         banks = self.builder(f"bank-{index}").publish_subscribe(iox2.Slice[U64]).user_header(BankHeader)
         self.banks = create(banks, 1, 1, 4 * lanes + 128, 4 * lanes + 128).subscriber_builder().create()
         notes = self.builder(f"note-{index}").publish_subscribe(iox2.Slice[U8]).user_header(NoteHeader)
@@ -159,7 +160,7 @@ class Run:
                 self.host.notify()
             if stops:
                 totals = {"frames_received": self.received, "error_reports": self.reported}
-                send(self.shutdown_reports, ShutdownReport(role=EXTERNAL_MEMORY, external=self.index, **totals))
+                send(self.shutdown_reports, ShutdownReport(role=EXTERNAL_MEMORY, index=self.index, **totals))
                 self.orchestrator.notify()
                 return
             if not Path(f"/proc/{self.orchestrator_pid}").exists():
@@ -248,7 +249,7 @@ class Run:
 
     def report(self, what):
         text, self.reported = what.encode()[:480], self.reported + 1
-        send(self.errors, ErrorReport(role=EXTERNAL_MEMORY, count=self.reported, external=self.index,
+        send(self.errors, ErrorReport(role=EXTERNAL_MEMORY, count=self.reported, index=self.index,
             text_len=len(text), text=(U8 * 480)(*text)))
         self.orchestrator.notify()
 

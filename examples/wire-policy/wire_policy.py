@@ -13,7 +13,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION = 13
+WIRE_VERSION = 14
 ROLES = ("orchestrator", "sim", "memory", "policy", "external-memory")
 POLICY = ROLES.index("policy")
 NO_ACTION, ACTED = 255, 0
@@ -47,8 +47,8 @@ DocumentHeader = struct("DocumentHeader", 24, "id: u64, episode: u64, lane: u32,
 Eviction = struct("Eviction", 8, "frame: u64")
 Stop = struct("Stop", 8, "reserved: u64")
 Handshake = struct("Handshake", 512, """wire_version: u32, role: u32, pid: u32, facts_len: u32,
-    external: u32, facts: u8 x 492""")
-ShutdownReport = struct("ShutdownReport", 48, """role: u32, external: u32, frames_rendered: u64,
+    index: u32, facts: u8 x 492""")
+ShutdownReport = struct("ShutdownReport", 48, """role: u32, index: u32, frames_rendered: u64,
     frames_evicted: u64, frames_received: u64, pixel_bytes_copied: u64, error_reports: u64""")
 PolicyEpisodeConfig = struct("PolicyEpisodeConfig", 264, """episode: u64, seed: u64, lane: u32, instruction_len: u32,
     repeat: u32, starts_as_demonstrated: u8, window: u8, demonstrated_elsewhere: u8, reserved: u8, instruction: u8 x 232""")
@@ -79,9 +79,11 @@ class Run:
         config = iox2.config.default()
         config.global_cfg.prefix = iox2.FileName.new(attach["prefix"])
         config.global_cfg.root_path = iox2.Path.new(str(folder))
-        # External memories send and receive some messages, too.
-        self.memories = len(attach.get("external_memories", ()))
-        config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 4 * (4 + self.memories)
+        # External memories send and receive some messages, too, and there may be several simulators.
+        worlds, memories = attach["worlds"], len(attach.get("external_memories", ()))
+        processes = 2 + worlds + memories
+        self.notifiers = 1 + processes
+        config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 4 * self.notifiers
         self.node = iox2.NodeBuilder.new().config(config).create(iox2.ServiceType.Ipc)
         self.generation = attach["generation"]
         lanes, capacity = attach["lanes"], attach["frame_capacity"]
@@ -90,18 +92,18 @@ class Run:
 
         self.listener = self.events("policy").listener_builder().create()
         self.orchestrator = self.events("orchestrator").notifier_builder().create()
-        self.handshake = self.service("handshake", Handshake, 3 + self.memories, 1, "few")
+        self.handshake = self.service("handshake", Handshake, processes, 1, "few")
         self.decisions = publisher(self.service("decision", Decision, 1, 1, "lanes"))
-        self.shutdown_reports = publisher(self.service("shutdown-report", ShutdownReport, 3 + self.memories, 1, "few"))
+        self.shutdown_reports = publisher(self.service("shutdown-report", ShutdownReport, processes, 1, "few"))
         subscribe = lambda *service: self.service(*service).subscriber_builder().create()
         self.configs = subscribe("policy-config", PolicyEpisodeConfig, 1, 1, "lanes")
-        self.observations = subscribe("observation", Observation, 1, 2, "lanes")
+        self.observations = subscribe("observation", Observation, worlds, 2, "lanes")
         self.recalls = subscribe("recall", Recall, 1, 1, "lanes")
-        self.stops = subscribe("stop", Stop, 1, 3 + self.memories, "few")
-        self.evictions = subscribe("eviction", Eviction, 1, 2 + self.memories, "frames")
+        self.stops = subscribe("stop", Stop, 1, processes, "few")
+        self.evictions = subscribe("eviction", Eviction, worlds, 2 + memories, "frames")
         frames = self.builder("frame").publish_subscribe(iox2.Slice[Page]).user_header(FrameHeader)
         frames = frames.payload_alignment(iox2.Alignment.new(PAGE_BYTES))
-        self.frames = create(frames, 1, 2 + self.memories, chunks, chunks).subscriber_builder().create()
+        self.frames = create(frames, worlds, 2 + memories, chunks, chunks).subscriber_builder().create()
         documents = self.builder("document").publish_subscribe(iox2.Slice[U8]).user_header(DocumentHeader)
         self.documents = create(documents, 1, 1, 1, 4 * lanes + 64).subscriber_builder().create()
 
@@ -112,9 +114,8 @@ class Run:
         return create(self.builder(name).publish_subscribe(message), senders, receivers, 1, self.queues[queue])
 
     def events(self, role):
-        notifiers = 4 + self.memories
-        events = self.builder(f"event/{role}").event().max_listeners(1).max_notifiers(notifiers)
-        return events.max_nodes(notifiers + 1).event_id_max_value(0).open_or_create()
+        events = self.builder(f"event/{role}").event().max_listeners(1).max_notifiers(self.notifiers)
+        return events.max_nodes(self.notifiers + 1).event_id_max_value(0).open_or_create()
 
     def shake_hands(self):
         facts = json.dumps({"policy": "wire-witness"}).encode()

@@ -211,12 +211,17 @@ impl<'a> MemoryServer<'a> {
         if !learned.is_empty() {
             self.ports.orchestrator.notify()?;
         }
-        let requests = self.engine.take_view_requests();
-        for request in &requests {
-            self.ports.requests.send(request)?;
+        for request in self.engine.take_view_requests() {
+            // All have the demonstrations; each keeps the views that it was asked for.
+            let world = self.bus.attach().world_of(request.demonstration);
+            let world = &mut self.ports.worlds[usize::from(world)];
+            world.requests.send(&request)?;
+            world.is_due = true;
         }
-        if !requests.is_empty() {
-            self.ports.sim.notify()?;
+        for world in &mut self.ports.worlds {
+            if std::mem::take(&mut world.is_due) {
+                world.notifier.notify()?;
+            }
         }
         let found = self.submit_images()?;
         let reported = self.send_heartbeat();
@@ -498,9 +503,9 @@ fn external_memories(
     Ok(ExternalMemories::new(descriptions, limits))
 }
 
-/// The number of demonstration views that fit into the frame store beside what running episodes pin: each lane's window,
-/// its current view and the one before.
+/// The number of demonstration views that fit into the frame store of any world beside what running episodes pin: each lane's
+/// window, its current view and the one before.
 pub(crate) fn room_for_views(attach: &Attach) -> usize {
-    let pinned = u64::from(attach.lanes) * (u64::from(attach.window) + 2);
+    let pinned = u64::from(attach.lanes_of_world()) * (u64::from(attach.window) + 2);
     u64::from(attach.frame_capacity).saturating_sub(pinned) as usize
 }

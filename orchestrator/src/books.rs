@@ -5,10 +5,11 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use case_book::{
     BookFile, BookRequest, CASE_BOOK_FILE, CaseBook, DEMONSTRATIONS_FILE, DemonstrationBook,
 };
+use conditions::{Route, Start};
 use run_log::{
     CASE_BOOK_HASH, DEMONSTRATIONS_HASH, ELSEWHERE_FILE, ELSEWHERE_HASH, STREAMS_FILE, STREAMS_HASH,
 };
@@ -66,6 +67,38 @@ impl Books {
             }
         }
         Self::read(&out).with_context(|| format!("{name} has written no case book"))
+    }
+
+    /// Those in the folder `folder`, which a world has written without knowing `request`.
+    ///
+    /// # Errors
+    /// As [`Self::read`]; also when they lack something that is asked for.
+    pub fn written_before(folder: &Path, request: &BookRequest) -> Result<Self> {
+        let books = Self::read(folder).with_context(|| {
+            format!(
+                "{} holds no case book: `your-program book --out DIR` writes one",
+                folder.display()
+            )
+        })?;
+        let world = &books.cases.book.world.declaration.name;
+        ensure!(
+            request.elsewhere.is_none() && request.streams.is_none(),
+            "a world that you start has one variant a case: no streams, and no --demos elsewhere"
+        );
+        let cases = (0..).zip(&books.cases.book.cases);
+        for (number, case) in cases.filter(|(_, case)| request.cases.contains(&case.id)) {
+            let id = &case.id;
+            if let Some(set) =
+                books.demonstrations.book.missing_set(number, &request.demonstrations)
+            {
+                bail!("case {id} of the world {world} has no demonstrations `{set}`");
+            }
+            ensure!(
+                !request.blocked || case.reference(Start::New, Route::Blocked).is_some(),
+                "case {id} of the world {world} has no blocked route"
+            );
+        }
+        Ok(books)
     }
 
     /// Those in the folder `folder`.

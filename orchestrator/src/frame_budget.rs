@@ -1,4 +1,4 @@
-//! How many frames stay in shared memory: as many as are useful and fit.
+//! How many frames of each world stay in shared memory: as many as are useful and fit.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -98,14 +98,14 @@ impl Demand {
         }
     }
 
-    /// The least number of frames that `lanes` can run with.
+    /// The least number of frames that a world with so many lanes can run with.
     pub const fn least(&self, lanes: u32) -> u32 {
         lanes * self.per_lane + self.remembered
     }
 }
 
-/// The number of frames for the run in `attach`: `given`, else the largest useful number that fits into `free` bytes
-/// of shared memory and, beyond the least, into its share of the `available` bytes of memory.
+/// The number of frames for each world of the run in `attach`: `given`, else the largest useful number that fits into its part
+/// of the `free` bytes of shared memory and, beyond the least, of the share of the `available` bytes of memory.
 ///
 /// # Errors
 /// When the least number does not fit, or `given` is below it or does not fit.
@@ -116,23 +116,25 @@ pub fn choose(
     free: u64,
     available: u64,
 ) -> Result<u32> {
-    let room = free - HEADROOM_BYTES.min(free / SHARE_LEFT);
-    let lanes = attach.lanes;
+    let worlds = u64::from(attach.worlds);
+    let room = (free - HEADROOM_BYTES.min(free / SHARE_LEFT)) / worlds;
+    let lanes = attach.lanes_of_world();
     let least = demand.least(lanes);
     let Demand { per_lane, remembered, .. } = demand;
     let least_frames = format!(
         "at least {least} frames ({lanes} lanes with {per_lane} each, {remembered} of the demonstrations)"
     );
     let free_mib = room >> 20;
+    let each = if worlds > 1 { format!(" for each of {worlds} worlds") } else { String::new() };
     let needed = bytes(attach, least);
     ensure!(
         needed <= room,
-        "the run needs {} MiB of shared memory for {least_frames}, and {free_mib} MiB of /dev/shm are usable: {}",
+        "the run needs {} MiB of shared memory for {least_frames}, and {free_mib} MiB of /dev/shm are usable{each}: {}",
         needed.div_ceil(1 << 20),
         advice(attach, demand, room)
     );
     let Some(given) = given else {
-        let room = room.min((SHARE_OF_MEMORY * available as f64) as u64);
+        let room = room.min((SHARE_OF_MEMORY * available as f64) as u64 / worlds);
         let useful = lanes * per_lane + demand.all_views.max(remembered);
         return Ok(most_within(attach, least, useful.min(MAX_FRAMES), room));
     };
@@ -143,7 +145,7 @@ pub fn choose(
     );
     ensure!(
         bytes(attach, given) <= room,
-        "--frame-budget is {given}, and {} frames fit into the {free_mib} MiB of /dev/shm that are usable: give at \
+        "--frame-budget is {given}, and {} frames fit into the {free_mib} MiB of /dev/shm that are usable{each}: give at \
          most that, or leave --frame-budget out",
         most_within(attach, least, given, room)
     );
@@ -169,6 +171,9 @@ fn most_within(attach: &Attach, least: u32, most: u32, room: u64) -> u32 {
 /// What makes the run fit into `room` bytes.
 fn advice(attach: &Attach, demand: Demand, room: u64) -> String {
     const LARGER: &str = "make it larger (in Docker with --shm-size)";
+    if attach.worlds > 1 {
+        return format!("give fewer --worlds; or {LARGER}");
+    }
     let fits = |lanes: u32, frame: FrameSize| {
         bytes(&Attach { lanes, frame, ..attach.clone() }, demand.least(lanes)) <= room
     };
@@ -220,6 +225,18 @@ mod tests {
         }
         assert_eq!(chosen(u64::MAX, u64::MAX), most);
         assert_eq!(chosen(u64::MAX, 0), least, "the least number it must have");
+    }
+
+    #[test]
+    fn worlds_share_the_room_and_the_lanes() {
+        let one = Attach { lanes: 2, ..attach() };
+        let two = Attach { lanes: 4, worlds: 2, ..attach() };
+        let (free, available) = (2_u64 << 30, 1 << 30);
+        let of_one = choose(&one, DEMAND, None, free / 2, available / 2).unwrap();
+        let of_each = choose(&two, DEMAND, None, free, available).unwrap();
+        assert!(of_each <= of_one && of_each > of_one - 10, "{of_each} of {of_one}");
+        let error = choose(&two, DEMAND, None, 1000, available).unwrap_err().to_string();
+        assert!(error.contains("usable for each of 2 worlds: give fewer --worlds"), "{error}");
     }
 
     #[test]

@@ -45,6 +45,11 @@ pub(crate) fn pipeline_options(
         launcher: Arc::new(System),
         launches: launches(settings, memories)?,
         external_policy: settings.policy == PolicyKind::External && settings.policy_cmd.is_none(),
+        external_world: match settings.world_book {
+            // Absolute: the user may start it in another folder.
+            Some(_) => Some(std::path::absolute(settings.out.join(DEMONSTRATIONS_FILE))?),
+            None => None,
+        },
         logs,
         start_timeout: Duration::from_secs(settings.start_timeout.into()),
         answer_timeout: step_timeout,
@@ -116,10 +121,12 @@ pub(crate) fn attach(
     let windows = episodes.iter().map(|episode| episode.key.condition.variation.window);
     // The expert needs no memory and no policy.
     let has_process = settings.policy.has_process();
+    let lanes = settings.lanes.min(at_once(episodes));
     let mut attach = Attach {
         participants: if has_process { Role::CHILDREN.to_vec() } else { vec![Role::Sim] },
         external_memories: memories.iter().map(|memory| memory.index).collect(),
-        lanes: settings.lanes.min(at_once(episodes)),
+        worlds: settings.worlds.min(lanes) as u8,
+        lanes,
         window: windows.max().unwrap_or(0),
         frame: FrameSize { width: settings.frame_size, height: settings.frame_size },
         wait: Wait { spin_us: settings.spin_us },
@@ -175,19 +182,20 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     ];
     renderer.extend(settings.appearance().flags().map(|(flag, value)| (flag, Some(value))));
     let serve = || vec!["serve".into()];
-    let mut sim = match settings.world_cmd.as_deref() {
-        Some(command) => {
+    let mut sim = match (settings.world_cmd.as_deref(), &settings.world_book) {
+        (Some(command), _) => {
             let mut sim = Launch::command(Role::Sim, command)?;
             sim.args.extend(serve());
-            sim.with_flags([demonstrations.clone()])
+            Some(sim.with_flags([demonstrations.clone()]))
         }
-        None => Launch::sibling(Role::Sim, "sim-proc", serve())?.with_flags(renderer),
+        (None, Some(_)) => None,
+        (None, None) => Some(Launch::sibling(Role::Sim, "sim-proc", serve())?.with_flags(renderer)),
     };
-    if settings.warm_views {
+    if let Some(sim) = sim.as_mut().filter(|_| settings.warm_views) {
         sim.args.push("--warm-views".into());
     }
     if !settings.policy.has_process() {
-        return Ok(vec![sim]);
+        return Ok(sim.into_iter().collect());
     }
     let snapshots = settings.stream.is_some().then(|| settings.out.join(SNAPSHOTS_FOLDER));
     let timeout = (!memories.is_empty()).then(|| settings.memory_timeout.to_string());
@@ -202,7 +210,7 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     if !matches_views(settings, memories) {
         memory.args.push("--no-encoder".into());
     }
-    Ok([Some(sim), Some(memory), policy_launch(settings)?].into_iter().flatten().collect())
+    Ok([sim, Some(memory), policy_launch(settings)?].into_iter().flatten().collect())
 }
 
 fn path(path: &Option<PathBuf>) -> Option<String> {

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use domain::{ExternalName, MemoryKind};
+use domain::ExternalName;
 use run_log::policy::PolicyLabel;
-use shm_types::message::{Heartbeat, Role};
+use shm_types::message::Heartbeat;
 
-use crate::lanes::{PendingAnswer, Stamps};
+use crate::lanes::Stamps;
 use crate::latency::{RecallLatencies, StepLatencies};
 use crate::pipeline::{MemoryState, Participant};
 use crate::progress::ProgressDisplay;
@@ -132,15 +132,11 @@ impl Monitor {
         self.status.processes.insert(sender.to_string(), process);
     }
 
-    /// The answers that lanes wait for.
-    pub(crate) fn pending(&mut self, pending: &[PendingAnswer]) {
+    /// The processes that lanes wait for.
+    pub(crate) fn pending(&mut self, awaited: &[Participant]) {
         self.status.waiting.clear();
-        for answer in pending {
-            let owes = match (answer.role, answer.memory) {
-                (Role::Memory, MemoryKind::External(name)) => Participant::from(name),
-                (role, _) => role.into(),
-            };
-            *self.status.waiting.entry(owes.to_string()).or_default() += 1;
+        for process in awaited {
+            *self.status.waiting.entry(process.to_string()).or_default() += 1;
         }
     }
 
@@ -204,7 +200,8 @@ impl Monitor {
 
 #[cfg(test)]
 mod tests {
-    use domain::Representation;
+    use domain::{MemoryKind, Representation};
+    use shm_types::message::Role;
 
     use super::*;
     use crate::progress::Verbosity;
@@ -218,13 +215,7 @@ mod tests {
             Monitor::new(run.path(), policy, 8, episodes, ProgressDisplay::new(Verbosity::Notes));
         monitor.updated.0 -= INTERVAL;
         monitor.stepped(&Stamps::new(1, 0, Representation::Working.into()));
-        monitor.pending(&[PendingAnswer {
-            role: Role::Sim,
-            lane: 3,
-            memory: Representation::Working.into(),
-            since_ns: 0,
-            unusable: 0,
-        }]);
+        monitor.pending(&[Participant::world(0), Participant::world(1), Participant::world(1)]);
         monitor.heartbeat(Role::Sim.into(), &Heartbeat { held: 7, ..bytemuck::Zeroable::zeroed() });
         let name: ExternalName = "top-3".parse().unwrap();
         monitor.memory_state(name, &MemoryState::Failed(2));
@@ -238,6 +229,7 @@ mod tests {
         let status = LiveStatus::read(run.path()).unwrap().unwrap();
         assert_eq!((status.episodes.done(), status.steps, status.lanes), (41, 2, 8));
         assert_eq!((status.waiting["sim"], status.processes["sim"].held), (1, 7));
+        assert_eq!(status.waiting["sim 1"], 2);
         assert_eq!(status.stages.len(), 2 * (run_log::Stages::NAMES.len() + 1));
         let memory = &status.memories[0];
         assert_eq!((memory.name, memory.state.as_str()), (name, "failed 2 times, started again"));

@@ -17,7 +17,7 @@ mod vital_signs;
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -29,7 +29,7 @@ use shm_types::{Attach, clock};
 use supervise::{ChildExit, Children, Launch, Launcher};
 
 use crate::external_memory::ExternalMemory;
-use crate::lanes::{AnsweredRequest, FinishedEpisode, Lanes, PendingAnswer, Stamps};
+use crate::lanes::{AnsweredRequest, FinishedEpisode, Lanes, Stamps};
 use crate::plan::PlannedEpisode;
 use generation::Generation;
 use queue::{CULPRITS_IN_A_ROW, EpisodeQueue};
@@ -55,6 +55,8 @@ pub struct PipelineOptions {
     pub launches: Vec<Launch>,
     /// Whether the policy is started by someone else, at any time.
     pub external_policy: bool,
+    /// For worlds that are started by someone else, at any time: the file of the demonstrations that they need.
+    pub external_world: Option<PathBuf>,
     /// Folder of the processes' logs.
     pub logs: PathBuf,
     /// Time limit for a process to get ready.
@@ -77,10 +79,11 @@ impl PipelineOptions {
         self.memories.iter().find(|memory| u32::from(memory.index) == index)
     }
 
-    /// The process with this role and, for an external memory, this index.
+    /// The process with this role and, for a world or an external memory, this index.
     fn participant(&self, role: Role, index: u32) -> Option<Participant> {
         match role {
             Role::ExternalMemory => self.memory(index).map(|memory| memory.name.into()),
+            Role::Sim => u8::try_from(index).ok().map(Participant::world),
             role => Some(role.into()),
         }
     }
@@ -93,36 +96,45 @@ pub struct Participant {
     pub role: Role,
     /// The name of an external memory.
     pub memory: Option<ExternalName>,
+    /// The index of a world; otherwise 0.
+    pub world: u8,
 }
 
 impl From<Role> for Participant {
     fn from(role: Role) -> Self {
-        Self { role, memory: None }
+        Self { role, memory: None, world: 0 }
     }
 }
 
 impl From<ExternalName> for Participant {
     fn from(name: ExternalName) -> Self {
-        Self { role: Role::ExternalMemory, memory: Some(name) }
+        Self { role: Role::ExternalMemory, memory: Some(name), world: 0 }
     }
 }
 
 impl fmt::Display for Participant {
-    /// The role; after it the name of an external memory.
+    /// The role; after it the name of an external memory, or the index of a world after the first.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.memory {
-            None => f.pad(self.role.word()),
-            Some(name) => f.pad(&format!("{} {name}", self.role.word())),
+        match (self.memory, self.world) {
+            (None, 0) => f.pad(self.role.word()),
+            (None, index) => f.pad(&format!("{} {index}", self.role.word())),
+            (Some(name), _) => f.pad(&format!("{} {name}", self.role.word())),
         }
     }
 }
 
 impl Participant {
-    /// As it is called in a sentence: `the policy process`, `the external memory top-3`.
+    /// The world with this index.
+    pub const fn world(index: u8) -> Self {
+        Self { role: Role::Sim, memory: None, world: index }
+    }
+
+    /// As it is called in a sentence: `the policy process`, `the sim process 2`, `the external memory top-3`.
     fn in_words(&self) -> String {
-        match self.memory {
-            None => format!("the {} process", self.role.word()),
-            Some(name) => format!("the external memory {name}"),
+        match (self.memory, self.world) {
+            (None, 0) => format!("the {} process", self.role.word()),
+            (None, index) => format!("the {} process {index}", self.role.word()),
+            (Some(name), _) => format!("the external memory {name}"),
         }
     }
 }
@@ -145,10 +157,8 @@ pub type Facts = BTreeMap<String, String>;
 pub trait Observer {
     /// Processes are being started.
     fn starting(&mut self, _generation: u32) {}
-    /// All are ready but the policy, which is started by someone else and has to attach to the run in `folder`.
-    fn awaiting_policy(&mut self, _folder: &Path) {}
-    /// All are ready but an external memory, which is started by someone else.
-    fn awaiting_memory(&mut self, _name: ExternalName) {}
+    /// All are ready but those that are started by someone else. One of them is `process`, and `command` is how.
+    fn awaiting(&mut self, _process: Participant, _command: &str) {}
     /// Something happened to an external memory.
     fn memory_state(&mut self, _name: ExternalName, _state: &MemoryState) -> Result<()> {
         Ok(())
@@ -175,8 +185,8 @@ pub trait Observer {
     fn heartbeat(&mut self, _sender: Participant, _heartbeat: &Heartbeat) {}
     /// The policy waits for its model's server, for the reason given, or no longer.
     fn waiting_for_server(&mut self, _reason: Option<&str>) {}
-    /// The answers that are pending. Called several times a second.
-    fn pending(&mut self, _pending: &[PendingAnswer]) {}
+    /// The processes that answers are awaited from, one for each lane that waits. Called several times a second.
+    fn pending(&mut self, _awaited: &[Participant]) {}
     /// `steps` steps were taken since the last call. Called several times a second.
     fn progress(&mut self, _steps: u64) {}
     /// A problem occurred and was dealt with.

@@ -25,8 +25,15 @@ impl SelectedCases {
     /// # Errors
     /// When assets cannot be used, there is no such case or bank, or no streams can be drawn.
     pub fn of(settings: &RunSettings) -> Result<Self> {
-        let command = settings.world_cmd.as_deref();
-        Self::written_by(|request| Books::of_world(command, request), settings)
+        match &settings.world_book {
+            Some(folder) => {
+                Self::written_by(|request| Books::written_before(folder, request), settings)
+            }
+            None => {
+                let command = settings.world_cmd.as_deref();
+                Self::written_by(|request| Books::of_world(command, request), settings)
+            }
+        }
     }
 
     /// What `settings` select of books that `write` writes.

@@ -2,18 +2,16 @@
 //! to the monitor.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use anyhow::Result;
 use domain::{ExternalName, Outcome, Reasoning};
 use run_log::{EpisodeError, EpisodeTimings, RequestRecord, RunFolder, SessionEvent};
-use shm_types::ATTACH_VARIABLE;
 use shm_types::message::{Heartbeat, Role, ShutdownReport, read_text};
 use shm_types::process::monotonic_ns;
 
 use crate::answers::{AnswerNotice, AnswerWatch};
 use crate::budget::Budget;
-use crate::lanes::{AnsweredRequest, FinishedEpisode, PendingAnswer, Stamps};
+use crate::lanes::{AnsweredRequest, FinishedEpisode, Stamps};
 use crate::machine::Machine;
 use crate::monitor::Monitor;
 use crate::pipeline::{Ending, Facts, MemoryState, Observer, Participant};
@@ -96,16 +94,6 @@ impl<'a> RunSession<'a> {
         let (finished, reason) = (self.finished, reason.to_owned());
         Ok(self.folder.note(SessionEvent::Ended { finished, errors, reason, shutdown_reports })?)
     }
-
-    /// The run waits for a process that the user starts.
-    fn awaiting(&mut self, what: &str) {
-        self.monitor.phase(&format!("waiting for {what} to attach"));
-        if self.generation > 1 {
-            // It may have joined this generation by itself, or have ended.
-            self.monitor
-                .note(&format!("Waiting for {what} to attach: start it again if it has ended"));
-        }
-    }
 }
 
 impl Observer for RunSession<'_> {
@@ -120,18 +108,21 @@ impl Observer for RunSession<'_> {
         self.monitor.phase("starting the processes");
     }
 
-    fn awaiting_policy(&mut self, folder: &Path) {
-        if self.generation == 1 {
-            self.monitor.note(&format!(
-                "Start your policy, now or later:\n  {ATTACH_VARIABLE}={} your-program",
-                folder.display()
-            ));
+    fn awaiting(&mut self, process: Participant, command: &str) {
+        let what = match (process.role, process.memory) {
+            (_, Some(name)) => format!("the memory {name}"),
+            (Role::Sim, None) => "a world".to_owned(),
+            (_, None) => format!("a {}", process.role.word()),
+        };
+        self.monitor.phase(&format!("waiting for {what} to attach"));
+        if self.generation > 1 {
+            // It may have joined this generation by itself, or have ended.
+            self.monitor
+                .note(&format!("Waiting for {what} to attach: start it again if it has ended"));
+        } else if let Some(yours) = what.strip_prefix("a ") {
+            // A memory was started before the run.
+            self.monitor.note(&format!("Start your {yours}, now or later:\n  {command}"));
         }
-        self.awaiting("a policy");
-    }
-
-    fn awaiting_memory(&mut self, name: ExternalName) {
-        self.awaiting(&format!("the memory {name}"));
     }
 
     fn memory_state(&mut self, name: ExternalName, state: &MemoryState) -> Result<()> {
@@ -226,8 +217,8 @@ impl Observer for RunSession<'_> {
         self.monitor.waiting_for_server(reason);
     }
 
-    fn pending(&mut self, pending: &[PendingAnswer]) {
-        self.monitor.pending(pending);
+    fn pending(&mut self, awaited: &[Participant]) {
+        self.monitor.pending(awaited);
     }
 
     fn progress(&mut self, _steps: u64) {

@@ -14,13 +14,16 @@ use serde::{Deserialize, Serialize};
 
 pub use domain::limits::MAX_FRAMES;
 
-use crate::message::{MAX_EXTERNAL_MEMORIES, MAX_WINDOW, Role, Traffic, WIRE_VERSION};
+use crate::message::{MAX_EXTERNAL_MEMORIES, MAX_WINDOW, MAX_WORLDS, Role, Traffic, WIRE_VERSION};
 
 /// Name of the file in a run's folder.
 pub const ATTACH_FILE: &str = "attach.json";
 
 /// The environment variable that names the run's folder to an external program.
 pub const ATTACH_VARIABLE: &str = "MEMTRANSFER_ATTACH";
+
+/// The environment variable that tells a world its index among the worlds of a run; without it, it is the first.
+pub const WORLD_INDEX_VARIABLE: &str = "MEMTRANSFER_WORLD_INDEX";
 
 /// Bytes of a page of shared memory; a frame is a whole number of pages.
 pub const PAGE_BYTES: usize = 4096;
@@ -53,6 +56,8 @@ pub struct Attach {
     pub orchestrator_pid: u32,
     /// The roles that take part beside the orchestrator. Senders wait for the receivers of these roles.
     pub participants: Vec<Role>,
+    /// World processes, at most as many as lanes; each has a frame store of its own.
+    pub worlds: u8,
     /// The indices of the external memories that take part.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub external_memories: Vec<u8>,
@@ -62,7 +67,7 @@ pub struct Attach {
     pub window: u32,
     /// Size of every frame.
     pub frame: FrameSize,
-    /// Frames that may be resident at the same time (`--frame-budget`).
+    /// Frames of each world that may be resident at the same time (`--frame-budget`).
     pub frame_capacity: u32,
     /// How a process waits for work.
     pub wait: Wait,
@@ -200,6 +205,7 @@ impl Attach {
             generation: 1,
             orchestrator_pid: std::process::id(),
             participants: Role::CHILDREN.to_vec(),
+            worlds: 1,
             external_memories: Vec::new(),
             lanes: 1,
             window: DEFAULT_WINDOW,
@@ -259,9 +265,20 @@ impl Attach {
         }
     }
 
+    /// The index of the world that the lane, or the demonstration, with this number belongs to.
+    pub fn world_of(&self, number: u32) -> u8 {
+        (number % u32::from(self.worlds)) as u8
+    }
+
+    /// The most lanes that a world has.
+    pub fn lanes_of_world(&self) -> u32 {
+        self.lanes.div_ceil(self.worlds.into())
+    }
+
     /// The most processes with one of `roles` that can take part in the run.
     pub(crate) fn places(&self, roles: &[Role]) -> usize {
         let places = |role: &Role| match role {
+            Role::Sim => self.worlds.into(),
             Role::ExternalMemory => self.external_memories.len(),
             _ => 1,
         };
@@ -273,7 +290,8 @@ impl Attach {
         let processes = |role: &Role| match role {
             Role::Orchestrator => 1,
             Role::ExternalMemory => self.external_memories.len(),
-            role => usize::from(self.participants.contains(role)),
+            role if !self.participants.contains(role) => 0,
+            role => self.places(&[*role]),
         };
         roles.iter().map(processes).sum()
     }
@@ -305,6 +323,10 @@ impl Attach {
         }
         if !(1..=MAX_LANES).contains(&self.lanes) {
             return value("lanes", &self.lanes, format!("1 to {MAX_LANES}"));
+        }
+        let most = self.lanes.min(MAX_WORLDS as u32);
+        if !(1..=most).contains(&self.worlds.into()) {
+            return value("worlds", &self.worlds, format!("1 to {most}, and at most the lanes"));
         }
         let most = MAX_WINDOW as u32;
         if self.window > most {
@@ -343,7 +365,7 @@ impl Attach {
         Ok(())
     }
 
-    /// Chunks of the frame store, one frame each: frames that are resident, that renderers fill, and that are evicted
+    /// Chunks of a world's frame store, one frame each: frames that are resident, that renderers fill, and that are evicted
     /// but still pinned by a consumer. Shared memory never holds more.
     pub const fn frame_chunks(&self) -> u32 {
         self.frame_capacity + MAX_LOANED_FRAMES + self.spare_frames()
@@ -363,7 +385,7 @@ impl Attach {
         }
     }
 
-    /// Maximum number of bytes of shared memory that the run can use: every chunk of the frame store with a page of
+    /// Maximum number of bytes of shared memory that a world of the run can use: every chunk of its frame store with a page of
     /// headers each, and an allowance for messages.
     pub const fn shared_memory_bytes(&self) -> u64 {
         let chunk = (self.frame.pages() + 1) * PAGE_BYTES;
@@ -402,6 +424,7 @@ mod tests {
             generation: 3,
             orchestrator_pid: 17,
             participants: vec![Role::Sim],
+            worlds: 3,
             external_memories: vec![0, 2],
             lanes: 8,
             frame_capacity: 100,
@@ -442,6 +465,7 @@ mod tests {
             ("\"window\": 6", "\"window\": 33", "window is 33, but must be 0 to 32"),
             ("448", "450", "frame.width is 450, but must be a multiple of 64 up to 4096"),
             ("mt0_", "mt/../", "prefix is mt/../, but must be \"mt\" and up to 14"),
+            ("\"worlds\": 3", "\"worlds\": 9", "worlds is 9, but must be 1 to 8"),
             ("100", "0", "frame_capacity is 0, but must be 1 to"),
             ("\"spin_us\": 20", "\"spin_us\": 2000000", "wait.spin_us is 2000000"),
             ("\"lanes\"", "\"lance\"", "FILE: missing field `lanes`"),

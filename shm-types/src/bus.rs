@@ -42,7 +42,7 @@ use crate::transport::{Ipc, config, delivered, service_name};
 /// Time between two looks at whether all receivers exist.
 const TIME_BETWEEN_LOOKS: Duration = Duration::from_millis(1);
 
-/// A service, and the index of the external memory at its other end, or 0.
+/// A service, and the index of the world or external memory at its other end, or 0.
 type PortKey = (&'static str, u8);
 
 /// A process's membership in a run.
@@ -50,14 +50,14 @@ type PortKey = (&'static str, u8);
 pub struct Bus {
     attach: Attach,
     role: Role,
-    /// Index of an external memory; otherwise 0.
+    /// Index of a world or an external memory; otherwise 0.
     index: u8,
     listener: Listener,
     /// The senders created so far.
     ports: Mutex<HashMap<PortKey, Arc<dyn Any + Send + Sync>>>,
     receivers: Arc<AllReceivers>,
     node: Node<Ipc>,
-    /// Without an owner of the run, a policy or external memory would wait for ever for a segment that a killed process left
+    /// Without an owner of the run, a process that the user started would wait for ever for a segment that a killed process left
     /// without a size; `None` in other roles, which end with the owner.
     _sweeper: Option<Sweeper>,
     /// Locked while the process takes part, so that no cleaner removes the run. The last field: it is dropped
@@ -75,16 +75,19 @@ impl Bus {
         Self::join_as(attach, role, 0)
     }
 
-    /// As [`Self::join`], for the external memory with this index.
+    /// As [`Self::join`], for the world or external memory with this index.
     ///
     /// # Errors
-    /// As [`Self::join`].
-    pub fn join_external_memory(attach: Attach, index: u8) -> Result<Self, BusError> {
-        Self::join_as(attach, Role::ExternalMemory, index)
-    }
-
-    fn join_as(attach: Attach, role: Role, index: u8) -> Result<Self, BusError> {
+    /// As [`Self::join`], and when the run has none with this index.
+    pub fn join_as(attach: Attach, role: Role, index: u8) -> Result<Self, BusError> {
         attach.check()?;
+        if role == Role::Sim && index >= attach.worlds {
+            return Err(BusError::from(AttachError::Value {
+                field: "worlds",
+                value: attach.worlds.to_string(),
+                expected: format!("more than {index}, the index of this world"),
+            }));
+        }
         if role == Role::ExternalMemory && !attach.external_memories.contains(&index) {
             return Err(BusError::from(AttachError::Value {
                 field: "external_memories",
@@ -97,7 +100,7 @@ impl Bus {
             BusError::Membership { path, cause }
         };
         let membership = registry::lock_shared(&attach.root).map_err(not_a_member)?;
-        let outlives_owner = matches!(role, Role::Policy | Role::ExternalMemory);
+        let outlives_owner = matches!(role, Role::Sim | Role::Policy | Role::ExternalMemory);
         let sweeper = (outlives_owner && !clock::is_simulated()).then(|| {
             // Beside an owner that cannot be watched it does no harm.
             Sweeper::start(attach.root.clone(), ProcessWatch::new(attach.orchestrator_pid).ok())
@@ -142,7 +145,7 @@ impl Bus {
         self.role
     }
 
-    /// The index of an external memory; 0 for other roles.
+    /// The index of a world or an external memory; 0 for other roles.
     pub fn index(&self) -> u8 {
         self.index
     }
@@ -153,20 +156,20 @@ impl Bus {
         &self.listener
     }
 
-    /// A notifier for a neighbour, or for this process itself.
+    /// A notifier for this process itself, or for the first neighbour with the role `of`.
     ///
     /// # Errors
     /// When the service cannot be opened.
     pub fn notifier(&self, of: Role) -> Result<Notifier, BusError> {
-        Notifier::new(&self.node, &self.attach, (of, self.index))
+        self.notifier_of(of, if of == self.role { self.index } else { 0 })
     }
 
-    /// A notifier for an external memory.
+    /// A notifier for the world or external memory with this index.
     ///
     /// # Errors
     /// When the service cannot be opened.
-    pub fn external_memory_notifier(&self, index: u8) -> Result<Notifier, BusError> {
-        Notifier::new(&self.node, &self.attach, (Role::ExternalMemory, index))
+    pub fn notifier_of(&self, role: Role, index: u8) -> Result<Notifier, BusError> {
+        Notifier::new(&self.node, &self.attach, (role, index))
     }
 
     /// The sender of `M`; every call returns the same one.
@@ -177,7 +180,7 @@ impl Bus {
         self.sender_to(self.index)
     }
 
-    /// The sender of `M` to an external memory.
+    /// The sender of `M` to a world or an external memory.
     ///
     /// # Errors
     /// As [`Self::sender`].

@@ -13,7 +13,7 @@ use rustix::time::{ClockId, clock_gettime};
 
 use crate::message::Role;
 
-/// The process whose listener waits: its role and, for an external memory, its index.
+/// The process whose listener waits: its role and, for a world or an external memory, its index.
 pub type Waiter = (Role, u8);
 
 /// Takes the place of the operating system's clock and scheduler for some threads of this program.

@@ -10,7 +10,7 @@ use crate::message::{ErrorReport, ErrorReportKind, Role, write_text};
 pub struct ErrorReporter {
     sender: Sender<ErrorReport>,
     role: Role,
-    external: u32,
+    index: u32,
     count: u32,
 }
 
@@ -20,7 +20,7 @@ impl ErrorReporter {
     /// # Errors
     /// When the service cannot be opened.
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
-        Ok(Self { sender: bus.sender()?, role: bus.role(), external: bus.index().into(), count: 0 })
+        Ok(Self { sender: bus.sender()?, role: bus.role(), index: bus.index().into(), count: 0 })
     }
 
     /// Reports a message that could not be used: what is wrong, the value, and what was expected. Notify the
@@ -109,7 +109,7 @@ impl ErrorReporter {
     fn filled_in(&self, kind: ErrorReportKind, text: &str) -> ErrorReport {
         let mut error_report = ErrorReport {
             role: self.role as u32,
-            external: self.external,
+            index: self.index,
             count: self.count,
             kind: kind as u32,
             ..Zeroable::zeroed()

@@ -144,9 +144,9 @@ fn service(
     (of, index): Waiter,
 ) -> Result<PortFactory<Ipc>, BusError> {
     let roles = attach.places(&Role::ALL);
-    let name = match of {
-        Role::ExternalMemory => format!("event/{}-{index}", of.word()),
-        _ => format!("event/{}", of.word()),
+    let name = match of.has_index() {
+        true => format!("event/{}-{index}", of.word()),
+        false => format!("event/{}", of.word()),
     };
     node.service_builder(&service_name(attach, &name)?)
         .event()

@@ -5,10 +5,10 @@
 //! changes: iceoryx2 reuses its chunk only after the simulator has evicted it and every consumer has dropped it.
 //!
 //! # Memory
-//! The store owns [`frame_chunks`](crate::Attach::frame_chunks) chunks. The chunk that was freed last is used first, so a
-//! run touches about as many as are in use at the same time. A chunk is free when every consumer has dropped its frame.
-//! There are more chunks than may be resident, so that the simulator need not wait for that; if a consumer falls far
-//! behind, [`FramePublisher::loan`] returns [`FrameError::NoChunk`].
+//! Each world has a store of its own, with [`frame_chunks`](crate::Attach::frame_chunks) chunks. The chunk that was freed
+//! last is used first, so a run touches about as many as are in use at the same time. A chunk is free when every consumer has
+//! dropped its frame. There are more chunks than may be resident, so that the simulator need not wait for that; if a consumer
+//! falls far behind, [`FramePublisher::loan`] returns [`FrameError::NoChunk`].
 //!
 //! # Order
 //! A frame is published before any message that names it, and evicted after every such message has been answered. So a
@@ -33,7 +33,7 @@ use rustc_hash::FxHashMap;
 use crate::attach::{FrameSize, MAX_LOANED_FRAMES, PAGE_BYTES};
 use crate::bus::{Bus, Receiver};
 use crate::layout::{Field, Struct, WireLayout, WireType, wire_struct};
-use crate::message::{Eviction, FrameId, NO_FRAME, Role};
+use crate::message::{Eviction, FrameId, MAX_WORLDS, NO_FRAME, Role};
 use crate::transport::{BusError, Ipc, delivered, receiver};
 
 /// Last part of the name of the service that carries frames.
@@ -44,6 +44,11 @@ pub const FRAME_CONSUMERS: [Role; 3] = [Role::Memory, Role::Policy, Role::Extern
 
 /// Bits of a frame id below the generation.
 const ID_BITS: u32 = 40;
+
+/// Those below the index of the world.
+const NUMBER_BITS: u32 = 36;
+
+const _: () = assert!(MAX_WORLDS <= 1 << (ID_BITS - NUMBER_BITS));
 
 /// A page of a frame, aligned so that a graphics device can write into it.
 #[derive(Debug, Clone, Copy, Pod, Zeroable, ZeroCopySend)]
@@ -130,15 +135,16 @@ pub enum FrameError {
 
 fn service(bus: &Bus) -> Result<PortFactory<Ipc, [Page], FrameHeader>, BusError> {
     let chunks = bus.attach().frame_chunks() as usize;
-    let consumers = bus.attach().places(&FRAME_CONSUMERS);
+    let (worlds, consumers): (usize, usize) =
+        (bus.attach().worlds.into(), bus.attach().places(&FRAME_CONSUMERS));
     bus.builder(FRAME_SERVICE)?
         .publish_subscribe::<[Page]>()
         .user_header::<FrameHeader>()
         .enable_safe_overflow(false)
         .history_size(0)
-        .max_publishers(1)
+        .max_publishers(worlds)
         .max_subscribers(consumers)
-        .max_nodes(1 + consumers)
+        .max_nodes(worlds + consumers)
         .subscriber_max_borrowed_samples(chunks)
         .subscriber_max_buffer_size(chunks)
         .open_or_create()
@@ -152,8 +158,8 @@ pub struct FramePublisher {
     service: PortFactory<Ipc, [Page], FrameHeader>,
     size: FrameSize,
     chunks: u32,
-    generation: u32,
-    published: u64,
+    /// The id of the last frame.
+    last_id: FrameId,
     consumers: usize,
     /// Consumers without which a frame is not delivered.
     required: usize,
@@ -182,8 +188,8 @@ impl FramePublisher {
             service,
             size: attach.frame,
             chunks,
-            generation: attach.generation,
-            published: 0,
+            last_id: (u64::from(attach.generation) << ID_BITS)
+                | (u64::from(bus.index()) << NUMBER_BITS),
             consumers: attach.count(&FRAME_CONSUMERS),
             required: attach.count_required(&FRAME_CONSUMERS),
         })
@@ -213,7 +219,8 @@ impl FramePublisher {
         Ok(FrameSlot { sample, size: self.size })
     }
 
-    /// Sends a slot to all consumers as a frame and returns its id. Ids grow by one and are never reused within a run.
+    /// Sends a slot to all consumers as a frame and returns its id. Ids grow by one and are never reused within a run, by any of
+    /// its worlds.
     ///
     /// # Errors
     /// When a consumer's queue is full or a consumer other than an external memory is missing.
@@ -223,8 +230,8 @@ impl FramePublisher {
         content_hash: [u8; 16],
     ) -> Result<FrameId, FrameError> {
         let FrameSlot { mut sample, size: FrameSize { width, height } } = slot;
-        self.published += 1;
-        let id = (u64::from(self.generation) << ID_BITS) | self.published;
+        self.last_id += 1;
+        let id = self.last_id;
         *sample.user_header_mut() = FrameHeader { id, width, height, content_hash };
         delivered(FRAME_SERVICE, self.required, sample.send())?;
         Ok(id)

@@ -14,7 +14,7 @@ pub const INTERVAL: Duration = Duration::from_secs(1);
 pub struct Heartbeats {
     sender: Sender<Heartbeat>,
     role: Role,
-    external: u32,
+    index: u32,
     sent: Instant,
 }
 
@@ -24,8 +24,8 @@ impl Heartbeats {
     /// # Errors
     /// When the service cannot be opened.
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
-        let (sender, role, external) = (bus.sender()?, bus.role(), bus.index().into());
-        Ok(Self { sender, role, external, sent: Instant::now() })
+        let (sender, role, index) = (bus.sender()?, bus.role(), bus.index().into());
+        Ok(Self { sender, role, index, sent: Instant::now() })
     }
 
     /// Sends `heartbeat` (the role is filled in) if the last one was sent a second ago.
@@ -37,8 +37,8 @@ impl Heartbeats {
             return false;
         }
         self.sent = Instant::now();
-        let (role, external) = (self.role as u32, self.external);
-        let heartbeat = Heartbeat { role, external, ..heartbeat() };
+        let (role, index) = (self.role as u32, self.index);
+        let heartbeat = Heartbeat { role, index, ..heartbeat() };
         if let Err(error) = self.sender.send(&heartbeat) {
             tracing::debug!(%error, "the heartbeat was not delivered");
         }

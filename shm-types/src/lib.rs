@@ -34,7 +34,9 @@ pub mod registry;
 pub mod spans;
 mod transport;
 
-pub use attach::{ATTACH_VARIABLE, Attach, AttachError, FrameControl, FrameSize, Wait};
+pub use attach::{
+    ATTACH_VARIABLE, Attach, AttachError, FrameControl, FrameSize, WORLD_INDEX_VARIABLE, Wait,
+};
 pub use banks::{Bank, BankContent, BankPublisher, BankReceiver};
 pub use bus::{Bus, BusError, HandshakeReceiver, PortedMessage, Receiver, Sender};
 pub use description::MemoryDescription;

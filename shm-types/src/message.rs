@@ -23,14 +23,14 @@ pub use codes::{
     ViewRequestKind, action_code, read_action, read_flag,
 };
 pub use counts::DecisionCounts;
-pub use domain::limits::{MAX_EXTERNAL_MEMORIES, MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW};
+pub use domain::limits::{MAX_EXTERNAL_MEMORIES, MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW, MAX_WORLDS};
 pub use domain::{MAX_ACTIONS, MAX_STATE};
 pub use parts::*;
 pub use route::{Description, Message, Traffic};
 pub use text::{MAX_REASON_BYTES, read_text, shortened_reason, write_text};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 13;
+pub const WIRE_VERSION: u32 = 14;
 
 /// Most demonstration steps that a [`Recall`] holds itself. A longer item is a document.
 pub const MAX_STEPS: usize = 48;
@@ -579,8 +579,8 @@ macro_rules! message_table {
         [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
         /// Code of the sender's [`Role`].
         role: u32,
-        /// Index of an external memory; 0 for other roles.
-        external: u32,
+        /// Index of a world or an external memory; 0 for other roles.
+        index: u32,
         /// Work done since the sender started: views rendered, images embedded, requests answered.
         done: u64,
         /// Work that waits: views to render, images to embed, requests to answer.
@@ -658,8 +658,8 @@ macro_rules! message_table {
         pid: u32,
         /// Bytes of `facts` in use.
         facts_len: u32,
-        /// Index of an external memory; 0 for other roles.
-        external: u32,
+        /// Index of a world or an external memory; 0 for other roles.
+        index: u32,
         /// A JSON object of strings for the manifest: adapter, frame path, encoder, policy, ...
         facts: [u8; 492],
     }
@@ -679,8 +679,8 @@ macro_rules! message_table {
         lane: u32,
         /// Bytes of `text` in use.
         text_len: u32,
-        /// Index of an external memory; 0 for other roles.
-        external: u32,
+        /// Index of a world or an external memory; 0 for other roles.
+        index: u32,
         /// What is wrong, the value, and what was expected; UTF-8.
         text: [u8; 480],
     }
@@ -690,8 +690,8 @@ macro_rules! message_table {
         [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
         /// Code of the sender's [`Role`].
         role: u32,
-        /// Index of an external memory; 0 for other roles.
-        external: u32,
+        /// Index of a world or an external memory; 0 for other roles.
+        index: u32,
         /// Frames rendered into the store (simulator only).
         frames_rendered: u64,
         /// Frames evicted from the store (simulator only).

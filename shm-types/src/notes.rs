@@ -31,6 +31,9 @@ pub struct NoteTooLong {
     pub bytes: usize,
 }
 
+/// Bits of a note's id below the index of its sender.
+const INDEX_SHIFT: u32 = 56;
+
 /// Bytes of a note for which shared memory is reserved from the start.
 const INITIAL_BYTES: usize = 4 << 10;
 
@@ -49,14 +52,15 @@ wire_struct! {
 }
 
 fn service(bus: &Bus, name: &str) -> Result<PortFactory<Ipc, [u8], NoteHeader>, BusError> {
+    let publishers = if name == FACTS_SERVICE { bus.attach().worlds.into() } else { 1 };
     bus.builder(name)?
         .publish_subscribe::<[u8]>()
         .user_header::<NoteHeader>()
         .enable_safe_overflow(false)
         .history_size(0)
-        .max_publishers(1)
+        .max_publishers(publishers)
         .max_subscribers(1)
-        .max_nodes(2)
+        .max_nodes(publishers + 1)
         .subscriber_max_borrowed_samples(1)
         .subscriber_max_buffer_size(bus.attach().queue_len(Traffic::Lanes))
         .open_or_create()
@@ -67,7 +71,8 @@ fn service(bus: &Bus, name: &str) -> Result<PortFactory<Ipc, [u8], NoteHeader>, 
 #[derive(Debug)]
 pub struct NotePublisher {
     publisher: Publisher<Ipc, [u8], NoteHeader>,
-    published: u64,
+    /// The id of the last note. It begins with the sender's index, so that no other world uses it.
+    last_id: DocumentId,
 }
 
 impl NotePublisher {
@@ -98,7 +103,7 @@ impl NotePublisher {
             .set_backpressure_handler(|_| BackpressureAction::DiscardDataAndFail)
             .create()
             .map_err(|e| BusError::open("cannot publish notes", e))?;
-        Ok(Self { publisher, published: 0 })
+        Ok(Self { publisher, last_id: DocumentId::from(bus.index()) << INDEX_SHIFT })
     }
 
     /// Publishes the bytes of a note for a message, and returns its id.
@@ -131,8 +136,8 @@ impl NotePublisher {
         let loaned = self.publisher.loan_slice_uninit(bytes.len());
         let failed = |e: LoanError| BusError::transport("loaning a note", e);
         let mut sample = loaned.map_err(failed)?.write_from_slice(bytes);
-        self.published += 1;
-        let id = self.published;
+        self.last_id += 1;
+        let id = self.last_id;
         *sample.user_header_mut() = NoteHeader { id, episode, lane, reserved: 0 };
         delivered(NOTE_SERVICE, 1, sample.send())?;
         Ok(id)

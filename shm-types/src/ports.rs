@@ -20,7 +20,7 @@ use crate::transport::{BusError, Ipc, receiver, service_name};
 
 /// A message that this crate opens ports for: each of the table.
 pub trait PortedMessage: Message {
-    /// Opens its sender; `index` is that of the external memory it sends to, if it sends to one.
+    /// Opens its sender; `index` is that of the world or external memory at the other end of a private service.
     #[doc(hidden)]
     fn open_sender(
         node: &Node<Ipc>,
@@ -152,12 +152,12 @@ fn open_receiver<M: Message>(
     Ok(Arc::new(receiver(&service, &format!("cannot receive on {}", M::SERVICE))?))
 }
 
-/// Whether each external memory has its own service for `M`.
+/// Whether each external memory, or each world that receives it, has its own service for `M`.
 pub(crate) fn is_private<M: Message>() -> bool {
-    [M::FROM, M::TO].contains(&[Role::ExternalMemory].as_slice())
+    [M::FROM, M::TO].contains(&[Role::ExternalMemory].as_slice()) || M::TO == [Role::Sim]
 }
 
-/// The service of `M`; `index` is that of the external memory, where each has its own.
+/// The service of `M`; `index` is that of the world or external memory, where each has its own.
 fn service<M: Message>(
     node: &Node<Ipc>,
     attach: &Attach,

@@ -37,7 +37,7 @@ pub struct Spans {
 }
 
 impl Spans {
-    /// Opens the file of the process `role`, if the run asks for spans. `index` tells external memories apart.
+    /// Opens the file of the process `role`, if the run asks for spans. `index` tells worlds and external memories apart.
     ///
     /// # Errors
     /// When the file cannot be created.
@@ -72,7 +72,7 @@ impl Spans {
     }
 }
 
-/// The file in `folder` of the spans of the process `role` in one generation. `index` tells external memories apart.
+/// The file in `folder` of the spans of the process `role` in one generation. `index` tells worlds and external memories apart.
 pub fn spans_file(folder: &Path, role: Role, index: u8, generation: u32) -> PathBuf {
     folder.join(format!("{}-{generation}.{index}.jsonl", role.word()))
 }

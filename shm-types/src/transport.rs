@@ -49,7 +49,7 @@ pub enum BusError {
     },
     /// Another living process has the role.
     #[error(
-        "the run already has a {} process, and there can be only one: end the other one, or start this one in \
+        "the run already has a {} process in this place, and there can be only one: end the other one, or start this one in \
          another run", role.word()
     )]
     Taken {
@@ -179,7 +179,7 @@ pub(crate) fn service_name(attach: &Attach, name: &str) -> Result<ServiceName, B
 pub(crate) fn config(attach: &Attach) -> Result<Config, BusError> {
     let mut config = run_config(&attach.prefix, &attach.root)?;
     config.defaults.publish_subscribe.subscriber_expired_connection_buffer =
-        EXPIRED_CONNECTIONS * (1 + Role::CHILDREN.len() + attach.external_memories.len());
+        EXPIRED_CONNECTIONS * attach.places(&Role::ALL);
     Ok(config)
 }
 

@@ -19,7 +19,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
-use shm_types::{ATTACH_VARIABLE, registry};
+use shm_types::{ATTACH_VARIABLE, WORLD_INDEX_VARIABLE, registry};
 use tempfile::TempDir;
 
 /// How long one run of the program may take before it is killed.
@@ -251,6 +251,15 @@ pub fn process_of(registry: &Path, role: &str) -> u32 {
             let exe = fs::read_link(format!("/proc/{pid}/exe")).unwrap_or_default();
             exe.file_name() == Some(OsStr::new(&name))
         })
+    })
+}
+
+/// The world with this index in a run below `registry`; waits for it to start.
+pub fn process_of_world(registry: &Path, index: u8) -> u32 {
+    let marker = format!("{WORLD_INDEX_VARIABLE}={index}\0");
+    eventually(&format!("world {index} to start"), || {
+        let worlds = processes_where("environ", marker.as_bytes());
+        processes_of(registry).intersection(&worlds).next().copied()
     })
 }
 

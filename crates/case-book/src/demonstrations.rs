@@ -125,6 +125,15 @@ impl DemonstrationBook {
         Some(indices)
     }
 
+    /// The first of `sets` of which case number `case` has no demonstrations.
+    pub fn missing_set(&self, case: u32, sets: &[Demonstrations]) -> Option<Demonstrations> {
+        let is_missing = |set: &Demonstrations| {
+            let held = self.of_case(case, *set);
+            held.is_none_or(|held| held.is_empty() && set.mixture().is_some())
+        };
+        sets.iter().copied().find(is_missing)
+    }
+
     /// The `demonstrations` of all cases, each once, in the order of the cases. `None` as for [`of_case`](Self::of_case).
     pub fn of_all_cases(&self, demonstrations: Demonstrations) -> Option<Vec<u32>> {
         let mut listed = HashSet::new();

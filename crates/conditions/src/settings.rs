@@ -40,6 +40,14 @@ named! {
     }
 }
 
+named! {
+    /// A world that no command starts, and that is not the warehouse: `--world`.
+    WorldStart, "way of starting a world" {
+        /// The user starts it.
+        External = "external",
+    }
+}
+
 /// The settings of a run, complete. `memtransfer run --help` describes each field under the same name.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -52,6 +60,11 @@ pub struct RunSettings {
     /// The command that starts another world than the warehouse.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub world_cmd: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub world: Option<WorldStart>,
+    /// The folder of the case book of a world that the user starts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub world_book: Option<PathBuf>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub memory_cmd: Vec<String>,
     /// Whether an external memory is awaited that the user starts: the word `external` in `--memory`.
@@ -102,6 +115,8 @@ pub struct RunSettings {
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub log_prompts: bool,
     pub lanes: u32,
+    #[serde(default = "one")]
+    pub worlds: u32,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub encoder_threads: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -239,6 +254,12 @@ impl RunSettings {
     pub fn demonstrates_elsewhere(&self) -> bool {
         let mut sets = self.groups.iter().flat_map(|group| &group.demos);
         sets.any(|set| set.take_place_elsewhere())
+    }
+
+    /// The flag with which another world takes the place of the warehouse.
+    pub fn own_world(&self) -> Option<&'static str> {
+        let external = self.world.map(|_| "--world external");
+        self.world_cmd.as_ref().map(|_| "--world-cmd").or(external)
     }
 
     /// Whether the run has memories in processes of their own.

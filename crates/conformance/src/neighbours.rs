@@ -45,7 +45,7 @@ impl Neighbours {
             error_reports: orchestrator.receiver()?,
             shutdown_reports: orchestrator.receiver()?,
             subject: match attach.external_memories.first() {
-                Some(&index) => orchestrator.external_memory_notifier(index)?,
+                Some(&index) => orchestrator.notifier_of(Role::ExternalMemory, index)?,
                 None => orchestrator.notifier(subject)?,
             },
             others: others.map(bus).collect::<Result<_, _>>()?,

@@ -294,10 +294,10 @@ impl<'a, R: TestedRole> Subject<'a, R> {
                 R::ROLE as u32
             ));
         }
-        if handshake.external != u32::from(R::index()) {
+        if handshake.index != u32::from(R::index()) {
             return wrong(format_args!(
-                "its handshake has `external` {}, and its folder is that of index {}",
-                handshake.external,
+                "its handshake has `index` {}, and its folder is that of index {}",
+                handshake.index,
                 R::index()
             ));
         }

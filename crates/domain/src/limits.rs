@@ -12,5 +12,8 @@ pub const MAX_ITEMS: usize = 8;
 /// Most external memories of a run.
 pub const MAX_EXTERNAL_MEMORIES: usize = 8;
 
+/// Most world processes of a run.
+pub const MAX_WORLDS: usize = 16;
+
 /// Maximum number of frames that a run can keep resident.
 pub const MAX_FRAMES: u32 = 1 << 20;

@@ -14,7 +14,7 @@ use orchestrator::pipeline::Participant;
 use orchestrator::status::{LiveStatus, MemoryStatus, StageLatency};
 use report::table::table;
 use run_log::latency::LatencySummary;
-use shm_types::message::Role;
+use shm_types::message::{MAX_WORLDS, Role};
 
 use super::{Exit, print, print_json};
 
@@ -137,13 +137,14 @@ fn page(run: &Path, status: &LiveStatus, memory: Option<MemoryKind>) -> String {
     );
     let header = ["process", "lanes waiting", "work", "per second", "queued", "frames", "limit"];
     let mut processes = table(&header, 1);
-    let fixed = [
-        (Role::Sim.into(), "views rendered"),
-        (Role::Memory.into(), "images embedded"),
-        (Role::Policy.into(), "requests answered"),
-    ];
+    let worlds = (0..MAX_WORLDS as u8).map(Participant::world);
+    let worlds = worlds
+        .filter(|one| one.world == 0 || status.processes.contains_key(&one.to_string()))
+        .map(|one| (one, "views rendered"));
+    let fixed =
+        [(Role::Memory.into(), "images embedded"), (Role::Policy.into(), "requests answered")];
     let external = status.memories.iter().map(|memory| (memory.name.into(), "requests answered"));
-    let names = fixed.into_iter().chain(external);
+    let names = worlds.chain(fixed).chain(external);
     for (name, work) in names.map(|(one, work): (Participant, _)| (one.to_string(), work)) {
         let process = status.processes.get(&name);
         let cell = |value: Option<String>| value.unwrap_or_else(|| "-".to_owned());

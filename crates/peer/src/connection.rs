@@ -198,8 +198,8 @@ impl Connection {
         run: &WatchedRun,
     ) -> Result<End, ServeError> {
         // The session creates its receivers first: other processes send as soon as all handshakes are in.
-        let external = self.bus.index().into();
-        let handshake = Handshake { external, ..Handshake::new(S::ROLE, service.facts())? };
+        let index = self.bus.index().into();
+        let handshake = Handshake { index, ..Handshake::new(S::ROLE, service.facts())? };
         let mut session = service.start(self)?;
         let handshakes = self.bus.sender()?;
         // The orchestrator may not have joined yet, or be in the next generation already.
@@ -285,7 +285,7 @@ impl Connection {
     fn send_shutdown_report(&self) -> Result<(), ServeError> {
         self.bus.sender()?.send(&ShutdownReport {
             role: self.bus.role() as u32,
-            external: self.bus.index().into(),
+            index: self.bus.index().into(),
             frames_received: self.frames.lock().received(),
             error_reports: self.errors.count().into(),
             ..Zeroable::zeroed()

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::Role;
-use shm_types::{ATTACH_VARIABLE, Attach, AttachError, Bus, BusError};
+use shm_types::{ATTACH_VARIABLE, Attach, AttachError, Bus, BusError, FrameError};
 
 use crate::connection::{Connection, End, Service};
 use crate::error::ServeError;
@@ -72,7 +72,9 @@ pub(crate) fn serve_generations(
             Ok(End::Stopped) => return Ok(()),
             Ok(End::NextGeneration(next)) => next,
             // The services of the generation are gone; wait for the next one or for the end of the run.
-            Err(ServeError::Bus(error)) => run.after(&attach, error)?,
+            Err(ServeError::Bus(error) | ServeError::Frame(FrameError::Bus(error))) => {
+                run.after(&attach, error)?
+            }
             Err(error) => return Err(error),
         }
     }

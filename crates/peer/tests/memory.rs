@@ -114,7 +114,7 @@ impl Rig {
 
     fn error_report(&mut self) -> String {
         let (report, text) = self.rig.error_report();
-        assert_eq!((report.role, report.external), (Role::ExternalMemory as u32, u32::from(INDEX)));
+        assert_eq!((report.role, report.index), (Role::ExternalMemory as u32, u32::from(INDEX)));
         text
     }
 
@@ -123,7 +123,7 @@ impl Rig {
     }
 
     fn stop(self) {
-        assert_eq!(self.rig.stop().external, u32::from(INDEX));
+        assert_eq!(self.rig.stop().index, u32::from(INDEX));
     }
 }
 
@@ -284,7 +284,7 @@ fn query(lane: u32, episode: u64, step: u32, frame: FrameId) -> ExternalQuery {
 fn a_memory_is_built_asked_and_ended() {
     let mut rig = Rig::new();
     let facts = rig.handshake.facts().unwrap();
-    assert_eq!(rig.handshake.external, u32::from(INDEX));
+    assert_eq!(rig.handshake.index, u32::from(INDEX));
     assert_eq!((facts["memory"].as_str(), facts["version"].as_str()), ("recorder", "7"));
     let folder = memory_folder(&rig.rig.neighbours.attach().root, INDEX);
     assert!(MemoryDescription::read(&folder).unwrap().sdk.starts_with("peer "));

@@ -200,7 +200,10 @@ impl ScriptedRun<'_> {
 
     /// The external memory with this index: calls `turn` at every notification.
     pub fn external_memory(&self, index: u8, turn: impl FnMut(&ScriptedProcess)) {
-        self.serve_on(Bus::join_external_memory(self.attach.clone(), index).unwrap(), turn);
+        self.serve_on(
+            Bus::join_as(self.attach.clone(), Role::ExternalMemory, index).unwrap(),
+            turn,
+        );
     }
 
     /// Joins as `role`, sends the handshake, calls `turn` at every notification until the stop message, and sends the
@@ -210,7 +213,7 @@ impl ScriptedRun<'_> {
     }
 
     fn serve_on(&self, bus: Bus, mut turn: impl FnMut(&ScriptedProcess)) {
-        let (role, external) = (bus.role(), u32::from(bus.index()));
+        let (role, index) = (bus.role(), u32::from(bus.index()));
         let stops = bus.receiver::<Stop>().unwrap();
         let all = Role::CHILDREN.into_iter().chain([Role::Orchestrator]);
         let others = all.filter(|other| *other != role);
@@ -231,7 +234,7 @@ impl ScriptedRun<'_> {
             sleep(TICK);
         }
         let handshake = Handshake::new(role, [("kind", KIND.to_owned())]).unwrap();
-        process.send(&Handshake { external, ..handshake }, &[Role::Orchestrator]);
+        process.send(&Handshake { index, ..handshake }, &[Role::Orchestrator]);
         while stops.next().unwrap().is_none() {
             if is_past() {
                 return;
@@ -239,7 +242,7 @@ impl ScriptedRun<'_> {
             process.bus.listener().wait(TICK).unwrap();
             turn(&process);
         }
-        let report = ShutdownReport { role: role as u32, external, ..Zeroable::zeroed() };
+        let report = ShutdownReport { role: role as u32, index, ..Zeroable::zeroed() };
         process.send(&report, &[Role::Orchestrator]);
     }
 }

@@ -9,7 +9,8 @@ use domain::names::{UnknownName, nearest};
 use serde_json::{Map, Value};
 
 /// Variables with the prefix that are not settings: folders, the user's own ONNX Runtime, and what tests use.
-const OTHER_VARIABLES: [&str; 5] = ["CACHE", "RUN_DIR", "ATTACH", "REGENERATE", "ONNXRUNTIME"];
+const OTHER_VARIABLES: [&str; 6] =
+    ["CACHE", "RUN_DIR", "ATTACH", "WORLD_INDEX", "REGENERATE", "ONNXRUNTIME"];
 const TEST_VARIABLES: &str = "TEST_";
 
 /// Where a setting comes from, weakest first.

@@ -6,6 +6,7 @@ use std::fmt;
 use anyhow::{Context, Error, Result, anyhow, bail, ensure};
 use conditions::settings::{
     DocumentSource, Drawn, KEYS, Key, MAX_IMAGES, RunSettings, STREAM_TABLE, Scope, SuiteName,
+    WorldStart,
 };
 use conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
 use domain::limits::MAX_EXTERNAL_MEMORIES;
@@ -117,6 +118,7 @@ pub fn check_values(settings: &RunSettings) -> Result<()> {
 pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved> {
     let mut merged = MergedLayers::of(layers);
     let policy = merged.choose_policy()?;
+    merged.choose_world()?;
     if !merged.values.contains_key("out") {
         let out = format!("runs/{}", merged.folder_name(policy)?);
         merged.set("out", out, Origin::Default);
@@ -198,6 +200,29 @@ impl MergedLayers {
             );
         }
         Ok(policy)
+    }
+
+    /// A world that a command starts, or one that the user starts, whichever the stronger source says.
+    fn choose_world(&mut self) -> Result<()> {
+        let origin = |key: &str| self.origins.get(key).copied();
+        let (command, book) = (origin("world-cmd"), origin("world-book"));
+        ensure!(
+            origin("world").is_none() || book.is_some(),
+            "--world external needs --world-book DIR, the folder that `your-program book --out DIR` has written the case book to"
+        );
+        let Some(from) = book else { return Ok(()) };
+        ensure!(
+            book != command,
+            "--world-cmd starts a world, and --world-book is of one that you start: give one of them"
+        );
+        if book > command {
+            self.remove("world-cmd");
+            self.set("world", WorldStart::External.name(), from);
+        } else {
+            self.remove("world");
+            self.remove("world-book");
+        }
+        Ok(())
     }
 
     /// The default name of a run's folder: suite and policy, and the model of `openai`.
@@ -354,9 +379,14 @@ pub fn check(settings: &RunSettings) -> Result<()> {
     );
     check_arms(settings)?;
     let conditions = settings.conditions();
-    if settings.world_cmd.is_some() {
-        check_own_world(settings)?;
+    if let Some(flag) = settings.own_world() {
+        check_own_world(settings, flag)?;
     }
+    ensure!(
+        settings.worlds == 1 || settings.stream.is_none(),
+        "--worlds is {}, and a suite of streams has one: only the world of an episode can show its views later",
+        settings.worlds
+    );
     if settings.plates == Drawn::Off {
         check_without_plates(settings.policy, &conditions)?;
     }
@@ -426,10 +456,10 @@ fn check_arms(settings: &RunSettings) -> Result<()> {
 }
 
 /// Checks that nothing in a run in another world is of the warehouse.
-fn check_own_world(settings: &RunSettings) -> Result<()> {
+fn check_own_world(settings: &RunSettings, flag: &str) -> Result<()> {
     ensure!(
         settings.policy != PolicyKind::Grounded,
-        "--policy grounded reads the plates of the warehouse, and --world-cmd names another world: choose another --policy, \
+        "--policy grounded reads the plates of the warehouse, and {flag} names another world: choose another --policy, \
          for example imitate"
     );
     let of_warehouse = [
@@ -446,7 +476,7 @@ fn check_own_world(settings: &RunSettings) -> Result<()> {
     ];
     if let Some((setting, _)) = of_warehouse.into_iter().find(|(_, is_given)| *is_given) {
         bail!(
-            "--{setting} is about the warehouse, and --world-cmd names another world: leave one of them out"
+            "--{setting} is about the warehouse, and {flag} names another world: leave one of them out"
         );
     }
     Ok(())

@@ -24,10 +24,10 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use rustix::io::Errno;
-use shm_types::ATTACH_VARIABLE;
 use shm_types::clock::{Instant, sleep};
 use shm_types::description::memory_folder;
 use shm_types::message::Role;
+use shm_types::{ATTACH_VARIABLE, WORLD_INDEX_VARIABLE};
 
 use groups::Group;
 pub use groups::{kill_all, output, output_until};
@@ -50,7 +50,7 @@ pub const QUIET_DRIVER: (&str, &str) = ("NODEVICE_SELECT", "1");
 pub struct Launch {
     /// Its role in the run.
     pub role: Role,
-    /// Index of an external memory; 0 for other roles.
+    /// Index of a world or an external memory; 0 for other roles.
     pub index: u8,
     /// The program.
     pub program: PathBuf,
@@ -107,8 +107,11 @@ impl Launch {
     }
 
     /// Tells the process which run to join: the project's own programs by an argument, external ones by a variable. An
-    /// external memory receives its own folder in the run's.
+    /// external memory receives its own folder in the run's, a world its index.
     pub fn attached_to(mut self, run: &Path) -> Self {
+        if self.role == Role::Sim {
+            self.env.push((WORLD_INDEX_VARIABLE.into(), self.index.to_string().into()));
+        }
         match self.command {
             None => self.args.extend(["--attach".into(), run.into()]),
             Some(_) if self.role == Role::ExternalMemory => {
@@ -187,7 +190,7 @@ struct SystemProcess {
 pub struct ChildExit {
     /// Its role.
     pub role: Role,
-    /// Index of an external memory; 0 for other roles.
+    /// Index of a world or an external memory; 0 for other roles.
     pub index: u8,
     /// Its exit status.
     pub status: ExitStatus,
@@ -220,6 +223,9 @@ impl ChildExit {
 impl std::fmt::Display for ChildExit {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "the {} process ", self.role.word())?;
+        if self.role == Role::Sim && self.index > 0 {
+            write!(f, "{} ", self.index)?;
+        }
         if let Some(command) = &self.command {
             write!(f, "(`{command}`) ")?;
         }
@@ -415,7 +421,8 @@ impl Process for SystemProcess {
 /// The name of a process's log file.
 fn log_name(role: Role, index: u8) -> String {
     match role {
-        Role::ExternalMemory => format!("{}-{index}.log", role.word()),
+        Role::Sim if index == 0 => format!("{}.log", role.word()),
+        Role::Sim | Role::ExternalMemory => format!("{}-{index}.log", role.word()),
         role => format!("{}.log", role.word()),
     }
 }

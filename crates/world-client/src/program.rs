@@ -128,8 +128,10 @@ impl WorldProgram {
     /// # Errors
     /// When it is another world, and the user has not said how to start it.
     pub fn of_run(&self, log: &RunLog) -> Result<Self> {
-        let Some(recorded) = &log.manifest.settings.world_cmd else { return Ok(self.clone()) };
+        let settings = &log.manifest.settings;
+        let Some(flag) = settings.own_world() else { return Ok(self.clone()) };
         let Some(command) = &self.world_cmd else {
+            let recorded = settings.world_cmd.as_deref().unwrap_or(flag);
             bail!(
                 "this run took place in another world, which has to be asked: if you trust its program, set the variable \
                  MEMTRANSFER_WORLD_CMD to the command that starts it; the run was made with: {recorded}"

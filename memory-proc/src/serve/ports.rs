@@ -23,12 +23,26 @@ pub(super) struct Ports {
     pub(super) recalls: Sender<Recall>,
     pub(super) traces: Sender<RecallTrace>,
     pub(super) snapshots: Sender<SnapshotReport>,
-    pub(super) requests: Sender<ViewRequest>,
+    pub(super) worlds: Vec<WorldPorts>,
     pub(super) heartbeats: Heartbeats,
-    pub(super) sim: Notifier,
     pub(super) policy: Notifier,
     pub(super) orchestrator: Notifier,
     pub(super) externals: Vec<ExternalPorts>,
+}
+
+/// Sender and notifier for one world.
+pub(super) struct WorldPorts {
+    pub(super) requests: Sender<ViewRequest>,
+    pub(super) notifier: Notifier,
+    /// Whether it has requests that it was not notified of.
+    pub(super) is_due: bool,
+}
+
+impl WorldPorts {
+    fn new(bus: &Bus, index: u8) -> Result<Self, BusError> {
+        let (requests, notifier) = (bus.sender_to(index)?, bus.notifier_of(Role::Sim, index)?);
+        Ok(Self { requests, notifier, is_due: false })
+    }
 }
 
 /// Senders, receivers and notifier for one external memory.
@@ -59,7 +73,7 @@ impl ExternalPorts {
             stored: bus.receiver_from(index)?,
             answers: bus.receiver_from(index)?,
             notes: NoteReceiver::new(bus, index)?,
-            notifier: bus.external_memory_notifier(index)?,
+            notifier: bus.notifier_of(Role::ExternalMemory, index)?,
             unusable: 0,
         })
     }
@@ -91,9 +105,11 @@ impl Ports {
             recalls: bus.sender()?,
             traces: bus.sender()?,
             snapshots: bus.sender()?,
-            requests: bus.sender()?,
+            worlds: {
+                let indices = 0..bus.attach().worlds;
+                indices.map(|index| WorldPorts::new(bus, index)).collect::<Result<_, _>>()?
+            },
             heartbeats: Heartbeats::new(bus)?,
-            sim: bus.notifier(Role::Sim)?,
             policy: bus.notifier(Role::Policy)?,
             orchestrator: bus.notifier(Role::Orchestrator)?,
             externals: {

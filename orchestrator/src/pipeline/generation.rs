@@ -39,8 +39,7 @@ pub(super) struct Generation {
     pub(super) external: Vec<(Participant, ProcessWatch)>,
     pub(super) memory_configs: Option<Sender<MemoryEpisodeConfig>>,
     pub(super) policy_configs: Option<Sender<PolicyEpisodeConfig>>,
-    pub(super) world_configs: Sender<WorldEpisodeConfig>,
-    pub(super) commands: Sender<StepCommand>,
+    pub(super) worlds: Vec<WorldSenders>,
     pub(super) stops: Sender<Stop>,
     pub(super) inbox: Inbox,
     /// Facts that have arrived before the report that names them.
@@ -53,6 +52,14 @@ pub(super) struct Generation {
     pub(super) recalled_ns: BTreeMap<ExternalName, u64>,
     pub(super) notifiers: BTreeMap<Participant, Notifier>,
     pub(super) bus: Bus,
+}
+
+/// What is sent to one world.
+pub(super) struct WorldSenders {
+    pub(super) configs: Sender<WorldEpisodeConfig>,
+    pub(super) commands: Sender<StepCommand>,
+    /// Whether it has messages that it was not notified of.
+    pub(super) is_due: bool,
 }
 
 /// Everything that arrives.
@@ -115,7 +122,6 @@ impl Generation {
 
     /// Begins episodes in the free lanes.
     fn fill_lanes(&mut self, run: &mut PipelineRun<'_, '_>) -> Result<(), Failure> {
-        let mut began = false;
         while let Some(lane) = run.lanes.free()
             && let Some(episode) = run.queue.next(run.lanes.busy())
         {
@@ -131,24 +137,25 @@ impl Generation {
                     return Err(Failure::Policy(error.to_string()));
                 }
             }
-            retry(self.world_configs.send(&opening.world))?;
-            began = true;
+            let world = self.world_of(opening.world.lane);
+            retry(world.configs.send(&opening.world))?;
+            world.is_due = true;
         }
-        if began { self.notify(Role::Sim) } else { Ok(()) }
+        self.notify_worlds()
     }
 
-    /// Takes the waiting messages, decisions up to one batch, sends what follows, and notifies the simulator once.
+    /// Takes the waiting messages, decisions up to one batch, sends what follows, and notifies each world once.
     fn turn(&mut self, run: &mut PipelineRun<'_, '_>) -> Result<TurnReport, Failure> {
         let batch = self.bus.attach().batch_len();
         let (mut commands, report) = self.receive(run, batch)?;
         let sent_ns = monotonic_ns();
         for command in &mut commands {
             command.sent_ns = sent_ns;
-            retry(self.commands.send(command))?;
+            let world = self.world_of(command.lane);
+            retry(world.commands.send(command))?;
+            world.is_due = true;
         }
-        if !commands.is_empty() {
-            self.notify(Role::Sim)?;
-        }
+        self.notify_worlds()?;
         Ok(report)
     }
 
@@ -217,11 +224,21 @@ impl Generation {
         }
     }
 
-    fn notify(&self, role: Role) -> Result<(), Failure> {
-        match self.notifiers.get(&role.into()) {
-            Some(notifier) => retry(notifier.notify()),
-            None => Ok(()),
+    /// The world of a lane.
+    fn world_of(&mut self, lane: u32) -> &mut WorldSenders {
+        &mut self.worlds[usize::from(self.bus.attach().world_of(lane))]
+    }
+
+    /// Notifies the worlds that were sent something.
+    fn notify_worlds(&mut self) -> Result<(), Failure> {
+        for (index, world) in (0..).zip(&mut self.worlds) {
+            if std::mem::take(&mut world.is_due)
+                && let Some(notifier) = self.notifiers.get(&Participant::world(index))
+            {
+                retry(notifier.notify())?;
+            }
         }
+        Ok(())
     }
 
     /// Asks the processes to end, records their last answers and collects their reports.
@@ -247,7 +264,7 @@ impl Generation {
             self.receive_last(run)?;
             for report in received {
                 let role = role(report.role).ok();
-                let sender = role.and_then(|role| run.options.participant(role, report.external));
+                let sender = role.and_then(|role| run.options.participant(role, report.index));
                 reports.extend(sender.map(|sender| (sender, report)));
             }
         }

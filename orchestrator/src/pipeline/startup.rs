@@ -14,10 +14,12 @@ use shm_types::clock::Instant;
 use shm_types::description::{DESCRIPTION_FILE, memory_folder};
 use shm_types::message::{Handshake, Role, WIRE_VERSION, read_text};
 use shm_types::process::{ProcessWatch, check_shared_memory, monotonic_ns};
-use shm_types::{Attach, Bus, BusError, MemoryDescription, NoteReceiver};
+use shm_types::{
+    ATTACH_VARIABLE, Attach, Bus, MemoryDescription, NoteReceiver, WORLD_INDEX_VARIABLE,
+};
 use supervise::{Children, Launch};
 
-use super::generation::{Generation, Inbox, TICK, role};
+use super::generation::{Generation, Inbox, TICK, WorldSenders, role};
 use super::vital_signs::VitalSigns;
 use super::{Facts, Failure, Participant, PipelineOptions, PipelineRun};
 use crate::external_memory::ExternalMemory;
@@ -47,13 +49,20 @@ impl Generation {
         let takes_part = |role| attach.participants.contains(&role);
         let memory_configs = takes_part(Role::Memory).then(|| bus.sender()).transpose()?;
         let policy_configs = takes_part(Role::Policy).then(|| bus.sender()).transpose()?;
-        let notifiers =
-            attach.participants.iter().map(|&role| Ok((role.into(), bus.notifier(role)?)));
-        let mut notifiers = notifiers.collect::<Result<BTreeMap<Participant, _>, BusError>>()?;
-        for memory in memories(attach, run.options) {
-            notifiers.insert(memory.name.into(), bus.external_memory_notifier(memory.index)?);
+        let (mut notifiers, mut worlds) = (BTreeMap::<Participant, _>::new(), Vec::new());
+        for &role in attach.participants.iter().filter(|role| **role != Role::Sim) {
+            notifiers.insert(role.into(), bus.notifier(role)?);
         }
-        let (world_configs, commands, stops) = (bus.sender()?, bus.sender()?, bus.sender()?);
+        for index in 0..attach.worlds {
+            notifiers.insert(Participant::world(index), bus.notifier_of(Role::Sim, index)?);
+            let (configs, commands) = (bus.sender_to(index)?, bus.sender_to(index)?);
+            worlds.push(WorldSenders { configs, commands, is_due: false });
+        }
+        for memory in memories(attach, run.options) {
+            notifiers
+                .insert(memory.name.into(), bus.notifier_of(Role::ExternalMemory, memory.index)?);
+        }
+        let stops = bus.sender()?;
         write_world(&attach.root, run.lanes.declaration())?;
         write_learned(&attach.root, &run.lanes.learned_episodes())?;
         // Only now may others join: this process creates every service that it uses, and so depends on none that another
@@ -65,11 +74,10 @@ impl Generation {
             external: Vec::new(),
             memory_configs,
             policy_configs,
-            world_configs,
-            commands,
+            worlds,
             stops,
             inbox,
-            vital_signs: VitalSigns::new(monotonic_ns()),
+            vital_signs: VitalSigns::new(attach.worlds, monotonic_ns()),
             decided_ns: 0,
             facts: Vec::new(),
             recalled_ns: BTreeMap::new(),
@@ -78,7 +86,7 @@ impl Generation {
         };
         let Some(facts) = generation.wait_until_ready(run)? else { return Ok(None) };
         let now = monotonic_ns();
-        generation.vital_signs = VitalSigns::new(now);
+        generation.vital_signs = VitalSigns::new(attach.worlds, now);
         for memory in memories(attach, run.options) {
             generation.recalled_ns.insert(memory.name, now);
         }
@@ -125,6 +133,9 @@ impl Generation {
                 if let Some(name) = sender.memory {
                     self.check_description(name, run)?;
                 }
+                if sender.role == Role::Sim {
+                    check_alike(sender, &said, &facts).map_err(failed)?;
+                }
                 facts.insert(sender, said);
             }
             // A process that cannot start reports an error and exits: it is reported once, here.
@@ -150,10 +161,8 @@ impl Generation {
             if late.is_empty() && !is_announced {
                 is_announced = true;
                 for one in awaited {
-                    match one.memory {
-                        Some(name) => run.observer.awaiting_memory(name),
-                        None => run.observer.awaiting_policy(&self.bus.attach().root),
-                    }
+                    let command = command_of(one, self.bus.attach(), run.options);
+                    run.observer.awaiting(one, &command);
                 }
             }
             if !late.is_empty() && Instant::now() > deadline {
@@ -241,7 +250,11 @@ fn start_processes(
     run: &mut PipelineRun<'_, '_>,
 ) -> Result<Children, Failure> {
     let all = run.options.launches.iter().cloned().chain(launches);
-    let launches: Vec<Launch> = all.map(|launch| launch.attached_to(&attach.root)).collect();
+    let each = all.flat_map(|launch| {
+        let processes = if launch.role == Role::Sim { attach.worlds } else { 1 };
+        (0..processes).map(move |place| Launch { index: launch.index + place, ..launch.clone() })
+    });
+    let launches: Vec<Launch> = each.map(|launch| launch.attached_to(&attach.root)).collect();
     let mut children = Children::start_with(&*run.options.launcher, &launches, &run.options.logs)?;
     children.adopt(std::mem::take(&mut run.started));
     Ok(children)
@@ -253,16 +266,55 @@ fn is_started_by_user(one: Participant, options: &PipelineOptions) -> bool {
         Some(name) => {
             options.memories.iter().any(|memory| memory.name == name && memory.command.is_none())
         }
-        None => one.role == Role::Policy && options.external_policy,
+        None => match one.role {
+            Role::Policy => options.external_policy,
+            Role::Sim => options.external_world.is_some(),
+            _ => false,
+        },
     }
+}
+
+/// How the user starts a process.
+fn command_of(one: Participant, attach: &Attach, options: &PipelineOptions) -> String {
+    let mut command = format!("{ATTACH_VARIABLE}={}", attach.root.display());
+    if one.role == Role::Sim && attach.worlds > 1 {
+        command += &format!(" {WORLD_INDEX_VARIABLE}={}", one.world);
+    }
+    command += " your-program";
+    if let (Role::Sim, Some(demonstrations)) = (one.role, &options.external_world) {
+        command += &format!(" serve --demonstrations {}", demonstrations.display());
+    }
+    command
+}
+
+/// Checks that a world tells the same of itself as those that were ready before: all render the same pictures.
+///
+/// # Errors
+/// The first fact in which two differ.
+fn check_alike(
+    world: Participant,
+    said: &Facts,
+    others: &BTreeMap<Participant, Facts>,
+) -> Result<(), String> {
+    let Some((other, theirs)) = others.iter().find(|(other, _)| other.role == Role::Sim) else {
+        return Ok(());
+    };
+    let differs = |name: &&String| said.get(*name) != theirs.get(*name);
+    let Some(name) = said.keys().chain(theirs.keys()).find(differs) else { return Ok(()) };
+    let fact = |facts: &Facts| facts.get(name).cloned().unwrap_or_else(|| "none".to_owned());
+    Err(format!(
+        "the worlds of a run have to be alike: {} has the {name} {}, and {} {}",
+        world.in_words(),
+        fact(said),
+        other.in_words(),
+        fact(theirs)
+    ))
 }
 
 /// The message about a handshake from a process that the run does not have.
 pub(super) fn of_unknown_sender(handshake: &Handshake) -> String {
-    let Handshake { role, external, .. } = handshake;
-    format!(
-        "a handshake with role {role} and index {external}, which the run does not have: ignored"
-    )
+    let Handshake { role, index, .. } = handshake;
+    format!("a handshake with role {role} and index {index}, which the run does not have: ignored")
 }
 
 /// The message about processes that did not get ready in time.
@@ -304,7 +356,7 @@ pub(super) fn read_handshake(
     options: &PipelineOptions,
 ) -> Result<Option<(Participant, Facts)>, Failure> {
     let Ok(role) = role(handshake.role) else { return Ok(None) };
-    let Some(sender) = options.participant(role, handshake.external) else { return Ok(None) };
+    let Some(sender) = options.participant(role, handshake.index) else { return Ok(None) };
     let facts = read_facts(handshake, sender).map_err(|error| match sender.memory {
         Some(name) => Failure::ExternalMemory(name, format!("{error:#}")),
         None => Failure::Fatal(error),

@@ -8,7 +8,7 @@ use shm_types::process::monotonic_ns;
 
 use super::generation::{Generation, role};
 use super::startup::{of_unknown_sender, read_handshake, unexpected};
-use super::{Failure, MEMORY_BUILD_TIMEOUT, PipelineOptions, PipelineRun};
+use super::{Failure, MEMORY_BUILD_TIMEOUT, Participant, PipelineOptions, PipelineRun};
 use crate::lanes::PendingAnswer;
 
 impl Generation {
@@ -23,8 +23,8 @@ impl Generation {
         }
         for heartbeat in self.inbox.heartbeats.drain()? {
             let Ok(role) = role(heartbeat.role) else { continue };
-            let Some(sender) = run.options.participant(role, heartbeat.external) else { continue };
-            self.vital_signs.heard(role, &heartbeat, monotonic_ns());
+            let Some(sender) = run.options.participant(role, heartbeat.index) else { continue };
+            self.vital_signs.heard(sender, &heartbeat, monotonic_ns());
             run.observer.heartbeat(sender, &heartbeat);
         }
         if let Some(exit) = self.exited(run.options) {
@@ -51,8 +51,10 @@ impl Generation {
         let now = monotonic_ns();
         // An encoder that hangs makes no progress.
         let pending = run.lanes.pending(self.vital_signs.memory_busy_ns());
-        run.observer.pending(&pending);
-        for PendingAnswer { role, lane, memory, since_ns, unusable } in pending {
+        let awaited: Vec<Participant> = pending.iter().map(|answer| self.awaited(answer)).collect();
+        run.observer.pending(&awaited);
+        for (answer, process) in pending.into_iter().zip(awaited) {
+            let PendingAnswer { role, lane, memory, since_ns, unusable } = answer;
             let timeout = match role {
                 Role::Policy => run.options.decision_timeout,
                 // The memory process has time limits for external memories, and gives up their episodes.
@@ -71,10 +73,10 @@ impl Generation {
             {
                 return Err(Failure::Retry(why));
             }
-            let (role_name, seconds) = (role.word(), waited.as_secs());
-            let overdue = format!(
-                "the {role_name} process has not answered for {seconds} s (--step-timeout)"
-            );
+            // The memory process answers for an external memory, too.
+            let process = if process.memory.is_some() { role.into() } else { process };
+            let (process, seconds) = (process.in_words(), waited.as_secs());
+            let overdue = format!("{process} has not answered for {seconds} s (--step-timeout)");
             if role != Role::Policy {
                 return Err(Failure::Retry(format!("{overdue} and seems to hang")));
             }
@@ -94,12 +96,21 @@ impl Generation {
         Ok(())
     }
 
+    /// The process that an answer is awaited from.
+    fn awaited(&self, answer: &PendingAnswer) -> Participant {
+        match (answer.role, answer.memory) {
+            (Role::Sim, _) => Participant::world(self.bus.attach().world_of(answer.lane)),
+            (Role::Memory, MemoryKind::External(name)) => name.into(),
+            (role, _) => role.into(),
+        }
+    }
+
     /// Handles error reports. Returns why the run has to stop early, if one says so.
     fn read_error_reports(&self, run: &mut PipelineRun<'_, '_>) -> Result<Option<String>, Failure> {
         let mut halted = None;
         for report in self.inbox.error_reports.drain()? {
             let role = role(report.role).ok();
-            let sender = role.and_then(|role| run.options.participant(role, report.external));
+            let sender = role.and_then(|role| run.options.participant(role, report.index));
             let text = read_text(&report.text, report.text_len).unwrap_or("an unreadable message");
             let what = match sender {
                 Some(sender) => format!("{sender}: {text}"),
@@ -147,7 +158,7 @@ impl Generation {
     pub(super) fn read_last_facts(&self, run: &mut PipelineRun<'_, '_>) -> Result<(), Failure> {
         for report in self.inbox.error_reports.drain()? {
             let role = role(report.role).ok();
-            let sender = role.and_then(|role| run.options.participant(role, report.external));
+            let sender = role.and_then(|role| run.options.participant(role, report.index));
             if report.kind == ErrorReportKind::Facts as u32
                 && let Some(sender) = sender.filter(|sender| sender.memory.is_none())
                 && let Ok(text) = read_text(&report.text, report.text_len)
@@ -199,8 +210,11 @@ impl Generation {
     /// The failure that a process's exit means, if one has exited.
     pub(super) fn exited(&mut self, options: &PipelineOptions) -> Option<Failure> {
         if let Some(&(sender, _)) = self.external.iter().find(|(_, watch)| watch.has_ended()) {
-            let which = sender.memory.map_or("policy".to_owned(), |name| format!("memory {name}"));
-            return Some(Failure::of(sender, format!("the external {which} has exited")));
+            let which = match sender.role {
+                Role::Policy => "the external policy".to_owned(),
+                _ => sender.in_words(),
+            };
+            return Some(Failure::of(sender, format!("{which} has exited")));
         }
         self.children.exited().map(|exit| Failure::of_exit(&exit, options))
     }

@@ -1,19 +1,22 @@
-//! What the heartbeats of the simulator and of memory say: which of the two keeps an answer waiting.
+//! What the heartbeats of the worlds and of memory say: which of them keeps an answer waiting.
 //!
-//! Memory needs frames for its answers. So when its answer is overdue, the simulator may be the one that hangs.
+//! Memory needs frames for its answers. So when its answer is overdue, a world may be the one that hangs.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use shm_types::heartbeats;
 use shm_types::message::{Heartbeat, Role};
 
+use super::Participant;
+
 /// A serve loop that runs is heard several times in this time.
 const SILENCE: Duration = Duration::from_secs(3 * heartbeats::INTERVAL.as_secs());
 
-/// The last heartbeats of the simulator and of memory.
-#[derive(Debug, Clone, Copy)]
+/// The last heartbeats of the worlds and of memory.
+#[derive(Debug, Clone)]
 pub(super) struct VitalSigns {
-    sim: ProcessSigns,
+    worlds: BTreeMap<Participant, ProcessSigns>,
     memory: ProcessSigns,
 }
 
@@ -29,19 +32,20 @@ struct ProcessSigns {
 }
 
 impl VitalSigns {
-    /// Before the first heartbeats of processes that are ready at `now_ns`.
-    pub(super) fn new(now_ns: u64) -> Self {
+    /// Before the first heartbeats of processes that are ready at `now_ns`, so many worlds among them.
+    pub(super) fn new(worlds: u8, now_ns: u64) -> Self {
         let signs = ProcessSigns { heard_ns: now_ns, done: 0, progress_ns: 0, waiting: 0 };
-        Self { sim: signs, memory: signs }
+        let worlds = (0..worlds).map(|index| (Participant::world(index), signs)).collect();
+        Self { worlds, memory: signs }
     }
 
-    /// A heartbeat of `role` arrived.
-    pub(super) fn heard(&mut self, role: Role, heartbeat: &Heartbeat, now_ns: u64) {
-        let signs = match role {
-            Role::Sim => &mut self.sim,
-            Role::Memory => &mut self.memory,
-            _ => return,
+    /// A heartbeat of `sender` arrived.
+    pub(super) fn heard(&mut self, sender: Participant, heartbeat: &Heartbeat, now_ns: u64) {
+        let signs = match sender.role {
+            Role::Memory => Some(&mut self.memory),
+            _ => self.worlds.get_mut(&sender),
         };
+        let Some(signs) = signs else { return };
         signs.heard_ns = now_ns;
         signs.waiting = heartbeat.waiting;
         if heartbeat.done > signs.done {
@@ -55,36 +59,37 @@ impl VitalSigns {
         self.memory.progress_ns
     }
 
-    /// Whether the simulator is silent while memory is not, and how that shows.
+    /// Whether a world is silent while memory is not, and how that shows.
     pub(super) fn simulator_is_silent(&self, now_ns: u64) -> Option<String> {
         let passed = |since: u64| Duration::from_nanos(now_ns.saturating_sub(since));
-        let Self { sim, memory } = self;
+        let (world, sim) = self.worlds.iter().min_by_key(|(_, signs)| signs.heard_ns)?;
         let silence = passed(sim.heard_ns);
-        let is_memory_alive = passed(memory.heard_ns) < silence / 2;
-        let seconds = silence.as_secs();
+        let is_memory_alive = passed(self.memory.heard_ns) < silence / 2;
+        let (world, seconds) = (world.in_words(), silence.as_secs());
         (silence >= SILENCE && is_memory_alive).then(|| {
             format!(
-                "the sim process has not reported for {seconds} s and seems to hang; memory waits for its frames"
+                "{world} has not reported for {seconds} s and seems to hang; memory waits for its frames"
             )
         })
     }
 
-    /// Whether an answer of memory that is awaited since `since_ns` is overdue because of the simulator, and how that shows. A
-    /// simulator that has no room for frames, because an external memory pins them, cannot be distinguished from one that hangs.
+    /// Whether an answer of memory that is awaited since `since_ns` is overdue because of a world, and how that shows. A
+    /// world that has no room for frames, because an external memory pins them, cannot be distinguished from one that hangs.
     pub(super) fn simulator_hangs(&self, since_ns: u64, now_ns: u64) -> Option<String> {
         if let Some(silent) = self.simulator_is_silent(now_ns) {
             return Some(silent);
         }
-        let sim = self.sim;
-        let idle = Duration::from_nanos(now_ns.saturating_sub(sim.progress_ns.max(since_ns)));
-        if sim.waiting > 0 && sim.progress_ns <= since_ns && idle >= SILENCE {
-            let (views, seconds) = (sim.waiting, idle.as_secs());
-            return Some(format!(
-                "the sim process has rendered none of {views} views for {seconds} s and seems to hang; memory waits \
-                 for its frames"
-            ));
-        }
-        None
+        self.worlds.iter().find_map(|(world, sim)| {
+            let idle = Duration::from_nanos(now_ns.saturating_sub(sim.progress_ns.max(since_ns)));
+            (sim.waiting > 0 && sim.progress_ns <= since_ns && idle >= SILENCE).then(|| {
+                format!(
+                    "{} has rendered none of {} views for {} s and seems to hang; memory waits for its frames",
+                    world.in_words(),
+                    sim.waiting,
+                    idle.as_secs()
+                )
+            })
+        })
     }
 }
 
@@ -96,10 +101,10 @@ mod tests {
 
     /// The signs after heartbeats at these seconds, with frames rendered or images embedded, and what waits.
     fn signs(beats: &[(Role, u64, u64, u64)]) -> VitalSigns {
-        let mut signs = VitalSigns::new(0);
+        let mut signs = VitalSigns::new(1, 0);
         for &(role, second, done, waiting) in beats {
             let heartbeat = Heartbeat { done, waiting, ..Zeroable::zeroed() };
-            signs.heard(role, &heartbeat, second * 1_000_000_000);
+            signs.heard(role.into(), &heartbeat, second * 1_000_000_000);
         }
         signs
     }
@@ -117,6 +122,21 @@ mod tests {
         assert_eq!(hangs(&[(sim, 119, 5, 0), (memory, 119, 3, 2)], 1, 120), None);
         assert_eq!(hangs(&[], 1, 120), None, "both are silent");
         assert_eq!(signs(&[(memory, 7, 1, 0), (memory, 9, 1, 0)]).memory_busy_ns(), 7_000_000_000);
+    }
+
+    #[test]
+    fn the_silent_one_of_several_worlds_is_named() {
+        let mut signs = VitalSigns::new(3, 0);
+        for (sender, second) in [
+            (Participant::world(0), 119),
+            (Participant::world(1), 10),
+            (Participant::world(2), 119),
+            (Role::Memory.into(), 119),
+        ] {
+            signs.heard(sender, &Heartbeat::zeroed(), second * 1_000_000_000);
+        }
+        let found = signs.simulator_is_silent(120_000_000_000).unwrap();
+        assert!(found.starts_with("the sim process 1 has not reported for 110 s"), "{found}");
     }
 
     #[test]

@@ -54,6 +54,7 @@ pub(crate) fn options(
     PipelineOptions {
         launcher: Arc::new(System),
         launches,
+        external_world: None,
         external_policy: false,
         logs: scratch.base().join("logs"),
         start_timeout: Duration::from_secs(60),

@@ -97,7 +97,7 @@ fn report(
         role: process.bus.role() as u32,
         kind: kind as u32,
         lane,
-        external: process.bus.index().into(),
+        index: process.bus.index().into(),
         ..Zeroable::zeroed()
     };
     report.text_len = write_text(&mut report.text, text);
@@ -223,7 +223,7 @@ fn the_orchestrator_creates_its_services_before_others_can_join() {
                     Err(_) => thread::yield_now(),
                 }
             };
-            let bus = Bus::join_external_memory(attach, 0).unwrap();
+            let bus = Bus::join_as(attach, Role::ExternalMemory, 0).unwrap();
             let heartbeats = bus.sender::<Heartbeat>().unwrap();
             let attached = heartbeats.is_complete();
             stop.store(true, Ordering::Relaxed);

@@ -16,8 +16,9 @@ use shm_types::layout::{Struct, WireLayout};
 use shm_types::message::{
     AnswerItem, AnswerSource, CODE_SETS, Description, EXTERNAL, MAX_EMBEDDING,
     MAX_EXTERNAL_MEMORIES, MAX_FOLDER, MAX_INSTRUCTION, MAX_ITEMS, MAX_SEGMENT, MAX_SOURCES,
-    MAX_STEPS, MAX_SUB_GOALS, MAX_WINDOW, MESSAGES, NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED,
-    RecalledItem, RecalledSource, Role, SegmentStep, Traffic, TrajectoryStep, WIRE_VERSION,
+    MAX_STEPS, MAX_SUB_GOALS, MAX_WINDOW, MAX_WORLDS, MESSAGES, NO_ACTION, NO_DOCUMENT, NO_FRAME,
+    NOT_MEASURED, RecalledItem, RecalledSource, Role, SegmentStep, Traffic, TrajectoryStep,
+    WIRE_VERSION,
 };
 use shm_types::notes::{FACTS_SERVICE, NOTE_SERVICE, NoteHeader};
 
@@ -94,13 +95,14 @@ pub(crate) fn constants() -> Vec<Constant> {
         MAX_SOURCES: "Most sources of a recall or an answer.",
         MAX_EMBEDDING: "Most numbers of an embedding.",
         MAX_EXTERNAL_MEMORIES: "Most external memories of a run.",
+        MAX_WORLDS: "Most simulators of a run.",
         EXTERNAL: "The representation code of an external memory.",
         MAX_INSTRUCTION: "Most bytes of an instruction.",
         MAX_FOLDER: "Most bytes of the path of a folder.",
         MAX_SUB_GOALS: "Most sub-goals of a task.",
         MAX_DOCUMENT_BYTES: "Most bytes of a document.",
         MAX_LANES: "Most lanes of a run.",
-        MAX_FRAMES: "Most frames that a run keeps resident.",
+        MAX_FRAMES: "Most frames that a simulator keeps resident.",
         MAX_LOANED_FRAMES: "Frames that the simulator fills at the same time.",
         MAX_ROOT_BYTES: "Longest path of a run's folder, in bytes.",
         PAGE_BYTES: "Bytes of a page; frames are whole pages, aligned to pages.",

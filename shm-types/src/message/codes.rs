@@ -90,7 +90,7 @@ code_sets! {
     #[serde(rename_all = "kebab-case")] {
         /// Schedules the steps; the program `memtransfer`.
         Orchestrator = 0 "orchestrator",
-        /// Steps the world and renders.
+        /// Steps the world and renders. A run can have several, each with an index.
         Sim = 1 "sim",
         /// Embeds views and retrieves from memory.
         Memory = 2 "memory",
@@ -153,4 +153,9 @@ pub fn read_flag(code: impl Into<u32>) -> Result<bool, UnknownCode> {
 impl Role {
     /// The roles of the processes that every run with a policy has, apart from the orchestrator.
     pub const CHILDREN: [Self; 3] = [Self::Sim, Self::Memory, Self::Policy];
+
+    /// Whether a run can have several processes in this role, each with an index.
+    pub const fn has_index(self) -> bool {
+        matches!(self, Self::Sim | Self::ExternalMemory)
+    }
 }

@@ -13,7 +13,7 @@ use crate::common::{LONG, Run, bus, run};
 /// A run with the external memories 0 and 2: memory, and both of them.
 fn joined(run: &Run) -> (Bus, [Bus; 2]) {
     let attach = Attach { external_memories: vec![0, 2], ..run.attach.clone() };
-    let external = |index| Bus::join_external_memory(attach.clone(), index).unwrap();
+    let external = |index| Bus::join_as(attach.clone(), Role::ExternalMemory, index).unwrap();
     (bus(&attach, Role::Memory), [external(0), external(2)])
 }
 
@@ -26,7 +26,7 @@ fn each_external_memory_has_its_own_queue_and_listener() {
         let message = ExternalEpisode { episode, ..Zeroable::zeroed() };
         memory.sender_to::<ExternalEpisode>(index).unwrap().send(&message).unwrap();
     }
-    memory.external_memory_notifier(2).unwrap().notify().unwrap();
+    memory.notifier_of(Role::ExternalMemory, 2).unwrap().notify().unwrap();
     assert!(second.listener().wait(LONG).unwrap());
     let received = receivers.map(|receiver| receiver.drain().unwrap());
     assert_eq!(received.map(|all| all.iter().map(|m| m.episode).collect::<Vec<_>>()), [[6], [5]]);
@@ -35,10 +35,10 @@ fn each_external_memory_has_its_own_queue_and_listener() {
     let orchestrator = Bus::join(first.attach().clone(), Role::Orchestrator).unwrap();
     let heartbeats = orchestrator.receiver::<Heartbeat>().unwrap();
     for bus in [&memory, &first, &second] {
-        let beat = Heartbeat { external: bus.index().into(), done: 1, ..Zeroable::zeroed() };
+        let beat = Heartbeat { index: bus.index().into(), done: 1, ..Zeroable::zeroed() };
         bus.sender::<Heartbeat>().unwrap().send(&beat).unwrap();
     }
-    let from = heartbeats.drain().unwrap().iter().map(|beat| beat.external).collect::<Vec<_>>();
+    let from = heartbeats.drain().unwrap().iter().map(|beat| beat.index).collect::<Vec<_>>();
     assert_eq!(from, [0, 0, 2]);
 }
 

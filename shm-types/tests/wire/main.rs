@@ -9,3 +9,4 @@ mod documents;
 mod external;
 mod frames;
 mod registry;
+mod worlds;

@@ -165,7 +165,7 @@ fn serve(mode: &str, victim: &str, attach: Attach, index: u8) -> anyhow::Result<
     let watch = ProcessWatch::new(attach.orchestrator_pid)?;
     let lanes = attach.lanes;
     let world = BookFile::<WorldDeclaration>::read(&attach.root.join(WORLD_FILE))?.book;
-    let bus = Bus::join_external_memory(attach, index)?;
+    let bus = Bus::join_as(attach, Role::ExternalMemory, index)?;
     let mut bank_queue = BankReceiver::new(&bus)?;
     let episode_queue = bus.receiver::<ExternalEpisode>()?;
     let query_queue = bus.receiver::<ExternalQuery>()?;
@@ -183,7 +183,7 @@ fn serve(mode: &str, victim: &str, attach: Attach, index: u8) -> anyhow::Result<
         let handshake = Handshake::new(Role::ExternalMemory, [("memory", mode.to_owned())])?;
         let handshake = Handshake {
             wire_version: handshake.wire_version + u32::from(mode == "old"),
-            external: u32::from(index) + u32::from(mode == "wrong-index"),
+            index: u32::from(index) + u32::from(mode == "wrong-index"),
             ..handshake
         };
         bus.sender()?.send(&handshake)?;
@@ -430,7 +430,7 @@ fn serve(mode: &str, victim: &str, attach: Attach, index: u8) -> anyhow::Result<
             if mode != "no-shutdown-report" {
                 let shutdown_report = ShutdownReport {
                     role: Role::ExternalMemory as u32,
-                    external: index.into(),
+                    index: index.into(),
                     ..Zeroable::zeroed()
                 };
                 bus.sender()?.send(&shutdown_report)?;

@@ -4,8 +4,8 @@ use std::fs;
 use std::process::{Command, Stdio};
 
 use memtransfer_tests::{
-    Bench, Ended, episodes, kill, needs, process_of, records, shared_memory_of, sorted_log,
-    success_rate, wait_for_episodes,
+    Bench, Ended, episodes, kill, needs, process_of, process_of_world, records, shared_memory_of,
+    sorted_log, success_rate, wait_for_episodes,
 };
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
@@ -85,6 +85,32 @@ fn the_log_depends_neither_on_lanes_nor_on_crashes() {
     bench.run(&["clean"]).expect(0);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
     assert_eq!(shared_memory_of(&dead), Vec::<String>::new());
+}
+
+#[test]
+fn the_log_depends_neither_on_the_number_of_worlds_nor_on_the_death_of_one() {
+    let bench = Bench::new();
+    let args = |out, worlds| [&slice(out, "6")[..], &["--worlds", worlds]].concat();
+    for worlds in ["1", "3"] {
+        bench.run(&args(worlds, worlds)).expect(0);
+    }
+    let reference = sorted_log(&bench.out("1"));
+    assert_eq!(reference.len(), 36);
+    assert_eq!(sorted_log(&bench.out("3")), reference);
+    for log in ["sim.log", "sim-1.log", "sim-2.log"] {
+        assert!(bench.out("3").join("logs").join(log).exists(), "{log}");
+    }
+    let manifest = fs::read_to_string(bench.out("3").join("manifest.json")).unwrap();
+    let manifest: Value = serde_json::from_str(&manifest).unwrap();
+    assert_eq!(manifest["processes"]["sim 2"], manifest["processes"]["sim"]);
+
+    let child = bench.start(&args("killed", "3"));
+    wait_for_episodes(&bench.out("killed"), 3);
+    kill(process_of_world(bench.registry.path(), 2));
+    let ended = Ended::of(child).expect(0);
+    assert!(ended.stderr.contains("the sim process 2 ended on signal 9"), "{}", ended.stderr);
+    assert_eq!(sorted_log(&bench.out("killed")), reference);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
 /// A closed terminal sends SIGHUP, and usually twice: once for the shell and once for its jobs.

@@ -9,7 +9,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::LazyLock;
 
-use memtransfer_tests::{Bench, Ended, episodes, eventually, kill, needs, records};
+use memtransfer_tests::{
+    Bench, Ended, episodes, eventually, kill, needs, process_of_world, records, sorted_log,
+    wait_for_episodes, words,
+};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
@@ -486,4 +489,70 @@ fn policies_and_memories_in_another_world_are_given_its_numbers_and_words() {
     );
     assert!(records.iter().all(|record| record["ending"] == "complete"), "{records:?}");
     assert_eq!(records.len(), 4);
+}
+
+/// `memtransfer run` in the corridor with a scripted policy, not started yet.
+fn corridor(bench: &Bench, flags: &[&str], out: &str) -> Command {
+    let mut command = bench.command(&["run", "--policy", "imitate", "--out", out]);
+    command.args(words("--memory working,full-context,episodic,adaptive --lanes 6 --max-steps 30"));
+    command.args(words("--runs 2 --routes unchanged,blocked --frame-size 64"));
+    command.args(flags).env("PYTHONPATH", package());
+    command
+}
+
+#[test]
+fn several_processes_of_a_world_have_the_log_of_one_and_one_of_them_may_be_killed() {
+    let bench = Bench::new();
+    let world = script("examples/corridor_world.py", "");
+    let started = |worlds: &str, out: &str| {
+        corridor(&bench, &["--world-cmd", &world, "--worlds", worlds], out)
+    };
+    for worlds in ["1", "3"] {
+        finish(started(worlds, worlds)).expect(0);
+    }
+    let reference = sorted_log(&bench.out("1"));
+    assert_eq!(reference.len(), 4 * 3 * 4 * 2);
+    assert_eq!(sorted_log(&bench.out("3")), reference);
+
+    let child = started("3", "killed").spawn().unwrap();
+    wait_for_episodes(&bench.out("killed"), 2);
+    kill(process_of_world(bench.registry.path(), 1));
+    let ended = Ended::of(child).expect(0);
+    assert!(ended.stderr.contains("the sim process 1 (`"), "{}", ended.stderr);
+    assert_eq!(sorted_log(&bench.out("killed")), reference);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn a_run_waits_for_worlds_that_the_user_starts_and_starts_again() {
+    let bench = Bench::new();
+    let world = script("examples/corridor_world.py", "");
+    finish(corridor(&bench, &["--world-cmd", &world], "reference")).expect(0);
+    let book = bench.out("book");
+    let book = book.to_str().unwrap();
+    python(&["examples/corridor_world.py", "book", "--out", book], &[]).expect(0);
+    let flags = ["--world", "external", "--world-book", book, "--worlds", "2"];
+    let mut run = corridor(&bench, &flags, "external").spawn().unwrap();
+    // What it tells to start, word by word.
+    let mut lines = BufReader::new(run.stderr.take().unwrap()).lines().map(Result::unwrap);
+    let mut told = || lines.find(|line| line.contains("MEMTRANSFER_ATTACH=")).unwrap();
+    let told = [told(), told()];
+    std::thread::spawn(move || lines.for_each(drop));
+    let start = |line: &String| {
+        let words = words(line);
+        let variables = words.iter().filter_map(|word| word.split_once('='));
+        let arguments = words.iter().skip_while(|word| **word != "serve");
+        let arguments = ["examples/corridor_world.py"].into_iter().chain(arguments.copied());
+        start_python(&arguments.collect::<Vec<_>>(), &variables.collect::<Vec<_>>())
+    };
+    let [first, mut second] = [start(&told[0]), start(&told[1])];
+    wait_for_episodes(&bench.out("external"), 2);
+    kill(second.id());
+    second.wait().unwrap();
+    let second = start(&told[1]);
+    assert_eq!(Ended::of(run).status, Some(0));
+    [first, second].map(|world| Ended::of(world).expect(0));
+    let log = sorted_log(&bench.out("external"));
+    assert_eq!(log, sorted_log(&bench.out("reference")));
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
 }

@@ -4,13 +4,13 @@
 use std::fmt;
 use std::str::FromStr;
 
-use domain::limits::{MAX_FRAMES, MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW};
+use domain::limits::{MAX_FRAMES, MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW, MAX_WORLDS};
 use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use domain::names::UnknownName;
 use domain::{Arm, FeedbackLevel, StreamOrder};
 use serde_json::Value;
 
-use super::{CaseSelector, DocumentSource, Drawn, ResponseCache};
+use super::{CaseSelector, DocumentSource, Drawn, ResponseCache, WorldStart};
 use crate::{
     Demonstrations, Frames, Hint, ImageFormat, PolicyKind, Route, SegmentContent, Start,
     representation,
@@ -190,6 +190,10 @@ pub const KEYS: &[Key] = keys! {
     "world-cmd" COMMAND Text(is_command), Run Nothing,
         "The command that starts a world of your own in place of the warehouse, for example \"python my_world.py\"; \
          `book`, `serve` and `act` are added to it";
+    "world" "external" Text(parses::<WorldStart>), Run Nothing,
+        "Wait for a world of your own that you start yourself (the run prints how); needs --world-book";
+    "world-book" "DIR" Text(any), Run Nothing,
+        "The folder with the case book of that world, which `your-program book --out DIR` writes; implies --world external";
     "memory" "LIST" List(is_memory), Group Selection = "working,full-context,summary,semantic,hybrid,episodic",
         "Memories: working, full-context, summary, semantic, hybrid, episodic, adaptive; external \
          for one of your own that you start yourself (the run prints how); none for external ones only";
@@ -318,13 +322,15 @@ pub const KEYS: &[Key] = keys! {
         "Log every prompt, its images and the answer in the run's folder, for `memtransfer show`";
     "lanes" "N" Number(1, 1024, 1), Run Machine = "16",
         "Episodes that run at the same time";
+    "worlds" "N" Number(1, MAX_WORLDS as u64, 1), Run Machine = "1",
+        "Processes of the world, which share the lanes and the frames; for a world that is slow and cores that are idle";
     "encoder-threads" "N" Number(1, 1024, 1), Run Machine,
         "Frames embedded at the same time [default: number of cores]";
     "provider" "NAME" Text(is_provider), Run Outcome,
         "ONNX Runtime's execution provider for the encoder: cpu, openvino, cuda, tensorrt \
          [default: cpu]";
     "frame-budget" "FRAMES" Number(1, MAX_FRAMES as u64, 1), Run Machine,
-        "Frames kept in shared memory [default: as many as are useful and fit into half of the \
+        "Frames that each world keeps in shared memory [default: as many as are useful and fit into half of the \
          free memory]";
     "backend" "NAME" Text(is_backend), Run Outcome,
         "Render with wgpu (a graphics device) or on the cpu, whose pixels are the same on every \

@@ -79,7 +79,7 @@ impl Service for MemoryService<'_> {
         Self: 's;
 
     fn join(&self, attach: Attach) -> Result<Bus, BusError> {
-        Bus::join_external_memory(attach, self.index)
+        Bus::join_as(attach, Role::ExternalMemory, self.index)
     }
 
     fn facts(&self) -> Vec<(&str, String)> {

@@ -205,13 +205,8 @@ fn check_sets(
     request: &BookRequest,
 ) -> Result<(), WorldFailure> {
     for (number, case) in (0..).zip(cases).filter(|(_, case)| request.cases.contains(&case.id)) {
-        for &set in &request.demonstrations {
-            let held = book.of_case(number, set);
-            let lacks_histories =
-                set.mixture().is_some() && held.as_ref().is_some_and(Vec::is_empty);
-            if held.is_none() || lacks_histories {
-                return Err(format!("case {} has no demonstrations `{set}`", case.id).into());
-            }
+        if let Some(set) = book.missing_set(number, &request.demonstrations) {
+            return Err(format!("case {} has no demonstrations `{set}`", case.id).into());
         }
     }
     Ok(())

@@ -9,7 +9,7 @@ use case_book::{BookFile, BookRequest, CASE_BOOK_FILE, DEMONSTRATIONS_FILE, Demo
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::Role;
 use shm_types::process::check_shared_memory;
-use shm_types::{Attach, Bus};
+use shm_types::{Attach, Bus, WORLD_INDEX_VARIABLE};
 
 use super::acting::ActingSimulator;
 use super::book::write_books;
@@ -27,7 +27,7 @@ const ROOM_TIMEOUT: Duration = Duration::from_secs(30);
 pub const USAGE: &str = "\
 usage: WORLD VERB, as `memtransfer run --world-cmd WORLD` adds it
 
-  book --request FILE --out DIR              write the case book of a run
+  book --out DIR [--request FILE]            write the case book: all of it, or what a run asks for
   serve --demonstrations FILE                take part in the run that MEMTRANSFER_ATTACH names until it stops
   act                                        act out the episodes that stdin names, a line of JSON each
 ";
@@ -44,7 +44,16 @@ pub fn run(
     let (verb, rest) = arguments.split_first().ok_or(USAGE)?;
     match verb.as_str() {
         "book" => {
+            if let Ok([out]) = paths(rest, ["--out"]) {
+                // For any run: what is stale on blocked routes, too.
+                let all = BookRequest { blocked: true, ..BookRequest::default() };
+                return book(simulator, &all, &out);
+            }
             let [request, out] = paths(rest, ["--request", "--out"])?;
+            let text = durable::input::read_text(&request)
+                .map_err(|error| format!("cannot read {}: {error}", request.display()))?;
+            let request: BookRequest = serde_json::from_str(&text)
+                .map_err(|error| format!("this is no request for a case book: {error}"))?;
             book(simulator, &request, &out)
         }
         "serve" => {
@@ -78,14 +87,10 @@ fn paths<const N: usize>(
 
 fn book(
     simulator: &(impl Simulator + ?Sized),
-    request: &Path,
+    request: &BookRequest,
     out: &Path,
 ) -> Result<(), WorldFailure> {
-    let text = durable::input::read_text(request)
-        .map_err(|error| format!("cannot read {}: {error}", request.display()))?;
-    let request: BookRequest = serde_json::from_str(&text)
-        .map_err(|error| format!("this is no request for a case book: {error}"))?;
-    let (cases, demonstrations) = write_books(simulator, &request)?;
+    let (cases, demonstrations) = write_books(simulator, request)?;
     std::fs::create_dir_all(out)?;
     let files = [
         (CASE_BOOK_FILE, BookFile::new(cases)?.text),
@@ -114,7 +119,7 @@ fn serve(
     )
 }
 
-/// Serves the world that `make` makes, with the renderers that `open` opens, in every generation of the run whose folder is
+/// Serves the world that `make` makes, as the one of the run's worlds whose index the environment tells, with the renderers that `open` opens, in every generation of the run whose folder is
 /// `folder`; for `warm_views` see [`serve_generation`](super::serve_generation). It ends with the orchestrator, which need not
 /// have started it.
 ///
@@ -127,7 +132,13 @@ pub fn serve_world<W: World>(
     make: impl Fn(&Attach) -> Result<W, WorldFailure>,
     open: impl Fn(&mut W, &Attach) -> Result<RenderSetup<W::Picture>, WorldFailure>,
 ) -> Result<(), ServeError> {
-    let join = |attach: Attach| Bus::join(attach, Role::Sim);
+    let index = match std::env::var(WORLD_INDEX_VARIABLE) {
+        Ok(text) => text.parse().map_err(|error| {
+            WorldFailure::from(format!("{WORLD_INDEX_VARIABLE}={text}: {error}"))
+        })?,
+        Err(_) => 0,
+    };
+    let join = |attach: Attach| Bus::join_as(attach, Role::Sim, index);
     serve_generations(folder, join, |bus, run| {
         let attach = bus.attach();
         wait_for_room(attach)?;

@@ -156,7 +156,7 @@ impl<'a, W: World> WorldSession<'a, W> {
             frames: FramePublisher::new(bus)?,
             reporter: ErrorReporter::new(bus)?,
             heartbeats: Heartbeats::new(bus)?,
-            spans: Spans::open(attach, Role::Sim, 0).map_err(ServeError::Spans)?,
+            spans: Spans::open(attach, Role::Sim, bus.index()).map_err(ServeError::Spans)?,
             control: attach.frame_control,
             views: ViewCache::new(attach.frame_capacity as usize, lanes, window),
             pending: Vec::new(),
@@ -184,7 +184,8 @@ impl<'a, W: World> WorldSession<'a, W> {
         if warm_views {
             self.render_first_views(&mut pool)?;
         }
-        self.bus.sender()?.send(&Handshake::new(Role::Sim, facts)?)?;
+        let index = self.bus.index().into();
+        self.bus.sender()?.send(&Handshake { index, ..Handshake::new(Role::Sim, facts)? })?;
         self.wakeups.send_to_all()?;
         let longest = if run.is_some() { LOOK_INTERVAL } else { LONGEST_SLEEP };
         let mut last_look = Instant::now();
@@ -206,6 +207,7 @@ impl<'a, W: World> WorldSession<'a, W> {
         }
         self.bus.sender()?.send(&ShutdownReport {
             role: Role::Sim as u32,
+            index,
             frames_rendered: self.frames_rendered,
             frames_evicted: self.frames_evicted,
             pixel_bytes_copied: self.pixel_bytes_copied,

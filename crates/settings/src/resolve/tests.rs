@@ -304,3 +304,31 @@ fn commands_of_a_suite_are_distinguished_from_those_of_the_command_line() {
         assert_eq!(key.is_command(), is_open || in_list, "{}", key.name);
     }
 }
+
+#[test]
+fn a_world_is_the_warehouse_or_one_that_a_command_or_the_user_starts() {
+    let of = |layers: &[Layer]| {
+        let imitate = flags(&[("policy", "imitate"), ("memory", "episodic")]);
+        merged([vec![imitate], layers.to_vec()].concat()).map(|resolved| resolved.settings)
+    };
+    let command = environment("MEMTRANSFER_WORLD_CMD", "python world.py");
+    let external = of(&[command.clone(), flags(&[("world-book", "book")])]).unwrap();
+    assert_eq!((external.world, external.world_cmd.as_deref()), (Some(WorldStart::External), None));
+    let book = suite("world = \"external\"\nworld-book = \"book\"");
+    let started = of(&[book.clone(), command]).unwrap();
+    assert_eq!((started.own_world(), &started.world_book), (Some("--world-cmd"), &None));
+    let error = |layers: &[Layer]| of(layers).unwrap_err().to_string();
+    let alone = error(&[flags(&[("world", "external")])]);
+    assert!(alone.starts_with("--world external needs --world-book DIR"), "{alone}");
+    let both = error(&[flags(&[("world-cmd", "mine"), ("world-book", "book")])]);
+    assert!(both.contains("give one of them"), "{both}");
+    let adapter = error(&[book, flags(&[("adapter", "llvmpipe")])]);
+    assert!(adapter.contains("--world external names another world"), "{adapter}");
+}
+
+#[test]
+fn a_stream_has_one_world() {
+    let stream = load_suite(&"stream".parse().unwrap(), None).unwrap();
+    let error = merged([stream, flags(&[("worlds", "2")])]).unwrap_err().to_string();
+    assert!(error.starts_with("--worlds is 2, and a suite of streams has one"), "{error}");
+}

@@ -72,11 +72,12 @@ pub(crate) fn drill(extent: &Extent, report: &mut Report) -> Result<(), String> 
         };
         // Also shortly after the end of an undisturbed run: runs that are disturbed, or listed, take longer.
         let share = random.fraction() * 1.1;
+        let worlds = 1 + (3.0 * random.fraction()) as u32;
         let class = class(disturbance, role);
-        let name = format!("{class} at {share:.3} of a run, seed {seed}");
+        let name = format!("{class} at {share:.3} of a run, {worlds} worlds, seed {seed}");
         Trial::new(name, class, move |sandbox| {
             let moment = Duration::from_secs_f64(share * sandbox.usual);
-            disturb(sandbox, disturbance, (role, program), moment)
+            disturb(sandbox, disturbance, (role, program), (moment, worlds))
         })
     });
     execute(extent, report, sandboxes, WHOLE, trials);
@@ -99,9 +100,10 @@ fn disturb(
     sandbox: &mut Sandbox,
     disturbance: Disturbance,
     (role, program): (&str, &str),
-    moment: Duration,
+    (moment, worlds): (Duration, u32),
 ) -> Result<bool, String> {
     let mut run = sandbox.run();
+    run.args.extend(["--worlds".to_owned(), worlds.to_string()]);
     if role == EXTERNAL_POLICY {
         run.make_policy_external();
     }

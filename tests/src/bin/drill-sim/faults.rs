@@ -124,6 +124,7 @@ pub(crate) struct Plan {
     /// The number of the scenario, below the number that there are.
     pub(crate) scenario: usize,
     pub(crate) lanes: u32,
+    pub(crate) worlds: u32,
     /// Frames beyond the least that the run needs.
     pub(crate) spare_frames: u32,
     pub(crate) preemption: Preemption,
@@ -167,6 +168,7 @@ impl Plan {
             faults.push(Fault { at: 1 + below(most + most / 3), trouble });
         }
         faults.sort_by_key(|fault| fault.at);
-        Self { scenario, lanes, spare_frames, preemption, faults }
+        let worlds = 1 + below(3) as u32;
+        Self { scenario, lanes, worlds, spare_frames, preemption, faults }
     }
 }

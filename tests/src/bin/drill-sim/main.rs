@@ -1,6 +1,6 @@
 //! `drill-sim`: runs in which everything goes wrong, executed in one program, each exactly repeatable from its seed.
 //!
-//! Orchestrator, simulator, memory, policy and an external memory are the real ones and exchange messages through iceoryx2.
+//! Orchestrator, up to three simulators, memory, policy and an external memory are the real ones and exchange messages through iceoryx2.
 //! A scheduler executes them one at a time, in an order drawn from the seed and with a virtual clock (`scheduler`). The seed
 //! also draws faults: deaths, stalls, clock jumps, full queues, disks that are full or broken, writes that are torn
 //! (`faults`). The run is resumed until it ends. Then its log has to equal that of an undisturbed run, line by line, and nothing may be left open
@@ -35,7 +35,7 @@ use crate::trial::{Outcome, Place, execute};
 const REAL_LIMIT: Duration = Duration::from_secs(120);
 
 /// What the page of results says about the drill.
-const TEXT: &str = "Small runs in one program: the serve loops of the orchestrator, the simulator, memory, the policy and an external \
+const TEXT: &str = "Small runs in one program: the serve loops of the orchestrator, up to three simulators, memory, the policy and an external \
      memory exchange messages through iceoryx2, and a scheduler executes them one at a time, in an order drawn from the \
      seed and with a virtual clock. At every message sent or received another process may come first, so that messages of \
      different services arrive in any order; in a quarter of the runs the frame store holds just the frames that can be \
@@ -124,8 +124,14 @@ fn run(arguments: &Arguments) -> Result<usize> {
     let mut known = Vec::new();
     for scenario in &scenarios {
         let preemption = Preemption::NONE;
-        let undisturbed =
-            Plan { scenario: 0, lanes: 2, spare_frames: 64, preemption, faults: Vec::new() };
+        let undisturbed = Plan {
+            scenario: 0,
+            lanes: 2,
+            worlds: 1,
+            spare_frames: 64,
+            preemption,
+            faults: Vec::new(),
+        };
         // The first execution also opens what stays open, such as the log of iceoryx2.
         let first = execute(scenario, &undisturbed, (0, None), &place, None)?;
         let outcome = execute(scenario, &undisturbed, (0, None), &place, Some(&first.log))?;
@@ -252,9 +258,10 @@ fn minimise(
 
 fn describe(plan: &Plan, scenario: &Scenario, outcome: &Outcome) {
     eprintln!(
-        "  {}, {} lanes, {} spare frames, {} of 1024 points preempt up to point {}, {} sessions, digest {:016x}",
+        "  {}, {} lanes, {} worlds, {} spare frames, {} of 1024 points preempt up to point {}, {} sessions, digest {:016x}",
         scenario.name,
         plan.lanes,
+        plan.worlds,
         plan.spare_frames,
         plan.preemption.of_1024,
         plan.preemption.until.min(outcome.account.steps),

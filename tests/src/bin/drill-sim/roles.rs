@@ -63,12 +63,12 @@ impl fmt::Debug for InProcess {
 
 impl Launcher for InProcess {
     fn start(&self, launch: &Launch, log: &Path) -> Result<Box<dyn Running>> {
-        let role = launch.role;
+        let (role, index) = (launch.role, launch.index);
         let own = launch.env.iter().find(|(name, _)| name == ATTACH_VARIABLE).map(|(_, own)| own);
         let root = own.or(launch.args.last()).context("no folder to attach to")?.into();
         let (worlds, files, plant) = (self.worlds.clone(), self.files.clone(), self.plant);
         let log = log.to_owned();
-        let run = move || match take_part(role, root, worlds, &files, plant) {
+        let run = move || match take_part((role, index), root, worlds, &files, plant) {
             Ok(()) => ExitStatus::from_raw(0),
             Err(error) => {
                 // The log tells the orchestrator why.
@@ -103,9 +103,9 @@ impl Running for InProcessChild {
     }
 }
 
-/// Serves in `role` in the run of `root`.
+/// Serves in `role`, as the world with this index, in the run of `root`.
 fn take_part(
-    role: Role,
+    (role, index): (Role, u8),
     root: PathBuf,
     worlds: Worlds,
     files: &Files,
@@ -119,7 +119,7 @@ fn take_part(
     }
     match role {
         Role::Sim => {
-            let bus = Bus::join(Attach::read(&root)?, Role::Sim)?;
+            let bus = Bus::join_as(Attach::read(&root)?, Role::Sim, index)?;
             let views = ViewFolder::open(&files.caches, &worlds, &RenderSettings::default())?;
             let demonstrations = BookFile::<DemonstrationBook>::read(&files.demonstrations)?.book;
             let mut world = WarehouseWorld::new(bus.attach(), worlds, demonstrations)?;

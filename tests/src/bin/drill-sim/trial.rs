@@ -107,7 +107,10 @@ pub(crate) fn execute(
     // It is there when the power fails before any process has started.
     fs::create_dir(&caches)?;
     let scheduler = Scheduler::new(seed, plan.preemption, plan.faults.clone(), MOST_STEPS);
-    let settings = RunSettings { out: out.clone(), lanes: plan.lanes, ..scenario.settings.clone() };
+    // A stream has one world.
+    let worlds = if scenario.settings.stream.is_some() { 1 } else { plan.worlds };
+    let settings =
+        RunSettings { out: out.clone(), lanes: plan.lanes, worlds, ..scenario.settings.clone() };
     let mut violations = Vec::new();
     let names = RefCell::new(Vec::new());
     let mut sessions = 0;
@@ -209,7 +212,7 @@ fn session(
             let cases = (&books.cases.book, &books.demonstrations.book);
             // Decided by all episodes, so that it is the same in every session.
             let demand = Demand::of(attach, cases, &scenario.episodes, most);
-            attach.frame_capacity = demand.least(attach.lanes) + plan.spare_frames;
+            attach.frame_capacity = demand.least(attach.lanes_of_world()) + plan.spare_frames;
             let out = &settings.out;
             options.launcher = Arc::new(InProcess {
                 scheduler: scheduler.clone(),
