@@ -7,6 +7,7 @@ draws what it sees. Steps of a metre and quarter turns keep it on a grid of pose
 """
 
 import contextlib
+import functools
 import json
 import math
 from hashlib import blake2b
@@ -54,6 +55,9 @@ def load_texture(path, load=pyglet.image.load):
 
 
 pyglet.image.load = load_texture
+# All lanes draw in one window. In a second one, Mesa would compile again all that draws.
+pyglet.window.Window = functools.cache(pyglet.window.Window)
+frame_buffer = functools.cache(FrameBuffer)
 
 
 class Rooms(MiniWorldEnv):
@@ -61,8 +65,8 @@ class Rooms(MiniWorldEnv):
 
     drawn = None  # whose walls are in the list of drawing commands, which all instances of a process share
 
-    def __init__(self, plan):
-        self.plan, self.start, self.blocked = plan, (0, 0, 0), None
+    def __init__(self, *beginning):
+        self.plan, self.start, self.blocked = beginning
         params = DEFAULT_PARAMS.no_random()
         params.set("forward_step", 1 / STEPS)
         params.set("turn_step", 90)
@@ -111,6 +115,8 @@ class Rooms(MiniWorldEnv):
                 break
         # Rounding errors of turns and steps do not add up.
         self.agent.dir = round(self.agent.dir / (math.pi / 2)) % 4 * math.pi / 2
+        if self.agent.carrying:
+            self.agent.carrying.dir = self.agent.dir
         for entity in self.entities:
             entity.pos = np.round(entity.pos, 6) + 0.0
 
@@ -141,7 +147,7 @@ class Miniworld(World):
     tasks = {"go-to": "go to", "visit": "visit", "pick-up": "carry", "put-next": "carry"}
 
     def __init__(self):
-        self.env, self.frame_buffer = None, None
+        self.env = None
 
     def cases(self):
         drawn = json.loads(Path(__file__).with_name("cases.json").read_text())
@@ -158,12 +164,13 @@ class Miniworld(World):
         return self.observe(START)
 
     def begin(self, case, start, blocked):
+        beginning = case["plan"], start, blocked
         if self.env is None:
-            self.env = Rooms(case["plan"])
-        env = self.env
-        env.plan, env.start, env.blocked = case["plan"], start, blocked
-        env.reset(seed=0)
-        self.case, self.goals = case, [env.named[name] for name in case["objects"]]
+            self.env = Rooms(*beginning)
+        else:
+            self.env.plan, self.env.start, self.env.blocked = beginning
+            self.env.reset(seed=0)
+        self.case, self.goals = case, [self.env.named[name] for name in case["objects"]]
         self.sub_goals, self.required = 0, 1 if case["task"] in ("go-to", "pick-up") else 2
         self.seen = self.hash()
 
@@ -211,10 +218,7 @@ class Miniworld(World):
 
     def render(self, pixels):
         height, width = pixels.shape[:2]
-        if self.frame_buffer is None:
-            self.env.shadow_window.switch_to()
-            self.frame_buffer = FrameBuffer(width, height, 4)
-        pixels[..., :3], pixels[..., 3] = self.env.render_obs(self.frame_buffer), 255
+        pixels[..., :3], pixels[..., 3] = self.env.render_obs(frame_buffer(width, height, 4)), 255
 
 
 if __name__ == "__main__":

@@ -21,7 +21,8 @@ fn world_command(name: &str) -> String {
 
 /// `memtransfer run` in the example world `name`, of two cases on small frames, not started yet.
 fn run(bench: &Bench, name: &str, cases: &str, line: &str) -> Command {
-    let mut command = bench.command(&["run", "--world-cmd", &world_command(name), "--cases", cases]);
+    let mut command =
+        bench.command(&["run", "--world-cmd", &world_command(name), "--cases", cases]);
     command.args(words("--frame-size 64 --max-steps 60 --starts original,new"));
     command.args(words("--routes unchanged,blocked"));
     command.args(words(line)).env("PYTHONPATH", repository("python"));
@@ -44,7 +45,7 @@ fn demonstrations_of_minigrid_are_imitated_and_its_log_depends_on_no_lanes() {
 /// Lanes of Miniworld draw in one process, with lists of drawing commands that they share.
 #[test]
 fn demonstrations_of_miniworld_are_imitated_and_its_log_depends_on_no_lanes() {
-    demonstrations_are_imitated("miniworld", "MINI_CASES");
+    demonstrations_are_imitated("miniworld", "b0-1-go-to,b2-4-pick-up");
 }
 
 /// In a run of two cases, which is the same with one lane and with eight, and which `validate` confirms.
@@ -78,7 +79,7 @@ fn the_expert_of_minigrid_completes_every_reference() {
 
 #[test]
 fn the_expert_of_miniworld_completes_every_reference() {
-    the_expert_completes_every_reference("miniworld", "MINI_EXPERT");
+    the_expert_completes_every_reference("miniworld", "b0-5-put-next,b2-3-visit");
 }
 
 fn the_expert_completes_every_reference(name: &str, cases: &str) {
@@ -91,4 +92,21 @@ fn the_expert_completes_every_reference(name: &str, cases: &str) {
     }
     assert!(records.iter().all(|record| record["steps"] == record["reference"]), "{records:?}");
     assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn miniworld_draws_the_floor_below_and_red_first() {
+    // Two metres east of the start stands a red box.
+    let script = "import numpy, world\n\
+        simulator = world.Miniworld()\n\
+        simulator.begin(next(iter(simulator.cases())).data, (0, 5, 0), None)\n\
+        pixels = numpy.zeros((64, 64, 4), numpy.uint8)\n\
+        simulator.render(pixels)\n\
+        red, green, blue, alpha = numpy.moveaxis(pixels.astype(int), -1, 0)\n\
+        box = (red > 110) & (green + blue < 80)\n\
+        print(box[:32].sum() == 0, box[32:].sum() > 100, (blue > red + 50).sum() == 0, (alpha == 255).all())";
+    let mut python = Command::new(needs::world_python("miniworld"));
+    python.args(["-B", "-c", script]).current_dir(repository("examples/worlds/miniworld"));
+    python.env("PYTHONPATH", repository("python"));
+    assert_eq!(Ended::run(&mut python).expect(0).stdout, "True True True True\n");
 }
