@@ -133,7 +133,8 @@ class Miniworld(World):
     name, version = "miniworld", "1"
     rules = (
         "You are in a building of six rooms, three from west to east and two from north to south, with doorways between them and balls, "
-        "boxes and keys on the floor. You see what is in front of you. Each room has a floor and walls of its own.\n"
+        "boxes and keys on the floor. You see what is in front of you, but not the floor one metre ahead. Each room has a floor and walls of "
+        "its own.\n"
         "Your position is in metres: x grows to the east, z to the south. `turn left` and `turn right` turn you by 90 degrees, `move "
         "forward` takes you one metre ahead. You cannot walk through walls, objects and barrels.\n"
         "`pick up` takes the object one metre in front of you, if you carry none. You carry it in front of you, where it can touch "
