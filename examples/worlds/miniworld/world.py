@@ -18,10 +18,12 @@ import pyglet
 
 pyglet.options["headless"] = True  # EGL, no display; to be said before Miniworld is imported
 
+import miniworld
 from miniworld.entity import Ball, Box, Key, MeshEnt
 from miniworld.miniworld import MiniWorldEnv
 from miniworld.opengl import FrameBuffer
 from miniworld.params import DEFAULT_PARAMS
+from miniworld.utils import get_file_path
 
 from memtransfer.world import DONE, NO_EFFECT, START, Case, Field, Observation, World, main
 
@@ -58,6 +60,7 @@ pyglet.image.load = load_texture
 # All lanes draw in one window. In a second one, Mesa would compile again all that draws.
 pyglet.window.Window = functools.cache(pyglet.window.Window)
 frame_buffer = functools.cache(FrameBuffer)
+miniworld.opengl.get_file_path = miniworld.objmesh.get_file_path = functools.cache(get_file_path)
 
 
 class Rooms(MiniWorldEnv):
@@ -65,8 +68,10 @@ class Rooms(MiniWorldEnv):
 
     drawn = None  # whose walls are in the list of drawing commands, which all instances of a process share
 
-    def __init__(self, *beginning):
-        self.plan, self.start, self.blocked = beginning
+    def __init__(self):
+        # All shapes are loaded before the first episode, which has to begin within a step's time limit.
+        objects = [(kind, colour, 0, 0) for kind in OBJECTS for colour in COLOURS]
+        self.plan, self.start, self.blocked = {"doorways": [], "objects": objects}, (0, 0, 0), (0, 0)
         params = DEFAULT_PARAMS.no_random()
         params.set("forward_step", 1 / STEPS)
         params.set("turn_step", 90)
@@ -148,7 +153,7 @@ class Miniworld(World):
     tasks = {"go-to": "go to", "visit": "visit", "pick-up": "carry", "put-next": "carry"}
 
     def __init__(self):
-        self.env = None
+        self.env = Rooms()
 
     def cases(self):
         drawn = json.loads(Path(__file__).with_name("cases.json").read_text())
@@ -165,13 +170,10 @@ class Miniworld(World):
         return self.observe(START)
 
     def begin(self, case, start, blocked):
-        beginning = case["plan"], start, blocked
-        if self.env is None:
-            self.env = Rooms(*beginning)
-        else:
-            self.env.plan, self.env.start, self.env.blocked = beginning
-            self.env.reset(seed=0)
-        self.case, self.goals = case, [self.env.named[name] for name in case["objects"]]
+        env = self.env
+        env.plan, env.start, env.blocked = case["plan"], start, blocked
+        env.reset(seed=0)
+        self.case, self.goals = case, [env.named[name] for name in case["objects"]]
         self.sub_goals, self.required = 0, 1 if case["task"] in ("go-to", "pick-up") else 2
         self.seen = self.hash()
 
