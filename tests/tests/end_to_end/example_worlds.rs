@@ -44,11 +44,16 @@ fn documents_of_the_corridor_are_written_in_its_words() {
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
+/// How the example world `name` is started.
+fn world_command(name: &str) -> String {
+    let script = repository(&format!("examples/worlds/{name}/world.py"));
+    format!("{} {}", needs::world_python(name).display(), script.display())
+}
+
 /// `memtransfer run` in the example world `name`, of two cases on small frames, not started yet.
 fn run(bench: &Bench, name: &str, cases: &str, line: &str) -> Command {
-    let script = repository(&format!("examples/worlds/{name}/world.py"));
-    let world = format!("{} {}", needs::world_python(name).display(), script.display());
-    let mut command = bench.command(&["run", "--world-cmd", &world, "--cases", cases]);
+    let mut command =
+        bench.command(&["run", "--world-cmd", &world_command(name), "--cases", cases]);
     command.args(words("--frame-size 64 --max-steps 60 --starts original,new"));
     command.args(words("--routes unchanged,blocked"));
     command.args(words(line)).env("PYTHONPATH", repository("python"));
@@ -65,15 +70,25 @@ fn endings<'a>(records: &'a [Value], memory: &str, start: &str, route: &str) -> 
 
 #[test]
 fn demonstrations_of_minigrid_are_imitated_and_its_log_depends_on_no_lanes() {
+    demonstrations_are_imitated("minigrid", "g1-2-pick-up,g1-5-unlock");
+}
+
+/// Lanes of Miniworld draw in one process, with lists of drawing commands that they share.
+#[test]
+fn demonstrations_of_miniworld_are_imitated_and_its_log_depends_on_no_lanes() {
+    demonstrations_are_imitated("miniworld", "b0-1-go-to,b2-4-pick-up");
+}
+
+/// In a run of two cases, which is the same with one lane and with eight, and which `validate` confirms.
+fn demonstrations_are_imitated(name: &str, cases: &str) {
     let bench = Bench::new();
-    let cases = "g1-2-pick-up,g1-5-unlock";
     let line = "--policy imitate --memory full-context,episodic";
     // A memory of another process, which knows nothing of any world.
     let top_k = repository("examples/memories/top-k/memory.py");
-    let top_k = format!("{} {}", needs::world_python("minigrid").display(), top_k.display());
+    let top_k = format!("{} {}", needs::world_python(name).display(), top_k.display());
     for lanes in ["1", "8"] {
         let line = format!("{line} --lanes {lanes} --out {lanes}");
-        let mut run = run(&bench, "minigrid", cases, &line);
+        let mut run = run(&bench, name, cases, &line);
         Ended::run(run.args(["--memory-cmd", &top_k])).expect(0);
     }
     let imitated = records(&bench.out("8"));
@@ -84,8 +99,7 @@ fn demonstrations_of_minigrid_are_imitated_and_its_log_depends_on_no_lanes() {
     }
     assert_eq!(sorted_log(&bench.out("1")), sorted_log(&bench.out("8")));
     // A log is true: every episode is acted out again.
-    let script = repository("examples/worlds/minigrid/world.py");
-    let world = format!("{} {}", needs::world_python("minigrid").display(), script.display());
+    let world = world_command(name);
     let mut validate = bench.command(&["validate", "8"]);
     validate.env("MEMTRANSFER_WORLD_CMD", world).env("PYTHONPATH", repository("python"));
     let valid = Ended::run(&mut validate).expect(0).stdout;
@@ -95,13 +109,39 @@ fn demonstrations_of_minigrid_are_imitated_and_its_log_depends_on_no_lanes() {
 
 #[test]
 fn the_expert_of_minigrid_completes_every_reference() {
+    the_expert_completes_every_reference("minigrid", "g0-3-put-next,g2-4-open");
+}
+
+#[test]
+fn the_expert_of_miniworld_completes_every_reference() {
+    the_expert_completes_every_reference("miniworld", "b0-5-put-next,b2-3-visit");
+}
+
+fn the_expert_completes_every_reference(name: &str, cases: &str) {
     let bench = Bench::new();
     let line = "--policy expert --memory working --out out";
-    Ended::run(&mut run(&bench, "minigrid", "g0-3-put-next,g2-4-open", line)).expect(0);
+    Ended::run(&mut run(&bench, name, cases, line)).expect(0);
     let records = records(&bench.out("out"));
     for (start, route) in [("original", "unchanged"), ("new", "unchanged"), ("new", "blocked")] {
         assert_eq!(endings(&records, "working", start, route), ["complete"; 2], "{start} {route}");
     }
     assert!(records.iter().all(|record| record["steps"] == record["reference"]), "{records:?}");
     assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn miniworld_draws_the_floor_below_and_red_first() {
+    // Two metres east of the start stands a red box.
+    let script = "import numpy, world\n\
+        simulator = world.Miniworld()\n\
+        simulator.begin(next(iter(simulator.cases())).data, (0, 5, 0), None)\n\
+        pixels = numpy.zeros((64, 64, 4), numpy.uint8)\n\
+        simulator.render(pixels)\n\
+        red, green, blue, alpha = numpy.moveaxis(pixels.astype(int), -1, 0)\n\
+        box = (red > 110) & (green + blue < 80)\n\
+        print(box[:32].sum() == 0, box[32:].sum() > 100, (blue > red + 50).sum() == 0, (alpha == 255).all())";
+    let mut python = Command::new(needs::world_python("miniworld"));
+    python.args(["-B", "-c", script]).current_dir(repository("examples/worlds/miniworld"));
+    python.env("PYTHONPATH", repository("python"));
+    assert_eq!(Ended::run(&mut python).expect(0).stdout, "True True True True\n");
 }
