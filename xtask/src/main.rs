@@ -47,7 +47,7 @@ struct TaskArguments {
 enum Verb {
     /// Install what is missing: system packages, ONNX Runtime, the default encoder
     Setup {
-        /// Also install what tests need: a Vulkan driver, Chromium, ffmpeg, Python packages and a small language model
+        /// Also install what tests need: a Vulkan driver, Mesa, Chromium, ffmpeg, Python packages and a small language model
         #[arg(long)]
         tests: bool,
         /// Also install LeRobot with PyTorch, 8 GB, for the test of its data sets

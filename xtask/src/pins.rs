@@ -150,8 +150,14 @@ mod tests {
         for purpose in [Purpose::Use, Purpose::Benches] {
             assert_eq!(wanted(purpose), ["Python 3 with pip"], "{purpose:?}");
         }
-        let of_tests =
-            ["Python 3 with pip", "Vulkan loader", "Vulkan driver", "Chromium", "ffmpeg"];
+        let of_tests = [
+            "Python 3 with pip",
+            "Vulkan loader",
+            "Vulkan driver",
+            "Chromium",
+            "ffmpeg",
+            "Mesa's EGL",
+        ];
         assert_eq!(wanted(Purpose::Tests), of_tests);
     }
 

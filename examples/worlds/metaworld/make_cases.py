@@ -15,7 +15,7 @@ import numpy as np
 from world import CLOSE, MOVES, STRIDE, MetaWorld
 
 SEED = 1
-PAIRS = {"reach": 4, "push": 2, "pick-place": 2, "press": 2, "open-drawer": 1, "close-drawer": 1, "open-window": 1, "close-window": 1}
+PAIRS = {"reach": 3, "push": 2, "pick-place": 2, "press": 2, "open-drawer": 1, "open-window": 1}
 OVER = 25  # as high as this, the hand passes every wall
 BEHIND = 72  # where the walls of the tables with a puck are
 SIDES = [-20, -15, -10, -5, 0, 5, 10, 15, 20]
@@ -26,11 +26,10 @@ def draw_pair(random, task):
     if task == "press":
         xs = random.choice([(-10, 0), (-10, 5), (-5, 5), (-5, 10), (0, 10)])
         return [{"vector": [x / 100, 0.9, 0.115], "x": x, "wall": [x / 100, 0.55, 0.0]} for x in xs]
-    if task in ("open-drawer", "close-drawer"):
+    if task == "open-drawer":
         return [{"vector": [x / 100, 0.9, 0.0], "x": x} for x in random.sample([-10, 0, 10], 2)]
-    if task in ("open-window", "close-window"):
-        height = 0.16 if task == "open-window" else 0.2
-        return [{"vector": [x / 100, 0.8, height], "x": x} for x in random.sample([-10, -5, 0, 5], 2)]
+    if task == "open-window":
+        return [{"vector": [x / 100, 0.8, 0.16], "x": x} for x in random.sample([-10, -5, 0, 5], 2)]
     x, y, side = random.choice([-5, 0, 5]), random.choice([60, 65]), random.choice([-1, 1])
     pair = []
     for step in random.sample([-10, 10], 2):
@@ -67,9 +66,7 @@ def plan(case, blocked):
         "pick-place": (f"{to_puck} z{gz} y{gy} x{gx}", f"{to_puck} z{OVER} y{gy} x{gx} z{gz}"),
         "press": (f"z15 x{x} y90", f"z{OVER} x{x} y65 z15 y90"),
         "open-drawer": (f"z{OVER} x{x} y75 z10 y45", None),
-        "close-drawer": (f"z{OVER} y45 x{x} z5 y75", None),
         "open-window": (f"z{OVER} x{x - 10} y65 z15 y70 z10 x{x + 25}", None),
-        "close-window": (f"z{OVER} x{x + 25} y65 z15 y70 z10 x{x - 15}", None),
     }[case["task"]]
     return (walled if blocked else free).split()
 

@@ -20,7 +20,7 @@ from metaworld.env_dict import ALL_V3_ENVIRONMENTS
 
 from memtransfer.world import DONE, NO_EFFECT, START, Case, Field, Observation, World, main
 
-STRIDE, CONTROL_STEPS = 5, 25  # of an action: centimetres, and control steps of Meta-World
+STRIDE, CONTROL_STEPS = 5, 15  # of an action: centimetres, and control steps of Meta-World
 LOW, HIGH = np.array([-30, 40, 5]), np.array([30, 95, 45])  # where the hand may be, in centimetres
 MOVES = STRIDE * np.array([[-1, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
 OPEN, CLOSE = 6, 7
@@ -32,9 +32,7 @@ TASKS = {  # a task: its group, Meta-World's name, and what is asked
     "pick-place": ("move", "pick-place-wall-v3", "Lift the puck to {}."),
     "press": ("operate", "button-press-wall-v3", "Press the red button."),
     "open-drawer": ("operate", "drawer-open-v3", "Open the drawer."),
-    "close-drawer": ("operate", "drawer-close-v3", "Close the drawer."),
     "open-window": ("operate", "window-open-v3", "Push the window open."),
-    "close-window": ("operate", "window-close-v3", "Push the window closed."),
 }
 
 
@@ -59,10 +57,9 @@ class Table:
         self.env._last_rand_vec, self.env.hand_init_pos = np.array(vector), np.array(hand) / 100
         if self.wall >= 0:
             self.model.body_pos[self.wall] = wall or AWAY
-        # Meta-World brings the hand to its place before it sets up the table: the first time, the table is that of another case.
-        for _ in range(2):
-            mujoco.mj_resetData(self.model, self.data)
-            self.env.reset_model()
+        # Meta-World brings the hand to its place while the last table is still set: no start is where a table has anything.
+        mujoco.mj_resetData(self.model, self.data)
+        self.env.reset_model()
         mujoco.mj_forward(self.model, self.data)
 
     def save(self):
@@ -82,11 +79,12 @@ class Table:
     def render(self, height, width):
         if (height, width) not in self.renderers:
             self.model.vis.global_.offheight, self.model.vis.global_.offwidth = height, width
+            self.model.vis.quality.offsamples = 0  # as without shadows and reflections below, quicker where no GPU is
             self.renderers[height, width] = mujoco.Renderer(self.model, height, width)
             atexit.register(self.renderers[height, width].close)
         renderer = self.renderers[height, width]
         renderer.update_scene(self.data, self.camera, self.view)
-        for slow in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):  # without a GPU
+        for slow in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             renderer.scene.flags[slow] = 0
         return renderer.render()
 
