@@ -21,7 +21,8 @@ fn world_command(name: &str) -> String {
 
 /// `memtransfer run` in the example world `name`, of two cases on small frames, not started yet.
 fn run(bench: &Bench, name: &str, cases: &str, line: &str) -> Command {
-    let mut command = bench.command(&["run", "--world-cmd", &world_command(name), "--cases", cases]);
+    let mut command =
+        bench.command(&["run", "--world-cmd", &world_command(name), "--cases", cases]);
     command.args(words("--frame-size 64 --max-steps 60 --starts original,new"));
     command.args(words("--routes unchanged,blocked"));
     command.args(words(line)).env("PYTHONPATH", repository("python"));
@@ -44,7 +45,7 @@ fn demonstrations_of_minigrid_are_imitated_and_its_log_depends_on_no_lanes() {
 /// Lanes of Meta-World share the model of a table, and the renderer.
 #[test]
 fn demonstrations_of_meta_world_are_imitated_and_its_log_depends_on_no_lanes() {
-    demonstrations_are_imitated("metaworld", "push-8,press-16");
+    demonstrations_are_imitated("metaworld", "push-8,press-14");
 }
 
 /// In a run of two cases, which is the same with one lane and with eight, and which `validate` confirms.
@@ -78,7 +79,7 @@ fn the_expert_of_minigrid_completes_every_reference() {
 
 #[test]
 fn the_expert_of_meta_world_completes_every_reference() {
-    the_expert_completes_every_reference("metaworld", "reach-1,pick-place-12");
+    the_expert_completes_every_reference("metaworld", "reach-1,pick-place-10");
 }
 
 fn the_expert_completes_every_reference(name: &str, cases: &str) {
