@@ -98,13 +98,14 @@ class MetaWorld(World):
     name, version = "meta-world", "1"
     rules = (
         "You move the hand of a robot arm over a table. You see the table from behind the robot, from its right. A place is given in "
-        "centimetres: x from left to right, y forward, away from the robot, z up. In the picture, forward leads to the upper right, right to "
-        "the lower right. Your hand stays within x -30 to 30, y 40 to 95 and z 5 to 45, and far in front it stops a little before the place "
-        "that you want. It has two fingers, one behind the other, which point down.\n"
-        "Each move is of 5 cm along an axis. `close gripper` holds what is between the fingers, `open gripper` lets it go. There may be a "
-        "red puck on the table, which your gripper can hold when the hand is right above it at z 5; a drawer or a window with a white "
-        "handle; or a red button, which is pressed forward. Things can be pushed. A blue wall is solid: the way around it is above it or "
-        "beside it. Some tasks name a place, such as place A: it is not marked on the table, and always the same for the same task."
+        "centimetres: x from left to right, y forward, away from the robot, z up. In the picture, forward leads to the upper right, "
+        "right to the lower right. Your hand stays within x -30 to 30, y 40 to 95 and z 5 to 45, and far in front it stops a little "
+        "before the place that you want. It has two fingers, one behind the other, which point down.\n"
+        "Each move is of 5 cm along an axis. `close gripper` holds what is between the fingers, `open gripper` lets it go. There may "
+        "be a red puck on the table, which your gripper can hold when the hand is right above it at z 5; a drawer or a window with a "
+        "white handle; or a red button, which is pressed forward. Things can be pushed. A blue wall is solid: the way around it is "
+        "above it or beside it. Some tasks name a place, such as place A: it is not marked on the table, and always the same for the "
+        "same task."
     )
     actions = ("move left", "move right", "move forward", "move back", "move up", "move down", "open gripper", "close gripper")
     letters = "lrfbudoc"
