@@ -79,6 +79,12 @@ fn demonstrations_of_miniworld_are_imitated_and_its_log_depends_on_no_lanes() {
     demonstrations_are_imitated("miniworld", "b0-1-go-to,b2-4-pick-up");
 }
 
+/// Lanes of Meta-World share the model of a table, and the renderer.
+#[test]
+fn demonstrations_of_meta_world_are_imitated_and_its_log_depends_on_no_lanes() {
+    demonstrations_are_imitated("metaworld", "push-8,press-14");
+}
+
 /// In a run of two cases, which is the same with one lane and with eight, and which `validate` confirms.
 fn demonstrations_are_imitated(name: &str, cases: &str) {
     let bench = Bench::new();
@@ -115,6 +121,11 @@ fn the_expert_of_minigrid_completes_every_reference() {
 #[test]
 fn the_expert_of_miniworld_completes_every_reference() {
     the_expert_completes_every_reference("miniworld", "b0-5-put-next,b2-3-visit");
+}
+
+#[test]
+fn the_expert_of_meta_world_completes_every_reference() {
+    the_expert_completes_every_reference("metaworld", "reach-1,pick-place-10");
 }
 
 fn the_expert_completes_every_reference(name: &str, cases: &str) {
