@@ -4,8 +4,8 @@ use std::fs;
 use std::process::{Command, Stdio};
 
 use memtransfer_tests::{
-    Bench, Ended, episodes, kill, needs, process_of, records, shared_memory_of, sorted_log,
-    success_rate, wait_for_episodes,
+    Bench, Ended, episodes, kill, needs, process_of, records, shared_memory_of, shutdown_total,
+    sorted_log, success_rate, wait_for_episodes,
 };
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
@@ -268,13 +268,7 @@ fn no_pixel_crosses_a_process_boundary_by_copy() {
     }
     Ended::of(child).expect(0);
 
-    let sessions = fs::read_to_string(run.join("sessions.jsonl")).unwrap();
-    let ended: Value = sessions
-        .lines()
-        .map(|line| serde_json::from_str::<Value>(line).unwrap())
-        .find(|event| event["event"] == "ended")
-        .unwrap();
-    let total = |role: &str, key: &str| ended["shutdown_reports"][role][key].as_u64().unwrap();
+    let total = |role: &str, key: &str| shutdown_total(&run, role, key);
     let frames = total("sim", "frames_rendered");
     assert!(frames > 100, "{frames} frames");
     for role in ["memory", "policy"] {

@@ -1,0 +1,449 @@
+"""A world on plain iceoryx2, without the package `memtransfer`. Everything it does is in docs/wire.md and docs/case-book.md.
+
+A ring of eight cells, seen from above. The agent walks to one place, or to two, and a wall can stand in its way.
+"""
+
+import ctypes
+import fcntl
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+import iceoryx2 as iox2
+from blake3 import blake3
+
+WIRE_VERSION, SIM = 13, 1
+GOES_ON, COMPLETE, STEP_LIMIT = 0, 1, 2
+ACT, STAY = 0, 1
+PIN, RELEASE = 0, 1
+NO_ACTION, NO_FRAME, NO_DOCUMENT = 255, 0, 0
+PAGE_BYTES = 4096
+U8, U16, U32, U64, F32 = ctypes.c_uint8, ctypes.c_uint16, ctypes.c_uint32, ctypes.c_uint64, ctypes.c_float
+
+CELLS, RIGHT, LEFT = 8, 0, 1
+STARTS, WALL = {"original": 0, "new": 1}, 3
+IDS, PLACES = ["reach-4", "reach-5", "visit-4", "visit-5"], [[4], [5], [4, 5], [5, 6]]
+BEGUN, MOVED, BLOCKED, NOT_UNDERSTOOD = range(4)
+GREY, WHITE, STONE = bytes([128, 128, 128, 255]), bytes([255] * 4), bytes([90, 90, 90, 255])
+DECLARATION = {
+    "name": "ring",
+    "version": "1",
+    "rules": "You walk around a ring of eight cells, which you see from above: you are the white cell. You cannot enter a grey one.",
+    "actions": [{"letter": "r", "words": "step right"}, {"letter": "l", "words": "step left"}],
+    "state": [{"name": "cell"}, {"name": "visited"}],
+    "state_sentence": "You are in cell {cell} and have visited {visited} places.",
+    "feedback": ["The episode has just begun.", "You moved.", "A wall is in the way.", "Your answer was not understood."],
+    "is_deterministic": True,
+}
+FAILURES = {"unreadable": "answers could not be read", "looped": "it went in a loop", "out-of-steps": "none of the others"}
+WORLD = {
+    "declaration": DECLARATION, "hashes": {}, "views": CELLS, "elsewhere_views": 0,
+    "groups": [{"name": "reach", "heading": "reach"}, {"name": "visit", "heading": "visit"}],
+    "tasks": [{"number": 1, "name": "one place", "group": "reach"}, {"number": 2, "name": "two places", "group": "visit"}],
+    "failures": [{"name": name, "words": words} for name, words in FAILURES.items()],
+}
+
+
+class Ring:
+    """An agent in the ring, in an episode of a case."""
+
+    def __init__(self, case, start, has_wall):
+        self.places, self.has_wall, self.cell, self.visited = PLACES[case], has_wall, STARTS[start], 0
+        self.feedback, self.conflict = BEGUN, False
+
+    def step(self, action):
+        """Takes an action; `None` is an answer that could not be read."""
+        there = (self.cell + {RIGHT: 1, LEFT: -1, None: 0}[action]) % CELLS
+        self.conflict = self.has_wall and there == WALL
+        self.feedback = NOT_UNDERSTOOD if action is None else BLOCKED if self.conflict else MOVED
+        if self.feedback == MOVED:
+            self.cell = there
+            self.visited += there == self.places[self.visited]
+
+    def is_complete(self):
+        return self.visited == len(self.places)
+
+    def state(self):
+        return [self.cell, self.visited]
+
+    def state_hash(self):
+        numbers = [*self.state(), self.has_wall, *self.places]
+        return int.from_bytes(blake3(bytes(numbers)).digest()[:8], "little")
+
+
+def plan(case, start, has_wall):
+    """The expert's actions: to each place to the right, or to the left where the wall is on that way."""
+    actions, cell = [], STARTS[start]
+    for place in PLACES[case]:
+        right = (place - cell) % CELLS
+        is_blocked = has_wall and (WALL - cell) % CELLS < right
+        actions += [LEFT] * (CELLS - right) if is_blocked else [RIGHT] * right
+        cell = place
+    return actions
+
+
+def act_out(case, start, has_wall, actions):
+    """What follows from actions, to the end of the task; and the number of steps that complete it, or `None`."""
+    ring = Ring(case, start, has_wall)
+    acted = {"states": [ring.state()], "feedback": [BEGUN], "sub_goals": []}
+    conflicts = []
+    for step, action in enumerate(actions, start=1):
+        if ring.is_complete():
+            break
+        ring.step(action)
+        acted["states"].append(ring.state())
+        acted["feedback"].append(ring.feedback)
+        acted["sub_goals"] += [step] * (ring.visited - len(acted["sub_goals"]))
+        conflicts += [step] * ring.conflict
+    length = len(acted["states"]) - 1 if ring.is_complete() else None
+    return acted, length, min(conflicts, default=None)
+
+
+def facts(states):
+    return {"start_state": states[0], "final_state": states[-1]}
+
+
+def about(case):
+    return {"task": len(PLACES[case]), "instruction": "Walk to cell " + ", then to cell ".join(map(str, PLACES[case])) + "."}
+
+
+def reference(case, start, route):
+    """The expert's trajectory of a case."""
+    actions = plan(case, start, route == "blocked")
+    acted, length, _ = act_out(case, start, route == "blocked", actions)
+    return {"start": start, "route": route, "begin": acted["states"][0], "actions": actions, "length": length}, acted
+
+
+def is_stale(case):
+    """Whether the demonstration does not complete its task where the wall is."""
+    return act_out(case, "original", True, plan(case, "original", False))[1] is None
+
+
+def case_facts(case):
+    tested = [("original", "unchanged"), ("new", "unchanged"), ("new", "blocked")]
+    references = [reference(case, *of)[0] for of in tested]
+    return {"id": IDS[case], **about(case), "references": references, "invalidated_when_blocked": is_stale(case)}
+
+
+def write_book(request, out):
+    asked, count = json.loads(request.read_text()), range(len(IDS))
+    lacks = [name for name in ("assets", "elsewhere", "streams") if asked[name] is not None]
+    lacks += [f"demonstrations {name}" for name in asked["demonstrations"] if name not in ("none", "original")]
+    lacks += [f"case {name}" for name in asked["cases"] if name not in IDS]
+    if lacks:
+        raise SystemExit(f"the world ring has no {lacks[0]}")
+    demonstrations, sets = [], []
+    for case in count:
+        expert, acted = reference(case, "original", "unchanged")
+        known = {"case": case, "kind": "original", "variant": 0, "instruction": about(case)["instruction"], "actions": expert["actions"]}
+        demonstrations.append({**known, **acted, "views": [cell for cell, _ in acted["states"]]})
+        sets.append({"instruction": about(case)["instruction"], "own": [case], "irrelevant": [], "confusable": []})
+    stale = {str(1 + case): [case] * is_stale(case) for case in count if asked["blocked"]}
+    order = {"bank_order": list(count), "variants": {"0": "ring-1"}}
+    books = {
+        "case-book.json": {"world": WORLD, "cases": list(map(case_facts, count)), "stale": stale},
+        "demonstrations.json": {"world": DECLARATION, "demonstrations": demonstrations, "cases": sets, **order},
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    for name, book in books.items():
+        (out / name).write_text(json.dumps(book) + "\n")
+
+
+def answer(request):
+    """The answer to a line of `act`."""
+    if request == "world":
+        listed = list(map(case_facts, range(len(IDS))))
+        return {"world": {"world": WORLD, "cases": listed, "blocked": list(range(1, 1 + len(IDS))), "states": []}}
+    [(kind, asked)] = request.items()
+    if kind == "episode" and asked["reference"]:
+        case, (start, route) = IDS.index(asked["case"]), asked["reference"]
+        expert, shown = reference(case, "new" if route == "blocked" else start, route)
+        if asked["begin"] not in (None, expert["begin"]):
+            raise ValueError(f"case {asked['case']} begins in {expert['begin']}, not in {asked['begin']}")
+        acted, _, conflict_at = act_out(case, expert["start"], route == "blocked", asked["actions"])
+        expert = {name: expert[name] for name in ("actions", "length")} | {"states": shown["states"]}
+        expert["invalidated"] = route == "blocked" and is_stale(case)
+        told = {"facts": facts(acted["states"]) if asked["parts"]["facts"] else None}
+        told["reference"] = expert if asked["parts"]["reference"] else None
+        return {kind: {**about(case), **acted, **told, "required": len(PLACES[case]), "conflict_at": conflict_at, "scenery": None}}
+    if kind == "demonstrations":
+        named = [[asked["case"], "original"]] * (asked["set"] == "original") + asked["more"]
+        acted = []
+        for case in dict.fromkeys(IDS.index(id) for id, which in named if which == "original"):
+            expert, shown = reference(case, "original", "unchanged")
+            stale = is_stale(case) and (IDS[case], 1 + case) == (asked["case"], asked["variant"])
+            known = {"case": IDS[case], "kind": "original", "variant": 0, **about(case), **shown, "is_stale": stale}
+            acted.append({**known, "actions": expert["actions"], "length": expert["length"], "closed": [], "targets": []})
+        return {kind: acted}
+    raise ValueError(f"the world ring answers no {kind} of this kind")
+
+
+def struct(name, size, fields):
+    """The structure of this name; `fields` are written as in the page's tables."""
+    types = {"u8": U8, "u16": U16, "u32": U32, "u64": U64, "f32": F32}
+    members = []
+    for field in fields.split(","):
+        member, kind = field.strip().split(": ")
+        kind, _, count = kind.partition(" x ")
+        members.append((member, types[kind] * int(count) if count else types[kind]))
+    made = type(name, (ctypes.Structure,), {"_fields_": members, "type_name": staticmethod(lambda: f"memtransfer.{name}")})
+    assert ctypes.sizeof(made) == size, f"{name} has {ctypes.sizeof(made)} bytes instead of {size}"
+    return made
+
+
+FrameHeader = struct("FrameHeader", 32, "id: u64, width: u32, height: u32, content_hash: u8 x 16")
+NoteHeader = struct("NoteHeader", 24, "id: u64, episode: u64, lane: u32, reserved: u32")
+Page = struct("Page", PAGE_BYTES, "pixels: u8 x 4096")
+Eviction = struct("Eviction", 8, "frame: u64")
+Stop = struct("Stop", 8, "reserved: u64")
+Handshake = struct("Handshake", 512, "wire_version: u32, role: u32, pid: u32, facts_len: u32, external: u32, facts: u8 x 492")
+ErrorReport = struct("ErrorReport", 512, """episode: u64, role: u32, count: u32, kind: u32, lane: u32, text_len: u32,
+    external: u32, text: u8 x 480""")
+ShutdownReport = struct("ShutdownReport", 48, """role: u32, external: u32, frames_rendered: u64, frames_evicted: u64,
+    frames_received: u64, pixel_bytes_copied: u64, error_reports: u64""")
+WorldEpisodeConfig = struct("WorldEpisodeConfig", 56, """episode: u64, seed: u64, sequence: u64, sent_ns: u64, lane: u32,
+    case: u32, variant: u32, max_steps: u32, position: u32, start: u8, learns: u8, reserved: u8 x 2""")
+StepCommand = struct("StepCommand", 32, "episode: u64, sent_ns: u64, lane: u32, step: u32, kind: u8, action: u8, reserved: u8 x 6")
+StepReport = struct("StepReport", 88, """episode: u64, frame: u64, facts: u64, commanded_ns: u64, woken_ns: u64, stepped_ns: u64,
+    rendered_ns: u64, sent_ns: u64, state_hash: u64, lane: u32, step: u32, sub_goals: u16, required: u16, ended: u8,
+    conflict: u8, reserved: u8 x 2""")
+Observation = struct("Observation", 96, """episode: u64, frame: u64, lane: u32, step: u32, state: f32 x 16, feedback: u8,
+    action: u8, last: u8, reserved: u8 x 5""")
+ViewRequest = struct("ViewRequest", 32, "frame: u64, sequence: u64, demonstration: u32, step: u32, kind: u8, reserved: u8 x 7")
+View = struct("View", 24, "frame: u64, sequence: u64, demonstration: u32, step: u32")
+
+
+class Run:
+    """The world's place in a run."""
+
+    def __init__(self, folder, demonstrations):
+        self.attach = attach = json.loads((folder / "attach.json").read_text())
+        if attach["wire_version"] != WIRE_VERSION:
+            raise SystemExit(f"this run speaks wire version {attach['wire_version']}, not {WIRE_VERSION}")
+        self.lock = os.open(folder / "lock", os.O_RDONLY)
+        fcntl.flock(self.lock, fcntl.LOCK_SH)
+        self.demonstrations = json.loads(demonstrations.read_text())["demonstrations"]
+        self.width, self.height = attach["frame"]["width"], attach["frame"]["height"]
+        lanes, capacity, externals = attach["lanes"], attach["frame_capacity"], len(attach.get("external_memories", ()))
+        config = iox2.config.default()
+        config.global_cfg.prefix = iox2.FileName.new(attach["prefix"])
+        config.global_cfg.root_path = iox2.Path.new(str(folder))
+        config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 16 + 4 * externals
+        self.node = iox2.NodeBuilder.new().config(config).create(iox2.ServiceType.Ipc)
+        chunks = capacity + 32 + capacity // 8 + lanes + 16
+        self.queues, self.roles = {"lanes": 2 * lanes + 16, "frames": 2 * chunks, "few": 256}, 4 + externals
+
+        self.listener = self.events("sim").listener_builder().create()
+        self.notifiers = {role: self.events(role).notifier_builder().create() for role in ("memory", "policy", "orchestrator")}
+        processes, consumers, both = 3 + externals, 2 + externals, ("memory", "policy")
+        publish = lambda to, *service: self.publisher(self.service(*service).publisher_builder(), to)
+        self.handshake = self.service("handshake", Handshake, processes, 1, "few")
+        self.errors = publish(("orchestrator",), "error-report", ErrorReport, processes, 1, "few")
+        self.totals = publish(("orchestrator",), "shutdown-report", ShutdownReport, processes, 1, "few")
+        self.observations = publish(both, "observation", Observation, 1, 2, "lanes")
+        self.reports = publish(("memory", "orchestrator"), "step-report", StepReport, 1, 2, "lanes")
+        self.views = publish(("memory",), "view", View, 1, 1, "frames")
+        self.evictions = publish(both, "eviction", Eviction, 1, consumers, "frames")
+        notes = self.builder("episode-facts").publish_subscribe(iox2.Slice[U8]).user_header(NoteHeader)
+        notes = create(notes, 1, 1, 1, self.queues["lanes"]).publisher_builder().initial_max_slice_len(4096)
+        self.notes = self.publisher(notes.allocation_strategy(iox2.AllocationStrategy.PowerOfTwo), ("orchestrator",))
+        frames = self.builder("frame").publish_subscribe(iox2.Slice[Page]).user_header(FrameHeader)
+        frames = create(frames.payload_alignment(iox2.Alignment.new(PAGE_BYTES)), 1, consumers, chunks, chunks).publisher_builder()
+        self.pages = -(-4 * self.width * self.height // PAGE_BYTES)
+        frames = frames.initial_max_slice_len(self.pages).override_sample_preallocation(chunks)
+        self.frames = self.publisher(frames, both)
+        subscribe = lambda *service: self.service(*service).subscriber_builder().create()
+        self.configs = subscribe("world-config", WorldEpisodeConfig, 1, 1, "lanes")
+        self.commands = subscribe("command", StepCommand, 1, 1, "lanes")
+        self.requests = subscribe("view-request", ViewRequest, 1, 1, "frames")
+        self.stops = subscribe("stop", Stop, 1, processes, "few")
+        self.lanes = [None] * lanes  # for each its episode: config, ring, states, and the pictures that may be named
+        self.resident, self.pins = {}, []  # pictures with their frames; what memory has pinned
+        self.published = self.evicted = self.reported = self.last_note = 0
+
+    def builder(self, name):
+        return self.node.service_builder(iox2.ServiceName.new(f"{self.attach['generation']}/{name}"))
+
+    def service(self, name, message, senders, receivers, queue):
+        return create(self.builder(name).publish_subscribe(message), senders, receivers, 1, self.queues[queue])
+
+    def events(self, role):
+        events = self.builder(f"event/{role}").event().max_listeners(1).max_notifiers(self.roles)
+        return events.max_nodes(self.roles + 1).event_id_max_value(0).open_or_create()
+
+    def publisher(self, builder, receivers):
+        """A publisher, and the number of receivers that take part: without one of them, a message is lost."""
+        builder = builder.max_loaned_samples(1).backpressure_strategy(iox2.BackpressureStrategy.DiscardData)
+        return builder.create(), sum(role in (*self.attach["participants"], "orchestrator") for role in receivers)
+
+    def shake_hands(self):
+        facts = json.dumps({"world": "ring 1"}).encode()
+        while self.handshake.dynamic_config.number_of_subscribers == 0:
+            time.sleep(0.001)
+        self.handshakes = self.publisher(self.handshake.publisher_builder(), ("orchestrator",))
+        send(self.handshakes, Handshake(WIRE_VERSION, SIM, os.getpid(), len(facts), 0, (U8 * 492)(*facts)))
+        self.notifiers["orchestrator"].notify()
+
+    def serve(self):
+        while True:
+            self.woken, self.to_notify = time.monotonic_ns(), set()
+            # Effects before causes: what a message refers to was sent before it.
+            stops, requests = drain(self.stops, Stop), drain(self.requests, ViewRequest)
+            commands, configs = drain(self.commands, StepCommand), drain(self.configs, WorldEpisodeConfig)
+            if stops:
+                totals = {"frames_rendered": self.published, "frames_evicted": self.evicted, "error_reports": self.reported}
+                send(self.totals, ShutdownReport(role=SIM, **totals))
+                return self.notifiers["orchestrator"].notify()
+            for take, messages in ((self.remember, requests), (self.begin, configs), (self.act, commands)):
+                for message in messages:
+                    take(message)
+            for role in self.to_notify:
+                self.notifiers[role].notify()
+            if not Path(f"/proc/{self.attach['orchestrator_pid']}").exists():
+                sys.exit("the run was abandoned")
+            self.listener.timed_wait(iox2.Duration.from_millis(500))
+
+    def begin(self, config):
+        is_known = config.lane < len(self.lanes) and config.case < len(IDS) and config.start < len(STARTS)
+        if not is_known or config.variant not in (0, 1 + config.case):
+            return self.report(f"a config of lane {config.lane}, case {config.case}, variant {config.variant}, start {config.start}")
+        ring = Ring(config.case, "new" if config.start or config.variant else "original", config.variant > 0)
+        self.lanes[config.lane] = config, ring, [], []
+        self.tell(config, NO_ACTION)
+
+    def act(self, command):
+        lane = self.lanes[command.lane] if command.lane < len(self.lanes) else None
+        config, ring, states, _ = lane or (None, None, [], [])
+        if config and command.episode < config.episode:
+            return None  # it is late: the lane has gone on
+        is_next = config and (command.episode, command.step) == (config.episode, len(states))
+        is_stay = (command.kind, command.action) == (STAY, NO_ACTION)
+        if not is_next or not is_stay and (command.kind != ACT or command.action not in (RIGHT, LEFT)):
+            return self.report(f"a command for lane {command.lane}, episode {command.episode}, step {command.step}")
+        ring.step(None if is_stay else command.action)
+        self.tell(command, command.action)
+
+    def tell(self, cause, action):
+        """Tells the others what follows from a config or a command."""
+        (config, ring, states, shown), stepped = self.lanes[cause.lane], time.monotonic_ns()
+        step, frame, note = len(states), NO_FRAME, NO_DOCUMENT
+        states.append(ring.state())
+        ended = COMPLETE if ring.is_complete() else STEP_LIMIT if step >= config.max_steps else GOES_ON
+        if ended:
+            note, self.lanes[cause.lane] = self.publish_note(cause, json.dumps(facts(states)).encode()), None
+        else:
+            shown.append((ring.cell, ring.has_wall) if self.attach["frame_control"] == "rendered" else None)
+            del shown[: -self.attach["window"] - 2]
+            frame = self.show(shown[-1])
+        now, place = time.monotonic_ns(), {"episode": cause.episode, "lane": cause.lane, "step": step, "frame": frame}
+        send(self.reports, StepReport(**place, facts=note, commanded_ns=cause.sent_ns, woken_ns=self.woken, stepped_ns=stepped,
+            rendered_ns=now, sent_ns=now, state_hash=ring.state_hash() if ended or step == 0 else 0, sub_goals=ring.visited,
+            required=len(ring.places), ended=ended, conflict=ring.conflict))
+        send(self.observations, Observation(**place, state=(F32 * 16)(*ring.state()), feedback=ring.feedback, action=action,
+            last=ended != GOES_ON))
+        # Memory's own notification tells the policy, and the policy's the orchestrator.
+        self.to_notify |= {"memory", "orchestrator"} if ended or "policy" not in self.attach["participants"] else {"memory"}
+
+    def remember(self, request):
+        """Pins a view for memory, or releases it."""
+        pinned = [picture for picture in self.pins if self.resident[picture] == request.frame]
+        known = self.demonstrations[request.demonstration]["states"] if request.demonstration < len(self.demonstrations) else []
+        if request.kind == RELEASE and pinned:
+            self.pins.remove(pinned[0])
+        elif request.kind == PIN and request.sequence == 0 and request.step < len(known):
+            picture = (known[request.step][0], False) if self.attach["frame_control"] != "blank-all" else None
+            self.pins.append(picture)
+            send(self.views, View(self.show(picture), request.sequence, request.demonstration, request.step))
+            self.to_notify.add("memory")
+        else:
+            self.report(f"a view request of kind {request.kind}, frame {request.frame}, step {request.step} of {request.demonstration}")
+
+    def show(self, picture):
+        """The frame of a picture, which is drawn if it is not resident."""
+        if picture not in self.resident:
+            in_use = {picture, *self.pins}.union(*(lane[3] for lane in self.lanes if lane))
+            idle = [old for old in self.resident if old not in in_use]  # the one drawn first at first
+            for old in idle[: max(0, len(self.resident) + 1 - self.attach["frame_capacity"])]:
+                send(self.evictions, Eviction(self.resident.pop(old)))
+                self.evicted += 1
+                self.to_notify |= {"memory", "policy"}
+            self.resident[picture] = self.draw(picture)
+        return self.resident[picture]
+
+    def draw(self, picture):
+        loan = self.frames[0].loan_slice_uninit(self.pages)
+        colours = [GREY] * CELLS
+        if picture is not None:
+            cell, has_wall = picture
+            colours = [WHITE if at == cell else STONE if has_wall and at == WALL else bytes([20, 25 * at, 120, 255]) for at in range(CELLS)]
+        row = b"".join(colour * (self.width // CELLS) for colour in colours)
+        for y in range(self.height):  # straight into shared memory
+            ctypes.memmove(loan.payload_ptr + y * len(row), row, len(row))
+        pixels = (U8 * (self.height * len(row))).from_address(loan.payload_ptr)
+        self.published += 1
+        frame = self.attach["generation"] << 40 | self.published  # another in each generation
+        header = FrameHeader(frame, self.width, self.height, (U8 * 16)(*blake3(memoryview(pixels).cast("B")).digest()[:16]))
+        deliver(self.frames, loan, loan.user_header_ptr, header)
+        return frame
+
+    def publish_note(self, cause, text):
+        loan = self.notes[0].loan_slice_uninit(len(text))
+        ctypes.memmove(loan.payload_ptr, text, len(text))
+        self.last_note += 1
+        deliver(self.notes, loan, loan.user_header_ptr, NoteHeader(id=self.last_note, episode=cause.episode, lane=cause.lane))
+        return self.last_note
+
+    def report(self, what):
+        text, self.reported = f"not understood: {what}".encode()[:480], self.reported + 1
+        send(self.errors, ErrorReport(role=SIM, count=self.reported, text_len=len(text), text=(U8 * 480)(*text)))
+        self.to_notify.add("orchestrator")
+
+
+def create(builder, senders, receivers, borrowed, buffer):
+    return (builder.enable_safe_overflow(False).history_size(0).max_publishers(senders).max_subscribers(receivers)
+            .max_nodes(senders + receivers).subscriber_max_borrowed_samples(borrowed)
+            .subscriber_max_buffer_size(buffer).open_or_create())
+
+
+def send(publisher, message):
+    loan = publisher[0].loan_uninit()
+    deliver(publisher, loan, loan.payload_ptr, message)
+
+
+def deliver(publisher, loan, address, message):
+    ctypes.memmove(address, ctypes.byref(message), ctypes.sizeof(message))
+    if loan.assume_init().send() < publisher[1]:
+        raise SystemExit("a receiver's queue is full, or a receiver is gone")
+
+
+def drain(subscriber, message):
+    messages = []
+    while (sample := subscriber.receive()) is not None:
+        messages.append(message.from_buffer_copy(ctypes.string_at(sample.payload_ptr, ctypes.sizeof(message))))
+        sample = None  # a subscriber may borrow one sample of a message at a time
+    return messages
+
+
+def main():
+    match sys.argv[1:]:
+        case ["book", "--request", request, "--out", out]:
+            write_book(Path(request), Path(out))
+        case ["serve", "--demonstrations", demonstrations]:
+            run = Run(Path(os.environ["MEMTRANSFER_ATTACH"]), Path(demonstrations))
+            run.shake_hands()
+            run.serve()
+        case ["act"]:
+            for line in sys.stdin:
+                try:
+                    told = answer(json.loads(line))
+                except ValueError as problem:
+                    told = {"error": str(problem)}
+                print(json.dumps(told), flush=True)
+        case _:
+            sys.exit("usage: wire_world.py book --request FILE --out DIR | serve --demonstrations FILE | act")
+
+
+if __name__ == "__main__":
+    main()
