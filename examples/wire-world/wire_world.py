@@ -1,6 +1,6 @@
 """A world on plain iceoryx2, without the package `memtransfer`. Everything it does is in docs/wire.md and docs/case-book.md.
 
-A ring of eight cells, seen from above. The agent walks to one place, or to two, and a wall can stand in its way.
+This file is its part in a run; what happens in the world, and its case book, are in ring.py.
 """
 
 import ctypes
@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import iceoryx2 as iox2
+import ring
 from blake3 import blake3
 
 WIRE_VERSION, SIM = 13, 1
@@ -21,163 +22,6 @@ PIN, RELEASE = 0, 1
 NO_ACTION, NO_FRAME, NO_DOCUMENT = 255, 0, 0
 PAGE_BYTES = 4096
 U8, U16, U32, U64, F32 = ctypes.c_uint8, ctypes.c_uint16, ctypes.c_uint32, ctypes.c_uint64, ctypes.c_float
-
-CELLS, RIGHT, LEFT = 8, 0, 1
-STARTS, WALL = {"original": 0, "new": 1}, 3
-IDS, PLACES = ["reach-4", "reach-5", "visit-4", "visit-5"], [[4], [5], [4, 5], [5, 6]]
-BEGUN, MOVED, BLOCKED, NOT_UNDERSTOOD = range(4)
-GREY, WHITE, STONE = bytes([128, 128, 128, 255]), bytes([255] * 4), bytes([90, 90, 90, 255])
-DECLARATION = {
-    "name": "ring",
-    "version": "1",
-    "rules": "You walk around a ring of eight cells, which you see from above: you are the white cell. You cannot enter a grey one.",
-    "actions": [{"letter": "r", "words": "step right"}, {"letter": "l", "words": "step left"}],
-    "state": [{"name": "cell"}, {"name": "visited"}],
-    "state_sentence": "You are in cell {cell} and have visited {visited} places.",
-    "feedback": ["The episode has just begun.", "You moved.", "A wall is in the way.", "Your answer was not understood."],
-    "is_deterministic": True,
-}
-FAILURES = {"unreadable": "answers could not be read", "looped": "it went in a loop", "out-of-steps": "none of the others"}
-WORLD = {
-    "declaration": DECLARATION, "hashes": {}, "views": CELLS, "elsewhere_views": 0,
-    "groups": [{"name": "reach", "heading": "reach"}, {"name": "visit", "heading": "visit"}],
-    "tasks": [{"number": 1, "name": "one place", "group": "reach"}, {"number": 2, "name": "two places", "group": "visit"}],
-    "failures": [{"name": name, "words": words} for name, words in FAILURES.items()],
-}
-
-
-class Ring:
-    """An agent in the ring, in an episode of a case."""
-
-    def __init__(self, case, start, has_wall):
-        self.places, self.has_wall, self.cell, self.visited = PLACES[case], has_wall, STARTS[start], 0
-        self.feedback, self.conflict = BEGUN, False
-
-    def step(self, action):
-        """Takes an action; `None` is an answer that could not be read."""
-        there = (self.cell + {RIGHT: 1, LEFT: -1, None: 0}[action]) % CELLS
-        self.conflict = self.has_wall and there == WALL
-        self.feedback = NOT_UNDERSTOOD if action is None else BLOCKED if self.conflict else MOVED
-        if self.feedback == MOVED:
-            self.cell = there
-            self.visited += there == self.places[self.visited]
-
-    def is_complete(self):
-        return self.visited == len(self.places)
-
-    def state(self):
-        return [self.cell, self.visited]
-
-    def state_hash(self):
-        numbers = [*self.state(), self.has_wall, *self.places]
-        return int.from_bytes(blake3(bytes(numbers)).digest()[:8], "little")
-
-
-def plan(case, start, has_wall):
-    """The expert's actions: to each place to the right, or to the left where the wall is on that way."""
-    actions, cell = [], STARTS[start]
-    for place in PLACES[case]:
-        right = (place - cell) % CELLS
-        is_blocked = has_wall and (WALL - cell) % CELLS < right
-        actions += [LEFT] * (CELLS - right) if is_blocked else [RIGHT] * right
-        cell = place
-    return actions
-
-
-def act_out(case, start, has_wall, actions):
-    """What follows from actions, to the end of the task; and the number of steps that complete it, or `None`."""
-    ring = Ring(case, start, has_wall)
-    acted = {"states": [ring.state()], "feedback": [BEGUN], "sub_goals": []}
-    conflicts = []
-    for step, action in enumerate(actions, start=1):
-        if ring.is_complete():
-            break
-        ring.step(action)
-        acted["states"].append(ring.state())
-        acted["feedback"].append(ring.feedback)
-        acted["sub_goals"] += [step] * (ring.visited - len(acted["sub_goals"]))
-        conflicts += [step] * ring.conflict
-    length = len(acted["states"]) - 1 if ring.is_complete() else None
-    return acted, length, min(conflicts, default=None)
-
-
-def facts(states):
-    return {"start_state": states[0], "final_state": states[-1]}
-
-
-def about(case):
-    return {"task": len(PLACES[case]), "instruction": "Walk to cell " + ", then to cell ".join(map(str, PLACES[case])) + "."}
-
-
-def reference(case, start, route):
-    """The expert's trajectory of a case."""
-    actions = plan(case, start, route == "blocked")
-    acted, length, _ = act_out(case, start, route == "blocked", actions)
-    return {"start": start, "route": route, "begin": acted["states"][0], "actions": actions, "length": length}, acted
-
-
-def is_stale(case):
-    """Whether the demonstration does not complete its task where the wall is."""
-    return act_out(case, "original", True, plan(case, "original", False))[1] is None
-
-
-def case_facts(case):
-    tested = [("original", "unchanged"), ("new", "unchanged"), ("new", "blocked")]
-    references = [reference(case, *of)[0] for of in tested]
-    return {"id": IDS[case], **about(case), "references": references, "invalidated_when_blocked": is_stale(case)}
-
-
-def write_book(request, out):
-    asked, count = json.loads(request.read_text()), range(len(IDS))
-    lacks = [name for name in ("assets", "elsewhere", "streams") if asked[name] is not None]
-    lacks += [f"demonstrations {name}" for name in asked["demonstrations"] if name not in ("none", "original")]
-    lacks += [f"case {name}" for name in asked["cases"] if name not in IDS]
-    if lacks:
-        raise SystemExit(f"the world ring has no {lacks[0]}")
-    demonstrations, sets = [], []
-    for case in count:
-        expert, acted = reference(case, "original", "unchanged")
-        known = {"case": case, "kind": "original", "variant": 0, "instruction": about(case)["instruction"], "actions": expert["actions"]}
-        demonstrations.append({**known, **acted, "views": [cell for cell, _ in acted["states"]]})
-        sets.append({"instruction": about(case)["instruction"], "own": [case], "irrelevant": [], "confusable": []})
-    stale = {str(1 + case): [case] * is_stale(case) for case in count if asked["blocked"]}
-    order = {"bank_order": list(count), "variants": {"0": "ring-1"}}
-    books = {
-        "case-book.json": {"world": WORLD, "cases": list(map(case_facts, count)), "stale": stale},
-        "demonstrations.json": {"world": DECLARATION, "demonstrations": demonstrations, "cases": sets, **order},
-    }
-    out.mkdir(parents=True, exist_ok=True)
-    for name, book in books.items():
-        (out / name).write_text(json.dumps(book) + "\n")
-
-
-def answer(request):
-    """The answer to a line of `act`."""
-    if request == "world":
-        listed = list(map(case_facts, range(len(IDS))))
-        return {"world": {"world": WORLD, "cases": listed, "blocked": list(range(1, 1 + len(IDS))), "states": []}}
-    [(kind, asked)] = request.items()
-    if kind == "episode" and asked["reference"]:
-        case, (start, route) = IDS.index(asked["case"]), asked["reference"]
-        expert, shown = reference(case, "new" if route == "blocked" else start, route)
-        if asked["begin"] not in (None, expert["begin"]):
-            raise ValueError(f"case {asked['case']} begins in {expert['begin']}, not in {asked['begin']}")
-        acted, _, conflict_at = act_out(case, expert["start"], route == "blocked", asked["actions"])
-        expert = {name: expert[name] for name in ("actions", "length")} | {"states": shown["states"]}
-        expert["invalidated"] = route == "blocked" and is_stale(case)
-        told = {"facts": facts(acted["states"]) if asked["parts"]["facts"] else None}
-        told["reference"] = expert if asked["parts"]["reference"] else None
-        return {kind: {**about(case), **acted, **told, "required": len(PLACES[case]), "conflict_at": conflict_at, "scenery": None}}
-    if kind == "demonstrations":
-        named = [[asked["case"], "original"]] * (asked["set"] == "original") + asked["more"]
-        acted = []
-        for case in dict.fromkeys(IDS.index(id) for id, which in named if which == "original"):
-            expert, shown = reference(case, "original", "unchanged")
-            stale = is_stale(case) and (IDS[case], 1 + case) == (asked["case"], asked["variant"])
-            known = {"case": IDS[case], "kind": "original", "variant": 0, **about(case), **shown, "is_stale": stale}
-            acted.append({**known, "actions": expert["actions"], "length": expert["length"], "closed": [], "targets": []})
-        return {kind: acted}
-    raise ValueError(f"the world ring answers no {kind} of this kind")
 
 
 def struct(name, size, fields):
@@ -259,7 +103,7 @@ class Run:
         self.commands = subscribe("command", StepCommand, 1, 1, "lanes")
         self.requests = subscribe("view-request", ViewRequest, 1, 1, "frames")
         self.stops = subscribe("stop", Stop, 1, processes, "few")
-        self.lanes = [None] * lanes  # for each its episode: config, ring, states, and the pictures that may be named
+        self.lanes = [None] * lanes  # for each its episode: config, agent, states, and the pictures that may be named
         self.resident, self.pins = {}, []  # pictures with their frames; what memory has pinned
         self.published = self.evicted = self.reported = self.last_note = 0
 
@@ -306,42 +150,42 @@ class Run:
             self.listener.timed_wait(iox2.Duration.from_millis(500))
 
     def begin(self, config):
-        is_known = config.lane < len(self.lanes) and config.case < len(IDS) and config.start < len(STARTS)
+        is_known = config.lane < len(self.lanes) and config.case < len(ring.IDS) and config.start < len(ring.STARTS)
         if not is_known or config.variant not in (0, 1 + config.case):
             return self.report(f"a config of lane {config.lane}, case {config.case}, variant {config.variant}, start {config.start}")
-        ring = Ring(config.case, "new" if config.start or config.variant else "original", config.variant > 0)
-        self.lanes[config.lane] = config, ring, [], []
+        agent = ring.Ring(config.case, "new" if config.start or config.variant else "original", config.variant > 0)
+        self.lanes[config.lane] = config, agent, [], []
         self.tell(config, NO_ACTION)
 
     def act(self, command):
         lane = self.lanes[command.lane] if command.lane < len(self.lanes) else None
-        config, ring, states, _ = lane or (None, None, [], [])
+        config, agent, states, _ = lane or (None, None, [], [])
         if config and command.episode < config.episode:
             return None  # it is late: the lane has gone on
         is_next = config and (command.episode, command.step) == (config.episode, len(states))
         is_stay = (command.kind, command.action) == (STAY, NO_ACTION)
-        if not is_next or not is_stay and (command.kind != ACT or command.action not in (RIGHT, LEFT)):
+        if not is_next or not is_stay and (command.kind != ACT or command.action not in (ring.RIGHT, ring.LEFT)):
             return self.report(f"a command for lane {command.lane}, episode {command.episode}, step {command.step}")
-        ring.step(None if is_stay else command.action)
+        agent.step(None if is_stay else command.action)
         self.tell(command, command.action)
 
     def tell(self, cause, action):
         """Tells the others what follows from a config or a command."""
-        (config, ring, states, shown), stepped = self.lanes[cause.lane], time.monotonic_ns()
+        (config, agent, states, shown), stepped = self.lanes[cause.lane], time.monotonic_ns()
         step, frame, note = len(states), NO_FRAME, NO_DOCUMENT
-        states.append(ring.state())
-        ended = COMPLETE if ring.is_complete() else STEP_LIMIT if step >= config.max_steps else GOES_ON
+        states.append(agent.state())
+        ended = COMPLETE if agent.is_complete() else STEP_LIMIT if step >= config.max_steps else GOES_ON
         if ended:
-            note, self.lanes[cause.lane] = self.publish_note(cause, json.dumps(facts(states)).encode()), None
+            note, self.lanes[cause.lane] = self.publish_note(cause, json.dumps(ring.facts(states)).encode()), None
         else:
-            shown.append((ring.cell, ring.has_wall) if self.attach["frame_control"] == "rendered" else None)
+            shown.append((agent.cell, agent.has_wall) if self.attach["frame_control"] == "rendered" else None)
             del shown[: -self.attach["window"] - 2]
             frame = self.show(shown[-1])
         now, place = time.monotonic_ns(), {"episode": cause.episode, "lane": cause.lane, "step": step, "frame": frame}
         send(self.reports, StepReport(**place, facts=note, commanded_ns=cause.sent_ns, woken_ns=self.woken, stepped_ns=stepped,
-            rendered_ns=now, sent_ns=now, state_hash=ring.state_hash() if ended or step == 0 else 0, sub_goals=ring.visited,
-            required=len(ring.places), ended=ended, conflict=ring.conflict))
-        send(self.observations, Observation(**place, state=(F32 * 16)(*ring.state()), feedback=ring.feedback, action=action,
+            rendered_ns=now, sent_ns=now, state_hash=agent.state_hash() if ended or step == 0 else 0, sub_goals=agent.visited,
+            required=len(agent.places), ended=ended, conflict=agent.conflict))
+        send(self.observations, Observation(**place, state=(F32 * 16)(*agent.state()), feedback=agent.feedback, action=action,
             last=ended != GOES_ON))
         # Memory's own notification tells the policy, and the policy's the orchestrator.
         self.to_notify |= {"memory", "orchestrator"} if ended or "policy" not in self.attach["participants"] else {"memory"}
@@ -374,11 +218,7 @@ class Run:
 
     def draw(self, picture):
         loan = self.frames[0].loan_slice_uninit(self.pages)
-        colours = [GREY] * CELLS
-        if picture is not None:
-            cell, has_wall = picture
-            colours = [WHITE if at == cell else STONE if has_wall and at == WALL else bytes([20, 25 * at, 120, 255]) for at in range(CELLS)]
-        row = b"".join(colour * (self.width // CELLS) for colour in colours)
+        row = ring.pixel_row(picture, self.width)
         for y in range(self.height):  # straight into shared memory
             ctypes.memmove(loan.payload_ptr + y * len(row), row, len(row))
         pixels = (U8 * (self.height * len(row))).from_address(loan.payload_ptr)
@@ -429,7 +269,7 @@ def drain(subscriber, message):
 def main():
     match sys.argv[1:]:
         case ["book", "--request", request, "--out", out]:
-            write_book(Path(request), Path(out))
+            ring.write_book(Path(request), Path(out))
         case ["serve", "--demonstrations", demonstrations]:
             run = Run(Path(os.environ["MEMTRANSFER_ATTACH"]), Path(demonstrations))
             run.shake_hands()
@@ -437,7 +277,7 @@ def main():
         case ["act"]:
             for line in sys.stdin:
                 try:
-                    told = answer(json.loads(line))
+                    told = ring.answer(json.loads(line))
                 except ValueError as problem:
                     told = {"error": str(problem)}
                 print(json.dumps(told), flush=True)

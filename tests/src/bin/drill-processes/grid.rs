@@ -75,22 +75,23 @@ impl fmt::Display for Cell {
 pub(crate) fn drill(extent: &Extent, report: &mut Report) -> Result<(), String> {
     let worlds = [RunWorld::Warehouse, RunWorld::External];
     let mut sandboxes = Sandbox::several(extent.jobs, &worlds)?;
-    let mut calls = calls(&mut sandboxes[0], RunWorld::Warehouse)?;
-    let mut of_world = self::calls(&mut sandboxes[0], RunWorld::External)?;
-    of_world.retain(|call, _| call.is_of_external_world());
-    calls.extend(of_world);
+    let mut listed = calls(&mut sandboxes[0], RunWorld::Warehouse)?;
+    let in_external = calls(&mut sandboxes[0], RunWorld::External)?;
+    listed.extend(in_external.into_iter().filter(|(call, _)| call.is_of_external_world()));
     for program in
         ["memtransfer", "sim-proc", "memory-proc", "policy-proc", "misbehaving-mem", EXTERNAL_WORLD]
     {
-        if !calls.keys().any(|call| call.program.starts_with(program)) {
+        if !listed.keys().any(|call| call.program.starts_with(program)) {
             return Err(format!("no call of {program} is listed"));
         }
     }
     let mut cells = match &extent.cell {
         Some(text) => vec![Cell::parse(text)?],
-        None => cells(&calls),
+        None => cells(&listed),
     };
-    report.add("points of the protocol", calls.len() as f64);
+    let is_chosen = |text: &str| text.contains(&extent.only);
+    cells.retain(|cell| is_chosen(&cell.class) || is_chosen(role(&cell.call.program)));
+    report.add("points of the protocol", listed.len() as f64);
     // In an order of their own for each seed, so that a drill that is ended early has tried a bit of everything. How often a
     // call is made varies a little, and must not change which cells come first.
     cells.sort_by_cached_key(|cell| {

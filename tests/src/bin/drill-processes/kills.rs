@@ -85,7 +85,7 @@ pub(crate) fn drill(extent: &Extent, report: &mut Report) -> Result<(), String> 
     let (first, rest) = if extent.is_quick {
         (0..VICTIMS.len(), 3 * VICTIMS.len()..3 * VICTIMS.len() + 2)
     } else {
-        (0..usize::MAX, 0..0)
+        (0..WHOLE as usize * VICTIMS.len(), 0..0)
     };
     let trials = first.chain(rest).map(|turn| {
         let (role, program) = VICTIMS[turn % VICTIMS.len()];
@@ -107,6 +107,7 @@ pub(crate) fn drill(extent: &Extent, report: &mut Report) -> Result<(), String> 
             disturb(sandbox, disturbance, (role, program), share)
         })
     });
+    let trials = trials.filter(|trial| trial.class.contains(&extent.only));
     execute(extent, report, sandboxes, WHOLE, trials);
     Ok(())
 }
