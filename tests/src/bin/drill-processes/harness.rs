@@ -324,18 +324,18 @@ impl Sandbox {
     ) -> Result<(), String> {
         check_message(ended, was_killed)?;
         self.wait_for_processes()?;
-        let mut status = ended.status;
+        let (mut status, mut last) = (ended.status, String::new());
         for _ in 0..REPETITIONS {
             if status == Some(0) {
                 break;
             }
             let again = Ended::of(self.start(run, &[])?);
             check_message(&again, false)?;
-            status = again.status;
+            (status, last) = (again.status, again.stderr);
         }
         if status != Some(0) {
             return Err(format!(
-                "not complete after {REPETITIONS} more times; at first: {}",
+                "not complete after {REPETITIONS} more times; at first: {}; at last: {last}",
                 ended.stderr
             ));
         }

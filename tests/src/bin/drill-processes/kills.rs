@@ -138,11 +138,14 @@ fn disturb(
     if role == EXTERNAL_POLICY {
         run.make_policy_external();
     }
-    if matches!(disturbance, Disturbance::StopForGood | Disturbance::Fault(..)) {
-        let limits =
-            ["--step-timeout", ANSWER, "--memory-timeout", ANSWER, "--start-timeout", START];
-        run.args.extend(limits.map(str::to_owned));
-    }
+    let limits = ["--step-timeout", ANSWER, "--memory-timeout", ANSWER, "--start-timeout", START];
+    let limits = match disturbance {
+        Disturbance::StopForGood => &limits[..],
+        // Its process has begun.
+        Disturbance::Fault(..) => &limits[..2],
+        _ => &[],
+    };
+    run.args.extend(limits.iter().copied().map(str::to_owned));
     if disturbance == Disturbance::KillParent {
         return kill_parent(sandbox, &run, moment);
     }
