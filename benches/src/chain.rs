@@ -1,7 +1,7 @@
 //! A step through all four processes, beside the [bare chain](crate::bare_chain) of the same messages.
 //!
-//! Views are rendered before the first step (`--warm-views`) and memory is `working` or external, so nothing is rendered
-//! or embedded while the clock runs.
+//! Views are rendered before the first step (`--warm-views`; the world in Python has one) and memory is `working` or external, so
+//! nothing is rendered or embedded while the clock runs.
 
 use std::path::Path;
 use std::time::Duration;
@@ -31,6 +31,20 @@ enum Participants {
     PythonPolicy,
     /// The policy `random`, and a Python memory that supplies nothing.
     PythonMemory,
+    /// The policy `random` and working memory in a Python world that returns at once.
+    PythonWorld,
+}
+
+impl Participants {
+    /// The script that takes part, if one does.
+    const fn script(self) -> Option<&'static str> {
+        match self {
+            Self::BuiltIn => None,
+            Self::PythonPolicy => Some("return_at_once.py"),
+            Self::PythonMemory => Some("supply_nothing.py"),
+            Self::PythonWorld => Some("step_at_once.py"),
+        }
+    }
 }
 
 /// Runs with many lanes.
@@ -40,16 +54,22 @@ struct ManyLanes {
     description: &'static str,
     /// Repetitions of the fifty cases.
     runs: u32,
-    /// Least share of the bare chain's rate.
+    /// What it is compared with: the measurement with this index, or the bare chain.
+    beside: Option<usize>,
+    /// Least share of the rate of that.
     share: f64,
 }
 
-const MANY_LANES: [ManyLanes; 3] = [
+/// The index of the Python policy in [`MANY_LANES`].
+const PYTHON_POLICY: usize = 1;
+
+const MANY_LANES: [ManyLanes; 4] = [
     ManyLanes {
         id: "random",
         participants: Participants::BuiltIn,
         description: "policy `random`",
         runs: 24,
+        beside: None,
         share: 0.6,
     },
     ManyLanes {
@@ -57,6 +77,7 @@ const MANY_LANES: [ManyLanes; 3] = [
         participants: Participants::PythonPolicy,
         description: "a Python policy that returns at once",
         runs: 6,
+        beside: None,
         share: 0.3,
     },
     ManyLanes {
@@ -64,7 +85,16 @@ const MANY_LANES: [ManyLanes; 3] = [
         participants: Participants::PythonMemory,
         description: "a Python memory that supplies nothing",
         runs: 6,
+        beside: None,
         share: 0.3,
+    },
+    ManyLanes {
+        id: "python-world",
+        participants: Participants::PythonWorld,
+        description: "a Python world that returns at once",
+        runs: 6,
+        beside: Some(PYTHON_POLICY),
+        share: 0.5,
     },
 ];
 
@@ -101,11 +131,16 @@ fn run(session: &BenchSession<'_>) -> Result<Vec<Measurement>> {
             .beside("two hops of the bare chain", two_hops)
             .target(Target::RatioAtMost(1.5)),
     ];
-    for (rates, ManyLanes { id, description, share, .. }) in many.into_iter().zip(MANY_LANES) {
+    for (rates, of) in many.iter().zip(MANY_LANES) {
+        let ManyLanes { id, description, beside, share, .. } = of;
         let description = format!("steps of {lanes} lanes, {description}");
+        let (name, values) = match beside {
+            Some(index) => (MANY_LANES[index].description, &many[index]),
+            None => ("the bare chain", &bare_many),
+        };
         measurements.push(
-            Measurement::new(format!("chain.64.{id}"), description, "steps/s", rates)
-                .beside("the bare chain", bare_many.clone())
+            Measurement::new(format!("chain.64.{id}"), description, "steps/s", rates.clone())
+                .beside(name, values.clone())
                 .target(Target::RatioAtLeast(share)),
         );
     }
@@ -121,25 +156,31 @@ fn rate(
     runs: u32,
 ) -> Result<Option<f64>> {
     let package = Path::new(env!("CARGO_MANIFEST_DIR")).join("../python");
-    let python = |script: &str| {
-        let script = package.join("examples").join(script);
-        Some(format!("'{}' -s '{}'", session.python?.display(), script.display()))
+    let command = match (participants.script(), session.python) {
+        (None, _) => String::new(),
+        (Some(_), None) => return Ok(None),
+        (Some(script), Some(python)) => {
+            let script = package.join("examples").join(script);
+            format!("'{}' -s '{}'", python.display(), script.display())
+        }
     };
-    let command = match participants {
-        Participants::BuiltIn => Some(String::new()),
-        Participants::PythonPolicy => python("return_at_once.py"),
-        Participants::PythonMemory => python("supply_nothing.py"),
-    };
-    let Some(command) = command else { return Ok(None) };
-    let mut flags = vec!["--suite", "quick", "--warm-views", "--starts", "new"];
+    let backend = session.backend_flags();
+    let mut flags = vec!["--starts", "new"];
     match participants {
         Participants::BuiltIn => flags.extend(["--policy", "random", "--memory", "working"]),
         Participants::PythonPolicy => {
             flags.extend(["--policy-cmd", &command, "--memory", "working"]);
         }
         Participants::PythonMemory => {
-            flags.extend(["--policy", "random", "--memory", "none", "--memory-cmd", &command])
+            flags.extend(["--policy", "random", "--memory", "none", "--memory-cmd", &command]);
         }
+        Participants::PythonWorld => {
+            flags.extend(["--policy", "random", "--memory", "working", "--world-cmd", &command]);
+        }
+    }
+    if !matches!(participants, Participants::PythonWorld) {
+        flags.extend(["--suite", "quick", "--warm-views"]);
+        flags.extend(backend.iter().map(String::as_str));
     }
     let few = ["--limit", "6", "--max-steps", "6", "--frame-size", "64"];
     flags.extend(session.size.pick(&few[..], &[]));

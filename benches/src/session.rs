@@ -119,15 +119,19 @@ impl<'a> BenchSession<'a> {
         Ok(program)
     }
 
-    /// A command for `memtransfer run` in the scratch folder, on the session's hardware, with a registry of its own and
-    /// no settings from the environment.
+    /// The flags of a run in the warehouse that say what renders.
+    pub fn backend_flags(&self) -> [String; 2] {
+        ["--backend".to_owned(), self.hardware.backend.to_string()]
+    }
+
+    /// A command for `memtransfer run` in the scratch folder, with the session's provider, a registry of its own and no
+    /// settings from the environment.
     ///
     /// # Errors
     /// When it is not built.
     pub fn run_command(&self) -> Result<Command> {
         let mut command = Command::new(self.program("memtransfer")?);
-        let Hardware { backend, provider } = self.hardware;
-        command.args(["run", "--backend", &backend.to_string(), "--provider", provider.word()]);
+        command.args(["run", "--provider", self.hardware.provider.word()]);
         // The cache folder belongs to the machine, not to the run.
         let settings = std::env::vars_os().map(|(name, _)| name).filter(|name| {
             let name = name.to_string_lossy();

@@ -50,7 +50,7 @@ fn execute(session: &BenchSession<'_>, cache: &Path, out: &str) -> Result<f64> {
     let mut command = session.run_command()?;
     command.env("MEMTRANSFER_CACHE", cache);
     command.args(["--quiet", "--fresh", "--policy", "grounded", "--lanes", LANES]);
-    command.args(["--out", out]);
+    command.args(["--out", out]).args(session.backend_flags());
     command.args(match session.size {
         Size::Full => &["--suite", "paper"][..],
         Size::Tiny => &["--limit", "2", "--max-steps", "4", "--memory", "working"][..],

@@ -305,6 +305,16 @@ pub fn records(run: &Path) -> Vec<serde_json::Value> {
     episodes(run).lines().map(parse).collect()
 }
 
+/// What the process that has `role` ("sim", "memory", "policy") reported as its total `key` when the run stopped.
+pub fn shutdown_total(run: &Path, role: &str, key: &str) -> u64 {
+    let sessions = fs::read_to_string(run.join("sessions.jsonl")).expect("the run has sessions");
+    let parse = |line| serde_json::from_str(line).expect("a line of JSON");
+    let mut events = sessions.lines().map(parse);
+    let ended = events.find(|event: &serde_json::Value| event["event"] == "ended");
+    let reports = &ended.expect("a session ended")["shutdown_reports"];
+    reports[role][key].as_u64().expect("a total")
+}
+
 /// The success rate, in percent, of the records that `select` accepts. Panics if there are none.
 pub fn success_rate(
     records: &[serde_json::Value],

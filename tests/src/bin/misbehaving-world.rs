@@ -3,9 +3,13 @@
 //!
 //! A corridor of ten rooms, in which one walks to a goal. Faults of a simulator are committed by its environment; those that the
 //! SDK prevents, by a [`World`] around that of the SDK.
+//!
+//! Drills have it commit one of the [`STRAY_FAULTS`] once in a run: `MISBEHAVE_FAULT` names it, `MISBEHAVE_STEP` says at which
+//! command of a process, and the file `MISBEHAVE_TOKEN` that it was committed.
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::rc::Rc;
@@ -13,16 +17,22 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
+use bytemuck::Zeroable;
 use case_book::{BookFile, CASE_BOOK_FILE, DEMONSTRATIONS_FILE, DemonstrationBook, TaskFacts};
 use peer::world::{
     CaseDeclaration, Environment, EnvironmentView, EpisodeBegin, Moment, Observed, Refusal,
-    SimulatedWorld, Simulator, TrajectoryName, World, WorldFailure, program, serve_world,
+    SimulatedWorld, Simulator, TrajectoryName, World, WorldFailure, program, serve_generation,
+    serve_world,
 };
 use peer::{ActionCode, ActionDeclaration, FeedbackCode, State, StateField, WorldDeclaration};
 use serde_json::Value;
-use shm_types::message::{EpisodeEnd, StepCommand, StepKind, ViewRequest, WorldEpisodeConfig};
-use shm_types::{ATTACH_VARIABLE, Attach};
+use shm_types::message::{
+    EpisodeEnd, Observation, Role, StepCommand, StepKind, StepReport, ViewRequest,
+    WorldEpisodeConfig,
+};
+use shm_types::process::die_with_parent;
+use shm_types::{ATTACH_VARIABLE, Attach, Bus, Sender};
 
 const ROOMS: usize = 10;
 const EAST: u8 = 0;
@@ -33,6 +43,24 @@ const CASES: [(usize, usize); 3] = [(0, 3), (1, 4), (2, 5)];
 
 /// The door where the way is blocked.
 const DOOR: usize = ROOMS - 2;
+
+/// What a process does once, in place of an answer.
+const STRAY_FAULTS: [&str; 11] = [
+    "exits",
+    "hangs",
+    "floods",
+    "another-lane",
+    "no-such-lane",
+    "another-size",
+    "nan-state",
+    "unknown-feedback",
+    "unknown-ending",
+    "two-ends",
+    "unknown-frame",
+];
+
+/// Observations of a flood: more than any queue holds.
+const FLOOD: usize = 10_000;
 
 /// Numbers what must not be the same twice.
 static COUNTER: AtomicU64 = AtomicU64::new(1);
@@ -116,15 +144,126 @@ fn serve(mode: &Rc<Mode>, demonstrations: &Path) -> anyhow::Result<()> {
     }
     let simulator = Corridors(Rc::clone(mode));
     let demonstrations = BookFile::<DemonstrationBook>::read(demonstrations)?.book;
-    let make = |attach: &Attach| {
+    let world = |attach: &Attach, stray| {
         let inner = SimulatedWorld::new(&simulator, attach, demonstrations.clone())?;
-        Ok(FaultyWorld { mode, inner, lanes: BTreeMap::new() })
+        Ok::<_, WorldFailure>(FaultyWorld { mode, inner, lanes: BTreeMap::new(), stray })
     };
-    serve_world(&folder, false, make, |world, attach| world.inner.rendering(attach))?;
+    if let Some(fault) = StrayFault::of_environment()? {
+        return serve_once(&folder, fault, world);
+    }
+    let open = |world: &mut FaultyWorld<'_>, attach: &Attach| world.inner.rendering(attach);
+    serve_world(&folder, false, |attach| world(attach, None), open)?;
     if mode.has("leaves-a-lock") {
         fs::remove_file(lock)?;
     }
     Ok(())
+}
+
+/// Serves in one generation, as the orchestrator starts a world for each.
+fn serve_once<'s>(
+    folder: &Path,
+    fault: StrayFault,
+    world: impl Fn(&Attach, Option<(StrayFault, Stray)>) -> Result<FaultyWorld<'s>, WorldFailure>,
+) -> anyhow::Result<()> {
+    let attach = Attach::read(folder)?;
+    die_with_parent(attach.orchestrator_pid)?;
+    let mut joined = attach.clone();
+    if fault.name == "another-size" && fault.is_due() {
+        fault.commit()?;
+        joined.frame.height /= 2;
+    }
+    let bus = Bus::join(joined, Role::Sim)?;
+    let stray = Stray { observations: bus.sender()?, reports: bus.sender()?, lanes: attach.lanes };
+    let mut world = world(&attach, Some((fault, stray))).map_err(anyhow::Error::from_boxed)?;
+    Ok(serve_generation(&bus, &mut world, false, |world| world.inner.rendering(bus.attach()))?)
+}
+
+/// A fault that is committed once in a run.
+struct StrayFault {
+    name: String,
+    /// Commands before it.
+    left: u32,
+    token: PathBuf,
+}
+
+/// What an SDK would not let a world send.
+struct Stray {
+    observations: Sender<Observation>,
+    reports: Sender<StepReport>,
+    lanes: u32,
+}
+
+impl StrayFault {
+    fn of_environment() -> anyhow::Result<Option<Self>> {
+        let Ok(name) = std::env::var("MISBEHAVE_FAULT") else { return Ok(None) };
+        ensure!(STRAY_FAULTS.contains(&name.as_str()), "there is no fault {name}");
+        let left = std::env::var("MISBEHAVE_STEP")?.parse()?;
+        let token = std::env::var_os("MISBEHAVE_TOKEN").context("MISBEHAVE_TOKEN")?.into();
+        Ok(Some(Self { name, left, token }))
+    }
+
+    /// Whether it was not committed yet.
+    fn is_due(&self) -> bool {
+        !self.token.exists()
+    }
+
+    fn commit(&self) -> io::Result<()> {
+        fs::write(&self.token, &self.name)
+    }
+}
+
+impl Stray {
+    /// Commits `fault` in place of the answer to `command`, which would be `moment`. Returns whether that is sent, too.
+    fn send(
+        &self,
+        fault: &str,
+        command: &StepCommand,
+        moment: &Moment<EnvironmentView>,
+    ) -> Result<bool, WorldFailure> {
+        let &StepCommand { episode, lane, step, sent_ns, .. } = command;
+        let mut report = StepReport {
+            episode,
+            lane,
+            step,
+            commanded_ns: sent_ns,
+            woken_ns: sent_ns,
+            required: 1,
+            ..Zeroable::zeroed()
+        };
+        let mut observation = Observation {
+            episode,
+            lane,
+            step,
+            state: moment.state.padded(),
+            feedback: moment.feedback.0,
+            action: command.action,
+            ..Zeroable::zeroed()
+        };
+        match fault {
+            "exits" => std::process::exit(3),
+            "hangs" => sleep_forever(),
+            "floods" => {
+                // Until the queue is full.
+                (0..FLOOD).try_for_each(|_| self.observations.send(&observation))?;
+                return Ok(true);
+            }
+            "another-lane" => (observation.lane, report.lane) = ((lane + 1) % self.lanes, lane),
+            "no-such-lane" => (observation.lane, report.lane) = (self.lanes, self.lanes),
+            "nan-state" => observation.state[0] = f32::NAN,
+            "unknown-feedback" => observation.feedback = 200,
+            "unknown-ending" => report.ended = 9,
+            "two-ends" => {
+                report.ended = EpisodeEnd::StepLimit as u8;
+                observation.last = 1;
+                self.reports.send(&report)?;
+                self.observations.send(&observation)?;
+            }
+            _ => observation.frame = 12345,
+        }
+        self.reports.send(&report)?;
+        self.observations.send(&observation)?;
+        Ok(fault == "two-ends")
+    }
 }
 
 /// The fault, and what the program is used for.
@@ -155,9 +294,26 @@ struct FaultyWorld<'s> {
     inner: SimulatedWorld<'s, Corridors>,
     /// By lane: the episode, its last step and what followed from that.
     lanes: BTreeMap<u32, (u64, u32, Moment<EnvironmentView>)>,
+    /// What it does once.
+    stray: Option<(StrayFault, Stray)>,
 }
 
 impl FaultyWorld<'_> {
+    /// Whether `moment` is the answer to `command`: at one command another one is sent in its place.
+    fn is_answered(
+        &mut self,
+        command: &StepCommand,
+        moment: &Moment<EnvironmentView>,
+    ) -> Result<bool, WorldFailure> {
+        let Some((fault, stray)) = &mut self.stray else { return Ok(true) };
+        fault.left = fault.left.saturating_sub(1);
+        if fault.left > 0 || !fault.is_due() {
+            return Ok(true);
+        }
+        fault.commit()?;
+        stray.send(&fault.name, command, moment)
+    }
+
     fn refused(&self, refusal: Refusal) -> Result<(), Refusal> {
         match refusal {
             Refusal::Message(_) if self.mode.has("silent") => Ok(()),
@@ -211,11 +367,12 @@ impl World for FaultyWorld<'_> {
                     true => Moment { action: None, feedback: FeedbackCode(3), ..moment },
                     false => moment,
                 });
-                if let Some(moment) = &moment {
-                    let now = (command.episode, command.step, moment.clone());
-                    self.lanes.insert(command.lane, now);
-                }
-                Ok(moment)
+                let Some(moment) = moment else { return Ok(None) };
+                let now = (command.episode, command.step, moment.clone());
+                self.lanes.insert(command.lane, now);
+                // What cannot be sent is a fault as well.
+                let is_answered = self.is_answered(&command, &moment).unwrap_or(true);
+                Ok(is_answered.then_some(moment))
             }
             Err(refusal) => self.refused(refusal).map(|()| None),
         }

@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 use std::process::Command;
 use std::sync::Mutex;
 
-use memtransfer_tests::{Bench, needs, program, records, repository};
+use memtransfer_tests::{
+    Bench, Ended, needs, program, records, repository, shutdown_total, sorted_log,
+};
 use serde_json::Value;
 
 /// A check's verdict and what happened, by its name.
@@ -233,6 +235,40 @@ fn worlds_without_faults_conform() {
 fn the_example_world_in_rust_conforms() {
     let bench = Bench::new();
     check_conforms(&bench, ["--world-cmd", &build_example("rust-world")]);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+/// A test of the pages that it was written from, too.
+#[test]
+fn the_example_world_on_plain_iceoryx2_conforms_and_its_log_is_true_and_depends_on_no_lanes() {
+    let bench = Bench::new();
+    let script = repository("examples/wire-world/wire_world.py");
+    let world = format!("{} {}", needs::python().display(), script.display());
+    check_conforms(&bench, ["--world-cmd", &world]);
+
+    // Full-context memory names its views, and episodic memory matches them; a frame budget that evicts some.
+    for [lanes, budget] in [["1", "11"], ["3", "1000"]] {
+        let mut args = vec!["run", "--world-cmd", &world, "--policy", "imitate", "--lanes", lanes];
+        args.extend(["--memory", "working,full-context,episodic,adaptive", "--max-steps", "20"]);
+        args.extend(["--starts", "original,new", "--routes", "unchanged,blocked"]);
+        args.extend(["--frame-size", "64", "--frame-budget", budget, "--window", "2"]);
+        bench.run(&[&args[..], &["--out", lanes]].concat()).expect(0);
+    }
+    assert_eq!(sorted_log(&bench.out("1")), sorted_log(&bench.out("3")));
+    assert!(shutdown_total(&bench.out("1"), "sim", "frames_evicted") > 0);
+    let records = records(&bench.out("3"));
+    assert_eq!(records.len(), 4 * 4 * 3);
+    let is_demonstrated = |record: &&Value| {
+        let place = (&record["start"], &record["route"]);
+        record["memory"] == "episodic" && place == (&"original".into(), &"unchanged".into())
+    };
+    let demonstrated: Vec<&Value> = records.iter().filter(is_demonstrated).collect();
+    assert_eq!(demonstrated.len(), 4);
+    assert!(demonstrated.iter().all(|record| record["ending"] == "complete"), "{demonstrated:?}");
+
+    let mut validate = bench.command(&["validate", "3"]);
+    let valid = Ended::run(validate.env("MEMTRANSFER_WORLD_CMD", &world)).expect(0).stdout;
+    assert_eq!(valid, "48 episodes, 0 differences, 0 damaged lines\n");
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 

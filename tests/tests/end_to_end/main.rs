@@ -22,6 +22,7 @@ mod leftovers;
 mod limits;
 mod memories;
 mod model_builder;
+mod own_world;
 mod paper;
 mod pipeline;
 mod python;

@@ -1,10 +1,10 @@
 //! Whole runs: four processes, rendered frames, the real encoder.
 
 use std::fs;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 
 use memtransfer_tests::{
-    Bench, Ended, episodes, kill, needs, process_of, process_of_world, records, shared_memory_of,
+    Bench, Ended, episodes, kill, needs, process_of, process_of_world, records, shared_memory_of, shutdown_total,
     sorted_log, success_rate, wait_for_episodes,
 };
 use rustix::process::{Pid, Signal, kill_process};
@@ -270,37 +270,40 @@ fn bytes_through_system_calls(pid: u32) -> Option<u64> {
     Some(value("rchar:")? + value("wchar:")?)
 }
 
-/// Pixels can cross a process boundary in shared memory, in a message, or through a system call. Messages have no room
-/// for them. The test counts the bytes that go through system calls while frames are rendered, embedded and read, and
-/// checks each process's own count of copied bytes.
 #[test]
 fn no_pixel_crosses_a_process_boundary_by_copy() {
     let bench = Bench::new();
-    let run = bench.out("copies");
     let mut args = vec!["run", "--policy", "grounded", "--starts", "new", "--memory", "episodic"];
     args.extend(["--limit", "20", "--out", "copies"]);
-    let mut child = bench.start(&args);
-    let roles = ["sim", "memory", "policy"];
+    let registry = bench.registry.path();
+    check_no_copies(bench.start(&args), &bench, "copies", || process_of(registry, "sim"));
+}
+
+/// Pixels can cross a process boundary in shared memory, in a message, or through a system call. Messages have no room
+/// for them. Counts the bytes that go through system calls while frames of the default size are rendered, embedded and read, and
+/// checks each process's own count of copied bytes. `run` is a run in the folder `out`, and `world` finds its world's process.
+pub(crate) fn check_no_copies(
+    mut run: Child,
+    bench: &Bench,
+    out: &str,
+    world: impl FnOnce() -> u32,
+) {
+    let folder = bench.out(out);
     // What the processes read at their start is not counted.
-    wait_for_episodes(&run, 1);
-    let pids = roles.map(|role| process_of(bench.registry.path(), role));
+    wait_for_episodes(&folder, 1);
+    let [memory, policy] = ["memory", "policy"].map(|role| process_of(bench.registry.path(), role));
+    let pids = [world(), memory, policy];
     let before = pids.map(|pid| bytes_through_system_calls(pid).unwrap());
     let mut after = before;
-    while child.try_wait().unwrap().is_none() {
+    while run.try_wait().unwrap().is_none() {
         for (moved, pid) in after.iter_mut().zip(pids) {
             *moved = bytes_through_system_calls(pid).unwrap_or(*moved);
         }
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
-    Ended::of(child).expect(0);
+    Ended::of(run).expect(0);
 
-    let sessions = fs::read_to_string(run.join("sessions.jsonl")).unwrap();
-    let ended: Value = sessions
-        .lines()
-        .map(|line| serde_json::from_str::<Value>(line).unwrap())
-        .find(|event| event["event"] == "ended")
-        .unwrap();
-    let total = |role: &str, key: &str| ended["shutdown_reports"][role][key].as_u64().unwrap();
+    let total = |role: &str, key: &str| shutdown_total(&folder, role, key);
     let frames = total("sim", "frames_rendered");
     assert!(frames > 100, "{frames} frames");
     for role in ["memory", "policy"] {
@@ -310,7 +313,7 @@ fn no_pixel_crosses_a_process_boundary_by_copy() {
     let all_pixels = frames * 448 * 448 * 4;
     // Memory reads its model at the first view of which there is no embedding yet.
     let model = fs::metadata(needs::encoder_model()).unwrap().len();
-    for ((role, before), after) in roles.into_iter().zip(before).zip(after) {
+    for ((role, before), after) in ["sim", "memory", "policy"].into_iter().zip(before).zip(after) {
         let moved = after - before;
         let models = if role == "memory" { model } else { 0 };
         assert!(

@@ -202,7 +202,7 @@ fn expect_error(ended: &Ended, said: &[&str]) -> Result<(), String> {
 const FULL: [&str; 2] = ["No space left on device", "os error 28"];
 
 fn full_run_folder(sandbox: &Sandbox, small: &Path, kib: u64) -> Result<(), String> {
-    let run = sandbox.run_in(small.join("run"));
+    let run = Sandbox::run_in(small.join("run"));
     mounted(small, "size=2m", || full(sandbox, &run, small, kib))
 }
 
@@ -276,7 +276,7 @@ fn wait_for_an_episode(run: &Run) -> Result<(), String> {
 fn read_only(sandbox: &Sandbox, small: &Path) -> Result<(), String> {
     mounted(small, "size=2m", || {
         command(Command::new("mount").args(["-o", "remount,ro"]).arg(small))?;
-        let run = sandbox.run_in(small.join("run"));
+        let run = Sandbox::run_in(small.join("run"));
         let ended = start(sandbox, &run)?;
         expect_error(&ended, &["Read-only file system"])?;
         command(Command::new("mount").args(["-o", "remount,rw"]).arg(small))?;

@@ -1,12 +1,13 @@
 //! The kill grid: each process of a run is killed before and after each kind of call with which it changes shared memory, a
-//! socket or the folder of live runs, and each kind of call fails. Calls for other files are those of `drill-sim`.
+//! socket or the folder of live runs, and each kind of call fails. Calls for other files are those of `drill-sim`. An external world
+//! is disturbed in runs of its own, of which only its calls are taken.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::{fmt, fs};
 
 use memtransfer_tests::Ended;
 
-use crate::harness::{Sandbox, Trial, execute};
+use crate::harness::{EXTERNAL_WORLD, RunWorld, Sandbox, Trial, execute};
 use crate::report::Report;
 use crate::{Extent, Random};
 
@@ -27,6 +28,12 @@ struct Call {
     program: String,
     /// The operation and the pattern of the path.
     call: String,
+}
+
+impl Call {
+    fn is_of_external_world(&self) -> bool {
+        self.program.starts_with(EXTERNAL_WORLD)
+    }
 }
 
 /// A disturbance at one point of the protocol.
@@ -66,13 +73,25 @@ impl fmt::Display for Cell {
 }
 
 pub(crate) fn drill(extent: &Extent, report: &mut Report) -> Result<(), String> {
-    let mut sandboxes = Sandbox::several(extent.jobs)?;
-    let calls = calls(&mut sandboxes[0])?;
+    let worlds = [RunWorld::Warehouse, RunWorld::External];
+    let mut sandboxes = Sandbox::several(extent.jobs, &worlds)?;
+    let mut listed = calls(&mut sandboxes[0], RunWorld::Warehouse)?;
+    let in_external = calls(&mut sandboxes[0], RunWorld::External)?;
+    listed.extend(in_external.into_iter().filter(|(call, _)| call.is_of_external_world()));
+    for program in
+        ["memtransfer", "sim-proc", "memory-proc", "policy-proc", "misbehaving-mem", EXTERNAL_WORLD]
+    {
+        if !listed.keys().any(|call| call.program.starts_with(program)) {
+            return Err(format!("no call of {program} is listed"));
+        }
+    }
     let mut cells = match &extent.cell {
         Some(text) => vec![Cell::parse(text)?],
-        None => cells(&calls),
+        None => cells(&listed),
     };
-    report.add("points of the protocol", calls.len() as f64);
+    let is_chosen = |text: &str| text.contains(&extent.only);
+    cells.retain(|cell| is_chosen(&cell.class) || is_chosen(role(&cell.call.program)));
+    report.add("points of the protocol", listed.len() as f64);
     // In an order of their own for each seed, so that a drill that is ended early has tried a bit of everything. How often a
     // call is made varies a little, and must not change which cells come first.
     cells.sort_by_cached_key(|cell| {
@@ -91,9 +110,9 @@ pub(crate) fn drill(extent: &Extent, report: &mut Report) -> Result<(), String> 
 }
 
 /// The calls of each program in an undisturbed run, and how often one process makes each.
-fn calls(sandbox: &mut Sandbox) -> Result<BTreeMap<Call, u64>, String> {
-    let list = sandbox.folder().join("calls.txt");
-    let run = sandbox.run();
+fn calls(sandbox: &mut Sandbox, world: RunWorld) -> Result<BTreeMap<Call, u64>, String> {
+    let list = sandbox.folder().join(format!("calls-{world:?}.txt"));
+    let run = sandbox.run_in_world(world);
     let ended = Ended::of(sandbox.start(&run, &[("DRILL_LIST", list.display().to_string())])?);
     if ended.status != Some(0) {
         return Err(format!("a run whose calls are listed fails: {}", ended.stderr));
@@ -106,12 +125,6 @@ fn calls(sandbox: &mut Sandbox) -> Result<BTreeMap<Call, u64>, String> {
         if let Some((program, call)) = line.split_once(' ') {
             let (program, call) = (program.to_owned(), call.to_owned());
             *calls.entry(Call { program, call }).or_default() += 1;
-        }
-    }
-    let programs: BTreeSet<&str> = calls.keys().map(|call: &Call| call.program.as_str()).collect();
-    for program in ["memtransfer", "sim-proc", "memory-proc", "policy-proc", "misbehaving-mem"] {
-        if !programs.iter().any(|name| name.starts_with(program)) {
-            return Err(format!("no call of {program} is listed, only those of {programs:?}"));
         }
     }
     Ok(calls)
@@ -149,13 +162,16 @@ fn role(program: &str) -> &str {
         "sim-proc" => "simulator",
         "memory-proc" => "memory",
         "policy-proc" => "policy",
+        _ if program.starts_with(EXTERNAL_WORLD) => "external world",
         _ => "external memory",
     }
 }
 
 /// Executes a cell. Returns whether its point was reached.
 fn disturb(sandbox: &mut Sandbox, cell: &Cell) -> Result<bool, String> {
-    let run = sandbox.run();
+    let is_of_world = cell.call.is_of_external_world();
+    let run =
+        sandbox.run_in_world(if is_of_world { RunWorld::External } else { RunWorld::Warehouse });
     let token = sandbox.folder().join("acted");
     let _ = fs::remove_file(&token);
     let faults = [

@@ -1,5 +1,6 @@
 //! The harness of all drills: runs in a sandbox, trials that disturb one each, and what must be true afterwards.
 
+use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fs;
 use std::io;
@@ -90,16 +91,33 @@ pub(crate) fn execute(
 pub(crate) struct Sandbox {
     folder: PathBuf,
     runs: u32,
-    /// The log of an undisturbed run, sorted.
-    reference: Vec<String>,
-    /// Seconds that the undisturbed run took.
-    pub(crate) usual: f64,
+    undisturbed: BTreeMap<RunWorld, Undisturbed>,
+}
+
+/// Which world a run takes place in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum RunWorld {
+    Warehouse,
+    /// That of `--world-cmd`, the program [`EXTERNAL_WORLD`].
+    External,
+}
+
+/// The program of an external world.
+pub(crate) const EXTERNAL_WORLD: &str = "misbehaving-world";
+
+/// A run that was not disturbed.
+struct Undisturbed {
+    /// The log, sorted.
+    log: Vec<String>,
+    /// Seconds that it took.
+    seconds: f64,
 }
 
 /// One run: the arguments of its command, and where it is recorded.
 pub(crate) struct Run {
     pub(crate) out: PathBuf,
     pub(crate) args: Vec<String>,
+    world: RunWorld,
 }
 
 impl Run {
@@ -113,11 +131,12 @@ impl Run {
 }
 
 impl Sandbox {
-    /// As many as told, with an undisturbed run in each. These run at the same time: how long one takes depends on the others.
-    pub(crate) fn several(count: u32) -> Result<Vec<Self>, String> {
+    /// As many as told, with an undisturbed run in each of `worlds`. These run at the same time: how long one takes depends on the
+    /// others.
+    pub(crate) fn several(count: u32, worlds: &[RunWorld]) -> Result<Vec<Self>, String> {
         let mut sandboxes = (0..count).map(Self::new).collect::<Result<Vec<_>, _>>()?;
-        if let Some(first) = sandboxes.first_mut() {
-            let embeddings = first.embed()?;
+        if let Some(first) = sandboxes.first() {
+            let embeddings = first.embed(worlds)?;
             for sandbox in &sandboxes {
                 copy_folder(&embeddings, &sandbox.cache().join("embeddings"))
                     .map_err(|error| format!("cannot copy {}: {error}", embeddings.display()))?;
@@ -126,45 +145,48 @@ impl Sandbox {
         thread::scope(|scope| {
             let runs: Vec<_> = sandboxes
                 .iter_mut()
-                .map(|sandbox| scope.spawn(move || sandbox.run_undisturbed()))
+                .map(|sandbox| scope.spawn(move || sandbox.run_undisturbed(worlds)))
                 .collect();
             runs.into_iter().try_for_each(|run| run.join().expect("no thread panics"))
         })?;
         Ok(sandboxes)
     }
 
-    /// One, with an undisturbed run in it.
+    /// One, with an undisturbed run in the warehouse.
     pub(crate) fn one() -> Result<Self, String> {
-        Self::several(1)?.pop().ok_or_else(|| "no sandbox".to_owned())
+        Self::several(1, &[RunWorld::Warehouse])?.pop().ok_or_else(|| "no sandbox".to_owned())
     }
 
     fn new(number: u32) -> Result<Self, String> {
         let folder = PathBuf::from(format!("/tmp/mtd{}{number:02}", std::process::id()));
-        let sandbox = Self { folder, runs: 0, reference: Vec::new(), usual: 0.0 };
+        let sandbox = Self { folder, runs: 0, undisturbed: BTreeMap::new() };
         sandbox
             .prepare()
             .map_err(|error| format!("cannot prepare {}: {error}", sandbox.folder.display()))?;
         Ok(sandbox)
     }
 
-    /// Lets a run embed its images with the user's cache, so that the next drill finds them there. Returns the folder of that
+    /// Lets runs embed their images with the user's cache, so that the next drill finds them there. Returns the folder of that
     /// cache's embeddings.
-    fn embed(&mut self) -> Result<PathBuf, String> {
+    fn embed(&self, worlds: &[RunWorld]) -> Result<PathBuf, String> {
         let users = CacheFolder::from_environment().map_err(|error| error.to_string())?;
-        let mut command = self.command(&self.run_in(self.folder.join("runs/0")).args);
-        check_complete(&Ended::run(command.env("MEMTRANSFER_CACHE", users.root())))?;
+        for &world in worlds {
+            let out = self.folder.join("runs").join(format!("embeds-{world:?}"));
+            let mut command = self.command(&Self::run_of(world, out).args);
+            check_complete(&Ended::run(command.env("MEMTRANSFER_CACHE", users.root())))?;
+        }
         Ok(users.root().join("embeddings"))
     }
 
-    fn run_undisturbed(&mut self) -> Result<(), String> {
+    fn run_undisturbed(&mut self, worlds: &[RunWorld]) -> Result<(), String> {
         // The first run takes longer: it also hashes the models.
-        for _ in 0..2 {
-            let run = self.run();
+        for &world in worlds.iter().chain(worlds) {
+            let run = self.run_in_world(world);
             let began = Instant::now();
             let ended = Ended::of(self.start(&run, &[])?);
-            self.usual = began.elapsed().as_secs_f64();
+            let seconds = began.elapsed().as_secs_f64();
             check_complete(&ended)?;
-            self.reference = sorted_log(&run.out);
+            self.undisturbed.insert(world, Undisturbed { log: sorted_log(&run.out), seconds });
             self.check_clean()?;
         }
         Ok(())
@@ -207,30 +229,60 @@ impl Sandbox {
         self.folder.join("faults.so")
     }
 
-    /// Episodes of an undisturbed run.
-    pub(crate) fn episodes(&self) -> usize {
-        self.reference.len()
+    /// The undisturbed run in the world of `run`.
+    fn undisturbed(&self, run: &Run) -> &Undisturbed {
+        &self.undisturbed[&run.world]
+    }
+
+    /// Seconds that a run takes.
+    pub(crate) fn usual(&self, run: &Run) -> f64 {
+        self.undisturbed(run).seconds
+    }
+
+    /// Notes that a run took so many seconds: other runs at a time make it faster or slower than the first was.
+    pub(crate) fn took(&mut self, run: &Run, seconds: f64) {
+        if let Some(Undisturbed { seconds: usual, .. }) = self.undisturbed.get_mut(&run.world) {
+            *usual = 0.8 * *usual + 0.2 * seconds;
+        }
     }
 
     /// A short run that has not begun: all kinds of processes, built-in memories and an external one.
     pub(crate) fn run(&mut self) -> Run {
+        self.run_in_world(RunWorld::Warehouse)
+    }
+
+    /// As [`Self::run`], in this world.
+    pub(crate) fn run_in_world(&mut self, world: RunWorld) -> Run {
         self.runs += 1;
-        let out = self.folder.join("runs").join(self.runs.to_string());
-        self.run_in(out)
+        Self::run_of(world, self.folder.join("runs").join(self.runs.to_string()))
     }
 
     /// As [`Self::run`], in this folder.
-    pub(crate) fn run_in(&self, out: PathBuf) -> Run {
-        let memory = format!("{} well-behaved", program("misbehaving-memory").display());
-        let args = [
-            "run --policy grounded --cases t01-01,t03-02 --starts original,new --demos original \
-             --memory working,episodic --frame-size 64 --max-steps 6 --lanes 3 --backend cpu",
-            "--memory-cmd",
-        ];
-        let mut args: Vec<String> =
-            args.iter().flat_map(|some| some.split_whitespace()).map(str::to_owned).collect();
-        args.extend([memory, "--out".to_owned(), out.display().to_string()]);
-        Run { out, args }
+    pub(crate) fn run_in(out: PathBuf) -> Run {
+        Self::run_of(RunWorld::Warehouse, out)
+    }
+
+    fn run_of(world: RunWorld, out: PathBuf) -> Run {
+        let well_behaved = |name: &str| format!("{} well-behaved", program(name).display());
+        let mut args: Vec<String> = "run --starts original,new --demos original --memory working,episodic \
+                                     --frame-size 64 --lanes 3"
+            .split_whitespace()
+            .chain(match world {
+                RunWorld::Warehouse => {
+                    "--policy grounded --cases t01-01,t03-02 --max-steps 6 --backend cpu".split(' ')
+                }
+                RunWorld::External => {
+                    "--policy imitate --cases corridor-1,corridor-2 --routes unchanged,blocked --max-steps 20".split(' ')
+                }
+            })
+            .map(str::to_owned)
+            .collect();
+        if world == RunWorld::External {
+            args.extend(["--world-cmd".to_owned(), well_behaved(EXTERNAL_WORLD)]);
+        }
+        args.extend(["--memory-cmd".to_owned(), well_behaved("misbehaving-memory")]);
+        args.extend(["--out".to_owned(), out.display().to_string()]);
+        Run { out, args, world }
     }
 
     /// The command `memtransfer` with `args` in the sandbox.
@@ -252,13 +304,13 @@ impl Sandbox {
             .stderr(Stdio::piped());
     }
 
-    /// Starts a run, with [`FAULTS`] loaded if `faults` are given to it.
-    pub(crate) fn start(&self, run: &Run, faults: &[(&str, String)]) -> Result<Child, String> {
+    /// Starts a run, with these variables, and with [`FAULTS`] loaded if they are for that.
+    pub(crate) fn start(&self, run: &Run, variables: &[(&str, String)]) -> Result<Child, String> {
         let mut command = self.command(&run.args);
-        if !faults.is_empty() {
+        if variables.iter().any(|(name, _)| name.starts_with("DRILL_")) {
             command.env("LD_PRELOAD", self.library());
-            command.envs(faults.iter().map(|(name, value)| (name, value)));
         }
+        command.envs(variables.iter().map(|(name, value)| (name, value)));
         command.spawn().map_err(|error| format!("cannot start memtransfer: {error}"))
     }
 
@@ -272,18 +324,18 @@ impl Sandbox {
     ) -> Result<(), String> {
         check_message(ended, was_killed)?;
         self.wait_for_processes()?;
-        let mut status = ended.status;
+        let (mut status, mut last) = (ended.status, String::new());
         for _ in 0..REPETITIONS {
             if status == Some(0) {
                 break;
             }
             let again = Ended::of(self.start(run, &[])?);
             check_message(&again, false)?;
-            status = again.status;
+            (status, last) = (again.status, again.stderr);
         }
         if status != Some(0) {
             return Err(format!(
-                "not complete after {REPETITIONS} more times; at first: {}",
+                "not complete after {REPETITIONS} more times; at first: {}; at last: {last}",
                 ended.stderr
             ));
         }
@@ -294,16 +346,16 @@ impl Sandbox {
 
     /// The log is that of an undisturbed run.
     pub(crate) fn check_log(&self, run: &Run) -> Result<(), String> {
-        let log = sorted_log(&run.out);
-        if log == self.reference {
+        let (log, reference) = (sorted_log(&run.out), &self.undisturbed(run).log);
+        if log == *reference {
             return Ok(());
         }
-        let differs = log.iter().zip(&self.reference).find(|(one, other)| one != other);
+        let differs = log.iter().zip(reference).find(|(one, other)| one != other);
         Err(format!(
             "the log has {} lines and differs from that of an undisturbed run, which has {}; the first difference: \
              {differs:?}",
             log.len(),
-            self.reference.len()
+            reference.len()
         ))
     }
 

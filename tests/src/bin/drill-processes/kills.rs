@@ -1,5 +1,5 @@
 //! Kills at random moments: of each process of a run, and of the process that started it; processes that are stopped for
-//! good; and a second run in the same folder at the same time. Processes that stop for a while are those of `drill-sim`.
+//! good; a second run in the same folder at the same time; and an external world that does once what it must not. Processes that stop for a while are those of `drill-sim`.
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use memtransfer_tests::Ended;
 use rustix::process::{Pid, Signal, kill_process};
 
-use crate::harness::{Run, Sandbox, Trial, execute};
+use crate::harness::{EXTERNAL_WORLD, Run, RunWorld, Sandbox, Trial, execute};
 use crate::report::Report;
 use crate::{Extent, Random};
 
@@ -18,14 +18,37 @@ pub(crate) const TEXT: &str = "Short runs, each disturbed once at a random momen
      undisturbed run; then `memtransfer clean` must leave no shared memory, no folder and no process.";
 
 /// The programs of a run, as what they are in it.
-const VICTIMS: [(&str, &str); 6] = [
+const VICTIMS: [(&str, &str); 8] = [
     ("orchestrator", "memtransfer"),
     ("simulator", "sim-proc"),
     ("memory", "memory-proc"),
     ("policy", "policy-proc"),
     (EXTERNAL_MEMORY, "misbehaving-memory"),
     (EXTERNAL_POLICY, "policy-proc"),
+    ("external world", EXTERNAL_WORLD),
+    (FAULTY_WORLD, EXTERNAL_WORLD),
 ];
+
+/// An external world that is not disturbed, but disturbs the run.
+const FAULTY_WORLD: &str = "faulty external world";
+
+/// What it does, once: words of the program.
+const FAULTS: [&str; 11] = [
+    "exits",
+    "hangs",
+    "floods",
+    "another-lane",
+    "no-such-lane",
+    "another-size",
+    "nan-state",
+    "unknown-feedback",
+    "unknown-ending",
+    "two-ends",
+    "unknown-frame",
+];
+
+/// Steps of a run in an external world, about: at one of them it does that.
+const STEPS: f64 = 100.0;
 
 const EXTERNAL_MEMORY: &str = "external memory";
 
@@ -47,47 +70,53 @@ const STOP: Duration = Duration::from_secs(30);
 #[derive(Clone, Copy, PartialEq)]
 enum Disturbance {
     Kill,
+    /// One of [`FAULTS`] at a step.
+    Fault(&'static str, u32),
     StopForGood,
     KillParent,
     SecondRun,
 }
 
 pub(crate) fn drill(extent: &Extent, report: &mut Report) -> Result<(), String> {
-    let sandboxes = Sandbox::several(extent.jobs)?;
-    let episodes = sandboxes[0].episodes();
+    let worlds = [RunWorld::Warehouse, RunWorld::External];
+    let sandboxes = Sandbox::several(extent.jobs, &worlds)?;
     let (mut random, seed) = (Random::new(extent.seed), extent.seed);
     // A quick drill has a kill of each process and two of the disturbances that do not wait for a time limit.
     let (first, rest) = if extent.is_quick {
         (0..VICTIMS.len(), 3 * VICTIMS.len()..3 * VICTIMS.len() + 2)
     } else {
-        (0..usize::MAX, 0..0)
+        (0..WHOLE as usize * VICTIMS.len(), 0..0)
     };
     let trials = first.chain(rest).map(|turn| {
         let (role, program) = VICTIMS[turn % VICTIMS.len()];
-        let disturbance = match (turn / VICTIMS.len() % 4, turn % VICTIMS.len()) {
+        // Also shortly after the end of an undisturbed run: runs that are disturbed, or listed, take longer.
+        let share = random.fraction() * 1.1;
+        let round = turn / VICTIMS.len();
+        let disturbance = match (round % 4, turn % VICTIMS.len()) {
+            _ if role == FAULTY_WORLD => {
+                Disturbance::Fault(FAULTS[round % FAULTS.len()], 1 + (share * STEPS) as u32)
+            }
             (3, 0) => Disturbance::KillParent,
             (3, 1) => Disturbance::SecondRun,
             (3, _) => Disturbance::StopForGood,
             _ => Disturbance::Kill,
         };
-        // Also shortly after the end of an undisturbed run: runs that are disturbed, or listed, take longer.
-        let share = random.fraction() * 1.1;
         let worlds = 1 + (3.0 * random.fraction()) as u32;
         let class = class(disturbance, role);
         let name = format!("{class} at {share:.3} of a run, {worlds} worlds, seed {seed}");
         Trial::new(name, class, move |sandbox| {
-            let moment = Duration::from_secs_f64(share * sandbox.usual);
-            disturb(sandbox, disturbance, (role, program), (moment, worlds))
+            disturb(sandbox, disturbance, (role, program), (share, worlds))
         })
     });
+    let trials = trials.filter(|trial| trial.class.contains(&extent.only));
     execute(extent, report, sandboxes, WHOLE, trials);
-    report.add("episodes", report.faults() as f64 * episodes as f64);
     Ok(())
 }
 
 fn class(disturbance: Disturbance, role: &str) -> String {
     match disturbance {
         Disturbance::Kill => format!("{role} killed"),
+        Disturbance::Fault(fault, _) => format!("{role}: {fault}"),
         Disturbance::StopForGood if role == EXTERNAL_MEMORY => format!("{role} stopped for long"),
         Disturbance::StopForGood => format!("{role} stopped for good"),
         Disturbance::KillParent => "the parent of the orchestrator killed".to_owned(),
@@ -95,25 +124,35 @@ fn class(disturbance: Disturbance, role: &str) -> String {
     }
 }
 
-/// Executes a run with one disturbance. Returns whether it took place before the run was over.
+/// Executes a run with one disturbance, after this share of the time that it takes. Returns whether it took place before the run
+/// was over.
 fn disturb(
     sandbox: &mut Sandbox,
     disturbance: Disturbance,
     (role, program): (&str, &str),
-    (moment, worlds): (Duration, u32),
+    (share, worlds): (f64, u32),
 ) -> Result<bool, String> {
-    let mut run = sandbox.run();
+    let is_external = program == EXTERNAL_WORLD;
+    let world = if is_external { RunWorld::External } else { RunWorld::Warehouse };
+    let mut run = sandbox.run_in_world(world);
+    let moment = Duration::from_secs_f64(share * sandbox.usual(&run));
     run.args.extend(["--worlds".to_owned(), worlds.to_string()]);
     if role == EXTERNAL_POLICY {
         run.make_policy_external();
     }
-    if disturbance == Disturbance::StopForGood {
-        let limits =
-            ["--step-timeout", ANSWER, "--memory-timeout", ANSWER, "--start-timeout", START];
-        run.args.extend(limits.map(str::to_owned));
-    }
+    let limits = ["--step-timeout", ANSWER, "--memory-timeout", ANSWER, "--start-timeout", START];
+    let limits = match disturbance {
+        Disturbance::StopForGood => &limits[..],
+        // Its process has begun.
+        Disturbance::Fault(..) => &limits[..2],
+        _ => &[],
+    };
+    run.args.extend(limits.iter().copied().map(str::to_owned));
     if disturbance == Disturbance::KillParent {
         return kill_parent(sandbox, &run, moment);
+    }
+    if let Disturbance::Fault(fault, step) = disturbance {
+        return commit(sandbox, &run, fault, step);
     }
     let mut child = sandbox.start(&run, &[])?;
     let has_ended = |child: &mut Child| child.try_wait().is_ok_and(|status| status.is_some());
@@ -122,8 +161,7 @@ fn disturb(
         thread::sleep(Duration::from_millis(2));
     }
     if has_ended(&mut child) {
-        // Other runs at a time make this one faster or slower than the first was.
-        sandbox.usual = 0.8 * sandbox.usual + 0.2 * began.elapsed().as_secs_f64();
+        sandbox.took(&run, began.elapsed().as_secs_f64());
         sandbox.check_recovery(&run, &Ended::of(child), false)?;
         return Ok(false);
     }
@@ -169,6 +207,20 @@ fn disturb(
     let ended = Ended::of(child);
     sandbox.check_recovery(&run, &ended, was_killed)?;
     Ok(took_place)
+}
+
+/// Executes a run whose world commits a fault at a step, once. Returns whether it came to that.
+fn commit(sandbox: &Sandbox, run: &Run, fault: &str, step: u32) -> Result<bool, String> {
+    let token = sandbox.folder().join("committed");
+    let _ = fs::remove_file(&token);
+    let variables = [
+        ("MISBEHAVE_FAULT", fault.to_owned()),
+        ("MISBEHAVE_STEP", step.to_string()),
+        ("MISBEHAVE_TOKEN", token.display().to_string()),
+    ];
+    let ended = Ended::of(sandbox.start(run, &variables)?);
+    sandbox.check_recovery(run, &ended, false)?;
+    Ok(token.exists())
 }
 
 /// The process of the run that has this program.

@@ -64,6 +64,9 @@ pub(crate) struct Extent {
     /// Episodes of `soak`
     #[arg(long, value_name = "N", default_value_t = 100_000)]
     episodes: u32,
+    /// Only disturbances of `grid` and `kills` whose kind or process has this text, such as "external world"
+    #[arg(long, value_name = "TEXT", default_value = "", hide_default_value = true)]
+    only: String,
     /// The only cell of `grid`, as a violation names it
     #[arg(long, value_name = "CELL")]
     cell: Option<String>,
