@@ -352,7 +352,7 @@ mod tests {
         insta::assert_snapshot!(said.join("\n"), @r#"
         cannot use plan.json: `units` is 4000000000, and 2 episodes in units of 1 are 2. Write another with `memtransfer plan --out FILE`
         plan.json is no plan: invalid value: integer `-2`, expected u32 at line 3 column 13: `"units": -2,`. Write another with `memtransfer plan --out FILE`
-        plan.json is no plan: missing field `units` at line 74 column 1: `}`. Write another with `memtransfer plan --out FILE`
+        plan.json is no plan: missing field `units` at line 75 column 1: `}`. Write another with `memtransfer plan --out FILE`
         cannot use plan.json: line 4 is not as it was written: `"unit_size": 3,`. Write another with `memtransfer plan --out FILE`
         cannot use plan.json: `unit_episodes` is 0. Write another with `memtransfer plan --out FILE`
         cannot use plan.json: lanes: 0 is not a whole number from 1 to 1024. Write another with `memtransfer plan --out FILE`
@@ -361,7 +361,7 @@ mod tests {
         cannot use plan.json: no memory is left: `--memory none` is for a memory of your own (--memory-cmd, or `external` in --memory). Write another with `memtransfer plan --out FILE`
         cannot use plan.json: `policy` is openai, and there is no `model`. Write another with `memtransfer plan --out FILE`
         cannot use plan.json: `processes` is set, and no process has begun. Write another with `memtransfer plan --out FILE`
-        cannot use plan.json: line 73 is not as it was written: `"colour": 3`. Write another with `memtransfer plan --out FILE`
+        cannot use plan.json: line 74 is not as it was written: `"colour": 3`. Write another with `memtransfer plan --out FILE`
         cannot use plan.json: its line ends are those of Windows. Write another with `memtransfer plan --out FILE`
         "#);
         for (from, to) in [("\"limit\": 2", "\"limit\": 1"), ("\"limit\": 2", "\"limit\": 3")] {

@@ -323,7 +323,7 @@ pub const KEYS: &[Key] = keys! {
     "lanes" "N" Number(1, 1024, 1), Run Machine = "16",
         "Episodes that run at the same time";
     "worlds" "N" Number(1, MAX_WORLDS as u64, 1), Run Machine = "1",
-        "Processes of the world, which share the lanes and the frames; for a world that is slow and cores that are idle";
+        "Processes of the world, which share the lanes; for a slow world where cores are idle";
     "encoder-threads" "N" Number(1, 1024, 1), Run Machine,
         "Frames embedded at the same time [default: number of cores]";
     "provider" "NAME" Text(is_provider), Run Outcome,
