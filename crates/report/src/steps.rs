@@ -106,9 +106,8 @@ mod tests {
         let mut world = world().declaration;
         world.state[1].name = "step".to_owned();
         let frame = steps_frame(&log(Vec::new()), &world, &[]);
-        let is_step = |column: &&Series| column.name.ends_with("step");
-        let names: Vec<&str> =
-            frame.columns.iter().filter(is_step).map(|one| one.name.as_str()).collect();
+        let names = frame.columns.iter().map(|column| column.name.as_str());
+        let names: Vec<&str> = names.filter(|name| name.ends_with("step")).collect();
         assert_eq!(names, ["step", "state_step"]);
     }
 
