@@ -146,7 +146,7 @@ impl Listing {
 
 /// The settings of a suite. A policy that runs in any world is named, because nothing here depends on it.
 fn suite_layer(suite: &str, assets: Option<(&str, &str)>) -> anyhow::Result<Layer> {
-    Ok(Layer::flags([("suite", suite), ("policy", "imitate")].into_iter().chain(assets))?)
+    Layer::flags([("suite", suite), ("policy", "imitate")].into_iter().chain(assets))
 }
 
 /// What the world says of itself, and the cases that a run with `settings` selects in it.
@@ -179,7 +179,7 @@ fn the_world(world: &WorldDescription) -> Listing {
         add("action", format!("{} {}", action.letter, action.words));
     }
     for field in state {
-        add("state", [&[field.name.clone()], &field.words[..]].concat().join(" "));
+        add("state", [std::slice::from_ref(&field.name), &field.words[..]].concat().join(" "));
     }
     for sentence in feedback {
         add("feedback", sentence.clone());
