@@ -91,6 +91,13 @@ impl RunPlan {
         let episodes: Vec<PlannedEpisode> = selection.with_episodes(&settings, |episodes| {
             episodes.skip(range.start).take(range.len()).collect()
         });
+        let without = selection.without_blocked_route(&settings);
+        if without > 0 {
+            say(&format!(
+                "{without} of {} cases have no blocked route: their episodes on it are left out",
+                selection.cases.len()
+            ));
+        }
         if episodes.is_empty() {
             bail!("no case is left: --limit is 0, or --cases selects none");
         }
@@ -152,6 +159,7 @@ impl RunPlan {
             memories: memories.collect::<Result<_>>()?,
             policy_files: policy_cmd.map(command_files).transpose()?.unwrap_or_default(),
             world_files: world_cmd.map(command_files).transpose()?.unwrap_or_default(),
+            world_varies: !self.books.cases.book.world.declaration.is_deterministic,
             prices: self.prices.clone(),
             episodes: self.episodes.len() as u32,
             unit: self.unit.clone(),

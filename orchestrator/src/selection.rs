@@ -2,9 +2,9 @@
 
 use anyhow::{Result, ensure};
 use case_book::{BookRequest, CaseBook, ElsewhereRequest, StreamsRequest};
-use conditions::Route;
 use conditions::settings::RunSettings;
-use domain::{Arm, Demonstrations};
+use conditions::{Condition, Route};
+use domain::{Arm, Demonstrations, Start};
 use settings::select_cases;
 
 use crate::books::Books;
@@ -76,16 +76,23 @@ impl SelectedCases {
 
     /// The number of episodes of a run with `settings`.
     pub fn count(&self, settings: &RunSettings) -> usize {
-        match self.book().streams {
-            Some(_) => self.with_episodes(settings, |episodes| episodes.count()),
-            None => {
-                self.cases.len()
-                    * settings.runs().iter().map(|(_, runs)| *runs as usize).sum::<usize>()
-            }
-        }
+        self.with_episodes(settings, |episodes| episodes.count())
     }
 
-    /// Calls `each` with the episodes of a run with `settings`, in their order.
+    /// The number of selected cases that have no blocked route, where a run with `settings` has episodes on those.
+    pub fn without_blocked_route(&self, settings: &RunSettings) -> usize {
+        let is_blocked = |condition: &Condition| condition.route == Route::Blocked;
+        if !settings.conditions().iter().any(is_blocked) {
+            return 0;
+        }
+        let has_none = |case: &&usize| {
+            self.book().cases[**case].reference(Start::New, Route::Blocked).is_none()
+        };
+        self.cases.iter().filter(has_none).count()
+    }
+
+    /// Calls `each` with the episodes of a run with `settings`, in their order. One that the case book has no reference for, on the
+    /// blocked route of a case without one, is left out.
     pub fn with_episodes<T>(
         &self,
         settings: &RunSettings,
@@ -96,7 +103,10 @@ impl SelectedCases {
             Some((streams, stream)) => {
                 each(&mut plan_streams(&runs, streams, stream, &ids, settings.seed))
             }
-            None => each(&mut plan(&runs, &self.cases, &ids, settings.seed)),
+            None => {
+                let all = plan(&runs, &self.cases, &ids, settings.seed);
+                each(&mut all.filter(|episode| episode.expert(self.book()).is_some()))
+            }
         }
     }
 }

@@ -139,6 +139,22 @@ impl DeclaredWorld {
         Ok(code.and_then(|code| self.declaration.action(code)))
     }
 
+    /// What is wrong with an answer that is an action of the warehouse, or a decision for one, which this world does not have.
+    pub(crate) fn foreign_action(&self, answer: &Bound<'_, PyAny>) -> PyResult<Option<String>> {
+        let classes = Classes::get(answer.py())?;
+        let of_decision = answer.get_type().is(&classes.decision);
+        let value = if of_decision { answer.getattr("action")? } else { answer.clone() };
+        if classes.action.code(&value)?.is_none() || self.read_action(&value)?.is_some() {
+            return Ok(None);
+        }
+        let (world, forms) = (&self.declaration.name, self.action_forms());
+        Ok(Some(format!(
+            "answered {}, an action of the warehouse that the world {world} does not have: return {forms}, from \
+             request.world.actions",
+            value.repr()?
+        )))
+    }
+
     /// What an action can be given as.
     pub(crate) fn action_forms(&self) -> String {
         let last = self.declaration.actions.len() - 1;

@@ -88,6 +88,11 @@ impl PythonPolicy {
         for ((request, pinned), reply) in batch.iter().zip(batch.steps()).zip(replies?) {
             let id = request.id();
             let world = DeclaredWorld::of(py, request.world)?;
+            if let Some(foreign) = world.foreign_action(&reply)? {
+                let Self { name, .. } = self;
+                answers.stop_run(format!("policy {name} {foreign}"));
+                return Ok(());
+            }
             match self.reply(py, &world, &reply, request.images())? {
                 Reply::Decided(decision, exchange) => {
                     record(answers, id, pinned, exchange)?;

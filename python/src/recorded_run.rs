@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use case_book::act::{ActedDemonstration, DemonstrationsRequest, EpisodeParts, Target};
 use domain::{Action, Cell, Heading, Pose, State};
 use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
@@ -16,6 +16,7 @@ use sim_proc::view_source::ViewSource;
 use sim_proc::worlds::Worlds;
 use warehouse::RunWorlds;
 use warehouse::act::Stage;
+use world_client::frames::ViewKey;
 use world_client::{Asker, EpisodeTimeline, RecordedRun as Recorded, WorldAccess, WorldFiles};
 
 /// A run folder, its worlds, and a renderer once a view is asked for. No `sim-proc` lies beside the package, so both answer in
@@ -253,10 +254,11 @@ impl RecordedRun {
         let world = &run.world;
         let keys = match seen {
             true => world.seen(variant, &states)?,
-            false => states.iter().map(|state| world.supplied(variant, *state)).collect(),
+            false => world.supplied(variant, &states),
         };
         let mut pixels = Vec::new();
-        for (variant, state) in keys {
+        for key in keys {
+            let ViewKey::State(variant, state) = key else { bail!("the view of no state") };
             let view = views.render(variant, Pose::try_from(state)?)?;
             pixels.extend(
                 view.as_bytes().as_chunks::<4>().0.iter().flat_map(|&[r, g, b, _]| [r, g, b]),

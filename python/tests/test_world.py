@@ -128,7 +128,7 @@ WRONG = {
     "unknown case `reach-7`": "def cases(self): return []",
     'the declaration of the world is not valid: its "name" is not one to 64 small letters': 'name = "Corridor 1"',
     "the world corridor has 2 actions, and letters for 1": 'letters = "x"',
-    "the world corridor has no field 'room' in its states": 'state_sentence = "You are in {room}."',
+    'its "state_sentence" names "room", which is no field of its states': 'state_sentence = "You are in {room}."',
     "RuntimeError: no display": "def __init__(self): raise RuntimeError('no display')",
 }
 

@@ -308,8 +308,16 @@ impl Check for WorldDeclaration {
             }
         }
         let mut names = HashSet::new();
-        let twice = self.state.iter().find(|field| !names.insert(&field.name));
-        twice.map(|field| format!("a state has {:?} twice", field.name))
+        for StateField { name, .. } in &self.state {
+            if !names.insert(name.as_str()) {
+                return Some(format!("a state has {name:?} twice"));
+            }
+        }
+        let named = self.state_sentence.split('{').skip(1).filter_map(|from| from.split_once('}'));
+        let foreign = named.map(|(name, _)| name).find(|name| !names.contains(name));
+        foreign.map(|name| {
+            format!("its \"state_sentence\" names {name:?}, which is no field of its states")
+        })
     }
 }
 
@@ -394,7 +402,7 @@ pub(crate) mod tests {
     #[test]
     fn what_a_world_may_not_declare_is_named() {
         type Breaks = fn(&mut WorldDeclaration);
-        let broken: [(Breaks, &str); 8] = [
+        let broken: [(Breaks, &str); 9] = [
             (|world| world.name = "Doors".to_owned(), "\"name\""),
             (|world| world.rules = " ".to_owned(), "\"rules\""),
             (|world| world.actions.clear(), "0 actions"),
@@ -403,6 +411,7 @@ pub(crate) mod tests {
             (|world| world.actions[0].words = "Open".to_owned(), "words \"Open\""),
             (|world| world.feedback.truncate(1), "1 sentences"),
             (|world| world.state[1].name = "height".to_owned(), "\"height\" twice"),
+            (|world| world.state_sentence = "At {height} and {x}.".to_owned(), "names \"x\""),
         ];
         assert_eq!(doors().problem(), None);
         for (breaks, expected) in broken {

@@ -52,7 +52,7 @@ impl Episodes {
     pub fn new(run: RecordedRun, program: &WorldProgram, timing: Timing) -> Result<Self> {
         let RecordedRun { log, world, .. } = run;
         let format = ViewFormat { edge: timing.edge, quality: QUALITY };
-        let renderer = ViewRenderer::start(program, &view_arguments(&log), format)?;
+        let renderer = ViewRenderer::start(&program.of_run(&log)?, &view_arguments(&log), format)?;
         Ok(Self { log, world, timing, renderer })
     }
 
@@ -104,12 +104,13 @@ impl Episodes {
     fn moments(&mut self, index: usize) -> Result<Moments<'_>> {
         let record = &self.log.episodes[index];
         let timeline = EpisodeTimeline::new(&self.world, record, EpisodeParts::default())?;
-        let views: BTreeSet<ViewKey> = timeline.steps.iter().map(|step| step.view).collect();
+        let views: BTreeSet<ViewKey> =
+            timeline.steps.iter().map(|step| step.view.clone()).collect();
         let distinct: Vec<ViewKey> = views.into_iter().collect();
         let mut images = BTreeMap::new();
         self.renderer
             .render(&distinct, |view, bytes| {
-                images.insert(view, bytes);
+                images.insert(view.clone(), bytes);
                 Ok(())
             })
             .with_context(|| format!("cannot render the views of {}", record.key))?;

@@ -6,7 +6,7 @@
 //! | `/tf` | `foxglove.FrameTransform`: `warehouse` to `agent` to `camera` |
 //! | `/pose` | `foxglove.PoseInFrame`: the agent in the warehouse |
 //! | `/events` | `foxglove.Log`: sub-goals, blocked moves, unreadable answers, why it failed |
-//! | `/step` | `memtransfer.Step`, JSON: pose, feedback, action, what memory supplied |
+//! | `/step` | `memtransfer.Step`, JSON: pose, in another world the state in words, feedback, action, what memory supplied |
 //! | `/episode` | `memtransfer.Episode`, JSON: instruction, condition, outcome; once |
 //!
 //! One metre is one cell, x points east, y north, z up; the origin is the centre of cell 0,0. Steps have no duration, so the
@@ -22,7 +22,7 @@ use std::io::BufWriter;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use domain::Pose;
+use domain::{Cell, Pose};
 use run_log::RunLog;
 use run_log::source::{SourceStep, sources};
 use serde::Serialize;
@@ -38,6 +38,8 @@ const SECOND: u64 = 1_000_000_000;
 pub(crate) struct McapRecording {
     file: McapFile<BufWriter<File>>,
     channels: McapChannels,
+    /// Whether states are poses: in the warehouse.
+    has_poses: bool,
     step_ns: u64,
     /// When the next episode begins.
     begins_ns: u64,
@@ -56,9 +58,8 @@ struct McapChannels {
 struct McapStep<'a> {
     episode: &'a str,
     step: u32,
-    x: u8,
-    y: u8,
-    heading: char,
+    #[serde(flatten)]
+    state: McapState<'a>,
     feedback: &'a str,
     #[serde(skip_serializing_if = "Option::is_none")]
     action: Option<&'a str>,
@@ -67,6 +68,14 @@ struct McapStep<'a> {
     sources: Vec<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     distances: Option<&'a str>,
+}
+
+/// A pose, or the state in another world.
+#[derive(Serialize)]
+#[serde(untagged)]
+enum McapState<'a> {
+    Pose { x: u8, y: u8, heading: char },
+    Words { state: &'a str },
 }
 
 #[derive(Serialize)]
@@ -117,7 +126,8 @@ impl McapRecording {
             ],
         )?;
         let step_ns = SECOND / u64::from(timing.steps_per_s.max(1));
-        Ok(Self { file, channels, step_ns, begins_ns: 0 })
+        let has_poses = settings.world_cmd.is_none();
+        Ok(Self { file, channels, has_poses, step_ns, begins_ns: 0 })
     }
 
     /// The time of a step, in nanoseconds from the beginning of the file.
@@ -153,7 +163,7 @@ fn step_schema() -> Value {
     schema(
         "Step",
         &[
-            ("string", &["episode", "heading", "feedback", "action", "distances"]),
+            ("string", &["episode", "heading", "state", "feedback", "action", "distances"]),
             ("integer", &["step", "x", "y", "sub_goals_met", "sub_goals"]),
             ("strings", &["sources"]),
         ],
@@ -190,24 +200,30 @@ impl EpisodeSink for McapRecording {
         };
         let begins = self.instant(0);
         self.file.message(self.channels.episode, begins, &serde_json::to_vec(&about)?);
-        self.file.message(self.channels.transforms, begins, &foxglove::camera_mount(begins));
+        if self.has_poses {
+            self.file.message(self.channels.transforms, begins, &foxglove::camera_mount(begins));
+        }
         let mut events = timeline.events.iter().peekable();
         for moment in &timeline.steps {
             let step = moment.step;
-            let pose = Pose::try_from(moment.state)
-                .context("only episodes of the warehouse have poses to record")?;
+            let pose = self.has_poses.then(|| Pose::try_from(moment.state)).transpose()?;
             let at = self.instant(step);
             let image = moments.images.get(&moment.view).context("a view was not rendered")?;
             self.file.message(self.channels.camera, at, &foxglove::image(at, image));
-            self.file.message(self.channels.transforms, at, &foxglove::agent(at, pose));
-            self.file.message(self.channels.pose, at, &foxglove::pose(at, pose));
+            if let Some(pose) = pose {
+                self.file.message(self.channels.transforms, at, &foxglove::agent(at, pose));
+                self.file.message(self.channels.pose, at, &foxglove::pose(at, pose));
+            }
             let supplied = sources(moment.retrieved.unwrap_or_default());
             let data = McapStep {
                 episode: &record.key,
                 step,
-                x: pose.cell.x,
-                y: pose.cell.y,
-                heading: pose.heading.letter(),
+                state: match pose {
+                    Some(Pose { cell: Cell { x, y }, heading }) => {
+                        McapState::Pose { x, y, heading: heading.letter() }
+                    }
+                    None => McapState::Words { state: &moment.state_text },
+                },
                 feedback: &moment.feedback,
                 action: moment.action.as_deref(),
                 sub_goals_met: moment.sub_goals,

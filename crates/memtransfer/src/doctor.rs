@@ -6,11 +6,13 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, anyhow, bail, ensure};
+use case_book::BookRequest;
 use clap::{Args, ValueEnum};
 use conditions::settings::RunSettings;
 use documents::DocumentName;
 use domain::{Pose, cache_folder};
 use llm::{Endpoint, Servers, Source};
+use orchestrator::books::Books;
 use orchestrator::documents::needed;
 use orchestrator::run_documents::{RunDocuments, listed};
 use orchestrator::scratch::{self, ScratchFolder};
@@ -26,7 +28,7 @@ use shm_types::{RunDir, registry};
 use supervise::sibling;
 
 use super::list::list;
-use super::{Exit, WorldArgs, print, print_json, world_program};
+use super::{Exit, WorldArgs, print, print_json};
 use crate::signals::{self, Signals};
 
 /// Files that a process of a run opens, rounded up. The memory process opened most, 149, with 1 and with 1024 lanes.
@@ -46,6 +48,7 @@ MEMTRANSFER_REQUEST_TIMEOUT as for `memtransfer run`.
 
 Examples:
   memtransfer doctor
+  memtransfer doctor --world-cmd ./my-world
   memtransfer doctor --policy openai --model NAME --base-url http://localhost:8000/v1")]
 pub(super) struct DoctorArgs {
     #[command(flatten)]
@@ -150,7 +153,10 @@ fn check(args: &DoctorArgs, stop: &AtomicBool) -> anyhow::Result<Vec<DoctorFindi
     let scratch = ScratchFolder::new().context("cannot make a temporary folder")?;
     let view = scratch.path().join("view.png");
     let mut findings = vec![
-        DoctorFinding::of("warehouse and cases", world(&args.world)),
+        match args.world.other.command() {
+            Some(command) => DoctorFinding::of("world and cases", other_world(command)),
+            None => DoctorFinding::of("warehouse and cases", world(&args.world)),
+        },
         DoctorFinding::of("programs", programs()),
         DoctorFinding::of("shared memory", shared_memory()),
         DoctorFinding::of("open files", open_files(args)),
@@ -176,9 +182,22 @@ fn check(args: &DoctorArgs, stop: &AtomicBool) -> anyhow::Result<Vec<DoctorFindi
 }
 
 fn world(args: &WorldArgs) -> anyhow::Result<String> {
-    let items = list::<Value>("items", args.flags())?.len();
-    let cases = world_program()?.describe(&args.flags())?.cases.len();
+    let items = list::<Value>(args, "items", args.flags())?.len();
+    let cases = args.program()?.describe(&args.flags())?.cases.len();
     Ok(format!("{items} items, {cases} cases (`memtransfer validate` checks them all)"))
+}
+
+/// The case book of the world that `command` starts.
+fn other_world(command: &str) -> anyhow::Result<String> {
+    let book = Books::of_world(Some(command), &BookRequest::default())?.cases.book;
+    let world = &book.world.declaration;
+    Ok(format!(
+        "{} {}, {} cases, {} actions (`memtransfer conformance` checks how it takes part in runs)",
+        world.name,
+        world.version,
+        book.cases.len(),
+        world.actions.len()
+    ))
 }
 
 fn programs() -> anyhow::Result<String> {
@@ -278,8 +297,22 @@ fn unwritable(cache: &Path) -> Option<(PathBuf, Errno)> {
 fn rendering(world: &WorldArgs, view: &Path, stop: &AtomicBool) -> anyhow::Result<String> {
     // Another process, because this one must notice when it is asked to stop.
     let mut command = Command::new(sibling("memtransfer")?);
-    command.args(["render", "--pose", &a_pose(world)?, "--out"]).arg(view);
-    succeed(with_assets(command, world), stop)?;
+    match world.other.command() {
+        Some(other) => {
+            let folder = view.with_extension("");
+            let described = world.program()?.describe(&[])?;
+            let case = described.cases.first().context("the world has no cases")?;
+            command
+                .args(["render", "--world-cmd", other, "--case", &case.id, "--out"])
+                .arg(&folder);
+            succeed(command, stop)?;
+            std::fs::rename(folder.join("000.png"), view)?;
+        }
+        None => {
+            command.args(["render", "--pose", &a_pose(world)?, "--out"]).arg(view);
+            succeed(with_assets(command, world), stop)?;
+        }
+    }
     Ok("a view was rendered".to_owned())
 }
 
@@ -398,7 +431,7 @@ fn request_size(settings: &RunSettings, documents: &RunDocuments) -> Vec<String>
 
 /// A pose in the warehouse.
 fn a_pose(world: &WorldArgs) -> anyhow::Result<String> {
-    let world = world_program()?.describe(&world.flags())?;
+    let world = world.program()?.describe(&world.flags())?;
     let begin = world.cases.first().and_then(|case| Some(case.references.first()?.begin));
     let begin = begin.context("the world has no case that begins anywhere")?;
     Ok(Pose::try_from(begin)?.to_string())

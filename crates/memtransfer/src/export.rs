@@ -16,7 +16,7 @@ use run_log::RunLog;
 use settings::select_cases;
 use world_client::{RecordedRun, Selection};
 
-use super::{Exit, print, warn_of_damage, world_program};
+use super::{Exit, WorldCommandArgs, print, warn_of_damage};
 
 /// Episodes of MCAP and MP4, unless some are chosen.
 const FEW: Selection = Selection::First(10);
@@ -71,6 +71,8 @@ pub(super) struct ExportArgs {
     /// With hugging-face: the address of what the results come from, for example of the published log
     #[arg(long, value_name = "URL")]
     source: Option<String>,
+    #[command(flatten)]
+    world: WorldCommandArgs,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -160,7 +162,7 @@ impl ExportArgs {
     }
 
     fn read(&self) -> Result<RecordedRun> {
-        let run = RecordedRun::read(&self.run, &world_program()?.access())?;
+        let run = RecordedRun::read(&self.run, &self.world.program()?.access())?;
         warn_of_damage(&run.log.damaged);
         Ok(run)
     }
@@ -173,7 +175,7 @@ impl ExportArgs {
         let is_chosen = !self.cases.is_empty() || self.condition.is_some();
         self.choose(&mut run, if is_chosen { Selection::All } else { FEW })?;
         let timing = Timing { steps_per_s: self.fps.unwrap_or(2), edge: self.size.unwrap_or(448) };
-        Episodes::new(run, &world_program()?, timing)?.write(format, &self.out)
+        Episodes::new(run, &self.world.program()?, timing)?.write(format, &self.out)
     }
 
     fn write_tables(&self, format: TableFormat) -> Result<Vec<PathBuf>> {

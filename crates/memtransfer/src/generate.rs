@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Args, Subcommand};
 use serde::Deserialize;
+use world_client::WorldProgram;
 
-use super::{Exit, WorldArgs, print, world_program, write_file};
+use super::{Exit, WorldArgs, print, write_file};
 
 mod world;
 
@@ -59,10 +60,11 @@ pub(super) fn run(args: &GenerateArgs) -> Result<Exit> {
 
 fn cases(args: &GenerateArgs) -> Result<Exit> {
     ensure!(args.count > 0, "--count is 0, but must be at least 1");
+    let program = args.world.warehouse()?;
     let mut flags = args.world.flags();
     flags.extend(["--seed".into(), args.seed.to_string().into()]);
     flags.extend(["--count".into(), args.count.to_string().into()]);
-    let text = GeneratedFiles::ask(&flags)?.cases;
+    let text = GeneratedFiles::ask(&program, &flags)?.cases;
     match &args.out {
         None => print(&text)?,
         Some(path) => {
@@ -90,8 +92,8 @@ struct GeneratedFiles {
 }
 
 impl GeneratedFiles {
-    fn ask(flags: &[OsString]) -> Result<Self> {
-        let (files, _) = world_program()?.print("generate", flags)?;
+    fn ask(program: &WorldProgram, flags: &[OsString]) -> Result<Self> {
+        let (files, _) = program.print("generate", flags)?;
         serde_json::from_str(&files).context("sim-proc is another version")
     }
 }

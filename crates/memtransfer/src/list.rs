@@ -3,10 +3,10 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use super::{Exit, WorldArgs, print, print_json, world_program};
-use anyhow::{Context, bail};
+use super::{Exit, WorldArgs, print, print_json};
+use anyhow::{Context, bail, ensure};
 use case_book::act::WorldDescription;
-use case_book::{BookRequest, CaseFacts, StreamsRequest};
+use case_book::{BookRequest, CaseFacts, StreamsRequest, WorldDeclaration};
 use clap::{Args, Subcommand};
 use conditions::Condition;
 use conditions::settings::{RunSettings, StreamSettings};
@@ -24,11 +24,14 @@ use settings::{Layer, SHIPPED_SUITES, resolve, select_cases};
 Examples:
   memtransfer ls cases
   memtransfer ls cases --suite quick
+  memtransfer ls --world-cmd ./my-world
   memtransfer ls items --json | jq '.[] | select(.category == \"barrels\")'
   memtransfer ls runs")]
 pub(super) struct ListArgs {
     #[command(subcommand)]
-    what: ListWhat,
+    what: Option<ListWhat>,
+    #[command(flatten)]
+    world: WorldArgs,
     /// Print JSON
     #[arg(long, global = true)]
     json: bool,
@@ -36,20 +39,20 @@ pub(super) struct ListArgs {
 
 #[derive(Debug, Subcommand)]
 enum ListWhat {
+    /// The world: what agents do, are told and see in it, and what it can do [default]
+    World,
     /// Cases: instruction, starting poses, lengths of the reference routes
     Cases {
-        #[command(flatten)]
-        world: WorldArgs,
         /// Only the cases that a run of this suite, by name or file, selects
         #[arg(long, value_name = "NAME|FILE")]
         suite: Option<String>,
     },
     /// The demonstrations of other tasks in each case's mixed sets
-    Histories(WorldArgs),
-    /// The ten types of tasks
-    Tasks(WorldArgs),
+    Histories,
+    /// The types of tasks
+    Tasks,
     /// The items of the warehouse, with the cells in front of them
-    Items(WorldArgs),
+    Items,
     /// The shipped suites: purpose and size
     Suites,
     /// The conditions of a suite, as values of the flags of `memtransfer run`
@@ -84,22 +87,31 @@ struct Listing {
 }
 
 pub(super) fn run(args: &ListArgs) -> anyhow::Result<Exit> {
-    let listing = match &args.what {
-        ListWhat::Cases { world, suite: None } => {
-            cases(&world_program()?.describe(&world.flags())?.cases)?
+    let (world, describe) = (&args.world, || args.world.program()?.describe(&args.world.flags()));
+    let listing = match args.what.as_ref().unwrap_or(&ListWhat::World) {
+        ListWhat::World => the_world(&describe()?),
+        ListWhat::Cases { suite: None } => {
+            let world = describe()?;
+            cases(&world.world.declaration, &world.cases)
         }
-        ListWhat::Cases { world, suite: Some(suite) } => {
+        ListWhat::Cases { suite: Some(suite) } => {
             let assets = world.assets.as_ref().map(|dir| dir.display().to_string());
             let assets = assets.as_deref().map(|dir| ("assets", dir));
-            let flags = [("suite", suite.as_str())].into_iter().chain(assets);
-            cases(&selected_cases(&resolve([Layer::flags(flags)?])?.settings)?)?
+            let settings = resolve([suite_layer(suite, assets)?])?.settings;
+            ensure!(
+                settings.world_cmd.is_none() || world.other.command().is_some(),
+                "the suite {suite} names another world, which has to be asked: if you trust its program, give the command \
+                 that starts it as --world-cmd"
+            );
+            let (declaration, selected) = selected_cases(&settings, world)?;
+            cases(&declaration, &selected)
         }
-        ListWhat::Histories(world) => histories(world)?,
-        ListWhat::Tasks(world) => tasks(&world_program()?.describe(&world.flags())?),
-        ListWhat::Items(world) => items(world)?,
+        ListWhat::Histories => histories(world)?,
+        ListWhat::Tasks => tasks(&describe()?),
+        ListWhat::Items => items(world)?,
         ListWhat::Suites => suites()?,
         ListWhat::Conditions { suite } => conditions(suite)?,
-        ListWhat::Streams { suite, seed } => streams(suite, *seed)?,
+        ListWhat::Streams { suite, seed } => streams(suite, *seed, world)?,
         ListWhat::Runs { dir } => runs(dir.as_deref())?,
     };
     if args.json {
@@ -132,33 +144,73 @@ impl Listing {
     }
 }
 
-/// The cases that a run selects.
-fn selected_cases(settings: &RunSettings) -> anyhow::Result<Vec<CaseFacts>> {
-    let world = WorldArgs { assets: settings.assets.clone() };
-    let world = world_program()?.describe(&world.flags())?;
-    let selected = select_cases(&world.case_ids(), &settings.cases, settings.limit)?;
-    Ok(selected.into_iter().map(|index| world.cases[index].clone()).collect())
+/// The settings of a suite. A policy that runs in any world is named, because nothing here depends on it.
+fn suite_layer(suite: &str, assets: Option<(&str, &str)>) -> anyhow::Result<Layer> {
+    Layer::flags([("suite", suite), ("policy", "imitate")].into_iter().chain(assets))
 }
 
-fn cases(cases: &[CaseFacts]) -> anyhow::Result<Listing> {
+/// What the world says of itself, and the cases that a run with `settings` selects in it.
+fn selected_cases(
+    settings: &RunSettings,
+    world: &WorldArgs,
+) -> anyhow::Result<(WorldDeclaration, Vec<CaseFacts>)> {
+    let WorldArgs { other, .. } = world;
+    let world = WorldArgs { assets: settings.assets.clone(), other: other.clone() };
+    let world = world.program()?.describe(&world.flags())?;
+    let selected = select_cases(&world.case_ids(), &settings.cases, settings.limit)?;
+    let selected = selected.into_iter().map(|index| world.cases[index].clone()).collect();
+    Ok((world.world.declaration, selected))
+}
+
+/// A row for each part of what a world says of itself.
+fn the_world(world: &WorldDescription) -> Listing {
+    let WorldDescription { world: facts, cases, .. } = world;
+    let WorldDeclaration { name, version, actions, state, feedback, .. } = &facts.declaration;
+    let mut rows = vec![
+        vec![json!("name"), json!(name)],
+        vec![json!("version"), json!(version)],
+        vec![
+            json!("deterministic"),
+            json!(if facts.declaration.is_deterministic { "yes" } else { "no" }),
+        ],
+    ];
+    let mut add = |part: &str, text: String| rows.push(vec![json!(part), json!(text)]);
+    for action in actions {
+        add("action", format!("{} {}", action.letter, action.words));
+    }
+    for field in state {
+        add("state", [std::slice::from_ref(&field.name), &field.words[..]].concat().join(" "));
+    }
+    for sentence in feedback {
+        add("feedback", sentence.clone());
+    }
+    for group in &facts.groups {
+        let is_in = |case: &&CaseFacts| facts.group_of(case.task) == Some(group.name.as_str());
+        let count = cases.iter().filter(is_in).count();
+        add("task group", format!("{}: {count} cases", group.name));
+    }
+    let has = |route| move |case: &&CaseFacts| case.reference(Start::New, route).is_some();
+    let blocked = cases.iter().filter(has(Route::Blocked)).count();
+    add("cases", format!("{}, {blocked} of them with a blocked route", cases.len()));
+    Listing { header: vec!["part", "the world says"], numbers: 2, rows }
+}
+
+fn cases(world: &WorldDeclaration, cases: &[CaseFacts]) -> Listing {
     let row = |case: &CaseFacts| {
-        let reference = |start, route| {
-            let found = case.reference(start, route);
-            found.with_context(|| format!("{} has no reference", case.id))
-        };
-        let original = reference(Start::Original, Route::Unchanged)?;
-        let new = reference(Start::New, Route::Unchanged)?;
-        Ok(vec![
+        let reference = |start, route| case.reference(start, route);
+        let begin = |start| Some(world.state_text(&reference(start, Route::Unchanged)?.begin));
+        let length = |start, route| Some(reference(start, route)?.length);
+        vec![
             json!(case.id),
             json!(case.instruction),
-            json!(original.begin.to_string()),
-            json!(new.begin.to_string()),
-            json!(original.length),
-            json!(new.length),
-            json!(reference(Start::New, Route::Blocked)?.length),
-        ])
+            json!(begin(Start::Original)),
+            json!(begin(Start::New)),
+            json!(length(Start::Original, Route::Unchanged)),
+            json!(length(Start::New, Route::Unchanged)),
+            json!(length(Start::New, Route::Blocked)),
+        ]
     };
-    Ok(Listing {
+    Listing {
         header: vec![
             "case",
             "instruction",
@@ -169,23 +221,24 @@ fn cases(cases: &[CaseFacts]) -> anyhow::Result<Listing> {
             "blocked steps",
         ],
         numbers: 4,
-        rows: cases.iter().map(row).collect::<anyhow::Result<_>>()?,
-    })
+        rows: cases.iter().map(row).collect(),
+    }
 }
 
-/// The rows of a list that only the world can make.
+/// The rows of a list that only the warehouse can make.
 pub(super) fn list<T: DeserializeOwned>(
+    world: &WorldArgs,
     what: &str,
     arguments: impl IntoIterator<Item = OsString>,
 ) -> anyhow::Result<Vec<T>> {
     let arguments: Vec<OsString> = [what.into()].into_iter().chain(arguments).collect();
-    let (rows, _) = world_program()?.print("list", &arguments)?;
+    let (rows, _) = world.warehouse()?.print("list", &arguments)?;
     serde_json::from_str(&rows).context("sim-proc is another version")
 }
 
 fn histories(world: &WorldArgs) -> anyhow::Result<Listing> {
     let header = vec!["case", "kind", "history", "its instruction", "shared poses", "conflicts"];
-    Ok(Listing { header, numbers: 4, rows: list("histories", world.flags())? })
+    Ok(Listing { header, numbers: 4, rows: list(world, "histories", world.flags())? })
 }
 
 fn tasks(world: &WorldDescription) -> Listing {
@@ -208,7 +261,7 @@ fn tasks(world: &WorldDescription) -> Listing {
 
 fn items(world: &WorldArgs) -> anyhow::Result<Listing> {
     let header = vec!["type", "category", "aisle", "rack", "standpoint", "item"];
-    Ok(Listing { header, numbers: 5, rows: list("items", world.flags())? })
+    Ok(Listing { header, numbers: 5, rows: list(world, "items", world.flags())? })
 }
 
 fn suites() -> anyhow::Result<Listing> {
@@ -222,7 +275,8 @@ fn suites() -> anyhow::Result<Listing> {
         about.join(" ")
     };
     let mut rows = Vec::new();
-    let world = world_program()?.describe(&[])?;
+    // They are those of the warehouse.
+    let world = WorldArgs::default().program()?.describe(&[])?;
     for (name, text) in SHIPPED_SUITES {
         let settings = resolve([Layer::flags([("suite", *name)])?])?.settings;
         let cases = select_cases(&world.case_ids(), &settings.cases, settings.limit)?.len();
@@ -261,7 +315,7 @@ fn runs(given: Option<&Path>) -> anyhow::Result<Listing> {
 }
 
 fn conditions(suite: &str) -> anyhow::Result<Listing> {
-    let settings = resolve([Layer::flags([("suite", suite)])?])?.settings;
+    let settings = resolve([suite_layer(suite, None)?])?.settings;
     if settings.stream.is_some() {
         bail!(
             "{suite} is a suite of streams: `memtransfer ls streams --suite {suite}` lists its blocks"
@@ -285,14 +339,15 @@ fn conditions(suite: &str) -> anyhow::Result<Listing> {
 }
 
 /// The blocks of a suite's streams; a row for each event, or one for a block without.
-fn streams(suite: &str, seed: Option<u64>) -> anyhow::Result<Listing> {
+fn streams(suite: &str, seed: Option<u64>, world: &WorldArgs) -> anyhow::Result<Listing> {
+    world.warehouse()?;
     let seed = seed.map(|seed| seed.to_string());
     let flags = [("suite", Some(suite)), ("seed", seed.as_deref())];
     let flags = flags.into_iter().filter_map(|(name, text)| Some((name, text?)));
     let settings = resolve([Layer::flags(flags)?])?.settings;
     let stream = settings.stream.as_ref();
     let stream = stream.with_context(|| format!("the suite {suite} has no [stream] table"))?;
-    let among = selected_cases(&settings)?;
+    let (_, among) = selected_cases(&settings, world)?;
     let request = BookRequest {
         assets: settings.assets.clone(),
         cases: among.into_iter().map(|case| case.id).collect(),
@@ -305,7 +360,7 @@ fn streams(suite: &str, seed: Option<u64>) -> anyhow::Result<Listing> {
     };
     let mut rows = Vec::new();
     let blocks: Vec<(usize, usize, Vec<String>, Vec<String>)> =
-        list("streams", [serde_json::to_string(&request)?.into()])?;
+        list(world, "streams", [serde_json::to_string(&request)?.into()])?;
     for (stream, block, events, cases) in blocks {
         let row = |event| vec![json!(stream), json!(block), event, json!(cases.join(" "))];
         if events.is_empty() {

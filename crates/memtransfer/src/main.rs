@@ -42,9 +42,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use ::report::table::{WIDTH, wrap};
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::{Args, Parser, Subcommand};
-use conditions::settings::Key;
 use program::in_one_line;
 use supervise::{QUIET_DRIVER, sibling};
 use world_client::WorldProgram;
@@ -122,15 +121,6 @@ enum MemtransferVerb {
     Generate(generate::GenerateArgs),
     /// Check what a run needs on this machine, and say how to get what is missing
     Doctor(doctor::DoctorArgs),
-}
-
-/// The program that knows the world.
-fn world_program() -> anyhow::Result<WorldProgram> {
-    let key = Key::find("world-cmd").map(|key| key.variable());
-    let world_cmd = key.and_then(|variable| std::env::var(variable).ok());
-    let world_cmd = world_cmd.filter(|command| !command.is_empty());
-    let (path, arguments) = (sibling("sim-proc")?, Vec::new());
-    Ok(WorldProgram { path, arguments, world_cmd, variable: QUIET_DRIVER })
 }
 
 /// Writes a file that a user has named, and makes its folder.
@@ -241,15 +231,62 @@ fn warn_of_damage(damaged: impl IntoIterator<Item: Display>) {
     }
 }
 
+/// How a world of the user's is started.
+#[derive(Debug, Default, Clone, Args)]
+struct WorldCommandArgs {
+    /// The command that starts a world of your own, as in `memtransfer run`
+    #[arg(long, value_name = "COMMAND", env = "MEMTRANSFER_WORLD_CMD", global = true)]
+    world_cmd: Option<String>,
+}
+
+impl WorldCommandArgs {
+    /// The command. An empty variable is none.
+    fn command(&self) -> Option<&str> {
+        self.world_cmd.as_deref().filter(|command| !command.is_empty())
+    }
+
+    /// The program that knows the warehouse, and how to start the other world.
+    fn program(&self) -> anyhow::Result<WorldProgram> {
+        let world_cmd = self.command().map(str::to_owned);
+        let (path, arguments) = (sibling("sim-proc")?, Vec::new());
+        Ok(WorldProgram { path, arguments, world_cmd, variable: QUIET_DRIVER })
+    }
+}
+
 /// The world that a verb uses.
-#[derive(Debug, Args)]
+#[derive(Debug, Default, Args)]
 struct WorldArgs {
     /// Use the layout, catalogue and cases in DIR instead of the built-in ones
-    #[arg(long, value_name = "DIR", env = "MEMTRANSFER_ASSETS")]
+    #[arg(long, value_name = "DIR", env = "MEMTRANSFER_ASSETS", global = true)]
     assets: Option<PathBuf>,
+    #[command(flatten)]
+    other: WorldCommandArgs,
 }
 
 impl WorldArgs {
+    /// The program of the other world, if one is named; otherwise that of the warehouse.
+    fn program(&self) -> anyhow::Result<WorldProgram> {
+        let program = self.other.program()?;
+        let Some(other) = program.other_world()? else { return Ok(program) };
+        if self.assets.is_some() {
+            bail!(
+                "--assets are those of the warehouse, and --world-cmd names another world: leave one of them out"
+            );
+        }
+        Ok(other)
+    }
+
+    /// The program of the warehouse, for a verb that other worlds do not have.
+    fn warehouse(&self) -> anyhow::Result<WorldProgram> {
+        let program = self.other.program()?;
+        match &program.world_cmd {
+            None => Ok(program),
+            Some(_) => bail!(
+                "this is about the warehouse, and --world-cmd (or MEMTRANSFER_WORLD_CMD) names another world: leave it out"
+            ),
+        }
+    }
+
     /// The flags for the program that knows the world.
     fn flags(&self) -> Vec<OsString> {
         let assets = self.assets.iter();

@@ -7,7 +7,7 @@ use clap::Args;
 use conditions::settings::CaseSelector;
 use settings::select_cases;
 
-use super::{Exit, WorldArgs, print, world_program, write_file};
+use super::{Exit, WorldArgs, print, write_file};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -33,7 +33,7 @@ pub(super) struct MapArgs {
 }
 
 pub(super) fn run(args: &MapArgs) -> anyhow::Result<Exit> {
-    let program = world_program()?;
+    let program = args.world.warehouse()?;
     let mut flags = args.world.flags();
     if args.elsewhere {
         flags.extend(["--elsewhere".into(), args.seed.to_string().into()]);

@@ -203,14 +203,9 @@ impl MadeFor {
         selection: DocumentSelection,
         demos: &[Demonstrations],
     ) -> Result<DocumentRequest> {
-        let Self {
-            world: WorldArgs { assets },
-            elsewhere,
-            seed,
-            frame_size,
-            labels,
-            appearance_seed,
-        } = self;
+        let Self { world, elsewhere, seed, frame_size, labels, appearance_seed } = self;
+        world.warehouse()?;
+        let assets = world.assets;
         let of_run = variable("seed")?.and_then(|seed| seed.as_u64());
         let take_place_elsewhere = demos.iter().any(|set| set.take_place_elsewhere());
         let books = Books::of_world(

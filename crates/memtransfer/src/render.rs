@@ -8,14 +8,14 @@ use anyhow::{Context, Result, bail, ensure};
 use case_book::act::DemonstrationsRequest;
 use clap::Args;
 use conditions::Frames;
-use domain::{Appearance, DemonstrationKind, Demonstrations, Pose, Route, Start, State};
+use domain::{Appearance, DemonstrationKind, Demonstrations, Pose, Route, Start};
 use png_file::{Channels, encode};
 use program::AppearanceArgs;
 use world_client::RunWorld;
 use world_client::frames::{ViewFormat, ViewKey, ViewRenderer};
 
 use super::export::view_edge;
-use super::{Exit, WorldArgs, print, world_program};
+use super::{Exit, WorldArgs, print};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -86,8 +86,8 @@ impl CaseTrajectory {
         found.ok_or_else(|| format!("expected one of {}", Self::ALL.map(Self::name).join(", ")))
     }
 
-    /// Its world variant and its states.
-    fn act(self, world: &RunWorld, case: &str) -> Result<(u32, Vec<State>)> {
+    /// Its views.
+    fn act(self, world: &RunWorld, case: &str) -> Result<Vec<ViewKey>> {
         let Some(index) = world.index(case) else {
             bail!("there is no case {case:?}; `memtransfer ls cases` lists the cases");
         };
@@ -101,34 +101,49 @@ impl CaseTrajectory {
                     planned: false,
                 })?;
                 let acted = acted.into_iter().next().context("there is no such demonstration")?;
-                return Ok((acted.variant, acted.states));
+                return Ok(world.supplied_of(&acted));
             }
             Self::Test => (Route::Unchanged, 0),
             Self::Blocked => (Route::Blocked, world.description().blocked[index]),
         };
-        Ok((variant, world.reference(case, variant, (Start::New, route))?.states))
+        let reference = world.reference(case, variant, (Start::New, route))?;
+        Ok(match world.has_map() {
+            true => world.supplied(variant, &reference.states),
+            false => {
+                let begin = if variant == 0 { Start::New.name() } else { route.name() };
+                world.views_after(case, begin, reference.actions.into_iter().map(Some))
+            }
+        })
     }
 }
 
 pub(super) fn run(args: &RenderArgs) -> Result<Exit> {
-    let world = RunWorld::of(world_program()?.asker(&args.world.flags())?, Frames::Rendered)?;
+    let world = RunWorld::of(args.world.program()?.asker(&args.world.flags())?, Frames::Rendered)?;
     let (views, files) = match (args.subject.pose, &args.subject.case) {
         (Some(pose), _) => {
+            ensure!(
+                world.has_map(),
+                "the world {} draws no view of a pose: give --case in place of --pose",
+                world.declaration().name
+            );
             ensure!(
                 world.scene(0)?.is_floor(pose.cell),
                 "the cell of pose {pose} is not free floor; `memtransfer map` shows the floor plan"
             );
             let name = format!("view-{}-{}-{}.png", pose.cell.x, pose.cell.y, pose.heading);
-            (vec![(0, pose.into())], vec![args.out.clone().unwrap_or_else(|| name.into())])
+            (
+                vec![ViewKey::State(0, pose.into())],
+                vec![args.out.clone().unwrap_or_else(|| name.into())],
+            )
         }
         (None, Some(id)) => {
-            let (variant, states) = args.trajectory.act(&world, id)?;
+            let views = args.trajectory.act(&world, id)?;
             let folder = args.out.clone().unwrap_or_else(|| args.trajectory_folder(id));
             fs::create_dir_all(&folder)
                 .with_context(|| format!("cannot create the folder {}", folder.display()))?;
-            let files = (0..states.len()).map(|step| folder.join(format!("{step:03}.png")));
+            let files = (0..views.len()).map(|step| folder.join(format!("{step:03}.png")));
             let files = files.collect();
-            (states.into_iter().map(|state| (variant, state)).collect(), files)
+            (views, files)
         }
         (None, None) => bail!("give --pose or --case"),
     };
@@ -145,7 +160,7 @@ impl RenderArgs {
     fn render(&self, views: &[ViewKey], files: &[PathBuf]) -> Result<()> {
         // The quality is that of JPEG files, which are not made here.
         let format = ViewFormat { edge: self.size, quality: 100 };
-        let mut renderer = ViewRenderer::start(&world_program()?, &self.flags(), format)?;
+        let mut renderer = ViewRenderer::start(&self.world.program()?, &self.flags(), format)?;
         let mut files = files.iter();
         renderer.render_pixels(views, |_, rgba| {
             let file: &Path = files.next().context("a view without a file")?;
@@ -160,6 +175,9 @@ impl RenderArgs {
     /// The flags of the renderer.
     fn flags(&self) -> Vec<OsString> {
         let mut flags = self.world.flags();
+        if self.world.other.command().is_some() {
+            return flags;
+        }
         let mut flag = |name: &str, value: OsString| flags.extend([name.into(), value]);
         if let Some(backend) = &self.backend {
             flag("--backend", backend.into());

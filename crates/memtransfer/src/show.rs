@@ -18,7 +18,7 @@ use settings::select_cases;
 use viewer::logged_image;
 use world_client::{EpisodeEvent, EpisodeTimeline, RunWorld, TimelineStep};
 
-use super::{Exit, print, print_json, world_program};
+use super::{Exit, WorldCommandArgs, print, print_json};
 
 /// Maximum number of cases that a message names.
 const MOST_NAMED: usize = 8;
@@ -56,12 +56,14 @@ pub(super) struct ShowArgs {
     /// Print JSON
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    world: WorldCommandArgs,
 }
 
 pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
     let log = RunLog::read(&args.run)?;
     let record = args.episode(&log)?;
-    let world = RunWorld::new(&log, &world_program()?.access())?;
+    let world = RunWorld::new(&log, &args.world.program()?.access())?;
     let timeline = EpisodeTimeline::new(&world, record, EpisodeParts::default())?;
     let Some(step) = args.step else {
         let shown = ShownEpisode {
@@ -179,7 +181,7 @@ impl ShowArgs {
     /// Why the run has no finished episode of the case: it is not finished, not part of the run, or does not exist.
     fn no_such_case(&self, log: &RunLog) -> anyhow::Error {
         let (case, run, settings) = (&self.case, self.run.display(), &log.manifest.settings);
-        let program = world_program();
+        let program = self.world.program();
         let Ok(world) = program.and_then(|program| RunWorld::new(log, &program.access())) else {
             return anyhow!("{run} has no finished episode of {case}");
         };

@@ -10,7 +10,7 @@ use run_log::tell_apart;
 use viewer::{Address, Site, ViewServer, write_bundle};
 use world_client::{RecordedRun, Selection};
 
-use super::{Exit, print, world_program};
+use super::{Exit, WorldCommandArgs, print};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -42,11 +42,13 @@ pub(super) struct ViewArgs {
     /// Open no browser
     #[arg(long)]
     no_browser: bool,
+    #[command(flatten)]
+    world: WorldCommandArgs,
 }
 
 pub(super) fn run(args: &ViewArgs) -> Result<Exit> {
     let runs = [Some(&args.run), args.other.as_ref()].into_iter().flatten();
-    let program = world_program()?;
+    let program = args.world.program()?;
     let mut runs =
         runs.map(|dir| RecordedRun::read(dir, &program.access())).collect::<Result<Vec<_>>>()?;
     tell_apart(runs.iter_mut().map(|run| &mut run.log));

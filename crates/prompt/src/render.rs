@@ -37,8 +37,10 @@ pub(super) fn prompt<'a>(
 }
 
 /// The system message: the same for all requests of a world.
-fn system(template: &Template, world: &WorldDeclaration) -> String {
-    fill(&template.system, &[("rules", &world.rules), ("actions", &action_list(world, "\n"))])
+fn system(template: &'static Template, world: &WorldDeclaration) -> String {
+    let actions = action_list(world, "\n");
+    let values = [("rules", world.rules.as_str()), ("actions", &actions)];
+    fill(&template.system, &[&values[..], &template.words.of(&world.name)].concat())
 }
 
 /// The words of all actions.
@@ -105,7 +107,8 @@ impl<'a> Writer<'a> {
     }
 
     fn fill(&mut self, text: &str, values: &[(&str, &str)]) {
-        self.text(&fill(text, values));
+        let words = self.template.words.of(&self.world.name);
+        self.text(&fill(text, &[values, &words[..]].concat()));
     }
 
     fn view(&mut self, view: FrameView<'a>, sent: bool) {
@@ -135,19 +138,19 @@ impl<'a> Writer<'a> {
         let texts = &self.template.memory;
         self.text(&texts.begin);
         if request.items.is_empty() {
-            self.text(&texts.nothing);
+            self.fill(&texts.nothing, &[]);
         } else if request.demonstrated_elsewhere {
             self.text(&texts.elsewhere);
         }
-        // The hint is about walks: after the demonstrations, before what was retrieved for this step.
-        let has_walks = request.items.iter().any(|item| matches!(item, Item::Steps(_)));
-        let hint_at = (request.starts_as_demonstrated && has_walks).then(|| {
+        // The hint is about demonstrations: after the demonstrations, before what was retrieved for this step.
+        let has_demonstrations = request.items.iter().any(|item| matches!(item, Item::Steps(_)));
+        let hint_at = (request.starts_as_demonstrated && has_demonstrations).then(|| {
             let first = request.items.iter().position(|item| item.segment().is_some());
             first.unwrap_or(request.items.len())
         });
         for (index, item) in request.items.iter().enumerate() {
             if hint_at == Some(index) {
-                self.text(&texts.hint);
+                self.fill(&texts.hint, &[]);
             }
             match item {
                 Item::Text(text) => self.document(text),
@@ -156,7 +159,7 @@ impl<'a> Writer<'a> {
             }
         }
         if hint_at == Some(request.items.len()) {
-            self.text(&texts.hint);
+            self.fill(&texts.hint, &[]);
         }
         self.text(&texts.end);
     }
@@ -212,7 +215,7 @@ impl<'a> Writer<'a> {
             StepsWording::Retrieved => self.retrieved(steps),
             StepsWording::Demonstration | StepsWording::Part => self.walk(steps),
         }
-        self.text(end);
+        self.fill(end, &[]);
     }
 
     /// The views of a demonstration, and between two of them the actions that led from one to the other.

@@ -31,6 +31,24 @@ pub(super) struct Template {
     pub(super) window: WindowTexts,
     pub(super) now: NowTexts,
     pub(super) view: ViewTexts,
+    pub(super) words: WorldWords,
+}
+
+/// The words for what agents do, by world.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct WorldWords {
+    warehouse: Words,
+    other: Words,
+}
+
+impl WorldWords {
+    /// The names in texts, and the words for them in the world of this name.
+    pub(super) fn of(&'static self, world: &str) -> [(&'static str, &'static str); 4] {
+        let Words { walk, walked, place, changed } =
+            if world == "warehouse" { &self.warehouse } else { &self.other };
+        [("walk", walk), ("walked", walked), ("place", place), ("changed", changed)]
+    }
 }
 
 texts! {
@@ -44,6 +62,7 @@ texts! {
     WindowTexts { begin, nothing, view, step, no_action, end }
     NowTexts { begin, end }
     ViewTexts { after }
+    Words { walk, walked, place, changed }
 }
 
 /// The template that this program was built with.

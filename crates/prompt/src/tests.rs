@@ -34,7 +34,8 @@ fn a_prompt_is_in_the_words_of_its_world() {
     let past = |action, feedback| PastView { frame, action, feedback: FeedbackCode(feedback) };
     let step = |action| StepView { frame: Some(frame), action };
     let steps = [step(Some(open_slowly)), step(Some(open)), step(Some(open)), step(None)];
-    let walk = peer::Item::Steps(StepsView { distance: None, is_whole: true, steps: &steps });
+    let demonstration =
+        peer::Item::Steps(StepsView { distance: None, is_whole: true, steps: &steps });
     let request = Request {
         lane: 0,
         step: 2,
@@ -46,8 +47,8 @@ fn a_prompt_is_in_the_words_of_its_world() {
         feedback: FeedbackCode(2),
         frame,
         window: &[past(Some(open_slowly), 1), past(None, 2)],
-        items: &[walk],
-        starts_as_demonstrated: false,
+        items: &[demonstration],
+        starts_as_demonstrated: true,
         demonstrated_elsewhere: false,
         world: &world,
     };
@@ -63,6 +64,11 @@ fn a_prompt_is_in_the_words_of_its_world() {
         texts.collect()
     };
     let memory = text(PromptSection::Memory);
+    for text in [&prompt.system, &memory] {
+        for word in ["walk", "heading", "aisle", "warehouse"] {
+            assert!(!text.contains(word), "{word}: {text}");
+        }
+    }
     assert!(memory.contains("Actions: open door 2 slowly\n"), "{memory}");
     assert!(memory.contains("Actions: open door\n"), "{memory}");
     assert_eq!(

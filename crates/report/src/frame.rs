@@ -105,6 +105,11 @@ impl<'a, T> FrameBuilder<'a, T> {
         self.add(name, Values::Flag(self.rows.iter().map(value).collect()));
     }
 
+    /// Columns so far.
+    pub(super) fn len(&self) -> usize {
+        self.columns.len()
+    }
+
     pub(super) fn finish(self) -> DataFrame {
         DataFrame { columns: self.columns }
     }

@@ -39,6 +39,7 @@ pub use terminal::{compared_runs, comparison, summary};
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
 use durable::{FolderDraft, KnownNames};
 use run_log::{REPORT_FOLDER, RunLog, report_names};
@@ -89,13 +90,19 @@ pub fn page(document: &ReportDocument) -> Result<String, ReportError> {
     html::render(document).map_err(template)
 }
 
+static NOTHING_PUBLISHED: LazyLock<Published> = LazyLock::new(Published::default);
+
 fn views<'a>(logs: &'a [RunLog], published: &'a Published) -> Vec<ScoredRun<'a>> {
     let prefix = |place: usize| match logs {
         [_] => String::new(),
         _ => format!("run{place}-"),
     };
-    let view =
-        |(place, log)| ScoredRun { log, scores: score(log), published, prefix: prefix(place) };
+    let view = |(place, log): (usize, &'a RunLog)| {
+        // What the paper prints is about the warehouse.
+        let is_elsewhere = log.manifest.settings.world_cmd.is_some();
+        let published = if is_elsewhere { &*NOTHING_PUBLISHED } else { published };
+        ScoredRun { log, scores: score(log), published, prefix: prefix(place) }
+    };
     (1..).zip(logs).map(view).collect()
 }
 

@@ -51,6 +51,7 @@ pub fn steps_frame(
     frame.text("case", |row| Some(row.timeline.record.case.clone()));
     frame.whole("run", |row| Some(row.timeline.record.run));
     frame.whole("step", |row| Some(row.moment.step));
+    let first = frame.len();
     for (place, field) in world.state.iter().enumerate() {
         if field.words.is_empty() {
             frame.real(&field.name, |row| {
@@ -80,7 +81,15 @@ pub fn steps_frame(
     frame.whole("prompt_tokens", |row| row.request?.prompt_tokens);
     frame.whole("completion_tokens", |row| row.request?.completion_tokens);
     frame.whole("memory_tokens", |row| row.request?.memory_tokens);
-    frame.finish()
+    let mut frame = frame.finish();
+    for column in first..first + world.state.len() {
+        // A field may have the name of another column.
+        while frame.columns.iter().filter(|one| one.name == frame.columns[column].name).count() > 1
+        {
+            frame.columns[column].name.insert_str(0, "state_");
+        }
+    }
+    frame
 }
 
 #[cfg(test)]
@@ -90,6 +99,17 @@ mod tests {
 
     use super::*;
     use rigs::records::{log, record, world};
+    use world_client::frames::ViewKey;
+
+    #[test]
+    fn a_state_that_is_called_as_another_column_has_another_name() {
+        let mut world = world().declaration;
+        world.state[1].name = "step".to_owned();
+        let frame = steps_frame(&log(Vec::new()), &world, &[]);
+        let names = frame.columns.iter().map(|column| column.name.as_str());
+        let names: Vec<&str> = names.filter(|name| name.ends_with("step")).collect();
+        assert_eq!(names, ["step", "state_step"]);
+    }
 
     #[test]
     fn every_moment_has_a_row_and_the_last_one_no_action() {
@@ -126,7 +146,7 @@ mod tests {
                 sub_goals: usize::from(step > 0),
                 retrieved,
                 distances,
-                view: (0, state),
+                view: ViewKey::State(0, state),
             }
         });
         let timeline = EpisodeTimeline {

@@ -15,7 +15,7 @@ use super::sections::{
     requests_table, steps_per_second, success_table, supplied_table, time_table, transfer_table,
     worst_table,
 };
-use super::view::{ScoredRun, interval_text, p_value, signed};
+use super::view::{ScoredRun, interval_text, p_value, pair_stubs, signed};
 use crate::table::{TextTable, table};
 
 /// Number of cases in the table of those that fail most.
@@ -51,7 +51,7 @@ pub fn summary(log: &RunLog) -> String {
             all_blocked_table(&view),
         ),
         (
-            "Blocked routes: demonstrations from before and after the passage closed",
+            "Blocked routes: demonstrations from before and after the way was blocked",
             conflict_table(&view),
         ),
         ("Banks of different sizes", growth_table(&view)),
@@ -100,7 +100,7 @@ fn closing(view: &ScoredRun<'_>) -> Vec<String> {
 
 /// A table of a report for a terminal: without published rows, `-` where there is no figure.
 fn in_text(from: &Table) -> TextTable {
-    let is_paired = from.groups.iter().flat_map(|group| &group.rows).any(|row| row.published);
+    let is_paired = from.stubs == pair_stubs();
     let stubs = if is_paired { &from.stubs[..1] } else { &from.stubs[..] };
     let columns = from.columns.iter().map(|column| match column.over.as_str() {
         "" => column.name.clone(),

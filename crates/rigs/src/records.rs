@@ -29,6 +29,7 @@ pub fn manifest() -> Manifest {
         memories: BTreeMap::new(),
         policy_files: BTreeMap::new(),
         world_files: BTreeMap::new(),
+        world_varies: false,
         prices: None,
         episodes: 4,
         unit: None,

@@ -62,6 +62,9 @@ pub struct Manifest {
     /// The files that the command of another world names, with their BLAKE3 hashes.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub world_files: BTreeMap<String, String>,
+    /// Whether the world is not deterministic: the same actions may lead elsewhere.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub world_varies: bool,
     /// The prices of the model's tokens, if they were given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prices: Option<ModelPrices>,

@@ -43,6 +43,17 @@ pub struct RunLog {
 }
 
 impl RunLog {
+    /// What a reader must know of a world that is not deterministic.
+    pub fn varies(&self) -> Option<String> {
+        self.manifest.world_varies.then(|| {
+            format!(
+                "The world {} is not deterministic: a resumed or repeated run may differ, single episodes cannot be reproduced, \
+                 and differences that `memtransfer validate` names are expected.",
+                self.world.declaration.name
+            )
+        })
+    }
+
     /// Checks that a run whose episodes have the keys `planned` contains every finished episode: a run can grow, but
     /// not shrink.
     ///

@@ -69,13 +69,14 @@ pub fn write_bundle(site: &mut Site, dir: &Path, selection: Selection) -> Result
 }
 
 /// The names in the folder of a bundle, as regular expressions.
-const PAGES: [&str; 7] = [
+const PAGES: [&str; 8] = [
     "(index\\.html|style\\.css|(app|run-page|episode-page|map|runs)\\.js)",
     "run[0-9]+/(run\\.js|report\\.html)?",
     "run[0-9]+/(prompts|episodes|images|maps|views)/",
     "run[0-9]+/(prompts|episodes)/[0-9]+\\.js",
     "run[0-9]+/images/[0-9a-fA-F]{32}\\.jpg",
     "run[0-9]+/maps/[0-9]+\\.svg",
+    "run[0-9]+/views/[0-9a-f]{32}(-small)?\\.jpg",
     // Bundles of earlier versions have the letters of headings.
     "run[0-9]+/views/[0-9]+-[-0-9._NESW]+(-small)?\\.jpg",
 ];
@@ -161,8 +162,8 @@ impl BundleFolder<'_> {
         Ok(())
     }
 
-    /// Writes the views of the chosen episodes, each picture once. Returns the file of each view that looks as it does in the
-    /// unchanged world.
+    /// Writes the views of the chosen episodes, each picture once. Returns the file of each view that has another's: one that
+    /// looks the same.
     fn views(
         &mut self,
         name: &str,
@@ -176,39 +177,49 @@ impl BundleFolder<'_> {
             wanted.extend(data.view_names().into_iter().filter_map(ViewFile::of_name));
         }
         // World after world in each state, the unchanged one first: another's view is left out where it looks the same.
-        let mut views: BTreeSet<(State, u32)> = BTreeSet::new();
-        for &ViewFile { view: (variant, state), .. } in &wanted {
-            views.insert((state, variant));
-            if ![ELSEWHERE_VARIANT, GREY_VARIANT].contains(&variant) {
-                views.insert((state, 0));
+        let mut views: BTreeSet<(Option<State>, u32, ViewKey)> = BTreeSet::new();
+        for ViewFile { view, .. } in &wanted {
+            let ViewKey::State(variant, state) = view else {
+                views.insert((None, 0, view.clone()));
+                continue;
+            };
+            views.insert((Some(*state), *variant, view.clone()));
+            if ![ELSEWHERE_VARIANT, GREY_VARIANT].contains(variant) {
+                views.insert((Some(*state), 0, ViewKey::State(0, *state)));
             }
         }
-        let views: Vec<ViewKey> =
-            views.into_iter().map(|(state, variant)| (variant, state)).collect();
+        let views: Vec<ViewKey> = views.into_iter().map(|(.., view)| view).collect();
         let (mut unchanged, mut same) = (None, BTreeMap::new());
         let mut written = BTreeSet::new();
         run.render(&views, |view, rgba| {
-            let (variant, state) = view;
             let pixels = blake3::hash(rgba);
-            let is_same = variant != 0 && unchanged == Some((state, pixels));
-            let shown = if is_same { (0, state) } else { view };
+            let shown = match view {
+                ViewKey::State(0, state) => {
+                    unchanged = Some((*state, pixels));
+                    view.clone()
+                }
+                ViewKey::State(_, state) if unchanged == Some((*state, pixels)) => {
+                    ViewKey::State(0, *state)
+                }
+                ViewKey::State(..) => view.clone(),
+                // Many steps look alike, and the names of long episodes are longer than those of files may be.
+                ViewKey::Steps(_) => ViewKey::Steps(pixels.to_hex()[..32].into()),
+            };
             for is_small in [false, true] {
-                let (file, target) =
-                    (ViewFile { view, is_small }, ViewFile { view: shown, is_small });
+                let file = ViewFile { view: view.clone(), is_small };
+                let target = ViewFile { view: shown.clone(), is_small };
                 if !wanted.contains(&file) {
                     continue;
                 }
-                if is_same {
+                if shown != *view {
                     same.insert(file.name(), target.name());
                 }
-                if written.insert(target) {
+                if !written.contains(&target) {
                     let content = target.encode(rgba)?;
                     self.write(&format!("{name}/views/{}", target.name()), &content)?;
                     self.bundle.views += 1;
+                    written.insert(target);
                 }
-            }
-            if variant == 0 {
-                unchanged = Some((state, pixels));
             }
             Ok(())
         })?;
@@ -231,8 +242,8 @@ mod tests {
         for numbers in [&[12.0, 0.0, 3.0][..], &[-0.25]] {
             let state = State::new(numbers).unwrap();
             for (is_small, variant) in [(true, GREY_VARIANT), (false, ELSEWHERE_VARIANT)] {
-                let name =
-                    format!("run2/views/{}", ViewFile { view: (variant, state), is_small }.name());
+                let view = ViewKey::State(variant, state);
+                let name = format!("run2/views/{}", ViewFile { view, is_small }.name());
                 assert!(names.has(Path::new(&name)), "{name}");
             }
         }

@@ -21,6 +21,7 @@ use std::io::ErrorKind;
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
+use case_book::GREY_VARIANT;
 use conditions::Condition;
 use conditions::key::EpisodeKey;
 use domain::Pose;
@@ -151,7 +152,7 @@ impl LazyRenderer {
     fn render(
         &mut self,
         views: &[ViewKey],
-        take: impl FnMut(ViewKey, &[u8]) -> Result<()>,
+        take: impl FnMut(&ViewKey, &[u8]) -> Result<()>,
     ) -> Result<()> {
         let mut renderer = match self.running.take() {
             Some(renderer) => renderer,
@@ -167,11 +168,12 @@ impl LazyRenderer {
 impl RunPages {
     fn new(run: RecordedRun, program: &WorldProgram, is_served: bool) -> Result<Self> {
         let RecordedRun { log, world, access, notices } = run;
+        let program_of_run = program.of_run(&log)?;
         let settings = &log.manifest.settings;
         let arguments = view_arguments(&log);
         let growth = is_served.then(|| Growth::new(&log));
         let prompt_log = PromptLog::of(&log);
-        let renderer = LazyRenderer { program: program.clone(), arguments, running: None };
+        let renderer = LazyRenderer { program: program_of_run, arguments, running: None };
         let mut conditions = settings.conditions();
         for record in &log.episodes {
             if !conditions.contains(&record.condition()) {
@@ -335,19 +337,29 @@ impl RunPages {
     pub(crate) fn render(
         &mut self,
         views: &[ViewKey],
-        take: impl FnMut(ViewKey, &[u8]) -> Result<()>,
+        take: impl FnMut(&ViewKey, &[u8]) -> Result<()>,
     ) -> Result<()> {
         self.renderer.render(views, take)
     }
 
     fn view(&mut self, wanted: ViewFile) -> Result<Option<File>> {
-        let (variant, state) = wanted.view;
-        let Ok(pose) = Pose::try_from(state) else { return Ok(None) };
-        if !self.world.scene(variant).is_ok_and(|scene| scene.is_floor(pose.cell)) {
+        let is_there = match &wanted.view {
+            ViewKey::State(GREY_VARIANT, _) if !self.world.has_map() => true,
+            ViewKey::State(variant, state) => Pose::try_from(*state).is_ok_and(|pose| {
+                self.world.scene(*variant).is_ok_and(|scene| scene.is_floor(pose.cell))
+            }),
+            ViewKey::Steps(steps) => {
+                !self.world.has_map()
+                    && steps
+                        .split_once('.')
+                        .is_some_and(|(case, _)| self.world.index(case).is_some())
+            }
+        };
+        if !is_there {
             return Ok(None);
         }
         let mut file = None;
-        self.render(&[wanted.view], |_, rgba| {
+        self.render(std::slice::from_ref(&wanted.view), |_, rgba| {
             file = Some(wanted.encode(rgba)?);
             Ok(())
         })?;

@@ -15,7 +15,7 @@ const SMALL_QUALITY: u8 = 50;
 const SMALL: &str = "-small.jpg";
 
 /// A file of a view.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct ViewFile {
     /// What it shows.
     pub view: ViewKey,
@@ -25,8 +25,8 @@ pub(crate) struct ViewFile {
 
 impl ViewFile {
     /// Its name.
-    pub(crate) fn name(self) -> String {
-        let name = file_name(self.view);
+    pub(crate) fn name(&self) -> String {
+        let name = file_name(&self.view);
         if self.is_small { name.replace(".jpg", SMALL) } else { name }
     }
 
@@ -41,7 +41,7 @@ impl ViewFile {
     }
 
     /// Its content, made of the pixels of the whole view.
-    pub(crate) fn encode(self, rgba: &[u8]) -> Result<File> {
+    pub(crate) fn encode(&self, rgba: &[u8]) -> Result<File> {
         let ViewFormat { edge, quality } = VIEW_FORMAT;
         let bytes = if self.is_small {
             jpeg((edge / 2, edge / 2), SMALL_QUALITY, &half(edge, rgba))?
@@ -61,7 +61,10 @@ mod tests {
     #[test]
     fn files_are_found_by_their_names() {
         for is_small in [false, true] {
-            let file = ViewFile { view: (3, State::new(&[5.0, 8.0, 0.0]).unwrap()), is_small };
+            let file = ViewFile {
+                view: ViewKey::State(3, State::new(&[5.0, 8.0, 0.0]).unwrap()),
+                is_small,
+            };
             assert_eq!(ViewFile::of_name(&file.name()), Some(file));
         }
         for name in ["", "-small.jpg", "3-5_8_0-small-small.jpg", "3-5_8_0-small"] {

@@ -8,8 +8,9 @@ memtransfer.EpisodeView = class {
     Object.assign(this, { run, row, episode, onSource });
     this.map = new memtransfer.EpisodeMap(run, episode);
     this.image = h("img", { class: "view", width: 320, height: 320, alt: "" });
-    this.noView = h("p", { class: "no-view" }, run.map[2] ? "This bundle has no views of this episode: write it with --episodes all, or use --serve."
-      : "Views of this world are not rendered outside of a run.");
+    this.noView = h("p", { class: "no-view" }, "This bundle has no views of this episode: write it with --episodes all, or use --serve.");
+    this.hasMap = run.map[2] > 0;
+    this.conflict = this.hasMap ? "tried to enter the closed passage" : "ran into what blocks the way";
     this.happening = h("p", { class: "happening" });
     this.memory = h("div", { class: "memory" });
     const hasViews = episode.views.length > 0;
@@ -28,9 +29,9 @@ memtransfer.EpisodeView = class {
     const met = episode.subGoals.filter((at) => at === step).length;
     const visit = episode.visits.find((one) => one.step === step);
     return [before, visit && `Stands before ${visit.letter}.`, met > 0 && "A sub-goal is complete.",
-      episode.conflictAt === step && "Tried to enter the closed passage.",
+      episode.conflictAt === step && `The agent ${this.conflict}.`,
       episode.failure && episode.failure.step === step && `The failure is decided: ${episode.failure.kind}.`,
-      run.map[2] ? `Column ${x}, row ${y}, facing ${memtransfer.HEADINGS[heading]}.` : `State: ${episode.states[step]}.`].filter(Boolean).join(" ");
+      this.hasMap ? `Column ${x}, row ${y}, facing ${memtransfer.HEADINGS[heading]}.` : `State: ${episode.states[step]}.`].filter(Boolean).join(" ");
   }
 
   show(wanted) {
@@ -83,7 +84,7 @@ memtransfer.EpisodeView = class {
       ...episode.blockedMoves.map((step) => [step, "blocked", "×", "move blocked"]),
       ...[...episode.actions].flatMap((letter, at) => (letter === "?" ? [[at + 1, "unread", "?", "answer not readable"]] : [])),
     ];
-    if (episode.conflictAt !== null) moments.push([episode.conflictAt, "closed", "■", "tried to enter the closed passage"]);
+    if (episode.conflictAt !== null) moments.push([episode.conflictAt, "closed", "■", this.conflict]);
     if (episode.failure) moments.push([episode.failure.step, "failed", "⚑", `failure decided: ${episode.failure.kind}`]);
     return moments.sort((a, b) => a[0] - b[0]);
   }
@@ -128,7 +129,7 @@ memtransfer.EpisodeView = class {
         : h("p", {}, "The agent tried to enter the closed passage at ", step(episode.conflictAt), ". What memory supplied for that step leads into it: ",
           source(`step ${from} of the ${one.title}`, from), from === enters ? ", which is inside that passage." : `, which enters that passage at its step ${enters}.`));
     } else if (episode.conflictAt !== null) {
-      sentences.push(h("p", {}, "The agent tried to enter the closed passage at ", step(episode.conflictAt), "; what memory supplied for that step does not lead into it."));
+      sentences.push(h("p", {}, `The agent ${this.conflict} at `, step(episode.conflictAt), this.hasMap ? "; what memory supplied for that step does not lead into it." : "."));
     }
     if (episode.failure) {
       sentences.push(h("p", {}, h("b", {}, `Failed, ${episode.failure.kind}: `), `${episode.failure.meaning}. Decided at `, step(episode.failure.step), "."));
@@ -275,7 +276,8 @@ memtransfer.episodePage = (current, episodes) => {
     play, button("Step on (right arrow)", "▸", () => step + 1), button("Next mark (n)", "▸▸", nextMoment), button("Last step (End)", "▸|", () => last), label);
   const back = h("nav", { "aria-label": "Path" }, h("a", { href: memtransfer.grids[current.run || 1] || address({ run: runs.length > 1 ? current.run || 1 : "" }) }, `← ${main.run.name}`));
   const title = `${main.run.cases[main.row.case].id}, ${main.run.conditions[main.row.condition].name}`;
-  const signs = h("p", { class: "signs" }, "▲ sub-goal  △ arrival before an item  × blocked  ■ closed passage  ? unreadable  ⚑ failure decided");
+  const signs = h("p", { class: "signs" }, main.hasMap ? "▲ sub-goal  △ arrival before an item  × blocked  ■ closed passage  ? unreadable  ⚑ failure decided"
+    : "▲ sub-goal  ■ ran into what blocks the way  ? unreadable  ⚑ failure decided");
   const transport = [views.map((view) => h("div", { class: "line" }, isPair && h("span", { class: "hidden" }, view.run.name), view.timeLine(last))), slider, controls, signs, spoken];
 
   if (isPair) {
@@ -287,13 +289,13 @@ memtransfer.episodePage = (current, episodes) => {
       h("div", { class: "pair" }, views.map((view) => h("section", { "aria-label": `${view.run.name}, ${view.run.conditions[view.row.condition].name}` },
         view.heading("h2"), view.story(go) || h("div", {}), h("div", { class: "sight" }, view.camera, view.map.element),
         h("div", {}, h("h3", {}, "Memory at this step"), view.memory)))),
-      memtransfer.EpisodeMap.legend(main.episode), source);
+      main.hasMap && memtransfer.EpisodeMap.legend(main.episode), source);
   } else {
     memtransfer.page(title, back, h("header", {}, main.heading("h1"), compare()), main.story(go),
       h("div", { class: "stage" },
         h("div", {}, main.camera, h("section", { class: "transport", "aria-label": "Time" }, transport),
           h("section", { "aria-label": "Memory" }, h("h2", {}, "Memory at this step"), main.memory), perStep),
-        h("section", { "aria-label": "Map" }, main.map.element, memtransfer.EpisodeMap.legend(main.episode))),
+        main.hasMap && h("section", { "aria-label": "Map" }, main.map.element, memtransfer.EpisodeMap.legend(main.episode))),
       source, prompts,
       h("details", {}, h("summary", {}, "Counts and times of the episode"), facts(main.episode.facts),
         main.episode.stages.length > 0 && [h("h3", {}, "Mean time of a step by stage"), facts(main.episode.stages.map(([name, us]) => [name, `${us} µs`]))]));
@@ -323,14 +325,14 @@ memtransfer.episodePage = (current, episodes) => {
     const [one, other] = [a.episode, b.episode];
     const length = Math.max(one.actions.length, other.actions.length);
     for (let at = 0; at < length; at += 1) {
-      if (String(one.poses[at]) !== String(other.poses[at]) || one.actions[at] !== other.actions[at]) return at;
+      if (one.states[at] !== other.states[at] || one.actions[at] !== other.actions[at]) return at;
     }
     return null;
   }
 
   function divergenceWords([a, b], at) {
     const next = (view) => (at < view.last ? view.action(at + 1) : "nothing more");
-    if (at === 0 && String(a.episode.poses[0]) !== String(b.episode.poses[0])) return "They start in different poses.";
+    if (at === 0 && a.episode.states[0] !== b.episode.states[0]) return `They start in different ${a.hasMap ? "poses" : "states"}.`;
     return `They act alike until step ${at}. Then the first does: ${next(a)}; the second: ${next(b)}.`;
   }
 };

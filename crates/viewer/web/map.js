@@ -12,7 +12,7 @@ memtransfer.EpisodeMap = class {
     this.drawing = h("svg", { class: "map-drawing", viewBox: `0 0 ${width} ${height}`, role: "img" },
       layers.map((name) => (this.layers[name] = h("g", { class: `map-${name}` }))));
     if (columns === 0) {
-      this.element = h("p", { class: "no-map" }, "This world draws no map.");
+      this.element = h("p", { hidden: true });
       return;
     }
     this.element = h("div", { class: "map" },

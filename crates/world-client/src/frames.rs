@@ -1,8 +1,10 @@
 //! Views of poses, rendered by a child process, as JPEG.
 
 use std::ffi::OsString;
+use std::fmt;
 use std::io::{self, BufReader, Read, Write};
 use std::process::{Child, ChildStdin, ChildStdout};
+use std::rc::Rc;
 use std::thread;
 
 use anyhow::{Context, Result, anyhow};
@@ -21,10 +23,27 @@ pub struct ViewFormat {
     pub quality: u8,
 }
 
-/// What a view shows: the number of the world variant, or [`GREY_VARIANT`](case_book::GREY_VARIANT), and the state.
-pub type ViewKey = (u32, State);
+/// What a view shows.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub enum ViewKey {
+    /// A state in the world variant with this number; grey for [`GREY_VARIANT`](case_book::GREY_VARIANT).
+    State(u32, State),
+    /// What is seen after some steps, in a world whose states do not say what is seen: the id of the case, the name of the
+    /// trajectory that begins alike, and the letters of the actions, with a point between each two.
+    Steps(Rc<str>),
+}
 
-/// `sim-proc views` as a child process. It ends when this is dropped.
+impl fmt::Display for ViewKey {
+    /// As the renderer reads it.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::State(variant, state) => write!(f, "{variant} {state}"),
+            Self::Steps(steps) => f.write_str(steps),
+        }
+    }
+}
+
+/// `sim-proc views`, or that of another world, as a child process. It ends when this is dropped.
 #[derive(Debug)]
 pub struct ViewRenderer {
     child: Child,
@@ -35,6 +54,9 @@ pub struct ViewRenderer {
 
 /// The arguments of the renderer that say what the world of the run `log` is, and how it looks.
 pub fn view_arguments(log: &RunLog) -> Vec<OsString> {
+    if log.manifest.settings.world_cmd.is_some() {
+        return Vec::new();
+    }
     let mut arguments = WorldFiles::of(log).arguments();
     for (name, value) in log.manifest.settings.appearance().flags() {
         arguments.extend([name.into(), value.into()]);
@@ -66,7 +88,7 @@ impl ViewRenderer {
     pub fn render(
         &mut self,
         views: &[ViewKey],
-        mut take: impl FnMut(ViewKey, Vec<u8>) -> Result<()>,
+        mut take: impl FnMut(&ViewKey, Vec<u8>) -> Result<()>,
     ) -> Result<()> {
         let ViewFormat { edge, quality } = self.format;
         self.render_pixels(views, |view, rgba| take(view, jpeg((edge, edge), quality, rgba)?))
@@ -79,23 +101,24 @@ impl ViewRenderer {
     pub fn render_pixels(
         &mut self,
         views: &[ViewKey],
-        mut take: impl FnMut(ViewKey, &[u8]) -> Result<()>,
+        mut take: impl FnMut(&ViewKey, &[u8]) -> Result<()>,
     ) -> Result<()> {
         let edge = self.format.edge;
         let ended = || anyhow!("the renderer ended early; its messages are above");
         let mut requests = self.requests.take().ok_or_else(ended)?;
         let requests = thread::scope(|scope| {
             // Asked for from another thread, so that rendering and encoding overlap and neither pipe is stuck.
+            let asked: Vec<String> = views.iter().map(ToString::to_string).collect();
             let asking = thread::Builder::new().spawn_scoped(scope, move || {
-                for (variant, state) in views {
-                    writeln!(requests, "{variant} {state}")?;
+                for view in asked {
+                    writeln!(requests, "{view}")?;
                 }
                 requests.flush()?;
                 Ok::<_, io::Error>(requests)
             });
             let asking = asking.context("cannot start a thread")?;
             let mut rgba = vec![0; usize::from(edge) * usize::from(edge) * 4];
-            let taken = views.iter().try_for_each(|&view| {
+            let taken = views.iter().try_for_each(|view| {
                 self.pixels.read_exact(&mut rgba).map_err(|_| ended())?;
                 take(view, &rgba)
             });
@@ -146,15 +169,32 @@ pub fn half(edge: u16, rgba: &[u8]) -> Vec<u8> {
 }
 
 /// The name of the file of a view.
-pub fn file_name((variant, state): ViewKey) -> String {
-    format!("{variant}-{}.jpg", state.to_string().replace(',', "_"))
+pub fn file_name(view: &ViewKey) -> String {
+    match view {
+        ViewKey::State(variant, state) => {
+            format!("{variant}-{}.jpg", state.to_string().replace(',', "_"))
+        }
+        ViewKey::Steps(steps) => format!("{steps}.jpg"),
+    }
+}
+
+/// Whether a part of the name of steps is one that a case, a trajectory or letters can have.
+fn is_word(text: &str) -> bool {
+    text.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_')
 }
 
 /// The view whose file has this name.
 pub fn of_file_name(name: &str) -> Option<ViewKey> {
-    let (variant, state) = name.strip_suffix(".jpg")?.split_once('-')?;
-    let view = (variant.parse().ok()?, state.replace('_', ",").parse().ok()?);
-    (file_name(view) == name).then_some(view)
+    let name = name.strip_suffix(".jpg")?;
+    let of_state = || {
+        let (variant, state) = name.split_once('-')?;
+        let state = state.replace('_', ",").parse().ok()?;
+        Some(ViewKey::State(variant.parse().ok()?, state))
+    };
+    let of_steps = || Some(ViewKey::Steps(name.into()));
+    let is_steps = name.matches('.').count() == 2 && name.split('.').all(is_word);
+    let is_it = |view: &ViewKey| file_name(view).strip_suffix(".jpg") == Some(name);
+    of_state().filter(is_it).or_else(|| of_steps().filter(|_| is_steps))
 }
 
 #[cfg(test)]
@@ -165,10 +205,13 @@ mod tests {
     fn a_view_is_found_by_the_name_of_its_file() {
         for (numbers, name) in [(&[3.0, 12.0, 3.0][..], "17-3_12_3.jpg"), (&[-0.5], "17--0.5.jpg")]
         {
-            let view = (17, State::new(numbers).unwrap());
-            assert_eq!(file_name(view), name);
+            let view = ViewKey::State(17, State::new(numbers).unwrap());
+            assert_eq!(file_name(&view), name);
             assert_eq!(of_file_name(name), Some(view));
         }
+        let view = ViewKey::Steps("g1-1.new.fF3".into());
+        assert_eq!(of_file_name(&file_name(&view)), Some(view));
+        assert_eq!(of_file_name("g1 1.new.f.jpg"), None);
         for name in
             ["", "..", "17-3_12_3", "17-3_12_W.jpg", "17-03_12_3.jpg", "-3_12_3.jpg", "017-3_1.jpg"]
         {

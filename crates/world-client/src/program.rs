@@ -130,17 +130,24 @@ impl WorldProgram {
     pub fn of_run(&self, log: &RunLog) -> Result<Self> {
         let settings = &log.manifest.settings;
         let Some(flag) = settings.own_world() else { return Ok(self.clone()) };
-        let Some(command) = &self.world_cmd else {
-            let recorded = settings.world_cmd.as_deref().unwrap_or(flag);
-            bail!(
-                "this run took place in another world, which has to be asked: if you trust its program, set the variable \
-                 MEMTRANSFER_WORLD_CMD to the command that starts it; the run was made with: {recorded}"
-            );
-        };
+        let recorded = settings.world_cmd.as_deref().unwrap_or(flag);
+        self.other_world()?.with_context(|| {
+            format!(
+                "this run took place in another world, which has to be asked: if you trust its program, give the command that \
+                 starts it as --world-cmd, or set MEMTRANSFER_WORLD_CMD; the run was made with: {recorded}"
+            )
+        })
+    }
+
+    /// The program of the world that the user's command starts, if there is one.
+    ///
+    /// # Errors
+    /// When it is no command.
+    pub fn other_world(&self) -> Result<Option<Self>> {
+        let Some(command) = &self.world_cmd else { return Ok(None) };
         let words = shlex::split(command).unwrap_or_default();
-        let (path, arguments) =
-            words.split_first().context("MEMTRANSFER_WORLD_CMD is no command")?;
-        Ok(Self { path: path.into(), arguments: arguments.to_vec(), ..self.clone() })
+        let (path, arguments) = words.split_first().context("--world-cmd is no command")?;
+        Ok(Some(Self { path: path.into(), arguments: arguments.to_vec(), ..self.clone() }))
     }
 
     /// Starts it to answer about the world that `arguments` say.

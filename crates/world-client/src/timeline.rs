@@ -71,7 +71,7 @@ impl<'a> EpisodeTimeline<'a> {
     pub fn new(world: &RunWorld, record: &'a EpisodeRecord, parts: EpisodeParts) -> Result<Self> {
         let variant = world.variant(record)?;
         let acted = world.act(record, parts)?;
-        let views = world.seen(variant, &acted.states)?;
+        let views = world.seen_in(record, variant, &acted.states)?;
         Ok(Self::of(record, &world.description().world, variant, acted, views))
     }
 

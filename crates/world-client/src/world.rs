@@ -11,7 +11,7 @@ use case_book::act::{
 };
 use case_book::{CaseFacts, EpisodeFacts, GREY_VARIANT, WorldDeclaration};
 use conditions::Frames;
-use domain::{Pose, Route, Start, State};
+use domain::{ActionCode, Pose, Route, Start, State};
 use run_log::{EpisodeRecord, RunLog};
 use serde::Deserialize;
 
@@ -109,13 +109,36 @@ impl RunWorld {
         })
     }
 
+    /// The views that the policy was shown in the episode of `record`, which was in `states` in the world variant `variant`.
+    ///
+    /// # Errors
+    /// When there is no such variant.
+    pub(crate) fn seen_in(
+        &self,
+        record: &EpisodeRecord,
+        variant: u32,
+        states: &[State],
+    ) -> Result<Vec<ViewKey>> {
+        if self.frames != Frames::Rendered || self.has_map() {
+            return self.seen(variant, states);
+        }
+        let begin = match record.route {
+            Route::Blocked => record.route.name(),
+            Route::Unchanged => record.start.name(),
+        };
+        let actions = record.actions.chars().map(|letter| self.declaration().action_of(letter));
+        Ok(self.views_after(&record.case, begin, actions))
+    }
+
     /// The views that the policy was shown in `states` in the world variant `variant`: others than the true ones where frames
     /// were a control.
     ///
     /// # Errors
     /// When there is no such variant.
     pub fn seen(&self, variant: u32, states: &[State]) -> Result<Vec<ViewKey>> {
-        let of = |variant, states: &[State]| states.iter().map(|state| (variant, *state)).collect();
+        let of = |variant, states: &[State]| {
+            states.iter().map(|state| ViewKey::State(variant, *state)).collect()
+        };
         Ok(match self.frames {
             Frames::Rendered => of(variant, states),
             Frames::Blank | Frames::BlankAll => of(GREY_VARIANT, states),
@@ -129,12 +152,37 @@ impl RunWorld {
         })
     }
 
-    /// The view in `state` in the world variant `variant` that memory was given.
-    pub fn supplied(&self, variant: u32, state: State) -> ViewKey {
-        match self.frames {
-            Frames::BlankAll => (GREY_VARIANT, state),
-            Frames::Rendered | Frames::Blank | Frames::Swapped => (variant, state),
+    /// The views in `states` in the world variant `variant` that memory was given.
+    pub fn supplied(&self, variant: u32, states: &[State]) -> Vec<ViewKey> {
+        let variant = match self.frames {
+            Frames::BlankAll => GREY_VARIANT,
+            Frames::Rendered | Frames::Blank | Frames::Swapped => variant,
+        };
+        states.iter().map(|state| ViewKey::State(variant, *state)).collect()
+    }
+
+    /// The views of a demonstration that memory was given.
+    pub fn supplied_of(&self, acted: &ActedDemonstration) -> Vec<ViewKey> {
+        if self.frames == Frames::BlankAll || self.has_map() {
+            return self.supplied(acted.variant, &acted.states);
         }
+        self.views_after(&acted.case, acted.kind.name(), acted.actions.iter().copied().map(Some))
+    }
+
+    /// What is seen at the begin of the trajectory `begin` of a case, and after each of `actions`. Without an action nothing happens.
+    pub fn views_after(
+        &self,
+        case: &str,
+        begin: &str,
+        actions: impl IntoIterator<Item = Option<ActionCode>>,
+    ) -> Vec<ViewKey> {
+        let mut steps = format!("{case}.{begin}.");
+        let mut views = vec![ViewKey::Steps(steps.as_str().into())];
+        for action in actions {
+            steps.extend(action.map(|action| self.declaration().letter(Some(action))));
+            views.push(ViewKey::Steps(steps.as_str().into()));
+        }
+        views
     }
 
     /// Acts out the episode of `record`, with these parts.

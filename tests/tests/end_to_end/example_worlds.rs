@@ -156,3 +156,99 @@ fn miniworld_draws_the_floor_below_and_red_first() {
     python.env("PYTHONPATH", repository("python"));
     assert_eq!(Ended::run(&mut python).expect(0).stdout, "True True True True\n");
 }
+
+/// The corridor of `docs/own-world.md`, changed by the lines of a class body; started as a command.
+fn corridor(bench: &Bench, body: &str) -> String {
+    let script = bench.out("world.py");
+    let path = repository("python/examples");
+    let indented: String = body.lines().map(|line| format!("    {line}\n")).collect();
+    let text = format!(
+        "import sys\nsys.path.insert(0, {path:?})\nfrom corridor_world import *\n\nclass Changed(Corridor):\n{indented}    pass\n\nmain(Changed)\n"
+    );
+    std::fs::write(&script, text).unwrap();
+    format!("{} {}", needs::world_python("minigrid").display(), script.display())
+}
+
+/// `memtransfer` with these arguments and the world that `command` starts.
+fn ask(bench: &Bench, command: &str, line: &str) -> Ended {
+    let mut verb = bench.command(&words(line));
+    verb.env("MEMTRANSFER_WORLD_CMD", command).env("PYTHONPATH", repository("python"));
+    Ended::run(&mut verb)
+}
+
+const SHORT: &str = "run --policy imitate --memory working,episodic --frame-size 64 --max-steps 30 --routes unchanged,blocked";
+
+/// One case has no blocked route, and the world is not deterministic.
+const UNEVEN: &str = "\
+deterministic = False
+state = [Field('step')]
+state_sentence = 'You are in cell {step}.'
+def cases(self):
+    for case in super().cases():
+        if case.id == 'visit-8':
+            del case.trajectories['blocked']
+        yield case";
+
+#[test]
+fn verbs_treat_a_world_of_ones_own_like_the_warehouse() {
+    let bench = Bench::new();
+    let world = corridor(&bench, UNEVEN);
+    let ended = ask(&bench, &world, &format!("{SHORT} --out r")).expect(0);
+    let left_out = "1 of 4 cases have no blocked route: their episodes on it are left out\n";
+    assert_eq!(ended.stderr.matches(left_out).count(), 1, "{}", ended.stderr);
+    let is_blocked = |record: &&Value| record["route"] == "blocked";
+    let all = records(&bench.out("r"));
+    assert_eq!((all.len(), all.iter().filter(is_blocked).count()), (22, 6));
+    let varies = "The world corridor is not deterministic";
+    assert!(ended.stdout.contains(varies), "{}", ended.stdout);
+    let key = "episodic/new/blocked/original/run1/reach-7";
+    for (line, expected) in [
+        ("ls", "action         b walk west"),
+        ("ls", "4, 3 of them with a blocked route"),
+        ("ls cases", "visit-8  Walk to cell 8, then"),
+        ("ls tasks", "two places"),
+        ("score r", varies),
+        ("report r", "report.html"),
+        ("validate", "4 checked    0 violated"),
+        ("validate r", "22 episodes, 0 differences"),
+        (&format!("show r {key} 1"), "Retrieved  view 1 of the demonstration `original`"),
+        ("view r --out pages", "index.html"),
+        ("export r --format mcap --episodes 2 --out mcap", ".mcap"),
+        ("export r --format csv --out tables", "steps.csv"),
+        ("render --case reach-7 --trajectory blocked --size 64 --out views", "views/006.png"),
+    ] {
+        let printed = ask(&bench, &world, line).expect(0).stdout;
+        assert!(printed.contains(expected), "{line}: {printed}");
+    }
+    let read = |name: &str| std::fs::read_to_string(bench.out(name)).unwrap();
+    assert!(read("r/report/report.html").contains(varies));
+    let columns = read("tables/steps.csv");
+    assert!(columns.lines().next().unwrap().contains(",step,state_step,"), "{columns}");
+    let views = std::fs::read_dir(bench.out("pages/run1/views")).unwrap().count();
+    assert!(views > 10, "{views} views");
+    for line in
+        ["map", "generate", "ls items", "ls streams", "memory build", "render --pose 3,12,N"]
+    {
+        let refused = ask(&bench, &world, line).expect(2).stderr;
+        assert!(refused.contains("--world-cmd") || refused.contains("--case"), "{line}: {refused}");
+    }
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn a_policy_that_answers_in_the_words_of_the_warehouse_ends_the_run() {
+    let bench = Bench::new();
+    let world = corridor(&bench, "");
+    let policy = bench.out("policy.py");
+    let text = "from memtransfer import Action, Policy, run\n\nclass Ahead(Policy):\n    name = 'ahead'\n\n    \
+                def act(self, requests):\n        return [Action.FORWARD for _ in requests]\n\nrun(Ahead())\n";
+    std::fs::write(&policy, text).unwrap();
+    let python = needs::world_python("minigrid");
+    let mut run = bench.command(&words("run --memory working --frame-size 64 --out r"));
+    run.args(["--policy-cmd", &format!("{} {}", python.display(), policy.display())]);
+    run.env("MEMTRANSFER_WORLD_CMD", &world).env("PYTHONPATH", repository("python"));
+    let ended = Ended::run(&mut run).expect(1);
+    let message = "an action of the warehouse that the world corridor does not have: return the number (0 to 1)";
+    assert!(ended.stderr.contains(message), "{}", ended.stderr);
+    assert!(!ended.stderr.contains("starting again"), "{}", ended.stderr);
+}

@@ -9,7 +9,7 @@ use memtransfer_tests::{Bench, Ended, needs, program, repository};
 use png_file::RgbaImage;
 use run_log::step_view::{RecordedPrompt, look_up};
 use serde_json::{Value, json};
-use world_client::frames::{ViewFormat, ViewRenderer, view_arguments};
+use world_client::frames::{ViewFormat, ViewKey, ViewRenderer, view_arguments};
 use world_client::{EpisodeTimeline, RecordedRun, WorldProgram};
 
 /// A small run of `policy` with `memory` in the folder `out`, of at most `steps` steps an episode.
@@ -135,11 +135,11 @@ fn shown_and_exported(bench: &Bench, frames: &str) -> Vec<(RecordedPrompt, RgbaI
             let prompt = look_up(&log, record, step.step).unwrap().unwrap();
             let seen = RgbaImage::read(&prompt.images[&prompt.entry.request.frame]).unwrap();
             let mut exported = RgbaImage::filled(64, 64, [0; 4]);
-            let copy = |_, pixels: &[u8]| {
+            let copy = |_: &ViewKey, pixels: &[u8]| {
                 exported.as_bytes_mut().copy_from_slice(pixels);
                 Ok(())
             };
-            renderer.render_pixels(&[step.view], copy).unwrap();
+            renderer.render_pixels(std::slice::from_ref(&step.view), copy).unwrap();
             steps.push((prompt, seen, exported));
         }
     }

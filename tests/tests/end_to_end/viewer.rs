@@ -74,7 +74,7 @@ fn five_clicks_lead_from_a_run_to_the_step_that_decided_a_failure() {
         .parse()
         .unwrap();
     assert!(browser.text(STEP).starts_with(&format!("Step {decided} of")), "{story}");
-    assert!(browser.text(".happening").contains("Tried to enter the closed passage."));
+    assert!(browser.text(".happening").contains("The agent tried to enter the closed passage."));
     browser.wait_for("document.querySelector('img.view').naturalWidth === 320");
     // 4: where memory has it from.
     browser.click("section[aria-label=Memory] .source");

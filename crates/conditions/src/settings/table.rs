@@ -189,7 +189,7 @@ pub const KEYS: &[Key] = keys! {
          --policy external";
     "world-cmd" COMMAND Text(is_command), Run Nothing,
         "The command that starts a world of your own in place of the warehouse, for example \"python my_world.py\"; \
-         `book`, `serve` and `act` are added to it";
+         `book`, `serve`, `act` and `views` are added to it";
     "world" "external" Text(parses::<WorldStart>), Run Nothing,
         "Wait for a world of your own that you start yourself (the run prints how); needs --world-book";
     "world-book" "DIR" Text(any), Run Nothing,

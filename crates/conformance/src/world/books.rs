@@ -126,7 +126,7 @@ pub(super) fn write(kit: &Kit<'_, WorldRole>) -> CheckResult<WorldBooks> {
     let ids: Vec<String> = every.cases.ids().into_iter().map(str::to_owned).collect();
     let has_blocked = |case: &CaseFacts| case.reference(Start::New, Route::Blocked).is_some();
     let request = BookRequest {
-        blocked: !ids.is_empty() && every.cases.cases.iter().all(has_blocked),
+        blocked: every.cases.cases.iter().any(has_blocked),
         cases: ids,
         demonstrations: vec![Demonstrations::ORIGINAL],
         ..BookRequest::default()

@@ -7,7 +7,7 @@ use anyhow::{Context, bail, ensure};
 use clap::Args;
 
 use super::{GeneratedFiles, check_not_replaced};
-use crate::{Exit, write_file};
+use crate::{Exit, WorldArgs, write_file};
 
 const FILES: [&str; 3] = ["layout.toml", "catalogue.toml", "cases.toml"];
 
@@ -58,7 +58,8 @@ pub(super) fn run(args: &WorldGenerateArgs) -> anyhow::Result<Exit> {
     flags.extend(["--count".into(), number(args.cases)]);
     flags.extend(["--size".into(), number(width), number(height)]);
     flags.extend(args.aisles.into_iter().flat_map(|aisles| ["--aisles".into(), number(aisles)]));
-    let GeneratedFiles { layout, catalogue, cases, about } = GeneratedFiles::ask(&flags)?;
+    let GeneratedFiles { layout, catalogue, cases, about } =
+        GeneratedFiles::ask(&WorldArgs::default().warehouse()?, &flags)?;
     let texts = [layout, catalogue, cases];
     let files: Vec<(PathBuf, String)> =
         FILES.into_iter().map(|file| args.out.join(file)).zip(texts).collect();

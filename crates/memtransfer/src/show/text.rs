@@ -171,6 +171,7 @@ fn indented(text: &mut String, content: &str) {
 mod tests {
     use domain::{FeedbackCode, State};
     use rigs::records::{manifest, world};
+    use world_client::frames::ViewKey;
     use world_client::{EpisodeEvent, EventLevel};
 
     use super::*;
@@ -195,7 +196,7 @@ mod tests {
                 sub_goals: 0,
                 retrieved,
                 distances: None,
-                view: (0, state),
+                view: ViewKey::State(0, state),
             }
         };
         let shown = ShownEpisode {

@@ -143,11 +143,17 @@ fn check_request(
     for id in &request.cases {
         let case = cases.iter().find(|case| case.id == *id);
         let known = cases.iter().map(|case| case.id.as_str());
-        let case = case.ok_or_else(|| domain::names::UnknownName::new("case", id, known))?;
-        if request.blocked && !case.trajectories.contains_key(&TrajectoryName::Blocked) {
-            let world = &world.name;
-            return Err(format!("case {id} of the world {world} has no blocked route").into());
-        }
+        case.ok_or_else(|| domain::names::UnknownName::new("case", id, known))?;
+    }
+    let takes_part = |case: &&CaseDeclaration| request.cases.contains(&case.id);
+    let has_blocked =
+        |case: &CaseDeclaration| case.trajectories.contains_key(&TrajectoryName::Blocked);
+    if request.blocked && !cases.iter().filter(takes_part).any(has_blocked) {
+        return Err(format!(
+            "no case of the world {} that takes part has a blocked route: leave `blocked` out of --routes",
+            world.name
+        )
+        .into());
     }
     Ok(())
 }

@@ -5,7 +5,11 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use case_book::act::{ActAnswer, ActRequest};
-use case_book::{BookFile, BookRequest, CASE_BOOK_FILE, DEMONSTRATIONS_FILE, DemonstrationBook};
+use case_book::{
+    BookFile, BookRequest, CASE_BOOK_FILE, DEMONSTRATIONS_FILE, DemonstrationBook, GREY_VARIANT,
+    WorldDeclaration,
+};
+use domain::ActionCode;
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::Role;
 use shm_types::process::check_shared_memory;
@@ -15,8 +19,9 @@ use super::acting::ActingSimulator;
 use super::book::write_books;
 use super::serving::serve_watched;
 use super::simulated::SimulatedWorld;
-use super::simulator::Simulator;
-use super::{RenderSetup, World, WorldFailure};
+use super::simulator::{CaseDeclaration, Simulator, TrajectoryName};
+use super::stage::{Stage, StageBegin};
+use super::{GREY, RenderSetup, World, WorldFailure};
 use crate::error::ServeError;
 use crate::run::{folder_from_environment, serve_generations};
 
@@ -30,6 +35,7 @@ usage: WORLD VERB, as `memtransfer run --world-cmd WORLD` adds it
   book --out DIR [--request FILE]            write the case book: all of it, or what a run asks for
   serve --demonstrations FILE                take part in the run that MEMTRANSFER_ATTACH names until it stops
   act                                        act out the episodes that stdin names, a line of JSON each
+  views --size WIDTHxHEIGHT                  draw what each line of stdin names, CASE.TRAJECTORY.LETTERS, as RGBA to stdout
 ";
 
 /// Does what `arguments` say, which do not begin with the name of the program.
@@ -62,6 +68,10 @@ pub fn run(
             Ok(serve(simulator, &attach, &demonstrations)?)
         }
         "act" if rest.is_empty() => act(simulator),
+        "views" => match rest {
+            [flag, size] if flag == "--size" => views(simulator, size),
+            _ => Err(USAGE.into()),
+        },
         "--help" | "-h" => {
             print!("{USAGE}");
             Ok(())
@@ -159,6 +169,47 @@ fn wait_for_room(attach: &Attach) -> Result<(), ServeError> {
         sleep(Duration::from_millis(50));
     }
     Ok(())
+}
+
+/// Draws what lines of stdin name: what is seen at the begin of a trajectory of a case and after actions; or, for the number of no
+/// variant and a state, grey.
+fn views(simulator: &(impl Simulator + ?Sized), size: &str) -> Result<(), WorldFailure> {
+    let edges = size.split_once('x').map(|(width, height)| (width.parse(), height.parse()));
+    let Some((Ok(width), Ok(height))) = edges else { return Err(USAGE.into()) };
+    let (world, cases) = (simulator.declaration(), simulator.cases()?);
+    let mut stage = Stage::new(simulator.environment()?);
+    let mut pixels = vec![0; width as usize * height as usize * 4];
+    let mut stdout = std::io::stdout().lock();
+    for line in std::io::stdin().lock().lines() {
+        let line = line?;
+        if line.starts_with(&format!("{GREY_VARIANT} ")) {
+            pixels.as_chunks_mut().0.fill(GREY);
+        } else {
+            let (begin, actions) = named_view(&world, &cases, &line)
+                .ok_or_else(|| format!("{line:?} is no view: write CASE.TRAJECTORY.LETTERS"))?;
+            stage.render(&cases, begin, &actions, (width, height), &mut pixels)?;
+        }
+        // A pipe that closed means that no more views are wanted.
+        if stdout.write_all(&pixels).and_then(|()| stdout.flush()).is_err() {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// The begin and the actions that a line names.
+fn named_view(
+    world: &WorldDeclaration,
+    cases: &[CaseDeclaration],
+    line: &str,
+) -> Option<(StageBegin, Vec<ActionCode>)> {
+    let (case, rest) = line.split_once('.')?;
+    let (name, letters) = rest.split_once('.')?;
+    let name: TrajectoryName = name.parse().ok()?;
+    let case = cases.iter().position(|known| known.id == case)? as u32;
+    let begin = StageBegin { case, start: name.start(), is_blocked: name.is_blocked() };
+    let actions: Option<Vec<_>> = letters.chars().map(|letter| world.action_of(letter)).collect();
+    Some((begin, actions?))
 }
 
 fn act(simulator: &(impl Simulator + ?Sized)) -> Result<(), WorldFailure> {

@@ -189,9 +189,13 @@ impl<S: Simulator + ?Sized> World for SimulatedWorld<'_, S> {
         let lane = lanes.get_mut(number as usize);
         let lane = lane.ok_or_else(|| format!("episode config: there are {count} lanes"))?;
         let named = cases.get(case as usize).ok_or_else(|| format!("there is no case {case}"))?;
+        let has_blocked = named.trajectories.contains_key(&TrajectoryName::Blocked);
         let is_blocked = match variant {
             0 => false,
-            variant if variant == 1 + case => true,
+            variant if variant == 1 + case && has_blocked => true,
+            variant if variant == 1 + case => {
+                return Err(Refusal::Episode(format!("case {} has no blocked route", named.id)));
+            }
             variant => return Err(format!("case {case} has no variant {variant}").into()),
         };
         let is_new = read_flag(start).map_err(|unknown| unknown.to_string())?;

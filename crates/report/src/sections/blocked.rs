@@ -15,11 +15,11 @@ const NEEDS_BOTH: Missing = Missing::NotMeasured(
 const NOTHING_TO_RETAIN: Missing =
     Missing::Undefined("no episode succeeds on the unchanged route, so there is nothing to retain");
 pub(super) const NONE_TRIED: Missing =
-    Missing::Undefined("no episode tried to enter a closed cell, so none could recover");
+    Missing::Undefined("no episode ran into what blocks the way, so none could recover");
 
 const FIGURES: &str = "Δ: change of the success rate by blocking minus working memory's change, in percentage points. \
-                       Retention: success rate blocked over unchanged. Follow: percentage of episodes that tried to enter \
-                       a closed cell. Recovery: success rate of those, over the runs in which there is one. Intervals of \
+                       Retention: success rate blocked over unchanged. Follow: percentage of episodes that ran into \
+                       what blocks the way. Recovery: success rate of those, over the runs in which there is one. Intervals of \
                        95 % in brackets.";
 
 /// The condition of `memory` in the paper's table.

@@ -59,9 +59,9 @@ pub(crate) fn conflict_table(view: &ScoredRun<'_>) -> Option<Table> {
     Some(Table {
         id: view.id("conflict"),
         caption: format!(
-            "The {cases} cases whose original demonstration the closed passage invalidates: a demonstration from before it \
-             closed, from after, and both in either order. New start. Success rate on the unchanged and on the blocked route. Follow: \
-             percentage of episodes that tried to enter a closed cell. Stale: percentage of the retrieved sources that, \
+            "The {cases} cases whose original demonstration a blocked way invalidates: a demonstration from before it \
+             was blocked, from after, and both in either order. New start. Success rate on the unchanged and on the blocked route. Follow: \
+             percentage of episodes that ran into what blocks the way. Stale: percentage of the retrieved sources that, \
              replayed on the blocked route, do not complete their task. Intervals of 95 % in brackets."
         ),
         stubs: vec!["Memory".to_owned(), "Demonstrations".to_owned()],

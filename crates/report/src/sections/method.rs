@@ -28,12 +28,12 @@ pub(crate) fn method() -> ReportSection {
         ),
         term(
             "Follow",
-            "100/N · Σ bᵢ. bᵢ is 1 when the agent tried at least once to enter a newly closed cell; N are the episodes \
+            "100/N · Σ bᵢ. bᵢ is 1 when the agent ran at least once into what blocks the way; N are the episodes \
              that finished.",
         ),
         term(
             "Recovery",
-            "100 · Σ bᵢsᵢ / Σ bᵢ, of each run in which an episode tried. A run without one has no recovery rate and does not \
+            "100 · Σ bᵢsᵢ / Σ bᵢ, of each run in which an episode did. A run without one has no recovery rate and does not \
              enter its mean.",
         ),
         term(

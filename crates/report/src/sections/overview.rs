@@ -57,7 +57,7 @@ pub(crate) fn notices(view: &ScoredRun<'_>) -> Vec<String> {
 
 /// That a model's answers have no action, or were not all given to this run.
 fn answers(view: &ScoredRun<'_>) -> Vec<String> {
-    let mut notices = Vec::new();
+    let mut notices: Vec<String> = view.log.varies().into_iter().collect();
     if let Some(silent) = WithoutAction::of_run(view.log) {
         notices.push(silent.described(view.log.manifest.settings.model.as_ref()));
     }
@@ -81,6 +81,9 @@ const MOST_DAMAGED: usize = 5;
 fn standing(manifest: &Manifest) -> Vec<String> {
     let settings = &manifest.settings;
     let mut lines = vec![manifest.policy_label().sentence("Policy")];
+    if let Some(command) = &settings.world_cmd {
+        lines.push(format!("The world was started with `{command}`."));
+    }
     if let Some(command) = &settings.policy_cmd {
         lines.push(format!("The policy was started with `{command}`."));
     }
@@ -146,10 +149,16 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     });
     let facts = facts.into_iter().chain(streams);
     blocks.push(ReportBlock::Table(facts_table(view.id("facts"), "Summary of the run.", facts)));
-    let task = "An agent has an instruction such as “Visit a blue barrel, then an orange cone.”, its pose and what it sees. \
-                 Every memory except working memory is built from expert demonstrations beforehand; at every step the policy gets \
-                 a part of it in addition to the last few steps.";
-    blocks.push(ReportBlock::Text(task.to_owned()));
+    let agent = match settings.world_cmd {
+        None => {
+            "has an instruction such as “Visit a blue barrel, then an orange cone.”, its pose and what it sees"
+        }
+        Some(_) => "has an instruction, its state and what it sees",
+    };
+    blocks.push(ReportBlock::Text(format!(
+        "An agent {agent}. Every memory except working memory is built from expert demonstrations beforehand; at every step the \
+         policy gets a part of it in addition to the last few steps."
+    )));
     let memory = |representation: &Representation| {
         let RepresentationInfo { stores, supplies, .. } = representation.describe();
         let meaning = format!("stores {stores}; supplies {supplies}");

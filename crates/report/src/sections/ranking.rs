@@ -213,7 +213,7 @@ fn table(id: String, caption: String, figures: &[&'static str], mut rows: Vec<Ra
 const EPISODE_COLUMNS: &[&str] = &["SR %", "SPL", "Follow %", "Recovery %", "Steps", "Img", "Mtok"];
 
 fn condition_cells(score: &ConditionScore) -> Vec<TableCell> {
-    const UNCHANGED: Missing = Missing::NotApplicable("no passage is closed on an unchanged route");
+    const UNCHANGED: Missing = Missing::NotApplicable("nothing is blocked on an unchanged route");
     let missing = match score.condition.route {
         Route::Unchanged => UNCHANGED,
         Route::Blocked => NONE_TRIED,

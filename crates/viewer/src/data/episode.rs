@@ -14,6 +14,7 @@ use domain::{Arm, Cell, DemonstrationKind, Demonstrations, Pose, State};
 use run_log::source::{SourceStep, distances, sources};
 use run_log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
 use serde::Serialize;
+use world_client::frames::ViewKey;
 use world_client::{EpisodeTimeline, RunWorld, begin_of, facts_of};
 
 use super::{PoseData, cell_data, cell_of, pose_data};
@@ -132,8 +133,6 @@ pub struct DemonstrationData {
     /// By step: the file of the thumbnail of the view. Empty where there are none; a name is empty where there is no file.
     views: Vec<String>,
     #[serde(skip)]
-    variant: u32,
-    #[serde(skip)]
     at: Vec<State>,
 }
 
@@ -187,7 +186,7 @@ impl EpisodeData {
         let timeline = EpisodeTimeline::new(world, record, parts)?;
         let EpisodeTimeline { instruction, variant, steps, reference, scenery, failure, .. } =
             timeline;
-        // A world that draws no map has no scenery, and no views that could be rendered alone.
+        // A world that draws no map has no scenery.
         let has_map = world.has_map();
         let EpisodeScenery { came_into_view, closed, targets, changes } =
             scenery.unwrap_or_default();
@@ -204,13 +203,8 @@ impl EpisodeData {
             let mean = |total: u64| total / u64::from(timings.steps.max(1)) / 1000;
             Stages::NAMES.into_iter().zip(timings.stages.values().map(mean)).collect()
         });
-        let mut demonstrations: Vec<DemonstrationData> =
+        let demonstrations: Vec<DemonstrationData> =
             memory.found.into_iter().map(|(_, demonstration)| demonstration).collect();
-        for one in &mut demonstrations {
-            let views = one.at.iter().filter(|_| has_map);
-            let views = views.map(|state| world.supplied(one.variant, *state));
-            one.views = views.map(|view| ViewFile { view, is_small: true }.name()).collect();
-        }
         Ok(Self {
             key: record.key.clone(),
             instruction,
@@ -253,11 +247,7 @@ impl EpisodeData {
             demonstrations,
             supplied,
             states: steps.iter().map(|step| in_words(world, &step.state)).collect(),
-            views: steps
-                .iter()
-                .filter(|_| has_map)
-                .map(|step| ViewFile { view: step.view, is_small: false }.name())
-                .collect(),
+            views: file_names(steps.into_iter().map(|step| step.view), false),
             facts: facts(record),
             stages: stages.unwrap_or_default(),
             requests: episode.requests.iter().map(|request| request_data(request)).collect(),
@@ -401,7 +391,7 @@ impl DemonstrationCollector<'_> {
     }
 
     fn add(&mut self, acted: ActedDemonstration) {
-        let ActedDemonstration { case, kind, .. } = acted;
+        let (case, kind) = (acted.case.clone(), acted.kind);
         let other = if case == self.record.case { String::new() } else { format!(" of {case}") };
         let planned = if self.is_planned() { ", planned in this world" } else { "" };
         let demonstration = DemonstrationData {
@@ -411,8 +401,7 @@ impl DemonstrationCollector<'_> {
             elsewhere: kind == DemonstrationKind::Elsewhere,
             poses: acted.states.iter().map(pose_data).collect(),
             actions: self.world.declaration().letters(acted.actions.iter().copied().map(Some)),
-            views: Vec::new(),
-            variant: acted.variant,
+            views: file_names(self.world.supplied_of(&acted), true),
             at: acted.states,
         };
         self.found.push((DemonstrationOrigin::Demonstration(case, kind), demonstration));
@@ -437,13 +426,17 @@ impl DemonstrationCollector<'_> {
             elsewhere: false,
             poses: acted.states.iter().map(pose_data).collect(),
             actions: past.actions.clone(),
-            views: Vec::new(),
-            variant: world.variant(past)?,
+            views: file_names(world.supplied(world.variant(past)?, &acted.states), true),
             at: acted.states,
         };
         self.found.push((origin, demonstration));
         Ok(self.found.len() - 1)
     }
+}
+
+/// The names of the files of views.
+fn file_names(views: impl IntoIterator<Item = ViewKey>, is_small: bool) -> Vec<String> {
+    views.into_iter().map(|view| ViewFile { view, is_small }.name()).collect()
 }
 
 /// A state: the names of its numbers, and these in words.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
-use case_book::{CaseFacts, FailureKind, WorldFacts};
+use case_book::{CaseFacts, FailureKind, WorldDeclaration, WorldFacts};
 use conditions::Condition;
 use run_log::answers::WithoutAction;
 use run_log::{EpisodeRecord, RunLog};
@@ -169,6 +169,10 @@ fn facts(log: &RunLog) -> Vec<(&'static str, String)> {
         ("Policy", log.manifest.policy_label().to_string()),
     ];
     facts.extend(settings.model.as_ref().map(|model| ("Model", model.model.clone())));
+    if settings.world_cmd.is_some() {
+        let WorldDeclaration { name, version, .. } = &log.world.declaration;
+        facts.push(("World", format!("{name} {version}")));
+    }
     facts.push(("Seed", settings.seed.to_string()));
     facts.push(("Most steps", settings.max_steps.to_string()));
     facts.push(("Folder", log.dir.display().to_string()));
@@ -176,7 +180,7 @@ fn facts(log: &RunLog) -> Vec<(&'static str, String)> {
 }
 
 fn notices(log: &RunLog) -> Vec<String> {
-    let mut notices = Vec::new();
+    let mut notices: Vec<String> = log.varies().into_iter().collect();
     let policy = log.manifest.policy_label();
     if policy.role.is_some() {
         notices.push(policy.sentence("Policy"));

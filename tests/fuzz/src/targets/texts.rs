@@ -58,7 +58,8 @@ pub(crate) fn names(input: &[u8]) {
     let _ = text.parse::<world_client::Selection>();
     let _ = text.parse::<viewer::Address>();
     let _ = text.parse::<export::HubDataset>();
-    let _ = world_client::frames::of_file_name(text).map(world_client::frames::file_name);
+    let _ =
+        world_client::frames::of_file_name(text).map(|view| world_client::frames::file_name(&view));
     let _ = text.chars().filter_map(Action::from_letter).count();
 }
 
