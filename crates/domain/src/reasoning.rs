@@ -2,11 +2,12 @@
 
 /// The tags around reasoning, in lower case: those of Qwen, DeepSeek and others; Claude and others; Gemini; Mistral; Kimi;
 /// Sky-T1; Seed; and the channels of gpt-oss, where the answer has a channel of its own.
-const TAGS: [(&str, &str); 9] = [
+const TAGS: [(&str, &str); 10] = [
     ("<think>", "</think>"),
     ("<thinking>", "</thinking>"),
     ("<thought>", "</thought>"),
     ("<reasoning>", "</reasoning>"),
+    ("<reflection>", "</reflection>"),
     ("[think]", "[/think]"),
     ("◁think▷", "◁/think▷"),
     ("<|begin_of_thought|>", "<|end_of_thought|>"),
@@ -61,7 +62,10 @@ mod tests {
             ("<thinking>hm</thinking>North", (true, "North")),
             ("◁think▷hm◁/think▷North", (true, "North")),
             ("[THINK]hm[/THINK]North", (true, "North")),
-            ("<|channel|>analysis<|message|>hm<|end|><|channel|>final<|message|>North", (true, "North")),
+            (
+                "<|channel|>analysis<|message|>hm<|end|><|channel|>final<|message|>North",
+                (true, "North"),
+            ),
             ("North</think>", (false, "North")),
             ("North <think>hm</think>", (true, "North")),
             ("<think>hm</think>", (true, "")),

@@ -54,8 +54,8 @@ const REFUSALS: [&str; 7] =
 
 /// Words that deny the action after them.
 const NEGATIONS: [&str; 18] = [
-    "not", "no", "nor", "neither", "dont", "doesnt", "shouldnt", "wont", "mustnt", "wouldnt", "cannot", "cant", "unable",
-    "never", "avoid", "without", "than", "over",
+    "not", "no", "nor", "neither", "dont", "doesnt", "shouldnt", "wont", "mustnt", "wouldnt",
+    "cannot", "cant", "unable", "never", "avoid", "without", "than", "over",
 ];
 
 /// Words that deny the action before them, after a form of "be" or a colon.
@@ -63,8 +63,8 @@ const DENIALS: [&str; 7] = ["not", "no", "blocked", "closed", "impossible", "uns
 
 /// Words between a verb and its direction, and between a negation and its verb.
 const FILLERS: [&str; 17] = [
-    "able", "to", "the", "my", "your", "one", "a", "1", "cell", "step", "by", "90", "degree", "degrees", "quarter", "in",
-    "place",
+    "able", "to", "the", "my", "your", "one", "a", "1", "cell", "step", "by", "90", "degree",
+    "degrees", "quarter", "in", "place",
 ];
 
 /// Nouns that a direction describes: "the path forward".
@@ -73,22 +73,54 @@ const SEEN: [&str; 10] =
 
 /// Words of what others or earlier steps did.
 const OTHERS: [&str; 14] = [
-    "expert", "experts", "demonstration", "demonstrations", "demonstrator", "memory", "memories", "remembered", "retrieved",
-    "previous", "previously", "earlier", "last", "history",
+    "expert",
+    "experts",
+    "demonstration",
+    "demonstrations",
+    "demonstrator",
+    "memory",
+    "memories",
+    "remembered",
+    "retrieved",
+    "previous",
+    "previously",
+    "earlier",
+    "last",
+    "history",
 ];
 
 /// Words after which the example of others is followed.
-const FOLLOWING: [&str; 9] =
-    ["follow", "following", "like", "as", "based", "according", "per", "copy", "repeat"];
+const FOLLOWING: [&str; 10] =
+    ["follow", "following", "like", "as", "based", "according", "per", "copy", "repeat", "what"];
 
 /// Words that introduce what others say.
 const SAYING: [&str; 10] = [
-    "say", "says", "suggest", "suggests", "show", "shows", "showed", "recommends", "indicates", "implies",
+    "say",
+    "says",
+    "suggest",
+    "suggests",
+    "show",
+    "shows",
+    "showed",
+    "recommends",
+    "indicates",
+    "implies",
 ];
 
 /// Words before the colon or the form of "be" that the chosen action follows.
 const LABELS: [&str; 12] = [
-    "action", "answer", "decision", "choice", "output", "conclusion", "command", "response", "final", "next", "move", "step",
+    "action",
+    "answer",
+    "decision",
+    "choice",
+    "output",
+    "conclusion",
+    "command",
+    "response",
+    "final",
+    "next",
+    "move",
+    "step",
 ];
 
 /// Words that begin a conclusion.
@@ -148,7 +180,7 @@ pub fn read_answer(world: &WorldDeclaration, text: &str) -> Result<ActionCode, U
 
 fn read(world: &WorldDeclaration, text: &str) -> Result<Mention, UnreadAnswer> {
     let tokens = tokens(split_reasoning(text).1);
-    if tokens.iter().all(|token| ends_clause(token)) {
+    if tokens.iter().all(ends_clause) {
         return Err(UnreadAnswer::Empty);
     }
     let mentions = mentions(world, &tokens);
@@ -378,7 +410,9 @@ impl Context {
                 self.next.concluded = true;
             }
             _ if CHOICES.contains(&word) => self.next.concluded = true,
-            _ if INTENTIONS.contains(&word) => self.next.intended = true,
+            _ if INTENTIONS.contains(&word) => {
+                self.next.intended |= before.last() != Some(&"would")
+            }
             _ if POSSIBILITIES.contains(&word) => {
                 let of_others = self.next.of_others;
                 self.next = Marks { possible: true, of_others, ..Marks::default() };
@@ -404,7 +438,10 @@ impl Context {
 
 /// Whether the words end with a label, or with one and a form of "be".
 fn ends_with_label(words: &[&str]) -> bool {
-    let mut words = words.iter().rev().filter(|word| !matches!(**word, "is" | "be" | "should" | "will" | "would"));
+    let mut words = words
+        .iter()
+        .rev()
+        .filter(|word| !matches!(**word, "is" | "be" | "should" | "will" | "would"));
     words.next().is_some_and(|word| LABELS.contains(word))
 }
 
@@ -412,7 +449,8 @@ fn ends_with_label(words: &[&str]) -> bool {
 fn is_denied_before(tokens: &[Token], at: usize) -> bool {
     let clause = tokens[..at].iter().rev().take_while(|token| !ends_clause(token));
     let words: Vec<&str> = clause.map(|token| token.word.as_str()).collect();
-    let words: Vec<&str> = words.into_iter().filter(|word| !FILLERS.contains(word)).take(2).collect();
+    let words: Vec<&str> =
+        words.into_iter().filter(|word| !FILLERS.contains(word)).take(2).collect();
     words.first().is_some_and(|word| is_form_of(word, &["look", "fac", "see"]))
         || words.iter().any(|word| NEGATIONS.contains(word))
         || words.starts_with(&["of", "instead"])
@@ -421,11 +459,18 @@ fn is_denied_before(tokens: &[Token], at: usize) -> bool {
 /// Whether the words after an action say that it is impossible.
 fn is_denied_after(words: &[&str]) -> bool {
     let words = words.iter().copied().filter(|word| !FILLERS.contains(word));
-    let words: Vec<&str> = words.take_while(|word| !matches!(*word, "." | "\n" | "," | "?")).take(3).collect();
+    let words: Vec<&str> =
+        words.take_while(|word| !matches!(*word, "." | "\n" | "," | "?")).take(3).collect();
     match words[..] {
         [":", word, ..] => DENIALS.contains(&word),
-        ["isnt" | "wasnt" | "wont" | "cant" | "cannot" | "wouldnt" | "doesnt" | "blocked", ..] => true,
-        ["is" | "was" | "seems" | "looks" | "would" | "will" | "does" | "be", word, ..] if DENIALS.contains(&word) => true,
+        ["isnt" | "wasnt" | "wont" | "cant" | "cannot" | "wouldnt" | "doesnt" | "blocked", ..] => {
+            true
+        }
+        ["is" | "was" | "seems" | "looks" | "would" | "will" | "does" | "be", word, ..]
+            if DENIALS.contains(&word) =>
+        {
+            true
+        }
         ["would" | "will" | "seems" | "looks", "be" | "to", word, ..] => DENIALS.contains(&word),
         _ => false,
     }
@@ -504,7 +549,8 @@ fn paraphrased(words: &[&str]) -> Option<(&'static str, usize, bool)> {
         _ if is_form_of(first, &["advanc"]) => ("move forward", 1),
         _ => return None,
     };
-    Some((action, length, first.ends_with("ed") || first == "went"))
+    let is_past = first == "went" || first.ends_with("ed") && first != "proceed";
+    Some((action, length, is_past))
 }
 
 /// Whether a word is a form of one of `verbs`, which are given without endings.
@@ -520,7 +566,7 @@ mod tests {
     use domain::Action;
     use warehouse::declaration;
 
-    use super::UnreadAnswer::{CutOff, Empty, NoAction, Refused};
+    use super::UnreadAnswer::{Ambiguous, CutOff, Empty, NoAction, Refused};
     use super::*;
     use crate::tests::doors;
 
@@ -551,7 +597,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_action_counts() {
+    fn the_chosen_action_counts() {
         let world = declaration();
         for (text, expected) in [
             ("move one step forward, then turn left", Ok(Action::Forward)),
@@ -580,6 +626,7 @@ mod tests {
             ("move ahead", Ok(Action::Forward)),
             ("Go ahead and turn left", Ok(Action::TurnLeft)),
             ("Moving forward is the best choice.", Ok(Action::Forward)),
+            ("turn left, or move forward?", Err(Ambiguous)),
             ("left", Err(NoAction)),
             ("go left", Err(NoAction)),
             ("The barrel is on the left.", Err(NoAction)),
@@ -608,6 +655,11 @@ mod tests {
             ("I should open door 2 slowly, not open door.", Ok(open_slowly)),
             ("{\"thought\": \"open door?\", \"action\": \"open door 2 slowly\"}", Ok(open_slowly)),
             ("Do not open door 2 slowly; open door", Ok(open)),
+            ("The expert's action was open door. So I open door 2 slowly.", Ok(open_slowly)),
+            ("I could open door or open door 2 slowly.", Err(Ambiguous)),
+            ("I could open door.\nopen door 2 slowly", Ok(open_slowly)),
+            ("The expert's action: open door", Err(NoAction)),
+            ("clockwise, advance", Err(NoAction)),
             // Words of an action that do not follow each other, and moves and turns, which this world does not have.
             ("open the door", Err(NoAction)),
             ("open", Err(NoAction)),
@@ -624,6 +676,9 @@ mod tests {
     fn an_answer_that_was_cut_off_may_name_an_action() {
         for (text, expected) in [
             ("Turn left. I can s", Ok(Action::TurnLeft)),
+            ("I could turn left to s", Err(CutOff)),
+            ("The options are turn left and move forw", Err(CutOff)),
+            ("The expert moved forward, then turned", Err(CutOff)),
             ("I can see a wareh", Err(CutOff)),
             ("", Err(CutOff)),
             ("<think>turn left", Err(CutOff)),
