@@ -46,7 +46,7 @@ use peer::memory::{
 use search::{Embedding, Index, IndexBuilder, Neighbour, ViewEntry, distance};
 use serde::{Deserialize, Serialize};
 
-use super::{KnownStages, MemorySettings, dimension};
+use super::{KnownStages, MemorySettings, SuppliedStage, dimension};
 use crate::bank::Embeddings;
 
 /// The distance by which a preferred view may be farther than the nearest. Neighbouring views of an aisle differ by 0.004 and
@@ -402,12 +402,16 @@ impl Memory for Adaptive {
         let embedding =
             embedding.ok_or_else(|| MemoryError::new("the current view has not been embedded"))?;
         let nearest = self.nearest(query, embedding);
-        let stage = nearest.first().and_then(|found| {
-            let of = &self.trajectories[usize::from(found.entry.demonstration)];
-            of.steps[usize::from(found.entry.step)].stage
+        let supplied = nearest.first().and_then(|found| {
+            let steps = &self.trajectories[usize::from(found.entry.demonstration)].steps;
+            let at = usize::from(found.entry.step);
+            let StoredStep { stage, action, .. } = steps[at];
+            let stage = stage?;
+            let next = steps.get(at + 1).and_then(|next| next.stage).unwrap_or(stage);
+            Some(SuppliedStage { stage, action, next })
         });
-        if let Some(stage) = stage {
-            self.stages.supplied(&query.now, stage);
+        if let Some(supplied) = supplied {
+            self.stages.supplied(&query.now, supplied);
         }
         Ok(nearest.into_iter().map(|found| self.segment(found)).collect())
     }

@@ -3,16 +3,16 @@
 //!
 //! Equal distances are ordered by task stage, then by elapsed steps ([`search::Index`]). The stage of a view is the number
 //! of sub-goals that *its own* demonstration had completed of *its own* task, and the stage of the agent, whose progress is not
-//! told, that of the view that was supplied to it last. In a set that mixes in histories of other tasks, stages of different
+//! told, that of the view that was supplied to it last, or of the next one if it did what the expert did. In a set that mixes in histories of other tasks, stages of different
 //! tasks are compared as numbers: retrieval does not know whose history a view comes from.
 
 use std::sync::Arc;
 
-use domain::SegmentContent;
+use domain::{ActionCode, SegmentContent};
 use peer::memory::{Demonstration, Memory, MemoryError, MemoryItem, Query, Source, Views};
 use search::{Index, IndexBuilder, Neighbour, ViewEntry};
 
-use super::{KnownStages, MemorySettings, dimension};
+use super::{KnownStages, MemorySettings, SuppliedStage, dimension};
 use crate::bank::Embeddings;
 
 /// An index of the demonstrations' views.
@@ -23,8 +23,8 @@ pub(super) struct Episodic {
     hits: usize,
     index: Option<Index>,
     stages: KnownStages,
-    /// Steps of each demonstration.
-    lengths: Vec<u32>,
+    /// The stage and the action of each step of each demonstration.
+    demonstrations: Vec<Vec<(u32, Option<ActionCode>)>>,
     /// Until the index is built.
     embeddings: Arc<Embeddings>,
 }
@@ -34,13 +34,14 @@ impl Episodic {
         let &MemorySettings { horizon, segment: content, hits, .. } = settings;
         let embeddings = settings.embeddings.clone();
         let stages = KnownStages::default();
-        Self { horizon, content, hits, index: None, stages, lengths: Vec::new(), embeddings }
+        let demonstrations = Vec::new();
+        Self { horizon, content, hits, index: None, stages, demonstrations, embeddings }
     }
 
     /// The view at `entry`, and at most `horizon` actions from there, with the views that they lead to.
     fn segment(&self, Neighbour { entry, distance }: Neighbour) -> MemoryItem {
         let first = u32::from(entry.step);
-        let length = self.lengths[usize::from(entry.demonstration)];
+        let length = self.demonstrations[usize::from(entry.demonstration)].len() as u32;
         let count = (self.horizon + 1).min(length - first);
         let demonstration = entry.demonstration.into();
         MemoryItem::Steps {
@@ -67,7 +68,8 @@ impl Memory for Episodic {
                 let entry = ViewEntry { demonstration: number, step: at as u16, stage };
                 index.add(entry, step.content_hash, embedding.as_slice());
             }
-            self.lengths.push(of.steps.len() as u32);
+            let steps = of.stages.iter().zip(of.steps);
+            self.demonstrations.push(steps.map(|(&stage, step)| (stage, step.action)).collect());
         }
         self.index = Some(index.build());
         Ok(())
@@ -83,8 +85,11 @@ impl Memory for Episodic {
             1 => index.nearest(asked).into_iter().collect(),
             hits => index.nearest_of_many(&[asked], hits).pop().unwrap_or_default(),
         };
-        if let Some(found) = nearest.first() {
-            self.stages.supplied(&query.now, found.entry.stage);
+        if let Some(Neighbour { entry, .. }) = nearest.first() {
+            let steps = &self.demonstrations[usize::from(entry.demonstration)];
+            let (stage, action) = steps[usize::from(entry.step)];
+            let next = steps.get(usize::from(entry.step) + 1).map_or(stage, |next| next.0);
+            self.stages.supplied(&query.now, SuppliedStage { stage, action, next });
         }
         Ok(nearest.into_iter().map(|found| self.segment(found)).collect())
     }

@@ -41,21 +41,31 @@ pub fn built_in(representation: Representation, settings: &MemorySettings) -> Bo
     }
 }
 
-/// The task stage that a memory can know: how many sub-goals its demonstration had completed at the view that it last supplied
-/// in the running episode. By lane, with the episode.
+/// The task stage that a memory can know: how many sub-goals its demonstration had completed at the view that it last supplied in
+/// the running episode or, if the agent has then done what the expert did there, at the next one. By lane, with the episode.
 #[derive(Debug, Default)]
-struct KnownStages(BTreeMap<u32, (u64, u32)>);
+struct KnownStages(BTreeMap<u32, (u64, SuppliedStage)>);
+
+/// The stage of a view that is supplied, the expert's action there, and the stage after it.
+#[derive(Debug, Clone, Copy)]
+struct SuppliedStage {
+    stage: u32,
+    action: Option<ActionCode>,
+    next: u32,
+}
 
 impl KnownStages {
     /// The stage of the episode, 0 before anything was supplied.
     fn of(&self, now: &Step<'_>) -> u32 {
         let known = self.0.get(&now.lane).filter(|(episode, _)| *episode == now.episode);
-        known.map_or(0, |(_, stage)| *stage)
+        known.map_or(0, |(_, supplied)| match supplied.action {
+            Some(action) if now.last_action == Some(action) => supplied.next,
+            _ => supplied.stage,
+        })
     }
 
-    /// A view of this stage is supplied.
-    fn supplied(&mut self, now: &Step<'_>, stage: u32) {
-        self.0.insert(now.lane, (now.episode, stage));
+    fn supplied(&mut self, now: &Step<'_>, supplied: SuppliedStage) {
+        self.0.insert(now.lane, (now.episode, supplied));
     }
 }
 
