@@ -170,6 +170,27 @@ mod tests {
     }
 
     #[test]
+    fn the_stage_goes_on_with_an_agent_that_does_what_the_expert_did() {
+        let mut stages = KnownStages::default();
+        let forward = Some(domain::Action::Forward.into());
+        let step = |episode, last_action| peer::memory::Step {
+            lane: 1,
+            episode,
+            step: 1,
+            state: Pose::new(0, 0, Heading::N).into(),
+            last_action,
+            feedback: domain::Feedback::Moved.into(),
+            frame: None,
+            embedding: None,
+            pinned: None,
+        };
+        stages.supplied(&step(7, None), SuppliedStage { stage: 2, action: forward, next: 3 });
+        assert_eq!(stages.of(&step(7, forward)), 3);
+        assert_eq!(stages.of(&step(7, Some(domain::Action::TurnLeft.into()))), 2);
+        assert_eq!(stages.of(&step(8, forward)), 0, "of another episode");
+    }
+
+    #[test]
     fn several_hits_come_nearest_first_in_the_same_order_of_ties() {
         let both = [demonstration(0, 5, 9), demonstration(3, 7, 4)];
         let one = hits(&mut memory(&both, &settings()), 8, 0);
