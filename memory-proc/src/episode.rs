@@ -175,8 +175,6 @@ pub(crate) struct CurrentStep {
     pub(crate) frame: FrameId,
     /// Whether the episode is over.
     pub(crate) is_last: bool,
-    /// Sub-goals completed so far.
-    stage: u32,
 }
 
 /// What is known about an episode's memory before its first step.
@@ -292,19 +290,18 @@ impl MemoryEpisode {
         if step != expected {
             return Err(broken(format!("expected step {expected}")));
         }
-        let stage = u32::from(report.sub_goals);
         let recording = self.stream.as_mut().and_then(|part| part.recording.as_mut());
         if let Some(Recording { lived, is_complete }) = recording {
             lived.states.push(state);
             lived.feedback.push(feedback);
-            lived.stages.push(stage);
+            lived.stages.push(report.sub_goals.into());
             if step > 0 {
                 lived.actions.push(action);
             }
             *is_complete = report.ended == EpisodeEnd::Complete as u8;
         }
         let is_last = seen.last == 1;
-        self.current = Some(CurrentStep { step, state, feedback, action, frame, is_last, stage });
+        self.current = Some(CurrentStep { step, state, feedback, action, frame, is_last });
         Ok(())
     }
 
@@ -363,7 +360,6 @@ impl MemoryEpisode {
             window: &[],
             image_budget: self.budgets.images,
             text_budget: self.budgets.text,
-            stage: Some(current.stage),
         })
     }
 

@@ -17,6 +17,7 @@ pub mod names;
 pub mod outcome;
 pub mod pose;
 pub mod prompt_log;
+pub mod reasoning;
 pub mod representation;
 pub mod search_profile;
 mod shell;

@@ -1,5 +1,6 @@
 //! What a server sends back: the model's answer and the tokens it took.
 
+use domain::reasoning::split_reasoning;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -190,16 +191,19 @@ pub fn read(body: &[u8]) -> Result<ChatReply, UnusableReply> {
     let choice = body.pointer("/choices/0").ok_or("it has no choices")?;
     let message = choice.get("message").filter(|message| message.is_object());
     let message = message.ok_or("its choice has no message")?;
-    let (reasoning, text) = split_reasoning(&text_of(message.get("content")));
+    let text = text_of(message.get("content"));
+    let (reasoning, text) = split_reasoning(&text);
     let word = |field| body.pointer(field).and_then(Value::as_str).map(str::to_owned);
     let count = |field| body.pointer(field).and_then(Value::as_u64);
     let finish_reason = word("/choices/0/finish_reason");
     let refusal = message.get("refusal").and_then(Value::as_str).map(str::trim);
     let content = match refusal.filter(|refusal| !refusal.is_empty()) {
         Some(refusal) => ReplyContent::Refusal(refusal.to_owned()),
-        None => ReplyContent::new(text, finish_reason.as_deref()),
+        None => ReplyContent::new(text.to_owned(), finish_reason.as_deref()),
     };
+    let parts = message.get("content").and_then(Value::as_array);
     let reasoned = reasoning
+        || parts.is_some_and(|parts| parts.iter().any(is_reasoning))
         || REASONING.iter().any(|field| match message.get(*field) {
             Some(Value::String(text)) => !text.trim().is_empty(),
             Some(Value::Array(parts)) => !parts.is_empty(),
@@ -260,29 +264,22 @@ const IMAGE_TOKENS: [&str; 2] = [
     "/usage/prompt_tokens_details/multimodal_tokens/image",
 ];
 
-/// The text of a message's content, which may come in parts.
+/// The text of a message's content, which may come in parts, without those of reasoning.
 fn text_of(content: Option<&Value>) -> String {
     match content {
         Some(Value::String(text)) => text.clone(),
         Some(Value::Array(parts)) => {
-            parts.iter().filter_map(|part| part["text"].as_str()).collect()
+            let parts = parts.iter().filter(|part| !is_reasoning(part));
+            parts.filter_map(|part| part["text"].as_str()).collect()
         }
         _ => String::new(),
     }
 }
 
-/// Whether the answer begins with reasoning, and the answer without it and without surrounding white space. Reasoning
-/// that was cut off leaves an empty answer. Some chat templates open the reasoning, so that the text only closes it.
-fn split_reasoning(text: &str) -> (bool, String) {
-    let text = text.trim();
-    let (reasoning, answer) = match text.strip_prefix("<think>") {
-        Some(opened) => opened.split_once("</think>").unwrap_or((opened, "")),
-        None => match text.split_once("</think>") {
-            Some((reasoning, answer)) if !answer.trim().is_empty() => (reasoning, answer),
-            _ => ("", text),
-        },
-    };
-    (!reasoning.trim().is_empty(), answer.trim().to_owned())
+/// Whether a part of a message's content is reasoning: `reasoning`, `thinking` (Mistral, Claude), `redacted_thinking`.
+fn is_reasoning(part: &Value) -> bool {
+    let kind = part["type"].as_str().unwrap_or_default();
+    kind.contains("reasoning") || kind.contains("thinking")
 }
 
 /// Characters of a server's message that are shown.
@@ -357,7 +354,11 @@ mod tests {
             (r#"{"message":{"content":"North","refusal":""}}"#, Text("North".into())),
             (r#"{"message":{"content":"North"},"error":{}}"#, Text("North".into())),
             (r#"{"message":{"content":"hm\n</think>\n\nNorth"}}"#, Text("North".into())),
-            (r#"{"message":{"content":"North</think>"}}"#, Text("North</think>".into())),
+            (r#"{"message":{"content":"North</think>"}}"#, Text("North".into())),
+            (
+                r#"{"message":{"content":[{"type":"reasoning","text":"South"},{"type":"text","text":"North"}]}}"#,
+                Text("North".into()),
+            ),
             (
                 r#"{"message":{"content":null,"refusal":"I cannot."},"finish_reason":"stop"}"#,
                 Refusal("I cannot.".into()),
@@ -423,6 +424,13 @@ mod tests {
                 true,
             ),
             (r#""content":"North","reasoning_content":"hm""#, "{}", true),
+            (r#""content":"◁think▷hm◁/think▷North""#, "{}", true),
+            (r#""content":[{"type":"text","text":"North"}]"#, "{}", false),
+            (
+                r#""content":[{"type":"thinking","thinking":[]},{"type":"text","text":"North"}]"#,
+                "{}",
+                true,
+            ),
             (r#""content":"North","reasoning":null"#, "{}", false),
             (
                 r#""content":"North""#,

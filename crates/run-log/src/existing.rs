@@ -1,13 +1,13 @@
 //! A run that is already in a folder: locking, recognising and removing it.
 
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 
 use durable::Removal;
-use rustix::fs::FlockOperation;
+use rustix::io::Errno;
 
 use super::files::{
-    EPISODES_FILE, ERRORS_FILE, LOGS_FOLDER, REQUESTS_FILE, memory_log_names, run_names,
+    EPISODES_FILE, ERRORS_FILE, LOCK_FILE, LOGS_FOLDER, REQUESTS_FILE, memory_log_names, run_names,
 };
 use super::manifest::MANIFEST_FILE;
 use super::{LogError, Manifest, system};
@@ -15,13 +15,21 @@ use super::{LogError, Manifest, system};
 /// The most names in a message.
 const SHOWN: usize = 20;
 
-/// Locks the folder until the file is dropped.
+/// Locks the folder until the file is dropped. The lock is on a file that is opened for writing, because NFS cannot lock
+/// anything else; the file stays.
 pub(super) fn lock(dir: &Path) -> Result<File, LogError> {
-    let file = File::open(dir).map_err(system("open", dir))?;
-    match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
+    let path = dir.join(LOCK_FILE);
+    let file = durable::append(&path).map_err(system("open", &path))?;
+    let without_locks = [Errno::NOLCK, Errno::NOSYS, Errno::OPNOTSUPP].map(Errno::raw_os_error);
+    match file.try_lock() {
         Ok(()) => Ok(file),
-        Err(rustix::io::Errno::WOULDBLOCK) => Err(LogError::Locked(dir.to_owned())),
-        Err(errno) => Err(system("lock", dir)(errno.into())),
+        Err(TryLockError::WouldBlock) => Err(LogError::Locked(dir.to_owned())),
+        Err(TryLockError::Error(error)) => match error.raw_os_error() {
+            Some(code) if without_locks.contains(&code) => {
+                Err(LogError::NoLocks { dir: dir.to_owned(), source: error })
+            }
+            _ => Err(system("lock", &path)(error)),
+        },
     }
 }
 
@@ -36,7 +44,7 @@ pub(super) fn existing(dir: &Path) -> Result<Option<Manifest>, LogError> {
         // Only a draft of the manifest: the run was killed when it had just begun. Logs: external memories start earlier.
         let is_of_a_run = match name == LOGS_FOLDER {
             true => has_only_memory_logs(&dir.join(name))?,
-            false => name == "manifest.json.new",
+            false => name == "manifest.json.new" || name == LOCK_FILE,
         };
         if !is_of_a_run {
             return Err(LogError::NotARun(dir.to_owned()));
@@ -76,7 +84,7 @@ pub(super) fn remove_run(dir: &Path) -> Result<String, LogError> {
     removed.insert(MANIFEST_FILE.into());
     left.retain(|path| {
         let is_memory_log = path.strip_prefix(LOGS_FOLDER).is_ok_and(|log| memory_logs.has(log));
-        path != Path::new(MANIFEST_FILE) && !is_memory_log
+        !stays(path) && !is_memory_log
     });
     let left = match left.len() {
         0 => String::new(),
@@ -87,6 +95,11 @@ pub(super) fn remove_run(dir: &Path) -> Result<String, LogError> {
         dir.display(),
         listed(&removed),
     ))
+}
+
+/// Whether a file of a run is not removed before the next run: the manifest is replaced, and the lock is held.
+pub(super) fn stays(path: &Path) -> bool {
+    path == Path::new(MANIFEST_FILE) || path == Path::new(LOCK_FILE)
 }
 
 /// The paths, separated by commas; of many, the first and how many more there are.

@@ -15,6 +15,8 @@ pub const REQUESTS_FILE: &str = "requests.jsonl";
 pub(super) const ERRORS_FILE: &str = "errors.jsonl";
 pub(super) const SESSIONS_FILE: &str = "sessions.jsonl";
 pub(super) const LATENCY_FILE: &str = "latency.jsonl";
+/// Locked by the process that writes to the run.
+pub(super) const LOCK_FILE: &str = "run.lock";
 pub(super) use case_book::{CASE_BOOK_FILE, DEMONSTRATIONS_FILE};
 
 /// The streams, of a run that consists of streams.
@@ -41,8 +43,8 @@ const REPORT_IDS: &str = concat!(
     "stream-(adaptation|cost|cost-figure|differences|matrix|orders|rounds-[a-z0-9-]+|success|success-figure|transfer)))",
 );
 
-/// The names in a run folder, as regular expressions, except those of the manifest, of the report, and of the logs of external
-/// memories.
+/// The names in a run folder, as regular expressions, except those of the manifest, of the lock, of the report, and of the logs of
+/// external memories.
 const RUN_NAMES: [&str; 13] = [
     "(manifest|status)\\.json\\.new",
     "status\\.json|(case-book|demonstrations|streams|elsewhere)\\.json(\\.new)?",
@@ -73,8 +75,8 @@ pub(super) fn memory_log_names() -> io::Result<KnownNames> {
     KnownNames::new(["external-memory-[0-9]+\\.log(\\.new)?"])
 }
 
-/// The names in a run folder but the manifest, which is replaced, and the logs of external memories: these start before the
-/// run's folder is opened, and write to theirs already when an earlier run is removed.
+/// The names in a run folder but the manifest, which is replaced, the lock, which is held, and the logs of external memories: these
+/// start before the run's folder is opened, and write to theirs already when an earlier run is removed.
 pub(super) fn run_names() -> io::Result<KnownNames> {
     let of_report = report_patterns("report/");
     KnownNames::new(RUN_NAMES.into_iter().chain(of_report.iter().map(String::as_str)))

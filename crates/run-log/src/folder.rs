@@ -67,6 +67,8 @@ impl RunFolder {
     /// when another process is writing to it; when the system refuses.
     pub fn open(dir: &Path, manifest: Manifest, fresh: bool) -> Result<Opened, LogError> {
         fs::create_dir_all(dir).map_err(system("make", dir))?;
+        // The lock is a file: a folder of something else is refused before it gets one.
+        existing(dir)?;
         let lock = lock(dir)?;
         let mut notes = Vec::new();
         let earlier = existing(dir)?;
@@ -154,10 +156,10 @@ impl RunFolder {
         if !logs.exists() {
             return Ok(());
         }
-        let _lock = lock(dir)?;
         if existing(dir)?.is_none() {
             return Ok(());
         }
+        let _lock = lock(dir)?;
         durable::check_no_links(dir).map_err(system("remove logs in", dir))?;
         let remove = || memory_log_names()?.remove_in(&logs).map(drop);
         remove().map_err(system("remove logs in", &logs))

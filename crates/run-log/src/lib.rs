@@ -150,6 +150,18 @@ pub enum LogError {
         "another memtransfer is writing to {}: wait until it is done, or choose another --out", .0.display()
     )]
     Locked(PathBuf),
+    /// The file system has no locks.
+    #[error(
+        "the file system of {} has no locks ({source}), without which two runs could write to it: choose an --out elsewhere, or mount \
+         this one with locks (NFS: with `rpc.statd`)",
+        .dir.display()
+    )]
+    NoLocks {
+        /// The folder.
+        dir: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
     /// An episode that is finished was run again.
     #[error("{0} was run twice: this is a mistake in the program, please report it")]
     Twice(String),

@@ -16,13 +16,12 @@ use domain::prompt_log::session_folder;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::existing::lock;
+use super::existing::{lock, stays};
 use super::files::{
     CASE_BOOK_FILE, DEMONSTRATIONS_FILE, DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE,
     ERRORS_FILE, LATENCY_FILE, PROMPTS_FOLDER, REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER,
     STREAMS_FILE, TIMINGS_FILE, run_names,
 };
-use super::manifest::MANIFEST_FILE;
 use super::{
     EpisodeError, EpisodeRecord, EpisodeTimings, LogError, Manifest, RequestRecord, SessionRecord,
     sealed, system,
@@ -145,7 +144,7 @@ pub fn merge(
     // The rest of a merge that was interrupted is replaced.
     let others = run_names().and_then(|names| names.others_in(&draft));
     let mut others = others.map_err(system("list", &draft))?.into_iter();
-    if others.any(|path| path != Path::new(MANIFEST_FILE)) {
+    if others.any(|path| !stays(&path)) {
         return Err(MergeError::NotEmpty(draft));
     }
     let _lock = lock(&draft)?;

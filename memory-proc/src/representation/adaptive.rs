@@ -46,7 +46,7 @@ use peer::memory::{
 use search::{Embedding, Index, IndexBuilder, Neighbour, ViewEntry, distance};
 use serde::{Deserialize, Serialize};
 
-use super::{MemorySettings, dimension};
+use super::{KnownStages, MemorySettings, SuppliedStage, dimension};
 use crate::bank::Embeddings;
 
 /// The distance by which a preferred view may be farther than the nearest. Neighbouring views of an aisle differ by 0.004 and
@@ -158,6 +158,7 @@ pub(super) struct Adaptive {
     /// In the order of their numbers.
     trajectories: Vec<OwnTrajectory>,
     running: BTreeMap<u64, Running>,
+    stages: KnownStages,
     /// The steps that can be supplied, by instruction; `None`: of all trajectories. Made when first needed. An entry's
     /// demonstration is a position in `trajectories`.
     indexes: BTreeMap<Option<String>, Index>,
@@ -177,6 +178,7 @@ impl Adaptive {
             embeddings: settings.embeddings.clone(),
             trajectories: Vec::new(),
             running: BTreeMap::new(),
+            stages: KnownStages::default(),
             indexes: BTreeMap::new(),
         }
     }
@@ -205,7 +207,7 @@ impl Adaptive {
 
     /// The views nearest to the current one, the most preferred first.
     fn nearest(&mut self, query: &Query<'_>, embedding: &[f32]) -> Vec<Neighbour> {
-        let (stage, elapsed) = (query.stage.unwrap_or(0), query.now.step);
+        let (stage, elapsed) = (self.stages.of(&query.now), query.now.step);
         let asked = search::SearchQuery { embedding, stage, elapsed };
         for instruction in [Some(query.instruction), None] {
             let key = instruction.map(str::to_owned);
@@ -400,6 +402,17 @@ impl Memory for Adaptive {
         let embedding =
             embedding.ok_or_else(|| MemoryError::new("the current view has not been embedded"))?;
         let nearest = self.nearest(query, embedding);
+        let supplied = nearest.first().and_then(|found| {
+            let steps = &self.trajectories[usize::from(found.entry.demonstration)].steps;
+            let at = usize::from(found.entry.step);
+            let StoredStep { stage, action, .. } = steps[at];
+            let stage = stage?;
+            let next = steps.get(at + 1).and_then(|next| next.stage).unwrap_or(stage);
+            Some(SuppliedStage { stage, action, next })
+        });
+        if let Some(supplied) = supplied {
+            self.stages.supplied(&query.now, supplied);
+        }
         Ok(nearest.into_iter().map(|found| self.segment(found)).collect())
     }
 

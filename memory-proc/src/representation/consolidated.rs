@@ -34,9 +34,9 @@ mod tests {
         let settings = MemorySettings { documents, ..settings() };
         let mut memory = built_in(Representation::Hybrid, &settings);
         build(&mut *memory, &[]).unwrap();
-        let items = recall(&mut *memory, None, 0, 0).unwrap();
+        let items = recall(&mut *memory, None, 0).unwrap();
         assert_eq!(items, ["summary", "knowledge"].map(super::MemoryItem::text));
-        assert_eq!(items, recall(&mut *memory, None, 1, 9).unwrap());
+        assert_eq!(items, recall(&mut *memory, None, 9).unwrap());
         assert_eq!(memory.store_bytes(), Some(16));
     }
 }

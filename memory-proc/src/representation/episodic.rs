@@ -2,16 +2,17 @@
 //! from there.
 //!
 //! Equal distances are ordered by task stage, then by elapsed steps ([`search::Index`]). The stage of a view is the number
-//! of sub-goals that *its own* demonstration had completed of *its own* task. In a set that mixes in histories of other
-//! tasks, stages of different tasks are compared as numbers: retrieval does not know whose history a view comes from.
+//! of sub-goals that *its own* demonstration had completed of *its own* task, and the stage of the agent, whose progress is not
+//! told, that of the view that was supplied to it last, or of the next one if it did what the expert did. In a set that mixes in histories of other tasks, stages of different
+//! tasks are compared as numbers: retrieval does not know whose history a view comes from.
 
 use std::sync::Arc;
 
-use domain::SegmentContent;
+use domain::{ActionCode, SegmentContent};
 use peer::memory::{Demonstration, Memory, MemoryError, MemoryItem, Query, Source, Views};
 use search::{Index, IndexBuilder, Neighbour, ViewEntry};
 
-use super::{MemorySettings, dimension};
+use super::{KnownStages, MemorySettings, SuppliedStage, dimension};
 use crate::bank::Embeddings;
 
 /// An index of the demonstrations' views.
@@ -21,8 +22,9 @@ pub(super) struct Episodic {
     content: SegmentContent,
     hits: usize,
     index: Option<Index>,
-    /// Steps of each demonstration.
-    lengths: Vec<u32>,
+    stages: KnownStages,
+    /// The stage and the action of each step of each demonstration.
+    demonstrations: Vec<Vec<(u32, Option<ActionCode>)>>,
     /// Until the index is built.
     embeddings: Arc<Embeddings>,
 }
@@ -31,13 +33,15 @@ impl Episodic {
     pub(super) fn new(settings: &MemorySettings) -> Self {
         let &MemorySettings { horizon, segment: content, hits, .. } = settings;
         let embeddings = settings.embeddings.clone();
-        Self { horizon, content, hits, index: None, lengths: Vec::new(), embeddings }
+        let stages = KnownStages::default();
+        let demonstrations = Vec::new();
+        Self { horizon, content, hits, index: None, stages, demonstrations, embeddings }
     }
 
     /// The view at `entry`, and at most `horizon` actions from there, with the views that they lead to.
     fn segment(&self, Neighbour { entry, distance }: Neighbour) -> MemoryItem {
         let first = u32::from(entry.step);
-        let length = self.lengths[usize::from(entry.demonstration)];
+        let length = self.demonstrations[usize::from(entry.demonstration)].len() as u32;
         let count = (self.horizon + 1).min(length - first);
         let demonstration = entry.demonstration.into();
         MemoryItem::Steps {
@@ -64,7 +68,8 @@ impl Memory for Episodic {
                 let entry = ViewEntry { demonstration: number, step: at as u16, stage };
                 index.add(entry, step.content_hash, embedding.as_slice());
             }
-            self.lengths.push(of.steps.len() as u32);
+            let steps = of.stages.iter().zip(of.steps);
+            self.demonstrations.push(steps.map(|(&stage, step)| (stage, step.action)).collect());
         }
         self.index = Some(index.build());
         Ok(())
@@ -74,12 +79,18 @@ impl Memory for Episodic {
         let (Some(index), Some(embedding)) = (&self.index, query.now.embedding) else {
             return Err(MemoryError::new("the current view has not been embedded"));
         };
-        let (stage, elapsed) = (query.stage.unwrap_or(0), query.now.step);
-        let query = search::SearchQuery { embedding, stage, elapsed };
-        let nearest = match self.hits {
-            1 => index.nearest(query).into_iter().collect(),
-            hits => index.nearest_of_many(&[query], hits).pop().unwrap_or_default(),
+        let (stage, elapsed) = (self.stages.of(&query.now), query.now.step);
+        let asked = search::SearchQuery { embedding, stage, elapsed };
+        let nearest: Vec<Neighbour> = match self.hits {
+            1 => index.nearest(asked).into_iter().collect(),
+            hits => index.nearest_of_many(&[asked], hits).pop().unwrap_or_default(),
         };
+        if let Some(Neighbour { entry, .. }) = nearest.first() {
+            let steps = &self.demonstrations[usize::from(entry.demonstration)];
+            let (stage, action) = steps[usize::from(entry.step)];
+            let next = steps.get(usize::from(entry.step) + 1).map_or(stage, |next| next.0);
+            self.stages.supplied(&query.now, SuppliedStage { stage, action, next });
+        }
         Ok(nearest.into_iter().map(|found| self.segment(found)).collect())
     }
 
@@ -110,10 +121,10 @@ mod tests {
     }
 
     /// Demonstration, first step, number of steps and distance of each hit.
-    fn hits(memory: &mut Episodic, row: u8, stage: u32, elapsed: u32) -> Vec<(u32, u32, u32, f32)> {
+    fn hits(memory: &mut Episodic, row: u8, elapsed: u32) -> Vec<(u32, u32, u32, f32)> {
         let view = view(Pose::new(0, row, Heading::N));
         let embedding = view.embedding.as_ref().map(Embedding::as_slice);
-        let items = recall(memory, embedding, stage, elapsed).unwrap();
+        let items = recall(memory, embedding, elapsed).unwrap();
         let hit = |item| match item {
             MemoryItem::Steps { source, views: Views::All, distance: Some(distance), .. } => {
                 (source.demonstration, source.first, source.count, distance)
@@ -129,10 +140,10 @@ mod tests {
             |horizon| memory(&[demonstration(1, 5, 9)], &MemorySettings { horizon, ..settings() });
         let mut six = memory_of(6);
         for (row, steps) in [(5, 7), (8, 7), (9, 6), (14, 1)] {
-            assert_eq!(hits(&mut six, row, 0, 0), [(0, u32::from(row) - 5, steps, 0.0)]);
+            assert_eq!(hits(&mut six, row, 0), [(0, u32::from(row) - 5, steps, 0.0)]);
         }
-        assert_eq!(hits(&mut six, 30, 0, 0)[0].1, 9);
-        assert_eq!(hits(&mut memory_of(0), 7, 0, 0)[0].2, 1);
+        assert_eq!(hits(&mut six, 30, 0)[0].1, 9);
+        assert_eq!(hits(&mut memory_of(0), 7, 0)[0].2, 1);
     }
 
     #[test]
@@ -140,7 +151,7 @@ mod tests {
         for segment in [SegmentContent::Actions, SegmentContent::Images] {
             let settings = MemorySettings { segment, ..settings() };
             let mut memory = memory(&[demonstration(1, 5, 9)], &settings);
-            let items = recall(&mut memory, Some(&[1.0, 0.0]), 0, 0).unwrap();
+            let items = recall(&mut memory, Some(&[1.0, 0.0]), 0).unwrap();
             let [MemoryItem::Steps { actions, .. }] = items[..] else { panic!("{items:?}") };
             assert_eq!(actions, segment == SegmentContent::Actions);
         }
@@ -150,23 +161,45 @@ mod tests {
     fn equal_views_are_ordered_by_stage_and_then_by_elapsed_steps() {
         let both = [demonstration(0, 5, 9), demonstration(3, 7, 4)];
         let mut memory = memory(&both, &settings());
-        let mut first = |row, stage, elapsed| hits(&mut memory, row, stage, elapsed)[0].0;
-        assert_eq!(first(8, 1, 0), 0);
-        assert_eq!(first(8, 0, 9), 1);
-        assert_eq!(first(9, 1, 4), 0);
-        assert_eq!(first(9, 1, 2), 1);
+        let mut first = |row, elapsed| hits(&mut memory, row, elapsed)[0].0;
+        assert_eq!(first(8, 3), 1, "of stage 0, as the agent before anything was supplied");
+        assert_eq!(first(13, 8), 0, "of stage 1, and the only one");
+        assert_eq!(first(8, 3), 0, "of stage 1, as what was supplied last");
+        assert_eq!(first(9, 4), 0);
+        assert_eq!(first(9, 2), 1);
+    }
+
+    #[test]
+    fn the_stage_goes_on_with_an_agent_that_does_what_the_expert_did() {
+        let mut stages = KnownStages::default();
+        let forward = Some(domain::Action::Forward.into());
+        let step = |episode, last_action| peer::memory::Step {
+            lane: 1,
+            episode,
+            step: 1,
+            state: Pose::new(0, 0, Heading::N).into(),
+            last_action,
+            feedback: domain::Feedback::Moved.into(),
+            frame: None,
+            embedding: None,
+            pinned: None,
+        };
+        stages.supplied(&step(7, None), SuppliedStage { stage: 2, action: forward, next: 3 });
+        assert_eq!(stages.of(&step(7, forward)), 3);
+        assert_eq!(stages.of(&step(7, Some(domain::Action::TurnLeft.into()))), 2);
+        assert_eq!(stages.of(&step(8, forward)), 0, "of another episode");
     }
 
     #[test]
     fn several_hits_come_nearest_first_in_the_same_order_of_ties() {
         let both = [demonstration(0, 5, 9), demonstration(3, 7, 4)];
-        let one = hits(&mut memory(&both, &settings()), 8, 1, 0);
+        let one = hits(&mut memory(&both, &settings()), 8, 0);
         let mut memory = memory(&both, &MemorySettings { hits: 4, ..settings() });
-        let four = hits(&mut memory, 8, 1, 0);
+        let four = hits(&mut memory, 8, 0);
         assert_eq!(four[0], one[0]);
         assert_eq!(
             four.iter().map(|hit| (hit.0, hit.1)).collect::<Vec<_>>()[..2],
-            [(0, 3), (1, 1)]
+            [(1, 1), (0, 3)]
         );
         assert!(four.len() == 4 && four.is_sorted_by(|a, b| a.3 <= b.3));
     }

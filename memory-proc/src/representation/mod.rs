@@ -9,10 +9,11 @@
 //!
 //! What is not here: where views, embeddings and documents come from, and how items reach the policy.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use domain::{ActionCode, Representation, SegmentContent};
-use peer::memory::Memory;
+use peer::memory::{Memory, Step};
 
 use crate::bank::Embeddings;
 
@@ -37,6 +38,34 @@ pub fn built_in(representation: Representation, settings: &MemorySettings) -> Bo
         | Representation::Hybrid => {
             Box::new(consolidated::Consolidated { documents: settings.documents.clone() })
         }
+    }
+}
+
+/// The task stage that a memory can know: how many sub-goals its demonstration had completed at the view that it last supplied in
+/// the running episode or, if the agent has then done what the expert did there, at the next one. By lane, with the episode.
+#[derive(Debug, Default)]
+struct KnownStages(BTreeMap<u32, (u64, SuppliedStage)>);
+
+/// The stage of a view that is supplied, the expert's action there, and the stage after it.
+#[derive(Debug, Clone, Copy)]
+struct SuppliedStage {
+    stage: u32,
+    action: Option<ActionCode>,
+    next: u32,
+}
+
+impl KnownStages {
+    /// The stage of the episode, 0 before anything was supplied.
+    fn of(&self, now: &Step<'_>) -> u32 {
+        let known = self.0.get(&now.lane).filter(|(episode, _)| *episode == now.episode);
+        known.map_or(0, |(_, supplied)| match supplied.action {
+            Some(action) if now.last_action == Some(action) => supplied.next,
+            _ => supplied.stage,
+        })
+    }
+
+    fn supplied(&mut self, now: &Step<'_>, supplied: SuppliedStage) {
+        self.0.insert(now.lane, (now.episode, supplied));
     }
 }
 

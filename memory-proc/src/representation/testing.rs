@@ -78,11 +78,10 @@ pub(crate) fn build_with_views<M: Memory>(
     memory
 }
 
-/// What a memory supplies for a view, sub-goals completed and steps taken.
+/// What a memory supplies for a view and steps taken.
 pub(crate) fn recall(
     memory: &mut dyn Memory,
     embedding: Option<&[f32]>,
-    stage: u32,
     step: u32,
 ) -> Result<Vec<MemoryItem>, MemoryError> {
     let now = Step {
@@ -102,7 +101,6 @@ pub(crate) fn recall(
         window: &[],
         image_budget: 1000,
         text_budget: 1000,
-        stage: Some(stage),
     })
 }
 

@@ -375,7 +375,6 @@ impl AskedEpisode {
             window: &self.window,
             image_budget: self.image_budget,
             text_budget: self.text_budget,
-            stage: None,
         };
         let items = memory.recall(&query)?;
         self.last_view = Some((now.state, frame.clone()));

@@ -137,8 +137,6 @@ pub struct Query<'a> {
     pub image_budget: u32,
     /// Most bytes of text in the answer.
     pub text_budget: u32,
-    /// Sub-goals that the agent has completed; `None` for an external memory.
-    pub stage: Option<u32>,
 }
 
 /// A past step of the running episode.

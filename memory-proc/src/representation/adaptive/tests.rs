@@ -88,14 +88,7 @@ fn live(memory: &mut Adaptive, number: u32, seen: &[Seen], success: Option<bool>
 fn supplied(memory: &mut Adaptive, pose: Pose, elapsed: usize, task: &str) -> (u32, u32, u32) {
     let view = angle(pose, 0.0);
     let now = step(elapsed, &(pose, None, Feedback::Start, 0.0), Some(&view));
-    let query = Query {
-        now,
-        instruction: task,
-        window: &[],
-        image_budget: 60,
-        text_budget: 0,
-        stage: Some(0),
-    };
+    let query = Query { now, instruction: task, window: &[], image_budget: 60, text_budget: 0 };
     match &memory.recall(&query).unwrap()[..] {
         [MemoryItem::Steps { source, .. }] => (source.demonstration, source.first, source.count),
         [] => (u32::MAX, 0, 0),

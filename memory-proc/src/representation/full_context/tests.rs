@@ -79,7 +79,7 @@ fn the_budget_is_shared_fairly() {
 fn supplied(demonstrations: &[RememberedDemonstration], keyframes: usize) -> Vec<Vec<u32>> {
     let mut memory = FullContext::new(keyframes, turns());
     build(&mut memory, demonstrations).unwrap();
-    let items = recall(&mut memory, None, 0, 3).unwrap();
+    let items = recall(&mut memory, None, 3).unwrap();
     let shown = items.into_iter().zip(0..).map(|(item, number)| match item {
         MemoryItem::Steps {
             source,
