@@ -75,7 +75,8 @@ impl Openai {
             }
         });
         let (token_fits, earlier) = (TokenFits::default(), HashMap::new());
-        let in_force = Arc::default();
+        let reasoning = client.settings().options.reasoning;
+        let in_force = Arc::new(Mutex::new(InForce::new(reasoning)));
         Self { client, settings, images, token_fits, in_force, earlier, answers }
     }
 
@@ -103,6 +104,7 @@ impl Decider for Openai {
 
     fn facts(&self) -> Vec<(&'static str, String)> {
         let OpenaiSettings { image_format, image_budget, answer_tokens } = &self.settings;
+        let temperature = self.client.settings().options.extra_body.get("temperature");
         vec![
             ("model", self.client.settings().model.clone()),
             ("endpoint", self.endpoint()),
@@ -112,7 +114,7 @@ impl Decider for Openai {
             ("image_format", image_format.described()),
             ("image_budget", image_budget.to_string()),
             ("answer_tokens", answer_tokens.to_string()),
-            ("temperature", "0".to_owned()),
+            ("temperature", temperature.map_or_else(|| "0".to_owned(), ToString::to_string)),
         ]
     }
 

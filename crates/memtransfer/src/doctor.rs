@@ -413,7 +413,7 @@ fn with_assets(mut command: Command, world: &WorldArgs) -> Command {
 
 /// Runs `command`; what it prints on stderr is the error.
 fn succeed(mut command: Command, stop: &AtomicBool) -> anyhow::Result<()> {
-    let output = supervise::output(&mut command, stop)?.context(STOPPED)?;
+    let output = supervise::output(supervise::without_keys(&mut command), stop)?.context(STOPPED)?;
     let message = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "{}", message.trim());
     Ok(())

@@ -46,6 +46,11 @@ pub(crate) struct ProbeArguments {
     /// Characters of documents in a prompt of the run
     #[arg(long, value_name = "N", default_value = "0")]
     document_chars: u32,
+    /// Maximum number of tokens of an answer of the run
+    #[arg(long, value_name = "N", default_value_t = prompt::ANSWER_TOKENS, value_parser = clap::value_parser!(u32).range(1..))]
+    answer_tokens: u32,
+    #[command(flatten)]
+    requests: super::openai::RequestArguments,
     /// Time limit of an attempt, in seconds
     #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = clap::value_parser!(u32).range(1..))]
     request_timeout: u32,
@@ -63,8 +68,10 @@ const MAX_RETRIES: u32 = 2;
 pub(crate) fn run(arguments: &ProbeArguments) -> anyhow::Result<ExitCode> {
     let given = arguments.base_url.as_deref().map(|url| (url, arguments.base_url_from));
     let servers = Servers::from_environment(given, Path::new("."))?;
+    let servers = servers.with_headers(&arguments.requests.header, true)?;
     ensure!(servers.others.is_empty(), "one server can be checked at a time: pass --base-url URL");
     let settings = ChatSettings {
+        options: arguments.requests.options(),
         request_timeout: Duration::from_secs(arguments.request_timeout.into()),
         max_retries: MAX_RETRIES,
         max_connections: arguments.together,
