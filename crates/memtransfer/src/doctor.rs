@@ -40,9 +40,9 @@ const STOPPED: &str = "stopped by a signal";
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Exit status 1 when something is missing. Frame size, image budget and time limit of the request to a
-model are those of a run: set MEMTRANSFER_FRAME_SIZE, MEMTRANSFER_IMAGE_BUDGET or
-MEMTRANSFER_REQUEST_TIMEOUT as for `memtransfer run`.
+Exit status 1 when something is missing. Requests to a model are those of a run with the settings of
+the environment: set MEMTRANSFER_IMAGE_BUDGET, MEMTRANSFER_REASONING and others as for
+`memtransfer run`.
 
 Examples:
   memtransfer doctor
@@ -50,8 +50,8 @@ Examples:
 pub(super) struct DoctorArgs {
     #[command(flatten)]
     world: WorldArgs,
-    /// Also check the server of this policy's model, with about twenty short requests and one of the
-    /// size that a run sends
+    /// Also check the server of this policy's model, with about thirty requests, some of them of the size
+    /// that a run sends
     #[arg(long, value_name = "POLICY", value_enum, requires = "model")]
     policy: Option<ModelPolicy>,
     /// With --policy openai: the model, by the name that the server knows
@@ -104,6 +104,14 @@ struct Probed {
     endpoint: String,
     model: String,
     findings: Vec<ProbedFinding>,
+    differences: Vec<ProbedDifference>,
+}
+
+#[derive(Deserialize)]
+struct ProbedDifference {
+    setting: String,
+    paper: String,
+    here: String,
 }
 
 #[derive(Deserialize)]
@@ -322,7 +330,9 @@ fn servers(args: &DoctorArgs) -> anyhow::Result<Servers> {
     let of_variable = of_variable.as_ref().and_then(Value::as_str);
     let given = args.base_url.as_deref().map(|url| (url, Source::CommandLine));
     let given = given.or(of_variable.map(|url| (url, Source::Environment)));
-    Ok(Servers::from_environment(given, Path::new("."))?)
+    let servers = Servers::from_environment(given, Path::new("."))?;
+    let model = args.model.as_deref().map(settings).transpose()?.and_then(|it| it.model);
+    Ok(servers.with_headers(&model.map(|model| model.header).unwrap_or_default(), false)?)
 }
 
 /// What one of the `servers` of a model can do. The whole report is the data of the first finding.
@@ -343,7 +353,7 @@ fn endpoint(
         bail!("{}", String::from_utf8_lossy(&output.stderr).trim());
     }
     let report: Value = serde_json::from_slice(&output.stdout).context("cannot read the probe")?;
-    let Probed { endpoint, model, findings } = Probed::deserialize(&report)?;
+    let Probed { endpoint, model, findings, differences } = Probed::deserialize(&report)?;
     let whole = DoctorFinding {
         data: Some(report),
         ..DoctorFinding::of(ENDPOINT, Ok(format!("{model} at {endpoint} ({})", servers.places())))
@@ -356,7 +366,20 @@ fn endpoint(
         data: None,
     });
     let too_small = size_without(&documents.missing()).into_iter();
-    Ok(std::iter::once(whole).chain(parts).chain(too_small).collect())
+    let compared = DoctorFinding::of("endpoint, against the paper", Ok(table(&differences)));
+    Ok(std::iter::once(whole).chain(parts).chain(too_small).chain([compared]).collect())
+}
+
+/// What a run does differently from the paper, one setting a line.
+fn table(differences: &[ProbedDifference]) -> String {
+    if differences.is_empty() {
+        return "a run with this server does nothing differently, as far as these checks show".to_owned();
+    }
+    let row = |ProbedDifference { setting, paper, here }: &ProbedDifference| {
+        format!("\n  {setting:20} {here} (paper: {paper})")
+    };
+    let rows: String = differences.iter().map(row).collect();
+    format!("what a run with this server does differently{rows}")
 }
 
 /// That the request of the run's size had no documents, if they are not built yet.
@@ -374,20 +397,36 @@ fn size_without(missing: &[DocumentName]) -> Option<DoctorFinding> {
     })
 }
 
-/// The probe's flags about the largest request of a run with these settings and documents.
+/// The probe's flags about the largest requests of a run with these settings and documents, one for each memory that no other
+/// exceeds in views and in documents.
 fn request_size(settings: &RunSettings, documents: &RunDocuments) -> Vec<String> {
     let window = settings.groups.iter().flat_map(|group| &group.window).max();
     let sizes = documents.sizes();
     let size = |condition| needed([condition]).iter().filter_map(|name| sizes.get(name)).sum();
-    let largest: u64 = settings.conditions().iter().map(size).max().unwrap_or(0);
-    let mut flags = vec![
+    let conditions = settings.conditions();
+    let mut memories: Vec<(String, u32, u64)> = Vec::new();
+    for condition in &conditions {
+        let views = settings.memory_images_of(condition.memory);
+        let one = (condition.memory.to_string(), views, size(condition));
+        if !memories.iter().any(|other| other.1 >= one.1 && other.2 >= one.2) {
+            memories.retain(|other| other.1 > one.1 || other.2 > one.2);
+            memories.push(one);
+        }
+    }
+    let memories = memories.into_iter().map(|(name, views, characters)| {
+        ("--memory-size", format!("{name}:{views}:{characters}"))
+    });
+    let mut flags = Vec::from_iter(memories);
+    flags.extend([
         ("--frame-size", settings.frame_size.to_string()),
-        ("--document-chars", largest.to_string()),
-        ("--keyframes", settings.keyframes.to_string()),
         ("--window", window.copied().unwrap_or(0).to_string()),
-    ];
+    ]);
     if let Some(model) = &settings.model {
+        flags.extend(model.extra_body.clone().map(|body| ("--extra-body", body)));
         flags.extend([
+            ("--answer-tokens", model.answer_tokens.to_string()),
+            ("--reasoning", model.reasoning.to_string()),
+            ("--system-role", model.system_role.to_string()),
             ("--image-budget", model.image_budget.to_string()),
             ("--image-format", model.image_format.to_string()),
             ("--request-timeout", model.request_timeout.to_string()),
