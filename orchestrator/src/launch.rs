@@ -245,6 +245,7 @@ fn policy_launch(settings: &RunSettings) -> Result<Option<Launch>> {
         policy.needs_keys = true;
         // Other users see the arguments of a process.
         let headers: Vec<String> = model.header.iter().map(SecretHeader::exposed).collect();
+        // One that is empty counts as not set.
         policy.env.push((HEADER_VARIABLE.into(), headers.join("\n").into()));
     }
     Ok(Some(policy))

@@ -25,9 +25,7 @@ pub(crate) fn decompressed(body: Vec<u8>, encoding: &str) -> Result<Vec<u8>, Str
     let mut content = Vec::new();
     let limit = LARGEST_ANSWER + 1;
     let read = match (&body[..], &*encoding) {
-        ([0x1f, 0x8b, ..], _) => {
-            MultiGzDecoder::new(&*body).take(limit).read_to_end(&mut content)
-        }
+        ([0x1f, 0x8b, ..], _) => MultiGzDecoder::new(&*body).take(limit).read_to_end(&mut content),
         ([0x78, flags, ..], _) if (0x7800 + u16::from(*flags)) % 31 == 0 => {
             ZlibDecoder::new(&*body).take(limit).read_to_end(&mut content)
         }
@@ -219,11 +217,26 @@ mod tests {
     fn what_is_wrong_with_the_bytes_is_said() {
         for (body, expected) in [
             (&b" \n"[..], "it is empty"),
-            (b"Bad Gateway", "it is not JSON: expected value at line 1 column 1; it begins with \"Bad Gateway\""),
-            (b"{\"a\": 1} {", "it is not JSON: it goes on with \"{\"; it begins with \"{\\\"a\\\": 1} {\""),
-            (b"\xff\xfe{\0", "it is not JSON: expected value at line 1 column 1; it begins with \"\u{fffd}\u{fffd}{\\0\""),
-            (b"data: {\"choices\": [{\"delta\": {\"content\": \"mov\"}}]}\n\n", "its stream breaks off"),
-            (b"data: {\"choices\"\n\n", "an event of its stream is not JSON: EOF while parsing an object at line 1 column 10"),
+            (
+                b"Bad Gateway",
+                "it is not JSON: expected value at line 1 column 1; it begins with \"Bad Gateway\"",
+            ),
+            (
+                b"{\"a\": 1} {",
+                "it is not JSON: it goes on with \"{\"; it begins with \"{\\\"a\\\": 1} {\"",
+            ),
+            (
+                b"\xff\xfe{\0",
+                "it is not JSON: expected value at line 1 column 1; it begins with \"\u{fffd}\u{fffd}{\\0\"",
+            ),
+            (
+                b"data: {\"choices\": [{\"delta\": {\"content\": \"mov\"}}]}\n\n",
+                "its stream breaks off",
+            ),
+            (
+                b"data: {\"choices\"\n\n",
+                "an event of its stream is not JSON: EOF while parsing an object at line 1 column 10",
+            ),
             (b": waiting\n\n", "its stream has no choices"),
         ] {
             assert_eq!(json(body).as_ref().map_err(String::as_str), Err(expected));
@@ -240,7 +253,8 @@ mod tests {
         assert_eq!(reply.pointer("/choices/0/message/content"), Some(&json!("move on")));
         assert_eq!(reply.pointer("/choices/0/finish_reason"), Some(&json!("stop")));
         assert_eq!(reply.pointer("/usage/prompt_tokens"), Some(&json!(7)));
-        let whole = json(b"data: {\"choices\": [{\"message\": {\"content\": \"a\"}}]}\n\n").unwrap();
+        let whole =
+            json(b"data: {\"choices\": [{\"message\": {\"content\": \"a\"}}]}\n\n").unwrap();
         assert_eq!(whole.pointer("/choices/0/message/content"), Some(&json!("a")));
         let failed = json(b"data: {\"error\": {\"message\": \"died\"}}\n\n").unwrap();
         assert_eq!(failed.pointer("/error/message"), Some(&json!("died")));

@@ -260,8 +260,9 @@ mod tests {
     #[test]
     fn many_write_and_read_at_once() {
         let folder = tempfile::tempdir().unwrap();
-        let keys: Vec<_> =
-            (0..5).map(|n| CacheKey::of(&ChatSettings::new("m"), &request("?", IMAGE), n).unwrap()).collect();
+        let keys: Vec<_> = (0..5)
+            .map(|n| CacheKey::of(&ChatSettings::new("m"), &request("?", IMAGE), n).unwrap())
+            .collect();
         std::thread::scope(|scope| {
             for _ in 0..8 {
                 let (folder, keys) = (folder.path(), &keys);

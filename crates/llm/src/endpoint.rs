@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use domain::SecretHeader;
-use ureq::http::header::{AUTHORIZATION, HeaderName, HeaderValue};
 use ureq::http::Uri;
+use ureq::http::header::{AUTHORIZATION, HeaderName, HeaderValue};
 
 use crate::api_key::ApiKey;
 
@@ -235,11 +235,12 @@ impl Endpoint {
     /// When a header cannot be sent.
     pub fn with_headers(mut self, headers: &[SecretHeader]) -> Result<Self, EndpointError> {
         for header in headers {
-            let wrong = |problem| {
-                EndpointError::Header { name: header.name().to_owned(), problem }
-            };
-            let secret = header.value().ok_or(wrong("has no value here, since values are kept nowhere: give it again"))?;
-            let name = HeaderName::try_from(header.name()).map_err(|_| wrong("has no valid name"))?;
+            let wrong = |problem| EndpointError::Header { name: header.name().to_owned(), problem };
+            let secret = header
+                .value()
+                .ok_or(wrong("has no value here, since values are kept nowhere: give it again"))?;
+            let name =
+                HeaderName::try_from(header.name()).map_err(|_| wrong("has no valid name"))?;
             if ["content-type", "content-length", "content-encoding", "transfer-encoding", "host"]
                 .contains(&name.as_str())
             {
@@ -630,7 +631,11 @@ mod tests {
                     let line = format!("{KEY_VARIABLE}={quote}{value}{quote} # comment\n");
                     let text = format!("{line}OPENAI_BASE_URL=http://a/v1\n");
                     let servers = resolve(None, &[], &text).unwrap();
-                    assert_eq!(sent(&servers.first), [format!("authorization: Bearer {value}")], "{line}");
+                    assert_eq!(
+                        sent(&servers.first),
+                        [format!("authorization: Bearer {value}")],
+                        "{line}"
+                    );
                 }
             }
         }
@@ -803,7 +808,12 @@ mod tests {
                 "",
                 "a header cannot carry",
             ),
-            (flag("http://a/v1"), (KEY_VARIABLE, "sk-very\u{2013}secret"), "", "a typographic dash"),
+            (
+                flag("http://a/v1"),
+                (KEY_VARIABLE, "sk-very\u{2013}secret"),
+                "",
+                "a typographic dash",
+            ),
             (flag("http://a:99999/v1"), ("", ""), "", "a port that is not from 1 to 65535"),
             (flag("http://[::1]:/v1"), ("", ""), "", "a port that is not from 1 to 65535"),
             (None, ("", ""), "OPENAI_API_KEY sk-very-secret", "is not NAME=value"),

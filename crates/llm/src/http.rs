@@ -285,7 +285,7 @@ impl HttpClient {
         AttemptError::Final(RequestError::Refused {
             endpoint: self.endpoint.to_string(),
             status: refusal.status,
-            message,
+            message: message.trim_end_matches('.').to_owned(),
             advice: refusal.advice(request, bytes, self.endpoint.has_key()),
             permanent: refusal.is_permanent(),
         })

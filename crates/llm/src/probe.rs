@@ -98,8 +98,8 @@ pub struct ProbeReport {
     pub run_sized: Option<RunSized>,
     /// The model's name in the server's answers.
     pub reported_model: Option<String>,
-    /// What a run with this server does otherwise than the paper, as far as the checks show.
-    pub differences: Vec<PaperDifference>,
+    /// What a run with this server does otherwise than the paper, as far as the checks show; `None` where they ended early.
+    pub differences: Option<Vec<PaperDifference>>,
 }
 
 impl ProbeReport {
@@ -132,14 +132,14 @@ pub fn run(
     let mut probe = ServerProbe {
         client,
         answer_tokens,
-        reasoned: false,
+        reasoned: Some(false),
         report: ProbeReport {
             endpoint: client.http().endpoint().to_string(),
             model: client.settings().model.clone(),
             findings: Vec::new(),
             run_sized: None,
             reported_model: None,
-            differences: Vec::new(),
+            differences: None,
         },
     };
     if probe.reach() && probe.answer() {
@@ -162,8 +162,8 @@ struct ServerProbe<'a> {
     client: &'a ChatClient,
     /// Maximum number of tokens of a short answer, as in the run.
     answer_tokens: u32,
-    /// Whether a reply showed reasoning.
-    reasoned: bool,
+    /// Whether a reply showed reasoning; `None` where none shows that there was none.
+    reasoned: Option<bool>,
     report: ProbeReport,
 }
 
@@ -210,13 +210,14 @@ impl ServerProbe<'_> {
     /// Whether a server is there, and knows the model.
     fn reach(&mut self) -> bool {
         let start = Instant::now();
-        let (server, models) = match models(self.client.http()) {
+        let timeout = self.client.settings().request_timeout.min(LIST_TIMEOUT);
+        let (server, models) = match models(self.client.http(), timeout) {
             Ok(answer) => answer,
             // The rest of the server may work.
             Err(Transient::Timeout(_)) => {
                 let about = format!(
                     "the list of models did not come within {} s; the other checks go on",
-                    LIST_TIMEOUT.as_secs()
+                    timeout.as_secs()
                 );
                 self.found("reachable", ProbeMark::Doubtful, about);
                 return true;
@@ -304,7 +305,7 @@ impl ServerProbe<'_> {
         self.found("answers", mark, about);
         let (mark, about) = self.reasoning(&reply);
         self.found("reasoning off", mark, about);
-        self.reasoned = reply.reasoned;
+        self.reasoned = (reply.reasoned || mark == ProbeMark::Ok).then_some(reply.reasoned);
         self.report.reported_model = reply.model;
         true
     }
@@ -349,19 +350,19 @@ impl ServerProbe<'_> {
         let role = self.client.settings().options.system_role;
         let (mark, about) = match self.try_once(&request) {
             TrialOutcome::Accepted(reply) if names(&reply, CODE_WORD) => {
-                (ProbeMark::Ok, format!("the model follows rules that are sent as {role}"))
+                (ProbeMark::Ok, format!("the model follows rules in the role {role}"))
             }
             TrialOutcome::Accepted(reply) => (
                 ProbeMark::Doubtful,
                 format!(
-                    "{:?} although the rules, sent as {role}, ask for another word: the model may not see them. Try \
+                    "{:?} although the rules, in the role {role}, ask for another word: the model may not see them. Try \
                      --system-role user.",
                     short(reply.text())
                 ),
             ),
             TrialOutcome::Refused(message) => (
                 ProbeMark::Bad,
-                format!("rules that are sent as {role} are refused: {message}. Try --system-role user."),
+                format!("rules in the role {role} are refused: {message}. Try --system-role user."),
             ),
             TrialOutcome::Failed(problem) => (ProbeMark::Doubtful, format!("not known: {problem}")),
         };
@@ -401,7 +402,9 @@ impl ServerProbe<'_> {
         let ways = ways.join(", ");
         let sent = http.dialect().constraints(&settings.options).join(" and ");
         let (mark, about) = match usual {
-            Ok(true) => (ProbeMark::Ok, format!("the server restricts answers to the actions ({ways})")),
+            Ok(true) => {
+                (ProbeMark::Ok, format!("the server restricts answers to the actions ({ways})"))
+            }
             Ok(false) if working == ["response_format"] => (
                 ProbeMark::Doubtful,
                 format!(
@@ -411,7 +414,9 @@ impl ServerProbe<'_> {
             ),
             Ok(false) => (
                 ProbeMark::Doubtful,
-                format!("the server does not restrict answers, so the action is read from the model's text ({ways})"),
+                format!(
+                    "the server does not restrict answers, so the action is read from the model's text ({ways})"
+                ),
             ),
             Err(error) => (
                 ProbeMark::Doubtful,
@@ -449,7 +454,8 @@ impl ServerProbe<'_> {
     /// Whether the model sees images, in order and whole; `false` when the server takes none.
     fn images(&mut self) -> bool {
         const SAME: &str = "the server may take an answer from a cache that ignores images";
-        let (tokens, [red, blue]) = (self.answer_tokens, [RED, BLUE].map(|rgba| square(rgba, rgba)));
+        let (tokens, [red, blue]) =
+            (self.answer_tokens, [RED, BLUE].map(|rgba| square(rgba, rgba)));
         let question = "What colour is the square? Answer with one word.";
         let advice = "Serve a model that sees (for llama.cpp with its --mmproj file), or run with --image-budget 0.";
         let alone = [&red, &blue].map(|image| about_images(question, &[image], tokens));
@@ -467,14 +473,17 @@ impl ServerProbe<'_> {
         };
         self.found("images", mark, about);
 
-        let question = "Which colours have these two squares, the first one first? Answer with two words.";
+        let question =
+            "Which colours have these two squares, the first one first? Answer with two words.";
         let pairs = [[&red, &blue], [&blue, &red]];
         let pairs = pairs.map(|pair| about_images(question, &pair, tokens));
         let advice = "Raise the server's bound on images, or run with --image-budget 1.";
         let Some([red_blue, blue_red]) = self.shown("images in order", pairs, advice) else {
             return true;
         };
-        let story = format!("{red_blue:?} to a red and a blue square, {blue_red:?} to a blue and a red one");
+        let story = format!(
+            "{red_blue:?} to a red and a blue square, {blue_red:?} to a blue and a red one"
+        );
         let (mark, about) = match (&*colours(&red_blue), &*colours(&blue_red)) {
             (["red", "blue", ..], ["blue", "red", ..]) => (ProbeMark::Ok, story),
             _ => (
@@ -490,7 +499,9 @@ impl ServerProbe<'_> {
         let halves = [RED, BLUE].map(|rgba| square(GREY, rgba));
         let halves = halves.each_ref().map(|image| about_images(question, &[image], tokens));
         let advice = "Serve a model that sees.";
-        let Some([to_red, to_blue]) = self.shown("images whole", halves, advice) else { return true };
+        let Some([to_red, to_blue]) = self.shown("images whole", halves, advice) else {
+            return true;
+        };
         let story = format!("{to_red:?} to a red lower half, {to_blue:?} to a blue one");
         let (mark, about) = if colours(&to_red) == ["red"] && colours(&to_blue) == ["blue"] {
             (ProbeMark::Ok, story)
@@ -559,7 +570,9 @@ impl ServerProbe<'_> {
         } else if added * 2 < each * u64::from(images) {
             (
                 ProbeMark::Bad,
-                format!("{story}: the server drops images, or cuts the prompt. Check its settings and its context."),
+                format!(
+                    "{story}: the server drops images, or cuts the prompt. Check its settings and its context."
+                ),
             )
         } else {
             (ProbeMark::Ok, story)
@@ -595,7 +608,10 @@ impl ServerProbe<'_> {
             }
         }
         let (mark, about) = if missed.is_empty() {
-            (ProbeMark::Ok, "the model knows a word from the first line of the longest prompts".to_owned())
+            (
+                ProbeMark::Ok,
+                "the model knows a word from the first line of the longest prompts".to_owned(),
+            )
         } else {
             (
                 ProbeMark::Doubtful,
@@ -622,11 +638,13 @@ impl ServerProbe<'_> {
             None => refused.contains(&"temperature").then(|| "the model's own".to_owned()),
         };
         let reasoning = match (asked, self.reasoned) {
-            (ReasoningRequest::Off, false) => None,
-            (ReasoningRequest::Off, true) => Some("on".to_owned()),
+            (ReasoningRequest::Off, Some(false)) => None,
+            (ReasoningRequest::Off, Some(true)) => Some("on".to_owned()),
+            (ReasoningRequest::Off, None) => Some("not known".to_owned()),
             (asked, _) => Some(asked.to_string()),
         };
-        let role = (options.system_role != SystemRole::System).then(|| options.system_role.to_string());
+        let role =
+            (options.system_role != SystemRole::System).then(|| options.system_role.to_string());
         let extra = (!options.extra_body.is_empty())
             .then(|| serde_json::Value::Object(options.extra_body.clone()).to_string());
         let tokens =
@@ -643,7 +661,7 @@ impl ServerProbe<'_> {
         let difference = |(setting, paper, here): (_, _, Option<String>)| {
             Some(PaperDifference { setting, paper, here: here? })
         };
-        self.report.differences = rows.into_iter().filter_map(difference).collect();
+        self.report.differences = Some(rows.into_iter().filter_map(difference).collect());
     }
 
     /// Whether the same question gets the same answer.
@@ -727,8 +745,11 @@ enum ModelList {
 }
 
 /// The `Server` header, and the list of models.
-fn models(client: &HttpClient) -> Result<(Option<String>, ModelList), Transient> {
-    let page = client.get(&client.endpoint().page("/models"), LIST_TIMEOUT)?;
+fn models(
+    client: &HttpClient,
+    timeout: Duration,
+) -> Result<(Option<String>, ModelList), Transient> {
+    let page = client.get(&client.endpoint().page("/models"), timeout)?;
     if page.status != 200 {
         let message = reply::error_message(&page.body, |text| client.endpoint().masked(text));
         return Ok((page.server, ModelList::Refused(page.status, message)));

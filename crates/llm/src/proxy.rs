@@ -8,9 +8,8 @@ pub(crate) fn of(
     target: &Uri,
     variable: impl Fn(&str) -> Option<String>,
 ) -> Option<(&'static str, String)> {
-    let set = |name: &'static str| {
-        Some((name, variable(name).filter(|value| !value.trim().is_empty())?))
-    };
+    let set =
+        |name: &'static str| Some((name, variable(name).filter(|value| !value.trim().is_empty())?));
     let of_scheme: &[&str] = match target.scheme_str() {
         Some("https") => &["https_proxy", "HTTPS_PROXY"],
         _ => &["http_proxy"],
@@ -46,19 +45,34 @@ mod tests {
         for (url, environment, expected) in [
             (http, &[("HTTPS_PROXY", "http://p:1"), ("HTTP_PROXY", "http://p:2")][..], None),
             (http, &[("http_proxy", "p:2")], Some("http://p:2")),
-            (https, &[("HTTPS_PROXY", "http://p:1"), ("ALL_PROXY", "http://p:3")], Some("http://p:1")),
+            (
+                https,
+                &[("HTTPS_PROXY", "http://p:1"), ("ALL_PROXY", "http://p:3")],
+                Some("http://p:1"),
+            ),
             (https, &[("https_proxy", " "), ("all_proxy", "http://p:3")], Some("http://p:3")),
             (https, &[("HTTPS_PROXY", "p:1"), ("NO_PROXY", "b.org, .example.com")], None),
             (https, &[("HTTPS_PROXY", "p:1"), ("NO_PROXY", "a.example.com")], None),
-            (https, &[("HTTPS_PROXY", "p:1"), ("no_proxy", "xample.com,b.a.example.com")], Some("http://p:1")),
+            (
+                https,
+                &[("HTTPS_PROXY", "p:1"), ("no_proxy", "xample.com,b.a.example.com")],
+                Some("http://p:1"),
+            ),
             (https, &[("HTTPS_PROXY", "p:1"), ("NO_PROXY", "*")], None),
             ("http://[::1]:8/v1", &[("ALL_PROXY", "p:1"), ("NO_PROXY", "::1")], None),
         ] {
             let variable = |name: &str| {
-                environment.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned())
+                environment
+                    .iter()
+                    .find(|(key, _)| *key == name)
+                    .map(|(_, value)| (*value).to_owned())
             };
             let found = of(&url.parse().unwrap(), variable);
-            assert_eq!(found.as_ref().map(|(_, proxy)| proxy.as_str()), expected, "{environment:?}");
+            assert_eq!(
+                found.as_ref().map(|(_, proxy)| proxy.as_str()),
+                expected,
+                "{environment:?}"
+            );
         }
     }
 }

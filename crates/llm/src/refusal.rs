@@ -112,7 +112,9 @@ impl<'a> Refusal<'a> {
 
     /// Whether another attempt cannot meet another answer.
     pub(crate) fn is_final(&self) -> bool {
-        !crate::server::is_transient(self.status) || self.is_out_of_credit() || self.is_of_template()
+        !crate::server::is_transient(self.status)
+            || self.is_out_of_credit()
+            || self.is_of_template()
     }
 
     /// Whether every other request of the run would meet the same refusal.
@@ -136,7 +138,8 @@ impl<'a> Refusal<'a> {
         let images = request.images();
         let says = |words: &[&str]| has_any(&self.text, words);
         if self.is_out_of_credit() || self.status == 402 {
-            return "the account of this key has nothing left to spend: see its billing page".to_owned();
+            return "the account of this key has nothing left to spend: see its billing page"
+                .to_owned();
         }
         if self.is_of_template() {
             return "the model's chat template refuses the roles of the conversation: try --system-role user".to_owned();
@@ -156,7 +159,9 @@ impl<'a> Refusal<'a> {
                 "the request has {images} images: lower --image-budget, or raise the server's context or its bound on \
                  images"
             ),
-            _ if says(&["system"]) => "if it is about the system message, try --system-role user".to_owned(),
+            _ if says(&["system"]) => {
+                "if it is about the system message, try --system-role user".to_owned()
+            }
             _ if says(&LENGTH_WORDS) => {
                 "check that the server takes requests of this length: raise its context".to_owned()
             }
@@ -187,7 +192,9 @@ impl<'a> Refusal<'a> {
         text.match_indices(field).any(|(at, _)| {
             let before = text[..at].trim_end_matches(|c: char| !c.is_ascii_alphanumeric());
             ["use", "with", "by"].iter().any(|word| {
-                before.strip_suffix(word).is_some_and(|before| !before.ends_with(char::is_alphanumeric))
+                before
+                    .strip_suffix(word)
+                    .is_some_and(|before| !before.ends_with(char::is_alphanumeric))
             })
         })
     }
@@ -220,7 +227,8 @@ fn sentence_names(text: &str, field: &str) -> bool {
         let after = text[at + end.len_utf8()..].chars().next();
         matches!(end, '\n' | ';') || end == '.' && after.is_none_or(char::is_whitespace)
     };
-    let ends = text.char_indices().filter(|found| ends(*found)).map(|(at, end)| at + end.len_utf8());
+    let ends =
+        text.char_indices().filter(|found| ends(*found)).map(|(at, end)| at + end.len_utf8());
     let mut begin = 0;
     let mut sentences = Vec::new();
     for end in ends.chain([text.len()]) {
@@ -245,21 +253,46 @@ mod tests {
     fn a_field_is_at_fault_where_the_server_names_it_so() {
         for (field, body) in [
             ("temperature", r#"{"error":{"message":"Invalid value","param":"temperature"}}"#),
-            ("temperature", r#"{"error":{"message":"Unsupported value: 'temperature' does not support 0 with this model. Only the default (1) value is supported."}}"#),
+            (
+                "temperature",
+                r#"{"error":{"message":"Unsupported value: 'temperature' does not support 0 with this model. Only the default (1) value is supported."}}"#,
+            ),
             ("temperature", r#"{"error":"`temperature` is deprecated for this model."}"#),
+            (
+                "reasoning_effort",
+                r#"{"error":{"message":"Unsupported value: 'reasoning_effort' does not support 'none' with this model. Supported values are: 'low', 'medium', and 'high'."}}"#,
+            ),
             ("thinking", r#"{"error":{"message":"thinking: Extra inputs are not permitted"}}"#),
-            ("thinking_mode", r#"{"detail":[{"type":"extra_forbidden","loc":["body","thinking_mode"]}]}"#),
+            (
+                "thinking_mode",
+                r#"{"detail":[{"type":"extra_forbidden","loc":["body","thinking_mode"]}]}"#,
+            ),
             ("thinking_mode", "body.thinking_mode: property unsupported"),
             ("grammar", "Unrecognized request arguments supplied: grammar, thinking"),
-            ("enable_thinking", r#"[{"error":{"message":"Unknown name \"enable_thinking\": Cannot find field."}}]"#),
-            ("response_format", r#"{"error":{"message":"This response_format type is unavailable now"}}"#),
+            (
+                "enable_thinking",
+                r#"[{"error":{"message":"Unknown name \"enable_thinking\": Cannot find field."}}]"#,
+            ),
+            (
+                "response_format",
+                r#"{"error":{"message":"This response_format type is unavailable now"}}"#,
+            ),
         ] {
             assert!(refusal(400, body).is_about(field), "{body}");
         }
         for (field, body) in [
-            ("thinking", r#"{"error":{"message":"The context length is 4096 tokens; thinking tokens count. Images are not supported."}}"#),
-            ("max_tokens", r#"{"error":{"message":"'max_tokens' or 'max_completion_tokens' is too large: 30. Your request has 4090 tokens.","param":"input"}}"#),
-            ("thinking", r#"{"detail":[{"loc":["body","messages"],"msg":"not supported","input":"thinking"}]}"#),
+            (
+                "thinking",
+                r#"{"error":{"message":"The context length is 4096 tokens; thinking tokens count. Images are not supported."}}"#,
+            ),
+            (
+                "max_tokens",
+                r#"{"error":{"message":"'max_tokens' or 'max_completion_tokens' is too large: 30. Your request has 4090 tokens.","param":"input"}}"#,
+            ),
+            (
+                "thinking",
+                r#"{"detail":[{"loc":["body","messages"],"msg":"not supported","input":"thinking"}]}"#,
+            ),
             ("grammar", r#"{"error":"unsupported: grammars"}"#),
         ] {
             assert!(!refusal(400, body).is_about(field), "{body}");
@@ -297,13 +330,22 @@ mod tests {
             (404, page, true, true),
             (413, page, true, false),
             (500, "oh", false, false),
-            (500, "After the optional system message, conversation roles must alternate", true, true),
+            (
+                500,
+                "After the optional system message, conversation roles must alternate",
+                true,
+                true,
+            ),
             (503, page, false, true),
             (400, "Only user and assistant roles are supported, got system", true, true),
             (400, "at most 4 images", true, false),
         ] {
             let refusal = refusal(status, body);
-            assert_eq!((refusal.is_final(), refusal.is_permanent()), (is_final, is_permanent), "{status} {body}");
+            assert_eq!(
+                (refusal.is_final(), refusal.is_permanent()),
+                (is_final, is_permanent),
+                "{status} {body}"
+            );
         }
         for status in [408, 409, 421, 424, 425, 429, 499, 500, 503, 520, 529] {
             assert!(!refusal(status, "try again").is_final(), "{status}");
@@ -319,7 +361,11 @@ mod tests {
         with_image.messages[0].content = crate::MessageContent::Parts(vec![image]);
         let advice = |status, body: &str| refusal(status, body).advice(&with_image, 9000, true);
         for (status, body, expected) in [
-            (400, "Image count 6 exceeds limit 4", "the request has 1 images: lower --image-budget"),
+            (
+                400,
+                "Image count 6 exceeds limit 4",
+                "the request has 1 images: lower --image-budget",
+            ),
             (400, "maximum context length is 4096 tokens", "lower --image-budget"),
             (413, "", "9000 bytes and 1 images"),
             (402, "", "nothing left to spend"),
@@ -332,7 +378,8 @@ mod tests {
         for body in ["`temperature` is out of range", "no"] {
             assert!(!advice(400, body).contains("image"), "{body}");
         }
-        let text = refusal(400, "maximum context length").advice(&ChatRequest::text("?", 9), 9, true);
+        let text =
+            refusal(400, "maximum context length").advice(&ChatRequest::text("?", 9), 9, true);
         assert!(!text.contains("image"), "{text}");
     }
 }

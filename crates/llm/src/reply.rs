@@ -299,8 +299,11 @@ fn is_reasoning(part: &Value) -> bool {
 }
 
 /// What opens and closes reasoning in a text: most models; some; Kimi.
-const REASONING_TAGS: [(&str, &str); 3] =
-    [("<think>", "</think>"), ("<thinking>", "</thinking>"), ("\u{25c1}think\u{25b7}", "\u{25c1}/think\u{25b7}")];
+const REASONING_TAGS: [(&str, &str); 3] = [
+    ("<think>", "</think>"),
+    ("<thinking>", "</thinking>"),
+    ("\u{25c1}think\u{25b7}", "\u{25c1}/think\u{25b7}"),
+];
 
 /// Whether the answer begins with reasoning, and the answer without it and without surrounding white space. Reasoning
 /// that was cut off leaves an empty answer. Some chat templates open the reasoning, so that the text only closes it.
@@ -401,7 +404,10 @@ mod tests {
                 r#"{"message":{"content":[{"type":"reasoning","text":"South?"},{"type":"text","text":"North"}]}}"#,
                 Text("North".into()),
             ),
-            (r#"{"message":{"content":""},"finish_reason":"content-filter"}"#, Refusal(String::new())),
+            (
+                r#"{"message":{"content":""},"finish_reason":"content-filter"}"#,
+                Refusal(String::new()),
+            ),
             (
                 r#"{"message":{"content":null,"refusal":"I cannot."},"finish_reason":"stop"}"#,
                 Refusal("I cannot.".into()),
@@ -461,7 +467,11 @@ mod tests {
             (r#""content":"<think>\n</think>North""#, "{}", false),
             (r#""content":"<think>hm</think>North""#, "{}", true),
             (r#""content":"hm</think>North""#, "{}", true),
-            (r#""content":[{"type":"thinking","thinking":[]},{"type":"text","text":"North"}]"#, "{}", true),
+            (
+                r#""content":[{"type":"thinking","thinking":[]},{"type":"text","text":"North"}]"#,
+                "{}",
+                true,
+            ),
             (
                 r#""content":"North","reasoning_details":[{"type":"reasoning.encrypted"}]"#,
                 "{}",

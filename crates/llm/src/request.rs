@@ -168,10 +168,7 @@ fn bit(field: &str) -> u32 {
 }
 
 /// The optional fields of a request.
-fn optional_fields(
-    reasoning: ReasoningRequest,
-    choices: &[String],
-) -> Vec<(&'static str, Value)> {
+fn optional_fields(reasoning: ReasoningRequest, choices: &[String]) -> Vec<(&'static str, Value)> {
     let mut fields = match reasoning {
         ReasoningRequest::Model => Vec::new(),
         ReasoningRequest::Off => vec![
@@ -268,7 +265,9 @@ fn with_role(messages: &[ChatMessage], role: SystemRole) -> Cow<'_, [ChatMessage
             let mut all = Vec::new();
             for message in messages {
                 match (message.role, &message.content) {
-                    (ChatRole::System, MessageContent::Text(text)) => rules += &format!("{text}\n\n"),
+                    (ChatRole::System, MessageContent::Text(text)) => {
+                        rules += &format!("{text}\n\n")
+                    }
                     (ChatRole::User, content) if !rules.is_empty() => {
                         let content = content.after(&std::mem::take(&mut rules));
                         all.push(ChatMessage { role: ChatRole::User, content });

@@ -30,9 +30,8 @@ impl Default for RequestOptions {
 /// # Errors
 /// When the text is none, or has a field that is the run's own.
 pub fn extra_body(text: &str) -> Result<Map<String, Value>, String> {
-    let fields: Map<String, Value> = serde_json::from_str(text).map_err(|error| {
-        format!("it is not a JSON object such as {{\"top_k\": 1}}: {error}")
-    })?;
+    let fields: Map<String, Value> = serde_json::from_str(text)
+        .map_err(|error| format!("it is not a JSON object such as {{\"top_k\": 1}}: {error}"))?;
     match REQUEST_FIELDS.iter().find(|own| fields.contains_key(**own)) {
         Some(own) => Err(format!("the run sets {own:?} itself")),
         None => Ok(fields),

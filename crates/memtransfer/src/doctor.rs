@@ -4,22 +4,24 @@ use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::AtomicBool;
+use std::time::SystemTime;
 
 use anyhow::{Context, anyhow, bail, ensure};
 use clap::{Args, ValueEnum};
 use conditions::settings::RunSettings;
 use documents::DocumentName;
-use domain::{Pose, cache_folder};
+use domain::{Pose, cache_folder, create_private_folder};
 use llm::{Endpoint, Servers, Source};
 use orchestrator::documents::needed;
 use orchestrator::run_documents::{RunDocuments, listed};
 use orchestrator::scratch::{self, ScratchFolder};
 use orchestrator::selection::SelectedCases;
+use run_log::DOCTOR_FILE;
 use rustix::fs::{Access, access};
 use rustix::io::Errno;
 use rustix::process::{Resource, getrlimit};
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::{Value, json};
 use settings::{Layer, resolve, variable};
 use shm_types::process::{SHARED_MEMORY, check_shared_memory};
 use shm_types::{RunDir, registry};
@@ -104,7 +106,7 @@ struct Probed {
     endpoint: String,
     model: String,
     findings: Vec<ProbedFinding>,
-    differences: Vec<ProbedDifference>,
+    differences: Option<Vec<ProbedDifference>>,
 }
 
 #[derive(Deserialize)]
@@ -353,6 +355,11 @@ fn endpoint(
         bail!("{}", String::from_utf8_lossy(&output.stderr).trim());
     }
     let report: Value = serde_json::from_slice(&output.stdout).context("cannot read the probe")?;
+    // What is wrong with the cache folder is another finding.
+    let kept = cache_folder().map_err(anyhow::Error::from);
+    if let Err(error) = kept.and_then(|cache| keep_report(&cache, model, server, &report)) {
+        tracing::warn!("the report is not kept for runs: {error:#}");
+    }
     let Probed { endpoint, model, findings, differences } = Probed::deserialize(&report)?;
     let whole = DoctorFinding {
         data: Some(report),
@@ -366,14 +373,57 @@ fn endpoint(
         data: None,
     });
     let too_small = size_without(&documents.missing()).into_iter();
-    let compared = DoctorFinding::of("endpoint, against the paper", Ok(table(&differences)));
-    Ok(std::iter::once(whole).chain(parts).chain(too_small).chain([compared]).collect())
+    let compared = differences.map(|differences| {
+        DoctorFinding::of("endpoint, against the paper", Ok(table(&differences)))
+    });
+    Ok(std::iter::once(whole).chain(parts).chain(too_small).chain(compared).collect())
+}
+
+/// The file in the cache folder of the last report about `model` at a server.
+fn report_file(cache: &Path, model: &str, server: &Endpoint) -> PathBuf {
+    let plain = |c: char| if c.is_ascii_alphanumeric() || c == '.' { c } else { '-' };
+    let name = format!("{model} {}", server.base());
+    let name: String = name.chars().take(LONGEST_NAME).map(plain).collect();
+    cache.join("doctor").join(format!("{name}.json"))
+}
+
+/// Characters of a report's file name, which a model's name may exceed.
+const LONGEST_NAME: usize = 200;
+
+fn keep_report(cache: &Path, model: &str, server: &Endpoint, report: &Value) -> anyhow::Result<()> {
+    let path = report_file(cache, model, server);
+    create_private_folder(&cache.join("doctor"))?;
+    let checked = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH)?.as_secs();
+    let kept = json!({"checked": checked, "report": report});
+    Ok(durable::output::write(&path, serde_json::to_vec(&kept)?)?)
+}
+
+/// Copies the last reports about the servers of `model` into the folder `out` of a run, each with the time in seconds since
+/// 1970 at which it was made.
+pub(super) fn copy_reports(
+    cache: &Path,
+    model: &str,
+    servers: &Servers,
+    out: &Path,
+) -> anyhow::Result<()> {
+    let read = |server| {
+        let kept = durable::input::read(&report_file(cache, model, server)).ok()?;
+        serde_json::from_slice::<Value>(&kept).ok()
+    };
+    let reports: Vec<Value> = servers.all().filter_map(read).collect();
+    if reports.is_empty() {
+        return Ok(());
+    }
+    let path = out.join(DOCTOR_FILE);
+    let written = durable::output::write(&path, serde_json::to_vec_pretty(&reports)?);
+    written.with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// What a run does differently from the paper, one setting a line.
 fn table(differences: &[ProbedDifference]) -> String {
     if differences.is_empty() {
-        return "a run with this server does nothing differently, as far as these checks show".to_owned();
+        return "a run with this server does nothing differently, as far as these checks show"
+            .to_owned();
     }
     let row = |ProbedDifference { setting, paper, here }: &ProbedDifference| {
         format!("\n  {setting:20} {here} (paper: {paper})")
@@ -413,9 +463,9 @@ fn request_size(settings: &RunSettings, documents: &RunDocuments) -> Vec<String>
             memories.push(one);
         }
     }
-    let memories = memories.into_iter().map(|(name, views, characters)| {
-        ("--memory-size", format!("{name}:{views}:{characters}"))
-    });
+    let memories = memories
+        .into_iter()
+        .map(|(name, views, characters)| ("--memory-size", format!("{name}:{views}:{characters}")));
     let mut flags = Vec::from_iter(memories);
     flags.extend([
         ("--frame-size", settings.frame_size.to_string()),
@@ -452,7 +502,8 @@ fn with_assets(mut command: Command, world: &WorldArgs) -> Command {
 
 /// Runs `command`; what it prints on stderr is the error.
 fn succeed(mut command: Command, stop: &AtomicBool) -> anyhow::Result<()> {
-    let output = supervise::output(supervise::without_keys(&mut command), stop)?.context(STOPPED)?;
+    let output =
+        supervise::output(supervise::without_keys(&mut command), stop)?.context(STOPPED)?;
     let message = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "{}", message.trim());
     Ok(())
@@ -480,12 +531,31 @@ mod tests {
         let documents = RunDocuments::of(&settings, &crate::estimate::tests::books(), false);
         insta::assert_snapshot!(
             request_size(&settings, &documents).join(" "),
-            @"--frame-size 128 --document-chars 0 --keyframes 40 --window 9 --image-budget 12 --image-format png --request-timeout 77"
+            @"--memory-size working:0:0 --frame-size 128 --window 9 --answer-tokens 30 --reasoning off --system-role system --image-budget 12 --image-format png --request-timeout 77"
         );
         let finding = size_without(&documents.missing()).unwrap();
         assert!(finding.ok && finding.doubtful);
         assert!(finding.about.contains("without summary/original, semantic/original, which"));
         assert!(size_without(&[]).is_none());
+    }
+
+    #[test]
+    fn the_last_report_about_a_server_is_kept_with_its_runs() {
+        let (cache, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let given = Some(("http://a/v1,http://b/v1", Source::CommandLine));
+        let servers = Servers::from_environment(given, cache.path()).unwrap();
+        let copy = |model| copy_reports(cache.path(), model, &servers, out.path()).unwrap();
+        for report in [json!({"findings": 1}), json!({"findings": 2})] {
+            keep_report(cache.path(), "org/m", &servers.first, &report).unwrap();
+        }
+        copy("other");
+        assert!(!out.path().join(DOCTOR_FILE).exists());
+        copy("org/m");
+        let copied = std::fs::read(out.path().join(DOCTOR_FILE)).unwrap();
+        let copied: Value = serde_json::from_slice(&copied).unwrap();
+        assert_eq!(copied.as_array().map(Vec::len), Some(1));
+        assert_eq!(copied[0]["report"]["findings"], 2);
+        assert!(copied[0]["checked"].as_u64() > Some(1_700_000_000));
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::path::Path;
 use anyhow::{Result, anyhow};
 use conditions::settings::{Group, RunSettings};
 use conditions::{Demonstrations, Route, Start};
-use domain::{SecretHeader, shell_word};
+use domain::{SecretHeader, cache_folder, shell_word};
 use llm::{Servers, Source};
 use orchestrator::invocation::Invocation;
 use orchestrator::launch;
@@ -16,6 +16,7 @@ use orchestrator::run::{self, RunOutcome};
 use orchestrator::run_plan::RunPlan;
 use rustix::io::Errno;
 
+use super::doctor::copy_reports;
 use super::run::flags::RunOptions;
 use super::{Exit, in_one_line};
 use crate::signals::{self, Signals};
@@ -42,6 +43,7 @@ pub(super) fn invocation<'a>(options: &'a RunOptions, signals: &'a Signals) -> I
             if !quiet {
                 say!("asking {} at {servers}", model.model);
             }
+            copy_reports(&cache_folder()?, &model.model, &servers, &settings.out)?;
             launch::tell_source_of_base_url(pipeline, base_url_source.word());
             Ok(())
         }),

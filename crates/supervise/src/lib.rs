@@ -479,3 +479,17 @@ pub fn sibling(name: &str) -> Result<PathBuf> {
     );
     Ok(sibling)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_reach_only_programs_that_may_ask_a_model() {
+        let mut command = Command::new("x");
+        let removed: Vec<_> = without_keys(&mut command).get_envs().collect();
+        let expected = ["MEMTRANSFER_HEADER", "OPENAI_API_KEY"].map(|name| (name.as_ref(), None));
+        assert_eq!(removed, expected);
+        assert!(Launch::command(Role::Policy, "python policy.py").unwrap().needs_keys);
+    }
+}

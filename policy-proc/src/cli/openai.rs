@@ -7,7 +7,8 @@ use anyhow::Context;
 use clap::Args;
 use domain::{HEADER_VARIABLE, ReasoningRequest, SecretHeader, SystemRole};
 use llm::{
-    ChatClient, ChatSettings, EndpointLimit, ReplyCache, RequestOptions, Servers, Source, extra_body,
+    ChatClient, ChatSettings, EndpointLimit, ReplyCache, RequestOptions, Servers, Source,
+    extra_body,
 };
 use policy_proc::openai::{Openai, OpenaiSettings};
 use prompt::image::ImageFormat;

@@ -131,12 +131,14 @@ fn plain(report: &ProbeReport) -> String {
         };
         lines += &format!("{mark} {what}: {about}\n");
     }
-    lines += "what a run with this server does differently from the paper:\n";
-    if report.differences.is_empty() {
-        lines += "  nothing, as far as these checks show\n";
-    }
-    for PaperDifference { setting, paper, here } in &report.differences {
-        lines += &format!("  {setting:20} {here} (paper: {paper})\n");
+    if let Some(differences) = &report.differences {
+        lines += "what a run with this server does differently from the paper:\n";
+        if differences.is_empty() {
+            lines += "  nothing, as far as these checks show\n";
+        }
+        for PaperDifference { setting, paper, here } in differences {
+            lines += &format!("  {setting:20} {here} (paper: {paper})\n");
+        }
     }
     lines.trim_end().to_owned()
 }

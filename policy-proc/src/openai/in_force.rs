@@ -49,7 +49,9 @@ impl InForce {
         let mut facts = vec![("answers", self.answers()), ("reasoning", self.reasoning())];
         let others = self.refused_of(FieldKind::Other);
         if !others.is_empty() {
-            let fields = others.join(", ").replace("max_tokens", "max_tokens (max_completion_tokens is sent)");
+            let fields = others
+                .join(", ")
+                .replace("max_tokens", "max_tokens (max_completion_tokens is sent)");
             facts.push(("fields", format!("the server refuses {fields}")));
         }
         let changed = self.reported != facts;
@@ -202,7 +204,8 @@ mod tests {
             facts[2],
             (
                 "fields",
-                "the server refuses temperature, max_tokens (max_completion_tokens is sent)".to_owned()
+                "the server refuses temperature, max_tokens (max_completion_tokens is sent)"
+                    .to_owned()
             )
         );
         let mut reasoning = InForce::new(ReasoningRequest::Low);

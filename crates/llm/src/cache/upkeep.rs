@@ -289,7 +289,8 @@ mod tests {
     fn replies_that_are_not_used_are_counted_and_removed() {
         let folder = tempfile::tempdir().unwrap();
         let cache = cache(folder.path(), SystemTime::now());
-        let key = CacheKey::of(&crate::ChatSettings::new("newer"), &ChatRequest::text("?", 9), 9).unwrap();
+        let key = CacheKey::of(&crate::ChatSettings::new("newer"), &ChatRequest::text("?", 9), 9)
+            .unwrap();
         let answer = reply::read(br#"{"choices":[{"message":{"content":"North."}}]}"#).unwrap();
         let failure = crate::ChatReply { finish_reason: Some("error".to_owned()), ..answer };
         cache.put(&key, "newer", &failure).unwrap();

@@ -129,7 +129,8 @@ fn a_request_carries_key_and_body() {
     assert_eq!((reply.prompt_tokens, reply.completion_tokens), (Some(10), Some(5)));
     let [received] = &server.received()[..] else { panic!("one request") };
     assert_eq!(received.line, "POST /v1/chat/completions HTTP/1.1");
-    let body = serde_json::to_value(Dialect::default().body(&ChatSettings::new("m"), &request)).unwrap();
+    let body =
+        serde_json::to_value(Dialect::default().body(&ChatSettings::new("m"), &request)).unwrap();
     assert_eq!(received.body, body);
     let authorization = format!("authorization: bearer {KEY}");
     assert!(received.headers.iter().any(|header| header.to_lowercase() == authorization));
@@ -277,7 +278,7 @@ fn a_retry_after_delays_every_request() {
 
 #[test]
 fn a_refusal_concerns_one_request_and_is_not_retried() {
-    let message = "At most 8 image(s) may be provided in one request.";
+    let message = "At most 8 image(s) may be provided in one request";
     let server = Server::start(move |request| match text(request) {
         "too many" => fails(400, message),
         _ => Reaction::says("North."),
@@ -304,10 +305,19 @@ fn errors_that_concern_every_request_stop_the_client() {
         (fails(404, "no such model"), "check the model's name and the base URL"),
         (fails(429, "quota").with("Retry-After: 86400"), "a pause of 86400 s"),
         (html(200, "Content-Type: text/html; charset=utf-8"), "with a web page: Sign in;"),
-        (quota(), "status 429: You exceeded your current quota; the account of this key has nothing left"),
-        (Reaction::json(200, &json!({"error": {"code": 402, "message": "no credit"}})), "status 402: no credit"),
+        (
+            quota(),
+            "status 429: You exceeded your current quota; the account of this key has nothing left",
+        ),
+        (
+            Reaction::json(200, &json!({"error": {"code": 402, "message": "no credit"}})),
+            "status 402: no credit",
+        ),
         (fails(403, "no"), "status 403: no; check OPENAI_API_KEY"),
-        (fails(500, "Conversation roles must alternate user/assistant"), "status 500: Conversation roles must alternate user/assistant; the model's chat template refuses the roles of the conversation: try --system-role user"),
+        (
+            fails(500, "Conversation roles must alternate user/assistant"),
+            "status 500: Conversation roles must alternate user/assistant; the model's chat template refuses the roles of the conversation: try --system-role user",
+        ),
         (html(308, "Location: https://x/v1/"), "a redirection to https://x/v1/"),
     ] {
         // Before the first reply and, unless it is a name that may be missing for a while, after it.
@@ -355,7 +365,12 @@ fn a_reply_is_read_whatever_is_around_it() {
     let json = "Content-Type: application/json";
     let chunk = json!({"choices": [{"delta": {"content": "North."}, "finish_reason": "stop"}],
         "usage": {"completion_tokens": 5}});
+    let mut compressed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    std::io::Write::write_all(&mut compressed, whole.as_bytes()).unwrap();
+    let body = compressed.finish().unwrap();
     for turn in [
+        Reaction::Bytes { headers: vec![json.to_owned()], body: body.clone() },
+        Reaction::Bytes { headers: vec!["Content-Encoding: gzip".to_owned()], body },
         with("Content-Type: text/plain; charset=utf-8", whole.clone()),
         with("Content-Type: text/event-stream", whole.clone()),
         with("X-No-Type: 1", whole.clone()),
@@ -430,7 +445,10 @@ fn headers_and_options_are_sent() {
     let [received] = &server.received()[..] else { panic!("one request") };
     assert_eq!(received.line, "POST /v1/chat/completions?api-version=2024-10-21 HTTP/1.1");
     let headers = received.headers.join("\n").to_lowercase();
-    assert!(headers.contains("x-secret: sk-header-secret") && headers.contains(&format!("api-key: {KEY}")));
+    assert!(
+        headers.contains("x-secret: sk-header-secret")
+            && headers.contains(&format!("api-key: {KEY}"))
+    );
     assert!(!headers.contains("authorization"));
     assert_eq!(received.body["top_k"], 1);
 }
@@ -483,7 +501,8 @@ fn a_word_in_another_error_changes_no_field() {
     bench.submit("b");
     bench.answer();
     let [first, second] = &server.received()[..] else { panic!("two requests") };
-    let fields = |body: &serde_json::Value| body.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
+    let fields =
+        |body: &serde_json::Value| body.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
     assert_eq!(fields(&first.body), fields(&second.body));
 }
 

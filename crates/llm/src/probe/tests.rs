@@ -46,7 +46,9 @@ fn seeing(request: &Received, most: usize) -> Reaction {
     let text = text(request);
     let colours: Vec<&str> = images.iter().map(colour).collect();
     let answer = match () {
-        () if text.contains("with the word meadow only") || text.contains("code word") => "meadow".to_owned(),
+        () if text.contains("with the word meadow only") || text.contains("code word") => {
+            "meadow".to_owned()
+        }
         () if request.body.get("grammar").is_some() => "meadow".to_owned(),
         () if text.contains("colour") => format!("{}.", colours.join(" and ")),
         () => "42".to_owned(),
@@ -96,8 +98,10 @@ fn probe_with(base_url: &str, settings: ChatSettings) -> ProbeReport {
 /// The findings, without what varies from run to run.
 fn story(report: &ProbeReport) -> String {
     let lines = report.findings.iter().map(|ProbeFinding { what, mark, about }| {
-        let timed =
-            matches!(*what, "reachable" | "request of the run's size" | "speed" | "tokens of images");
+        let timed = matches!(
+            *what,
+            "reachable" | "request of the run's size" | "speed" | "tokens of images"
+        );
         format!(
             "{mark:?} {what}: {}\n",
             if timed && *mark == ProbeMark::Ok { "..." } else { about }
@@ -115,7 +119,7 @@ fn a_server_with_everything_a_run_needs() {
     Ok model: m is in the server's list of 1
     Ok answers: "42" in 5 tokens to 17 + 25
     Ok reasoning off: the answer came without reasoning
-    Ok system role: the model follows rules that are sent as system
+    Ok system role: the model follows rules in the role system
     Ok restricted answers: the server restricts answers to the actions (structured_outputs: ignored, grammar: works, response_format: ignored)
     Ok images: "Red." to a red square, "blue." to a blue square
     Ok images in order: "Red and blue." to a red and a blue square, "blue and Red." to a blue and a red one
@@ -130,7 +134,7 @@ fn a_server_with_everything_a_run_needs() {
     let sized = report.run_sized.unwrap();
     assert_eq!(sized.images, IMAGES);
     assert!(sized.prompt_tokens > Some(64 * 47));
-    assert_eq!(report.differences, []);
+    assert_eq!(report.differences, Some(Vec::new()));
     let speed = &report.findings.last().unwrap().about;
     assert!(speed.contains("for 5 tokens") && speed.contains("; 4 at once"), "{speed}");
     assert!(speed.contains("for 20 tokens"), "{speed}");
@@ -205,7 +209,7 @@ fn a_server_with_peculiarities() {
     Doubtful model: m is not in the server's list (n, o). If requests fail, pass one of these with --model.
     Ok answers: "Answer 2." in 5 tokens to 17 + 25
     Bad reasoning off: the model reasons although every request turns reasoning off, and has few tokens for its answer: turn reasoning off at the server, serve a variant that does not reason, or give --reasoning and more --answer-tokens.
-    Doubtful system role: "Answer 3." although the rules, sent as system, ask for another word: the model may not see them. Try --system-role user.
+    Doubtful system role: "Answer 3." although the rules, in the role system, ask for another word: the model may not see them. Try --system-role user.
     Doubtful restricted answers: the server does not restrict answers, so the action is read from the model's text (structured_outputs: ignored, grammar: ignored, response_format: ignored)
     Doubtful images: "Answer 8." to a red square, "Answer 9." to a blue square: the model may be too small, or not see what it is sent.
     Doubtful images in order: "Answer 10." to a red and a blue square, "Answer 11." to a blue and a red one: the server may drop images or change their order, or the model be too small for two.
@@ -253,7 +257,7 @@ fn an_answer_that_is_no_list_of_models_is_told_apart() {
         let server = Server::start(move |_| answer.clone()).unwrap();
         let endpoint = Endpoint::new(&server.base_url(), None).unwrap();
         let client = HttpClient::new(endpoint, ChatSettings::new("m"));
-        assert_eq!(models(&client).unwrap(), (None, expected));
+        assert_eq!(models(&client, LIST_TIMEOUT).unwrap(), (None, expected));
     }
 }
 
@@ -285,7 +289,8 @@ fn what_the_model_does_not_get_is_found() {
             "the last image only",
             |request, body| {
                 let few = images(request).len().min(1);
-                body["usage"]["prompt_tokens"] = json!(20 + text(request).len() / 99_999 + 64 * few);
+                body["usage"]["prompt_tokens"] =
+                    json!(20 + text(request).len() / 99_999 + 64 * few);
                 if images(request).len() > 1 && text(request).contains("colours") {
                     say(body, "blue");
                 }
@@ -356,9 +361,26 @@ fn what_the_model_does_not_get_is_found() {
 }
 
 #[test]
+fn a_list_of_models_that_hangs_ends_no_check() {
+    let server = Server::concurrent(|request| match request.line.starts_with("GET") {
+        true => Reaction::Hang,
+        false => seeing(request, usize::MAX),
+    })
+    .unwrap();
+    let request_timeout = Duration::from_secs(3);
+    let report =
+        probe_with(&server.base_url(), ChatSettings { request_timeout, ..ChatSettings::new("m") });
+    assert_eq!(mark(&report, "reachable"), ProbeMark::Doubtful);
+    assert!(report.findings.len() > 1, "{}", story(&report));
+}
+
+#[test]
 fn each_way_of_restricting_answers_is_tried() {
     for (field, expected) in [
-        ("response_format", "with --extra-body '{\"structured_outputs\": null, \"grammar\": null}' it sends response_format"),
+        (
+            "response_format",
+            "with --extra-body '{\"structured_outputs\": null, \"grammar\": null}' it sends response_format",
+        ),
         ("none", "the server does not restrict answers"),
     ] {
         let server = Server::start(move |request| {
@@ -381,11 +403,9 @@ fn each_way_of_restricting_answers_is_tried() {
 
 #[test]
 fn a_run_that_differs_from_the_paper_is_described() {
-    let server = Server::start(|request| {
-        match request.body.get("temperature") {
-            Some(_) => refused("Unsupported value: 'temperature' does not support 0."),
-            None => seeing(request, 12),
-        }
+    let server = Server::start(|request| match request.body.get("temperature") {
+        Some(_) => refused("Unsupported value: 'temperature' does not support 0."),
+        None => seeing(request, 12),
     })
     .unwrap();
     let mut settings = ChatSettings::new("m");
@@ -394,6 +414,7 @@ fn a_run_that_differs_from_the_paper_is_described() {
     let rows: Vec<String> = report
         .differences
         .iter()
+        .flatten()
         .map(|PaperDifference { setting, paper, here }| format!("{setting}: {here}, not {paper}"))
         .collect();
     assert_eq!(

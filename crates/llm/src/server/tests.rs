@@ -110,7 +110,7 @@ fn which_statuses_are_transient() {
     let transient: Vec<u16> = (100..600).filter(|&status| is_transient(status)).collect();
     assert_eq!(transient.len(), 107);
     assert_eq!(transient[..7], [408, 409, 421, 424, 425, 429, 499]);
-    assert!( transient.contains(&500) && transient.contains(&599));
+    assert!(transient.contains(&500) && transient.contains(&599));
 }
 
 #[test]
@@ -291,7 +291,9 @@ fn a_server_that_was_there_is_waited_for() {
         story.state.replied(seconds(1));
         let AskError::Stopped(why) = story.until_end(&failure) else { panic!("{failure:?}") };
         let expected = match failure {
-            AttemptError::Transient(Transient::Status { .. }, _) => "the server fails every request (for 60",
+            AttemptError::Transient(Transient::Status { .. }, _) => {
+                "the server fails every request (for 60"
+            }
             _ => "the server is gone (no answer for 60",
         };
         assert!(why.starts_with(expected), "{why}");
