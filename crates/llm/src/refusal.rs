@@ -100,7 +100,9 @@ impl<'a> Refusal<'a> {
 
     /// Whether the model's chat template refuses the conversation, which another attempt does not change.
     pub(crate) fn is_of_template(&self) -> bool {
-        matches!(self.status, 400 | 422 | 500) && has_any(&self.text, &TEMPLATE)
+        // The field is named so, too.
+        let text = self.text.replace("chat_template_kwargs", "");
+        matches!(self.status, 400 | 422 | 500) && has_any(&text, &TEMPLATE)
     }
 
     /// Whether the user's account has nothing left to spend.
@@ -142,7 +144,7 @@ impl<'a> Refusal<'a> {
                 .to_owned();
         }
         if self.is_of_template() {
-            return "the model's chat template refuses the roles of the conversation: try --system-role user".to_owned();
+            return "the model's chat template cannot render the conversation: try --system-role user".to_owned();
         }
         match self.status {
             401 | 403 if !has_key => {
@@ -339,6 +341,7 @@ mod tests {
             (503, page, false, true),
             (400, "Only user and assistant roles are supported, got system", true, true),
             (400, "at most 4 images", true, false),
+            (400, "chat_template_kwargs must be an object", true, false),
         ] {
             let refusal = refusal(status, body);
             assert_eq!(

@@ -316,7 +316,7 @@ fn errors_that_concern_every_request_stop_the_client() {
         (fails(403, "no"), "status 403: no; check OPENAI_API_KEY"),
         (
             fails(500, "Conversation roles must alternate user/assistant"),
-            "status 500: Conversation roles must alternate user/assistant; the model's chat template refuses the roles of the conversation: try --system-role user",
+            "status 500: Conversation roles must alternate user/assistant; the model's chat template cannot render the conversation: try --system-role user",
         ),
         (html(308, "Location: https://x/v1/"), "a redirection to https://x/v1/"),
     ] {
