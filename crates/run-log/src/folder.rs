@@ -337,7 +337,7 @@ fn says(before: &str, now: &str) -> bool {
 
 /// The facts that a policy learns from the replies of its server ([`RunFolder::learn`]), and so does not have when it is
 /// ready.
-pub const LEARNED_FACTS: [&str; 3] = ["answers", "fields", "reasoning"];
+pub const LEARNED_FACTS: [&str; 4] = ["answers", "fields", "reasoning", "temperature"];
 
 /// Opens the journal in `path`, and adds notes on what was cut or set aside.
 fn journal<T: serde::Serialize + serde::de::DeserializeOwned>(

@@ -281,10 +281,11 @@ fn what_the_model_does_not_get_is_found() {
         Reaction::json(200, &body)
     };
     type Change = fn(&Received, &mut Value);
+    type Marks = &'static [(&'static str, ProbeMark)];
     fn say(body: &mut Value, text: &str) {
         body["choices"][0]["message"]["content"] = json!(text);
     }
-    let cases: [(&str, Change, &[(&str, ProbeMark)]); 8] = [
+    let cases: [(&str, Change, Marks); 8] = [
         (
             "the last image only",
             |request, body| {
