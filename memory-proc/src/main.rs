@@ -175,6 +175,9 @@ struct BuilderArguments {
     /// The model's server, up to /v1 [default: $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
     #[arg(long, value_name = "URL")]
     base_url: Option<String>,
+    /// Further headers of requests to the model, one a line
+    #[arg(long, env = domain::HEADER_VARIABLE, value_delimiter = '\n', hide = true, hide_env_values = true)]
+    header: Vec<domain::SecretHeader>,
     /// Time limit of an attempt
     #[arg(long, alias = "timeout", value_name = "SECONDS", default_value_t = 300)]
     request_timeout: u32,
@@ -204,7 +207,8 @@ impl BuilderArguments {
             BuilderKind::Model => self.model.context("--builder model needs --model NAME")?,
         };
         let given = self.base_url.as_deref().map(|url| (url, Source::CommandLine));
-        let Servers { first, others, .. } = Servers::from_environment(given, Path::new("."))?;
+        let servers = Servers::from_environment(given, Path::new("."))?;
+        let Servers { first, others, .. } = servers.with_headers(&self.header, false)?;
         let settings = ChatSettings {
             request_timeout: Duration::from_secs(self.request_timeout.into()),
             max_retries: self.max_retries,
@@ -270,7 +274,9 @@ fn cache_at(folder: Option<PathBuf>) -> anyhow::Result<CacheFolder> {
 }
 
 fn main() -> ExitCode {
-    program::run("memory-proc", || run(MemoryArguments::parse().verb).map(|()| ExitCode::SUCCESS))
+    program::run("memory-proc", || {
+        run(program::parse::<MemoryArguments>().verb).map(|()| ExitCode::SUCCESS)
+    })
 }
 
 fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {

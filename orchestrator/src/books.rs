@@ -55,7 +55,7 @@ impl Books {
             None => (PROGRAM, Command::new(supervise::sibling(PROGRAM)?)),
         };
         command.arg("book").arg("--request").arg(&asked).arg("--out").arg(&out);
-        let ended = command.stdin(Stdio::null()).output();
+        let ended = supervise::without_keys(&mut command).stdin(Stdio::null()).output();
         let ended = ended.with_context(|| format!("cannot start {name}"))?;
         if !ended.status.success() {
             let printed = String::from_utf8_lossy(&ended.stderr);

@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use case_book::DEMONSTRATIONS_FILE;
 use conditions::settings::{ModelSettings, RunSettings};
 use conditions::{Condition, Frames, PolicyKind};
-use domain::MemoryKind;
+use domain::{HEADER_VARIABLE, MemoryKind, SecretHeader};
 use run_log::{DOCUMENTS_FOLDER, ELSEWHERE_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE};
 use shm_types::message::Role;
 use shm_types::process::shared_memory_space;
@@ -184,7 +184,7 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     let serve = || vec!["serve".into()];
     let mut sim = match (settings.world_cmd.as_deref(), &settings.world_book) {
         (Some(command), _) => {
-            let mut sim = Launch::command(Role::Sim, command)?;
+            let mut sim = Launch { needs_keys: false, ..Launch::command(Role::Sim, command)? };
             sim.args.extend(serve());
             Some(sim.with_flags([demonstrations.clone()]))
         }
@@ -247,8 +247,16 @@ fn policy_launch(settings: &RunSettings) -> Result<Option<Launch>> {
         return command.map(|command| Launch::command(Role::Policy, command)).transpose();
     }
     let args = vec!["serve".into(), "--policy".into(), settings.policy.to_string().into()];
-    let flags = settings.model.as_ref().map(model_flags).unwrap_or_default();
-    Ok(Some(Launch::sibling(Role::Policy, "policy-proc", args)?.with_flags(flags)))
+    let mut policy = Launch::sibling(Role::Policy, "policy-proc", args)?;
+    if let Some(model) = &settings.model {
+        policy = policy.with_flags(model_flags(model));
+        policy.needs_keys = true;
+        // Other users see the arguments of a process.
+        let headers: Vec<String> = model.header.iter().map(SecretHeader::exposed).collect();
+        // One that is empty counts as not set.
+        policy.env.push((HEADER_VARIABLE.into(), headers.join("\n").into()));
+    }
+    Ok(Some(policy))
 }
 
 /// The policy process's flags about the model.
@@ -260,6 +268,9 @@ fn model_flags(model: &ModelSettings) -> Vec<(&'static str, Option<String>)> {
         ("--image-format", Some(model.image_format.to_string())),
         ("--image-budget", Some(model.image_budget.to_string())),
         ("--answer-tokens", Some(model.answer_tokens.to_string())),
+        ("--reasoning", Some(model.reasoning.to_string())),
+        ("--system-role", Some(model.system_role.to_string())),
+        ("--extra-body", model.extra_body.clone()),
         ("--max-connections", Some(model.max_connections.to_string())),
         ("--endpoint-limit", model.endpoint_limit.map(|limit| limit.to_string())),
         ("--endpoint-limit-folder", limit_folder),

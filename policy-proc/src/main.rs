@@ -53,7 +53,7 @@ enum BuiltInPolicy {
 }
 
 fn main() -> ExitCode {
-    program::run("policy-proc", || match PolicyProcArguments::parse().verb {
+    program::run("policy-proc", || match program::parse::<PolicyProcArguments>().verb {
         PolicyProcVerb::Serve { attach, policy, model } => {
             take_part(&attach, policy, *model).map(|()| ExitCode::SUCCESS)
         }

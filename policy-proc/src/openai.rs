@@ -75,7 +75,10 @@ impl Openai {
             }
         });
         let (token_fits, earlier) = (TokenFits::default(), HashMap::new());
-        let in_force = Arc::default();
+        let options = &client.settings().options;
+        let temperature = options.extra_body.get("temperature");
+        let temperature = temperature.map_or_else(|| "0".to_owned(), ToString::to_string);
+        let in_force = Arc::new(Mutex::new(InForce::new(options.reasoning, temperature)));
         Self { client, settings, images, token_fits, in_force, earlier, answers }
     }
 
@@ -112,7 +115,6 @@ impl Decider for Openai {
             ("image_format", image_format.described()),
             ("image_budget", image_budget.to_string()),
             ("answer_tokens", answer_tokens.to_string()),
-            ("temperature", "0".to_owned()),
         ]
     }
 

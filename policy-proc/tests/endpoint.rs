@@ -111,6 +111,26 @@ fn a_probe_ends_with_a_status_and_hides_the_key() {
     assert_eq!(report["run_sized"], Value::Null);
 }
 
+/// Headers come in a variable, since other users see the arguments of a process.
+#[test]
+fn a_header_of_the_environment_reaches_the_server_and_no_output() {
+    let server = Server::start(|request| {
+        let header = request.headers.iter().any(|header| header == "x-team: sk-team-secret");
+        let message = format!("no sk-team-secret, header: {header}");
+        Reaction::json(401, &json!({"error": {"message": message}}))
+    })
+    .unwrap();
+    let base_url = server.base_url();
+    for (variable, expected) in
+        [("X-Team: sk-team-secret", "no [key], header: true"), ("", "header: false")]
+    {
+        let mut command = policy_proc(&["probe", "--model", "m", "--base-url", &base_url]);
+        let output = ended(command.env("MEMTRANSFER_HEADER", variable).spawn().unwrap());
+        assert_eq!(output.status.code(), Some(1), "{output:?}");
+        assert!(stdout(&output).contains(expected), "{output:?}");
+    }
+}
+
 /// The probe sends the run's own prompt with its images, and reports with how many images it is refused.
 #[test]
 fn a_probe_sends_a_request_of_the_runs_size() {

@@ -6,6 +6,7 @@
 mod appearance;
 mod cache;
 pub mod camera;
+mod chat;
 pub mod codes;
 mod demonstrations;
 pub mod events;
@@ -28,6 +29,10 @@ pub use appearance::Appearance;
 pub use cache::{
     NoCacheFolder, RUNTIME_FILE, RUNTIME_SHA256, RUNTIME_VARIABLE, cache_folder,
     create_private_folder,
+};
+pub use chat::{
+    HEADER_VARIABLE, KEY_VARIABLES, NoHeader, REQUEST_FIELDS, ReasoningRequest, SecretHeader,
+    SystemRole,
 };
 pub use demonstrations::{DemonstrationKind, Demonstrations, Mixture, UnknownDemonstrations};
 pub use hex::hex;

@@ -103,6 +103,13 @@ macro_rules! named {
 pub use crate::serde_as_text;
 pub use named;
 
+/// Whether a character steers a terminal instead of being shown: control characters, and those that change the direction of
+/// the text after them.
+pub fn steers_a_terminal(c: char) -> bool {
+    let turns = matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    turns || c.is_control()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -20,6 +20,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::reply::ChatReply;
 use crate::request::{ChatRequest, Dialect};
+use crate::settings::ChatSettings;
 
 pub use upkeep::{CacheListing, CacheSize, ModelReplies, Pruned};
 
@@ -53,13 +54,13 @@ struct StoredReply {
 }
 
 impl CacheKey {
-    /// The key of repetition `repeat` of a request to `model`. `None` when the request refers to an image outside itself,
+    /// The key of repetition `repeat` of a request with these settings. `None` when the request refers to an image outside itself,
     /// which may change.
-    pub(crate) fn of(model: &str, request: &ChatRequest, repeat: u32) -> Option<Self> {
+    pub(crate) fn of(settings: &ChatSettings, request: &ChatRequest, repeat: u32) -> Option<Self> {
         let mut hasher = blake3::Hasher::new();
         hasher.update(FORM.as_bytes()).update(&repeat.to_le_bytes());
         // The body with every optional field, whatever the server at hand refuses.
-        let body = Dialect::default().body(model, request);
+        let body = Dialect::default().body(settings, request);
         let written = serde_json::to_writer(&mut hasher, &body).is_ok();
         (request.is_self_contained() && written)
             .then(|| Self(hasher.finalize().to_hex().to_string()))
@@ -185,7 +186,7 @@ mod tests {
     #[test]
     fn everything_that_determines_a_reply_is_in_its_key() {
         let key = |model: &str, request: &ChatRequest, repeat| {
-            CacheKey::of(model, request, repeat).unwrap()
+            CacheKey::of(&ChatSettings::new(model), request, repeat).unwrap()
         };
         let original = key("m", &request("Where?", IMAGE), 0);
         assert_eq!(key("m", &request("Where?", IMAGE), 0), original);
@@ -205,14 +206,22 @@ mod tests {
         ] {
             assert_ne!(other, original);
         }
+        let mut options = [(); 3].map(|()| ChatSettings::new("m"));
+        options[0].options.reasoning = domain::ReasoningRequest::Low;
+        options[1].options.system_role = domain::SystemRole::User;
+        options[2].options.extra_body.insert("top_k".to_owned(), 1.into());
+        let plain = CacheKey::of(&ChatSettings::new("m"), &spoken, 0);
+        for settings in options {
+            assert_ne!(CacheKey::of(&settings, &spoken, 0), plain);
+        }
         let elsewhere = request("Where?", "http://a/view.png");
-        assert_eq!(CacheKey::of("m", &elsewhere, 0), None);
+        assert_eq!(CacheKey::of(&ChatSettings::new("m"), &elsewhere, 0), None);
     }
 
     /// If this value changes, no cached reply is found any more: change [`FORM`] too.
     #[test]
     fn the_key_of_a_known_request() {
-        let key = CacheKey::of("m", &request("Where?", IMAGE), 0).unwrap();
+        let key = CacheKey::of(&ChatSettings::new("m"), &request("Where?", IMAGE), 0).unwrap();
         insta::assert_snapshot!(key, @"a50e4dceaa29a1e8b98c4a5bd6055b2593a9db392328467e4683d5c10ab3d3eb");
     }
 
@@ -220,8 +229,8 @@ mod tests {
     fn stored_replies_are_found_and_broken_ones_replaced() {
         let folder = tempfile::tempdir().unwrap();
         let cache = ReplyCache::at(folder.path().join("responses"));
-        let key = CacheKey::of("m", &request("Where?", IMAGE), 0).unwrap();
-        let other = CacheKey::of("m", &request("Where?", IMAGE), 1).unwrap();
+        let key = CacheKey::of(&ChatSettings::new("m"), &request("Where?", IMAGE), 0).unwrap();
+        let other = CacheKey::of(&ChatSettings::new("m"), &request("Where?", IMAGE), 1).unwrap();
         assert_eq!(cache.get(&key), None);
         cache.put(&key, "m", &reply("North.")).unwrap();
         assert_eq!(cache.get(&key), Some(reply("North.")));
@@ -251,8 +260,9 @@ mod tests {
     #[test]
     fn many_write_and_read_at_once() {
         let folder = tempfile::tempdir().unwrap();
-        let keys: Vec<_> =
-            (0..5).map(|n| CacheKey::of("m", &request("?", IMAGE), n).unwrap()).collect();
+        let keys: Vec<_> = (0..5)
+            .map(|n| CacheKey::of(&ChatSettings::new("m"), &request("?", IMAGE), n).unwrap())
+            .collect();
         std::thread::scope(|scope| {
             for _ in 0..8 {
                 let (folder, keys) = (folder.path(), &keys);

@@ -56,6 +56,8 @@ struct Shared {
     listener: OnceLock<WaitingListener>,
     /// Whether the listener knows that the server is waited for.
     told: AtomicBool,
+    /// The model that each endpoint names in its replies, in the order of the pool.
+    models: Vec<OnceLock<String>>,
 }
 
 impl fmt::Debug for ChatClient {
@@ -84,6 +86,7 @@ impl ChatClient {
             (ServerState::new(address, &settings), slots)
         }));
         let client = |endpoint| HttpClient::new(endpoint, settings.clone());
+        let models = endpoints.iter().map(|_| OnceLock::new()).collect();
         let shared = Shared {
             http: endpoints.into_iter().map(client).collect(),
             settings,
@@ -94,6 +97,7 @@ impl ChatClient {
             changed: Condvar::new(),
             listener: OnceLock::new(),
             told: AtomicBool::new(false),
+            models,
         };
         Self { shared: Arc::new(shared) }
     }
@@ -177,8 +181,7 @@ impl Shared {
     }
 
     fn ask(&self, request: &ChatRequest, repeat: u32) -> Result<ChatAnswer, AskError> {
-        let model = &self.settings.model;
-        let key = self.cache.as_ref().and_then(|_| CacheKey::of(model, request, repeat));
+        let key = self.cache.as_ref().and_then(|_| CacheKey::of(&self.settings, request, repeat));
         let stored = self.cache.as_ref().zip(key.as_ref());
         if let Some(reply) = stored.and_then(|(cache, key)| cache.get(key)) {
             let now = monotonic_ns();
@@ -199,6 +202,7 @@ impl Shared {
             drop(slot);
             match outcome {
                 Ok(reply) => {
+                    self.compare_models(server, &reply)?;
                     let answered_ns = monotonic_ns();
                     self.lock().replied(server, sent.elapsed(), Instant::now());
                     self.changed.notify_all();
@@ -216,6 +220,25 @@ impl Shared {
                 Err(failure) => self.failed(server, &mut attempts, failure, sent)?,
             }
         }
+    }
+
+    /// Stops the client where two servers name different models: their answers would be mixed at random.
+    fn compare_models(&self, server: usize, reply: &ChatReply) -> Result<(), AskError> {
+        let Some(named) = reply.model.as_deref() else { return Ok(()) };
+        let Some(own) = self.models.get(server) else { return Ok(()) };
+        let named = own.get_or_init(|| model_name(named));
+        let others = self.http.iter().zip(&self.models).filter_map(|(http, name)| {
+            Some((http.endpoint(), name.get().filter(|name| *name != named)?))
+        });
+        let Some((other, name)) = others.take(1).next() else { return Ok(()) };
+        let own = self.http[server].endpoint();
+        let why = format!(
+            "{own} answers as {named} and {other} as {name}: the servers of a run serve one model; name one of them with \
+             --base-url, or serve both models under one name if they are the same"
+        );
+        self.lock().stop(&why);
+        self.changed.notify_all();
+        Err(AskError::Stopped(why))
     }
 
     /// Waits until the request may be sent.
@@ -297,6 +320,12 @@ impl Shared {
             );
         }
     }
+}
+
+/// A model's name without the folder of its file, which may differ from machine to machine.
+fn model_name(named: &str) -> String {
+    let file = named.strip_prefix('/').and_then(|path| path.rsplit('/').next());
+    file.unwrap_or(named).to_owned()
 }
 
 /// Nanoseconds of CLOCK_MONOTONIC, which all processes of a run share.

@@ -10,8 +10,9 @@ use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use domain::SecretHeader;
 use ureq::http::Uri;
-use ureq::http::header::HeaderValue;
+use ureq::http::header::{AUTHORIZATION, HeaderName, HeaderValue};
 
 use crate::api_key::ApiKey;
 
@@ -31,9 +32,22 @@ const COMPLETIONS: &str = "/chat/completions";
 #[derive(Debug, Clone)]
 pub struct Endpoint {
     completions: Uri,
-    authorization: Option<HeaderValue>,
-    key: Option<ApiKey>,
+    /// The base URL, without a slash or query at its end.
+    base: String,
+    /// `?api-version=...`, or nothing.
+    query: String,
+    /// The headers of each request: that of the key, and those that the user gave.
+    headers: Vec<(HeaderName, HeaderValue)>,
+    has_key: bool,
+    /// What is masked in texts.
+    secrets: Vec<ApiKey>,
 }
+
+/// The query of a base URL, which Azure's servers need. They have a header of their own for the key, too.
+const API_VERSION: &str = "api-version=";
+
+/// The header of a key of a server that needs [`API_VERSION`].
+const API_KEY: HeaderName = HeaderName::from_static("api-key");
 
 /// Where an address or a key was given.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -115,8 +129,29 @@ pub enum EndpointError {
         problem: &'static str,
     },
     /// The key cannot be sent in a header.
-    #[error("OPENAI_API_KEY holds a character that a header cannot carry: set it again")]
+    #[error(
+        "OPENAI_API_KEY holds a character that a header cannot carry, such as a typographic dash or quote: copy it again"
+    )]
     Key,
+    /// A header of the user's cannot be sent. Its value is not repeated.
+    #[error("the header {name} {problem}")]
+    Header {
+        /// Its name.
+        name: String,
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+    /// A header would be sent to an address that a file names.
+    #[error(
+        "--header is given and the address {base_urls} comes from {address}: headers may hold keys, so give --base-url \
+         {base_urls} to send them there, or leave them out"
+    )]
+    HeaderElsewhere {
+        /// The base URLs, separated by commas.
+        base_urls: String,
+        /// Where they were given.
+        address: Source,
+    },
     /// The key would be sent to an address that was given elsewhere.
     #[error(
         "OPENAI_API_KEY was given in {key} and the address {base_urls} in {address}, and a key is sent only to an address \
@@ -141,16 +176,31 @@ pub enum EndpointError {
 }
 
 impl Endpoint {
-    /// The endpoint at `base_url`, which usually ends in `/v1`; a trailing slash is ignored.
+    /// The endpoint at `base_url`, which usually ends in `/v1`; a trailing slash or `/chat/completions` is ignored.
     ///
     /// # Errors
-    /// When the URL is not absolute, is not HTTP, or holds credentials, a query or a fragment; when `key` cannot be
-    /// sent in a header.
+    /// When the URL is not absolute, is not HTTP, has a port that is none, or holds credentials, a fragment, or another query
+    /// than `?api-version=...`; when `key` cannot be sent in a header.
     pub fn new(base_url: &str, key: Option<ApiKey>) -> Result<Self, EndpointError> {
         let wrong = |problem| EndpointError::BaseUrl { problem };
-        let base = base_url.trim().trim_end_matches('/');
+        let (base, query) = match base_url.trim().split_once('?') {
+            None => (base_url.trim(), String::new()),
+            Some((base, query)) => {
+                let version = query.strip_prefix(API_VERSION);
+                let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '.');
+                if !version.is_some_and(|version| version.chars().all(is_plain)) {
+                    return Err(wrong("holds a query that is not ?api-version=VERSION"));
+                }
+                (base, format!("?{query}"))
+            }
+        };
+        let base = base.trim_end_matches('/');
+        let base = base.strip_suffix(COMPLETIONS).unwrap_or(base).trim_end_matches('/').to_owned();
+        if base.contains('#') {
+            return Err(wrong("holds a fragment"));
+        }
         let completions: Uri =
-            format!("{base}{COMPLETIONS}").parse().map_err(|_| wrong("is no URL"))?;
+            format!("{base}{COMPLETIONS}{query}").parse().map_err(|_| wrong("is no URL"))?;
         if !matches!(completions.scheme_str(), Some("http" | "https")) {
             return Err(wrong("does not begin with http:// or https://"));
         }
@@ -158,19 +208,55 @@ impl Endpoint {
         if authority.as_str().contains('@') {
             return Err(wrong("holds a name or password: the key goes into OPENAI_API_KEY"));
         }
-        if base.contains(['?', '#']) {
-            return Err(wrong("holds a query or a fragment"));
+        let after_host = authority.as_str().rsplit(']').next().unwrap_or_default();
+        if after_host.contains(':') && authority.port_u16().is_none_or(|port| port == 0) {
+            return Err(wrong("has a port that is not from 1 to 65535"));
         }
-        let authorization = match &key {
-            None => None,
-            Some(key) => {
-                let mut value = HeaderValue::try_from(format!("Bearer {}", key.expose()))
-                    .map_err(|_| EndpointError::Key)?;
-                value.set_sensitive(true);
-                Some(value)
+        let mut headers = Vec::new();
+        if let Some(key) = &key {
+            let (name, value) = match query.is_empty() {
+                true => (AUTHORIZATION, format!("Bearer {}", key.expose())),
+                false => (API_KEY, key.expose().to_owned()),
+            };
+            let value = Some(value).filter(|value| value.is_ascii());
+            let value = value.and_then(|value| HeaderValue::try_from(value).ok());
+            let mut value = value.ok_or(EndpointError::Key)?;
+            value.set_sensitive(true);
+            headers.push((name, value));
+        }
+        let (has_key, secrets) = (key.is_some(), key.into_iter().collect());
+        Ok(Self { completions, base, query, headers, has_key, secrets })
+    }
+
+    /// The endpoint with further headers in each request. They replace that of the key where they have its name, and their
+    /// values are masked in texts as a key is.
+    ///
+    /// # Errors
+    /// When a header cannot be sent.
+    pub fn with_headers(mut self, headers: &[SecretHeader]) -> Result<Self, EndpointError> {
+        for header in headers {
+            let wrong = |problem| EndpointError::Header { name: header.name().to_owned(), problem };
+            let secret = header
+                .value()
+                .ok_or(wrong("has no value here, since values are kept nowhere: give it again"))?;
+            let name =
+                HeaderName::try_from(header.name()).map_err(|_| wrong("has no valid name"))?;
+            if ["content-type", "content-length", "content-encoding", "transfer-encoding", "host"]
+                .contains(&name.as_str())
+            {
+                return Err(wrong("describes the body of a request, which is the run's"));
             }
-        };
-        Ok(Self { completions, authorization, key })
+            let value = Some(secret).filter(|value| value.is_ascii());
+            let value = value.and_then(|value| HeaderValue::try_from(value).ok());
+            let mut value = value.ok_or(wrong("holds a character that a header cannot carry"))?;
+            value.set_sensitive(true);
+            self.headers.retain(|(known, _)| *known != name);
+            self.headers.push((name, value));
+            // A scheme such as Bearer is before the secret.
+            let words = [Some(secret), secret.split_once(' ').map(|(_, secret)| secret)];
+            self.secrets.extend(words.into_iter().flatten().filter_map(ApiKey::new));
+        }
+        Ok(self)
     }
 
     /// The URL of chat completions.
@@ -180,13 +266,12 @@ impl Endpoint {
 
     /// Another page of the interface; `path` begins with a slash.
     pub(crate) fn page(&self, path: &str) -> String {
-        format!("{}{path}", self.base())
+        format!("{}{path}{}", self.base, self.query)
     }
 
     /// The base URL.
     pub fn base(&self) -> String {
-        let completions = self.completions.to_string();
-        completions.strip_suffix(COMPLETIONS).unwrap_or(&completions).to_owned()
+        format!("{}{}", self.base, self.query)
     }
 
     /// Whether the host name or address is this machine's.
@@ -196,17 +281,19 @@ impl Endpoint {
         host == "localhost" || address.is_ok_and(|address| address.is_loopback())
     }
 
-    /// The header that carries the key.
-    pub(crate) fn authorization(&self) -> Option<&HeaderValue> {
-        self.authorization.as_ref()
+    /// The headers that each request carries, the key's among them.
+    pub(crate) fn headers(&self) -> impl Iterator<Item = (&HeaderName, &HeaderValue)> {
+        self.headers.iter().map(|(name, value)| (name, value))
     }
 
-    /// `text` from the server with the key masked.
+    /// Whether requests carry a key.
+    pub(crate) const fn has_key(&self) -> bool {
+        self.has_key
+    }
+
+    /// `text` from the server with the key and the values of headers masked.
     pub(crate) fn masked(&self, text: &str) -> String {
-        match &self.key {
-            None => text.to_owned(),
-            Some(key) => key.masked_in(text),
-        }
+        self.secrets.iter().fold(text.to_owned(), |text, secret| secret.masked_in(&text))
     }
 }
 
@@ -229,7 +316,10 @@ impl Servers {
         environment: impl Fn(&str) -> Option<String>,
         env_file: &Path,
     ) -> Result<Self, EndpointError> {
-        let file = read_env_file(env_file)?;
+        let (file, mut problem) = match read_env_file(env_file) {
+            Ok(file) => (file, None),
+            Err(error) => (Vec::new(), Some(error)),
+        };
         let variable = |source, name: &str| {
             let value = match source {
                 Source::Environment => environment(name),
@@ -248,7 +338,11 @@ impl Servers {
         let (base_urls, source) = given
             .map(|(url, source)| (url.to_owned(), source))
             .or_else(|| places.into_iter().find_map(named))
-            .ok_or(EndpointError::NoBaseUrl)?;
+            .ok_or_else(|| problem.take().unwrap_or(EndpointError::NoBaseUrl))?;
+        if let Some(problem) = problem {
+            // It may be another program's, and the server may need no key.
+            tracing::warn!("{problem}; it is not used");
+        }
         let key_in = |source| variable(source, KEY_VARIABLE).as_deref().and_then(ApiKey::new);
         let found = places.into_iter().find_map(|place| Some((key_in(place)?, place)));
         let key = match source {
@@ -278,6 +372,32 @@ impl Servers {
         let mut all = base_urls.split(',').map(|base_url| Endpoint::new(base_url, key.clone()));
         let first = all.next().ok_or(EndpointError::NoBaseUrl)??;
         Ok(Self { first, others: all.collect::<Result<_, _>>()?, source, key_source })
+    }
+
+    /// The servers with further headers in each request. Headers that the user gave, on the command line or in the environment,
+    /// are not sent to an address that a file names.
+    ///
+    /// # Errors
+    /// When a header cannot be sent, or not to this address.
+    pub fn with_headers(
+        self,
+        headers: &[SecretHeader],
+        of_file: bool,
+    ) -> Result<Self, EndpointError> {
+        let address = self.source;
+        if !headers.is_empty()
+            && !of_file
+            && matches!(address, Source::EnvFile | Source::SettingsFile)
+        {
+            let bases: Vec<String> = self.all().map(Endpoint::base).collect();
+            return Err(EndpointError::HeaderElsewhere { base_urls: bases.join(","), address });
+        }
+        let others = self.others.into_iter().map(|endpoint| endpoint.with_headers(headers));
+        Ok(Self {
+            first: self.first.with_headers(headers)?,
+            others: others.collect::<Result<_, _>>()?,
+            ..self
+        })
     }
 
     /// Where the addresses and the key were given, for messages.
@@ -389,6 +509,14 @@ mod tests {
         Servers::resolve(given, variable, &path)
     }
 
+    /// The headers of the user's requests.
+    fn sent(endpoint: &Endpoint) -> Vec<String> {
+        let shown = |(name, value): (&HeaderName, &HeaderValue)| {
+            format!("{name}: {}", value.to_str().unwrap())
+        };
+        endpoint.headers().map(shown).collect()
+    }
+
     /// An address of the command line.
     fn flag(url: &str) -> Option<(&str, Source)> {
         Some((url, Source::CommandLine))
@@ -434,7 +562,7 @@ mod tests {
             match (resolve(given, environment, &file_with(env_file)), expected) {
                 (Ok(servers), Ok((source, key_source))) => {
                     assert_eq!((servers.source, servers.key_source), (source, key_source));
-                    let is_sent = servers.first.authorization().is_some();
+                    let is_sent = servers.first.has_key();
                     assert_eq!(is_sent, key_source.is_some(), "{context}");
                 }
                 (Err(error), Err((address, key))) => {
@@ -503,8 +631,11 @@ mod tests {
                     let line = format!("{KEY_VARIABLE}={quote}{value}{quote} # comment\n");
                     let text = format!("{line}OPENAI_BASE_URL=http://a/v1\n");
                     let servers = resolve(None, &[], &text).unwrap();
-                    let sent = servers.first.authorization().unwrap();
-                    assert_eq!(sent, &format!("Bearer {value}"), "{line}");
+                    assert_eq!(
+                        sent(&servers.first),
+                        [format!("authorization: Bearer {value}")],
+                        "{line}"
+                    );
                 }
             }
         }
@@ -572,7 +703,7 @@ mod tests {
             all.iter().map(|endpoint| endpoint.to_string()).collect::<Vec<_>>(),
             ["http://a/v1/chat/completions", "http://b:2/v1/chat/completions"]
         );
-        assert!(all.iter().all(|endpoint| endpoint.authorization().is_some()));
+        assert!(all.iter().all(|endpoint| endpoint.has_key()));
         assert!(Servers::resolve(flag("http://a/v1,"), key, Path::new("/none")).is_err());
     }
 
@@ -581,6 +712,8 @@ mod tests {
         for (base_url, page) in [
             ("http://a:1/v1/", "http://a:1/v1/models"),
             ("https://x/openai", "https://x/openai/models"),
+            ("https://x/v1/chat/completions/", "https://x/v1/models"),
+            ("https://x/d?api-version=2024-10-21", "https://x/d/models?api-version=2024-10-21"),
         ] {
             assert_eq!(Endpoint::new(base_url, None).unwrap().page("/models"), page);
         }
@@ -591,9 +724,55 @@ mod tests {
         let endpoint =
             resolve(flag("http://a/v1"), &[], &format!("OPENAI_API_KEY=\"{KEY}\"\n")).unwrap();
         let endpoint = endpoint.first;
-        assert_eq!(endpoint.authorization().unwrap(), &format!("Bearer {KEY}"));
+        assert_eq!(sent(&endpoint), [format!("authorization: Bearer {KEY}")]);
         let printed = format!("{endpoint} {endpoint:?} {}", endpoint.masked(KEY));
         assert!(!printed.contains(KEY), "{printed}");
+    }
+
+    #[test]
+    fn an_address_with_a_version_gets_the_key_as_azure_wants_it() {
+        let base = "https://x.openai.azure.com/openai/deployments/d?api-version=2024-10-21";
+        let endpoint = Endpoint::new(base, ApiKey::new(KEY)).unwrap();
+        assert_eq!(endpoint.base(), base);
+        assert_eq!(
+            endpoint.to_string(),
+            "https://x.openai.azure.com/openai/deployments/d/chat/completions?api-version=2024-10-21"
+        );
+        assert_eq!(sent(&endpoint), [format!("api-key: {KEY}")]);
+    }
+
+    #[test]
+    fn headers_of_the_user_are_sent_and_masked_and_not_to_an_address_of_a_file() {
+        let header = |text: &str| text.parse::<SecretHeader>().unwrap();
+        let headers = [header("X-Team: seven"), header("authorization: Bearer sk-another-secret")];
+        let servers = |source| {
+            resolve(Some(("http://a/v1", source)), &[], "").unwrap().with_headers(&headers, false)
+        };
+        let endpoint = servers(Source::CommandLine).unwrap().first;
+        assert_eq!(sent(&endpoint), ["x-team: seven", "authorization: Bearer sk-another-secret"]);
+        assert_eq!(endpoint.masked("no sk-another-secret of seven"), "no [key] of seven");
+        assert!(!format!("{endpoint:?} {headers:?}").contains("another"));
+        let error = servers(Source::SettingsFile).unwrap_err().to_string();
+        assert!(error.contains("give --base-url http://a/v1 to send them there"), "{error}");
+        let endpoint = || Endpoint::new("http://a/v1", None).unwrap();
+        for (text, expected) in [
+            ("X: [key]", "has no value here"),
+            ("Content-Type: text/plain", "the run's"),
+            ("X Y: z", "no valid name"),
+            ("X: \u{2013}", "cannot carry"),
+        ] {
+            let error = endpoint().with_headers(&[header(text)]).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_file_of_another_program_does_not_stop_a_server_that_is_given() {
+        for text in ["OPENAI_API_KEY='of\nseveral lines'", "OPENAI_API_KEY: yaml"] {
+            let servers = resolve(flag("http://a/v1"), &[], text).unwrap();
+            assert!(!servers.first.has_key());
+            assert!(resolve(None, &[], text).is_err());
+        }
     }
 
     #[test]
@@ -629,7 +808,15 @@ mod tests {
                 "",
                 "a header cannot carry",
             ),
-            (flag("http://a/v1"), ("", ""), "OPENAI_API_KEY sk-very-secret", "is not NAME=value"),
+            (
+                flag("http://a/v1"),
+                (KEY_VARIABLE, "sk-very\u{2013}secret"),
+                "",
+                "a typographic dash",
+            ),
+            (flag("http://a:99999/v1"), ("", ""), "", "a port that is not from 1 to 65535"),
+            (flag("http://[::1]:/v1"), ("", ""), "", "a port that is not from 1 to 65535"),
+            (None, ("", ""), "OPENAI_API_KEY sk-very-secret", "is not NAME=value"),
         ] {
             let error = resolve(base_url, &[environment], env_file).unwrap_err();
             let printed = format!("{error} {error:?}");

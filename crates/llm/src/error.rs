@@ -27,6 +27,16 @@ pub enum RequestError {
         message: String,
         /// What to do.
         advice: String,
+        /// Whether every other request would meet the same refusal.
+        permanent: bool,
+    },
+    /// No connection to the server can be made, now or later.
+    #[error("{endpoint} cannot be reached: {problem}")]
+    OutOfReach {
+        /// The address.
+        endpoint: String,
+        /// Why, and what to do.
+        problem: String,
     },
     /// The address answers, but not as a chat endpoint does.
     #[error(
@@ -56,7 +66,7 @@ pub enum RequestError {
 /// A failure of one attempt that another attempt may not meet.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Transient {
-    /// Status 429 or 5xx.
+    /// Status 408, 409, 421, 424, 425, 429, 499 or 5xx.
     #[error("status {status}: {message}")]
     Status {
         /// The HTTP status.

@@ -9,25 +9,26 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, SystemTime};
 
 use ureq::Agent;
-use ureq::http::header::{AUTHORIZATION, CONTENT_TYPE, DATE, LOCATION, RETRY_AFTER, SERVER};
+use ureq::http::header::{CONTENT_ENCODING, CONTENT_TYPE, DATE, LOCATION, RETRY_AFTER, SERVER};
 use ureq::http::{HeaderName, Response};
 use ureq::tls::{RootCerts, TlsConfig, TlsProvider};
+use ureq::{Body, Proxy};
 
+use crate::body::{self, LARGEST_ANSWER};
 use crate::endpoint::Endpoint;
 use crate::error::{AttemptError, RequestError, Transient};
+use crate::proxy;
+use crate::refusal::Refusal;
 use crate::reply::{self, ChatReply, UnusableReply};
 use crate::request::{ChatRequest, Dialect};
 use crate::server;
 use crate::settings::ChatSettings;
 
-/// Maximum number of bytes that are read of an answer.
-const LARGEST_ANSWER: u64 = 16 << 20;
-
 /// Maximum number of connections that are kept open for later requests.
 const IDLE_CONNECTIONS: usize = 256;
 
 /// The outcome of sending a request in one dialect.
-enum SendOutcome {
+pub(crate) enum SendOutcome {
     Reply(Box<ChatReply>),
     /// The server refuses optional fields; this dialect leaves them out.
     OtherDialect(Dialect),
@@ -47,6 +48,8 @@ pub(crate) struct HttpClient {
     agent: Agent,
     endpoint: Endpoint,
     settings: ChatSettings,
+    /// Why no request can be sent.
+    problem: Option<String>,
     /// The [`Dialect`] of the server, as far as its refusals show.
     dialect: AtomicU32,
 }
@@ -67,12 +70,22 @@ impl HttpClient {
             .root_certs(RootCerts::PlatformVerifier)
             .unversioned_rustls_crypto_provider(Arc::new(rustls::crypto::ring::default_provider()))
             .build();
-        let mut config = Agent::config_builder();
-        if endpoint.is_local() {
-            // A proxy would look for the server on its own machine.
-            config = config.proxy(None);
-        }
-        let agent = config
+        // A proxy would look for a local server on its own machine.
+        let proxy = match endpoint.is_local() {
+            true => None,
+            false => proxy::of(endpoint.completions(), |name| std::env::var(name).ok()),
+        };
+        let proxy = proxy.map(|(name, url)| {
+            // The URL may hold a password.
+            Proxy::new(&url).map_err(|_| format!("{name} is no URL of an HTTP proxy"))
+        });
+        let (proxy, problem) = match proxy {
+            None => (None, None),
+            Some(Ok(proxy)) => (Some(proxy), None),
+            Some(Err(problem)) => (None, Some(problem)),
+        };
+        let agent = Agent::config_builder()
+            .proxy(proxy)
             .tls_config(tls)
             .http_status_as_error(false)
             // A redirected POST would become a GET without the key.
@@ -83,7 +96,8 @@ impl HttpClient {
             .accept("application/json")
             .build()
             .new_agent();
-        Self { agent, endpoint, settings, dialect: AtomicU32::new(Dialect::default().0) }
+        let dialect = AtomicU32::new(Dialect::default().0);
+        Self { agent, endpoint, settings, problem, dialect }
     }
 
     pub(crate) fn endpoint(&self) -> &Endpoint {
@@ -103,150 +117,189 @@ impl HttpClient {
         deadline: Duration,
     ) -> Result<ChatReply, AttemptError> {
         loop {
-            let dialect = self.dialect();
-            match self.send(dialect, request, deadline)? {
+            match self.send(self.dialect(), request, deadline)? {
                 SendOutcome::Reply(reply) => return Ok(*reply),
                 // Each bit is set once, so this ends.
                 SendOutcome::OtherDialect(dialect) => {
-                    self.dialect.fetch_or(dialect.0, Ordering::Relaxed);
+                    let before = self.dialect.fetch_or(dialect.0, Ordering::Relaxed);
+                    let refused = Dialect(dialect.0 & !before).refused();
+                    if !refused.is_empty() {
+                        let fields = refused.join(", ");
+                        tracing::warn!("{} refuses {fields}: not sent again", self.endpoint);
+                    }
                 }
             }
         }
     }
 
-    fn send(
+    /// Sends a request once in this dialect.
+    pub(crate) fn send(
         &self,
         dialect: Dialect,
         request: &ChatRequest,
         deadline: Duration,
     ) -> Result<SendOutcome, AttemptError> {
-        let body = serde_json::to_vec(&dialect.body(&self.settings.model, request));
-        let body = body.map_err(|error| {
+        let sent = serde_json::to_vec(&dialect.body(&self.settings, request));
+        let sent = sent.map_err(|error| {
             AttemptError::Final(RequestError::Unserializable(error.to_string()))
         })?;
+        if let Some(problem) = &self.problem {
+            return Err(self.out_of_reach(problem.clone()));
+        }
         let mut post =
             self.agent.post(self.endpoint.completions()).header(CONTENT_TYPE, "application/json");
-        if let Some(authorization) = self.endpoint.authorization() {
-            post = post.header(AUTHORIZATION, authorization.clone());
+        for (name, value) in self.endpoint.headers() {
+            post = post.header(name, value);
         }
         let post = post.config().timeout_global(Some(deadline)).build();
-        let transient = |error| AttemptError::Transient(transient(error, deadline), None);
-        let mut response = post.send(&body).map_err(transient)?;
-        let answer = response.body_mut().with_config().limit(LARGEST_ANSWER).read_to_vec();
-        let answer = answer.map_err(transient)?;
-        match response.status().as_u16() {
-            200..=299 => {
-                self.read(&response, &answer).map(|reply| SendOutcome::Reply(Box::new(reply)))
-            }
-            status => {
-                let message = String::from_utf8_lossy(&answer);
-                match dialect.after(request, &message).filter(|_| matches!(status, 400 | 422)) {
-                    Some((other, fields)) => {
-                        let fields = fields.join(", ");
-                        tracing::warn!("{} refuses {fields}: not sent again", self.endpoint);
-                        Ok(SendOutcome::OtherDialect(other))
-                    }
-                    None => Err(self.refused(request, status, &response, &answer)),
+        let failed = |error| self.failed(error, deadline);
+        let mut response = post.send(&sent).map_err(failed)?;
+        let answer = read_body(&mut response).map_err(failed)?;
+        let status = response.status().as_u16();
+        if let 200..=299 = status {
+            let reply = match answer {
+                Ok(answer) => self.read(request, sent.len(), &response, &answer)?,
+                Err(problem) => {
+                    return Err(AttemptError::Transient(Transient::Unreadable(problem), None));
                 }
-            }
+            };
+            return Ok(SendOutcome::Reply(Box::new(reply)));
         }
+        let answer = answer.unwrap_or_default();
+        let refusal = Refusal::new(status, &answer);
+        let other = dialect.after(&self.settings.options, request, &refusal);
+        match other.filter(|_| matches!(status, 400 | 422)) {
+            Some(other) => Ok(SendOutcome::OtherDialect(other)),
+            None => Err(self.refused(request, sent.len(), &refusal, &response, &answer)),
+        }
+    }
+
+    /// What a failure without a response means.
+    fn failed(&self, error: ureq::Error, deadline: Duration) -> AttemptError {
+        let text = error.to_string();
+        if text.contains("certificate") {
+            return self.out_of_reach(format!(
+                "its certificate is not trusted ({text}): add the authority that signed it to those of the system, or name \
+                 its file in SSL_CERT_FILE"
+            ));
+        }
+        if text.contains("InvalidContentType") {
+            return self.out_of_reach("it does not use TLS: try http://".to_owned());
+        }
+        AttemptError::Transient(transient(error, deadline), None)
+    }
+
+    fn out_of_reach(&self, problem: String) -> AttemptError {
+        let endpoint = self.endpoint.to_string();
+        AttemptError::Final(RequestError::OutOfReach { endpoint, problem })
     }
 
     /// Fetches a page of the server, with the key, within `timeout`.
     pub(crate) fn get(&self, url: &str, timeout: Duration) -> Result<ServerPage, Transient> {
         let mut get = self.agent.get(url);
-        if let Some(authorization) = self.endpoint.authorization() {
-            get = get.header(AUTHORIZATION, authorization.clone());
+        for (name, value) in self.endpoint.headers() {
+            get = get.header(name, value);
         }
         let get = get.config().timeout_global(Some(timeout)).build();
         let failed = |error| transient(error, timeout);
         let mut response = get.call().map_err(failed)?;
-        let body = response.body_mut().with_config().limit(LARGEST_ANSWER).read_to_vec();
+        let body = read_body(&mut response).map_err(failed)?;
         Ok(ServerPage {
             status: response.status().as_u16(),
             server: header(&response, SERVER).map(|server| self.endpoint.masked(server)),
-            body: body.map_err(failed)?,
+            body: body.unwrap_or_default(),
         })
     }
 
     /// The reply in a response with status 2xx. It is read as it came, since a key may be any word: only then are the
-    /// texts in it masked.
-    fn read<T>(&self, response: &Response<T>, answer: &[u8]) -> Result<ChatReply, AttemptError> {
-        let media_type = header(response, CONTENT_TYPE).unwrap_or_default();
-        // A missing content type is no reason to reject an answer that can be read.
-        if !media_type.is_empty() && !media_type.to_ascii_lowercase().contains("json") {
-            let media_type = media_type.split(';').next().unwrap_or_default();
-            return Err(self.not_chat(format!("{}, not JSON", self.endpoint.masked(media_type))));
-        }
-        match reply::read(answer) {
+    /// texts in it masked. Its content type says nothing: some proxies give another one.
+    fn read<T>(
+        &self,
+        request: &ChatRequest,
+        bytes: usize,
+        response: &Response<T>,
+        answer: &[u8],
+    ) -> Result<ChatReply, AttemptError> {
+        let UnusableReply { problem, code, is_reported } = match reply::read(answer) {
             Ok(mut reply) => {
                 reply.mask(|text| self.endpoint.masked(text));
-                Ok(reply)
+                return Ok(reply);
             }
-            Err(UnusableReply { problem, code }) => {
-                let message =
-                    reply::error_message(problem.as_bytes(), |it| self.endpoint.masked(it));
-                let failure = match code {
-                    Some(status @ server::TOO_MANY_REQUESTS) => {
-                        Transient::Status { status, message }
-                    }
-                    _ => Transient::Unreadable(message),
-                };
-                Err(AttemptError::Transient(failure, None))
-            }
+            Err(unusable) => unusable,
+        };
+        let media_type = header(response, CONTENT_TYPE).unwrap_or_default();
+        if body::is_page(answer) || media_type.to_ascii_lowercase().contains("html") {
+            let page = reply::error_message(answer, |text| self.endpoint.masked(text));
+            return Err(self.not_chat(format!("a web page: {page}")));
         }
+        let message = reply::error_message(problem.as_bytes(), |it| self.endpoint.masked(it));
+        let refusal = Refusal::new(code.unwrap_or(500), answer);
+        if is_reported && refusal.is_final() {
+            let message = message.trim_start_matches(reply::REPORTED).to_owned();
+            return Err(self.end(request, bytes, &refusal, message));
+        }
+        let failure = match code {
+            Some(status @ server::TOO_MANY_REQUESTS) => Transient::Status { status, message },
+            _ => Transient::Unreadable(message),
+        };
+        Err(AttemptError::Transient(failure, None))
     }
 
     /// The error for a status that is not 2xx.
     fn refused<T>(
         &self,
         request: &ChatRequest,
-        status: u16,
+        bytes: usize,
+        refusal: &Refusal<'_>,
         response: &Response<T>,
         answer: &[u8],
     ) -> AttemptError {
+        let status = refusal.status;
         if (300..=399).contains(&status) {
             let target = header(response, LOCATION).unwrap_or("nowhere");
             return self.not_chat(format!("a redirection to {}", self.endpoint.masked(target)));
         }
         let message = reply::error_message(answer, |text| self.endpoint.masked(text));
-        if server::is_transient(status) {
-            let pause = header(response, RETRY_AFTER).and_then(|value| {
-                server::retry_after(value, header(response, DATE), SystemTime::now())
-            });
-            return match pause {
-                Some(retry_after) if retry_after > server::LONGEST_RETRY_AFTER => {
-                    AttemptError::Transient(Transient::Busy { status, message, retry_after }, None)
-                }
-                pause => AttemptError::Transient(Transient::Status { status, message }, pause),
-            };
+        if refusal.is_final() {
+            return self.end(request, bytes, refusal, message);
         }
-        let advice = self.advice(status, request);
-        let endpoint = self.endpoint.to_string();
-        AttemptError::Final(RequestError::Refused { endpoint, status, message, advice })
+        let pause = header(response, RETRY_AFTER).and_then(|value| {
+            server::retry_after(value, header(response, DATE), SystemTime::now())
+        });
+        match pause {
+            Some(retry_after) if retry_after > server::LONGEST_RETRY_AFTER => {
+                AttemptError::Transient(Transient::Busy { status, message, retry_after }, None)
+            }
+            pause => AttemptError::Transient(Transient::Status { status, message }, pause),
+        }
+    }
+
+    /// The error for a refusal that another attempt does not change.
+    fn end(
+        &self,
+        request: &ChatRequest,
+        bytes: usize,
+        refusal: &Refusal<'_>,
+        message: String,
+    ) -> AttemptError {
+        AttemptError::Final(RequestError::Refused {
+            endpoint: self.endpoint.to_string(),
+            status: refusal.status,
+            message: message.trim_end_matches('.').to_owned(),
+            advice: refusal.advice(request, bytes, self.endpoint.has_key()),
+            permanent: refusal.is_permanent(),
+        })
     }
 
     fn not_chat(&self, what: String) -> AttemptError {
         AttemptError::Final(RequestError::NotChat { endpoint: self.endpoint.to_string(), what })
     }
+}
 
-    fn advice(&self, status: u16, request: &ChatRequest) -> String {
-        let images = request.images();
-        match status {
-            401 | 403 if self.endpoint.authorization().is_none() => {
-                "set OPENAI_API_KEY in the environment or in a .env file".to_owned()
-            }
-            401 | 403 => "check OPENAI_API_KEY".to_owned(),
-            404 => "check the model's name and the base URL, which usually ends in /v1".to_owned(),
-            _ if images > 0 => format!(
-                "the request has {images} images: lower --image-budget, or raise the server's context or its bound on \
-                 images"
-            ),
-            _ => {
-                "check that the server knows the model and takes requests of this length".to_owned()
-            }
-        }
-    }
+/// The body of a response without its compression, or what is wrong with it.
+fn read_body(response: &mut Response<Body>) -> Result<Result<Vec<u8>, String>, ureq::Error> {
+    let bytes = response.body_mut().with_config().limit(LARGEST_ANSWER).read_to_vec()?;
+    Ok(body::decompressed(bytes, header(response, CONTENT_ENCODING).unwrap_or_default()))
 }
 
 fn transient(error: ureq::Error, deadline: Duration) -> Transient {

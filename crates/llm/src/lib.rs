@@ -12,6 +12,7 @@
 //! The wording of requests is left to the crates that link this one.
 
 mod api_key;
+mod body;
 mod cache;
 mod client;
 mod endpoint;
@@ -21,6 +22,8 @@ pub mod fuzzing;
 mod http;
 mod pool;
 pub mod probe;
+mod proxy;
+mod refusal;
 mod reply;
 mod request;
 mod server;
@@ -38,5 +41,5 @@ pub use reply::{ChatReply, ReplyContent};
 pub use request::{
     CONSTRAINTS, ChatMessage, ChatRequest, ChatRole, ContentPart, ImageUrl, MessageContent,
 };
-pub use settings::ChatSettings;
+pub use settings::{ChatSettings, RequestOptions, extra_body};
 pub use slots::EndpointLimit;

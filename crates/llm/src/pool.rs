@@ -288,6 +288,7 @@ mod tests {
             status: 401,
             message: "no".into(),
             advice: "check OPENAI_API_KEY".into(),
+            permanent: true,
         });
         let (mut first, _) = story.start();
         assert_eq!(story.fail(&mut first, 0, refused.clone()), Next::Retry(Duration::ZERO));

@@ -1,23 +1,35 @@
-//! What a server can do, found out by asking it before a run: whether it knows the model, sees images, takes a request
-//! of the run's size and in what time.
+//! What a server can do, found out by asking it before a run: whether it knows the model, sees every image whole and in
+//! order, reads the prompts of the run from their first line, restricts answers, and in what time.
 //!
-//! This is no benchmark: apart from the request of the run's size, the questions are trivial.
+//! This is no benchmark: apart from the requests of the run's size, the questions are trivial.
 
 use std::io;
 use std::thread;
 use std::time::{Duration, Instant};
 
+use domain::{ReasoningRequest, SystemRole};
 use serde::Serialize;
-use serde_json::Value;
 
+use crate::body;
 use crate::client::ChatClient;
 use crate::error::{AskError, AttemptError, RequestError, Transient};
-use crate::http::HttpClient;
+use crate::http::{HttpClient, SendOutcome};
 use crate::reply::{self, ChatReply, ReplyContent};
-use crate::request::{ChatMessage, ChatRequest, ChatRole, ContentPart, ImageUrl, MessageContent};
+use crate::request::{
+    CONSTRAINTS, ChatMessage, ChatRequest, ChatRole, ContentPart, ImageUrl, MessageContent,
+};
 
-/// Maximum number of tokens of a short answer, as in a run.
-const ANSWER_TOKENS: u32 = 30;
+/// Maximum number of tokens of an answer in the paper.
+const PAPER_TOKENS: u32 = 30;
+
+/// The word that questions about what a model reads ask for.
+const CODE_WORD: &str = "meadow";
+
+/// Tokens that an answer may have more than characters, before they count as reasoning that the server does not show.
+const UNSEEN_TOKENS: u64 = 12;
+
+/// Characters of a text that have at least one token.
+const CHARACTERS_OF_A_TOKEN: u64 = 10;
 
 /// Maximum number of tokens of an answer whose time is measured.
 const TIMED_TOKENS: u32 = 64;
@@ -51,6 +63,17 @@ pub struct ProbeFinding {
     pub about: String,
 }
 
+/// A setting that a run with the server has otherwise than the paper (docs/specification.md, section 5).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct PaperDifference {
+    /// What it is about.
+    pub setting: &'static str,
+    /// The paper's value.
+    pub paper: &'static str,
+    /// The run's.
+    pub here: String,
+}
+
 /// A request of the run's size that was accepted.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RunSized {
@@ -75,6 +98,8 @@ pub struct ProbeReport {
     pub run_sized: Option<RunSized>,
     /// The model's name in the server's answers.
     pub reported_model: Option<String>,
+    /// What a run with this server does otherwise than the paper, as far as the checks show; `None` where they ended early.
+    pub differences: Option<Vec<PaperDifference>>,
 }
 
 impl ProbeReport {
@@ -84,40 +109,61 @@ impl ProbeReport {
     }
 }
 
-/// The largest request of a run: its number of images, and the request with fewer of them.
+/// The largest request of a run with one memory.
 pub struct RunRequest<'a> {
+    /// The memory's name.
+    pub memory: String,
     /// Its images.
     pub images: u32,
+    /// Characters of its documents.
+    pub document_chars: u32,
     /// The request with at most this many images.
-    pub with: &'a dyn Fn(u32) -> ChatRequest,
+    pub with: Box<dyn Fn(u32) -> ChatRequest + 'a>,
 }
 
-/// Checks what the server can do, with `together` requests at once where several are sent. `run` is the largest request
-/// of the run to come.
-pub fn run(client: &ChatClient, together: u32, run: &RunRequest<'_>) -> ProbeReport {
+/// Checks what the server can do, with `together` requests at once where several are sent. `requests` are the largest requests
+/// of the run to come, and `answer_tokens` is the bound on its answers.
+pub fn run(
+    client: &ChatClient,
+    together: u32,
+    answer_tokens: u32,
+    requests: &[RunRequest<'_>],
+) -> ProbeReport {
     let mut probe = ServerProbe {
         client,
+        answer_tokens,
+        reasoned: Some(false),
         report: ProbeReport {
             endpoint: client.http().endpoint().to_string(),
             model: client.settings().model.clone(),
             findings: Vec::new(),
             run_sized: None,
             reported_model: None,
+            differences: None,
         },
     };
     if probe.reach() && probe.answer() {
+        probe.system_role();
         probe.constraint();
-        if run.images == 0 || probe.images() {
-            probe.run_sized(run);
+        let most_images = requests.iter().max_by_key(|request| request.images);
+        let sees = most_images.is_none_or(|request| request.images == 0) || probe.images();
+        if let Some(largest) = most_images.filter(|_| sees) {
+            probe.run_sized(largest);
+            probe.first_line(requests);
         }
         probe.temperature();
         probe.speed(together.max(1));
+        probe.compare(requests);
     }
     probe.report
 }
 
 struct ServerProbe<'a> {
     client: &'a ChatClient,
+    /// Maximum number of tokens of a short answer, as in the run.
+    answer_tokens: u32,
+    /// Whether a reply showed reasoning; `None` where none shows that there was none.
+    reasoned: Option<bool>,
     report: ProbeReport,
 }
 
@@ -164,8 +210,18 @@ impl ServerProbe<'_> {
     /// Whether a server is there, and knows the model.
     fn reach(&mut self) -> bool {
         let start = Instant::now();
-        let (server, models) = match models(self.client.http()) {
+        let timeout = self.client.settings().request_timeout.min(LIST_TIMEOUT);
+        let (server, models) = match models(self.client.http(), timeout) {
             Ok(answer) => answer,
+            // The rest of the server may work.
+            Err(Transient::Timeout(_)) => {
+                let about = format!(
+                    "the list of models did not come within {} s; the other checks go on",
+                    timeout.as_secs()
+                );
+                self.found("reachable", ProbeMark::Doubtful, about);
+                return true;
+            }
             Err(problem) => {
                 let about = format!(
                     "no answer from {}: {problem} Start the server, or correct --base-url.",
@@ -206,10 +262,15 @@ impl ServerProbe<'_> {
         true
     }
 
+    /// A question in plain text.
+    fn question(&self, text: &str) -> ChatRequest {
+        ChatRequest::text(text, self.answer_tokens)
+    }
+
     /// Whether the model answers: at all, without reasoning, within a few tokens.
     fn answer(&mut self) -> bool {
-        let question =
-            ChatRequest::text("What is 17 + 25? Answer with the number only.", ANSWER_TOKENS);
+        let bound = self.answer_tokens;
+        let question = self.question("What is 17 + 25? Answer with the number only.");
         let reply = match self.ask(&question) {
             Ok(reply) => reply,
             Err(error) => {
@@ -225,14 +286,14 @@ impl ServerProbe<'_> {
             ReplyContent::Length(answer) if answer.is_empty() => (
                 ProbeMark::Bad,
                 format!(
-                    "no text within {ANSWER_TOKENS} tokens to 17 + 25: the model spends them on reasoning that the server \
-                     does not show. Turn reasoning off at the server, or serve a variant that does not reason."
+                    "no text within {bound} tokens to 17 + 25: the model spends them on reasoning that the server does not \
+                     show. Turn reasoning off at the server, serve a variant that does not reason, or raise --answer-tokens \
+                     and say how much to reason with --reasoning."
                 ),
             ),
-            ReplyContent::Length(_) => (
-                ProbeMark::Doubtful,
-                format!("more than {ANSWER_TOKENS} tokens to 17 + 25: {text:?}"),
-            ),
+            ReplyContent::Length(_) => {
+                (ProbeMark::Doubtful, format!("more than {bound} tokens to 17 + 25: {text:?}"))
+            }
             ReplyContent::Refusal(_) => {
                 (ProbeMark::Bad, format!("the model refuses to say what 17 + 25 is: {text:?}"))
             }
@@ -242,75 +303,214 @@ impl ServerProbe<'_> {
             ),
         };
         self.found("answers", mark, about);
-        let (mark, about) = if matches!(&reply.content, ReplyContent::Length(text) if text.is_empty())
-            && !reply.reasoned
-        {
-            (ProbeMark::Doubtful, "not known, because no text came".to_owned())
-        } else if reply.reasoned {
-            (
-                ProbeMark::Bad,
-                "the model reasons although every request turns reasoning off, and has few tokens for its answer: turn \
-                 reasoning off at the server, or serve a variant that does not reason."
-                    .to_owned(),
-            )
-        } else {
-            (ProbeMark::Ok, "the answer came without reasoning".to_owned())
-        };
+        let (mark, about) = self.reasoning(&reply);
         self.found("reasoning off", mark, about);
+        self.reasoned = (reply.reasoned || mark == ProbeMark::Ok).then_some(reply.reasoned);
         self.report.reported_model = reply.model;
         true
     }
 
-    /// Whether the server keeps an answer to a list of choices.
+    /// What a reply shows about reasoning: its fields, its text, its tokens.
+    fn reasoning(&self, reply: &ChatReply) -> (ProbeMark, String) {
+        let asked = self.client.settings().options.reasoning;
+        let characters = reply.text().chars().count() as u64;
+        let unseen = reply.completion_tokens.filter(|n| *n > characters + UNSEEN_TOKENS);
+        match (&reply.content, unseen) {
+            _ if asked != ReasoningRequest::Off => {
+                let shown = if reply.reasoned { "the model reasons" } else { "no reasoning shows" };
+                (ProbeMark::Ok, format!("--reasoning {asked}: {shown}"))
+            }
+            _ if reply.reasoned => (
+                ProbeMark::Bad,
+                "the model reasons although every request turns reasoning off, and has few tokens for its answer: turn \
+                 reasoning off at the server, serve a variant that does not reason, or give --reasoning and more \
+                 --answer-tokens."
+                    .to_owned(),
+            ),
+            (ReplyContent::Length(text), _) if text.is_empty() => {
+                (ProbeMark::Doubtful, "not known, because no text came".to_owned())
+            }
+            (_, Some(tokens)) => (
+                ProbeMark::Doubtful,
+                format!(
+                    "an answer of {characters} characters has {tokens} tokens: the model may reason, and the server not show \
+                     it. Turn reasoning off at the server."
+                ),
+            ),
+            _ => (ProbeMark::Ok, "the answer came without reasoning".to_owned()),
+        }
+    }
+
+    /// Whether the model follows the rules in their role.
+    fn system_role(&mut self) {
+        const WHAT: &str = "system role";
+        let rule = format!("Whatever you are asked, answer with the word {CODE_WORD} only.");
+        let mut request = self.question("What is 17 + 25?");
+        request.messages.insert(0, ChatMessage::text(ChatRole::System, rule));
+        let role = self.client.settings().options.system_role;
+        let (mark, about) = match self.try_once(&request) {
+            TrialOutcome::Accepted(reply) if names(&reply, CODE_WORD) => {
+                (ProbeMark::Ok, format!("the model follows rules in the role {role}"))
+            }
+            TrialOutcome::Accepted(reply) => (
+                ProbeMark::Doubtful,
+                format!(
+                    "{:?} although the rules, in the role {role}, ask for another word: the model may not see them. Try \
+                     --system-role user.",
+                    short(reply.text())
+                ),
+            ),
+            TrialOutcome::Refused(message) => (
+                ProbeMark::Bad,
+                format!("rules in the role {role} are refused: {message}. Try --system-role user."),
+            ),
+            TrialOutcome::Failed(problem) => (ProbeMark::Doubtful, format!("not known: {problem}")),
+        };
+        self.found(WHAT, mark, about);
+    }
+
+    /// Which ways of keeping an answer to a list of choices work: that of a run, and each alone.
     fn constraint(&mut self) {
-        const CHOICES: [&str; 2] = ["harbour", "meadow"];
+        const CHOICES: [&str; 2] = ["harbour", CODE_WORD];
         let question = ChatRequest {
             choices: CHOICES.map(str::to_owned).to_vec(),
-            ..ChatRequest::text("What is 17 + 25? Answer with the number only.", ANSWER_TOKENS)
+            ..self.question("What is 17 + 25? Answer with the number only.")
         };
-        let (mark, about) = match self.ask(&question) {
-            Ok(reply) if CHOICES.iter().any(|choice| reply.text().contains(choice)) => {
-                (ProbeMark::Ok, "the server restricts answers to the actions")
+        let is_choice = |reply: &ChatReply| CHOICES.iter().any(|choice| names(reply, choice));
+        let usual = self.ask(&question).map(|reply| is_choice(&reply));
+        let http = self.client.http();
+        let settings = self.client.settings();
+        let mut working = Vec::new();
+        let mut ways = Vec::new();
+        for field in CONSTRAINTS {
+            let dialect = http.dialect().restricting_by(field);
+            let seen = if settings.options.extra_body.contains_key(field) {
+                "set by --extra-body"
+            } else {
+                match http.send(dialect, &question, settings.request_timeout) {
+                    Ok(SendOutcome::Reply(reply)) if is_choice(&reply) => {
+                        working.push(field);
+                        "works"
+                    }
+                    Ok(SendOutcome::Reply(_)) => "ignored",
+                    Ok(SendOutcome::OtherDialect(_)) => "refused",
+                    Err(_) => "fails",
+                }
+            };
+            ways.push(format!("{field}: {seen}"));
+        }
+        let ways = ways.join(", ");
+        let sent = http.dialect().constraints(&settings.options).join(" and ");
+        let (mark, about) = match usual {
+            Ok(true) => {
+                (ProbeMark::Ok, format!("the server restricts answers to the actions ({ways})"))
             }
-            Ok(_) => (
-                ProbeMark::Ok,
-                "the server does not restrict answers: the first action in the model's text is taken",
+            Ok(false) if working == ["response_format"] => (
+                ProbeMark::Doubtful,
+                format!(
+                    "a run sends {sent}, which the server ignores ({ways}): with --extra-body '{{\"structured_outputs\": null, \
+                     \"grammar\": null}}' it sends response_format"
+                ),
             ),
-            Err(_) => (ProbeMark::Doubtful, "the server fails when answers are restricted"),
+            Ok(false) => (
+                ProbeMark::Doubtful,
+                format!(
+                    "the server does not restrict answers, so the action is read from the model's text ({ways})"
+                ),
+            ),
+            Err(error) => (
+                ProbeMark::Doubtful,
+                format!("the server fails when answers are restricted ({ways}): {error}"),
+            ),
         };
         self.found("restricted answers", mark, about);
     }
 
-    /// Whether the model sees images; `false` when the server takes none.
-    fn images(&mut self) -> bool {
-        let mut right = true;
-        let mut story = Vec::new();
-        for (colour, rgba) in [("red", [230, 20, 20, 255]), ("blue", [20, 20, 230, 255])] {
-            let reply = match self.try_once(&square(rgba)) {
-                TrialOutcome::Accepted(reply) => reply,
+    /// The answers to several questions with images; `None` when the server takes no such request.
+    fn shown<const N: usize>(
+        &mut self,
+        what: &'static str,
+        questions: [ChatRequest; N],
+        advice: &str,
+    ) -> Option<[String; N]> {
+        let mut answers = [const { String::new() }; N];
+        for (answer, question) in answers.iter_mut().zip(questions) {
+            match self.try_once(&question) {
+                TrialOutcome::Accepted(reply) => *answer = short(reply.text()),
                 TrialOutcome::Refused(message) => {
-                    let about = format!(
-                        "the server takes none: {message}. Serve a model that sees (for llama.cpp with its --mmproj \
-                         file), or run with --image-budget 0."
-                    );
-                    self.found("images", ProbeMark::Bad, about);
-                    return false;
+                    let about = format!("the server takes none: {message}. {advice}");
+                    self.found(what, ProbeMark::Bad, about);
+                    return None;
                 }
                 TrialOutcome::Failed(problem) => {
-                    self.found("images", ProbeMark::Bad, format!("not known: {problem}"));
-                    return false;
+                    self.found(what, ProbeMark::Bad, format!("not known: {problem}"));
+                    return None;
                 }
-            };
-            right &= reply.text().to_lowercase().contains(colour);
-            story.push(format!("{:?} to a {colour} square", short(reply.text())));
+            }
         }
-        let story = story.join(", ");
-        if right {
-            self.found("images", ProbeMark::Ok, story);
+        Some(answers)
+    }
+
+    /// Whether the model sees images, in order and whole; `false` when the server takes none.
+    fn images(&mut self) -> bool {
+        const SAME: &str = "the server may take an answer from a cache that ignores images";
+        let (tokens, [red, blue]) =
+            (self.answer_tokens, [RED, BLUE].map(|rgba| square(rgba, rgba)));
+        let question = "What colour is the square? Answer with one word.";
+        let advice = "Serve a model that sees (for llama.cpp with its --mmproj file), or run with --image-budget 0.";
+        let alone = [&red, &blue].map(|image| about_images(question, &[image], tokens));
+        let Some([to_red, to_blue]) = self.shown("images", alone, advice) else { return false };
+        let story = format!("{to_red:?} to a red square, {to_blue:?} to a blue square");
+        let (mark, about) = if colours(&to_red) == ["red"] && colours(&to_blue) == ["blue"] {
+            (ProbeMark::Ok, story)
+        } else if to_red == to_blue && !colours(&to_red).is_empty() {
+            (ProbeMark::Bad, format!("{story}: {SAME}, or not give the model what it is sent."))
         } else {
-            let about = format!("{story}: the model may be too small, or not see what it is sent.");
-            self.found("images", ProbeMark::Doubtful, about);
-        }
+            (
+                ProbeMark::Doubtful,
+                format!("{story}: the model may be too small, or not see what it is sent."),
+            )
+        };
+        self.found("images", mark, about);
+
+        let question =
+            "Which colours have these two squares, the first one first? Answer with two words.";
+        let pairs = [[&red, &blue], [&blue, &red]];
+        let pairs = pairs.map(|pair| about_images(question, &pair, tokens));
+        let advice = "Raise the server's bound on images, or run with --image-budget 1.";
+        let Some([red_blue, blue_red]) = self.shown("images in order", pairs, advice) else {
+            return true;
+        };
+        let story = format!(
+            "{red_blue:?} to a red and a blue square, {blue_red:?} to a blue and a red one"
+        );
+        let (mark, about) = match (&*colours(&red_blue), &*colours(&blue_red)) {
+            (["red", "blue", ..], ["blue", "red", ..]) => (ProbeMark::Ok, story),
+            _ => (
+                ProbeMark::Doubtful,
+                format!(
+                    "{story}: the server may drop images or change their order, or the model be too small for two."
+                ),
+            ),
+        };
+        self.found("images in order", mark, about);
+
+        let question = "Which colour has the lower half of this image? Answer with one word.";
+        let halves = [RED, BLUE].map(|rgba| square(GREY, rgba));
+        let halves = halves.each_ref().map(|image| about_images(question, &[image], tokens));
+        let advice = "Serve a model that sees.";
+        let Some([to_red, to_blue]) = self.shown("images whole", halves, advice) else {
+            return true;
+        };
+        let story = format!("{to_red:?} to a red lower half, {to_blue:?} to a blue one");
+        let (mark, about) = if colours(&to_red) == ["red"] && colours(&to_blue) == ["blue"] {
+            (ProbeMark::Ok, story)
+        } else if to_red == to_blue && !colours(&to_red).is_empty() {
+            (ProbeMark::Bad, format!("{story}, and the rest of the images is the same: {SAME}."))
+        } else {
+            (ProbeMark::Doubtful, format!("{story}: the model may not see the whole image."))
+        };
+        self.found("images whole", mark, about);
         true
     }
 
@@ -343,24 +543,138 @@ impl ServerProbe<'_> {
                 (None, Some((refused, _))) => refused / 2,
             };
         }
-        if let Some(RunSized { images: 1.., prompt_tokens: Some(tokens), .. }) = accepted
-            && let TrialOutcome::Accepted(reply) = self.try_once(&(run.with)(0))
-            && reply.prompt_tokens.is_some_and(|without| tokens <= without)
-        {
-            let about = "images are accepted, but add no tokens to the prompt: the server may drop them. Check its settings.";
-            return self.found(WHAT, ProbeMark::Bad, about);
-        }
         let (mark, about) =
             judge(run.images, accepted.as_ref(), refused, self.client.settings().request_timeout);
         self.found(WHAT, mark, about);
+        if let Some(RunSized { images: images @ 1.., prompt_tokens: Some(all), .. }) = accepted {
+            self.tokens_of_images(run, images, all);
+        }
         self.report.run_sized = accepted;
+    }
+
+    /// Whether the tokens of a prompt grow with its images: `all` is their number with `images` images.
+    fn tokens_of_images(&mut self, run: &RunRequest<'_>, images: u32, all: u64) {
+        let tokens = |images| match self.try_once(&(run.with)(images)) {
+            TrialOutcome::Accepted(reply) => reply.prompt_tokens,
+            TrialOutcome::Refused(_) | TrialOutcome::Failed(_) => None,
+        };
+        let (Some(none), Some(one)) = (tokens(0), tokens(1)) else { return };
+        let (each, added) = (one.saturating_sub(none), all.saturating_sub(none));
+        let story = format!("{none} without images, {one} with one, {all} with {images}");
+        let (mark, about) = if added == 0 {
+            (
+                ProbeMark::Bad,
+                "images are accepted, but add no tokens to the prompt: the server may drop them. Check its settings."
+                    .to_owned(),
+            )
+        } else if added * 2 < each * u64::from(images) {
+            (
+                ProbeMark::Bad,
+                format!(
+                    "{story}: the server drops images, or cuts the prompt. Check its settings and its context."
+                ),
+            )
+        } else {
+            (ProbeMark::Ok, story)
+        };
+        self.found("tokens of images", mark, about);
+    }
+
+    /// Whether the model reads the largest prompt of each memory from its first line.
+    fn first_line(&mut self, requests: &[RunRequest<'_>]) {
+        const WHAT: &str = "first line of the prompt";
+        let most = self.report.run_sized.as_ref().map_or(0, |sized| sized.images);
+        let mut missed = Vec::new();
+        for request in requests {
+            let RunRequest { memory, document_chars, .. } = request;
+            let question = with_code_word((request.with)(request.images.min(most)));
+            let reply = match self.try_once(&question) {
+                TrialOutcome::Accepted(reply) => reply,
+                TrialOutcome::Refused(problem) | TrialOutcome::Failed(problem) => {
+                    let about = format!("the prompt of {memory} memory is not accepted: {problem}");
+                    return self.found(WHAT, ProbeMark::Bad, about);
+                }
+            };
+            let fewest = u64::from(*document_chars) / CHARACTERS_OF_A_TOKEN;
+            if let Some(tokens) = reply.prompt_tokens.filter(|tokens| *tokens < fewest) {
+                let about = format!(
+                    "the prompt of {memory} memory has {document_chars} characters of documents, and the server counts {tokens} \
+                     tokens: it cuts the prompt. Raise its context."
+                );
+                return self.found(WHAT, ProbeMark::Bad, about);
+            }
+            if !names(&reply, CODE_WORD) {
+                missed.push(format!("{memory} memory ({:?})", short(reply.text())));
+            }
+        }
+        let (mark, about) = if missed.is_empty() {
+            (
+                ProbeMark::Ok,
+                "the model knows a word from the first line of the longest prompts".to_owned(),
+            )
+        } else {
+            (
+                ProbeMark::Doubtful,
+                format!(
+                    "asked for a word from the first line of a prompt of the run's size, the model does not know it with {}: \
+                     the server may cut the beginning (raise its context), or the model be too small",
+                    missed.join(" and ")
+                ),
+            )
+        };
+        self.found(WHAT, mark, about);
+    }
+
+    /// What a run does otherwise than the paper.
+    fn compare(&mut self, requests: &[RunRequest<'_>]) {
+        let settings = self.client.settings();
+        let options = &settings.options;
+        let refused = self.client.refused_fields();
+        let asked = options.reasoning;
+        let needed = requests.iter().map(|request| request.images).max().unwrap_or(0);
+        let taken = self.report.run_sized.as_ref().map_or(0, |sized| sized.images);
+        let temperature = match options.extra_body.get("temperature") {
+            Some(value) => Some(value.to_string()),
+            None => refused.contains(&"temperature").then(|| "the model's own".to_owned()),
+        };
+        let reasoning = match (asked, self.reasoned) {
+            (ReasoningRequest::Off, Some(false)) => None,
+            (ReasoningRequest::Off, Some(true)) => Some("on".to_owned()),
+            (ReasoningRequest::Off, None) => Some("not known".to_owned()),
+            (asked, _) => Some(asked.to_string()),
+        };
+        let role =
+            (options.system_role != SystemRole::System).then(|| options.system_role.to_string());
+        let extra = (!options.extra_body.is_empty())
+            .then(|| serde_json::Value::Object(options.extra_body.clone()).to_string());
+        let tokens =
+            (self.answer_tokens != PAPER_TOKENS).then(|| format!("at most {}", self.answer_tokens));
+        let images = (taken < needed).then(|| format!("at most {taken}"));
+        let rows = [
+            ("temperature", "0", temperature),
+            ("reasoning", "off", reasoning),
+            ("tokens of an answer", "at most 30", tokens),
+            ("images of a prompt", "at most 50", images),
+            ("role of the rules", "system", role),
+            ("further fields", "none", extra),
+        ];
+        let difference = |(setting, paper, here): (_, _, Option<String>)| {
+            Some(PaperDifference { setting, paper, here: here? })
+        };
+        self.report.differences = Some(rows.into_iter().filter_map(difference).collect());
     }
 
     /// Whether the same question gets the same answer.
     fn temperature(&mut self) {
-        let question =
-            ChatRequest::text("Name ten animals, with commas between them.", ANSWER_TOKENS);
-        let (mark, about) = match [0, 1].map(|_| self.ask(&question)) {
+        let question = self.question("Name ten animals, with commas between them.");
+        let answers = [0, 1].map(|_| self.ask(&question));
+        let (mark, about) = match answers {
+            _ if self.client.refused_fields().contains(&"temperature") => (
+                ProbeMark::Doubtful,
+                "the server refuses it, so the model's own is in force: a run will not repeat exactly. Ask for several \
+                 repetitions (--runs)."
+                    .to_owned(),
+            ),
             [Ok(first), Ok(second)] if first.content == second.content => {
                 (ProbeMark::Ok, "the same question had the same answer twice".to_owned())
             }
@@ -431,14 +745,19 @@ enum ModelList {
 }
 
 /// The `Server` header, and the list of models.
-fn models(client: &HttpClient) -> Result<(Option<String>, ModelList), Transient> {
-    let page = client.get(&client.endpoint().page("/models"), LIST_TIMEOUT)?;
+fn models(
+    client: &HttpClient,
+    timeout: Duration,
+) -> Result<(Option<String>, ModelList), Transient> {
+    let page = client.get(&client.endpoint().page("/models"), timeout)?;
     if page.status != 200 {
         let message = reply::error_message(&page.body, |text| client.endpoint().masked(text));
         return Ok((page.server, ModelList::Refused(page.status, message)));
     }
-    let list: Value = serde_json::from_slice(&page.body).unwrap_or_default();
-    let list = match list["data"].as_array() {
+    let list = body::json(&page.body).unwrap_or_default();
+    // Some servers send the list alone.
+    let alone = list.as_array().filter(|models| !models.is_empty());
+    let list = match list["data"].as_array().or(alone) {
         Some(models) => {
             let names = models.iter().filter_map(|model| model["id"].as_str());
             ModelList::Listed(names.map(str::to_owned).collect())
@@ -495,15 +814,53 @@ fn timed(start: Instant, tokens: Option<u64>) -> String {
     format!("{seconds:.2} s{}", rate.unwrap_or_default())
 }
 
-/// The question for the colour of a square.
-fn square(rgba: [u8; 4]) -> ChatRequest {
-    let image = png_file::RgbaImage::filled(SQUARE, SQUARE, rgba);
-    let png = png_file::encode(SQUARE, SQUARE, png_file::Channels::Rgba, image.as_bytes());
-    let image_url = ImageUrl::of_bytes("image/png", &png.unwrap_or_default());
-    let text = "What colour is the square? Answer with one word.".to_owned();
-    let parts = vec![ContentPart::ImageUrl { image_url }, ContentPart::Text { text }];
+const RED: [u8; 4] = [230, 20, 20, 255];
+const BLUE: [u8; 4] = [20, 20, 230, 255];
+const GREY: [u8; 4] = [128, 128, 128, 255];
+
+/// The names of these colours in an answer, in order.
+fn colours(answer: &str) -> Vec<&'static str> {
+    let answer = answer.to_lowercase();
+    let words = answer.split(|c: char| !c.is_alphanumeric());
+    words.filter_map(|word| ["red", "blue"].into_iter().find(|colour| *colour == word)).collect()
+}
+
+/// Whether an answer has this word.
+fn names(reply: &ChatReply, word: &str) -> bool {
+    reply.text().to_lowercase().contains(word)
+}
+
+/// A square whose halves have these colours.
+fn square(upper: [u8; 4], lower: [u8; 4]) -> ImageUrl {
+    let half = (SQUARE * SQUARE / 2) as usize;
+    let pixels = [upper.repeat(half), lower.repeat(half)].concat();
+    let png = png_file::encode(SQUARE, SQUARE, png_file::Channels::Rgba, &pixels);
+    ImageUrl::of_bytes("image/png", &png.unwrap_or_default())
+}
+
+/// A question about images.
+fn about_images(text: &str, images: &[&ImageUrl], max_tokens: u32) -> ChatRequest {
+    let images = images.iter().map(|image| ContentPart::ImageUrl { image_url: (*image).clone() });
+    let parts = images.chain([ContentPart::Text { text: text.to_owned() }]).collect();
     let message = ChatMessage { role: ChatRole::User, content: MessageContent::Parts(parts) };
-    ChatRequest { messages: vec![message], max_tokens: ANSWER_TOKENS, choices: Vec::new() }
+    ChatRequest { messages: vec![message], max_tokens, choices: Vec::new() }
+}
+
+/// The request with a word in the first line of its question, and the question for that word in its last one.
+fn with_code_word(mut request: ChatRequest) -> ChatRequest {
+    let first = format!("The code word is {CODE_WORD}.\n\n");
+    let last = "\n\nDo not choose an action now. What is the code word in the first line? Answer with that word only.";
+    request.choices.clear();
+    if let Some(message) = request.messages.last_mut() {
+        match &mut message.content {
+            MessageContent::Text(text) => *text = format!("{first}{text}{last}"),
+            MessageContent::Parts(parts) => {
+                parts.insert(0, ContentPart::Text { text: first });
+                parts.push(ContentPart::Text { text: last.to_owned() });
+            }
+        }
+    }
+    request
 }
 
 /// A request for a long answer. The number at its beginning keeps it out of the server's prefix cache.

@@ -1,8 +1,11 @@
 //! What a server sends back: the model's answer and the tokens it took.
 
+use domain::names::steers_a_terminal;
 use domain::reasoning::split_reasoning;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+
+use crate::body;
 
 /// A model's answer. Fields are `None` where the server does not report them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -76,9 +79,14 @@ const CUT_OFF: [&str; 4] =
 /// Values of `finish_reason` of an answer that calls tools, and so has no text.
 const TOOL_CALLS: [&str; 2] = ["tool_calls", "function_call"];
 
-/// Whether a `finish_reason` is one of `kinds`, in any case, also with an explanation after a colon.
+/// Whether a `finish_reason` begins with one of `kinds`, in any case, with a hyphen or an underscore, and with or without an
+/// explanation after it: `content_filter: SAFETY`.
 fn is_one_of(finish_reason: Option<&str>, kinds: &[&str]) -> bool {
-    let kind = |reason: &str| reason.split(':').next().unwrap_or_default().trim().to_lowercase();
+    let kind = |reason: &str| {
+        let reason = reason.trim().replace('-', "_").to_lowercase();
+        let end = reason.find(|c: char| !c.is_alphanumeric() && c != '_');
+        reason[..end.unwrap_or(reason.len())].to_owned()
+    };
     finish_reason.is_some_and(|reason| kinds.contains(&kind(reason).as_str()))
 }
 
@@ -174,19 +182,21 @@ fn says_nothing(field: &Value) -> bool {
     }
 }
 
+/// What the problem of a failure begins with that the server reports itself.
+pub(crate) const REPORTED: &str = "it is an error: ";
+
 /// Reads the body of a response with status 2xx.
 ///
 /// # Errors
 /// What is wrong with the body, or the failure of the server that it reports: such a reply is not the model's answer.
 pub fn read(body: &[u8]) -> Result<ChatReply, UnusableReply> {
-    let body: Value =
-        serde_json::from_slice(body).map_err(|error| format!("it is not JSON: {error}"))?;
+    let body = body::json(body)?;
     // Some proxies report a failure behind them with status 200, as the whole answer or inside a choice.
     let errors = [body.get("error"), body.pointer("/choices/0/error")];
     if let Some(error) = errors.into_iter().flatten().find(|error| !says_nothing(error)) {
-        let problem = format!("it is an error: {}", message_of(error));
-        let code = error.get("code").and_then(Value::as_u64).and_then(|code| code.try_into().ok());
-        return Err(UnusableReply { problem, code });
+        let problem = format!("{REPORTED}{}", message_of(error));
+        let code = ["code", "status"].into_iter().find_map(|field| status_of(error.get(field)?));
+        return Err(UnusableReply { problem, code, is_reported: true });
     }
     let choice = body.pointer("/choices/0").ok_or("it has no choices")?;
     let message = choice.get("message").filter(|message| message.is_object());
@@ -226,6 +236,12 @@ pub fn read(body: &[u8]) -> Result<ChatReply, UnusableReply> {
     }
 }
 
+/// The HTTP status in an error, which may be a text.
+fn status_of(code: &Value) -> Option<u16> {
+    let number = code.as_u64().or_else(|| code.as_str()?.parse().ok());
+    number.and_then(|number| number.try_into().ok()).filter(|status| (400..600).contains(status))
+}
+
 /// A body with status 2xx that is no reply of the model.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct UnusableReply {
@@ -233,11 +249,13 @@ pub struct UnusableReply {
     pub problem: String,
     /// The status that it reports about the failure, if it does.
     pub code: Option<u16>,
+    /// Whether the server reports the failure itself.
+    pub is_reported: bool,
 }
 
 impl From<String> for UnusableReply {
     fn from(problem: String) -> Self {
-        Self { problem, code: None }
+        Self { problem, code: None, is_reported: false }
     }
 }
 
@@ -287,11 +305,16 @@ const MESSAGE_CHARS: usize = 400;
 
 /// The message in the body of an error response, on one line, and what `masked` makes of it.
 pub fn error_message(body: &[u8], masked: impl Fn(&str) -> String) -> String {
-    let text = String::from_utf8_lossy(body);
-    let value: Option<Value> = serde_json::from_str(&text).ok();
-    let message = value.as_ref().map_or_else(|| text.into_owned(), message_of);
-    let line: String =
-        message.split_whitespace().collect::<Vec<_>>().join(" ").replace(char::is_control, "");
+    let message = match body::json(body) {
+        Ok(value) => message_of(&value),
+        Err(_) => String::from_utf8_lossy(body).into_owned(),
+    };
+    let message = match message.trim_start().starts_with('<') {
+        true => body::words_of_page(&message).into_owned(),
+        false => message,
+    };
+    let words: Vec<&str> = message.split_whitespace().collect();
+    let line = words.join(" ").replace(steers_a_terminal, "");
     // Before it is cut, since a part of the key would not be found.
     let line = masked(&line);
     match line.char_indices().nth(MESSAGE_CHARS) {
@@ -360,6 +383,10 @@ mod tests {
                 Text("North".into()),
             ),
             (
+                r#"{"message":{"content":""},"finish_reason":"content-filter"}"#,
+                Refusal(String::new()),
+            ),
+            (
                 r#"{"message":{"content":null,"refusal":"I cannot."},"finish_reason":"stop"}"#,
                 Refusal("I cannot.".into()),
             ),
@@ -419,6 +446,11 @@ mod tests {
             (r#""content":"<think>hm</think>North""#, "{}", true),
             (r#""content":"hm</think>North""#, "{}", true),
             (
+                r#""content":[{"type":"thinking","thinking":[]},{"type":"text","text":"North"}]"#,
+                "{}",
+                true,
+            ),
+            (
                 r#""content":"North","reasoning_details":[{"type":"reasoning.encrypted"}]"#,
                 "{}",
                 true,
@@ -476,6 +508,12 @@ mod tests {
                 None,
             ),
             (
+                r#"{"message":{"content":"mov"},"finish_reason":"error: upstream"}"#,
+                "{}",
+                "its finish_reason is \"error: upstream\"",
+                None,
+            ),
+            (
                 r#"{"message":{"content":""},"finish_reason":"ERROR"}"#,
                 "{}",
                 "its finish_reason is \"ERROR\"",
@@ -494,7 +532,8 @@ mod tests {
                 None,
             ),
         ] {
-            let expected = UnusableReply { problem: problem.to_owned(), code };
+            let is_reported = problem.starts_with("it is an error");
+            let expected = UnusableReply { problem: problem.to_owned(), code, is_reported };
             assert_eq!(of(choice, usage), Err(expected), "{choice}");
         }
         let spoken = of(
@@ -539,7 +578,9 @@ mod tests {
             (r#"{"object":"error","message":"too\nlong"}"#, "too long"),
             (r#"{"detail":[{"loc":["body"],"msg":"Extra inputs"}]}"#, "Extra inputs"),
             (r#"[{"error":{"message":"Unknown name"}}]"#, "Unknown name"),
-            ("<html>Bad gateway</html>", "<html>Bad gateway</html>"),
+            ("<html>Bad gateway</html>", "Bad gateway"),
+            ("<html><title>502 Bad Gateway</title><h1>nginx</h1></html>", "502 Bad Gateway"),
+            (r#"{"error":"no \u202edrow\u001b[2J"}"#, "no drow[2J"),
             ("", "no message"),
         ] {
             assert_eq!(error_message(body.as_bytes(), str::to_owned), expected);

@@ -38,9 +38,12 @@ const LATENCY_FACTOR: u32 = 3;
 
 pub(crate) const TOO_MANY_REQUESTS: u16 = 429;
 
+/// Statuses of servers and proxies that gave up on a request which they do not refuse.
+const PASSING: [u16; 6] = [408, 409, 421, 424, 425, 499];
+
 /// Whether another attempt may meet another answer than this status.
 pub(crate) fn is_transient(status: u16) -> bool {
-    status == TOO_MANY_REQUESTS || (500..=599).contains(&status)
+    status == TOO_MANY_REQUESTS || PASSING.contains(&status) || (500..=599).contains(&status)
 }
 
 /// The pause that a `Retry-After` header asks for: seconds, or a date, which is compared with the server's own `Date`
@@ -371,8 +374,10 @@ impl ServerState {
             self.outage = Some(Outage { since, failures: failures + 1 });
             let waited = now.duration_since(since);
             if waited >= self.patience && !self.replaceable {
+                let answers = is_answer(&reason);
                 let error = self.exhausted(attempts, reason);
-                return Next::End(self.gone(&error, &format!("for {} s", waited.as_secs())));
+                let how_long = format!("for {} s", waited.as_secs());
+                return Next::End(self.gone(&error, answers, &how_long));
             }
             // A request that fails whenever the server is back may be what brings it down.
             attempts.counted += u32::from(before.is_some_and(|before| self.replies > before));
@@ -397,6 +402,7 @@ impl ServerState {
     fn give_up(&mut self, attempts: &Attempts, reason: Transient) -> AskError {
         let throttled = is_throttled(&reason);
         let slow = matches!(reason, Transient::Timeout(_));
+        let answers = is_answer(&reason);
         let error = self.exhausted(attempts, reason);
         self.given_up += u32::from(!throttled);
         let unreachable = self.unreachable && self.failures > self.max_retries;
@@ -410,7 +416,7 @@ impl ServerState {
                  longer --request-timeout, fewer --max-connections or a smaller --image-budget"
             ));
         }
-        self.gone(&error, &failures)
+        self.gone(&error, answers, &failures)
     }
 
     /// Records what a transient failure says about the server.
@@ -426,7 +432,7 @@ impl ServerState {
         } else {
             self.failures += 1;
             self.unreachable &= matches!(reason, Transient::Unreachable(_));
-            self.answered |= matches!(reason, Transient::Status { .. } | Transient::Unreadable(_));
+            self.answered |= is_answer(reason);
         }
         if matches!(reason, Transient::Timeout(_)) && self.outage.is_none() {
             self.load.timed_out(sent, now);
@@ -479,24 +485,34 @@ impl ServerState {
         RequestError::GaveUp { endpoint: self.endpoint.clone(), attempts: attempts.made, last }
     }
 
-    fn gone(&mut self, error: &RequestError, how_long: &str) -> AskError {
+    fn gone(&mut self, error: &RequestError, answers: bool, how_long: &str) -> AskError {
+        let (what, when) = match answers {
+            true => (format!("fails every request ({how_long})"), "it works"),
+            false => (format!("is gone (no answer {how_long})"), "it is back"),
+        };
         self.stop(format!(
-            "the server is gone (no answer {how_long}): {error}; check it with `memtransfer doctor --policy openai`, \
-             and start the same command again when it is back"
+            "the server {what}: {error}; check it with `memtransfer doctor --policy openai`, and start the same command \
+             again when {when}"
         ))
     }
+}
+
+/// Whether a failure is an answer of the server, so that it is not gone.
+const fn is_answer(reason: &Transient) -> bool {
+    matches!(reason, Transient::Status { .. } | Transient::Unreadable(_))
 }
 
 const fn is_throttled(reason: &Transient) -> bool {
     matches!(reason, Transient::Status { status: TOO_MANY_REQUESTS, .. })
 }
 
-/// Whether every other request would meet the same error. A server that has replied knows the model and is a chat
-/// endpoint, so what it refuses then is one request.
+/// Whether every other request would meet the same error. A server that has replied knows the model.
 const fn concerns_all(error: &RequestError, replied: bool) -> bool {
     match error {
-        RequestError::Refused { status: 401 | 402, .. } => true,
-        RequestError::Refused { status: 403 | 404, .. } | RequestError::NotChat { .. } => !replied,
+        RequestError::Refused { permanent: true, .. }
+        | RequestError::NotChat { .. }
+        | RequestError::OutOfReach { .. } => true,
+        RequestError::Refused { status: 404, .. } => !replied,
         RequestError::Refused { .. }
         | RequestError::Unserializable(_)
         | RequestError::GaveUp { .. } => false,

@@ -3,6 +3,7 @@
 //! A suite, which may lie in downloaded assets, and a plan can name programs to start. Its user may not have read it.
 
 use anyhow::{Result, bail};
+use domain::names::steers_a_terminal;
 
 /// The flag that allows it. It is no setting, so that no file can hold it.
 pub(super) const ALLOW: &str = "--allow-commands";
@@ -41,7 +42,7 @@ pub(super) fn check(file: &str, commands: &[(&str, String)], used: Use) -> Resul
 
 /// The command as it is, but for characters that would hide a part of it.
 fn on_one_line(command: &str) -> String {
-    let visible = |c: char| match c.is_control() {
+    let visible = |c: char| match steers_a_terminal(c) {
         true => c.escape_default().to_string(),
         false => c.to_string(),
     };

@@ -4,24 +4,26 @@ use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::AtomicBool;
+use std::time::SystemTime;
 
 use anyhow::{Context, anyhow, bail, ensure};
 use case_book::BookRequest;
 use clap::{Args, ValueEnum};
 use conditions::settings::RunSettings;
 use documents::DocumentName;
-use domain::{Pose, cache_folder};
+use domain::{Pose, cache_folder, create_private_folder};
 use llm::{Endpoint, Servers, Source};
 use orchestrator::books::Books;
 use orchestrator::documents::needed;
 use orchestrator::run_documents::{RunDocuments, listed};
 use orchestrator::scratch::{self, ScratchFolder};
 use orchestrator::selection::SelectedCases;
+use run_log::DOCTOR_FILE;
 use rustix::fs::{Access, access};
 use rustix::io::Errno;
 use rustix::process::{Resource, getrlimit};
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::{Value, json};
 use settings::{Layer, resolve, variable};
 use shm_types::process::{SHARED_MEMORY, check_shared_memory};
 use shm_types::{RunDir, registry};
@@ -42,9 +44,9 @@ const STOPPED: &str = "stopped by a signal";
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Exit status 1 when something is missing. Frame size, image budget and time limit of the request to a
-model are those of a run: set MEMTRANSFER_FRAME_SIZE, MEMTRANSFER_IMAGE_BUDGET or
-MEMTRANSFER_REQUEST_TIMEOUT as for `memtransfer run`.
+Exit status 1 when something is missing. Requests to a model are those of a run with the settings of
+the environment: set MEMTRANSFER_IMAGE_BUDGET, MEMTRANSFER_REASONING and others as for
+`memtransfer run`.
 
 Examples:
   memtransfer doctor
@@ -53,8 +55,8 @@ Examples:
 pub(super) struct DoctorArgs {
     #[command(flatten)]
     world: WorldArgs,
-    /// Also check the server of this policy's model, with about twenty short requests and one of the
-    /// size that a run sends
+    /// Also check the server of this policy's model, with about thirty requests, some of them of the size
+    /// that a run sends
     #[arg(long, value_name = "POLICY", value_enum, requires = "model")]
     policy: Option<ModelPolicy>,
     /// With --policy openai: the model, by the name that the server knows
@@ -107,6 +109,14 @@ struct Probed {
     endpoint: String,
     model: String,
     findings: Vec<ProbedFinding>,
+    differences: Option<Vec<ProbedDifference>>,
+}
+
+#[derive(Deserialize)]
+struct ProbedDifference {
+    setting: String,
+    paper: String,
+    here: String,
 }
 
 #[derive(Deserialize)]
@@ -355,7 +365,9 @@ fn servers(args: &DoctorArgs) -> anyhow::Result<Servers> {
     let of_variable = of_variable.as_ref().and_then(Value::as_str);
     let given = args.base_url.as_deref().map(|url| (url, Source::CommandLine));
     let given = given.or(of_variable.map(|url| (url, Source::Environment)));
-    Ok(Servers::from_environment(given, Path::new("."))?)
+    let servers = Servers::from_environment(given, Path::new("."))?;
+    let model = args.model.as_deref().map(settings).transpose()?.and_then(|it| it.model);
+    Ok(servers.with_headers(&model.map(|model| model.header).unwrap_or_default(), false)?)
 }
 
 /// What one of the `servers` of a model can do. The whole report is the data of the first finding.
@@ -376,7 +388,12 @@ fn endpoint(
         bail!("{}", String::from_utf8_lossy(&output.stderr).trim());
     }
     let report: Value = serde_json::from_slice(&output.stdout).context("cannot read the probe")?;
-    let Probed { endpoint, model, findings } = Probed::deserialize(&report)?;
+    // What is wrong with the cache folder is another finding.
+    let kept = cache_folder().map_err(anyhow::Error::from);
+    if let Err(error) = kept.and_then(|cache| keep_report(&cache, model, server, &report)) {
+        tracing::warn!("the report is not kept for runs: {error:#}");
+    }
+    let Probed { endpoint, model, findings, differences } = Probed::deserialize(&report)?;
     let whole = DoctorFinding {
         data: Some(report),
         ..DoctorFinding::of(ENDPOINT, Ok(format!("{model} at {endpoint} ({})", servers.places())))
@@ -389,7 +406,63 @@ fn endpoint(
         data: None,
     });
     let too_small = size_without(&documents.missing()).into_iter();
-    Ok(std::iter::once(whole).chain(parts).chain(too_small).collect())
+    let compared = differences.map(|differences| {
+        DoctorFinding::of("endpoint, against the paper", Ok(table(&differences)))
+    });
+    Ok(std::iter::once(whole).chain(parts).chain(too_small).chain(compared).collect())
+}
+
+/// The file in the cache folder of the last report about `model` at a server.
+fn report_file(cache: &Path, model: &str, server: &Endpoint) -> PathBuf {
+    let plain = |c: char| if c.is_ascii_alphanumeric() || c == '.' { c } else { '-' };
+    let name = format!("{model} {}", server.base());
+    let name: String = name.chars().take(LONGEST_NAME).map(plain).collect();
+    cache.join("doctor").join(format!("{name}.json"))
+}
+
+/// Characters of a report's file name, which a model's name may exceed.
+const LONGEST_NAME: usize = 200;
+
+fn keep_report(cache: &Path, model: &str, server: &Endpoint, report: &Value) -> anyhow::Result<()> {
+    let path = report_file(cache, model, server);
+    create_private_folder(&cache.join("doctor"))?;
+    let checked = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH)?.as_secs();
+    let kept = json!({"checked": checked, "report": report});
+    Ok(durable::output::write(&path, serde_json::to_vec(&kept)?)?)
+}
+
+/// Copies the last reports about the servers of `model` into the folder `out` of a run, each with the time in seconds since
+/// 1970 at which it was made.
+pub(super) fn copy_reports(
+    cache: &Path,
+    model: &str,
+    servers: &Servers,
+    out: &Path,
+) -> anyhow::Result<()> {
+    let read = |server| {
+        let kept = durable::input::read(&report_file(cache, model, server)).ok()?;
+        serde_json::from_slice::<Value>(&kept).ok()
+    };
+    let reports: Vec<Value> = servers.all().filter_map(read).collect();
+    if reports.is_empty() {
+        return Ok(());
+    }
+    let path = out.join(DOCTOR_FILE);
+    let written = durable::output::write(&path, serde_json::to_vec_pretty(&reports)?);
+    written.with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// What a run does differently from the paper, one setting a line.
+fn table(differences: &[ProbedDifference]) -> String {
+    if differences.is_empty() {
+        return "a run with this server does nothing differently, as far as these checks show"
+            .to_owned();
+    }
+    let row = |ProbedDifference { setting, paper, here }: &ProbedDifference| {
+        format!("\n  {setting:20} {here} (paper: {paper})")
+    };
+    let rows: String = differences.iter().map(row).collect();
+    format!("what a run with this server does differently{rows}")
 }
 
 /// That the request of the run's size had no documents, if they are not built yet.
@@ -407,20 +480,36 @@ fn size_without(missing: &[DocumentName]) -> Option<DoctorFinding> {
     })
 }
 
-/// The probe's flags about the largest request of a run with these settings and documents.
+/// The probe's flags about the largest requests of a run with these settings and documents, one for each memory that no other
+/// exceeds in views and in documents.
 fn request_size(settings: &RunSettings, documents: &RunDocuments) -> Vec<String> {
     let window = settings.groups.iter().flat_map(|group| &group.window).max();
     let sizes = documents.sizes();
     let size = |condition| needed([condition]).iter().filter_map(|name| sizes.get(name)).sum();
-    let largest: u64 = settings.conditions().iter().map(size).max().unwrap_or(0);
-    let mut flags = vec![
+    let conditions = settings.conditions();
+    let mut memories: Vec<(String, u32, u64)> = Vec::new();
+    for condition in &conditions {
+        let views = settings.memory_images_of(condition.memory);
+        let one = (condition.memory.to_string(), views, size(condition));
+        if !memories.iter().any(|other| other.1 >= one.1 && other.2 >= one.2) {
+            memories.retain(|other| other.1 > one.1 || other.2 > one.2);
+            memories.push(one);
+        }
+    }
+    let memories = memories
+        .into_iter()
+        .map(|(name, views, characters)| ("--memory-size", format!("{name}:{views}:{characters}")));
+    let mut flags = Vec::from_iter(memories);
+    flags.extend([
         ("--frame-size", settings.frame_size.to_string()),
-        ("--document-chars", largest.to_string()),
-        ("--keyframes", settings.keyframes.to_string()),
         ("--window", window.copied().unwrap_or(0).to_string()),
-    ];
+    ]);
     if let Some(model) = &settings.model {
+        flags.extend(model.extra_body.clone().map(|body| ("--extra-body", body)));
         flags.extend([
+            ("--answer-tokens", model.answer_tokens.to_string()),
+            ("--reasoning", model.reasoning.to_string()),
+            ("--system-role", model.system_role.to_string()),
             ("--image-budget", model.image_budget.to_string()),
             ("--image-format", model.image_format.to_string()),
             ("--request-timeout", model.request_timeout.to_string()),
@@ -446,7 +535,8 @@ fn with_assets(mut command: Command, world: &WorldArgs) -> Command {
 
 /// Runs `command`; what it prints on stderr is the error.
 fn succeed(mut command: Command, stop: &AtomicBool) -> anyhow::Result<()> {
-    let output = supervise::output(&mut command, stop)?.context(STOPPED)?;
+    let output =
+        supervise::output(supervise::without_keys(&mut command), stop)?.context(STOPPED)?;
     let message = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "{}", message.trim());
     Ok(())
@@ -474,12 +564,31 @@ mod tests {
         let documents = RunDocuments::of(&settings, &crate::estimate::tests::books(), false);
         insta::assert_snapshot!(
             request_size(&settings, &documents).join(" "),
-            @"--frame-size 128 --document-chars 0 --keyframes 40 --window 9 --image-budget 12 --image-format png --request-timeout 77"
+            @"--memory-size working:0:0 --frame-size 128 --window 9 --answer-tokens 30 --reasoning off --system-role system --image-budget 12 --image-format png --request-timeout 77"
         );
         let finding = size_without(&documents.missing()).unwrap();
         assert!(finding.ok && finding.doubtful);
         assert!(finding.about.contains("without summary/original, semantic/original, which"));
         assert!(size_without(&[]).is_none());
+    }
+
+    #[test]
+    fn the_last_report_about_a_server_is_kept_with_its_runs() {
+        let (cache, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let given = Some(("http://a/v1,http://b/v1", Source::CommandLine));
+        let servers = Servers::from_environment(given, cache.path()).unwrap();
+        let copy = |model| copy_reports(cache.path(), model, &servers, out.path()).unwrap();
+        for report in [json!({"findings": 1}), json!({"findings": 2})] {
+            keep_report(cache.path(), "org/m", &servers.first, &report).unwrap();
+        }
+        copy("other");
+        assert!(!out.path().join(DOCTOR_FILE).exists());
+        copy("org/m");
+        let copied = std::fs::read(out.path().join(DOCTOR_FILE)).unwrap();
+        let copied: Value = serde_json::from_slice(&copied).unwrap();
+        assert_eq!(copied.as_array().map(Vec::len), Some(1));
+        assert_eq!(copied[0]["report"]["findings"], 2);
+        assert!(copied[0]["checked"].as_u64() > Some(1_700_000_000));
     }
 
     #[test]

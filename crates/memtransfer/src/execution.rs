@@ -1,13 +1,14 @@
 //! What the verbs `run`, `plan` and `work` share: how the orchestrator is called, and what is printed when it stops early.
 
+use std::ffi::OsString;
 use std::io;
 use std::path::Path;
 
 use anyhow::{Result, anyhow};
 use conditions::settings::{Group, RunSettings};
 use conditions::{Demonstrations, Route, Start};
-use domain::shell_word;
-use llm::Servers;
+use domain::{SecretHeader, cache_folder, shell_word};
+use llm::{Servers, Source};
 use orchestrator::invocation::Invocation;
 use orchestrator::launch;
 use orchestrator::progress::Verbosity;
@@ -15,6 +16,7 @@ use orchestrator::run::{self, RunOutcome};
 use orchestrator::run_plan::RunPlan;
 use rustix::io::Errno;
 
+use super::doctor::copy_reports;
 use super::run::flags::RunOptions;
 use super::{Exit, in_one_line};
 use crate::signals::{self, Signals};
@@ -26,7 +28,7 @@ pub(super) const FILLING_STORE: &str = "the store was being filled";
 
 /// The invocation that `options` describe, which a signal stops.
 pub(super) fn invocation<'a>(options: &'a RunOptions, signals: &'a Signals) -> Invocation<'a> {
-    let RunOptions { fresh, quiet, trace, base_url_source, .. } = options;
+    let RunOptions { fresh, quiet, trace, base_url_source, header_source, .. } = options;
     Invocation {
         fresh: *fresh,
         verbosity: Verbosity::of_quiet(*quiet),
@@ -35,10 +37,13 @@ pub(super) fn invocation<'a>(options: &'a RunOptions, signals: &'a Signals) -> I
         adjust: Box::new(move |settings, _, pipeline| {
             let Some(model) = &settings.model else { return Ok(()) };
             let given = model.base_url.as_deref().map(|url| (url, *base_url_source));
+            let of_file = *header_source == Source::SettingsFile;
             let servers = Servers::from_environment(given, Path::new("."))?;
+            let servers = servers.with_headers(&model.header, of_file)?;
             if !quiet {
                 say!("asking {} at {servers}", model.model);
             }
+            copy_reports(&cache_folder()?, &model.model, &servers, &settings.out)?;
             launch::tell_source_of_base_url(pipeline, base_url_source.word());
             Ok(())
         }),
@@ -101,7 +106,19 @@ pub(super) fn stopped_before_episodes(signals: &Signals, meanwhile: &str) -> Exi
 
 /// The command line that resumes the run: without `--fresh`, which would start over.
 pub(super) fn same_command() -> String {
-    let arguments = std::env::args_os().filter(|argument| argument != "--fresh");
+    let mut is_header = false;
+    let shown = |argument: OsString| {
+        let text = argument.to_string_lossy().into_owned();
+        let header = if is_header { Some(&*text) } else { text.strip_prefix("--header=") };
+        let prefix = if is_header { "" } else { "--header=" };
+        let masked = header.map(|header| match header.parse::<SecretHeader>() {
+            Ok(header) => format!("{prefix}{header}"),
+            Err(_) => format!("{prefix}..."),
+        });
+        is_header = text == "--header";
+        masked.map_or(argument, OsString::from)
+    };
+    let arguments = std::env::args_os().filter(|argument| argument != "--fresh").map(shown);
     arguments.map(shell_word).collect::<Vec<_>>().join(" ")
 }
 

@@ -79,13 +79,14 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
     let before = before.map_err(|error| anyhow!("{error:#}. This one is left as it is"))?;
     let resolved = resolve([environment, flags])?;
     let base_url_source = source_of(resolved.origin("base-url"));
+    let header_source = source_of(resolved.origin("header"));
     let used = commands::Use::Start { allowed: args.allow_commands };
     let suite = format!("the suite {}", resolved.settings.suite);
     commands::check(&suite, &resolved.commands_of_suite()?, used)?;
     let settings = resolved.settings;
     check(&settings)?;
     let signals = Signals::listen().context("cannot listen to signals")?;
-    let options = RunOptions::of(args.quiet, base_url_source);
+    let options = RunOptions::of(args.quiet, base_url_source, header_source);
     let invocation = invocation(&options, &signals);
     let Some(run) = RunPlan::new(settings, ALL, Purpose::Units, &invocation)? else {
         return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));

@@ -66,6 +66,7 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
         return Ok(Exit::Complete);
     }
     options.base_url_source = source_of(resolved.origin("base-url"));
+    options.header_source = source_of(resolved.origin("header"));
     let suite = format!("the suite {}", resolved.settings.suite);
     let (purpose, used) = match options.dry_run {
         true => (Purpose::DryRun, commands::Use::Show),

@@ -91,7 +91,8 @@ pub(super) fn run(args: WorkArgs) -> Result<Exit> {
         check_unit(&part, &plan.unit_id(args.unit))?;
     }
     let signals = Signals::listen().context("cannot listen to signals")?;
-    let options = RunOptions::of(args.quiet, base_url_source(&args)?);
+    let [base_url, header] = ["base-url", "header"].map(|key| source_of(&args, key));
+    let options = RunOptions::of(args.quiet, base_url?, header?);
     let cache = cache_folder()?;
     let shipment = plan.plan.shipment.as_ref();
     if let Some(shipment) = shipment {
@@ -132,12 +133,11 @@ pub(super) fn run(args: WorkArgs) -> Result<Exit> {
     Ok(Exit::Complete)
 }
 
-/// Where the address of the model's server is given: here, or in the plan.
-fn base_url_source(args: &WorkArgs) -> Result<Source> {
-    const KEY: &str = "base-url";
-    Ok(if args.machine.layer()?.text(KEY).is_some() {
+/// Where a setting of the model's server is given: here, or in the plan.
+fn source_of(args: &WorkArgs, key: &str) -> Result<Source> {
+    Ok(if args.machine.layer()?.has(key) {
         Source::CommandLine
-    } else if variable(KEY)?.is_some() {
+    } else if variable(key)?.is_some() {
         Source::Environment
     } else {
         Source::SettingsFile

@@ -10,6 +10,7 @@ use std::sync::Arc;
 
 use clap::builder::Resettable;
 use clap::{Arg, Command, Parser};
+use domain::names::steers_a_terminal;
 use signal_hook::consts::SIGXFSZ;
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::SubscriberExt;
@@ -103,10 +104,10 @@ pub fn with_advice(message: &str) -> String {
     if message.contains(advice) { message.to_owned() } else { format!("{message}\n{advice}") }
 }
 
-/// The text with a mark in place of each control character but tabs and line ends: what a model, a server or a run folder
+/// The text with a mark in place of each character that steers a terminal but tabs and line ends: what a model, a server or a run folder
 /// from elsewhere says must not steer a terminal.
 pub fn printable(text: &str) -> String {
-    text.replace(|c: char| c.is_control() && !matches!(c, '\n' | '\t'), "\u{fffd}")
+    text.replace(|c: char| steers_a_terminal(c) && !matches!(c, '\n' | '\t'), "\u{fffd}")
 }
 
 #[cfg(test)]
@@ -139,8 +140,8 @@ mod tests {
     #[test]
     fn control_characters_do_not_reach_the_terminal() {
         assert_eq!(
-            printable("Größe:\t7\n\u{1b}[2J\r\u{9b}1m"),
-            "Größe:\t7\n\u{fffd}[2J\u{fffd}\u{fffd}1m"
+            printable("Größe:\t7\n\u{1b}[2J\r\u{9b}1m \u{202e}drow\u{2069}"),
+            "Größe:\t7\n\u{fffd}[2J\u{fffd}\u{fffd}1m \u{fffd}drow\u{fffd}"
         );
     }
 }

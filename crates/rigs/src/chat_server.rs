@@ -32,6 +32,13 @@ pub enum Reaction {
         /// The body.
         body: String,
     },
+    /// Sends a response with status 200 whose body is no text.
+    Bytes {
+        /// Further header lines.
+        headers: Vec<String>,
+        /// The body.
+        body: Vec<u8>,
+    },
     /// Announces this body and sends the first half of it.
     Half(String),
     /// Sends this body a byte at a time, and announces one byte more.
@@ -215,6 +222,10 @@ fn answer(mut stream: &TcpStream, turn: Reaction) -> io::Result<()> {
     match turn {
         Reaction::Answer { status, headers, body } => {
             stream.write_all((head(status, &headers, body.len()) + &body).as_bytes())
+        }
+        Reaction::Bytes { headers, body } => {
+            stream.write_all(head(200, &headers, body.len()).as_bytes())?;
+            stream.write_all(&body)
         }
         Reaction::Half(body) => {
             let answer = head(200, &json(), body.len()) + &body[..body.len() / 2];

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use domain::Outcome;
+use domain::{Outcome, ReasoningRequest};
 
 use crate::{RequestRecord, RunLog, Unread};
 use conditions::settings::ModelSettings;
@@ -58,7 +58,9 @@ impl AnswerCounts {
     /// What to do about answers without an action.
     fn advice(&self, model: Option<&ModelSettings>) -> String {
         let mostly_cut_off = u64::from(self.unread.cut_off) * 2 > self.answers;
+        let is_asked = model.is_some_and(|model| model.reasoning != ReasoningRequest::Off);
         let advice = match (mostly_cut_off, self.reasoned > 0) {
+            (true, _) if is_asked => "The bound counts reasoning too: raise it (--answer-tokens).",
             (true, true) => {
                 "The model reasons although it was asked not to: turn reasoning off at the server, or raise the bound \
                  (--answer-tokens)."

@@ -31,6 +31,8 @@ pub const DOCUMENTS_FOLDER: &str = "documents";
 pub const PROMPTS_FOLDER: &str = "prompts";
 /// The logs of the processes.
 pub const LOGS_FOLDER: &str = "logs";
+/// What `doctor` last found out about the servers of the run's model.
+pub const DOCTOR_FILE: &str = "doctor.json";
 /// The reports about a single run.
 pub const REPORT_FOLDER: &str = "report";
 
@@ -47,7 +49,7 @@ const REPORT_IDS: &str = concat!(
 /// external memories.
 const RUN_NAMES: [&str; 13] = [
     "(manifest|status)\\.json\\.new",
-    "status\\.json|(case-book|demonstrations|streams|elsewhere)\\.json(\\.new)?",
+    "(status|doctor)\\.json|(case-book|demonstrations|streams|elsewhere)\\.json(\\.new)?",
     "(episodes|timings|requests|errors|sessions|latency)(\\.damaged)?\\.jsonl",
     "episodes\\.jsonl\\.new",
     "logs/((sim|memory|policy)\\.log(\\.new)?)?",

@@ -339,7 +339,7 @@ fn says(before: &str, now: &str) -> bool {
 
 /// The facts that a policy learns from the replies of its server ([`RunFolder::learn`]), and so does not have when it is
 /// ready.
-pub(super) const LEARNED_FACTS: [&str; 2] = ["answers", "reasoning"];
+pub const LEARNED_FACTS: [&str; 4] = ["answers", "fields", "reasoning", "temperature"];
 
 /// Opens the journal in `path`, and adds notes on what was cut or set aside.
 fn journal<T: serde::Serialize + serde::de::DeserializeOwned>(

@@ -7,7 +7,7 @@ use domain::shell_word;
 
 use crate::comparison::{Comparison, compare};
 use crate::trial::Trials;
-use run_log::{Difference, RunLog};
+use run_log::{Difference, LEARNED_FACTS, RunLog};
 
 /// Why two configurations cannot be compared.
 #[derive(Debug, thiserror::Error)]
@@ -98,7 +98,20 @@ pub fn compare_runs(a: &RunLog, b: &RunLog) -> Result<Vec<Comparison>, CompareEr
 pub fn differing_settings(a: &RunLog, b: &RunLog) -> Vec<Difference> {
     let mut differences = b.manifest.differences(&a.manifest);
     differences.retain(|one| !["policy", "policy-cmd", "model"].contains(&one.key.as_str()));
+    differences.extend(LEARNED_FACTS.into_iter().filter_map(|fact| learned_difference(a, b, fact)));
     differences
+}
+
+/// What the policies of two runs learned differently of their servers, which refuse fields or ignore them.
+fn learned_difference(a: &RunLog, b: &RunLog, fact: &str) -> Option<Difference> {
+    let learned = |log: &RunLog| log.manifest.processes.get("policy")?.get(fact).cloned();
+    let (there, here) = (learned(a), learned(b));
+    // A policy that is no model has none of them.
+    let is_of_models = [a, b].iter().all(|log| log.manifest.settings.model.is_some());
+    (is_of_models && there != here).then(|| {
+        let shown = |fact: Option<String>| fact.unwrap_or_else(|| "as asked".to_owned());
+        Difference { key: fact.to_owned(), there: shown(there), here: shown(here) }
+    })
 }
 
 /// Whether cases with the same id are the same in both runs, and each episode stands for itself.
@@ -138,6 +151,21 @@ mod tests {
         max-steps: 200 and 60
         seed: 3 and 1
         ");
+        let model = serde_json::json!({
+            "model": "m", "image-format": "png", "image-budget": 50, "answer-tokens": 30, "max-connections": 1,
+            "max-retries": 0, "request-timeout": 1, "response-cache": "off",
+        });
+        for log in [&mut a, &mut b] {
+            log.manifest.settings = rigs::records::manifest().settings;
+            log.manifest.settings.model = serde_json::from_value(model.clone()).unwrap();
+        }
+        let facts = [("fields".to_owned(), "the server refuses temperature".to_owned())];
+        b.manifest.processes.insert("policy".to_owned(), facts.into());
+        let [of_server] = &differing_settings(&a, &b)[..] else { panic!("one difference") };
+        assert_eq!(
+            [&*of_server.key, &*of_server.there, &*of_server.here],
+            ["fields", "as asked", "the server refuses temperature"]
+        );
         let compared = compare_runs(&a, &b).unwrap();
         assert_eq!((compared[0].sr.a, compared[0].sr.b, compared[0].sr.mean), (100.0, 0.0, 100.0));
         let streams = stream_log(vec![stream_record("a", true)], [2, 1, 2]);

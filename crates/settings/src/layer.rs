@@ -168,6 +168,11 @@ impl Layer {
         Ok(Self { origin: Origin::Suite, values })
     }
 
+    /// Whether the layer has a key.
+    pub fn has(&self, key: &str) -> bool {
+        self.values.contains_key(key)
+    }
+
     /// The text of a key, if the layer has it.
     pub fn text(&self, key: &str) -> Option<&str> {
         self.values.get(key)?.as_str()

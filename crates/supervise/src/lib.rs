@@ -60,6 +60,13 @@ pub struct Launch {
     pub command: Option<String>,
     /// Additional environment variables.
     pub env: Vec<(OsString, OsString)>,
+    /// Whether it gets the keys of the environment: it asks a model, or is a program of the user's that may.
+    pub needs_keys: bool,
+}
+
+/// Takes the keys of the environment from a program that asks no model.
+pub fn without_keys(command: &mut Command) -> &mut Command {
+    domain::KEY_VARIABLES.iter().fold(command, |command, variable| command.env_remove(variable))
 }
 
 impl Launch {
@@ -69,7 +76,8 @@ impl Launch {
     /// When there is no such file.
     pub fn sibling(role: Role, name: &str, args: Vec<OsString>) -> Result<Self> {
         let env = vec![(QUIET_DRIVER.0.into(), QUIET_DRIVER.1.into())];
-        Ok(Self { role, index: 0, program: sibling(name)?, args, command: None, env })
+        let program = sibling(name)?;
+        Ok(Self { role, index: 0, program, args, command: None, env, needs_keys: false })
     }
 
     /// An external command line, split into words as a shell does. No shell runs it.
@@ -84,7 +92,7 @@ impl Launch {
         let program = words.next().context("the command is empty")?.into();
         let args = words.map(OsString::from).collect();
         let command = Some(command.to_owned());
-        Ok(Self { role, index: 0, program, args, command, env: Vec::new() })
+        Ok(Self { role, index: 0, program, args, command, env: Vec::new(), needs_keys: true })
     }
 
     /// As [`Self::command`], for the external memory with this index.
@@ -384,6 +392,9 @@ impl Launcher for System {
             .spawn(write)
             .context("cannot start a thread")?;
         let mut command = Command::new(program);
+        if !launch.needs_keys {
+            without_keys(&mut command);
+        }
         command
             .args(args)
             .envs(env.iter().map(|(name, value)| (name, value)))
@@ -474,4 +485,18 @@ pub fn sibling(name: &str) -> Result<PathBuf> {
         sibling.display()
     );
     Ok(sibling)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_reach_only_programs_that_may_ask_a_model() {
+        let mut command = Command::new("x");
+        let removed: Vec<_> = without_keys(&mut command).get_envs().collect();
+        let expected = ["MEMTRANSFER_HEADER", "OPENAI_API_KEY"].map(|name| (name.as_ref(), None));
+        assert_eq!(removed, expected);
+        assert!(Launch::command(Role::Policy, "python policy.py").unwrap().needs_keys);
+    }
 }

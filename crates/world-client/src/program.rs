@@ -192,6 +192,9 @@ impl WorldProgram {
     pub fn command(&self, verb: &str) -> Command {
         let mut command = Command::new(&self.path);
         command.args(&self.arguments).arg(verb).env(self.variable.0, self.variable.1);
+        for variable in domain::KEY_VARIABLES {
+            command.env_remove(variable);
+        }
         command
     }
 

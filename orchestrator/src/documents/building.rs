@@ -42,7 +42,11 @@ pub(super) fn build(
     let log = logs.join("memory.log");
     let created = fs::create_dir_all(&logs).and_then(|()| File::create(&log));
     let errors = created.with_context(|| format!("cannot create {}", log.display()))?;
-    let mut child = Command::new(&program)
+    let mut command = Command::new(&program);
+    if matches!(recipe, Recipe::Extractive) {
+        supervise::without_keys(&mut command);
+    }
+    let mut child = command
         .args(args)
         .envs(env)
         .stdin(Stdio::null())

@@ -27,6 +27,7 @@ fn simulator(script: &str) -> Launch {
         args: vec!["-c".into(), script.into()],
         command: Some(script.to_owned()),
         env: Vec::new(),
+        needs_keys: false,
     }
 }
 

@@ -5,7 +5,11 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::Args;
-use llm::{ChatClient, ChatSettings, EndpointLimit, ReplyCache, Servers, Source};
+use domain::{HEADER_VARIABLE, ReasoningRequest, SecretHeader, SystemRole};
+use llm::{
+    ChatClient, ChatSettings, EndpointLimit, ReplyCache, RequestOptions, Servers, Source,
+    extra_body,
+};
 use policy_proc::openai::{Openai, OpenaiSettings};
 use prompt::image::ImageFormat;
 
@@ -32,6 +36,8 @@ pub(crate) struct ModelArguments {
     /// Maximum number of tokens of an answer
     #[arg(long, value_name = "N", default_value_t = prompt::ANSWER_TOKENS, value_parser = clap::value_parser!(u32).range(1..))]
     answer_tokens: u32,
+    #[command(flatten)]
+    requests: RequestArguments,
     /// Maximum number of requests in flight to one server
     #[arg(long, value_name = "N", default_value = "16", value_parser = clap::value_parser!(u32).range(1..))]
     max_connections: u32,
@@ -56,6 +62,31 @@ pub(crate) struct ModelArguments {
     response_cache: String,
 }
 
+/// What all requests to a model have in common.
+#[derive(Args)]
+pub(crate) struct RequestArguments {
+    /// What requests say about reasoning: off, minimal, low, medium, high, or nothing (model)
+    #[arg(long, value_name = "LEVEL", default_value_t = ReasoningRequest::Off)]
+    pub(crate) reasoning: ReasoningRequest,
+    /// How the rules are sent: as system, as developer, or in the user's message (user)
+    #[arg(long, value_name = "ROLE", default_value_t = SystemRole::System)]
+    system_role: SystemRole,
+    /// Further fields of each request, a JSON object; a field that is null is not sent
+    #[arg(long, value_name = "JSON", value_parser = extra_body)]
+    extra_body: Option<serde_json::Map<String, serde_json::Value>>,
+    /// A further header of each request
+    #[arg(long, value_name = "NAME: VALUE", env = HEADER_VARIABLE, value_delimiter = '\n', hide_env_values = true)]
+    pub(crate) header: Vec<SecretHeader>,
+}
+
+impl RequestArguments {
+    pub(crate) fn options(&self) -> RequestOptions {
+        let Self { reasoning, system_role, extra_body, .. } = self;
+        let extra_body = extra_body.clone().unwrap_or_default();
+        RequestOptions { reasoning: *reasoning, system_role: *system_role, extra_body }
+    }
+}
+
 /// The policy that asks a model.
 ///
 /// # Errors
@@ -63,7 +94,9 @@ pub(crate) struct ModelArguments {
 pub(crate) fn policy(arguments: ModelArguments) -> anyhow::Result<Openai> {
     let model = arguments.model.context("--policy openai needs --model")?;
     let given = arguments.base_url.as_deref().map(|url| (url, arguments.base_url_from));
-    let Servers { first, others, .. } = Servers::from_environment(given, Path::new("."))?;
+    let servers = Servers::from_environment(given, Path::new("."))?;
+    // The program that started this one knows where the headers were given, and has checked it.
+    let Servers { first, others, .. } = servers.with_headers(&arguments.requests.header, true)?;
     let limit = |most| {
         let folder = match arguments.endpoint_limit_folder {
             Some(folder) => folder,
@@ -83,6 +116,7 @@ pub(crate) fn policy(arguments: ModelArguments) -> anyhow::Result<Openai> {
     };
     let chat = ChatSettings {
         model,
+        options: arguments.requests.options(),
         request_timeout: Duration::from_secs(arguments.request_timeout.into()),
         max_retries: arguments.max_retries,
         max_connections: arguments.max_connections,

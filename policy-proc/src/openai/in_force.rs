@@ -1,13 +1,22 @@
 //! What was in force when the model answered: whether it reasoned although it was asked not to, and whether its answers were
 //! restricted to the actions. Requests ask for both, but servers refuse fields, or ignore them, so only replies can tell.
 
-use domain::Action;
+use domain::{Action, ReasoningRequest};
 use llm::{CONSTRAINTS, ChatReply, ReplyContent};
 use serde_json::Value;
 
+const TEMPERATURE: &str = "temperature";
+
+/// The older name of the bound on an answer.
+const BOUND: &str = "max_tokens";
+
 /// What the replies so far have shown.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct InForce {
+    /// What requests say about reasoning.
+    asked: ReasoningRequest,
+    /// The temperature that requests ask for.
+    temperature: String,
     reasoned: bool,
     /// A reply had a whole text.
     has_text: bool,
@@ -20,6 +29,18 @@ pub(super) struct InForce {
 }
 
 impl InForce {
+    pub(super) const fn new(asked: ReasoningRequest, temperature: String) -> Self {
+        Self {
+            asked,
+            temperature,
+            reasoned: false,
+            has_text: false,
+            unrestricted: false,
+            refused: Vec::new(),
+            reported: Vec::new(),
+        }
+    }
+
     /// Takes a reply, and the fields that servers have refused so far. Returns the facts for the manifest if they have
     /// changed.
     pub(super) fn add(
@@ -33,14 +54,22 @@ impl InForce {
             self.unrestricted |= !is_choice(text);
         }
         self.refused = refused;
-        let facts = vec![("answers", self.answers()), ("reasoning", self.reasoning())];
+        let mut facts = vec![
+            ("answers", self.answers()),
+            ("reasoning", self.reasoning()),
+            ("temperature", self.temperature()),
+        ];
+        if self.refused.contains(&BOUND) {
+            let fields = "the server refuses max_tokens, max_completion_tokens is sent";
+            facts.push(("fields", fields.to_owned()));
+        }
         let changed = self.reported != facts;
         self.reported.clone_from(&facts);
         changed.then_some(facts)
     }
 
     fn answers(&self) -> String {
-        let refused = self.refused(true);
+        let refused = self.refused(FieldKind::Constraint);
         if self.unrestricted || CONSTRAINTS.iter().all(|field| self.refused.contains(field)) {
             return format!("free text{refused}");
         }
@@ -51,8 +80,11 @@ impl InForce {
     }
 
     fn reasoning(&self) -> String {
-        let refused = self.refused(false);
-        if self.reasoned {
+        let refused = self.refused(FieldKind::Reasoning);
+        if self.asked != ReasoningRequest::Off {
+            let shown = if self.reasoned { "replies show it" } else { "no reply shows it" };
+            format!("asked for ({}), {shown}{refused}", self.asked)
+        } else if self.reasoned {
             format!("on: replies show it, although it was asked to be off{refused}")
         } else if self.has_text {
             format!("off, as far as replies show{refused}")
@@ -62,13 +94,42 @@ impl InForce {
         }
     }
 
-    /// The refused fields that restrict answers, or those that turn reasoning off, at the end of a sentence.
-    fn refused(&self, constraints: bool) -> String {
-        let of_kind = |field: &&&str| CONSTRAINTS.contains(*field) == constraints;
-        let fields: Vec<&str> = self.refused.iter().filter(of_kind).copied().collect();
-        match fields.len() {
-            0 => String::new(),
-            _ => format!("; the server refuses {}", fields.join(", ")),
+    fn temperature(&self) -> String {
+        match self.refused.contains(&TEMPERATURE) {
+            true => format!("the model's own, the server refuses {}", self.temperature),
+            false => self.temperature.clone(),
+        }
+    }
+
+    fn refused_of(&self, kind: FieldKind) -> Vec<&'static str> {
+        self.refused.iter().copied().filter(|field| FieldKind::of(field) == kind).collect()
+    }
+
+    /// The refused fields of a kind, at the end of a sentence.
+    fn refused(&self, kind: FieldKind) -> String {
+        match &self.refused_of(kind)[..] {
+            [] => String::new(),
+            fields => format!("; the server refuses {}", fields.join(", ")),
+        }
+    }
+}
+
+/// What a field is for that a server may refuse.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum FieldKind {
+    /// To restrict answers.
+    Constraint,
+    /// To turn reasoning off.
+    Reasoning,
+    Other,
+}
+
+impl FieldKind {
+    fn of(field: &str) -> Self {
+        match field {
+            field if CONSTRAINTS.contains(&field) => Self::Constraint,
+            TEMPERATURE | BOUND => Self::Other,
+            _ => Self::Reasoning,
         }
     }
 }
@@ -104,22 +165,24 @@ mod tests {
     #[test]
     fn the_facts_follow_from_replies_and_refusals() {
         let said = |text: &str| reply(ReplyContent::Text(text.to_owned()), false);
-        let mut cut_off_only = InForce::default();
+        let mut cut_off_only = InForce::new(ReasoningRequest::Off, "0".to_owned());
         let unknown = cut_off_only.add(&reply(ReplyContent::Length(String::new()), false), vec![]);
         assert_eq!(
             unknown.unwrap(),
             [
                 ("answers", "no reply shows whether they are restricted".to_owned()),
                 ("reasoning", "no reply shows whether it is off".to_owned()),
+                ("temperature", "0".to_owned()),
             ]
         );
-        let mut in_force = InForce::default();
+        let mut in_force = InForce::new(ReasoningRequest::Off, "0".to_owned());
         let first = in_force.add(&said("move forward"), vec![]);
         assert_eq!(
             first.unwrap(),
             [
                 ("answers", "restricted, as far as replies show".to_owned()),
                 ("reasoning", "off, as far as replies show".to_owned()),
+                ("temperature", "0".to_owned()),
             ]
         );
         assert_eq!(in_force.add(&said("{\"action\": \"turn left\"}"), vec![]), None);
@@ -136,23 +199,38 @@ mod tests {
                     "reasoning",
                     "off, as far as replies show; the server refuses reasoning_effort".to_owned()
                 ),
+                ("temperature", "0".to_owned()),
             ]
         );
         // An answer that was cut off or is empty shows no restriction, nor that there is none.
         let cut_off = reply(ReplyContent::Length("I see".to_owned()), true);
-        let [_, (_, reasoning)] = &in_force.add(&cut_off, refused.clone()).unwrap()[..] else {
-            panic!("two facts")
+        let [_, (_, reasoning), _] = &in_force.add(&cut_off, refused.clone()).unwrap()[..] else {
+            panic!("three facts")
         };
         assert_eq!(
             reasoning,
             "on: replies show it, although it was asked to be off; the server refuses reasoning_effort"
         );
-        let [(_, answers), _] = &in_force.add(&said("I turn left."), refused).unwrap()[..] else {
-            panic!("two facts")
+        let [(_, answers), ..] = &in_force.add(&said("I turn left."), refused).unwrap()[..] else {
+            panic!("three facts")
         };
         assert_eq!(answers, "free text; the server refuses grammar");
-        let mut refusing = InForce::default();
+        let mut refusing = InForce::new(ReasoningRequest::Off, "0".to_owned());
         let facts = refusing.add(&said("turn left"), CONSTRAINTS.to_vec()).unwrap();
         assert!(facts[0].1.starts_with("free text; the server refuses"), "{facts:?}");
+        let facts = refusing.add(&said("turn left"), vec!["temperature", "max_tokens"]).unwrap();
+        assert_eq!(
+            facts[2..],
+            [
+                ("temperature", "the model's own, the server refuses 0".to_owned()),
+                (
+                    "fields",
+                    "the server refuses max_tokens, max_completion_tokens is sent".to_owned()
+                ),
+            ]
+        );
+        let mut reasoning = InForce::new(ReasoningRequest::Low, "0".to_owned());
+        let facts = reasoning.add(&reply(ReplyContent::Text("turn left".to_owned()), true), vec![]);
+        assert_eq!(facts.unwrap()[1].1, "asked for (low), replies show it");
     }
 }

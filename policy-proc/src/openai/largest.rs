@@ -1,4 +1,4 @@
-//! The largest request of a run, with invented content: what a server has to accept before a run makes sense.
+//! The largest request of a run with a memory, with invented content: what a server has to accept before a run makes sense.
 
 use std::sync::Arc;
 
@@ -24,14 +24,14 @@ const RULE_LINE: &str = "- You cannot walk through racks, walls and barricades.\
 /// About the length of the benchmark's rules.
 const RULES_BYTES: usize = 2000;
 
-/// The size of the largest request of a run: full-context memory, a full window, and documents.
+/// The size of the largest request of a run with a memory: its views, a full window, its documents.
 #[derive(Debug, Clone, Copy)]
 pub struct LargestRequest {
     /// Edge of a view, in pixels.
     pub frame_size: u32,
     /// Encoding of the images.
     pub image_format: ImageFormat,
-    /// Keyframes of the demonstrations.
+    /// Views of the memory.
     pub keyframes: u32,
     /// Past steps.
     pub window: u32,
@@ -63,7 +63,13 @@ impl LargestRequest {
             DOCUMENT_LINE.chars().cycle().take(self.document_chars as usize).collect();
         let document = TextView { id: 0, kind: DocumentKind::Summary, text: &text };
         let trajectory = StepsView { distance: None, is_whole: true, steps: &steps };
-        let items = [Item::Steps(trajectory), Item::Text(document)];
+        let mut items = Vec::new();
+        if self.keyframes > 0 {
+            items.push(Item::Steps(trajectory));
+        }
+        if self.document_chars > 0 {
+            items.push(Item::Text(document));
+        }
         let request = Request {
             lane: 0,
             step: 0,
@@ -75,7 +81,7 @@ impl LargestRequest {
             feedback: FeedbackCode::START,
             frame,
             window: &window,
-            items: if self.document_chars == 0 { &items[..1] } else { &items },
+            items: &items,
             starts_as_demonstrated: true,
             demonstrated_elsewhere: true,
             world: &world,

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use domain::names::{UnknownName, serde_as_text};
+use domain::{ReasoningRequest, SecretHeader, SystemRole};
 use serde::{Deserialize, Serialize};
 
 use crate::ImageFormat;
@@ -21,6 +22,14 @@ pub struct ModelSettings {
     pub image_format: ImageFormat,
     pub image_budget: u32,
     pub answer_tokens: u32,
+    #[serde(default = "reasoning_off")]
+    pub reasoning: ReasoningRequest,
+    #[serde(default = "role_of_system")]
+    pub system_role: SystemRole,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub extra_body: Option<String>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub header: Vec<SecretHeader>,
     pub max_connections: u32,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub endpoint_limit: Option<u32>,
@@ -39,6 +48,16 @@ pub struct ModelSettings {
     pub max_tokens_total: Option<u64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_cost: Option<Money>,
+}
+
+/// What requests said about reasoning before it was a setting.
+const fn reasoning_off() -> ReasoningRequest {
+    ReasoningRequest::Off
+}
+
+/// The role of the rules before it was a setting.
+const fn role_of_system() -> SystemRole {
+    SystemRole::System
 }
 
 /// The default of `stop-without-action`, in manifests of earlier versions.

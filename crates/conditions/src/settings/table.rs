@@ -7,8 +7,10 @@ use std::str::FromStr;
 use domain::limits::{MAX_FRAMES, MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW, MAX_WORLDS};
 use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use domain::names::UnknownName;
-use domain::{Arm, FeedbackLevel, StreamOrder};
-use serde_json::Value;
+use domain::{
+    Arm, FeedbackLevel, REQUEST_FIELDS, ReasoningRequest, SecretHeader, StreamOrder, SystemRole,
+};
+use serde_json::{Map, Value};
 
 use super::{CaseSelector, DocumentSource, Drawn, ResponseCache, WorldStart};
 use crate::{
@@ -141,6 +143,16 @@ fn is_command(text: &str) -> Result<(), String> {
 
 fn is_backend(text: &str) -> Result<(), String> {
     is_one_of("backend", text, ["wgpu", "cpu"])
+}
+
+/// Accepts a JSON object without the fields that a run sets itself.
+fn is_extra_body(text: &str) -> Result<(), String> {
+    let fields: Map<String, Value> = serde_json::from_str(text)
+        .map_err(|error| format!("not a JSON object such as {{\"top_k\": 1}}: {error}"))?;
+    match REQUEST_FIELDS.iter().find(|own| fields.contains_key(**own)) {
+        Some(own) => Err(format!("the run sets {own:?} itself")),
+        None => Ok(()),
+    }
 }
 
 fn is_provider(text: &str) -> Result<(), String> {
@@ -290,7 +302,17 @@ pub const KEYS: &[Key] = keys! {
         "Maximum number of images in a request; the prompt says how many were left out. 0 for a model that \
          reads text only";
     "answer-tokens" "N" Number(1, 100_000, 1), Model Outcome = "30",
-        "Maximum number of tokens in an answer";
+        "Maximum number of tokens in an answer, reasoning included";
+    "reasoning" "LEVEL" Text(parses::<ReasoningRequest>), Model Outcome = "off",
+        "What requests say about reasoning: off, minimal, low, medium, high, or nothing (model). With any but off, \
+         raise --answer-tokens";
+    "system-role" "ROLE" Text(parses::<SystemRole>), Model Outcome = "system",
+        "How the rules are sent: as system, as developer, or at the beginning of the user's message (user), for \
+         models that know no other role";
+    "extra-body" "JSON" Text(is_extra_body), Model Outcome,
+        "Further fields of each request, a JSON object such as {\"top_k\": 1}; a field that is null is not sent";
+    "header" "NAME: VALUE" Repeated(parses::<SecretHeader>), Model Machine,
+        "A further header of each request. Can be given several times. Values are masked and kept nowhere, as a key is";
     "max-connections" "N" Number(1, 1024, 1), Model Machine = "16",
         "Maximum number of requests in flight to one server; fewer while it is overloaded or slow";
     "endpoint-limit" "N" Number(1, 1024, 1), Model Machine,
@@ -299,7 +321,8 @@ pub const KEYS: &[Key] = keys! {
         "Where runs agree on --endpoint-limit; machines that share the folder share the limit \
          [default: endpoint-limits in the cache folder]";
     "max-retries" "N" Number(0, 100, 1), Model Machine = "5",
-        "How often a request is repeated after status 429 or 5xx, a timeout or a failed connection";
+        "How often a request is repeated after a failure that may pass, such as status 429 or 5xx, a timeout or a \
+         failed connection";
     "request-timeout" "SECONDS" SECONDS, Model Machine = "120",
         "Time limit of one attempt";
     "server-patience" "SECONDS" Number(0, 86_400, 1), Model Machine = "600",

@@ -240,7 +240,7 @@ mod tests {
         let request = ChatRequest::text("?", 9);
         for days in 0..4 {
             let model = if days == 3 { "older" } else { "newer" };
-            let key = CacheKey::of(model, &request, days).unwrap();
+            let key = CacheKey::of(&crate::ChatSettings::new(model), &request, days).unwrap();
             cache.put(&key, model, &reply::read(body).unwrap()).unwrap();
             let file = File::options().write(true).open(cache.path(&key)).unwrap();
             file.set_modified(now - DAY * days).unwrap();
@@ -289,7 +289,8 @@ mod tests {
     fn replies_that_are_not_used_are_counted_and_removed() {
         let folder = tempfile::tempdir().unwrap();
         let cache = cache(folder.path(), SystemTime::now());
-        let key = CacheKey::of("newer", &ChatRequest::text("?", 9), 9).unwrap();
+        let key = CacheKey::of(&crate::ChatSettings::new("newer"), &ChatRequest::text("?", 9), 9)
+            .unwrap();
         let answer = reply::read(br#"{"choices":[{"message":{"content":"North."}}]}"#).unwrap();
         let failure = crate::ChatReply { finish_reason: Some("error".to_owned()), ..answer };
         cache.put(&key, "newer", &failure).unwrap();

@@ -129,7 +129,8 @@ fn a_request_carries_key_and_body() {
     assert_eq!((reply.prompt_tokens, reply.completion_tokens), (Some(10), Some(5)));
     let [received] = &server.received()[..] else { panic!("one request") };
     assert_eq!(received.line, "POST /v1/chat/completions HTTP/1.1");
-    let body = serde_json::to_value(Dialect::default().body("m", &request)).unwrap();
+    let body =
+        serde_json::to_value(Dialect::default().body(&ChatSettings::new("m"), &request)).unwrap();
     assert_eq!(received.body, body);
     let authorization = format!("authorization: bearer {KEY}");
     assert!(received.headers.iter().any(|header| header.to_lowercase() == authorization));
@@ -140,6 +141,12 @@ fn a_request_carries_key_and_body() {
 fn transient_failures_are_retried() {
     let past = "Retry-After: Sun, 06 Nov 1994 08:49:37 GMT";
     for turn in [
+        fails(408, "try again"),
+        fails(409, "try again"),
+        fails(421, "try again"),
+        fails(424, "try again"),
+        fails(425, "try again"),
+        fails(499, "try again"),
         fails(429, "slow down").with(past),
         fails(500, "oh"),
         Reaction::Close,
@@ -271,7 +278,7 @@ fn a_retry_after_delays_every_request() {
 
 #[test]
 fn a_refusal_concerns_one_request_and_is_not_retried() {
-    let message = "At most 8 image(s) may be provided in one request.";
+    let message = "At most 8 image(s) may be provided in one request";
     let server = Server::start(move |request| match text(request) {
         "too many" => fails(400, message),
         _ => Reaction::says("North."),
@@ -291,25 +298,159 @@ fn errors_that_concern_every_request_stop_the_client() {
     let html = |status, header: &str| Reaction::Answer {
         status,
         headers: vec![header.to_owned()],
-        body: "<html>".to_owned(),
+        body: "<html><title>Sign in</title></html>".to_owned(),
     };
     for (turn, expected) in [
         (fails(401, "who is sk-very-secret?"), "status 401: who is [key]?; check OPENAI_API_KEY"),
         (fails(404, "no such model"), "check the model's name and the base URL"),
         (fails(429, "quota").with("Retry-After: 86400"), "a pause of 86400 s"),
-        (html(200, "Content-Type: text/html; charset=utf-8"), "text/html, not JSON"),
+        (html(200, "Content-Type: text/html; charset=utf-8"), "with a web page: Sign in;"),
+        (
+            quota(),
+            "status 429: You exceeded your current quota; the account of this key has nothing left",
+        ),
+        (
+            Reaction::json(200, &json!({"error": {"code": 402, "message": "no credit"}})),
+            "status 402: no credit",
+        ),
+        (fails(403, "no"), "status 403: no; check OPENAI_API_KEY"),
+        (
+            fails(500, "Conversation roles must alternate user/assistant"),
+            "status 500: Conversation roles must alternate user/assistant; the model's chat template cannot render the conversation: try --system-role user",
+        ),
         (html(308, "Location: https://x/v1/"), "a redirection to https://x/v1/"),
     ] {
-        let server = Server::start(move |_| turn.clone()).unwrap();
-        let bench = Bench::new(&server.base_url(), settings(2, 5));
-        bench.submit("a");
-        let AskError::Stopped(why) = bench.error() else { panic!("all of them") };
-        assert!(why.starts_with("the server refuses every request: "), "{why}");
-        assert!(why.contains(expected), "{why}");
-        bench.submit("b");
-        assert_eq!(bench.error(), AskError::Stopped(why));
-        assert_eq!(server.received().len(), 1);
+        // Before the first reply and, unless it is a name that may be missing for a while, after it.
+        for replies in [0, 1] {
+            if replies == 1 && expected.contains("the model's name") {
+                continue;
+            }
+            let (mut asked, turn) = (0, turn.clone());
+            let server = Server::start(move |_| {
+                asked += 1;
+                if asked > replies { turn.clone() } else { Reaction::says("North.") }
+            })
+            .unwrap();
+            let bench = Bench::new(&server.base_url(), settings(2, 5));
+            (0..replies).for_each(|number| {
+                bench.submit(&number.to_string());
+                bench.answer();
+            });
+            bench.submit("a");
+            let AskError::Stopped(why) = bench.error() else { panic!("all of them") };
+            assert!(why.starts_with("the server refuses every request: "), "{why}");
+            assert!(why.contains(expected), "{why}");
+            bench.submit("b");
+            assert_eq!(bench.error(), AskError::Stopped(why));
+            assert_eq!(server.received().len(), replies + 1);
+        }
     }
+}
+
+/// OpenAI's answer to an account without a quota.
+fn quota() -> Reaction {
+    let error = json!({"message": "You exceeded your current quota", "code": "insufficient_quota"});
+    Reaction::json(429, &json!({"error": error}))
+}
+
+/// Bytes around a reply that servers and proxies add.
+#[test]
+fn a_reply_is_read_whatever_is_around_it() {
+    let whole = completion("North.").to_string();
+    let with = |header: &str, body: String| Reaction::Answer {
+        status: 200,
+        headers: vec![header.to_owned()],
+        body,
+    };
+    let json = "Content-Type: application/json";
+    let chunk = json!({"choices": [{"delta": {"content": "North."}, "finish_reason": "stop"}],
+        "usage": {"completion_tokens": 5}});
+    let mut compressed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    std::io::Write::write_all(&mut compressed, whole.as_bytes()).unwrap();
+    let body = compressed.finish().unwrap();
+    for turn in [
+        Reaction::Bytes { headers: vec![json.to_owned()], body: body.clone() },
+        Reaction::Bytes { headers: vec!["Content-Encoding: gzip".to_owned()], body },
+        with("Content-Type: text/plain; charset=utf-8", whole.clone()),
+        with("Content-Type: text/event-stream", whole.clone()),
+        with("X-No-Type: 1", whole.clone()),
+        with(json, format!("\u{feff}{whole}")),
+        with(json, format!("\n\n  {whole}")),
+        with(json, whole.replacen('{', "{\"timing\": NaN, ", 1)),
+        with(json, format!("{whole}\n\ndata: [DONE]\n\n")),
+        with("Content-Type: text/event-stream", format!("data: {chunk}\n\ndata: [DONE]\n\n")),
+    ] {
+        let server = Server::turns([turn.clone()]).unwrap();
+        let bench = Bench::new(&server.base_url(), settings(1, 0));
+        bench.submit("a");
+        let (_, answer) = bench.answer();
+        assert_eq!(answer.reply.text(), "North.", "{turn:?}");
+        assert_eq!(answer.reply.completion_tokens, Some(5), "{turn:?}");
+    }
+}
+
+#[test]
+fn what_cannot_be_read_is_described() {
+    for (body, expected) in [
+        ("", "it is empty"),
+        ("Bad Gateway", "it begins with \"Bad Gateway\""),
+        ("data: {\"choices\":[{\"delta\":{}}]}\n\n", "its stream breaks off"),
+    ] {
+        let turn = Reaction::Answer { status: 200, headers: vec![], body: body.to_owned() };
+        let server = Server::start(move |_| turn.clone()).unwrap();
+        let bench = Bench::new(&server.base_url(), settings(1, 0));
+        bench.submit("a");
+        let error = bench.error().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+}
+
+#[test]
+fn servers_of_different_models_are_refused() {
+    let servers = ["/models/a.gguf", "/other/b.gguf"].map(|model| {
+        Server::concurrent(move |_| {
+            let mut reply = completion("North.");
+            reply["model"] = json!(model);
+            Reaction::json(200, &reply)
+        })
+        .unwrap()
+    });
+    let [first, second] =
+        servers.each_ref().map(|server| Endpoint::new(&server.base_url(), None).unwrap());
+    let mut bench = Bench::new(&servers[0].base_url(), settings(4, 0));
+    bench.client = ChatClient::balanced(first, vec![second], settings(4, 0), None);
+    (0..8).for_each(|number| bench.submit(&number.to_string()));
+    let stopped = (0..8).find_map(|_| match bench.next().1 {
+        Err(AskError::Stopped(why)) => Some(why),
+        _ => None,
+    });
+    let why = stopped.unwrap();
+    assert!(why.contains(" as a.gguf") && why.contains(" as b.gguf"), "{why}");
+}
+
+/// Headers of the user go with each request, and what a server repeats of them is masked.
+#[test]
+fn headers_and_options_are_sent() {
+    let server = Server::turns([fails(400, "not for sk-header-secret")]).unwrap();
+    let headers = ["X-Secret: sk-header-secret".parse().unwrap()];
+    let base_url = format!("{}?api-version=2024-10-21", server.base_url());
+    let endpoint = Endpoint::new(&base_url, ApiKey::new(KEY)).unwrap();
+    let endpoint = endpoint.with_headers(&headers).unwrap();
+    let mut settings = settings(1, 0);
+    settings.options.system_role = domain::SystemRole::User;
+    settings.options.extra_body.insert("top_k".to_owned(), json!(1));
+    let client = ChatClient::new(endpoint, settings, None);
+    let error = client.ask(&ChatRequest::text("a", 9), 0).unwrap_err().to_string();
+    assert!(error.contains("not for [key]"), "{error}");
+    let [received] = &server.received()[..] else { panic!("one request") };
+    assert_eq!(received.line, "POST /v1/chat/completions?api-version=2024-10-21 HTTP/1.1");
+    let headers = received.headers.join("\n").to_lowercase();
+    assert!(
+        headers.contains("x-secret: sk-header-secret")
+            && headers.contains(&format!("api-key: {KEY}"))
+    );
+    assert!(!headers.contains("authorization"));
+    assert_eq!(received.body["top_k"], 1);
 }
 
 /// A context that is too short for every request ends the run after a few of them.
@@ -332,7 +473,7 @@ fn a_400_to_every_request_stops_the_client_and_names_the_image_budget() {
 #[test]
 fn a_refused_field_is_left_out_from_then_on() {
     let server = Server::start(|request| {
-        let fields = ["chat_template_kwargs", "thinking"];
+        let fields = ["chat_template_kwargs", "temperature"];
         match fields.iter().find(|field| request.body.get(**field).is_some()) {
             Some(field) => fails(400, &format!("Unknown parameter: '{field}'.")),
             None => Reaction::says("North."),
@@ -345,6 +486,24 @@ fn a_refused_field_is_left_out_from_then_on() {
         assert_eq!(server.received().len(), requests);
     }
     assert!(server.received()[3].body.get("reasoning_effort").is_some());
+    assert_eq!(bench.client.refused_fields(), ["chat_template_kwargs", "temperature"]);
+}
+
+/// A field that the message of another error only mentions stays as it is.
+#[test]
+fn a_word_in_another_error_changes_no_field() {
+    let message = "This model's maximum context length is 4096 tokens; max_completion_tokens was reduced. Thinking tokens \
+                   count, as do those of thinking.";
+    let server = Server::turns([fails(400, message), Reaction::says("North.")]).unwrap();
+    let bench = Bench::new(&server.base_url(), settings(1, 0));
+    bench.submit("a");
+    assert!(bench.error().to_string().contains("maximum context length"));
+    bench.submit("b");
+    bench.answer();
+    let [first, second] = &server.received()[..] else { panic!("two requests") };
+    let fields =
+        |body: &serde_json::Value| body.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
+    assert_eq!(fields(&first.body), fields(&second.body));
 }
 
 #[test]

@@ -29,6 +29,7 @@ fn refused(status: u16) -> AttemptError {
         status,
         message: "no".into(),
         advice: "lower --image-budget".into(),
+        permanent: matches!(status, 401..=403),
     })
 }
 
@@ -105,10 +106,11 @@ impl Story {
 }
 
 #[test]
-fn status_429_and_5xx_are_transient() {
+fn which_statuses_are_transient() {
     let transient: Vec<u16> = (100..600).filter(|&status| is_transient(status)).collect();
-    assert_eq!(transient.len(), 101);
-    assert!(transient.contains(&429) && transient.contains(&500) && transient.contains(&599));
+    assert_eq!(transient.len(), 107);
+    assert_eq!(transient[..7], [408, 409, 421, 424, 425, 429, 499]);
+    assert!(transient.contains(&500) && transient.contains(&599));
 }
 
 #[test]
@@ -288,7 +290,13 @@ fn a_server_that_was_there_is_waited_for() {
         // The next outage is a new one.
         story.state.replied(seconds(1));
         let AskError::Stopped(why) = story.until_end(&failure) else { panic!("{failure:?}") };
-        assert!(why.starts_with("the server is gone (no answer for 60"), "{why}");
+        let expected = match failure {
+            AttemptError::Transient(Transient::Status { .. }, _) => {
+                "the server fails every request (for 60"
+            }
+            _ => "the server is gone (no answer for 60",
+        };
+        assert!(why.starts_with(expected), "{why}");
     }
 }
 
@@ -351,7 +359,13 @@ fn a_server_that_refuses_every_request_stops_the_client() {
         let error = story.until_end(&refused(400));
         assert!(matches!(error, AskError::Failed(_)), "others were answered");
     }
-    assert!(matches!(story.until_end(&refused(401)), AskError::Stopped(_)));
+    // These stop it also after a reply, as does what is no chat server.
+    let not_chat = RequestError::NotChat { endpoint: "E".into(), what: "a web page".into() };
+    for failure in [refused(401), refused(402), refused(403), AttemptError::Final(not_chat)] {
+        let mut story = Story::new(4, 5, 600);
+        story.reply(seconds(1));
+        assert!(matches!(story.until_end(&failure), AskError::Stopped(_)), "{failure:?}");
+    }
 }
 
 /// How an attempt fails; `None` when it gets its reply.

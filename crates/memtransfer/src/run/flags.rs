@@ -98,11 +98,15 @@ pub(crate) struct RunOptions {
     /// Where the model's address was given
     #[arg(skip = Source::SettingsFile)]
     pub(crate) base_url_source: Source,
+
+    /// Where the headers of its requests were given
+    #[arg(skip = Source::SettingsFile)]
+    pub(crate) header_source: Source,
 }
 
 impl RunOptions {
     /// Those of a verb that has no other flag of [`RunOptions`] than `--quiet`.
-    pub(crate) fn of(quiet: bool, base_url_source: Source) -> Self {
+    pub(crate) fn of(quiet: bool, base_url_source: Source, header_source: Source) -> Self {
         Self {
             fresh: false,
             quiet,
@@ -110,6 +114,7 @@ impl RunOptions {
             dry_run: false,
             allow_commands: false,
             base_url_source,
+            header_source,
         }
     }
 }
