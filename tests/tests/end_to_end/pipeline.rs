@@ -4,8 +4,8 @@ use std::fs;
 use std::process::{Child, Command, Stdio};
 
 use memtransfer_tests::{
-    Bench, Ended, episodes, kill, needs, process_of, process_of_world, records, shared_memory_of, shutdown_total,
-    sorted_log, success_rate, wait_for_episodes,
+    Bench, Ended, episodes, kill, needs, process_of, process_of_world, records, shared_memory_of,
+    shutdown_total, sorted_log, success_rate, wait_for_episodes,
 };
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;

@@ -156,7 +156,6 @@ pub(crate) fn snapshot(input: &[u8]) {
             window: &[],
             image_budget: 40,
             text_budget: 100,
-            stage: Some(0),
         };
         assert_eq!(memory.recall(&query), loaded.recall(&query));
     });
