@@ -71,14 +71,31 @@ pub(crate) fn trajectory(demonstration: &Demonstration) -> Vec<StepView<'_>> {
         .collect()
 }
 
-/// The nearest demonstrated view and the steps after it; ties by task stage, then by elapsed steps.
+/// The task stage of an agent, as memory knows it: that of the view supplied last, or the next one if the agent did there what the
+/// expert did.
+#[derive(Default)]
+pub(crate) struct KnownStage {
+    supplied: u32,
+    action: Option<Action>,
+    next: u32,
+}
+
+impl KnownStage {
+    fn after(&self, action: Option<Action>) -> u32 {
+        if action.is_some() && action == self.action { self.next } else { self.supplied }
+    }
+}
+
+/// The nearest demonstrated view and the steps after it, for an agent that has taken `taken` steps, the last with `action`; ties by
+/// task stage, then by elapsed steps.
 pub(crate) fn retrieve<'a>(
     memory: &'a [Demonstration],
     image: &Image,
-    stage: u32,
-    taken: u32,
+    known: &mut KnownStage,
+    (taken, action): (u32, Option<Action>),
     with_actions: bool,
 ) -> Option<(f32, Vec<StepView<'a>>)> {
+    let stage = known.after(action);
     let views = memory.iter().flat_map(|demonstration| demonstration.iter().enumerate());
     let nearest = |(at, view): &(usize, &DemonstrationStep)| {
         let elapsed = (*at as u32).abs_diff(taken);
@@ -90,6 +107,8 @@ pub(crate) fn retrieve<'a>(
         let mut steps = demonstration.iter().enumerate();
         steps.find(|step| nearest(step) == least).map(|(at, _)| (demonstration, at))
     })?;
+    let next = from[(at + 1).min(from.len() - 1)].stage;
+    *known = KnownStage { supplied: from[at].stage, action: from[at].action, next };
     let end = (at + HORIZON).min(from.len() - 1);
     let view = |i: usize| StepView {
         frame: Some(from[i].image.frame()),

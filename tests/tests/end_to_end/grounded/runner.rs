@@ -113,12 +113,14 @@ impl Runner {
         };
         let whole = views.iter().map(|steps| StepsView { distance: None, is_whole: true, steps });
         let fixed: Vec<_> = texts.chain(whole.map(Item::Steps)).collect();
+        let mut stage = recall::KnownStage::default();
         for taken in 0..MAX_STEPS {
             let image = self.look(pose, &variant, condition.frames);
             let past: Vec<_> = window.iter().map(|past| past_view(past)).collect();
             let segment = is_episodic(condition)
                 .then(|| {
-                    recall::retrieve(&memory, &image, progress.stage(), taken, condition.actions)
+                    let last = (taken, window.back().map(|(_, action, _)| *action));
+                    recall::retrieve(&memory, &image, &mut stage, last, condition.actions)
                 })
                 .flatten();
             let segment = segment.as_ref().map(|(distance, steps)| StepsView {
