@@ -37,7 +37,7 @@ fn a_slice_of_the_suite_conflict() {
     let line = "run --suite conflict --policy grounded --limit 4 --max-steps 30 \
                 --memory working,full-context,episodic,adaptive --out run";
     let ended = bench.run(&words(line)).expect(0);
-    assert!(ended.stdout.contains("from before and after the passage closed"), "{}", ended.stdout);
+    assert!(ended.stdout.contains("from before and after the way was blocked"), "{}", ended.stdout);
     let records = records(&bench.out("run"));
     assert_eq!(records.len(), 4 * 2 * (1 + 3 * 4));
     let (mut stale, mut after) = (0, 0);

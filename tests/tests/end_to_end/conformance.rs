@@ -119,7 +119,7 @@ fn faults_of_a_memory_are_named() {
         ("hasty", "describes itself", "it did not wait for the run"),
         ("no-handshake", "joins", "no handshake within 3 s"),
         ("old", "joins", "its handshake has wire version"),
-        ("wrong-index", "joins", "`external` 4, and its folder is that of index 3"),
+        ("wrong-index", "joins", "`index` 4, and its folder is that of index 3"),
         ("builds-nothing", "builds itself", "1 banks were not built within 3 s"),
         ("builds-another", "builds itself", "it has built bank 2, which does not wait"),
         ("cannot-build", "builds itself", "it cannot build itself from a bank: I have no idea"),
