@@ -86,6 +86,7 @@ impl Books {
             "a world that you start has one variant a case: no streams, and no --demos elsewhere"
         );
         let cases = (0..).zip(&books.cases.book.cases);
+        let mut has_blocked = false;
         for (number, case) in cases.filter(|(_, case)| request.cases.contains(&case.id)) {
             let id = &case.id;
             if let Some(set) =
@@ -93,11 +94,12 @@ impl Books {
             {
                 bail!("case {id} of the world {world} has no demonstrations `{set}`");
             }
-            ensure!(
-                !request.blocked || case.reference(Start::New, Route::Blocked).is_some(),
-                "case {id} of the world {world} has no blocked route"
-            );
+            has_blocked |= case.reference(Start::New, Route::Blocked).is_some();
         }
+        ensure!(
+            has_blocked || !request.blocked || request.cases.is_empty(),
+            "no case of the world {world} that takes part has a blocked route: leave `blocked` out of --routes"
+        );
         Ok(books)
     }
 

@@ -145,10 +145,10 @@ fn check_request(
         let known = cases.iter().map(|case| case.id.as_str());
         case.ok_or_else(|| domain::names::UnknownName::new("case", id, known))?;
     }
-    let takes_part = |case: &&CaseDeclaration| request.cases.contains(&case.id);
+    let mut part = cases.iter().filter(|case| request.cases.contains(&case.id)).peekable();
     let has_blocked =
         |case: &CaseDeclaration| case.trajectories.contains_key(&TrajectoryName::Blocked);
-    if request.blocked && !cases.iter().filter(takes_part).any(has_blocked) {
+    if request.blocked && part.peek().is_some() && !part.any(has_blocked) {
         return Err(format!(
             "no case of the world {} that takes part has a blocked route: leave `blocked` out of --routes",
             world.name
