@@ -65,7 +65,9 @@ impl Bench {
 
     fn with_cache(server: Server, settings: OpenaiSettings, cache: Option<ReplyCache>) -> Self {
         let endpoint = Endpoint::new(&server.base_url(), None).unwrap();
-        let mut policy = Openai::new(ChatClient::new(endpoint, chat_settings(), cache), settings);
+        let template = Arc::new(Template::parse(Template::BUILT_IN_FILE).unwrap());
+        let mut policy =
+            Openai::new(ChatClient::new(endpoint, chat_settings(), cache), template, settings);
         let change = |attach: &mut Attach| attach.lanes = LANES;
         let mut rig = PolicyRig::in_thread(change, move |folder| Ok(serve(&mut policy, folder)?));
         let handshake = rig.handshake();
@@ -395,6 +397,6 @@ fn facts_for_the_manifest_are_what_decides_results() {
     let endpoint = facts["endpoint"].take();
     assert!(endpoint.as_str().unwrap().ends_with("/v1/chat/completions"));
     assert_eq!(hash.as_str().unwrap().len(), 16);
-    insta::assert_snapshot!(facts, @r#"{"answer_tokens":"30","endpoint":null,"image_budget":"50","image_format":"jpeg 90","model":"m","policy":"openai","prompt":"prompt/1","prompt_hash":null}"#);
+    insta::assert_snapshot!(facts, @r#"{"answer_tokens":"30","endpoint":null,"image_budget":"50","image_format":"jpeg 90","model":"m","policy":"openai","prompt":"prompt/2","prompt_hash":null}"#);
     bench.rig.stop();
 }

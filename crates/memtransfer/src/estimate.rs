@@ -164,9 +164,9 @@ pub(crate) mod tests {
 
     #[test]
     fn lengths_are_those_of_the_template() {
-        let template = prompt::template_text();
+        let template = prompt::Template::BUILT_IN_FILE;
         assert!(
-            template.contains("\nversion = \"prompt/1\"\n"),
+            template.contains("\nversion = \"prompt/2\"\n"),
             "the template has changed: measure the constants above again"
         );
         let system = template.split("\"\"\"").nth(1).unwrap();
