@@ -242,7 +242,7 @@ fn every_file_has_the_prompt_of_its_request() {
 fn the_example_in_the_docs_is_a_case() {
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/prompt.md");
     let page = fs::read_to_string(page).unwrap();
-    let case = read(files().iter().find(|path| path.ends_with("episodic.json")).unwrap());
+    let case = read(files().iter().find(|path| path.ends_with("example.json")).unwrap());
     let (_, readable) = outcome(&case.request, case.image_budget);
     assert!(page.contains(&readable), "docs/prompt.md should show:\n{readable}");
 }
