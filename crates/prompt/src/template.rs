@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::LazyLock;
 
-use domain::names::UnknownName;
+use domain::names::nearest;
 use serde::Deserialize;
 use toml::{Table, Value};
 
@@ -109,8 +109,10 @@ impl Template {
 fn check(given: &Table, built_in: &Table, names: &[&str], of: &str) -> Result<(), TemplateError> {
     let path = |key: &str| if of.is_empty() { key.to_owned() } else { format!("{of}.{key}") };
     if let Some(key) = given.keys().find(|key| !built_in.contains_key(*key)) {
-        let unknown = UnknownName::new("key", &path(key), built_in.keys().map(|key| path(key)));
-        return Err(TemplateError(unknown.to_string()));
+        let known: Vec<String> = built_in.keys().map(|key| path(key)).collect();
+        let like = nearest(&path(key), &known).map(|like| format!(": did you mean `{like}`?"));
+        let problem = format!("unknown key `{}`{}", path(key), like.unwrap_or_default());
+        return Err(TemplateError(problem));
     }
     for (key, expected) in built_in {
         let key_path = path(key);
@@ -122,8 +124,11 @@ fn check(given: &Table, built_in: &Table, names: &[&str], of: &str) -> Result<()
             (Some(Value::String(text)), Value::String(_)) => {
                 if let Some(name) = names_in_braces(text).iter().find(|name| !names.contains(name))
                 {
-                    let unknown = UnknownName::new("name in braces", name, names.iter().copied());
-                    return Err(TemplateError(format!("{key_path}: {unknown}")));
+                    let like =
+                        nearest(name, names).map(|like| format!(": did you mean {{{like}}}?"));
+                    let problem =
+                        format!("{key_path}: unknown name {{{name}}}{}", like.unwrap_or_default());
+                    return Err(TemplateError(problem));
                 }
             }
             (Some(_), Value::Table(_)) => {
@@ -242,7 +247,7 @@ mod tests {
             (
                 "<task>\\n{instruction}",
                 "<task>\\n{instructoin}",
-                "task.text: unknown name in braces `instructoin`: did you mean `instruction`?",
+                "task.text: unknown name {instructoin}: did you mean {instruction}?",
             ),
             ("[task]\n", "task]\n", "line "),
             ("\"mine/1\"", "\"\"", "version: a name of 1 to 40 bytes is needed"),
