@@ -248,7 +248,7 @@ fn a_template_of_the_users_words_the_prompt_and_is_named() {
     let server = Server::concurrent(|_| Reaction::says("move forward")).unwrap();
     let template = Template::BUILT_IN_FILE
         .replace("\"prompt/2\"", "\"mine/1\"")
-        .replace("{rules}", "Ahoy.\n{rules}");
+        .replace("{rules}", "Ahoy. {rules}");
     let mut bench = Bench::with_template(server, &template, settings(), None);
     assert_eq!(bench.facts["prompt"], "mine/1");
     let hash = Template::parse(&template).unwrap().hash()[..16].to_owned();
@@ -258,7 +258,7 @@ fn a_template_of_the_users_words_the_prompt_and_is_named() {
     bench.ask_lane(0, 0, frame, &[], &[]);
     bench.decide(1);
     let system = &bench.server.received()[0].body["messages"][0]["content"];
-    assert!(system.as_str().unwrap().starts_with("Ahoy.\n"), "{system}");
+    assert!(system.as_str().unwrap().starts_with("Ahoy. "), "{system}");
     bench.rig.stop();
 }
 
