@@ -10,7 +10,7 @@ use case_book::DEMONSTRATIONS_FILE;
 use conditions::settings::{ModelSettings, RunSettings};
 use conditions::{Condition, Frames, PolicyKind};
 use domain::{HEADER_VARIABLE, MemoryKind, SecretHeader};
-use run_log::{DOCUMENTS_FOLDER, ELSEWHERE_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE};
+use run_log::{DOCUMENTS_FOLDER, ELSEWHERE_FILE, PROMPT_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE};
 use shm_types::message::Role;
 use shm_types::process::shared_memory_space;
 use shm_types::{Attach, FrameControl, FrameSize, Wait};
@@ -250,6 +250,10 @@ fn policy_launch(settings: &RunSettings) -> Result<Option<Launch>> {
     let mut policy = Launch::sibling(Role::Policy, "policy-proc", args)?;
     if let Some(model) = &settings.model {
         policy = policy.with_flags(model_flags(model));
+        if model.prompt.is_some() {
+            // The run's own copy: the user's file may change while the run lasts.
+            policy.args.extend(["--prompt".into(), settings.out.join(PROMPT_FILE).into()]);
+        }
         policy.needs_keys = true;
         // Other users see the arguments of a process.
         let headers: Vec<String> = model.header.iter().map(SecretHeader::exposed).collect();

@@ -59,7 +59,7 @@ pub fn execute(mut plan: RunPlan, invocation: &Invocation<'_>) -> Result<RunOutc
     notes.iter().for_each(|note| progress.note(note));
     documents.copy_to(&folder.dir().join(DOCUMENTS_FOLDER))?;
     drop(documents);
-    plan.books.write(folder.dir())?;
+    plan.write(folder.dir())?;
     let remaining = Remaining::of(&plan.books.cases.book, &plan.episodes, &finished)?;
     let missing = remaining.missing.len();
     let prompts = folder.dir().join(PROMPTS_FOLDER);
@@ -149,7 +149,7 @@ pub fn observe(
     fs::create_dir_all(out)?;
     documents.copy_to(&out.join(DOCUMENTS_FOLDER))?;
     drop(documents);
-    plan.books.write(out)?;
+    plan.write(out)?;
     let remaining = Remaining::of(&plan.books.cases.book, &plan.episodes, &[])?;
     let mut progress = ProgressDisplay::new(invocation.verbosity);
     let processes = RunProcesses::prepare(&plan, started, remaining, invocation, &mut progress)?;

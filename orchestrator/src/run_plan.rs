@@ -2,15 +2,16 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use build_commit::COMMIT;
 use conditions::cost::ModelPrices;
 use conditions::settings::RunSettings;
 use domain::ExternalName;
 use domain::representation::Trajectories;
-use run_log::{FORMAT, LOGS_FOLDER, Manifest, RunFolder, UnitId};
+use prompt::Template;
+use run_log::{FORMAT, LOGS_FOLDER, Manifest, PROMPT_FILE, PROMPT_HASH, RunFolder, UnitId};
 use shm_types::message::{MAX_SOURCES, WIRE_VERSION};
 
 use crate::books::Books;
@@ -53,6 +54,8 @@ pub struct RunPlan {
     pub shipped_embeddings: Option<PathBuf>,
     /// The prices of its model.
     pub prices: Option<ModelPrices>,
+    /// The user's template of its prompts.
+    pub prompt: Option<Template>,
     /// Its external memories; `None` without any.
     pub started: Option<StartedMemories>,
 }
@@ -77,6 +80,8 @@ impl RunPlan {
                 "--max-cost needs prices: give --prices FILE (docs/costs.md describes it)"
             );
         }
+        let prompt = settings.model.as_ref().and_then(|model| model.prompt.as_deref());
+        let prompt = prompt.map(Template::read).transpose()?;
         let selection = SelectedCases::of(&settings)?;
         check_banks(&settings)?;
         let mut started = None;
@@ -113,6 +118,7 @@ impl RunPlan {
             unit: None,
             shipped_embeddings: None,
             prices,
+            prompt,
             started,
         }))
     }
@@ -147,13 +153,16 @@ impl RunPlan {
         let memories = memories.map(|memory| Ok((memory.name, memory.facts()?)));
         let policy_cmd = self.settings.policy_cmd.as_deref();
         let world_cmd = self.settings.world_cmd.as_deref();
+        let mut hashes = self.books.hashes();
+        let prompt = self.prompt.iter();
+        hashes.extend(prompt.map(|prompt| (PROMPT_HASH.to_owned(), prompt.hash().to_owned())));
         Ok(Manifest {
             format: FORMAT,
             version: env!("CARGO_PKG_VERSION").to_owned(),
             wire_version: WIRE_VERSION,
             commit: COMMIT.map(str::to_owned),
             settings: self.settings.clone(),
-            hashes: self.books.hashes(),
+            hashes,
             tasks: self.tasks(),
             documents: BTreeMap::new(),
             memories: memories.collect::<Result<_>>()?,
@@ -165,6 +174,18 @@ impl RunPlan {
             unit: self.unit.clone(),
             processes: BTreeMap::new(),
         })
+    }
+
+    /// Writes what the world tells and the user's template into the folder of the run: each beside the earlier file, and renamed.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn write(&self, folder: &Path) -> Result<()> {
+        self.books.write(folder)?;
+        let Some(prompt) = &self.prompt else { return Ok(()) };
+        let path = folder.join(PROMPT_FILE);
+        durable::replace(&path, &path.with_extension("toml.new"), prompt.file().as_bytes())
+            .with_context(|| format!("cannot write {}", path.display()))
     }
 
     /// The documents of the run, built if they are missing. `None` when asked to stop.

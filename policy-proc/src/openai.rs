@@ -27,7 +27,7 @@ use peer::{
     WorldDeclaration,
 };
 use prompt::image::ImageFormat;
-use prompt::{PartContent, Prompt, UnreadAnswer, read_answer, read_cut_off_answer};
+use prompt::{PartContent, Prompt, Template, UnreadAnswer, read_answer, read_cut_off_answer};
 use shm_types::process::monotonic_ns;
 
 use images::EncodedViews;
@@ -50,6 +50,7 @@ pub struct OpenaiSettings {
 #[derive(Debug)]
 pub struct Openai {
     client: ChatClient,
+    template: Arc<Template>,
     settings: OpenaiSettings,
     images: EncodedViews,
     token_fits: TokenFits,
@@ -64,8 +65,8 @@ pub struct Openai {
 type TokenFits = Arc<Mutex<HashMap<u32, (u64, TokenFit)>>>;
 
 impl Openai {
-    /// Creates a policy that asks through `client`.
-    pub fn new(client: ChatClient, settings: OpenaiSettings) -> Self {
+    /// Creates a policy that asks through `client` in the words of `template`.
+    pub fn new(client: ChatClient, template: Arc<Template>, settings: OpenaiSettings) -> Self {
         let images = EncodedViews::new(settings.image_format);
         let answers = Arc::<Mutex<Option<Answers>>>::default();
         let latest = Arc::clone(&answers);
@@ -79,7 +80,7 @@ impl Openai {
         let temperature = options.extra_body.get("temperature");
         let temperature = temperature.map_or_else(|| "0".to_owned(), ToString::to_string);
         let in_force = Arc::new(Mutex::new(InForce::new(options.reasoning, temperature)));
-        Self { client, settings, images, token_fits, in_force, earlier, answers }
+        Self { client, template, settings, images, token_fits, in_force, earlier, answers }
     }
 
     /// The server's address; of several the first one's and their number, since there is little room for facts.
@@ -109,9 +110,9 @@ impl Decider for Openai {
         vec![
             ("model", self.client.settings().model.clone()),
             ("endpoint", self.endpoint()),
-            ("prompt", prompt::version().to_owned()),
+            ("prompt", self.template.version().to_owned()),
             // There is little room for facts, and 16 digits tell any two templates apart.
-            ("prompt_hash", prompt::template_hash()[..16].to_owned()),
+            ("prompt_hash", self.template.hash()[..16].to_owned()),
             ("image_format", image_format.described()),
             ("image_budget", image_budget.to_string()),
             ("answer_tokens", answer_tokens.to_string()),
@@ -121,7 +122,8 @@ impl Decider for Openai {
     fn take(&mut self, batch: &Batch<'_>, answers: &Answers) -> Result<(), ServeError> {
         *self.answers.lock().unwrap_or_else(PoisonError::into_inner) = Some(answers.clone());
         let budget = self.settings.image_budget;
-        let prompts: Vec<_> = batch.iter().map(|request| Prompt::new(request, budget)).collect();
+        let prompt = |request| Prompt::new(&self.template, request, budget);
+        let prompts: Vec<_> = batch.iter().map(prompt).collect();
         let urls = self.images.urls(prompts.iter().flat_map(Prompt::views));
         for (request, prompt) in batch.iter().zip(prompts) {
             let id = request.id();

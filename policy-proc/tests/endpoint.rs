@@ -139,7 +139,7 @@ fn a_probe_sends_a_request_of_the_runs_size() {
             return Reaction::json(200, &json!({"data": [{"id": "m"}]}));
         }
         let body = request.body.to_string();
-        if !body.contains("You may be given a memory of walks") {
+        if !body.contains("You may be given a memory of") {
             return Reaction::says(if body.contains("square") { "red or blue" } else { "42" });
         }
         let images = body.matches("data:image/png;base64,").count();

@@ -10,6 +10,7 @@ use domain::{Action, Feedback, Outcome, Reasoning};
 use llm::{ChatClient, ChatSettings, Endpoint, ReplyCache};
 use peer::serve;
 use policy_proc::openai::{Openai, OpenaiSettings};
+use prompt::Template;
 use prompt::image::ImageFormat;
 use rigs::chat_server::{Reaction, Received, Server, completion};
 use rigs::process::{LONG, PolicyRig};
@@ -64,8 +65,19 @@ impl Bench {
     }
 
     fn with_cache(server: Server, settings: OpenaiSettings, cache: Option<ReplyCache>) -> Self {
+        Self::with_template(server, Template::BUILT_IN_FILE, settings, cache)
+    }
+
+    fn with_template(
+        server: Server,
+        template: &str,
+        settings: OpenaiSettings,
+        cache: Option<ReplyCache>,
+    ) -> Self {
         let endpoint = Endpoint::new(&server.base_url(), None).unwrap();
-        let mut policy = Openai::new(ChatClient::new(endpoint, chat_settings(), cache), settings);
+        let template = Arc::new(Template::parse(template).unwrap());
+        let mut policy =
+            Openai::new(ChatClient::new(endpoint, chat_settings(), cache), template, settings);
         let change = |attach: &mut Attach| attach.lanes = LANES;
         let mut rig = PolicyRig::in_thread(change, move |folder| Ok(serve(&mut policy, folder)?));
         let handshake = rig.handshake();
@@ -228,6 +240,25 @@ fn answers_without_an_action_have_different_outcomes() {
     let (report, text) = bench.error_report();
     assert_eq!((report.kind, report.lane), (ErrorReportKind::Episode as u32, 5));
     assert!(text.contains("status 400: at most 1 image"), "{text}");
+    bench.rig.stop();
+}
+
+#[test]
+fn a_template_of_the_users_words_the_prompt_and_is_named() {
+    let server = Server::concurrent(|_| Reaction::says("move forward")).unwrap();
+    let template = Template::BUILT_IN_FILE
+        .replace("\"prompt/2\"", "\"mine/1\"")
+        .replace("{rules}", "Ahoy. {rules}");
+    let mut bench = Bench::with_template(server, &template, settings(), None);
+    assert_eq!(bench.facts["prompt"], "mine/1");
+    let hash = Template::parse(&template).unwrap().hash()[..16].to_owned();
+    assert_eq!(bench.facts["prompt_hash"], hash);
+    let frame = bench.publish(1);
+    bench.begin_lane(0);
+    bench.ask_lane(0, 0, frame, &[], &[]);
+    bench.decide(1);
+    let system = &bench.server.received()[0].body["messages"][0]["content"];
+    assert!(system.as_str().unwrap().starts_with("Ahoy. "), "{system}");
     bench.rig.stop();
 }
 
@@ -395,6 +426,6 @@ fn facts_for_the_manifest_are_what_decides_results() {
     let endpoint = facts["endpoint"].take();
     assert!(endpoint.as_str().unwrap().ends_with("/v1/chat/completions"));
     assert_eq!(hash.as_str().unwrap().len(), 16);
-    insta::assert_snapshot!(facts, @r#"{"answer_tokens":"30","endpoint":null,"image_budget":"50","image_format":"jpeg 90","model":"m","policy":"openai","prompt":"prompt/1","prompt_hash":null}"#);
+    insta::assert_snapshot!(facts, @r#"{"answer_tokens":"30","endpoint":null,"image_budget":"50","image_format":"jpeg 90","model":"m","policy":"openai","prompt":"prompt/2","prompt_hash":null}"#);
     bench.rig.stop();
 }

@@ -274,7 +274,8 @@ class Steps:
     actions: bool = True
     """Whether to supply the expert's actions. The last step is always supplied without one."""
     distance: float | None = None
-    """The distance between the first step and the query, if there is one."""
+    """The distance between the first step and the query, if there is one. Prompts word it as a cosine distance
+    of views, from 0 to 2."""
 
 
 @dataclass(frozen=True, slots=True)

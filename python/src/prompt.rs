@@ -7,7 +7,7 @@ use domain::hex;
 use domain::{DocumentKind, FeedbackCode, State};
 use peer::{CaptionedView, FrameView, Item, PastView, Request, StepView, StepsView, TextView};
 use prompt::image::{ImageFormat, encode};
-use prompt::{PartContent, Prompt};
+use prompt::{PartContent, Prompt, Template};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyString};
@@ -22,13 +22,13 @@ const MAX_ENCODED: usize = 512;
 /// The version of the prompt.
 #[pyfunction]
 pub(crate) fn version() -> &'static str {
-    prompt::version()
+    Template::built_in().version()
 }
 
 /// The texts of the prompt, as JSON.
 #[pyfunction]
 pub(crate) fn template() -> PyResult<String> {
-    let texts: toml::Value = toml::from_str(prompt::template_text())
+    let texts: toml::Value = toml::from_str(Template::BUILT_IN_FILE)
         .map_err(|e| PyValueError::new_err(e.to_string()))?;
     serde_json::to_string(&texts).map_err(|error| PyValueError::new_err(error.to_string()))
 }
@@ -68,7 +68,7 @@ pub(crate) fn render<'py>(
         demonstrated_elsewhere: read.demonstrated_elsewhere,
         world: &world.declaration,
     };
-    let prompt = Prompt::new(&request, image_budget);
+    let prompt = Prompt::new(Template::built_in(), &request, image_budget);
     let parts = prompt.parts.into_iter().map(|part| {
         let section = part.section.name();
         match part.content {

@@ -110,7 +110,7 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
 
 def test_the_endpoint_receives_the_prompt_of_the_benchmark(server: Server) -> None:
     policy = endpoint_policy.Endpoint("m", image_budget=50)
-    assert policy.facts() == {"model": "m", "prompt": "prompt/1"}
+    assert policy.facts() == {"model": "m", "prompt": "prompt/2"}
     server.replies = [(200, "Turn left."), (200, "no idea"), (200, ""), (400, "")]
     answers = [policy.act([request()])[0] for _ in range(4)]
     decided, unreadable, empty, failed = answers

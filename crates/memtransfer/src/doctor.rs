@@ -506,6 +506,8 @@ fn request_size(settings: &RunSettings, documents: &RunDocuments) -> Vec<String>
     ]);
     if let Some(model) = &settings.model {
         flags.extend(model.extra_body.clone().map(|body| ("--extra-body", body)));
+        let prompt = model.prompt.iter().map(|path| ("--prompt", path.display().to_string()));
+        flags.extend(prompt);
         flags.extend([
             ("--answer-tokens", model.answer_tokens.to_string()),
             ("--reasoning", model.reasoning.to_string()),

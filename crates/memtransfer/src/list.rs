@@ -1,4 +1,4 @@
-//! `memtransfer ls`: lists cases, tasks, items, suites, conditions, streams and runs.
+//! `memtransfer ls`: lists cases, tasks, items, suites, conditions, streams and runs, and prints the template of the prompt.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -11,6 +11,7 @@ use clap::{Args, Subcommand};
 use conditions::Condition;
 use conditions::settings::{RunSettings, StreamSettings};
 use domain::{Route, Start};
+use prompt::Template;
 use report::table::table;
 use run_log::RunLog;
 use run_log::date::date;
@@ -26,6 +27,7 @@ Examples:
   memtransfer ls cases --suite quick
   memtransfer ls --world-cmd ./my-world
   memtransfer ls items --json | jq '.[] | select(.category == \"barrels\")'
+  memtransfer ls prompt > mine.toml
   memtransfer ls runs")]
 pub(super) struct ListArgs {
     #[command(subcommand)]
@@ -70,6 +72,8 @@ enum ListWhat {
         #[arg(long)]
         seed: Option<u64>,
     },
+    /// The built-in template of the prompt, to start one of your own from for `run --prompt`
+    Prompt,
     /// The runs in a folder: policy, date, progress and success rate
     Runs {
         /// The folder of run folders [default: runs]
@@ -112,6 +116,11 @@ pub(super) fn run(args: &ListArgs) -> anyhow::Result<Exit> {
         ListWhat::Suites => suites()?,
         ListWhat::Conditions { suite } => conditions(suite)?,
         ListWhat::Streams { suite, seed } => streams(suite, *seed, world)?,
+        ListWhat::Prompt => {
+            // As the file is, whose end is a line end.
+            print(Template::BUILT_IN_FILE.trim_end())?;
+            return Ok(Exit::Complete);
+        }
         ListWhat::Runs { dir } => runs(dir.as_deref())?,
     };
     if args.json {

@@ -305,6 +305,33 @@ fn settings_come_from_all_sources_in_order() {
 }
 
 #[test]
+fn the_template_that_is_printed_is_one_to_start_from() {
+    let dir = dir();
+    let printed = text(&memtransfer(dir.path(), "ls prompt").stdout);
+    assert_eq!(printed, prompt::Template::BUILT_IN_FILE);
+    let dry_run = "run --policy openai --model m --base-url http://127.0.0.1:9 --memory working \
+                   --limit 1 --dry-run --prompt mine.toml";
+    fs::write(dir.path().join("mine.toml"), printed.replace("prompt/2", "mine/1")).unwrap();
+    let output = memtransfer(dir.path(), dry_run);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    for (from, to, said) in [
+        (
+            "\nhint = ",
+            "\nhnt = ",
+            "the prompt mine.toml: unknown key `memory.hnt`: did you mean `memory.hint`?",
+        ),
+        ("# The name", "# the name", "version: prompt/2 is the built-in template"),
+        ("[task]", "[tasks]", "unknown key `tasks`: did you mean `task`?"),
+    ] {
+        fs::write(dir.path().join("mine.toml"), printed.replace(from, to)).unwrap();
+        let found = refused(dir.path(), dry_run);
+        assert!(found.contains(said), "{found}");
+    }
+    let other_policy = refused(dir.path(), "run --policy random --prompt mine.toml");
+    assert!(other_policy.contains("--prompt is for --policy openai"), "{other_policy}");
+}
+
+#[test]
 fn a_wrong_variable_is_named() {
     let dir = dir();
     for (variable, value, said) in [

@@ -38,6 +38,22 @@ impl ImagePlan {
         Self { counts, sent: ImageCounts { keyframes, retrieved, window }, now }
     }
 
+    /// Number of keyframes that are sent.
+    pub(super) fn keyframes(&self) -> u32 {
+        self.sent.keyframes
+    }
+
+    /// Number of retrieved views that are sent.
+    pub(super) fn retrieved_views(&self) -> u32 {
+        self.sent.retrieved
+    }
+
+    /// Number of images that are sent.
+    pub(super) fn images(&self) -> u32 {
+        let ImageCounts { keyframes, retrieved, window } = self.sent;
+        keyframes + retrieved + window + u32::from(self.now)
+    }
+
     /// Whether keyframe `index` is sent: the middle one of each of as many equal stretches as there is room for.
     pub(super) fn keyframe(&self, index: u32) -> bool {
         let (of, sent) = (u64::from(self.counts.keyframes), u64::from(self.sent.keyframes));

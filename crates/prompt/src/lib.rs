@@ -1,6 +1,6 @@
 //! The prompt of a vision-language model (specification, sections 1, 2 and 5).
 //!
-//! One template, [`version`], serves all representations; all its texts are in `v1.toml`. A prompt is one system
+//! One [`Template`] serves all representations; the texts of the built-in one are in `v2.toml`. A prompt is one system
 //! message, always the same, and one user message that begins with what changes least, so that a server with a prefix
 //! cache reads it once: memory, task, recent steps, now. `docs/prompt.md` shows one in full.
 //!
@@ -23,21 +23,7 @@ use peer::{FrameView, Request, WorldDeclaration};
 use serde_json::{Value, json};
 
 pub use answer::{UnreadAnswer, read_answer, read_cut_off_answer};
-
-/// Version of the template, as its file states it: `prompt/1`.
-pub fn version() -> &'static str {
-    &template::template().version
-}
-
-/// The template's file.
-pub const fn template_text() -> &'static str {
-    template::FILE
-}
-
-/// The template's BLAKE3 hash in hexadecimal.
-pub fn template_hash() -> String {
-    blake3::hash(template::FILE.as_bytes()).to_hex().to_string()
-}
+pub use template::{Template, TemplateError};
 
 /// The answers that a model may give, for servers that can restrict it to them.
 pub fn answer_choices(world: &WorldDeclaration) -> Vec<&str> {
@@ -121,12 +107,12 @@ pub struct Prompt<'a> {
 }
 
 impl<'a> Prompt<'a> {
-    /// The prompt for `request`, with at most `image_budget` images.
+    /// The prompt for `request` in the words of `template`, with at most `image_budget` images.
     ///
     /// Images that do not fit are left out in this order: keyframes of demonstrations, of which evenly spread ones stay;
     /// retrieved views, from the last; views of the window, from the oldest; the current view. A short text replaces each.
-    pub fn new(request: &Request<'a>, image_budget: u32) -> Self {
-        render::prompt(template::template(), request, image_budget)
+    pub fn new(template: &Template, request: &Request<'a>, image_budget: u32) -> Self {
+        render::prompt(template.texts(), request, image_budget)
     }
 
     /// The views whose images are sent, in reading order; one that is shown twice comes twice.

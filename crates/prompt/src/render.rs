@@ -5,15 +5,11 @@ use domain::{ActionCode, DocumentKind};
 use peer::{CaptionedView, FrameView, Item, Request, StepsView, TextView, WorldDeclaration};
 
 use super::budget::{ImageCounts, ImagePlan};
-use super::template::Template;
+use super::template::Texts;
 use super::{PartContent, Prompt, PromptPart, PromptSection};
 
 /// The prompt for `request` in the words of `template`.
-pub(super) fn prompt<'a>(
-    template: &'static Template,
-    request: &Request<'a>,
-    image_budget: u32,
-) -> Prompt<'a> {
+pub(super) fn prompt<'a>(template: &Texts, request: &Request<'a>, image_budget: u32) -> Prompt<'a> {
     let plan = ImagePlan::new(counts(request), image_budget);
     let section = PromptSection::Memory;
     let mut writer = Writer {
@@ -21,6 +17,7 @@ pub(super) fn prompt<'a>(
         world: request.world,
         plan,
         section,
+        images: 0,
         keyframes: 0,
         retrieved: 0,
         parts: Vec::new(),
@@ -37,7 +34,7 @@ pub(super) fn prompt<'a>(
 }
 
 /// The system message: the same for all requests of a world.
-fn system(template: &'static Template, world: &WorldDeclaration) -> String {
+fn system(template: &Texts, world: &WorldDeclaration) -> String {
     let actions = action_list(world, "\n");
     let values = [("rules", world.rules.as_str()), ("actions", &actions)];
     fill(&template.system, &[&values[..], &template.words.of(&world.name)].concat())
@@ -57,6 +54,9 @@ fn counts(request: &Request<'_>) -> ImageCounts {
     let window = request.window.len() as u32;
     ImageCounts { keyframes: images(true), retrieved: images(false), window }
 }
+
+/// What the cosine distance of opposite embeddings may be, with rounding.
+const LARGEST_COSINE_DISTANCE: f32 = 2.0005;
 
 /// How steps of a demonstration are worded.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -81,11 +81,13 @@ impl StepsWording {
     }
 }
 
-struct Writer<'a> {
-    template: &'static Template,
+struct Writer<'t, 'a> {
+    template: &'t Texts,
     world: &'a WorldDeclaration,
     plan: ImagePlan,
     section: PromptSection,
+    /// Images so far.
+    images: u32,
     /// Keyframes so far.
     keyframes: u32,
     /// Other views from memory so far.
@@ -93,7 +95,7 @@ struct Writer<'a> {
     parts: Vec<PromptPart<'a>>,
 }
 
-impl<'a> Writer<'a> {
+impl<'a> Writer<'_, 'a> {
     fn text(&mut self, text: &str) {
         match self.parts.last_mut() {
             Some(PromptPart { section, content: PartContent::Text(so_far) })
@@ -112,12 +114,15 @@ impl<'a> Writer<'a> {
     }
 
     fn view(&mut self, view: FrameView<'a>, sent: bool) {
+        let texts = &self.template.view;
         if sent {
+            self.images += 1;
+            self.fill(&texts.label, &[("image", &self.images.to_string())]);
             self.push(PartContent::View(view));
         } else {
-            self.text(&self.template.view_not_shown);
+            self.text(&texts.not_shown);
         }
-        self.text(&self.template.view.after);
+        self.text(&texts.after);
     }
 
     fn push(&mut self, content: PartContent<'a>) {
@@ -143,8 +148,8 @@ impl<'a> Writer<'a> {
             self.text(&texts.elsewhere);
         }
         // The hint is about demonstrations: after the demonstrations, before what was retrieved for this step.
-        let has_demonstrations = request.items.iter().any(|item| matches!(item, Item::Steps(_)));
-        let hint_at = (request.starts_as_demonstrated && has_demonstrations).then(|| {
+        let shows_walk = request.items.iter().any(|item| self.shows_walk(item));
+        let hint_at = (request.starts_as_demonstrated && shows_walk).then(|| {
             let first = request.items.iter().position(|item| item.segment().is_some());
             first.unwrap_or(request.items.len())
         });
@@ -162,6 +167,14 @@ impl<'a> Writer<'a> {
             self.fill(&texts.hint, &[]);
         }
         self.text(&texts.end);
+    }
+
+    /// Whether the prompt shows more of a demonstration than a single view.
+    fn shows_walk(&self, item: &Item<'_>) -> bool {
+        let Item::Steps(steps) = item else { return false };
+        let sent =
+            if steps.is_trajectory() { self.plan.keyframes() } else { self.plan.retrieved_views() };
+        steps.steps.iter().any(|step| step.action.is_some()) || sent.min(item.images() as u32) > 1
     }
 
     fn document(&mut self, &TextView { kind, text, .. }: &TextView<'_>) {
@@ -203,12 +216,11 @@ impl<'a> Writer<'a> {
             StepsWording::Retrieved => (&texts.one_retrieved_begin, &texts.retrieved_end),
             StepsWording::Part => (&texts.part_begin, &texts.part_end),
         };
-        // Rounding can make the distance of equal views slightly negative.
-        let distance = steps.distance.unwrap_or_default().max(0.0);
         let values = [
             ("number", number.to_string()),
             ("count", count.to_string()),
-            ("distance", format!("{distance:.3}")),
+            ("distance", self.distance(steps.distance.unwrap_or_default())),
+            ("current_view", self.current_view()),
         ];
         self.fill(begin, &values.each_ref().map(|(name, value)| (*name, value.as_str())));
         match wording {
@@ -216,6 +228,24 @@ impl<'a> Writer<'a> {
             StepsWording::Demonstration | StepsWording::Part => self.walk(steps),
         }
         self.fill(end, &[]);
+    }
+
+    /// A distance with its scale.
+    fn distance(&self, distance: f32) -> String {
+        let texts = &self.template.memory;
+        let is_cosine = distance < LARGEST_COSINE_DISTANCE;
+        let text = if is_cosine { &texts.cosine_distance } else { &texts.other_distance };
+        // Rounding can make the distance of equal views slightly negative.
+        fill(text, &[("number", &format!("{:.3}", distance.max(0.0)))])
+    }
+
+    /// The current view, as other texts refer to it. Its image is the last one.
+    fn current_view(&self) -> String {
+        let texts = &self.template.view;
+        if !self.plan.now {
+            return texts.current_not_shown.clone();
+        }
+        fill(&texts.current, &[("image", &self.plan.images().to_string())])
     }
 
     /// The views of a demonstration, and between two of them the actions that led from one to the other.

@@ -52,8 +52,8 @@ fn a_prompt_is_in_the_words_of_its_world() {
         demonstrated_elsewhere: false,
         world: &world,
     };
-    let prompt = Prompt::new(&request, IMAGE_BUDGET);
-    assert!(prompt.system.starts_with("You open doors {carefully}.\n\nThe memory\n"));
+    let prompt = Prompt::new(Template::built_in(), &request, IMAGE_BUDGET);
+    assert!(prompt.system.starts_with("You open doors {carefully}.\n\nThe images\n"));
     assert!(prompt.system.ends_with("It is one of:\nopen door\nopen door 2 slowly\n"));
     let text = |section| -> String {
         let parts = prompt.parts.iter().filter(|part| part.section == section);
@@ -73,14 +73,14 @@ fn a_prompt_is_in_the_words_of_its_world() {
     assert!(memory.contains("Actions: open door\n"), "{memory}");
     assert_eq!(
         text(PromptSection::Window),
-        "<recent_steps>\nRecent step 1 of 2. You saw:\n(view)\n\
+        "<recent_steps>\nRecent step 1 of 2. You saw:\nImage 5:\n(view)\n\
          Your action: open door 2 slowly. Feedback: It opened.\n\
-         Recent step 2 of 2. You saw:\n(view)\nYour action: none. Feedback: What?\n\
+         Recent step 2 of 2. You saw:\nImage 6:\n(view)\nYour action: none. Feedback: What?\n\
          </recent_steps>\n\n"
     );
     assert_eq!(
         text(PromptSection::Now),
-        "<now>\nYour hand is 1.25 m high in the hall.\nFeedback: What?\nYou see:\n(view)\n</now>\n\n\
+        "<now>\nYour hand is 1.25 m high in the hall.\nFeedback: What?\nYou see:\nImage 7:\n(view)\n</now>\n\n\
          Your next action, as one of: open door, open door 2 slowly."
     );
     assert_eq!(answer_choices(&world), ["open door", "open door 2 slowly"]);

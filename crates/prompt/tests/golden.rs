@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use domain::{Action, DocumentKind, Feedback, Heading, Pose, hex};
 use peer::{CaptionedView, FrameView, Item, PastView, Request, StepView, StepsView, TextView};
-use prompt::{PartContent, Prompt, PromptPart, PromptSection};
+use prompt::{PartContent, Prompt, PromptPart, PromptSection, Template};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -153,7 +153,7 @@ fn outcome(plain: &PlainRequest, image_budget: u32) -> (Value, String) {
         demonstrated_elsewhere: plain.demonstrated_elsewhere,
         world: &Arc::new(warehouse::declaration()),
     };
-    let prompt = Prompt::new(&request, image_budget);
+    let prompt = Prompt::new(Template::built_in(), &request, image_budget);
     let sections: Vec<_> = prompt.parts.iter().map(|part| part.section.name()).collect();
     let by_section = |count: &dyn Fn(PromptSection) -> Value| -> Value {
         PromptSection::ALL
@@ -242,9 +242,19 @@ fn every_file_has_the_prompt_of_its_request() {
 fn the_example_in_the_docs_is_a_case() {
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/prompt.md");
     let page = fs::read_to_string(page).unwrap();
-    let case = read(files().iter().find(|path| path.ends_with("episodic.json")).unwrap());
+    let case = read(files().iter().find(|path| path.ends_with("example.json")).unwrap());
     let (_, readable) = outcome(&case.request, case.image_budget);
     assert!(page.contains(&readable), "docs/prompt.md should show:\n{readable}");
+}
+
+/// A text without the numbers of images: how many there are before an image depends on memory.
+fn without_image_numbers(text: &str) -> String {
+    let mut parts = text.split("Image ");
+    let first = parts.next().unwrap_or_default().to_owned();
+    first
+        + &parts
+            .map(|part| part.trim_start_matches(|c: char| c.is_ascii_digit()))
+            .collect::<String>()
 }
 
 #[test]
@@ -267,7 +277,8 @@ fn the_system_message_and_what_memory_does_not_touch_are_the_same_for_all() {
         if ["working", "full-context", "summary", "semantic", "hybrid", "episodic"]
             .contains(&name(&path).as_str())
         {
-            rests.push(user(&outcome["messages"])[after..].to_vec());
+            let rest = Value::from(&user(&outcome["messages"])[after..]).to_string();
+            rests.push(without_image_numbers(&rest));
         }
     }
     systems.dedup();
@@ -275,6 +286,29 @@ fn the_system_message_and_what_memory_does_not_touch_are_the_same_for_all() {
     assert_eq!(rests.len(), 6);
     rests.dedup();
     assert_eq!(rests.len(), 1);
+}
+
+#[test]
+fn images_are_numbered_in_reading_order_and_the_current_view_is_the_last() {
+    let mut references = 0;
+    for path in files() {
+        let outcome = read(&path).outcome;
+        let Value::Array(parts) = &outcome["messages"][1]["content"] else { continue };
+        let images = parts.iter().filter(|part| part["type"] == "image_url").count();
+        let mut number = 0;
+        for pair in parts.windows(2).filter(|pair| pair[1]["type"] == "image_url") {
+            number += 1;
+            let before = pair[0]["text"].as_str().unwrap();
+            assert!(before.ends_with(&format!("\nImage {number}:\n")), "{path:?}: {before}");
+        }
+        assert_eq!(number, images, "{path:?}");
+        let texts = parts.iter().filter_map(|part| part["text"].as_str());
+        for rest in texts.flat_map(|text| text.split("your current view, image ").skip(1)) {
+            assert!(rest.starts_with(&format!("{images} (")), "{path:?}: {rest}");
+            references += 1;
+        }
+    }
+    assert!(references > 5);
 }
 
 #[test]

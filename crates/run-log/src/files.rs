@@ -23,6 +23,8 @@ pub(super) use case_book::{CASE_BOOK_FILE, DEMONSTRATIONS_FILE};
 pub const STREAMS_FILE: &str = "streams.json";
 /// The other warehouse, if tasks are demonstrated in one.
 pub const ELSEWHERE_FILE: &str = "elsewhere.json";
+/// The template of the prompt, if the user gave one.
+pub const PROMPT_FILE: &str = "prompt.toml";
 /// The snapshots of memories that learn.
 pub const SNAPSHOTS_FOLDER: &str = "snapshots";
 /// The documents that memory supplied.
@@ -49,7 +51,7 @@ const REPORT_IDS: &str = concat!(
 /// external memories.
 const RUN_NAMES: [&str; 13] = [
     "(manifest|status)\\.json\\.new",
-    "(status|doctor)\\.json|(case-book|demonstrations|streams|elsewhere)\\.json(\\.new)?",
+    "prompt\\.toml(\\.new)?|(status|doctor)\\.json|(case-book|demonstrations|streams|elsewhere)\\.json(\\.new)?",
     "(episodes|timings|requests|errors|sessions|latency)(\\.damaged)?\\.jsonl",
     "episodes\\.jsonl\\.new",
     "logs/((sim|memory|policy)\\.log(\\.new)?)?",

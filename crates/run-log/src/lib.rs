@@ -38,15 +38,15 @@ pub mod step_view;
 pub mod usage;
 
 pub use files::{
-    DOCTOR_FILE, DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, LOGS_FOLDER, PROMPTS_FOLDER,
-    REPORT_FOLDER, REQUESTS_FILE, SNAPSHOTS_FOLDER, STATUS_FILE, STREAMS_FILE, TIMINGS_FILE,
-    report_names,
+    DOCTOR_FILE, DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, LOGS_FOLDER, PROMPT_FILE,
+    PROMPTS_FOLDER, REPORT_FOLDER, REQUESTS_FILE, SNAPSHOTS_FOLDER, STATUS_FILE, STREAMS_FILE,
+    TIMINGS_FILE, report_names,
 };
 pub use folder::{LEARNED_FACTS, Opened, RunFolder};
 pub use journal::{DamagedLine, Journal, JournalContents, JournalTail, damaged_file, read_journal};
 pub use manifest::{
     CASE_BOOK_HASH, DEMONSTRATIONS_HASH, Difference, DocumentFacts, ELSEWHERE_HASH,
-    ExternalMemoryFacts, FORMAT, Manifest, STREAMS_HASH, UnitId,
+    ExternalMemoryFacts, FORMAT, Manifest, PROMPT_HASH, STREAMS_HASH, UnitId,
 };
 pub use merge::{
     FactDifference, MergeError, PlannedFacts, UnitEpisode, UnitFolders, finish_unit, merge,

@@ -22,6 +22,9 @@ pub const ELSEWHERE_HASH: &str = "elsewhere";
 /// The name of the hash of the streams.
 pub const STREAMS_HASH: &str = "streams";
 
+/// The name of the hash of a user's template of the prompt.
+pub const PROMPT_HASH: &str = "prompt";
+
 /// The name of the hash of the case book.
 pub const CASE_BOOK_HASH: &str = "case-book";
 

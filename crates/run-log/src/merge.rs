@@ -19,8 +19,8 @@ use serde::de::DeserializeOwned;
 use super::existing::{lock, stays};
 use super::files::{
     CASE_BOOK_FILE, DEMONSTRATIONS_FILE, DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE,
-    ERRORS_FILE, LATENCY_FILE, PROMPTS_FOLDER, REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER,
-    STREAMS_FILE, TIMINGS_FILE, run_names,
+    ERRORS_FILE, LATENCY_FILE, PROMPT_FILE, PROMPTS_FOLDER, REQUESTS_FILE, SESSIONS_FILE,
+    SNAPSHOTS_FOLDER, STREAMS_FILE, TIMINGS_FILE, run_names,
 };
 use super::{
     EpisodeError, EpisodeRecord, EpisodeTimings, LogError, Manifest, RequestRecord, SessionRecord,
@@ -292,7 +292,8 @@ impl<'a> MergedRun<'a> {
         let sessions_before = self.session_count;
         self.copy_journals(dir, &log.requests)?;
         durable::check_no_links(dir).map_err(system("read", dir))?;
-        let files = [CASE_BOOK_FILE, DEMONSTRATIONS_FILE, STREAMS_FILE, ELSEWHERE_FILE];
+        let files =
+            [CASE_BOOK_FILE, DEMONSTRATIONS_FILE, STREAMS_FILE, ELSEWHERE_FILE, PROMPT_FILE];
         for name in [DOCUMENTS_FOLDER, SNAPSHOTS_FOLDER].into_iter().chain(files) {
             copy(&dir.join(name), &self.dir.join(name))?;
         }

@@ -12,6 +12,7 @@ use llm::{
 };
 use policy_proc::openai::{Openai, OpenaiSettings};
 use prompt::image::ImageFormat;
+use prompt::{Template, TemplateError};
 
 /// The flags of `--policy openai`.
 #[derive(Args)]
@@ -77,6 +78,9 @@ pub(crate) struct RequestArguments {
     /// A further header of each request
     #[arg(long, value_name = "NAME: VALUE", env = HEADER_VARIABLE, value_delimiter = '\n', hide_env_values = true)]
     pub(crate) header: Vec<SecretHeader>,
+    /// The template of the prompt, if it is not the built-in one
+    #[arg(long, value_name = "FILE")]
+    prompt: Option<PathBuf>,
 }
 
 impl RequestArguments {
@@ -84,6 +88,17 @@ impl RequestArguments {
         let Self { reasoning, system_role, extra_body, .. } = self;
         let extra_body = extra_body.clone().unwrap_or_default();
         RequestOptions { reasoning: *reasoning, system_role: *system_role, extra_body }
+    }
+
+    /// The template of the prompt.
+    ///
+    /// # Errors
+    /// When the file is not a template.
+    pub(crate) fn template(&self) -> Result<Template, TemplateError> {
+        match &self.prompt {
+            Some(path) => Template::read(path),
+            None => Template::parse(Template::BUILT_IN_FILE),
+        }
     }
 }
 
@@ -93,6 +108,7 @@ impl RequestArguments {
 /// When no server or no cache folder is known.
 pub(crate) fn policy(arguments: ModelArguments) -> anyhow::Result<Openai> {
     let model = arguments.model.context("--policy openai needs --model")?;
+    let template = arguments.requests.template()?.into();
     let given = arguments.base_url.as_deref().map(|url| (url, arguments.base_url_from));
     let servers = Servers::from_environment(given, Path::new("."))?;
     // The program that started this one knows where the headers were given, and has checked it.
@@ -123,5 +139,5 @@ pub(crate) fn policy(arguments: ModelArguments) -> anyhow::Result<Openai> {
         endpoint_limit,
         server_patience: Duration::from_secs(arguments.server_patience.into()),
     };
-    Ok(Openai::new(ChatClient::balanced(first, others, chat, cache), settings))
+    Ok(Openai::new(ChatClient::balanced(first, others, chat, cache), template, settings))
 }

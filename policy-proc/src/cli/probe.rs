@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::process::ExitCode;
 use std::str::FromStr;
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::ensure;
@@ -100,6 +101,7 @@ pub(crate) fn run(arguments: &ProbeArguments) -> anyhow::Result<ExitCode> {
         ..ChatSettings::new(&*arguments.model)
     };
     let client = ChatClient::new(servers.first, settings, None);
+    let template = Arc::new(arguments.requests.template()?);
     let request = |MemorySize { name, views, document_chars }: &MemorySize| {
         let largest = LargestRequest {
             frame_size: arguments.frame_size,
@@ -112,7 +114,10 @@ pub(crate) fn run(arguments: &ProbeArguments) -> anyhow::Result<ExitCode> {
             memory: name.clone(),
             images: largest.images().min(arguments.image_budget),
             document_chars: *document_chars,
-            with: Box::new(move |budget| largest.chat_request(budget)),
+            with: Box::new({
+                let template = Arc::clone(&template);
+                move |budget| largest.chat_request(&template, budget)
+            }),
         }
     };
     let requests: Vec<_> = arguments.memory_size.iter().map(request).collect();

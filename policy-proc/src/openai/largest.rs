@@ -8,8 +8,8 @@ use peer::{
     ActionCode, ActionDeclaration, FeedbackCode, FrameView, Item, PastView, Request, State,
     StateField, StepView, StepsView, TextView, WorldDeclaration,
 };
-use prompt::Prompt;
 use prompt::image::{ImageFormat, data_url};
+use prompt::{Prompt, Template};
 
 /// Steps between two keyframes of a demonstration, about what the demonstrations of the benchmark have.
 const KEYFRAME_DISTANCE: u32 = 2;
@@ -45,8 +45,8 @@ impl LargestRequest {
         1 + self.window + self.keyframes
     }
 
-    /// The chat request, with at most `image_budget` images.
-    pub fn chat_request(&self, image_budget: u32) -> ChatRequest {
+    /// The chat request in the words of `template`, with at most `image_budget` images.
+    pub fn chat_request(&self, template: &Template, image_budget: u32) -> ChatRequest {
         let world = Arc::new(invented_world());
         let pixels = pixels(self.frame_size);
         let (width, height) = (self.frame_size, self.frame_size);
@@ -90,7 +90,7 @@ impl LargestRequest {
         let url = data_url(&frame, self.image_format).unwrap_or_default().into();
         super::chat_request(
             &world,
-            &Prompt::new(&request, image_budget),
+            &Prompt::new(template, &request, image_budget),
             prompt::ANSWER_TOKENS,
             |_| Arc::clone(&url),
         )
@@ -141,8 +141,8 @@ mod tests {
             document_chars: 5000,
         };
         assert_eq!(largest.images(), 47);
-        assert_eq!(largest.chat_request(50).images(), 47);
-        let request = largest.chat_request(10);
+        assert_eq!(largest.chat_request(Template::built_in(), 50).images(), 47);
+        let request = largest.chat_request(Template::built_in(), 10);
         assert_eq!(request.images(), 10);
         let text = format!("{request:?}");
         assert!(text.contains("blue barrel") && text.contains("data:image/png;base64,"));

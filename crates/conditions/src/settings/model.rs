@@ -22,6 +22,8 @@ pub struct ModelSettings {
     pub image_format: ImageFormat,
     pub image_budget: u32,
     pub answer_tokens: u32,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prompt: Option<PathBuf>,
     #[serde(default = "reasoning_off")]
     pub reasoning: ReasoningRequest,
     #[serde(default = "role_of_system")]

@@ -303,6 +303,8 @@ pub const KEYS: &[Key] = keys! {
          reads text only";
     "answer-tokens" "N" Number(1, 100_000, 1), Model Outcome = "30",
         "Maximum number of tokens in an answer, reasoning included";
+    "prompt" "FILE" Text(any), Model Machine,
+        "A template of your own for the prompt; `memtransfer ls prompt` prints the built-in one to start from";
     "reasoning" "LEVEL" Text(parses::<ReasoningRequest>), Model Outcome = "off",
         "What requests say about reasoning: off, minimal, low, medium, high, or nothing (model). With any but off, \
          raise --answer-tokens";

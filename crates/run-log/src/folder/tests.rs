@@ -172,12 +172,14 @@ fn another_run_is_not_touched() {
     other.settings.lanes += 1;
     other.settings.adapter = Some("processor".to_owned());
     other.hashes.insert("layout".into(), "ff".into());
+    other.hashes.insert(crate::PROMPT_HASH.into(), "ee".into());
     let error = open(other).unwrap_err().to_string();
     let error = error.replace(&dir.path().display().to_string(), "DIR");
     insta::assert_snapshot!(error, @r#"
     DIR holds a run with other settings or code:
       adapter: not set there, "processor" now
       contents of layout: "00" there, "ff" now
+      contents of prompt: not set there, "ee" now
       seed: 1 there, 8 now
     Use the same settings and code to continue it, remove it to start over (as `run --fresh` does), or choose another --out
     "#);

@@ -202,6 +202,7 @@ fn session(
         unit: None,
         shipped_embeddings: None,
         prices: None,
+        prompt: None,
         started: Some(StartedMemories { children: Children::default(), memories, run }),
     };
     let stop = AtomicBool::new(false);
