@@ -148,7 +148,9 @@ fn check_request(
     let takes_part = |case: &&CaseDeclaration| request.cases.contains(&case.id);
     let has_blocked =
         |case: &CaseDeclaration| case.trajectories.contains_key(&TrajectoryName::Blocked);
-    if request.blocked && !cases.iter().filter(takes_part).any(has_blocked) {
+    // Without a run, no case takes part.
+    let is_of_run = !request.cases.is_empty();
+    if request.blocked && is_of_run && !cases.iter().filter(takes_part).any(has_blocked) {
         return Err(format!(
             "no case of the world {} that takes part has a blocked route: leave `blocked` out of --routes",
             world.name
@@ -190,6 +192,12 @@ fn check_case(
     for (name, actions) in &case.trajectories {
         for &action in actions {
             world.read_action(Some(action)).map_err(|unknown| format!("`{name}`: {unknown}"))?;
+        }
+    }
+    for (set, histories) in [("irrelevant", &case.irrelevant), ("confusable", &case.confusable)] {
+        if !matches!(histories.len(), 0 | 2) {
+            let count = histories.len();
+            return Err(format!("its number of `{set}` histories is {count}, not two or none"));
         }
     }
     for (other, kind) in case.irrelevant.iter().chain(&case.confusable) {
