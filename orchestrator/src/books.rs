@@ -4,6 +4,9 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::thread;
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
 use case_book::{
@@ -16,8 +19,13 @@ use run_log::{
 use shm_types::message::Role;
 use supervise::Launch;
 
+use crate::progress::say;
+
 /// The program of the world.
 const PROGRAM: &str = "sim-proc";
+
+/// How long the case book is waited for without a word.
+const SOON: Duration = Duration::from_secs(10);
 
 /// The files of a case book.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -40,6 +48,21 @@ fn external(command: &str) -> Result<Command> {
     Ok(command)
 }
 
+/// Runs `write`, with a message if the case book is not written soon.
+fn saying_that_it_takes_time<T>(name: &str, write: impl FnOnce() -> T) -> T {
+    let (done, waiting) = mpsc::channel::<()>();
+    thread::scope(|scope| {
+        scope.spawn(move || {
+            if waiting.recv_timeout(SOON) == Err(RecvTimeoutError::Timeout) {
+                say(&format!("waiting for the case book: `{name} book` is acting out all cases"));
+            }
+        });
+        let written = write();
+        drop(done);
+        written
+    })
+}
+
 impl Books {
     /// Those that the world which `command` starts, or the warehouse, writes for `request`.
     ///
@@ -55,7 +78,9 @@ impl Books {
             None => (PROGRAM, Command::new(supervise::sibling(PROGRAM)?)),
         };
         command.arg("book").arg("--request").arg(&asked).arg("--out").arg(&out);
-        let ended = supervise::without_keys(&mut command).stdin(Stdio::null()).output();
+        let ended = saying_that_it_takes_time(name, || {
+            supervise::without_keys(&mut command).stdin(Stdio::null()).output()
+        });
         let ended = ended.with_context(|| format!("cannot start {name}"))?;
         if !ended.status.success() {
             let printed = String::from_utf8_lossy(&ended.stderr);

@@ -127,8 +127,8 @@ fn check_banks(sets: &[Demonstrations], most: usize) -> Result<()> {
     for set in sets {
         ensure!(
             usize::from(set.bank_size().unwrap_or(0)) <= most,
-            "{set}: the largest bank is bank-{most}, four demonstrations of each case; a world with more cases has a larger one \
-             (`memtransfer generate world --cases N`, then --assets)"
+            "{set}: the largest bank is bank-{most}, the own demonstrations of all cases; a world with more cases has a larger one \
+             (a warehouse: `memtransfer generate world --cases N`, then --assets)"
         );
     }
     Ok(())

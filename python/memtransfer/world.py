@@ -62,6 +62,8 @@ TRAJECTORIES = ("original", "opposite", "nearby", "distant", "new", "blocked", "
 """The names of an expert's trajectories: demonstrations from four starts; references from the start at which a case is tested,
 where the way is free and where it is blocked; and a demonstration where it is blocked."""
 
+_DEMONSTRATIONS = ("original", "opposite", "nearby", "distant", "after")
+
 
 @dataclass(frozen=True, slots=True)
 class Case:
@@ -180,10 +182,10 @@ class World(ABC):
 
     def _step(self, action: int) -> tuple[Any, ...]:
         observation = self.step(action)
-        return self._told("step", observation, observation.feedback)
+        return self._told("step", observation)
 
-    def _told(self, method: str, observation: Observation, feedback: int) -> tuple[Any, ...]:
-        """The numbers of an observation, checked as far as this world does not do it later."""
+    def _told(self, method: str, observation: Observation, feedback: int | None = None) -> tuple[Any, ...]:
+        """The numbers of an observation, checked as far as this world does not do it later. `feedback` replaces its own."""
         if not isinstance(observation, Observation):
             raise WorldError(f"{method} returned {observation!r}, which is no Observation")
         state = [float(number) for number in observation.state]
@@ -191,7 +193,7 @@ class World(ABC):
             raise WorldError(f"{method}: the state {state} has a number that is not finite")
         return (
             state,
-            _number(f"{method}: the feedback", feedback, len(self.feedback)),
+            _number(f"{method}: the feedback", observation.feedback if feedback is None else feedback, len(self.feedback)),
             _number(f"{method}: the number of sub-goals", observation.sub_goals, 2**32),
             _number(f"{method}: the number of sub-goals that are required", observation.required, 2**32),
             bool(observation.failed),
@@ -214,9 +216,16 @@ class World(ABC):
     def _facts(self) -> str:
         facts = self.facts()
         try:
-            return json.dumps(dict(facts), allow_nan=False)
+            return json.dumps(dict(facts), allow_nan=False, default=_plain)
         except (TypeError, ValueError) as error:
             raise WorldError(f"facts: {facts!r} cannot be written as JSON: {error}") from error
+
+
+def _plain(value: Any) -> Any:
+    """A number or an array of numpy as Python's own."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{value!r} is of type {type(value).__name__}")
 
 
 def _number(name: str, value: Any, limit: int) -> int:
@@ -239,6 +248,9 @@ def declaration(world: World) -> WorldDeclaration:
     for name in ("name", "version", "rules", "actions", "state"):
         if not hasattr(world, name):
             raise WorldError(f"the world {type(world).__name__} has no `{name}`")
+    for name in ("name", "version", "rules"):
+        if not isinstance(getattr(world, name), str):
+            raise WorldError(f"the `{name}` of the world {type(world).__name__} is {getattr(world, name)!r}, not a string")
     count = len(world.actions)
     letters = world.letters or (string.ascii_letters + string.digits)[:count]
     if len(letters) != count:
@@ -266,9 +278,14 @@ def _case(world: World, case: Case) -> dict[str, Any]:
     for name in case.trajectories:
         if name not in TRAJECTORIES:
             raise WorldError(f"{of}: the trajectory {name!r} is none of {', '.join(TRAJECTORIES)}")
-    for id, name in (*case.irrelevant, *case.confusable):
-        if name not in TRAJECTORIES:
-            raise WorldError(f"{of}: its history {id} {name!r} is none of {', '.join(TRAJECTORIES)}")
+        if case.trajectories[name] is None:
+            raise WorldError(f"{of}: its trajectory `{name}` is None: leave it out, or list its actions")
+    for history in (*case.irrelevant, *case.confusable):
+        if isinstance(history, str) or len(history) != 2:
+            raise WorldError(f"{of}: its history {history!r} is no pair of the id of a case and the name of a demonstration")
+        id, name = history
+        if name not in _DEMONSTRATIONS:
+            raise WorldError(f"{of}: its history {id} {name!r} is none of {', '.join(_DEMONSTRATIONS)}")
     return {
         "id": case.id,
         "task": 1 + tasks.index(task),
@@ -285,6 +302,8 @@ def _case(world: World, case: Case) -> dict[str, Any]:
 def _tasks(world: World) -> dict[str, Any]:
     if not world.tasks:
         raise WorldError(f"the world {world.name} has no tasks")
+    if not isinstance(world.tasks, Mapping):
+        raise WorldError(f"the tasks of the world {world.name} are {world.tasks!r}, not a dict of tasks and their groups")
     numbered = enumerate(world.tasks.items(), start=1)
     return {
         "tasks": [{"number": number, "name": name, "group": group} for number, (name, group) in numbered],
@@ -299,6 +318,8 @@ def main(world: Callable[[], World]) -> None:
     # What is printed must not mix with answers.
     sys.stdout = sys.stderr
     try:
+        if isinstance(world, World):
+            raise WorldError(f"main needs what makes the world for each lane: {type(world).__name__}, not {type(world).__name__}()")
         one = world()
         declared = declaration(one).json()
         tasks = json.dumps(_tasks(one))

@@ -6,6 +6,7 @@ Runs in such worlds are tested in `tests/tests/end_to_end`.
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import textwrap
@@ -86,6 +87,28 @@ def test_the_corridor_acts_out_episodes() -> None:
     assert wrong == {"error": "2 is not an action of this world"}
 
 
+@pytest.mark.parametrize("blocked", [True, False])
+def test_a_book_without_a_request_is_for_any_run(blocked: bool, tmp_path: Path) -> None:
+    script = CORRIDOR
+    if not blocked:
+        script = tmp_path / "open.py"
+        script.write_text(CORRIDOR.read_text().replace(', "blocked": [WEST] * (13 - goal)', ""))
+    done = program(script, "book", "--out", str(tmp_path / "out"))
+    assert done.returncode == 0, done.stderr
+    stale = json.loads((tmp_path / "out" / "case-book.json").read_text())["stale"]
+    assert list(stale) == (["1", "2", "3", "4"] if blocked else [])
+
+
+def test_a_world_does_not_serve_the_case_book_of_another_version(tmp_path: Path) -> None:
+    assert program(CORRIDOR, "book", "--out", str(tmp_path)).returncode == 0
+    changed = tmp_path / "changed.py"
+    changed.write_text(CORRIDOR.read_text().replace('"corridor", "1"', '"corridor", "2"'))
+    environment = {**os.environ, "MEMTRANSFER_ATTACH": str(tmp_path)}
+    serve = [sys.executable, str(changed), "serve", "--demonstrations", str(tmp_path / "demonstrations.json")]
+    done = subprocess.run(serve, capture_output=True, text=True, timeout=100, env=environment)
+    assert done.returncode == 1 and "corridor 1 with another declaration than this program's corridor 2" in done.stderr
+
+
 def test_a_program_that_is_called_otherwise_says_how_it_is_used() -> None:
     done = program(CORRIDOR)
     assert done.returncode == 1 and done.stderr.startswith("memtransfer: usage: WORLD VERB")
@@ -116,6 +139,22 @@ WRONG = {
     "case a of the world corridor: an action of `new` is 2, not one of 0 to 1": """
         def cases(self):
             return [Case("a", "Walk.", {"original": [0], "new": [0, 2]})]""",
+    "step returned None, which is no Observation": "def step(self, action): pass",
+    "case a of the world corridor: its trajectory `blocked` is None: leave it out, or list its actions": """
+        def cases(self):
+            return [Case("a", "Walk.", {"original": [0], "new": [0], "blocked": None})]""",
+    "its history 'reach-8' is no pair of the id of a case and the name of a demonstration": """
+        def cases(self):
+            return [Case("a", "Walk.", {}, confusable=["reach-8", "visit-8"])]""",
+    "its history reach-8 'new' is none of original, opposite, nearby, distant, after": """
+        def cases(self):
+            return [Case("a", "Walk.", {}, confusable=[("reach-8", "new")])]""",
+    "case a of the world corridor: its number of `confusable` histories is 1, not two or none": """
+        def cases(self):
+            yield Case("a", "Walk.", {"original": [0], "new": [0]}, confusable=[("reach-7", "original")])
+            yield from super().cases()""",
+    "the tasks of the world corridor are ['reach'], not a dict of tasks and their groups": 'tasks = ["reach"]',
+    "the `version` of the world Wrong is 1, not a string": "version = 1",
     "case reach-7 of the world corridor: it has no trajectory `new`": """
         def cases(self):
             return [Case("reach-7", "Walk.", {"original": [0], "blocked": [1]})]""",
@@ -180,6 +219,8 @@ def test_a_world_may_not_keep_the_array_that_it_draws_into(keeps: str) -> None:
 def test_facts_are_what_json_can_hold() -> None:
     world = Corridor()
     assert world._facts() == "{}"
+    world.facts = lambda: {"bumps": np.int64(3), "place": np.array([1, 2])}
+    assert json.loads(world._facts()) == {"bumps": 3, "place": [1, 2]}
     for facts in [{"distance": float("nan")}, {"where": object()}]:
         world.facts = lambda facts=facts: facts
         with pytest.raises(WorldError, match="facts: .* cannot be written as JSON"):

@@ -26,7 +26,7 @@ Examples:
 pub(super) struct RenderArgs {
     #[command(flatten)]
     subject: RenderSubject,
-    /// Which of the case's trajectories: original, opposite, nearby, distant, test or blocked
+    /// Which of the case's trajectories: original, opposite, nearby, distant, new or blocked
     #[arg(long, value_name = "NAME", default_value = "original", requires = "case", value_parser = CaseTrajectory::parse)]
     trajectory: CaseTrajectory,
     /// The PNG file, or for a trajectory the folder of its numbered PNG files
@@ -62,7 +62,7 @@ struct RenderSubject {
 #[derive(Debug, Clone, Copy)]
 enum CaseTrajectory {
     Demonstration(DemonstrationKind),
-    Test,
+    New,
     Blocked,
 }
 
@@ -70,19 +70,21 @@ impl CaseTrajectory {
     const ALL: [Self; 6] = {
         let [original, opposite, nearby, distant] = DemonstrationKind::OWN;
         let of = Self::Demonstration;
-        [of(original), of(opposite), of(nearby), of(distant), Self::Test, Self::Blocked]
+        [of(original), of(opposite), of(nearby), of(distant), Self::New, Self::Blocked]
     };
 
     const fn name(self) -> &'static str {
         match self {
             Self::Demonstration(kind) => kind.name(),
-            Self::Test => "test",
+            Self::New => "new",
             Self::Blocked => "blocked",
         }
     }
 
     fn parse(text: &str) -> Result<Self, String> {
-        let found = Self::ALL.into_iter().find(|one| one.name() == text);
+        // `test` is the name in case files of the warehouse.
+        let name = if text == "test" { Self::New.name() } else { text };
+        let found = Self::ALL.into_iter().find(|one| one.name() == name);
         found.ok_or_else(|| format!("expected one of {}", Self::ALL.map(Self::name).join(", ")))
     }
 
@@ -103,7 +105,7 @@ impl CaseTrajectory {
                 let acted = acted.into_iter().next().context("there is no such demonstration")?;
                 return Ok(world.supplied_of(&acted));
             }
-            Self::Test => (Route::Unchanged, 0),
+            Self::New => (Route::Unchanged, 0),
             Self::Blocked => (Route::Blocked, world.description().blocked[index]),
         };
         let reference = world.reference(case, variant, (Start::New, route))?;

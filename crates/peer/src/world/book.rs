@@ -192,6 +192,12 @@ fn check_case(
             world.read_action(Some(action)).map_err(|unknown| format!("`{name}`: {unknown}"))?;
         }
     }
+    for (set, histories) in [("irrelevant", &case.irrelevant), ("confusable", &case.confusable)] {
+        if !matches!(histories.len(), 0 | 2) {
+            let count = histories.len();
+            return Err(format!("its number of `{set}` histories is {count}, not two or none"));
+        }
+    }
     for (other, kind) in case.irrelevant.iter().chain(&case.confusable) {
         let named = cases.iter().find(|case| case.id == *other);
         let name = TrajectoryName::of(*kind);

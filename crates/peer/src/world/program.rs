@@ -121,6 +121,14 @@ fn serve(
     demonstrations: &Path,
 ) -> Result<(), ServeError> {
     let demonstrations = BookFile::<DemonstrationBook>::read(demonstrations)?.book;
+    let (now, then) = (simulator.declaration(), &demonstrations.world);
+    if now != *then {
+        return Err(WorldFailure::from(format!(
+            "the case book is of {} {} with another declaration than this program's {} {}: write it again with `book`",
+            then.name, then.version, now.name, now.version
+        ))
+        .into());
+    }
     serve_world(
         folder,
         false,
