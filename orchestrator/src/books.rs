@@ -1,12 +1,11 @@
 //! The case book of a run, which the world writes: `sim-proc book`.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::sync::mpsc::{self, RecvTimeoutError};
-use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use case_book::{
@@ -26,6 +25,9 @@ const PROGRAM: &str = "sim-proc";
 
 /// How long the case book is waited for without a word.
 const SOON: Duration = Duration::from_secs(10);
+
+/// How long a case book may take to be written where no run says otherwise.
+pub const WRITING_TIMEOUT: Duration = Duration::from_secs(300);
 
 /// The files of a case book.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -48,27 +50,12 @@ fn external(command: &str) -> Result<Command> {
     Ok(command)
 }
 
-/// Runs `write`, with a message if the case book is not written soon.
-fn saying_that_it_takes_time<T>(name: &str, write: impl FnOnce() -> T) -> T {
-    let (done, waiting) = mpsc::channel::<()>();
-    thread::scope(|scope| {
-        scope.spawn(move || {
-            if waiting.recv_timeout(SOON) == Err(RecvTimeoutError::Timeout) {
-                say(&format!("waiting for the case book: `{name} book` is acting out all cases"));
-            }
-        });
-        let written = write();
-        drop(done);
-        written
-    })
-}
-
 impl Books {
-    /// Those that the world which `command` starts, or the warehouse, writes for `request`.
+    /// Those that the world which `command` starts, or the warehouse, writes for `request`, within `limit`.
     ///
     /// # Errors
-    /// When the world's program is missing or cannot write them; with what it printed.
-    pub fn of_world(command: Option<&str>, request: &BookRequest) -> Result<Self> {
+    /// When the world's program is missing, cannot write them, with what it printed, or takes longer.
+    pub fn of_world(command: Option<&str>, request: &BookRequest, limit: Duration) -> Result<Self> {
         let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
         let (asked, out) = (folder.path().join("request.json"), folder.path().join("out"));
         fs::write(&asked, serde_json::to_vec(request)?)
@@ -78,10 +65,21 @@ impl Books {
             None => (PROGRAM, Command::new(supervise::sibling(PROGRAM)?)),
         };
         command.arg("book").arg("--request").arg(&asked).arg("--out").arg(&out);
-        let ended = saying_that_it_takes_time(name, || {
-            supervise::without_keys(&mut command).stdin(Stdio::null()).output()
-        });
-        let ended = ended.with_context(|| format!("cannot start {name}"))?;
+        supervise::without_keys(&mut command).stdin(Stdio::null());
+        let (began, is_silent) = (Instant::now(), Cell::new(true));
+        let is_over = || {
+            if began.elapsed() > SOON && is_silent.replace(false) {
+                say(&format!("waiting for the case book: `{name} book` is acting out all cases"));
+            }
+            began.elapsed() > limit
+        };
+        let ended = supervise::output_until(&mut command, is_over);
+        let ended = ended.with_context(|| format!("cannot start {name}"))?.with_context(|| {
+            format!(
+                "`{name} book` has not ended within {} s (--start-timeout of a run): does a case never end?",
+                limit.as_secs()
+            )
+        })?;
         if !ended.status.success() {
             let printed = String::from_utf8_lossy(&ended.stderr);
             let printed = printed.trim().trim_start_matches("error: ");

@@ -1,5 +1,7 @@
 //! What a run's settings select: some of the world's cases, and the streams.
 
+use std::time::Duration;
+
 use anyhow::{Result, ensure};
 use case_book::{BookRequest, CaseBook, ElsewhereRequest, StreamsRequest};
 use conditions::settings::RunSettings;
@@ -31,7 +33,8 @@ impl SelectedCases {
             }
             None => {
                 let command = settings.world_cmd.as_deref();
-                Self::written_by(|request| Books::of_world(command, request), settings)
+                let limit = Duration::from_secs(settings.start_timeout.into());
+                Self::written_by(|request| Books::of_world(command, request, limit), settings)
             }
         }
     }

@@ -13,7 +13,7 @@ use conditions::settings::RunSettings;
 use documents::DocumentName;
 use domain::{Pose, cache_folder, create_private_folder};
 use llm::{Endpoint, Servers, Source};
-use orchestrator::books::Books;
+use orchestrator::books::{Books, WRITING_TIMEOUT};
 use orchestrator::documents::needed;
 use orchestrator::run_documents::{RunDocuments, listed};
 use orchestrator::scratch::{self, ScratchFolder};
@@ -199,7 +199,7 @@ fn world(args: &WorldArgs) -> anyhow::Result<String> {
 
 /// The case book of the world that `command` starts.
 fn other_world(command: &str) -> anyhow::Result<String> {
-    let book = Books::of_world(Some(command), &BookRequest::default())?.cases.book;
+    let book = Books::of_world(Some(command), &BookRequest::default(), WRITING_TIMEOUT)?.cases.book;
     let world = &book.world.declaration;
     Ok(format!(
         "{} {}, {} cases, {} actions (`memtransfer conformance` checks how it takes part in runs)",

@@ -12,7 +12,7 @@ use documents::{
 };
 use domain::{Appearance, Demonstrations, DocumentKind};
 use llm::{Servers, Source};
-use orchestrator::books::Books;
+use orchestrator::books::{Books, WRITING_TIMEOUT};
 use orchestrator::documents::{DocumentRequest, ModelServer, document_folder};
 use orchestrator::progress::{BuildProgress, Verbosity};
 use report::table::table;
@@ -219,6 +219,7 @@ impl MadeFor {
                 }),
                 ..BookRequest::default()
             },
+            WRITING_TIMEOUT,
         )?;
         let size = variable("frame-size")?.and_then(|size| u32::try_from(size.as_u64()?).ok());
         let frame_size = frame_size.or(size).unwrap_or(FrameSize::DEFAULT.width);

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use case_book::BookRequest;
 use clap::Args;
-use orchestrator::books::Books;
+use orchestrator::books::{Books, WRITING_TIMEOUT};
 use serde_json::json;
 use world_client::{RecordedRun, check_run};
 
@@ -41,7 +41,8 @@ pub(super) fn run(args: &ValidateArgs) -> anyhow::Result<Exit> {
     }
     if let Some(command) = args.world.other.command() {
         args.world.program()?;
-        let cases = Books::of_world(Some(command), &BookRequest::default())?.cases.book.cases.len();
+        let books = Books::of_world(Some(command), &BookRequest::default(), WRITING_TIMEOUT)?;
+        let cases = books.cases.book.cases.len();
         match args.json {
             true => print_json(&json!({ "cases": cases }))?,
             false => print(&format!(

@@ -84,3 +84,15 @@ fn a_world_in_python_that_is_killed_at_any_point_leaves_the_log_as_it_is() {
     }
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
+
+#[test]
+fn a_case_book_that_is_never_written_ends_the_run() {
+    let bench = Bench::new();
+    let world = "sh -c 'exec sleep 10000'";
+    let line = ["run", "--world-cmd", world, "--start-timeout", "1", "--memory", "working"];
+    let ended = bench.run(&line).expect(1);
+    let message =
+        "book` has not ended within 1 s (--start-timeout of a run): does a case never end?";
+    assert!(ended.stderr.contains(message), "{}", ended.stderr);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
