@@ -89,8 +89,8 @@ fn a_world_in_python_that_is_killed_at_any_point_leaves_the_log_as_it_is() {
 fn a_case_book_that_is_never_written_ends_the_run() {
     let bench = Bench::new();
     let world = "sh -c 'exec sleep 10000'";
-    let line = ["run", "--world-cmd", world, "--start-timeout", "1", "--memory", "working"];
-    let ended = bench.run(&line).expect(1);
+    let run = ["run", "--world-cmd", world, "--start-timeout", "1", "--policy", "random"];
+    let ended = bench.run(&run).expect(2);
     let message =
         "book` has not ended within 1 s (--start-timeout of a run): does a case never end?";
     assert!(ended.stderr.contains(message), "{}", ended.stderr);
