@@ -16,10 +16,10 @@
 //! umask. A run's owner creates it before there is a node, for itself only; nodes open the one they find.
 
 use std::ffi::OsStr;
-use std::fs::{self, DirBuilder, File, TryLockError};
+use std::fs::{self, DirBuilder, File, Permissions, TryLockError};
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{self, Write};
-use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -173,7 +173,7 @@ impl RunDir {
             if !names_with_prefix(&prefix(&path))?.is_empty() {
                 continue;
             }
-            match DirBuilder::new().mode(0o700).create(&path) {
+            match make_private_folder(&path) {
                 Err(e) if e.kind() == io::ErrorKind::AlreadyExists => continue,
                 outcome => outcome.map_err(system("cannot make", &path))?,
             }
@@ -342,12 +342,18 @@ fn create_node_counter(prefix: &str) -> Result<(), RegistryError> {
         .map_err(system("cannot create", &path))
 }
 
+/// Makes a folder for this user only. iceoryx2 changes the umask of the process while it makes a socket in another thread.
+fn make_private_folder(path: &Path) -> io::Result<()> {
+    DirBuilder::new().mode(0o700).create(path)?;
+    fs::set_permissions(path, Permissions::from_mode(0o700))
+}
+
 /// Creates, checks and locks the folder of all runs: runs are created and cleaned one at a time.
 fn lock_base(base: &Path) -> Result<File, RegistryError> {
     if base.as_os_str().len() > MAX_ROOT_BYTES - RUN_NAME_BYTES {
         return Err(RegistryError::TooLong { path: base.to_owned() });
     }
-    match DirBuilder::new().mode(0o700).create(base) {
+    match make_private_folder(base) {
         Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {}
         outcome => outcome.map_err(system("cannot make", base))?,
     }

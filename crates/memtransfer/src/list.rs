@@ -41,7 +41,7 @@ pub(super) struct ListArgs {
 
 #[derive(Debug, Subcommand)]
 enum ListWhat {
-    /// The world: what agents do, are told and see in it, and what it can do [default]
+    /// The world: what agents do, are told and see in it, and what it can do (the default)
     World,
     /// Cases: instruction, starting poses, lengths of the reference routes
     Cases {

@@ -1,7 +1,7 @@
 //! The example policies of the package.
 
 use memtransfer_tests::{
-    Bench, Ended, episodes, eventually, kill, processes_with, records, sorted_log,
+    Bench, Ended, episodes, eventually, kill, processes_of, processes_with, records, sorted_log,
 };
 use rigs::chat_server::{Reaction, Server};
 use serde_json::json;
@@ -31,7 +31,8 @@ fn a_run_with_the_random_example_survives_a_kill_and_is_read_as_data_frames() {
     let marker = marker.as_os_str().as_encoded_bytes();
     let policy = eventually("an episode and its policy", || {
         // The orchestrator has the script's name in its arguments, too.
-        let policy = processes_with(marker).into_iter().find(|&pid| pid != child.id())?;
+        let of_run = &processes_with(marker) & &processes_of(bench.registry.path());
+        let policy = of_run.into_iter().find(|&pid| pid != child.id())?;
         (!episodes(&bench.out("killed")).is_empty()).then_some(policy)
     });
     kill(policy);
