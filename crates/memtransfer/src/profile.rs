@@ -66,6 +66,9 @@ pub(super) struct ProfileArgs {
     /// The command that starts a memory of your own, which is measured beside the others. Can be repeated
     #[arg(long, value_name = "COMMAND")]
     memory_cmd: Vec<String>,
+    /// The command that starts a world of your own, in which accesses are measured; nothing is rendered beforehand there
+    #[arg(long, value_name = "COMMAND", env = "MEMTRANSFER_WORLD_CMD")]
+    world_cmd: Option<String>,
     /// Numbers of lanes to measure beside one
     #[arg(long, value_name = "LIST", value_delimiter = ',',
           value_parser = clap::value_parser!(u32).range(1..=1024))]
@@ -256,8 +259,11 @@ impl Profiler<'_> {
             ("lanes", &*lanes),
             ("spin-us", &*spin_us),
         ];
-        if way.caches == CacheState::Warm {
-            flags.push(("warm-views", "true"));
+        let world_cmd = args.world_cmd.as_deref().filter(|command| !command.is_empty());
+        match world_cmd {
+            Some(command) => flags.push(("world-cmd", command)),
+            None if way.caches == CacheState::Warm => flags.push(("warm-views", "true")),
+            None => {}
         }
         let variable = variable("encoder")?;
         let encoder = args.encoder.as_deref().or(variable.as_ref().and_then(|v| v.as_str()));
