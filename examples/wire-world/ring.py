@@ -1,5 +1,5 @@
 """The world of this example: a ring of eight cells, seen from above. The agent walks to one place, or to two, and a wall can stand in
-its way. Here are its rules, its cases, and the verbs `book` and `act`, as docs/case-book.md has them.
+its way. Here are its rules, its cases, and the verbs `book`, `act` and `views`, as docs/case-book.md has them.
 """
 
 import json
@@ -162,6 +162,17 @@ def answer(request):
             acted.append({**known, "actions": expert["actions"], "length": expert["length"], "closed": [], "targets": []})
         return {kind: acted}
     raise ValueError(f"the world ring answers no {kind} of this kind")
+
+
+def picture_after(named):
+    """What a line of `views` names; of a view that shows no world, `None`."""
+    if named.startswith("4294967294 "):
+        return None
+    case, name, letters = named.split(".")
+    ring = Ring(IDS.index(case), "original" if name == "original" else "new", name == "blocked")
+    for letter in letters:
+        ring.step("rl".index(letter))
+    return ring.cell, ring.has_wall
 
 
 def pixel_row(picture, width):

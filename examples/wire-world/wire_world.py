@@ -277,6 +277,11 @@ def main():
             run = Run(Path(os.environ["MEMTRANSFER_ATTACH"]), Path(demonstrations))
             run.shake_hands()
             run.serve()
+        case ["views", "--size", size]:
+            width, height = map(int, size.split("x"))
+            for line in sys.stdin:
+                sys.stdout.buffer.write(ring.pixel_row(ring.picture_after(line.rstrip("\n")), width) * height)
+                sys.stdout.buffer.flush()
         case ["act"]:
             for line in sys.stdin:
                 try:
@@ -285,7 +290,7 @@ def main():
                     told = {"error": str(problem)}
                 print(json.dumps(told), flush=True)
         case _:
-            sys.exit("usage: wire_world.py book --request FILE --out DIR | serve --demonstrations FILE | act")
+            sys.exit("usage: wire_world.py book --request FILE --out DIR | serve --demonstrations FILE | views --size WIDTHxHEIGHT | act")
 
 
 if __name__ == "__main__":

@@ -22,6 +22,21 @@ use rustix::process::{Pid, Signal, kill_process};
 use shm_types::{ATTACH_VARIABLE, WORLD_INDEX_VARIABLE, registry};
 use tempfile::TempDir;
 
+/// What the program `misbehaving-world` does once, in place of an answer, where a drill asks for it.
+pub const STRAY_FAULTS: [&str; 11] = [
+    "exits",
+    "hangs",
+    "floods",
+    "another-lane",
+    "no-such-lane",
+    "another-size",
+    "nan-state",
+    "unknown-feedback",
+    "unknown-ending",
+    "two-ends",
+    "unknown-frame",
+];
+
 /// How long one run of the program may take before it is killed.
 pub const WATCHDOG: Duration = Duration::from_secs(300);
 

@@ -243,11 +243,11 @@ pub fn fill(text: &str, values: &[(&str, &str)]) -> String {
     while let Some(at) = rest.find('{') {
         let (before, from_brace) = rest.split_at(at);
         filled.push_str(before);
-        let known = values.iter().find_map(|&(name, value)| {
+        let replacement = values.iter().find_map(|&(name, value)| {
             let after = from_brace[1..].strip_prefix(name)?.strip_prefix('}')?;
             Some((value, after))
         });
-        match known {
+        match replacement {
             Some((value, after)) => {
                 filled.push_str(value);
                 rest = after;

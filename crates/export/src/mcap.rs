@@ -126,7 +126,7 @@ impl McapRecording {
             ],
         )?;
         let step_ns = SECOND / u64::from(timing.steps_per_s.max(1));
-        let has_poses = settings.world_cmd.is_none();
+        let has_poses = settings.own_world().is_none();
         Ok(Self { file, channels, has_poses, step_ns, begins_ns: 0 })
     }
 

@@ -225,15 +225,15 @@ impl Shared {
     /// Stops the client where two servers name different models: their answers would be mixed at random.
     fn compare_models(&self, server: usize, reply: &ChatReply) -> Result<(), AskError> {
         let Some(named) = reply.model.as_deref() else { return Ok(()) };
-        let Some(own) = self.models.get(server) else { return Ok(()) };
-        let named = own.get_or_init(|| model_name(named));
+        let Some(model) = self.models.get(server) else { return Ok(()) };
+        let named = model.get_or_init(|| model_name(named));
         let others = self.http.iter().zip(&self.models).filter_map(|(http, name)| {
             Some((http.endpoint(), name.get().filter(|name| *name != named)?))
         });
         let Some((other, name)) = others.take(1).next() else { return Ok(()) };
-        let own = self.http[server].endpoint();
+        let endpoint = self.http[server].endpoint();
         let why = format!(
-            "{own} answers as {named} and {other} as {name}: the servers of a run serve one model; name one of them with \
+            "{endpoint} answers as {named} and {other} as {name}: the servers of a run serve one model; name one of them with \
              --base-url, or serve both models under one name if they are the same"
         );
         self.lock().stop(&why);

@@ -174,16 +174,17 @@ impl<'a> Refusal<'a> {
     /// Whether the server names the field as the fault: as the parameter or place of an error, or in a sentence that says that it
     /// is unknown or not supported.
     pub(crate) fn is_about(&self, field: &str) -> bool {
-        match &self.value {
-            Some(value) => names_as_fault(value, field, false),
-            None => sentence_names(&String::from_utf8_lossy(self.body), field),
-        }
+        self.names(field, false)
     }
 
     /// As [`is_about`](Self::is_about), for a field whose value may be refused too, which says nothing against the field itself.
     pub(crate) fn is_about_name(&self, field: &str) -> bool {
+        self.names(field, true)
+    }
+
+    fn names(&self, field: &str, in_words: bool) -> bool {
         match &self.value {
-            Some(value) => names_as_fault(value, field, true),
+            Some(value) => names_as_fault(value, field, in_words),
             None => sentence_names(&String::from_utf8_lossy(self.body), field),
         }
     }
@@ -210,10 +211,10 @@ fn names_as_fault(error: &Value, field: &str, in_words: bool) -> bool {
         Value::Object(fields) => {
             let parameter = fields.get("param").and_then(Value::as_str);
             let parameter = parameter.and_then(|name| name.rsplit('.').next());
-            let place = fields.get("loc").and_then(Value::as_array);
-            let is_place = place.is_some_and(|place| place.iter().any(|part| part == field));
+            let location = fields.get("loc").and_then(Value::as_array);
+            let is_located = location.is_some_and(|path| path.iter().any(|part| part == field));
             let words = || has_any(&error.to_string().to_lowercase(), &FAULT_WORDS);
-            let is_named = parameter == Some(field) || is_place;
+            let is_named = parameter == Some(field) || is_located;
             (is_named && (!in_words || words()))
                 || fields.iter().any(|(key, value)| {
                     !REPEATED.contains(&&**key) && names_as_fault(value, field, in_words)

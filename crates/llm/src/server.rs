@@ -486,13 +486,13 @@ impl ServerState {
     }
 
     fn gone(&mut self, error: &RequestError, answers: bool, how_long: &str) -> AskError {
-        let (what, when) = match answers {
+        let (problem, recovery) = match answers {
             true => (format!("fails every request ({how_long})"), "it works"),
             false => (format!("is gone (no answer {how_long})"), "it is back"),
         };
         self.stop(format!(
-            "the server {what}: {error}; check it with `memtransfer doctor --policy openai`, and start the same command \
-             again when {when}"
+            "the server {problem}: {error}; check it with `memtransfer doctor --policy openai`, and start the same command \
+             again when {recovery}"
         ))
     }
 }

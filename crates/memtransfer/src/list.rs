@@ -103,7 +103,7 @@ pub(super) fn run(args: &ListArgs) -> anyhow::Result<Exit> {
             let assets = assets.as_deref().map(|dir| ("assets", dir));
             let settings = resolve([suite_layer(suite, assets)?])?.settings;
             ensure!(
-                settings.world_cmd.is_none() || world.other.command().is_some(),
+                settings.own_world().is_none() || world.other.command().is_some(),
                 "the suite {suite} names another world, which has to be asked: if you trust its program, give the command \
                  that starts it as --world-cmd"
             );

@@ -99,7 +99,7 @@ fn views<'a>(logs: &'a [RunLog], published: &'a Published) -> Vec<ScoredRun<'a>>
     };
     let view = |(place, log): (usize, &'a RunLog)| {
         // What the paper prints is about the warehouse.
-        let is_elsewhere = log.manifest.settings.world_cmd.is_some();
+        let is_elsewhere = log.manifest.settings.own_world().is_some();
         let published = if is_elsewhere { &*NOTHING_PUBLISHED } else { published };
         ScoredRun { log, scores: score(log), published, prefix: prefix(place) }
     };

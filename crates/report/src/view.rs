@@ -82,7 +82,7 @@ impl ScoredRun<'_> {
         ours: impl Fn(MemoryKind) -> Vec<TableCell>,
         theirs: impl Fn(MemoryKind) -> Vec<TableCell>,
     ) -> Vec<RowGroup> {
-        let is_elsewhere = self.log.manifest.settings.world_cmd.is_some();
+        let is_elsewhere = self.log.manifest.settings.own_world().is_some();
         let group = |&memory: &MemoryKind| {
             let ours = TableRow::new(OURS, ours(memory));
             let theirs = memory.built_in().filter(|_| !is_elsewhere).map(|_| TableRow {

@@ -54,7 +54,7 @@ pub struct ViewRenderer {
 
 /// The arguments of the renderer that say what the world of the run `log` is, and how it looks.
 pub fn view_arguments(log: &RunLog) -> Vec<OsString> {
-    if log.manifest.settings.world_cmd.is_some() {
+    if log.manifest.settings.own_world().is_some() {
         return Vec::new();
     }
     let mut arguments = WorldFiles::of(log).arguments();

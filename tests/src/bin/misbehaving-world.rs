@@ -20,6 +20,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use anyhow::{Context, bail, ensure};
 use bytemuck::Zeroable;
 use case_book::{BookFile, CASE_BOOK_FILE, DEMONSTRATIONS_FILE, DemonstrationBook, TaskFacts};
+use memtransfer_tests::STRAY_FAULTS;
 use peer::world::{
     CaseDeclaration, Environment, EnvironmentView, EpisodeBegin, Moment, Observed, Refusal,
     SimulatedWorld, Simulator, TrajectoryName, World, WorldFailure, program, serve_generation,
@@ -43,21 +44,6 @@ const CASES: [(usize, usize); 3] = [(0, 3), (1, 4), (2, 5)];
 
 /// The door where the way is blocked.
 const DOOR: usize = ROOMS - 2;
-
-/// What a process does once, in place of an answer.
-const STRAY_FAULTS: [&str; 11] = [
-    "exits",
-    "hangs",
-    "floods",
-    "another-lane",
-    "no-such-lane",
-    "another-size",
-    "nan-state",
-    "unknown-feedback",
-    "unknown-ending",
-    "two-ends",
-    "unknown-frame",
-];
 
 /// Observations of a flood: more than any queue holds.
 const FLOOD: usize = 10_000;

@@ -269,6 +269,9 @@ fn the_example_world_on_plain_iceoryx2_conforms_and_its_log_is_true_and_depends_
     let mut validate = bench.command(&["validate", "3"]);
     let valid = Ended::run(validate.env("MEMTRANSFER_WORLD_CMD", &world)).expect(0).stdout;
     assert_eq!(valid, "48 episodes, 0 differences, 0 damaged lines\n");
+    let mut view = bench.command(&["view", "3", "--out", "pages"]);
+    Ended::run(view.env("MEMTRANSFER_WORLD_CMD", &world)).expect(0);
+    assert!(std::fs::read_dir(bench.out("pages/run1/views")).unwrap().count() > 8);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 

@@ -556,5 +556,13 @@ fn a_run_waits_for_worlds_that_the_user_starts_and_starts_again() {
     }
     let log = sorted_log(&bench.out("external"));
     assert_eq!(log, sorted_log(&bench.out("reference")));
+    // Its pages are those of another world, too.
+    let mut view = bench.command(&["view", "external", "--out", "pages"]);
+    view.env("MEMTRANSFER_WORLD_CMD", &world).env("PYTHONPATH", package());
+    finish(view).expect(0);
+    assert!(std::fs::read_dir(bench.out("pages/run1/views")).unwrap().count() > 10);
+    bench.run(&["report", "external"]).expect(0);
+    let page = std::fs::read_to_string(bench.out("external/report/report.html")).unwrap();
+    assert!(page.contains("The world was started by the user."));
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }

@@ -395,14 +395,14 @@ fn blocks_the_way(kit: &mut WorldKit<'_>) -> CheckResult<String> {
     }
     let subject = kit.subject()?;
     for &&(index, case) in &cases {
-        let at = |is_blocked| Begin { case: index as u32, start: Start::New, is_blocked };
+        let begin = |is_blocked| Begin { case: index as u32, start: Start::New, is_blocked };
         let mut differs = false;
         // Some may lead past what has changed.
         for route in [Route::Unchanged, Route::Blocked] {
             let Some(reference) = case.reference(Start::New, route) else { continue };
             let mut perceived = Vec::new();
             for is_blocked in [false, true] {
-                let (_, seen) = reference_episode(subject, 8, at(is_blocked), reference)?;
+                let (_, seen) = reference_episode(subject, 8, begin(is_blocked), reference)?;
                 perceived.push(seen.iter().map(Seen::perceived).collect::<Vec<_>>());
             }
             differs |= perceived[0] != perceived[1];

@@ -40,8 +40,8 @@ fn seeing(request: &Received, most: usize) -> Reaction {
         return refused(&format!("At most {most} image(s) may be provided in one request."));
     }
     let colour = |image: &&str| {
-        let is = |image: &str, upper, lower| image == &*square(upper, lower).url;
-        if is(image, RED, RED) || is(image, GREY, RED) { "Red" } else { "blue" }
+        let shows = |image: &str, upper, lower| image == &*square(upper, lower).url;
+        if shows(image, RED, RED) || shows(image, GREY, RED) { "Red" } else { "blue" }
     };
     let text = text(request);
     let colours: Vec<&str> = images.iter().map(colour).collect();
@@ -263,8 +263,8 @@ fn an_answer_that_is_no_list_of_models_is_told_apart() {
 
 /// The mark of a finding.
 fn mark(report: &ProbeReport, what: &str) -> ProbeMark {
-    let found = report.findings.iter().find(|finding| finding.what == what);
-    found.unwrap_or_else(|| panic!("{what}: {}", story(report))).mark
+    let finding = report.findings.iter().find(|finding| finding.what == what);
+    finding.unwrap_or_else(|| panic!("{what}: {}", story(report))).mark
 }
 
 /// Servers that accept everything, and whose models do not get what was sent.

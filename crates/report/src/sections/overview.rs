@@ -81,8 +81,10 @@ const MOST_DAMAGED: usize = 5;
 fn standing(manifest: &Manifest) -> Vec<String> {
     let settings = &manifest.settings;
     let mut lines = vec![manifest.policy_label().sentence("Policy")];
-    if let Some(command) = &settings.world_cmd {
-        lines.push(format!("The world was started with `{command}`."));
+    match (&settings.world_cmd, settings.own_world()) {
+        (Some(command), _) => lines.push(format!("The world was started with `{command}`.")),
+        (None, Some(_)) => lines.push("The world was started by the user.".to_owned()),
+        (None, None) => {}
     }
     if let Some(command) = &settings.policy_cmd {
         lines.push(format!("The policy was started with `{command}`."));
@@ -149,7 +151,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     });
     let facts = facts.into_iter().chain(streams);
     blocks.push(ReportBlock::Table(facts_table(view.id("facts"), "Summary of the run.", facts)));
-    let agent = match settings.world_cmd {
+    let agent = match settings.own_world() {
         None => {
             "has an instruction such as “Visit a blue barrel, then an orange cone.”, its pose and what it sees"
         }

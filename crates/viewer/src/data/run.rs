@@ -169,7 +169,7 @@ fn facts(log: &RunLog) -> Vec<(&'static str, String)> {
         ("Policy", log.manifest.policy_label().to_string()),
     ];
     facts.extend(settings.model.as_ref().map(|model| ("Model", model.model.clone())));
-    if settings.world_cmd.is_some() {
+    if settings.own_world().is_some() {
         let WorldDeclaration { name, version, .. } = &log.world.declaration;
         facts.push(("World", format!("{name} {version}")));
     }

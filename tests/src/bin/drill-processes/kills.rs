@@ -7,7 +7,7 @@ use std::process::{Child, Command};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use memtransfer_tests::Ended;
+use memtransfer_tests::{Ended, STRAY_FAULTS};
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::harness::{EXTERNAL_WORLD, Run, RunWorld, Sandbox, Trial, execute};
@@ -32,22 +32,7 @@ const VICTIMS: [(&str, &str); 8] = [
 /// An external world that is not disturbed, but disturbs the run.
 const FAULTY_WORLD: &str = "faulty external world";
 
-/// What it does, once: words of the program.
-const FAULTS: [&str; 11] = [
-    "exits",
-    "hangs",
-    "floods",
-    "another-lane",
-    "no-such-lane",
-    "another-size",
-    "nan-state",
-    "unknown-feedback",
-    "unknown-ending",
-    "two-ends",
-    "unknown-frame",
-];
-
-/// Steps of a run in an external world, about: at one of them it does that.
+/// Steps of a run in an external world, about: at one of them it commits one of [`STRAY_FAULTS`].
 const STEPS: f64 = 100.0;
 
 const EXTERNAL_MEMORY: &str = "external memory";
@@ -70,7 +55,7 @@ const STOP: Duration = Duration::from_secs(30);
 #[derive(Clone, Copy, PartialEq)]
 enum Disturbance {
     Kill,
-    /// One of [`FAULTS`] at a step.
+    /// One of [`STRAY_FAULTS`] at a step.
     Fault(&'static str, u32),
     StopForGood,
     KillParent,
@@ -93,9 +78,10 @@ pub(crate) fn drill(extent: &Extent, report: &mut Report) -> Result<(), String> 
         let share = random.fraction() * 1.1;
         let round = turn / VICTIMS.len();
         let disturbance = match (round % 4, turn % VICTIMS.len()) {
-            _ if role == FAULTY_WORLD => {
-                Disturbance::Fault(FAULTS[round % FAULTS.len()], 1 + (share * STEPS) as u32)
-            }
+            _ if role == FAULTY_WORLD => Disturbance::Fault(
+                STRAY_FAULTS[round % STRAY_FAULTS.len()],
+                1 + (share * STEPS) as u32,
+            ),
             (3, 0) => Disturbance::KillParent,
             (3, 1) => Disturbance::SecondRun,
             (3, _) => Disturbance::StopForGood,
