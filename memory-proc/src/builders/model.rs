@@ -26,7 +26,7 @@ pub use self::prompt::DocumentPrompt;
 
 use self::prompt::PromptStage;
 use self::steps::StepFolder;
-use super::{BuiltText, DocumentBuilder, Transcript};
+use super::{BuiltText, DocumentBuilder};
 
 /// Minimum number of characters in a token. Coordinates and digits make short tokens.
 const CHARS_PER_TOKEN: usize = 2;
@@ -78,12 +78,15 @@ impl<A: AskModel> DocumentBuilder for ModelBuilder<A> {
     fn build(
         &mut self,
         kind: DocumentKind,
-        transcripts: &[Transcript],
+        world: &WorldDeclaration,
+        demonstrations: &[&Demonstration],
         steps: &Path,
         progress: &mut dyn FnMut(usize, usize),
     ) -> anyhow::Result<BuiltText> {
-        let narrated: Vec<String> =
-            (1..).zip(transcripts).map(|(number, one)| narration::narrate(number, one)).collect();
+        let narrated: Vec<String> = (1..)
+            .zip(demonstrations)
+            .map(|(number, of)| narration::narrate(number, world, of))
+            .collect();
         let mut draft = Draft {
             ask: &mut self.ask,
             recipe: &self.recipe,
@@ -113,18 +116,6 @@ impl<A: AskModel> DocumentBuilder for ModelBuilder<A> {
         draft.steps.finish()?;
         let model = (!draft.models.is_empty()).then(|| draft.models.join(", "));
         Ok(BuiltText { text: text + "\n", account: BuildAccount { model, ..draft.account } })
-    }
-
-    fn build_of_any_world(
-        &mut self,
-        _: DocumentKind,
-        world: &WorldDeclaration,
-        _: &[&Demonstration],
-    ) -> anyhow::Result<BuiltText> {
-        bail!(
-            "the prompts of the builder `model` are about the warehouse, and the world is {}",
-            world.name
-        )
     }
 }
 

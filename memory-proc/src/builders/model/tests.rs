@@ -1,12 +1,8 @@
 //! The builder with a scripted model.
 
-use std::sync::Arc;
-
-use domain::{Action, Cell, Feedback, Heading, Pose};
-use plates::{Landmark, Plate};
 use tempfile::TempDir;
 
-use super::super::{FrameReading, TranscriptStep};
+use super::super::testing::{self, EAST, OPEN, corridor};
 use super::*;
 
 pub(super) fn reply(content: ReplyContent) -> ChatReply {
@@ -26,45 +22,15 @@ fn says(text: impl Into<String>) -> ChatReply {
     reply(ReplyContent::Text(text.into()))
 }
 
-/// A demonstration: past a barrel, to a cone behind a turn.
-fn transcript(instruction: &str) -> Transcript {
-    let barrel = Landmark {
-        standpoint: Cell::new(3, 5),
-        face: Heading::W,
-        plate: Plate::new("barrels", "blue barrel"),
-    };
-    let cone = Landmark { plate: Plate::new("cones", "orange cone"), ..barrel };
-    let (none, one, both) = (vec![], vec![barrel], vec![barrel, cone]);
-    let step = |y, heading, feedback, landmarks: &Vec<_>, completed, action| TranscriptStep {
-        pose: Pose::new(3, y, heading),
-        feedback,
-        seen: Arc::new(FrameReading { frame: [0; 16], landmarks: landmarks.clone() }),
-        completed,
-        action,
-    };
-    use Heading::{N, W};
-    let forward = Some(Action::Forward);
-    Transcript {
-        instruction: instruction.into(),
-        steps: vec![
-            step(2, N, Feedback::Start, &one, 0, forward),
-            step(3, N, Feedback::Moved, &one, 0, forward),
-            step(4, N, Feedback::Moved, &none, 0, forward),
-            step(4, N, Feedback::Blocked, &none, 0, forward),
-            step(5, N, Feedback::Moved, &none, 1, Some(Action::TurnLeft)),
-            step(5, W, Feedback::Turned, &both, 1, None),
-        ],
-    }
-}
-
-fn transcripts(count: usize) -> Vec<Transcript> {
-    (0..count).map(|_| transcript("Find a blue barrel.")).collect()
+/// A demonstration: through a door.
+fn demonstration() -> Demonstration {
+    testing::demonstration("Walk to cell 5.", 1, &[EAST, EAST, EAST, OPEN, EAST, EAST], &[4, 6])
 }
 
 /// A recipe whose prompts of `stage` have room for `count` demonstrations beside `other` characters.
 fn room_for(stage: PromptStage, count: usize, other: usize) -> ModelRecipe {
     let words = stage.prompt(0, &[("limit", "2000")]).chars();
-    let one = chars(&narration::narrate(1, &transcripts(1)[0])) + 20;
+    let one = chars(&narration::narrate(1, &corridor(), &demonstration())) + 20;
     let context_chars = words + count * one + other;
     ModelRecipe { model: "m".into(), context_chars, max_tokens: 1000 }
 }
@@ -95,7 +61,9 @@ impl Bench {
         let mut builder = ModelBuilder::new(ask, recipe.clone());
         let mut seen = Vec::new();
         let mut progress = |done, of| seen.push((done, of));
-        let built = builder.build(kind, &transcripts(count), &steps, &mut progress);
+        let demonstrations = vec![demonstration(); count];
+        let demonstrations = Vec::from_iter(&demonstrations);
+        let built = builder.build(kind, &corridor(), &demonstrations, &steps, &mut progress);
         assert!(seen.is_sorted(), "{seen:?}");
         if built.is_ok() {
             assert!(seen.last().is_some_and(|(done, of)| done == of), "{seen:?}");
@@ -116,38 +84,18 @@ impl Bench {
 
 #[test]
 fn a_demonstration_in_words() {
-    insta::assert_snapshot!(narration::narrate(7, &transcript("Find a blue barrel.")), @r#"
+    insta::assert_snapshot!(narration::narrate(7, &corridor(), &demonstration()), @r#"
     ## Demonstration 7
-    Task: "Find a blue barrel."
-    - start: at (3, 2) facing N
-    - sees blue barrel [plate 554-611]: stand at (3, 5) facing W
-    - move forward 3: at (3, 4) facing N
-    - the way is blocked
-    - move forward: at (3, 5) facing N
+    Task: "Walk to cell 5."
+    - start: You are in cell 1, and the door is closed.
+    - walk east 2: You are in cell 3, and the door is closed.
+    - walk east: You are in cell 3, and the door is closed.
+    - told: There is a door.
+    - open the door: You are in cell 3, and the door is open.
     - sub-goal 1 of the task is completed
-    - turn left: at (3, 5) facing W
-    - sees item [plate 316-110]: stand at (3, 5) facing W
+    - walk east 2: You are in cell 5, and the door is open.
+    - sub-goal 2 of the task is completed
     "#);
-}
-
-#[test]
-fn a_step_that_changes_no_pose_is_blocked_whatever_the_feedback() {
-    let told = transcript("Find a blue barrel.");
-    let mut other = told.clone();
-    other.steps.iter_mut().for_each(|step| step.feedback = Feedback::Start);
-    assert_eq!(narration::narrate(7, &other), narration::narrate(7, &told));
-}
-
-#[test]
-fn documents_of_other_worlds_are_refused() {
-    let ask = |_: &DocumentPrompt, _: &mut dyn FnMut()| panic!("asked");
-    let mut builder = ModelBuilder::new(ask, room_for(PromptStage::Summary, 1, 0));
-    let world = WorldDeclaration { name: "corridor".to_owned(), ..WorldDeclaration::default() };
-    let error = builder.build_of_any_world(DocumentKind::Summary, &world, &[]).unwrap_err();
-    assert_eq!(
-        error.to_string(),
-        "the prompts of the builder `model` are about the warehouse, and the world is corridor"
-    );
 }
 
 #[test]
