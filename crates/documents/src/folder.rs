@@ -339,7 +339,7 @@ mod tests {
     }
 
     fn model(name: &str) -> Recipe {
-        Recipe::Model(ModelRecipe { model: name.into(), context_chars: 9, max_tokens: 9 })
+        Recipe::Model(ModelRecipe::new(name))
     }
 
     #[test]

@@ -52,7 +52,7 @@ fn building_process() {
         ..ChatSettings::new("m")
     };
     let client = ChatClient::new(endpoint, settings, None);
-    let recipe = ModelRecipe { model: "m".to_owned(), context_chars: 4500, max_tokens: 100 };
+    let recipe = ModelRecipe { context_chars: 4500, max_tokens: 100, ..ModelRecipe::new("m") };
     let kinds = DocumentKind::TEXTS;
     let kind = kinds.into_iter().find(|kind| document.ends_with(kind.word())).unwrap();
     let transcripts: Vec<_> = (0..30).map(transcript).collect();

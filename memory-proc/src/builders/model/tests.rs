@@ -32,7 +32,7 @@ fn room_for(stage: PromptStage, count: usize, other: usize) -> ModelRecipe {
     let words = stage.prompt(0, &[("limit", "2000")]).chars();
     let one = chars(&narration::narrate(1, &corridor(), &demonstration())) + 20;
     let context_chars = words + count * one + other;
-    ModelRecipe { model: "m".into(), context_chars, max_tokens: 1000 }
+    ModelRecipe { context_chars, max_tokens: 1000, ..ModelRecipe::new("m") }
 }
 
 struct Bench {
