@@ -1,6 +1,7 @@
 //! The limits on what a run may spend: `--max-tokens-total` and `--max-cost`.
 //!
-//! Requests of earlier sessions count, also those of episodes that were repeated.
+//! Requests of earlier sessions count, also those of episodes that were repeated, and those for documents that the run has had
+//! its model write.
 
 use conditions::cost::{ModelPrices, Money};
 use conditions::settings::ModelSettings;
@@ -25,6 +26,11 @@ impl Budget {
         let max_cost = model.and_then(|model| model.max_cost).zip(prices.cloned());
         let max_tokens = model.and_then(|model| model.max_tokens_total);
         Self { used: UsageTotals::of(past), max_tokens, max_cost }
+    }
+
+    /// Counts what other requests took: those for documents.
+    pub(crate) fn count(&mut self, usage: &UsageTotals) {
+        self.used.merge(usage);
     }
 
     /// Counts a request.

@@ -2,17 +2,38 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::Result;
-use conditions::settings::{DocumentSource, RunSettings};
+use anyhow::{Result, bail};
+use conditions::settings::{DocumentSource, ModelSettings, RunSettings};
 use documents::{
-    DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, Sources, StoredDocument,
+    DocumentFolder, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe, Sources,
+    StoredDocument,
 };
-use run_log::{DOCUMENTS_FOLDER, DocumentFacts, RunFolder};
+use run_log::{DOCUMENTS_FOLDER, DocumentFacts, RunFolder, RunLog};
 
 use crate::books::Books;
+use crate::budget::Budget;
 use crate::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};
 use crate::invocation::Invocation;
 use crate::progress::{BuildProgress, Verbosity, say};
+use crate::run_plan::RunPlan;
+
+/// The shortest time limit of an attempt to have a document written, in seconds: an answer is as long as a document, where a
+/// decision is a few tokens.
+const LEAST_TIMEOUT: u32 = 300;
+
+/// The documents of a run, or why it has none.
+#[derive(Debug)]
+pub enum DocumentSupply {
+    /// They are there.
+    Ready(ReadyDocuments),
+    /// The run was asked to stop while they were being built.
+    Stopped,
+    /// Building them would take more than the run may spend, or has: the reason.
+    OverBudget(String),
+}
+
+/// Records documents that the run's model has written.
+pub type RecordDocuments<'a> = dyn FnMut(BTreeMap<String, DocumentFacts>) -> Result<()> + 'a;
 
 /// The documents that a run needs, and where they come from.
 #[derive(Debug)]
@@ -26,10 +47,15 @@ pub struct RunDocuments {
 impl RunDocuments {
     /// The documents of a run with `settings` and `books`, which starts over if `fresh`.
     pub fn of(settings: &RunSettings, books: &Books, fresh: bool) -> Self {
-        let (folder, selection) = match &settings.documents {
-            DocumentSource::Extractive => (None, DocumentSelection::Recipe(Recipe::Extractive)),
-            DocumentSource::Model(name) => (None, DocumentSelection::Model(name.clone())),
-            DocumentSource::Folder(path) => (Some(path.clone()), DocumentSelection::Any),
+        let (folder, selection) = match (&settings.documents, &settings.model) {
+            (DocumentSource::Extractive, _) => {
+                (None, DocumentSelection::Recipe(Recipe::Extractive))
+            }
+            (DocumentSource::Model(None), Some(model)) => {
+                (None, DocumentSelection::Recipe(Recipe::Model(recipe(model))))
+            }
+            (DocumentSource::Model(name), _) => (None, DocumentSelection::Model(name.clone())),
+            (DocumentSource::Folder(path), _) => (Some(path.clone()), DocumentSelection::Any),
         };
         let request = DocumentRequest {
             folder,
@@ -41,7 +67,7 @@ impl RunDocuments {
             assets: settings.assets.clone(),
             elsewhere: books.elsewhere.clone(),
             selection,
-            server: ModelServer::default(),
+            server: settings.model.as_ref().map(server).unwrap_or_default(),
         };
         let uses_memory = settings.policy.has_process();
         let own = (!fresh && RunFolder::has_episodes(&settings.out))
@@ -53,29 +79,116 @@ impl RunDocuments {
         }
     }
 
-    /// Returns the documents: the run's own copies, and the others as requested, built if they are missing. `None` when
-    /// asked to stop.
+    /// Returns the documents of the run `plan`: the run's own copies, and the others as requested, built if they are missing.
+    /// `record` gets the manifest's entries so far when the run's model has written one.
     ///
     /// # Errors
-    /// When a document is broken, missing without a recipe for it, or cannot be built.
-    pub fn supply(&self, invocation: &Invocation<'_>) -> Result<Option<ReadyDocuments>> {
+    /// When a document is broken, missing without a recipe for it, or cannot be built or recorded.
+    pub fn supply(
+        &self,
+        plan: &RunPlan,
+        invocation: &Invocation<'_>,
+        record: &mut RecordDocuments<'_>,
+    ) -> Result<DocumentSupply> {
         let mut documents = self.own_copies();
         let others: Vec<DocumentName> = self.without(&documents);
         if others.is_empty() {
-            return Ok(Some(ReadyDocuments::unlocked(documents)));
+            return Ok(DocumentSupply::Ready(ReadyDocuments::unlocked(documents)));
         }
-        let mut progress = BuildProgress::new(invocation.verbosity);
-        let report = &mut |stage| progress.show(stage);
-        let ready = self.request.ensure(&others, false, invocation.stop, report);
-        progress.close(matches!(ready, Ok(Some(_))));
-        let Some(mut ready) = ready? else { return Ok(None) };
+        let supply = match &self.request.selection {
+            DocumentSelection::Recipe(Recipe::Model(_)) => {
+                self.written_by_model(&others, plan, invocation, record)?
+            }
+            _ => {
+                let progress = BuildProgress::new(invocation.verbosity);
+                self.ensure(&self.request, &others, progress, invocation)?
+            }
+        };
+        let DocumentSupply::Ready(mut ready) = supply else { return Ok(supply) };
         if !ready.built.is_empty() && invocation.verbosity == Verbosity::Progress {
             let folder = self.request.folder()?;
             say(&format!("built {} in {}", listed(&ready.built), folder.path().display()));
         }
         documents.append(&mut ready.documents);
         ready.documents = documents;
-        Ok(Some(ready))
+        Ok(DocumentSupply::Ready(ready))
+    }
+
+    /// The documents `wanted`; those that are missing are written by the run's model, one after the other, as far as the run may
+    /// spend it.
+    fn written_by_model(
+        &self,
+        wanted: &[DocumentName],
+        plan: &RunPlan,
+        invocation: &Invocation<'_>,
+        record: &mut RecordDocuments<'_>,
+    ) -> Result<DocumentSupply> {
+        let missing = self.request.missing(wanted)?;
+        let mut ready = ReadyDocuments::unlocked(Vec::new());
+        if let (Some(first), Some(unit)) = (missing.first(), &plan.unit) {
+            // Every machine would have another one written.
+            bail!(
+                "document {first} of the plan is missing in {}, and unit {} does not have the model write another one. Make the \
+                 plan with --store, which brings the documents, or copy them from the cache folder of the machine that made it",
+                self.request.folder()?.path().display(),
+                unit.number
+            );
+        }
+        let mut budget = self.budget(plan, invocation.fresh)?;
+        let mut request = self.request.clone();
+        if !missing.is_empty() {
+            (invocation.before_asking)(&plan.settings)?;
+            request.server.base_url_from = invocation.base_url_from;
+        }
+        for &name in wanted {
+            let place = missing.iter().position(|one| *one == name);
+            if let Some(why) = place.and_then(|_| budget.exceeded()) {
+                return Ok(DocumentSupply::OverBudget(why));
+            }
+            let title = place.map(|place| {
+                format!("writing document {name} ({} of {})", place + 1, missing.len())
+            });
+            let progress = BuildProgress::titled(invocation.verbosity, title);
+            match self.ensure(&request, &[name], progress, invocation)? {
+                DocumentSupply::Ready(more) => ready.add(more),
+                other => return Ok(other),
+            }
+            let facts = ready.facts();
+            if let Some(document) = facts.get(&name.to_string()).filter(|document| document.built) {
+                document.usage.iter().for_each(|usage| budget.count(&usage.totals()));
+                record(facts)?;
+            }
+        }
+        Ok(DocumentSupply::Ready(ready))
+    }
+
+    /// The documents `wanted` of `request`, built if they are missing and there is a recipe for them.
+    fn ensure(
+        &self,
+        request: &DocumentRequest,
+        wanted: &[DocumentName],
+        mut progress: BuildProgress,
+        invocation: &Invocation<'_>,
+    ) -> Result<DocumentSupply> {
+        let report = &mut |stage| progress.show(stage);
+        let ready = request.ensure(wanted, false, invocation.stop, report);
+        progress.close(matches!(ready, Ok(Some(_))));
+        Ok(ready?.map_or(DocumentSupply::Stopped, DocumentSupply::Ready))
+    }
+
+    /// What the run may still spend: sessions before this one count, also if they were stopped before the first episode.
+    fn budget(&self, plan: &RunPlan, fresh: bool) -> Result<Budget> {
+        let out = &plan.settings.out;
+        let is_begun = !fresh && out.join("manifest.json").exists();
+        let earlier = is_begun.then(|| RunLog::read(out)).transpose()?;
+        let earlier = match earlier {
+            Some(log) if plan.manifest()?.differences(&log.manifest).is_empty() => Some(log),
+            _ => None,
+        };
+        let past = earlier.as_ref().map_or(&[][..], |log| &log.requests);
+        let mut budget = Budget::new(plan.settings.model.as_ref(), plan.prices.as_ref(), past);
+        earlier.iter().for_each(|log| budget.count(&log.manifest.built_usage()));
+        Ok(budget)
     }
 
     /// The manifest's entries as they would be now: of the run's own copies, and of the others that can be used.
@@ -130,6 +243,28 @@ impl RunDocuments {
         let is_missing =
             |name: &&DocumentName| documents.iter().all(|stored| stored.name != **name);
         self.needed.iter().filter(is_missing).copied().collect()
+    }
+}
+
+/// How the run's own model is asked for documents: as for decisions, so that they are the same model's.
+fn recipe(model: &ModelSettings) -> ModelRecipe {
+    ModelRecipe {
+        reasoning: model.reasoning,
+        system_role: model.system_role,
+        extra_body: model.extra_body.clone(),
+        image_format: model.image_format,
+        ..ModelRecipe::new(&*model.model)
+    }
+}
+
+/// The server of the run's own model.
+fn server(model: &ModelSettings) -> ModelServer {
+    ModelServer {
+        base_url: model.base_url.clone(),
+        base_url_from: None,
+        headers: model.header.clone(),
+        timeout: Some(model.request_timeout.max(LEAST_TIMEOUT)),
+        max_retries: Some(model.max_retries),
     }
 }
 

@@ -81,6 +81,20 @@ impl Provenance {
         DocumentName { kind: self.kind, demonstrations: self.demonstrations }
     }
 
+    /// The model that wrote it, by the name under which it was asked; `None` for another builder.
+    pub fn model(&self) -> Option<String> {
+        if self.builder != "model" {
+            return None;
+        }
+        // As `ModelRecipe` writes it.
+        let asked = || {
+            let (_, after) = self.builder_version.split_once(", model ")?;
+            let (before, _) = after.split_once(" characters to ")?;
+            Some(before.rsplit_once(", ")?.0.to_owned())
+        };
+        asked().or_else(|| self.account.model.clone())
+    }
+
     /// The document's address.
     pub fn address(&self) -> String {
         address(self.name(), &self.builder, &self.builder_version, &self.sources_sha256)

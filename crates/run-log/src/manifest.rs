@@ -317,6 +317,14 @@ impl Manifest {
         Self { processes, commit, prices, documents, memories, ..self }
     }
 
+    /// What the documents took that the run has had its model write.
+    pub fn built_usage(&self) -> UsageTotals {
+        let mut sum = UsageTotals::default();
+        let built = self.documents.values().filter(|document| document.built);
+        built.filter_map(|document| document.usage).for_each(|usage| sum.merge(&usage.totals()));
+        sum
+    }
+
     /// The name that the policy reported, for example a model's; `None` before it has.
     pub fn policy_name(&self) -> Option<&str> {
         self.processes.get("policy")?.get("policy").map(String::as_str)
