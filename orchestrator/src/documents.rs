@@ -213,12 +213,15 @@ impl DocumentRequest {
     /// The flags of `memory-proc build` for a recipe.
     fn builder_flags(&self, recipe: &Recipe) -> Vec<(&'static str, Option<String>)> {
         let mut flags = vec![("--builder", Some(recipe.builder().into()))];
-        if let Recipe::Model(ModelRecipe { model, context_chars, max_tokens }) = recipe {
+        if let Recipe::Model(of) = recipe {
+            let ModelRecipe { model, context_chars, max_tokens, views, image_budget } = of;
             let ModelServer { base_url, timeout, max_retries } = &self.server;
             flags.extend([
                 ("--model", Some(model.clone())),
                 ("--context-chars", Some(context_chars.to_string())),
                 ("--max-tokens", Some(max_tokens.to_string())),
+                ("--views", Some(views.to_string())),
+                ("--image-budget", Some(image_budget.to_string())),
                 ("--base-url", base_url.clone()),
                 ("--timeout", timeout.map(|seconds| seconds.to_string())),
                 ("--max-retries", max_retries.map(|retries| retries.to_string())),

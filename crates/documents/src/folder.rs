@@ -339,7 +339,10 @@ mod tests {
     }
 
     fn model(name: &str) -> Recipe {
-        Recipe::Model(ModelRecipe { model: name.into(), context_chars: 9, max_tokens: 9 })
+        let model = name.into();
+        let recipe =
+            ModelRecipe { model, context_chars: 9, max_tokens: 9, views: 8, image_budget: 50 };
+        Recipe::Model(recipe)
     }
 
     #[test]

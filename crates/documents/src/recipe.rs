@@ -6,7 +6,7 @@ use crate::{DocumentName, sha256_of_parts};
 pub const EXTRACTIVE_VERSION: u32 = 1;
 
 /// The version of the prompts that the model builder sends. Changes whenever one of them does.
-pub const PROMPT_VERSION: u32 = 1;
+pub const PROMPT_VERSION: u32 = 2;
 
 /// How a document is built.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -26,6 +26,10 @@ pub struct ModelRecipe {
     pub context_chars: usize,
     /// Maximum number of tokens in an answer, and so in the document.
     pub max_tokens: u32,
+    /// Maximum number of views of each demonstration that are shown; 0 for a model that reads text only.
+    pub views: u32,
+    /// Maximum number of images in a prompt.
+    pub image_budget: u32,
 }
 
 impl ModelRecipe {
@@ -33,6 +37,15 @@ impl ModelRecipe {
     pub const CONTEXT_CHARS: usize = 100_000;
     /// The default of `max_tokens`; the paper's summaries have about 13,000.
     pub const MAX_TOKENS: u32 = 16_000;
+    /// The default of `views`: start, end, sub-goals and some turns of a demonstration.
+    pub const VIEWS: u32 = 8;
+    /// The default of `image_budget`: the paper's.
+    pub const IMAGE_BUDGET: u32 = 50;
+
+    /// Maximum number of views of each demonstration, all of which have to fit into a prompt.
+    pub fn views_each(&self) -> usize {
+        self.views.min(self.image_budget) as usize
+    }
 }
 
 impl Recipe {
@@ -48,9 +61,12 @@ impl Recipe {
     pub fn version(&self) -> String {
         match self {
             Self::Extractive => EXTRACTIVE_VERSION.to_string(),
-            Self::Model(ModelRecipe { model, context_chars, max_tokens }) => format!(
-                "prompts {PROMPT_VERSION}, model {model}, {context_chars} characters to {max_tokens} tokens"
-            ),
+            Self::Model(ModelRecipe { model, context_chars, max_tokens, views, image_budget }) => {
+                format!(
+                    "prompts {PROMPT_VERSION}, model {model}, {context_chars} characters to {max_tokens} tokens, {views} views of \
+                 each demonstration, {image_budget} images"
+                )
+            }
         }
     }
 
@@ -86,17 +102,21 @@ mod tests {
     fn everything_that_a_document_depends_on_changes_its_address() {
         let name = |text: &str| text.parse::<DocumentName>().unwrap();
         let model = |model: &str, context_chars, max_tokens| {
-            Recipe::Model(ModelRecipe { model: model.into(), context_chars, max_tokens })
+            let model = model.into();
+            ModelRecipe { model, context_chars, max_tokens, views: 8, image_budget: 50 }
         };
+        let by_model = |recipe| Recipe::Model(recipe).address(name("summary/4"), "a");
         let mut addresses = vec![
             Recipe::Extractive.address(name("summary/4"), "a"),
             Recipe::Extractive.address(name("summary/original"), "a"),
             Recipe::Extractive.address(name("semantic/4"), "a"),
             Recipe::Extractive.address(name("summary/4"), "b"),
-            model("A", 9, 9).address(name("summary/4"), "a"),
-            model("B", 9, 9).address(name("summary/4"), "a"),
-            model("A", 8, 9).address(name("summary/4"), "a"),
-            model("A", 9, 8).address(name("summary/4"), "a"),
+            by_model(model("A", 9, 9)),
+            by_model(model("B", 9, 9)),
+            by_model(model("A", 8, 9)),
+            by_model(model("A", 9, 8)),
+            by_model(ModelRecipe { views: 0, ..model("A", 9, 9) }),
+            by_model(ModelRecipe { image_budget: 9, ..model("A", 9, 9) }),
         ];
         let count = addresses.len();
         addresses.sort();

@@ -93,6 +93,12 @@ struct ModelArgs {
     /// Maximum number of tokens in an answer [default: 16000]
     #[arg(long, value_name = "N", requires = "model")]
     max_tokens: Option<u32>,
+    /// Views of each demonstration that are shown, at most; 0 for a model that reads text only [default: 8]
+    #[arg(long, value_name = "N", requires = "model")]
+    views: Option<u32>,
+    /// Maximum number of images in a prompt [default: 50]
+    #[arg(long, value_name = "N", requires = "model")]
+    image_budget: Option<u32>,
     /// Time limit of one attempt [default: 300]
     #[arg(long = "request-timeout", value_name = "SECONDS", requires = "model")]
     timeout: Option<u32>,
@@ -103,7 +109,7 @@ struct ModelArgs {
 
 impl ModelArgs {
     fn recipe(self, builder: BuilderName) -> Result<(Recipe, ModelServer)> {
-        let Self { model, base_url, context_chars, max_tokens, timeout, max_retries } = self;
+        let Self { model, base_url, context_chars, max_tokens, views, image_budget, .. } = self;
         let model = match (builder, model) {
             (BuilderName::Extractive, None) => {
                 return Ok((Recipe::Extractive, ModelServer::default()));
@@ -115,8 +121,13 @@ impl ModelArgs {
             model,
             context_chars: context_chars.map_or(ModelRecipe::CONTEXT_CHARS, |n| n as usize),
             max_tokens: max_tokens.unwrap_or(ModelRecipe::MAX_TOKENS),
+            views: views.unwrap_or(ModelRecipe::VIEWS),
+            image_budget: image_budget.unwrap_or(ModelRecipe::IMAGE_BUDGET),
         };
-        Ok((Recipe::Model(recipe), ModelServer { base_url, timeout, max_retries }))
+        Ok((
+            Recipe::Model(recipe),
+            ModelServer { base_url, timeout: self.timeout, max_retries: self.max_retries },
+        ))
     }
 }
 
