@@ -22,6 +22,7 @@ use memory_proc::paths::CacheFolder;
 use memory_proc::search_profile::{self, ProfileSettings};
 use memory_proc::serve::{EncoderSettings, ServeSettings, serve};
 use program::AppearanceArgs;
+use prompt::image::ImageFormat;
 use search::synthetic::SyntheticVectors;
 use shm_types::process::die_with_parent;
 
@@ -365,7 +366,7 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
                     ViewedWorld::Warehouse { demonstrations, arguments: given.flatten().collect() }
                 }
             };
-            let views = ViewRenderer::new(world, sources.clone());
+            let views = ViewRenderer::new(world, sources.clone(), ImageFormat::Png);
             let (recipe, mut builder) = builder.builder(views)?;
             let settings = BuildSettings { sources, documents, wanted, recipe };
             build::build(&settings, builder.as_mut(), std::io::stdout().lock())

@@ -10,7 +10,7 @@ use documents::{
 use run_log::{DOCUMENTS_FOLDER, DocumentFacts, RunFolder};
 
 use crate::books::Books;
-use crate::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};
+use crate::documents::{DocumentRequest, ModelServer, OwnWorld, ReadyDocuments, facts, needed};
 use crate::invocation::Invocation;
 use crate::progress::{BuildProgress, Verbosity, say};
 
@@ -40,6 +40,9 @@ impl RunDocuments {
             ),
             assets: settings.assets.clone(),
             elsewhere: books.elsewhere.clone(),
+            own_world: settings
+                .own_world()
+                .map(|_| OwnWorld::of(settings.world_cmd.clone(), &books.cases.book)),
             selection,
             server: ModelServer::default(),
         };

@@ -73,6 +73,11 @@ pub struct BuildAccount {
 }
 
 impl BuildAccount {
+    /// Tokens of prompts and answers, if both were reported.
+    pub fn tokens(&self) -> Option<u64> {
+        self.prompt_tokens?.checked_add(self.completion_tokens?)
+    }
+
     fn is_empty(&self) -> bool {
         *self == Self::default()
     }

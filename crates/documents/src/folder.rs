@@ -339,10 +339,7 @@ mod tests {
     }
 
     fn model(name: &str) -> Recipe {
-        let model = name.into();
-        let recipe =
-            ModelRecipe { model, context_chars: 9, max_tokens: 9, views: 8, image_budget: 50 };
-        Recipe::Model(recipe)
+        Recipe::Model(ModelRecipe::new(name))
     }
 
     #[test]

@@ -42,6 +42,17 @@ impl ModelRecipe {
     /// The default of `image_budget`: the paper's.
     pub const IMAGE_BUDGET: u32 = 50;
 
+    /// Asks `model` with the defaults of all settings.
+    pub fn new(model: impl Into<String>) -> Self {
+        Self {
+            model: model.into(),
+            context_chars: Self::CONTEXT_CHARS,
+            max_tokens: Self::MAX_TOKENS,
+            views: Self::VIEWS,
+            image_budget: Self::IMAGE_BUDGET,
+        }
+    }
+
     /// Maximum number of views of each demonstration, all of which have to fit into a prompt.
     pub fn views_each(&self) -> usize {
         self.views.min(self.image_budget) as usize
@@ -101,9 +112,10 @@ mod tests {
     #[test]
     fn everything_that_a_document_depends_on_changes_its_address() {
         let name = |text: &str| text.parse::<DocumentName>().unwrap();
-        let model = |model: &str, context_chars, max_tokens| {
-            let model = model.into();
-            ModelRecipe { model, context_chars, max_tokens, views: 8, image_budget: 50 }
+        let model = |model: &str, context_chars, max_tokens| ModelRecipe {
+            context_chars,
+            max_tokens,
+            ..ModelRecipe::new(model)
         };
         let by_model = |recipe| Recipe::Model(recipe).address(name("summary/4"), "a");
         let mut addresses = vec![

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use case_book::{BookRequest, ElsewhereRequest};
 use clap::{Args, Subcommand, ValueEnum};
+use conditions::cost::ModelPrices;
 use conditions::settings::Drawn;
+use documents::asking::BuildEstimate;
 use documents::{
     DocumentFile, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe, Sources,
     StoredDocument, kind,
@@ -13,14 +15,16 @@ use documents::{
 use domain::{Appearance, Demonstrations, DocumentKind};
 use llm::{Servers, Source};
 use orchestrator::books::{Books, WRITING_TIMEOUT};
-use orchestrator::documents::{DocumentRequest, ModelServer, document_folder};
+use orchestrator::documents::{DocumentRequest, ModelServer, OwnWorld, document_folder};
 use orchestrator::progress::{BuildProgress, Verbosity};
+use orchestrator::run_documents::listed;
 use report::table::table;
 use serde_json::json;
 use settings::{Layer, variable};
 use shm_types::FrameSize;
 
 use super::{Exit, WorldArgs, print, print_json};
+use crate::document_estimate::document_table;
 use crate::signals::Signals;
 
 #[derive(Debug, Args)]
@@ -68,6 +72,12 @@ struct BuildArgs {
     /// Build them again even if they are current or broken
     #[arg(long)]
     force: bool,
+    /// Print what would be built, and the estimated requests, images and tokens of a model; build nothing
+    #[arg(long)]
+    dry_run: bool,
+    /// The prices of the model's tokens (docs/costs.md), for the estimate
+    #[arg(long, value_name = "FILE", requires = "model")]
+    prices: Option<PathBuf>,
     /// Print only errors
     #[arg(long)]
     quiet: bool,
@@ -215,12 +225,25 @@ impl MadeFor {
         demos: &[Demonstrations],
     ) -> Result<DocumentRequest> {
         let Self { world, elsewhere, seed, frame_size, labels, appearance_seed } = self;
-        world.warehouse()?;
+        world.program()?;
+        let of_warehouse = [
+            ("elsewhere", elsewhere.is_some()),
+            ("labels", labels.is_some()),
+            ("appearance-seed", appearance_seed.is_some()),
+        ];
+        let given = of_warehouse.into_iter().find(|(_, is_given)| *is_given);
+        let command = world.other.command().map(str::to_owned);
+        if let (Some(_), Some((flag, _))) = (&command, given) {
+            bail!(
+                "--{flag} is about the warehouse, and --world-cmd (or MEMTRANSFER_WORLD_CMD) names another world: leave one \
+                 of them out"
+            );
+        }
         let assets = world.assets;
         let of_run = variable("seed")?.and_then(|seed| seed.as_u64());
         let take_place_elsewhere = demos.iter().any(|set| set.take_place_elsewhere());
         let books = Books::of_world(
-            None,
+            command.as_deref(),
             &BookRequest {
                 assets: assets.clone(),
                 demonstrations: demos.to_vec(),
@@ -236,16 +259,18 @@ impl MadeFor {
         let frame_size = frame_size.or(size).unwrap_or(FrameSize::DEFAULT.width);
         let drawn = variable("labels")?.and_then(|word| word.as_str()?.parse().ok());
         let seed = variable("appearance-seed")?.and_then(|seed| seed.as_u64());
-        let appearance = Appearance {
+        let of_world = Appearance {
             labels: labels.or(drawn).unwrap_or_default() == Drawn::On,
             seed: appearance_seed.or(seed).unwrap_or_default(),
             ..Appearance::STANDARD
         };
+        let appearance = if command.is_some() { Appearance::STANDARD } else { of_world };
         Ok(DocumentRequest {
             folder,
             sources: Sources::new(books.demonstrations.book, frame_size, appearance),
             assets,
             elsewhere: books.elsewhere,
+            own_world: command.map(|command| OwnWorld::of(Some(command), &books.cases.book)),
             selection,
             server: ModelServer::default(),
         })
@@ -282,6 +307,18 @@ fn build(args: BuildArgs) -> Result<Exit> {
         let servers = Servers::from_environment(given, Path::new("."))?;
         say!("asking {} at {servers}", recipe.model);
     }
+    let missing = request.missing(&wanted, args.force)?;
+    let estimate = estimate(&request, &missing, args.prices.as_deref())?;
+    if args.dry_run {
+        let names = listed(&missing);
+        let all = wanted.len();
+        print(&format!("{} of {all} documents would be built: {names}\n", missing.len()))?;
+        print(&estimate.unwrap_or_default())?;
+        return Ok(Exit::Complete);
+    }
+    if let (Some(estimate), false) = (&estimate, args.quiet) {
+        say!("{estimate}");
+    }
     let mut progress = BuildProgress::new(Verbosity::of_quiet(args.quiet));
     let ready =
         request.ensure(&wanted, args.force, signals.stop(), &mut |stage| progress.show(stage));
@@ -297,6 +334,24 @@ fn build(args: BuildArgs) -> Result<Exit> {
         say!("{built} built, {} current, in {}", all - built, folder.path().display());
     }
     Ok(Exit::Complete)
+}
+
+/// What a model would be asked for the documents that are missing. `None` when no model is.
+fn estimate(
+    request: &DocumentRequest,
+    missing: &[DocumentName],
+    prices: Option<&Path>,
+) -> Result<Option<String>> {
+    let DocumentSelection::Recipe(Recipe::Model(recipe)) = &request.selection else {
+        return Ok(None);
+    };
+    let prices = prices.map(|file| ModelPrices::read(file, &recipe.model)).transpose()?;
+    if missing.is_empty() {
+        return Ok(None);
+    }
+    let of = |name: &DocumentName| (*name, BuildEstimate::of(*name, &request.sources, recipe));
+    let estimates: Vec<_> = missing.iter().map(of).collect();
+    Ok(Some(document_table(&estimates, prices.as_ref())))
 }
 
 fn ls(args: LsArgs) -> Result<Exit> {
@@ -367,7 +422,8 @@ fn show(args: DocumentArgs) -> Result<Exit> {
 
 /// A table of documents, at most 100 columns wide.
 fn overview(documents: &[StoredDocument]) -> String {
-    let header = ["document", "address", "builder", "state", "size", "words", "demos", "views"];
+    let header =
+        ["document", "address", "builder", "state", "size", "demos", "requests", "images", "Mtok"];
     let mut table = table(&header, 4);
     for stored in documents {
         let document = stored.document.as_ref();
@@ -381,12 +437,21 @@ fn overview(documents: &[StoredDocument]) -> String {
             }),
             stored.state.word().to_owned(),
             made(|file| format!("{:.1} KiB", file.text.len() as f64 / 1024.0)),
-            made(|file| file.words().to_string()),
             made(|file| file.provenance.trajectories.to_string()),
-            made(|file| file.provenance.views.to_string()),
+            made(|file| count(file.provenance.account.requests)),
+            made(|file| count(file.provenance.account.images)),
+            made(|file| match file.provenance.account.tokens() {
+                Some(tokens) => format!("{:.2}", tokens as f64 / 1e6),
+                None => "-".to_owned(),
+            }),
         ]);
     }
     table.to_string()
+}
+
+/// A number that was counted.
+fn count(count: Option<u64>) -> String {
+    count.map_or("-".to_owned(), |count| count.to_string())
 }
 
 /// The name of the model that wrote a document.

@@ -11,7 +11,8 @@ use case_book::ViewPlace;
 use documents::Sources;
 use domain::hex;
 use llm::ImageUrl;
-use png_file::Channels;
+use peer::FrameView;
+use prompt::image::{ImageFormat, data_url};
 use sha2::{Digest, Sha256};
 
 /// Draws views of demonstrations.
@@ -26,7 +27,7 @@ pub trait DrawViews {
 /// A view, as it is sent.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DrawnView {
-    /// Its PNG file as a data URL.
+    /// Its file as a data URL.
     pub url: ImageUrl,
     /// SHA-256 of its pixels, in hexadecimal digits.
     pub sha256: String,
@@ -37,10 +38,10 @@ impl DrawnView {
     ///
     /// # Errors
     /// When there are not as many pixels.
-    pub fn of_pixels(edge: u32, rgba: &[u8]) -> Result<Self> {
-        let rgb: Vec<u8> = rgba.chunks_exact(4).flat_map(|pixel| &pixel[..3]).copied().collect();
-        let png = png_file::encode(edge, edge, Channels::Rgb, &rgb)?;
-        Ok(Self { url: ImageUrl::of_bytes("image/png", &png), sha256: hex(&Sha256::digest(rgba)) })
+    pub fn of_pixels(edge: u32, rgba: &[u8], format: ImageFormat) -> Result<Self> {
+        let pixels = FrameView { width: edge, height: edge, pixels: rgba, ..FrameView::NONE };
+        let url = data_url(&pixels, format)?;
+        Ok(Self { url: ImageUrl { url: url.into() }, sha256: hex(&Sha256::digest(rgba)) })
     }
 }
 
@@ -74,6 +75,8 @@ pub struct ViewRenderer {
     sources: Sources,
     /// Where each view is seen first.
     places: BTreeMap<u32, ViewPlace>,
+    /// How views are encoded.
+    format: ImageFormat,
     process: Option<RendererProcess>,
 }
 
@@ -85,15 +88,15 @@ struct RendererProcess {
 }
 
 impl ViewRenderer {
-    /// Draws the views of `sources` in `world`.
-    pub fn new(world: ViewedWorld, sources: Sources) -> Self {
+    /// Draws the views of `sources` in `world`, encoded as `format`.
+    pub fn new(world: ViewedWorld, sources: Sources, format: ImageFormat) -> Self {
         let mut places = BTreeMap::new();
         for (demonstration, of) in (0..).zip(&sources.book().demonstrations) {
             for (step, &view) in (0..).zip(&of.views) {
                 places.entry(view).or_insert(ViewPlace { demonstration, step });
             }
         }
-        Self { world, sources, places, process: None }
+        Self { world, sources, places, format, process: None }
     }
 
     /// The name of a view, as the world's program reads it.
@@ -170,7 +173,7 @@ impl DrawViews for ViewRenderer {
             "the world {} draws no view for `{name}`; its own messages are in the log. --views 0 has documents written from words alone",
             self.sources.book().world.name
         );
-        DrawnView::of_pixels(edge, &rgba)
+        DrawnView::of_pixels(edge, &rgba, self.format)
     }
 }
 
@@ -193,7 +196,7 @@ mod tests {
         let sources = Sources::new(book(), 2, Appearance::STANDARD);
         let cases = vec!["first".to_owned(), "second".to_owned()];
         let command = (!command.is_empty()).then(|| command.to_owned());
-        ViewRenderer::new(ViewedWorld::Other { command, cases }, sources)
+        ViewRenderer::new(ViewedWorld::Other { command, cases }, sources, ImageFormat::Png)
     }
 
     /// A world that answers with the length of a view's name in every byte.
@@ -213,7 +216,7 @@ mod tests {
         // `first.original.`, then one action more each.
         for (view, length) in [(0, "15"), (2, "17"), (1, "16")] {
             let pixels = length.repeat(8);
-            let expected = DrawnView::of_pixels(2, pixels.as_bytes()).unwrap();
+            let expected = DrawnView::of_pixels(2, pixels.as_bytes(), ImageFormat::Png).unwrap();
             assert_eq!(renderer.draw(view).unwrap(), expected);
         }
         assert!(renderer.draw(99).is_err(), "the book has no such view");

@@ -11,13 +11,7 @@ use domain::{ActionCode, DemonstrationKind, FeedbackCode, State};
 use crate::ModelRecipe;
 
 pub(super) fn recipe() -> ModelRecipe {
-    ModelRecipe {
-        model: "m".to_owned(),
-        context_chars: 100_000,
-        max_tokens: 1000,
-        views: 2,
-        image_budget: 50,
-    }
+    ModelRecipe { max_tokens: 1000, views: 2, ..ModelRecipe::new("m") }
 }
 
 /// A corridor of cells.

@@ -141,6 +141,7 @@ mod tests {
     use super::*;
     use documents::asking::PromptPart;
     use llm::ReplyContent;
+    use prompt::image::ImageFormat;
 
     /// A prompt with one image of this colour.
     fn prompt(colour: u8) -> DocumentPrompt<DrawnView> {
@@ -148,7 +149,9 @@ mod tests {
             system: "System.".to_owned(),
             user: vec![
                 PromptPart::Text("Image 1:\n".to_owned()),
-                PromptPart::View(DrawnView::of_pixels(1, &[colour, 0, 0, 255]).unwrap()),
+                PromptPart::View(
+                    DrawnView::of_pixels(1, &[colour, 0, 0, 255], ImageFormat::Png).unwrap(),
+                ),
             ],
             max_tokens: 9,
         }
