@@ -10,7 +10,8 @@ use anyhow::Context;
 use case_book::{BookFile, DemonstrationBook};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use documents::{DocumentName, ModelRecipe, Recipe, Sources};
-use llm::{ChatClient, ChatSettings, Servers, Source};
+use domain::{HEADER_VARIABLE, ImageFormat, ReasoningRequest, SecretHeader, SystemRole};
+use llm::{ChatClient, ChatSettings, RequestOptions, Servers, Source, extra_body};
 use memory_proc::builders::build::{self, BuildSettings};
 use memory_proc::builders::views::{ViewRenderer, ViewedWorld};
 use memory_proc::builders::{DocumentBuilder, Extractive, ModelBuilder, model};
@@ -22,7 +23,6 @@ use memory_proc::paths::CacheFolder;
 use memory_proc::search_profile::{self, ProfileSettings};
 use memory_proc::serve::{EncoderSettings, ServeSettings, serve};
 use program::AppearanceArgs;
-use prompt::image::ImageFormat;
 use search::synthetic::SyntheticVectors;
 use shm_types::process::die_with_parent;
 
@@ -184,11 +184,26 @@ struct BuilderArguments {
     /// The model's server, up to /v1 [default: $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
     #[arg(long, value_name = "URL")]
     base_url: Option<String>,
-    /// Further headers of requests to the model, one a line
-    #[arg(long, env = domain::HEADER_VARIABLE, value_delimiter = '\n', hide = true, hide_env_values = true)]
-    header: Vec<domain::SecretHeader>,
+    /// Where the value of --base-url was given: it decides which key is sent there
+    #[arg(long, value_name = "SOURCE", default_value = Source::CommandLine.word(), hide = true)]
+    base_url_from: Source,
+    /// What requests say about reasoning: off, minimal, low, medium, high, or nothing (model)
+    #[arg(long, value_name = "LEVEL", default_value_t = ReasoningRequest::Off)]
+    reasoning: ReasoningRequest,
+    /// How the rules are sent: as system, as developer, or in the user's message (user)
+    #[arg(long, value_name = "ROLE", default_value_t = SystemRole::System)]
+    system_role: SystemRole,
+    /// Further fields of each request, a JSON object; a field that is null is not sent
+    #[arg(long, value_name = "JSON")]
+    extra_body: Option<String>,
+    /// A further header of each request
+    #[arg(long, value_name = "NAME: VALUE", env = HEADER_VARIABLE, value_delimiter = '\n', hide_env_values = true)]
+    header: Vec<SecretHeader>,
+    /// Image encoding: png, or jpeg (smaller, with loss)
+    #[arg(long, value_name = "FORMAT", default_value_t = ImageFormat::Png)]
+    image_format: ImageFormat,
     /// Time limit of an attempt
-    #[arg(long, alias = "timeout", value_name = "SECONDS", default_value_t = 300)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 300)]
     request_timeout: u32,
     /// How often a request is sent again after a transient failure
     #[arg(long, value_name = "N", default_value_t = 5)]
@@ -216,15 +231,29 @@ enum BuilderKind {
 }
 
 impl BuilderArguments {
-    fn builder(self, views: ViewRenderer) -> anyhow::Result<(Recipe, Box<dyn DocumentBuilder>)> {
+    /// The builder of documents from `sources` in `world`.
+    fn builder(
+        self,
+        world: ViewedWorld,
+        sources: Sources,
+    ) -> anyhow::Result<(Recipe, Box<dyn DocumentBuilder>)> {
         let model = match self.builder {
             BuilderKind::Extractive => return Ok((Recipe::Extractive, Box::new(Extractive))),
             BuilderKind::Model => self.model.context("--builder model needs --model NAME")?,
         };
-        let given = self.base_url.as_deref().map(|url| (url, Source::CommandLine));
+        let given = self.base_url.as_deref().map(|url| (url, self.base_url_from));
         let servers = Servers::from_environment(given, Path::new("."))?;
-        let Servers { first, others, .. } = servers.with_headers(&self.header, false)?;
+        // The program that started this one knows where the headers were given, and has checked it.
+        let Servers { first, others, .. } = servers.with_headers(&self.header, true)?;
+        let fields = self.extra_body.as_deref().map(extra_body).transpose();
+        let fields = fields.map_err(anyhow::Error::msg).context("--extra-body")?;
+        let options = RequestOptions {
+            reasoning: self.reasoning,
+            system_role: self.system_role,
+            extra_body: fields.unwrap_or_default(),
+        };
         let settings = ChatSettings {
+            options,
             request_timeout: Duration::from_secs(self.request_timeout.into()),
             max_retries: self.max_retries,
             max_connections: 1,
@@ -237,7 +266,12 @@ impl BuilderArguments {
             max_tokens: self.max_tokens,
             views: self.views,
             image_budget: self.image_budget,
+            reasoning: self.reasoning,
+            system_role: self.system_role,
+            extra_body: self.extra_body,
+            image_format: self.image_format,
         };
+        let views = ViewRenderer::new(world, sources, self.image_format);
         let builder = ModelBuilder::new(model::ask_through(client), views, recipe.clone());
         Ok((Recipe::Model(recipe), Box::new(builder)))
     }
@@ -366,8 +400,7 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
                     ViewedWorld::Warehouse { demonstrations, arguments: given.flatten().collect() }
                 }
             };
-            let views = ViewRenderer::new(world, sources.clone(), ImageFormat::Png);
-            let (recipe, mut builder) = builder.builder(views)?;
+            let (recipe, mut builder) = builder.builder(world, sources.clone())?;
             let settings = BuildSettings { sources, documents, wanted, recipe };
             build::build(&settings, builder.as_mut(), std::io::stdout().lock())
         }

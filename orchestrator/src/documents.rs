@@ -15,10 +15,9 @@ use anyhow::{Context, Result, bail};
 use case_book::CaseBook;
 use conditions::Condition;
 use documents::{
-    DocumentFolder, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe, Sources,
-    StoredDocument,
+    DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, Sources, StoredDocument,
 };
-use domain::cache_folder;
+use domain::{SecretHeader, cache_folder};
 use run_log::DocumentFacts;
 
 /// Locked while documents are built in a folder.
@@ -81,6 +80,10 @@ impl OwnWorld {
 pub struct ModelServer {
     /// Its address; `None`: the one in the environment.
     pub base_url: Option<String>,
+    /// Where the address was given, on which the key depends: a word of `memory-proc build --base-url-from`.
+    pub base_url_from: Option<&'static str>,
+    /// Further headers of the requests, which may go to the address.
+    pub headers: Vec<SecretHeader>,
     /// Time limit of an attempt, in seconds.
     pub timeout: Option<u32>,
     /// Number of retries of a request.
@@ -242,17 +245,21 @@ impl DocumentRequest {
     /// The flags of `memory-proc build` for a recipe.
     fn builder_flags(&self, recipe: &Recipe) -> Vec<(&'static str, Option<String>)> {
         let mut flags = vec![("--builder", Some(recipe.builder().into()))];
-        if let Recipe::Model(of) = recipe {
-            let ModelRecipe { model, context_chars, max_tokens, views, image_budget } = of;
-            let ModelServer { base_url, timeout, max_retries } = &self.server;
+        if let Recipe::Model(recipe) = recipe {
+            let ModelServer { base_url, base_url_from, timeout, max_retries, .. } = &self.server;
             flags.extend([
-                ("--model", Some(model.clone())),
-                ("--context-chars", Some(context_chars.to_string())),
-                ("--max-tokens", Some(max_tokens.to_string())),
-                ("--views", Some(views.to_string())),
-                ("--image-budget", Some(image_budget.to_string())),
+                ("--model", Some(recipe.model.clone())),
+                ("--context-chars", Some(recipe.context_chars.to_string())),
+                ("--max-tokens", Some(recipe.max_tokens.to_string())),
+                ("--views", Some(recipe.views.to_string())),
+                ("--image-budget", Some(recipe.image_budget.to_string())),
+                ("--reasoning", Some(recipe.reasoning.to_string())),
+                ("--system-role", Some(recipe.system_role.to_string())),
+                ("--extra-body", recipe.extra_body.clone()),
+                ("--image-format", Some(recipe.image_format.to_string())),
                 ("--base-url", base_url.clone()),
-                ("--timeout", timeout.map(|seconds| seconds.to_string())),
+                ("--base-url-from", base_url_from.map(str::to_owned)),
+                ("--request-timeout", timeout.map(|seconds| seconds.to_string())),
                 ("--max-retries", max_retries.map(|retries| retries.to_string())),
             ]);
         }

@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use case_book::DEMONSTRATIONS_FILE;
 use conditions::settings::{ModelSettings, RunSettings};
 use conditions::{Condition, Frames, PolicyKind};
-use domain::{HEADER_VARIABLE, MemoryKind, SecretHeader};
+use domain::{MemoryKind, SecretHeader};
 use run_log::{DOCUMENTS_FOLDER, ELSEWHERE_FILE, PROMPT_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE};
 use shm_types::message::Role;
 use shm_types::process::shared_memory_space;
@@ -255,10 +255,8 @@ fn policy_launch(settings: &RunSettings) -> Result<Option<Launch>> {
             policy.args.extend(["--prompt".into(), settings.out.join(PROMPT_FILE).into()]);
         }
         policy.needs_keys = true;
-        // Other users see the arguments of a process.
-        let headers: Vec<String> = model.header.iter().map(SecretHeader::exposed).collect();
-        // One that is empty counts as not set.
-        policy.env.push((HEADER_VARIABLE.into(), headers.join("\n").into()));
+        let (variable, headers) = SecretHeader::variable(&model.header);
+        policy.env.push((variable.into(), headers.into()));
     }
     Ok(Some(policy))
 }

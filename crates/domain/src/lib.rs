@@ -32,8 +32,8 @@ pub use cache::{
     create_private_folder,
 };
 pub use chat::{
-    HEADER_VARIABLE, KEY_VARIABLES, NoHeader, REQUEST_FIELDS, ReasoningRequest, SecretHeader,
-    SystemRole,
+    HEADER_VARIABLE, ImageFormat, KEY_VARIABLES, NoHeader, REQUEST_FIELDS, ReasoningRequest,
+    SecretHeader, SystemRole,
 };
 pub use demonstrations::{DemonstrationKind, Demonstrations, Mixture, UnknownDemonstrations};
 pub use hex::hex;

@@ -1,6 +1,7 @@
 //! `memtransfer memory`: builds, lists and shows the documents of summary, semantic and hybrid memory.
 
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use anyhow::{Context, Result, bail};
 use case_book::{BookRequest, ElsewhereRequest};
@@ -12,14 +13,17 @@ use documents::{
     DocumentFile, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe, Sources,
     StoredDocument, kind,
 };
-use domain::{Appearance, Demonstrations, DocumentKind};
+use domain::{
+    Appearance, Demonstrations, DocumentKind, ImageFormat, ReasoningRequest, SecretHeader,
+    SystemRole,
+};
 use llm::{Servers, Source};
 use orchestrator::books::{Books, WRITING_TIMEOUT};
 use orchestrator::documents::{DocumentRequest, ModelServer, OwnWorld, document_folder};
 use orchestrator::progress::{BuildProgress, Verbosity};
 use orchestrator::run_documents::listed;
 use report::table::table;
-use serde_json::json;
+use serde_json::{Value, json};
 use settings::{Layer, variable};
 use shm_types::FrameSize;
 
@@ -75,9 +79,6 @@ struct BuildArgs {
     /// Print what would be built, and the estimated requests, images and tokens of a model; build nothing
     #[arg(long)]
     dry_run: bool,
-    /// The prices of the model's tokens (docs/costs.md), for the estimate
-    #[arg(long, value_name = "FILE", requires = "model")]
-    prices: Option<PathBuf>,
     /// Print only errors
     #[arg(long)]
     quiet: bool,
@@ -88,57 +89,119 @@ struct BuildArgs {
 }
 
 /// How a model is asked.
-#[derive(Debug, Args)]
+#[derive(Debug, Default, PartialEq, Args)]
 #[command(next_help_heading = "With --builder model")]
 struct ModelArgs {
-    /// The model, by the name that the server knows it by
-    #[arg(long, value_name = "NAME", required_if_eq("builder", "model"))]
+    /// The model, by the name that the server knows it by [default: $MEMTRANSFER_MODEL]
+    #[arg(long, value_name = "NAME")]
     model: Option<String>,
-    /// The server, up to /v1 [default: $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
-    #[arg(long, value_name = "URL", requires = "model")]
+    /// The server, up to /v1 [default: $MEMTRANSFER_BASE_URL, else $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
+    #[arg(long, value_name = "URL")]
     base_url: Option<String>,
+    /// What requests say about reasoning, as in `run --reasoning` [default: $MEMTRANSFER_REASONING, else off]
+    #[arg(long, value_name = "LEVEL")]
+    reasoning: Option<ReasoningRequest>,
+    /// How the rules are sent, as in `run --system-role` [default: $MEMTRANSFER_SYSTEM_ROLE, else system]
+    #[arg(long, value_name = "ROLE")]
+    system_role: Option<SystemRole>,
+    /// Further fields of each request, as in `run --extra-body` [default: $MEMTRANSFER_EXTRA_BODY]
+    #[arg(long, value_name = "JSON", value_parser = extra_body)]
+    extra_body: Option<String>,
+    /// A further header of each request, as in `run --header` [default: $MEMTRANSFER_HEADER]
+    #[arg(long, value_name = "NAME: VALUE")]
+    header: Vec<SecretHeader>,
+    /// Encoding of images in requests, as in `run --image-format` [default: $MEMTRANSFER_IMAGE_FORMAT, else png]
+    #[arg(long, value_name = "FORMAT")]
+    image_format: Option<ImageFormat>,
     /// Maximum number of characters in a prompt [default: 100000]
-    #[arg(long, value_name = "N", requires = "model")]
+    #[arg(long, value_name = "N")]
     context_chars: Option<u32>,
     /// Maximum number of tokens in an answer [default: 16000]
-    #[arg(long, value_name = "N", requires = "model")]
+    #[arg(long, value_name = "N")]
     max_tokens: Option<u32>,
     /// Views of each demonstration that are shown, at most; 0 for a model that reads text only [default: 8]
-    #[arg(long, value_name = "N", requires = "model")]
+    #[arg(long, value_name = "N")]
     views: Option<u32>,
-    /// Maximum number of images in a prompt [default: 50]
-    #[arg(long, value_name = "N", requires = "model")]
+    /// Maximum number of images in a prompt, as in `run` [default: $MEMTRANSFER_IMAGE_BUDGET, else 50]
+    #[arg(long, value_name = "N")]
     image_budget: Option<u32>,
+    /// The prices of the model's tokens (docs/costs.md), for the estimate
+    #[arg(long, value_name = "FILE")]
+    prices: Option<PathBuf>,
     /// Time limit of one attempt [default: 300]
-    #[arg(long = "request-timeout", value_name = "SECONDS", requires = "model")]
+    #[arg(long = "request-timeout", value_name = "SECONDS")]
     timeout: Option<u32>,
     /// How often a request is sent again after a transient failure [default: 5]
-    #[arg(long, value_name = "N", requires = "model")]
+    #[arg(long, value_name = "N")]
     max_retries: Option<u32>,
 }
 
 impl ModelArgs {
-    fn recipe(self, builder: BuilderName) -> Result<(Recipe, ModelServer)> {
-        let Self { model, base_url, context_chars, max_tokens, views, image_budget, .. } = self;
-        let model = match (builder, model) {
-            (BuilderName::Extractive, None) => {
+    /// How documents are built, and the model's server; unless `quiet`, it is told.
+    fn recipe(self, builder: BuilderName, quiet: bool) -> Result<(Recipe, ModelServer)> {
+        match builder {
+            BuilderName::Extractive if self == Self::default() => {
                 return Ok((Recipe::Extractive, ModelServer::default()));
             }
-            (BuilderName::Extractive, Some(_)) => bail!("--model needs --builder model"),
-            (BuilderName::Model, name) => name.context("--builder model needs --model NAME")?,
+            BuilderName::Extractive => {
+                bail!("--model needs --builder model, as do the other flags about a model")
+            }
+            BuilderName::Model => {}
+        }
+        let model = setting(self.model, "model")?;
+        let mut recipe = ModelRecipe::new(model.context("--builder model needs --model NAME")?);
+        let ModelRecipe { reasoning, system_role, extra_body, image_format, .. } = &mut recipe;
+        *reasoning = setting(self.reasoning, "reasoning")?.unwrap_or(*reasoning);
+        *system_role = setting(self.system_role, "system-role")?.unwrap_or(*system_role);
+        *extra_body = setting(self.extra_body, "extra-body")?;
+        *image_format = setting(self.image_format, "image-format")?.unwrap_or(*image_format);
+        recipe.context_chars = self.context_chars.map_or(recipe.context_chars, |n| n as usize);
+        recipe.max_tokens = self.max_tokens.unwrap_or(recipe.max_tokens);
+        recipe.views = self.views.unwrap_or(recipe.views);
+        let of_run = variable("image-budget")?.and_then(|n| u32::try_from(n.as_u64()?).ok());
+        recipe.image_budget = self.image_budget.or(of_run).unwrap_or(recipe.image_budget);
+        let source = match &self.base_url {
+            Some(_) => Source::CommandLine,
+            None => Source::Environment,
         };
-        let recipe = ModelRecipe {
-            model,
-            context_chars: context_chars.map_or(ModelRecipe::CONTEXT_CHARS, |n| n as usize),
-            max_tokens: max_tokens.unwrap_or(ModelRecipe::MAX_TOKENS),
-            views: views.unwrap_or(ModelRecipe::VIEWS),
-            image_budget: image_budget.unwrap_or(ModelRecipe::IMAGE_BUDGET),
+        let base_url = setting(self.base_url, "base-url")?;
+        let headers = match (self.header, variable("header")?) {
+            (headers, Some(lines)) if headers.is_empty() => serde_json::from_value(lines)?,
+            (headers, _) => headers,
         };
-        Ok((
-            Recipe::Model(recipe),
-            ModelServer { base_url, timeout: self.timeout, max_retries: self.max_retries },
-        ))
+        let given = base_url.as_deref().map(|url| (url, source));
+        let servers = Servers::from_environment(given, Path::new("."))?;
+        let servers = servers.with_headers(&headers, false)?;
+        if !quiet {
+            say!("asking {} at {servers}", recipe.model);
+        }
+        let server = ModelServer {
+            base_url,
+            base_url_from: Some(source.word()),
+            headers,
+            timeout: self.timeout,
+            max_retries: self.max_retries,
+        };
+        Ok((Recipe::Model(recipe), server))
     }
+}
+
+/// The value of a setting of `run`: that of the flag, else that of the environment.
+fn setting<T: FromStr>(flag: Option<T>, name: &str) -> Result<Option<T>>
+where
+    anyhow::Error: From<T::Err>,
+{
+    let of_variable = || match variable(name)?.as_ref().and_then(Value::as_str) {
+        Some(text) => Ok(Some(text.parse()?)),
+        None => Ok(None),
+    };
+    flag.map_or_else(of_variable, |value| Ok(Some(value)))
+}
+
+/// A text that `run --extra-body` accepts.
+fn extra_body(text: &str) -> Result<String> {
+    Layer::flags([("extra-body", text)])?;
+    Ok(text.to_owned())
 }
 
 #[derive(Debug, Args)]
@@ -286,7 +349,8 @@ pub(super) fn run(args: MemoryArgs) -> Result<Exit> {
 }
 
 fn build(args: BuildArgs) -> Result<Exit> {
-    let (recipe, server) = args.model.recipe(args.builder)?;
+    let prices = args.model.prices.clone();
+    let (recipe, server) = args.model.recipe(args.builder, args.quiet)?;
     let mut wanted = Vec::new();
     for &demonstrations in &args.demos {
         if demonstrations == Demonstrations::NONE {
@@ -300,15 +364,8 @@ fn build(args: BuildArgs) -> Result<Exit> {
     let request =
         args.made_for.request(args.out, DocumentSelection::Recipe(recipe), &args.demos)?;
     let request = DocumentRequest { server, ..request };
-    if let (DocumentSelection::Recipe(Recipe::Model(recipe)), false) =
-        (&request.selection, args.quiet)
-    {
-        let given = request.server.base_url.as_deref().map(|url| (url, Source::CommandLine));
-        let servers = Servers::from_environment(given, Path::new("."))?;
-        say!("asking {} at {servers}", recipe.model);
-    }
     let missing = request.missing(&wanted, args.force)?;
-    let estimate = estimate(&request, &missing, args.prices.as_deref())?;
+    let estimate = estimate(&request, &missing, prices.as_deref())?;
     if args.dry_run {
         let names = listed(&missing);
         let all = wanted.len();
@@ -407,10 +464,10 @@ fn show(args: DocumentArgs) -> Result<Exit> {
     }
     say!("file: {}", stored.file.display());
     say!("address: {}", stored.address.as_deref().unwrap_or("-"));
-    if let serde_json::Value::Object(facts) = serde_json::to_value(provenance)? {
+    if let Value::Object(facts) = serde_json::to_value(provenance)? {
         for (key, value) in facts {
             match value {
-                serde_json::Value::String(word) => say!("{key}: {word}"),
+                Value::String(word) => say!("{key}: {word}"),
                 other => say!("{key}: {other}"),
             }
         }

@@ -125,7 +125,10 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
         ("memory build --demos orignal", "did you mean `original`?"),
         ("memory build --kind sumary", "a kind is summary or semantic"),
         ("memory build --model m", "--model needs --builder model"),
-        ("memory build --builder model", "--model <NAME>"),
+        ("memory build --reasoning low", "--model needs --builder model"),
+        ("memory build --builder model", "--builder model needs --model NAME"),
+        ("memory build --builder model --reasoning lo", "did you mean `low`?"),
+        ("memory build --builder model --extra-body []", "--extra-body: not a JSON object"),
         ("memory show summary", "<DEMOS>"),
     ] {
         let found = refused(dir.path(), arguments);

@@ -9,10 +9,10 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use anyhow::{Context, Result, ensure};
 use case_book::ViewPlace;
 use documents::Sources;
-use domain::hex;
+use domain::{ImageFormat, hex};
 use llm::ImageUrl;
 use peer::FrameView;
-use prompt::image::{ImageFormat, data_url};
+use prompt::image::data_url;
 use sha2::{Digest, Sha256};
 
 /// Draws views of demonstrations.

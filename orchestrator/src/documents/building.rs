@@ -12,6 +12,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use case_book::{BookFile, DEMONSTRATIONS_FILE};
 use documents::{DocumentFolder, DocumentName, Recipe};
+use domain::SecretHeader;
 use run_log::ELSEWHERE_FILE;
 use shm_types::message::Role;
 use supervise::Launch;
@@ -52,6 +53,7 @@ pub(super) fn build(
     let mut child = command
         .args(args)
         .envs(env)
+        .envs([SecretHeader::variable(&request.server.headers)])
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(errors)

@@ -11,7 +11,7 @@ use case_book::{
     ActionDeclaration, BookRequest, Demonstration, DemonstrationBook, StateField, WorldDeclaration,
 };
 use documents::ModelRecipe;
-use domain::{ActionCode, DemonstrationKind, DocumentKind, FeedbackCode, Pose, State};
+use domain::{ActionCode, DemonstrationKind, DocumentKind, FeedbackCode, ImageFormat, Pose, State};
 use llm::{ChatClient, ChatSettings, Endpoint};
 use memory_proc::builders::DocumentBuilder;
 use memory_proc::builders::model::{ModelBuilder, ask_through};
@@ -19,7 +19,6 @@ use memory_proc::builders::views::{DrawViews, DrawnView};
 use memtransfer_tests::proxy::{MessagePart, hash_of, parts};
 use memtransfer_tests::{Bench, Ended, WATCHDOG, needs, repository};
 use png_file::RgbaImage;
-use prompt::image::ImageFormat;
 use rigs::chat_server::{Reaction, Received, Server};
 use serde_json::Value;
 use warehouse::case_book::write_books;

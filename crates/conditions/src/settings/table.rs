@@ -8,14 +8,14 @@ use domain::limits::{MAX_FRAMES, MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW, MAX_WORLDS}
 use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use domain::names::UnknownName;
 use domain::{
-    Arm, FeedbackLevel, REQUEST_FIELDS, ReasoningRequest, SecretHeader, StreamOrder, SystemRole,
+    Arm, FeedbackLevel, ImageFormat, REQUEST_FIELDS, ReasoningRequest, SecretHeader, StreamOrder,
+    SystemRole,
 };
 use serde_json::{Map, Value};
 
 use super::{CaseSelector, DocumentSource, Drawn, ResponseCache, WorldStart};
 use crate::{
-    Demonstrations, Frames, Hint, ImageFormat, PolicyKind, Route, SegmentContent, Start,
-    representation,
+    Demonstrations, Frames, Hint, PolicyKind, Route, SegmentContent, Start, representation,
 };
 
 /// Maximum number of images in a prompt (paper, Experimental Setup).

@@ -140,8 +140,8 @@ mod tests {
 
     use super::*;
     use documents::asking::PromptPart;
+    use domain::ImageFormat;
     use llm::ReplyContent;
-    use prompt::image::ImageFormat;
 
     /// A prompt with one image of this colour.
     fn prompt(colour: u8) -> DocumentPrompt<DrawnView> {

@@ -3,8 +3,7 @@
 use case_book::{CaseDemonstrations, DemonstrationBook};
 use documents::asking::BuildEstimate;
 use documents::{DocumentName, Sources};
-use domain::{Appearance, Demonstrations, tokens};
-use prompt::image::ImageFormat;
+use domain::{Appearance, Demonstrations, ImageFormat, tokens};
 use tempfile::TempDir;
 
 use super::super::testing::{self, EAST, OPEN, corridor};
