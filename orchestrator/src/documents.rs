@@ -12,6 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use case_book::CaseBook;
 use conditions::Condition;
 use documents::{
     BuildAccount, DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, Sources,
@@ -51,10 +52,28 @@ pub struct DocumentRequest {
     pub assets: Option<PathBuf>,
     /// The world's file of the other world in which tasks are demonstrated, if there is one.
     pub elsewhere: Option<String>,
+    /// The world that takes the place of the warehouse, if one does.
+    pub own_world: Option<OwnWorld>,
     /// Which documents are acceptable. Missing ones are built if this is a recipe.
     pub selection: DocumentSelection,
     /// How a model is asked.
     pub server: ModelServer,
+}
+
+/// How the views of a world other than the warehouse are drawn.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OwnWorld {
+    /// The command that starts it; `None` if the user starts it, so that no views can be drawn before the run.
+    pub command: Option<String>,
+    /// The ids of its cases, in the order of the case book.
+    pub case_ids: Vec<String>,
+}
+
+impl OwnWorld {
+    /// The world that `command` starts, with the cases of `book`.
+    pub fn of(command: Option<String>, book: &CaseBook) -> Self {
+        Self { command, case_ids: book.ids().into_iter().map(str::to_owned).collect() }
+    }
 }
 
 /// How a model is asked for documents. None of it changes the prompts.
@@ -125,6 +144,16 @@ impl DocumentRequest {
         found.with_context(|| format!("cannot list {}", folder.path().display()))
     }
 
+    /// Those of the wanted documents that would be built: the ones that are not current, or all if `force`.
+    ///
+    /// # Errors
+    /// When the folder cannot be read.
+    pub fn missing(&self, wanted: &[DocumentName], force: bool) -> Result<Vec<DocumentName>> {
+        let found = self.find(wanted)?.into_iter();
+        let missing = found.filter(|document| force || document.state != DocumentState::Current);
+        Ok(missing.map(|document| document.name).collect())
+    }
+
     /// All documents in the folder.
     ///
     /// # Errors
@@ -133,16 +162,6 @@ impl DocumentRequest {
         let folder = self.folder()?;
         let listed = folder.list(&self.sources);
         listed.with_context(|| format!("cannot list {}", folder.path().display()))
-    }
-
-    /// Those of the wanted documents that would be built.
-    ///
-    /// # Errors
-    /// When the folder cannot be read.
-    pub fn missing(&self, wanted: &[DocumentName]) -> Result<Vec<DocumentName>> {
-        let found = self.find(wanted)?.into_iter();
-        let missing = found.filter(|document| document.state != DocumentState::Current);
-        Ok(missing.map(|document| document.name).collect())
     }
 
     /// Builds the wanted documents that are missing, or all of them if `force`. `None` when stopped. Where nothing is missing,
@@ -234,6 +253,8 @@ impl DocumentRequest {
                 ("--model", Some(recipe.model.clone())),
                 ("--context-chars", Some(recipe.context_chars.to_string())),
                 ("--max-tokens", Some(recipe.max_tokens.to_string())),
+                ("--views", Some(recipe.views.to_string())),
+                ("--image-budget", Some(recipe.image_budget.to_string())),
                 ("--reasoning", Some(recipe.reasoning.to_string())),
                 ("--system-role", Some(recipe.system_role.to_string())),
                 ("--extra-body", recipe.extra_body.clone()),
@@ -374,6 +395,7 @@ mod tests {
             sources: Sources::new(demonstrations, 448, Appearance::STANDARD),
             assets: None,
             elsewhere: None,
+            own_world: None,
             selection,
             server: ModelServer::default(),
         }

@@ -2,17 +2,21 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
+use conditions::cost::ModelPrices;
 use conditions::settings::{DocumentSource, ModelSettings, RunSettings};
+use documents::asking::BuildEstimate;
 use documents::{
     DocumentFolder, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe, Sources,
     StoredDocument,
 };
+use domain::shell_word;
+use run_log::usage::UsageTotals;
 use run_log::{DOCUMENTS_FOLDER, DocumentFacts, RunFolder, RunLog};
 
 use crate::books::Books;
 use crate::budget::Budget;
-use crate::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};
+use crate::documents::{DocumentRequest, ModelServer, OwnWorld, ReadyDocuments, facts, needed};
 use crate::invocation::Invocation;
 use crate::progress::{BuildProgress, Verbosity, say};
 use crate::run_plan::RunPlan;
@@ -52,7 +56,7 @@ impl RunDocuments {
                 (None, DocumentSelection::Recipe(Recipe::Extractive))
             }
             (DocumentSource::Model(None), Some(model)) => {
-                (None, DocumentSelection::Recipe(Recipe::Model(recipe(model))))
+                (None, DocumentSelection::Recipe(Recipe::Model(recipe(settings, model))))
             }
             (DocumentSource::Model(name), _) => (None, DocumentSelection::Model(name.clone())),
             (DocumentSource::Folder(path), _) => (Some(path.clone()), DocumentSelection::Any),
@@ -66,6 +70,9 @@ impl RunDocuments {
             ),
             assets: settings.assets.clone(),
             elsewhere: books.elsewhere.clone(),
+            own_world: settings
+                .own_world()
+                .map(|_| OwnWorld::of(settings.world_cmd.clone(), &books.cases.book)),
             selection,
             server: settings.model.as_ref().map(server).unwrap_or_default(),
         };
@@ -96,8 +103,8 @@ impl RunDocuments {
             return Ok(DocumentSupply::Ready(ReadyDocuments::unlocked(documents)));
         }
         let supply = match &self.request.selection {
-            DocumentSelection::Recipe(Recipe::Model(_)) => {
-                self.written_by_model(&others, plan, invocation, record)?
+            DocumentSelection::Recipe(Recipe::Model(recipe)) => {
+                self.written_by_model(recipe, &others, plan, invocation, record)?
             }
             _ => {
                 let progress = BuildProgress::new(invocation.verbosity);
@@ -118,12 +125,13 @@ impl RunDocuments {
     /// spend it.
     fn written_by_model(
         &self,
+        recipe: &ModelRecipe,
         wanted: &[DocumentName],
         plan: &RunPlan,
         invocation: &Invocation<'_>,
         record: &mut RecordDocuments<'_>,
     ) -> Result<DocumentSupply> {
-        let missing = self.request.missing(wanted)?;
+        let missing = self.request.missing(wanted, false)?;
         let mut ready = ReadyDocuments::unlocked(Vec::new());
         if let (Some(first), Some(unit)) = (missing.first(), &plan.unit) {
             // Every machine would have another one written.
@@ -136,20 +144,33 @@ impl RunDocuments {
         }
         let mut budget = self.budget(plan, invocation.fresh)?;
         let mut request = self.request.clone();
+        let estimates =
+            missing.iter().map(|name| BuildEstimate::of(*name, &self.request.sources, recipe));
+        let estimates: Vec<BuildEstimate> = estimates.collect();
         if !missing.is_empty() {
             (invocation.before_asking)(&plan.settings)?;
             request.server.base_url_from = invocation.base_url_from;
+            if invocation.verbosity == Verbosity::Progress {
+                let all = estimates.iter().copied().sum();
+                let estimate = in_words(&all, plan.prices.as_ref());
+                say(&format!("{} writes {} first: {estimate}", recipe.model, listed(&missing)));
+            }
         }
         for &name in wanted {
             let place = missing.iter().position(|one| *one == name);
-            if let Some(why) = place.and_then(|_| budget.exceeded()) {
+            let refused = place.and_then(|place| {
+                let [least, _] = totals(&estimates[place]);
+                budget.exceeded().or_else(|| budget.too_small(&format!("document {name}"), &least))
+            });
+            if let Some(why) = refused {
                 return Ok(DocumentSupply::OverBudget(why));
             }
             let title = place.map(|place| {
                 format!("writing document {name} ({} of {})", place + 1, missing.len())
             });
             let progress = BuildProgress::titled(invocation.verbosity, title);
-            match self.ensure(&request, &[name], progress, invocation)? {
+            let supply = self.ensure(&request, &[name], progress, invocation);
+            match supply.with_context(|| how_to_write_otherwise(name, &recipe.model))? {
                 DocumentSupply::Ready(more) => ready.add(more),
                 other => return Ok(other),
             }
@@ -246,14 +267,19 @@ impl RunDocuments {
     }
 }
 
-/// How the run's own model is asked for documents: as for decisions, so that they are the same model's.
-fn recipe(model: &ModelSettings) -> ModelRecipe {
+/// How the run's own model is asked for documents: as for decisions.
+fn recipe(settings: &RunSettings, model: &ModelSettings) -> ModelRecipe {
+    let recipe = ModelRecipe::new(&*model.model);
+    // A world that the user starts draws nothing before the run.
+    let has_views = model.image_budget > 0 && settings.world_book.is_none();
     ModelRecipe {
+        views: if has_views { recipe.views } else { 0 },
+        image_budget: model.image_budget,
         reasoning: model.reasoning,
         system_role: model.system_role,
         extra_body: model.extra_body.clone(),
         image_format: model.image_format,
-        ..ModelRecipe::new(&*model.model)
+        ..recipe
     }
 }
 
@@ -266,6 +292,47 @@ fn server(model: &ModelSettings) -> ModelServer {
         timeout: Some(model.request_timeout.max(LEAST_TIMEOUT)),
         max_retries: Some(model.max_retries),
     }
+}
+
+/// What a document would take, at least and at most, as sums of requests.
+pub fn totals(estimate: &BuildEstimate) -> [UsageTotals; 2] {
+    [0, 1].map(|bound| UsageTotals {
+        requests: estimate.requests[bound],
+        attempts: estimate.requests[bound],
+        prompt_tokens: estimate.prompt_tokens[bound],
+        completion_tokens: estimate.answer_tokens[bound],
+        ..UsageTotals::default()
+    })
+}
+
+/// An estimate in one line.
+fn in_words(estimate: &BuildEstimate, prices: Option<&ModelPrices>) -> String {
+    let [least, most] = totals(estimate);
+    let millions = |usage: &UsageTotals| usage.tokens() as f64 / 1e6;
+    let cost = prices.map(|prices| {
+        format!(", {} to {} {}", least.cost(prices), most.cost(prices), prices.currency)
+    });
+    format!(
+        "{} to {} requests with {} images, {:.2} to {:.2} million tokens{} (an estimate)",
+        least.requests,
+        most.requests,
+        estimate.images,
+        millions(&least),
+        millions(&most),
+        cost.unwrap_or_default()
+    )
+}
+
+/// Advice for a run whose model does not write a document as it is asked to.
+fn how_to_write_otherwise(document: DocumentName, model: &str) -> String {
+    let DocumentName { kind, demonstrations } = document;
+    let model = shell_word(model);
+    format!(
+        "the run's model has not written document {document}. With other limits (--context-chars, --max-tokens, --views) it is \
+         written by\n  memtransfer memory build --builder model --model {model} --kind {} --demos {demonstrations}\nand used \
+         with --documents model:{model}; --documents extractive needs no model",
+        kind.word()
+    )
 }
 
 /// Documents for a message: their names, or of many the number.

@@ -57,6 +57,9 @@ pub struct BuildAccount {
     /// Answered requests, including reused ones of an earlier attempt.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub requests: Option<u64>,
+    /// Images in all prompts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub images: Option<u64>,
     /// Answers that reached the token limit and were used up to their last whole line or sentence, in documents of earlier
     /// versions: such an answer now fails the build.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -70,6 +73,11 @@ pub struct BuildAccount {
 }
 
 impl BuildAccount {
+    /// Tokens of prompts and answers, if both were reported.
+    pub fn tokens(&self) -> Option<u64> {
+        self.prompt_tokens?.checked_add(self.completion_tokens?)
+    }
+
     fn is_empty(&self) -> bool {
         *self == Self::default()
     }

@@ -8,7 +8,7 @@
 
 use domain::DocumentKind;
 use peer::Request;
-use prompt::{Prompt, PromptSection, tokens};
+use prompt::{Prompt, PromptSection};
 
 use super::reuse::EarlierPrompt;
 
