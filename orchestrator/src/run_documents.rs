@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Error, Result, anyhow, bail};
 use conditions::cost::ModelPrices;
 use conditions::settings::{DocumentSource, ModelSettings, RunSettings};
 use documents::asking::BuildEstimate;
@@ -10,7 +10,7 @@ use documents::{
     DocumentFolder, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe, Sources,
     StoredDocument,
 };
-use domain::shell_word;
+use domain::{shell_word, tokens};
 use run_log::usage::UsageTotals;
 use run_log::{DOCUMENTS_FOLDER, DocumentFacts, RunFolder, RunLog};
 
@@ -170,7 +170,9 @@ impl RunDocuments {
             });
             let progress = BuildProgress::titled(invocation.verbosity, title);
             let supply = self.ensure(&request, &[name], progress, invocation);
-            match supply.with_context(|| how_to_write_otherwise(name, &recipe.model))? {
+            let advised =
+                |error: Error| anyhow!("{error:#}\n{}", how_to_write_otherwise(name, recipe));
+            match supply.map_err(advised)? {
                 DocumentSupply::Ready(more) => ready.add(more),
                 other => return Ok(other),
             }
@@ -217,12 +219,32 @@ impl RunDocuments {
         facts(&self.usable())
     }
 
-    /// Sizes of the texts that are ready, in bytes.
+    /// Sizes of the texts in bytes: of those that are ready, and at most of those that the run's model writes.
     pub fn sizes(&self) -> BTreeMap<DocumentName, u64> {
         let usable = self.usable().into_iter();
-        usable
-            .filter_map(|stored| Some((stored.name, stored.document?.text.len() as u64)))
-            .collect()
+        let ready =
+            usable.filter_map(|stored| Some((stored.name, stored.document?.text.len() as u64)));
+        let mut sizes: BTreeMap<DocumentName, u64> = ready.collect();
+        if let Some(recipe) = self.recipe_of_model() {
+            let most = (f64::from(recipe.max_tokens) * tokens::DOCUMENT) as u64;
+            sizes.extend(self.missing().into_iter().map(|name| (name, most)));
+        }
+        sizes
+    }
+
+    /// What the documents would take that the run's model writes, as they are missing.
+    pub fn estimates(&self) -> Vec<(DocumentName, BuildEstimate)> {
+        let Some(recipe) = self.recipe_of_model() else { return Vec::new() };
+        let missing = self.missing().into_iter();
+        missing.map(|name| (name, BuildEstimate::of(name, &self.request.sources, recipe))).collect()
+    }
+
+    /// How the run's own model is asked for documents; `None` if it is not.
+    fn recipe_of_model(&self) -> Option<&ModelRecipe> {
+        match &self.request.selection {
+            DocumentSelection::Recipe(Recipe::Model(recipe)) => Some(recipe),
+            _ => None,
+        }
     }
 
     /// The documents that can be used as they are.
@@ -324,13 +346,16 @@ fn in_words(estimate: &BuildEstimate, prices: Option<&ModelPrices>) -> String {
 }
 
 /// Advice for a run whose model does not write a document as it is asked to.
-fn how_to_write_otherwise(document: DocumentName, model: &str) -> String {
+fn how_to_write_otherwise(document: DocumentName, recipe: &ModelRecipe) -> String {
     let DocumentName { kind, demonstrations } = document;
+    let ModelRecipe { context_chars, max_tokens, model, .. } = recipe;
     let model = shell_word(model);
     format!(
-        "the run's model has not written document {document}. With other limits (--context-chars, --max-tokens, --views) it is \
-         written by\n  memtransfer memory build --builder model --model {model} --kind {} --demos {demonstrations}\nand used \
-         with --documents model:{model}; --documents extractive needs no model",
+        "The run has asked for document {document} with prompts of {context_chars} characters and answers of {max_tokens} tokens. \
+         If that is too much for the model, have it written with other limits (--context-chars, --max-tokens, --views), and use \
+         it with --documents model:{model}:\n  \
+         memtransfer memory build --builder model --model {model} --kind {} --demos {demonstrations}\n\
+         --documents extractive needs no model",
         kind.word()
     )
 }
