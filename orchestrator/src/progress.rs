@@ -37,8 +37,7 @@ impl BuildProgress {
     pub fn show(&mut self, stage: BuildStage) {
         let (phase, counts) = match stage {
             BuildStage::Waiting => ("waiting for another build in the same folder", None),
-            BuildStage::Starting => ("starting simulator and memory", None),
-            BuildStage::Views(done, total) => ("reading the demonstrations", Some((done, total))),
+            BuildStage::Starting => ("starting the builder", None),
             BuildStage::Writing(done, total) => ("writing documents", Some((done, total))),
         };
         self.0.show(phase, counts.unwrap_or_default(), || match counts {
