@@ -108,8 +108,6 @@ pub enum BuildStage {
     Waiting,
     /// The process starts.
     Starting,
-    /// Views are rendered and read: done, of all.
-    Views(u64, u64),
     /// A document is written: parts done, of all.
     Writing(u64, u64),
 }

@@ -50,8 +50,7 @@ impl BuildProgress {
     pub fn show(&mut self, stage: BuildStage) {
         let (phase, counts) = match stage {
             BuildStage::Waiting => ("waiting for another build in the same folder", None),
-            BuildStage::Starting => ("starting memory", None),
-            BuildStage::Views(done, total) => ("reading the demonstrations", Some((done, total))),
+            BuildStage::Starting => ("starting the builder", None),
             BuildStage::Writing(done, total) => (&*self.title, Some((done, total))),
         };
         let left = counts.and_then(|counts| time_left(&mut self.pace, counts));

@@ -54,7 +54,7 @@ fn write(
     let mut failure = None;
     let steps = path.with_extension("steps");
     let built = builder.build(kind, &sources.book().world, &listed, &steps, &mut |done, total| {
-        let reported = progress.report("parts", done, total);
+        let reported = progress.report(done, total);
         failure = failure.take().or(reported.err());
     });
     let BuiltText { text, account } =
@@ -84,11 +84,11 @@ struct Progress<W> {
 
 impl<W: Write> Progress<W> {
     /// Reports progress, at most every [`REPORT_INTERVAL`].
-    fn report(&mut self, stage: &str, done: usize, total: usize) -> Result<()> {
+    fn report(&mut self, done: usize, total: usize) -> Result<()> {
         if self.last_report.is_some_and(|when| when.elapsed() < REPORT_INTERVAL) {
             return Ok(());
         }
         self.last_report = Some(Instant::now());
-        writeln!(self.out, "{stage} {done} {total}").context("cannot report progress")
+        writeln!(self.out, "parts {done} {total}").context("cannot report progress")
     }
 }

@@ -92,11 +92,8 @@ pub(super) fn build(
 fn stage_of(line: &str) -> Option<BuildStage> {
     let mut words = line.split(' ');
     let (stage, done, total) = (words.next()?, words.next()?.parse(), words.next()?.parse());
-    match stage {
-        "views" => Some(BuildStage::Views(done.ok()?, total.ok()?)),
-        "parts" => Some(BuildStage::Writing(done.ok()?, total.ok()?)),
-        _ => None,
-    }
+    let writing = BuildStage::Writing(done.ok()?, total.ok()?);
+    (stage == "parts").then_some(writing)
 }
 
 /// The process, with its files in the folder `files`.
