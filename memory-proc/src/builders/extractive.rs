@@ -230,7 +230,7 @@ fn shares(counts: &Counts, all: u32) -> String {
     counts.into_iter().map(share).collect::<Vec<_>>().join(", ")
 }
 
-/// The median of numbers, and the least and the most if they differ: `5 (1 to 14)`.
+/// The median of numbers, of two in the middle the greater, and the least and the most if they differ: `5 (1 to 14)`.
 fn typical(numbers: &[usize]) -> String {
     let mut numbers = numbers.to_vec();
     numbers.sort_unstable();

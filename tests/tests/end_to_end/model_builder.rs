@@ -6,14 +6,13 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc;
 
+use case_book::Demonstration;
 use documents::ModelRecipe;
-use domain::DocumentKind;
-use domain::{Action, Cell, Feedback, Heading, Pose};
+use domain::{Action, DemonstrationKind, DocumentKind, Feedback, Heading, Pose};
 use llm::{ChatClient, ChatSettings, Endpoint};
+use memory_proc::builders::DocumentBuilder;
 use memory_proc::builders::model::{ModelBuilder, ask_through};
-use memory_proc::builders::{DocumentBuilder, FrameReading, Transcript, TranscriptStep};
 use memtransfer_tests::WATCHDOG;
-use plates::{Landmark, Plate};
 use rigs::chat_server::{Reaction, Received, Server};
 
 /// Set in the test binary when it is started as a building process: the server's URL.
@@ -22,19 +21,21 @@ const BASE_URL: &str = "MEMTRANSFER_TEST_BASE_URL";
 /// The path of its document.
 const DOCUMENT: &str = "MEMTRANSFER_TEST_DOCUMENT";
 
-/// A transcript of walking north past a barrel, in column `x`.
-fn transcript(x: u8) -> Transcript {
-    let plate = Plate::new("barrels", "blue barrel");
-    let barrel = Landmark { standpoint: Cell::new(x, 9), face: Heading::W, plate };
-    let seen = std::sync::Arc::new(FrameReading { frame: [x; 16], landmarks: vec![barrel] });
-    let steps = (1..10).map(|y| TranscriptStep {
-        pose: Pose::new(x, y, Heading::N),
-        feedback: if y == 1 { Feedback::Start } else { Feedback::Moved },
-        seen: seen.clone(),
-        completed: u32::from(y == 9),
-        action: (y < 9).then_some(Action::Forward),
-    });
-    Transcript { instruction: "Find a blue barrel.".to_owned(), steps: steps.collect() }
+/// A demonstration of walking north in column `x`.
+fn demonstration(x: u8) -> Demonstration {
+    let states = (1..10).map(|y| Pose::new(x, y, Heading::N).into()).collect();
+    let feedback = [Feedback::Start].into_iter().chain([Feedback::Moved; 8]);
+    Demonstration {
+        case: 0,
+        kind: DemonstrationKind::Original,
+        variant: 0,
+        instruction: "Find a blue barrel.".to_owned(),
+        states,
+        feedback: feedback.map(Into::into).collect(),
+        sub_goals: vec![8],
+        actions: vec![Action::Forward.into(); 8],
+        views: (0..9).collect(),
+    }
 }
 
 /// Not a test: what this binary does when it is started as a building process.
@@ -55,10 +56,11 @@ fn building_process() {
     let recipe = ModelRecipe { model: "m".to_owned(), context_chars: 4500, max_tokens: 100 };
     let kinds = DocumentKind::TEXTS;
     let kind = kinds.into_iter().find(|kind| document.ends_with(kind.word())).unwrap();
-    let transcripts: Vec<_> = (0..30).map(transcript).collect();
+    let demonstrations: Vec<_> = (0..30).map(demonstration).collect();
+    let demonstrations = Vec::from_iter(&demonstrations);
     let steps = document.with_extension("steps");
     let built = ModelBuilder::new(ask_through(client), recipe)
-        .build(kind, &transcripts, &steps, &mut |_, _| {})
+        .build(kind, &warehouse::declaration(), &demonstrations, &steps, &mut |_, _| {})
         .unwrap();
     let account = serde_json::to_string(&built.account).unwrap();
     fs::write(document, built.text + &account).unwrap();
