@@ -420,7 +420,6 @@ mod tests {
             demonstrations: name.demonstrations,
             builder: Recipe::Extractive.builder().to_owned(),
             builder_version: Recipe::Extractive.version(),
-            inputs_sha256: String::new(),
             sources_sha256: request.sources.sha256(name.demonstrations),
             text_sha256: String::new(),
             trajectories: 1,
