@@ -219,12 +219,17 @@ impl RunDocuments {
         facts(&self.usable())
     }
 
-    /// Sizes of the texts in bytes: of those that are ready, and at most of those that the run's model writes.
+    /// Sizes of the texts that are ready, in bytes.
     pub fn sizes(&self) -> BTreeMap<DocumentName, u64> {
         let usable = self.usable().into_iter();
-        let ready =
-            usable.filter_map(|stored| Some((stored.name, stored.document?.text.len() as u64)));
-        let mut sizes: BTreeMap<DocumentName, u64> = ready.collect();
+        usable
+            .filter_map(|stored| Some((stored.name, stored.document?.text.len() as u64)))
+            .collect()
+    }
+
+    /// As [`Self::sizes`]; of those that the run's model writes the most that they can have.
+    pub fn largest_sizes(&self) -> BTreeMap<DocumentName, u64> {
+        let mut sizes = self.sizes();
         if let Some(recipe) = self.recipe_of_model() {
             let most = (f64::from(recipe.max_tokens) * tokens::DOCUMENT) as u64;
             sizes.extend(self.missing().into_iter().map(|name| (name, most)));
