@@ -15,10 +15,11 @@ use anyhow::{Context, Result, bail};
 use case_book::CaseBook;
 use conditions::Condition;
 use documents::{
-    DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, Sources, StoredDocument,
+    BuildAccount, DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, Sources,
+    StoredDocument,
 };
 use domain::{SecretHeader, cache_folder};
-use run_log::DocumentFacts;
+use run_log::{DocumentFacts, DocumentUsage};
 
 /// Locked while documents are built in a folder.
 const LOCK_FILE: &str = "lock";
@@ -230,7 +231,8 @@ impl DocumentRequest {
         };
         let out = self.folder.iter().map(|path| format!(" --out {}", path.display()));
         format!(
-            "document {} is {} in {}{why}, and a run builds extractive documents only. To build it:\n  \
+            "document {} is {} in {}{why}, and a run builds documents by the script or by its own model only. To build \
+             it:\n  \
              memtransfer memory build --builder {builder} --kind {} --demos {demonstrations}{}",
             document.name,
             document.state.word(),
@@ -271,9 +273,20 @@ impl ReadyDocuments {
         Self { documents, built: Vec::new(), _lock: None }
     }
 
+    /// Adds `others`. While this value exists, no other process builds in the folder of the last ones that were built.
+    pub fn add(&mut self, others: Self) {
+        self.documents.extend(others.documents);
+        self.built.extend(others.built);
+        self._lock = others._lock.or(self._lock.take());
+    }
+
     /// Their entries in the manifest, by name.
     pub fn facts(&self) -> BTreeMap<String, DocumentFacts> {
-        facts(&self.documents)
+        let mut facts = facts(&self.documents);
+        for name in &self.built {
+            facts.entry(name.to_string()).and_modify(|document| document.built = true);
+        }
+        facts
     }
 
     /// Copies the documents into a run's folder, unless they are there: a run keeps what it supplied.
@@ -300,6 +313,9 @@ pub fn facts(documents: &[StoredDocument]) -> BTreeMap<String, DocumentFacts> {
         let facts = DocumentFacts {
             sha256: document.provenance.text_sha256.clone(),
             builder: document.provenance.builder.clone(),
+            model: document.provenance.model(),
+            usage: usage(&document.provenance.account),
+            built: false,
             address: stored.address.clone(),
             bytes: document.text.len() as u64,
             words: document.words(),
@@ -307,6 +323,12 @@ pub fn facts(documents: &[StoredDocument]) -> BTreeMap<String, DocumentFacts> {
         Some((stored.name.to_string(), facts))
     };
     documents.iter().filter_map(facts).collect()
+}
+
+/// What a document took of a model; `None` for one that no model has written.
+fn usage(account: &BuildAccount) -> Option<DocumentUsage> {
+    let &BuildAccount { requests, prompt_tokens, completion_tokens, .. } = account;
+    Some(DocumentUsage { requests: requests?, prompt_tokens, completion_tokens })
 }
 
 /// Locks a folder, which is created if it is missing, against other builds. `None` when stopped.
@@ -336,7 +358,7 @@ fn lock(
 mod tests {
     use case_book::BookRequest;
     use conditions::{Route, Start, Variation};
-    use documents::{BuildAccount, DocumentFile, Provenance};
+    use documents::{DocumentFile, Provenance};
     use domain::{Appearance, Demonstrations, Representation};
     use warehouse::case_book::write_books;
 
@@ -378,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_does_not_build_a_model_s_documents_and_says_how() {
+    fn a_run_does_not_build_documents_of_another_model_and_says_how() {
         let folder = tempfile::tempdir().unwrap();
         let request = request(folder.path(), DocumentSelection::Model(Some("m".into())));
         let wanted = ["summary/4".parse().unwrap()];
@@ -398,7 +420,6 @@ mod tests {
             demonstrations: name.demonstrations,
             builder: Recipe::Extractive.builder().to_owned(),
             builder_version: Recipe::Extractive.version(),
-            inputs_sha256: String::new(),
             sources_sha256: request.sources.sha256(name.demonstrations),
             text_sha256: String::new(),
             trajectories: 1,

@@ -5,7 +5,7 @@ use domain::{ImageFormat, ReasoningRequest, SystemRole};
 use crate::{DocumentName, sha256_of_parts};
 
 /// The version of the extractive builder. Changes whenever the same demonstrations give another text.
-pub const EXTRACTIVE_VERSION: u32 = 1;
+pub const EXTRACTIVE_VERSION: u32 = 2;
 
 /// The version of the prompts that the model builder sends. Changes whenever one of them does.
 pub const PROMPT_VERSION: u32 = 2;

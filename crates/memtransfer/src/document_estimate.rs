@@ -3,19 +3,12 @@
 use conditions::cost::{ModelPrices, Money};
 use documents::DocumentName;
 use documents::asking::BuildEstimate;
+use orchestrator::run_documents::totals;
 use report::table::table;
-use run_log::usage::UsageTotals;
 
 /// What they would cost, at least and at most, if the server's own cache served nothing.
 fn cost(estimate: &BuildEstimate, prices: &ModelPrices) -> [Money; 2] {
-    [0, 1].map(|bound| {
-        let usage = UsageTotals {
-            prompt_tokens: estimate.prompt_tokens[bound],
-            completion_tokens: estimate.answer_tokens[bound],
-            ..UsageTotals::default()
-        };
-        usage.cost(prices)
-    })
+    totals(estimate).map(|usage| usage.cost(prices))
 }
 
 /// The estimates of documents, one a line, their sum, and what the figures are based on.

@@ -488,7 +488,7 @@ fn overview(documents: &[StoredDocument]) -> String {
         table.add_row([
             stored.name.to_string(),
             stored.address.clone().unwrap_or("-".to_owned()),
-            made(|file| match model_of(file) {
+            made(|file| match file.provenance.model() {
                 Some(model) => format!("model {model}"),
                 None => file.provenance.builder.clone(),
             }),
@@ -509,14 +509,4 @@ fn overview(documents: &[StoredDocument]) -> String {
 /// A number that was counted.
 fn count(count: Option<u64>) -> String {
     count.map_or("-".to_owned(), |count| count.to_string())
-}
-
-/// The name of the model that wrote a document.
-fn model_of(file: &DocumentFile) -> Option<String> {
-    if file.provenance.builder != "model" {
-        return None;
-    }
-    let version = file.provenance.builder_version.split(", ");
-    let named = version.into_iter().find_map(|part| part.strip_prefix("model "));
-    named.map(str::to_owned).or_else(|| file.provenance.account.model.clone())
 }

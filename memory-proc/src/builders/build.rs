@@ -67,7 +67,6 @@ fn write(
         demonstrations,
         builder: recipe.builder().to_owned(),
         builder_version: recipe.version(),
-        inputs_sha256: sources_sha256.clone(),
         sources_sha256,
         text_sha256: String::new(),
         trajectories: listed.len() as u64,

@@ -10,6 +10,7 @@ use orchestrator::run_plan::RunPlan;
 use report::table;
 use run_log::{EpisodeRecord, LogError, RunLog};
 
+use crate::document_estimate::document_table;
 use crate::estimate::{Basis, RunEstimate};
 
 /// What would run: conditions, episodes, requests, and the estimated cost of a model.
@@ -70,8 +71,16 @@ pub(super) fn describe(plan: &RunPlan, fresh: bool) -> Result<String> {
         most_requests(missing),
         about_documents(&documents),
     );
+    let of_documents = documents.estimates();
+    if !of_documents.is_empty() {
+        let table = document_table(&of_documents, prices.as_ref());
+        text += &format!("\n\nThe model would write first, whatever the episodes take:\n{table}");
+    }
     if !estimates.is_empty() {
         text += &cost_table(&estimates, prices.as_ref());
+        if !of_documents.is_empty() {
+            text += "\nA document that is not written yet counts with the most tokens that an answer may have.";
+        }
     }
     Ok(text)
 }
