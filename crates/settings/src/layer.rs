@@ -20,7 +20,7 @@ pub enum Origin {
     Default,
     /// The suite.
     Suite,
-    /// The policy, for which the setting makes no difference.
+    /// The policy, which needs the value or for which the setting makes no difference.
     Policy,
     /// A `MEMTRANSFER_*` variable.
     Environment,
