@@ -19,6 +19,7 @@ use documents::{
 };
 use domain::cache_folder;
 use run_log::DocumentFacts;
+use shm_types::FrameSize;
 
 /// Locked while documents are built in a folder.
 const LOCK_FILE: &str = "lock";
@@ -198,7 +199,11 @@ impl DocumentRequest {
             DocumentState::Missing => String::new(),
             _ => format!(" ({})", document.problem.clone().unwrap_or_default()),
         };
-        let out = self.folder.iter().map(|path| format!(" --out {}", path.display()));
+        let out = self.folder.iter().map(|path| ("--out", path.display().to_string()));
+        let size = self.sources.frame_size();
+        let size = (size != FrameSize::DEFAULT.width).then(|| ("--frame-size", size.to_string()));
+        let look = self.sources.appearance().differing_flags();
+        let flags = size.into_iter().chain(look).chain(out);
         format!(
             "document {} is {} in {}{why}, and a run builds extractive documents only. To build it:\n  \
              memtransfer memory build --builder {builder} --kind {} --demos {demonstrations}{}",
@@ -206,7 +211,7 @@ impl DocumentRequest {
             document.state.word(),
             folder.path().display(),
             kind.word(),
-            out.collect::<String>(),
+            flags.map(|(flag, value)| format!(" {flag} {value}")).collect::<String>(),
         )
     }
 
@@ -343,10 +348,20 @@ mod tests {
     fn a_run_does_not_build_a_model_s_documents_and_says_how() {
         let folder = tempfile::tempdir().unwrap();
         let request = request(folder.path(), DocumentSelection::Model(Some("m".into())));
-        let wanted = ["summary/4".parse().unwrap()];
-        let error = request.ensure(&wanted, false, &AtomicBool::new(false), &mut |_| ());
-        let error = error.unwrap_err().to_string();
-        assert!(error.contains("--builder model --model m --kind summary --demos 4"), "{error}");
+        let error = |request: &DocumentRequest| {
+            let wanted = ["summary/4".parse().unwrap()];
+            let ready = request.ensure(&wanted, false, &AtomicBool::new(false), &mut |_| ());
+            ready.unwrap_err().to_string()
+        };
+        let (command, out) = ("--builder model --model m --kind summary --demos 4", folder.path());
+        let standard = format!("{command} --out {}", out.display());
+        assert!(error(&request).ends_with(&standard), "{}", error(&request));
+        // The command builds what the run looks for.
+        let book = request.sources.book().clone();
+        let sources = Sources::new(book, 224, Appearance::WITH_PLATES);
+        let request = DocumentRequest { sources, ..request };
+        let other = format!("{command} --frame-size 224 --plates on --out {}", out.display());
+        assert!(error(&request).ends_with(&other), "{}", error(&request));
     }
 
     /// The folder may be one that this user can only read.

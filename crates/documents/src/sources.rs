@@ -80,7 +80,7 @@ impl Sources {
             .map(|variant| book.variants.get(variant).map_or("", String::as_str))
             .collect();
         let mut parts = vec![
-            "memtransfer sources v3".to_owned(),
+            "memtransfer sources v4".to_owned(),
             env!("CARGO_PKG_VERSION").to_owned(),
             hashes.join(" "),
             format!("{frame_size} x {frame_size}"),
@@ -132,8 +132,9 @@ pub(crate) mod tests {
         assert_eq!(hash, sources(FRAME).sha256(Demonstrations::ALL));
         assert_ne!(hash, sources(224).sha256(Demonstrations::ALL));
         assert_ne!(hash, standard.sha256(Demonstrations::ORIGINAL));
-        let seeded = Appearance { seed: 7, ..Appearance::STANDARD };
-        assert_ne!(hash, Sources::new(book(None), FRAME, seeded).sha256(Demonstrations::ALL));
+        for other in [Appearance::WITH_PLATES, Appearance { seed: 7, ..Appearance::STANDARD }] {
+            assert_ne!(hash, Sources::new(book(None), FRAME, other).sha256(Demonstrations::ALL));
+        }
         let mut stocked = book(None);
         stocked.variants.insert(0, "other items".to_owned());
         let stocked = Sources::new(stocked, FRAME, Appearance::STANDARD);

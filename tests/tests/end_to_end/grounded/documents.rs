@@ -20,7 +20,7 @@ pub(crate) fn document(
     views: &mut Views,
 ) -> String {
     let book = write_books(&BookRequest::default()).unwrap().demonstrations;
-    let sources = Sources::new(book, 448, Appearance::STANDARD);
+    let sources = Sources::new(book, 448, Appearance::WITH_PLATES);
     let mut look = |pose: Pose| {
         let image = views.of(pose, &Variant::UNCHANGED);
         let frame = image.frame();
