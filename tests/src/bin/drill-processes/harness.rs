@@ -125,8 +125,8 @@ impl Run {
     pub(crate) fn make_policy_external(&mut self) {
         let command = format!("{} serve --policy grounded", program("policy-proc").display());
         if let Some(at) = self.args.iter().position(|arg| arg == "--policy") {
-            let plates = ["--plates", "on"].map(str::to_owned);
-            self.args.splice(at..at + 2, ["--policy-cmd".to_owned(), command].into_iter().chain(plates));
+            let flags = ["--policy-cmd", &command, "--plates", "on"].map(str::to_owned);
+            self.args.splice(at..at + 2, flags);
         }
     }
 }
