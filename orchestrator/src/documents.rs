@@ -20,6 +20,7 @@ use documents::{
 };
 use domain::{SecretHeader, cache_folder};
 use run_log::{DocumentFacts, DocumentUsage};
+use shm_types::FrameSize;
 
 /// Locked while documents are built in a folder.
 const LOCK_FILE: &str = "lock";
@@ -229,7 +230,11 @@ impl DocumentRequest {
             DocumentState::Missing => String::new(),
             _ => format!(" ({})", document.problem.clone().unwrap_or_default()),
         };
-        let out = self.folder.iter().map(|path| format!(" --out {}", path.display()));
+        let out = self.folder.iter().map(|path| ("--out", path.display().to_string()));
+        let size = self.sources.frame_size();
+        let size = (size != FrameSize::DEFAULT.width).then(|| ("--frame-size", size.to_string()));
+        let look = self.sources.appearance().differing_flags();
+        let flags = size.into_iter().chain(look).chain(out);
         format!(
             "document {} is {} in {}{why}, and a run builds documents by the script or by its own model only. To build \
              it:\n  \
@@ -238,7 +243,7 @@ impl DocumentRequest {
             document.state.word(),
             folder.path().display(),
             kind.word(),
-            out.collect::<String>(),
+            flags.map(|(flag, value)| format!(" {flag} {value}")).collect::<String>(),
         )
     }
 
@@ -403,10 +408,20 @@ mod tests {
     fn a_run_does_not_build_documents_of_another_model_and_says_how() {
         let folder = tempfile::tempdir().unwrap();
         let request = request(folder.path(), DocumentSelection::Model(Some("m".into())));
-        let wanted = ["summary/4".parse().unwrap()];
-        let error = request.ensure(&wanted, false, &AtomicBool::new(false), &mut |_| ());
-        let error = error.unwrap_err().to_string();
-        assert!(error.contains("--builder model --model m --kind summary --demos 4"), "{error}");
+        let error = |request: &DocumentRequest| {
+            let wanted = ["summary/4".parse().unwrap()];
+            let ready = request.ensure(&wanted, false, &AtomicBool::new(false), &mut |_| ());
+            ready.unwrap_err().to_string()
+        };
+        let (command, out) = ("--builder model --model m --kind summary --demos 4", folder.path());
+        let standard = format!("{command} --out {}", out.display());
+        assert!(error(&request).ends_with(&standard), "{}", error(&request));
+        // The command builds what the run looks for.
+        let book = request.sources.book().clone();
+        let sources = Sources::new(book, 224, Appearance::WITH_PLATES);
+        let request = DocumentRequest { sources, ..request };
+        let other = format!("{command} --frame-size 224 --plates on --out {}", out.display());
+        assert!(error(&request).ends_with(&other), "{}", error(&request));
     }
 
     /// The folder may be one that this user can only read.

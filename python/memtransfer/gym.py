@@ -58,7 +58,7 @@ class Settings:
     """`unchanged`, or `blocked` (a passage of the demonstrations is closed; new starts only)."""
     frame_size: int | tuple[int, int] = 448
     """Width and height of the view in pixels; the width is a multiple of 64."""
-    plates: bool = True
+    plates: bool = False
     """Whether a coloured plate hangs above every item."""
     labels: bool = True
     """Whether anything is written in the warehouse."""

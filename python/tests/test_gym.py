@@ -175,7 +175,7 @@ def test_an_episode_is_truncated_after_its_steps() -> None:
 def test_appearance_changes_pixels_only() -> None:
     reset = [
         MemTransferEnv(**SMALL, **look).reset(seed=5)[0]
-        for look in ({}, {"plates": False}, {"labels": False}, {"appearance_seed": 7}, {"anti_aliasing": False})
+        for look in ({}, {"plates": True}, {"labels": False}, {"appearance_seed": 7}, {"anti_aliasing": False})
     ]
     for other in reset[1:]:
         assert data_equivalence(reset[0]["pose"], other["pose"])

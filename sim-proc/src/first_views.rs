@@ -1,7 +1,7 @@
 //! The first view of every case's original and test start, which must show no target.
 
 use anyhow::Result;
-use domain::Pose;
+use domain::{Appearance, Pose};
 use warehouse::{CaseSet, Item, TrajectoryKind, Warehouse};
 
 use crate::renderer::{Backend, RenderSettings, Renderer};
@@ -29,13 +29,17 @@ pub fn first_views<'w>(warehouse: &'w Warehouse, cases: &'w CaseSet) -> Vec<Firs
     cases.cases.iter().flat_map(of_case).collect()
 }
 
-/// What is wrong with those of `views` that show a target, in the standard appearance and size. The CPU draws, whose pixels are
-/// the same on every machine.
+/// What is wrong with those of `views` that show a target, with plates and labels, where most of an item is in view, and in the
+/// standard size. The CPU draws, whose pixels are the same on every machine.
 ///
 /// # Errors
 /// None that a view of the warehouse can cause.
 pub fn shown_targets(warehouse: &Warehouse, views: &[FirstView<'_>]) -> Result<Vec<String>> {
-    let settings = RenderSettings { backend: Some(Backend::Cpu), ..RenderSettings::default() };
+    let settings = RenderSettings {
+        backend: Some(Backend::Cpu),
+        appearance: Appearance::WITH_PLATES,
+        ..RenderSettings::default()
+    };
     let mut renderer = Renderer::new(warehouse, settings)?;
     let mut wrong = Vec::new();
     for FirstView { of, pose, targets } in views {

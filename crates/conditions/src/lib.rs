@@ -71,6 +71,14 @@ impl PolicyKind {
             Self::Expert => false,
         }
     }
+
+    /// Whether it reads the plates of the warehouse, so that its run has plates where nothing else is said.
+    pub const fn needs_plates(self) -> bool {
+        match self {
+            Self::Grounded => true,
+            Self::Imitate | Self::Openai | Self::External | Self::Random | Self::Expert => false,
+        }
+    }
 }
 
 /// One cell of a table of results. Written `memory/start/route/demonstrations`, followed by the deviations from the

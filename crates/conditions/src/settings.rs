@@ -95,6 +95,7 @@ pub struct RunSettings {
     pub documents: DocumentSource,
     pub frame_size: u32,
     pub frames: Frames,
+    /// A manifest without it is of an earlier version, whose worlds had plates.
     #[serde(default)]
     pub plates: Drawn,
     #[serde(default)]

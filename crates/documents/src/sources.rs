@@ -123,8 +123,9 @@ pub(crate) mod tests {
         assert_eq!(hash, sources(FRAME).sha256(Demonstrations::ALL));
         assert_ne!(hash, sources(224).sha256(Demonstrations::ALL));
         assert_ne!(hash, standard.sha256(Demonstrations::ORIGINAL));
-        let seeded = Appearance { seed: 7, ..Appearance::STANDARD };
-        assert_ne!(hash, Sources::new(book(None), FRAME, seeded).sha256(Demonstrations::ALL));
+        for other in [Appearance::WITH_PLATES, Appearance { seed: 7, ..Appearance::STANDARD }] {
+            assert_ne!(hash, Sources::new(book(None), FRAME, other).sha256(Demonstrations::ALL));
+        }
         let mut stocked = book(None);
         stocked.variants.insert(0, "other items".to_owned());
         let stocked = Sources::new(stocked, FRAME, Appearance::STANDARD);

@@ -260,12 +260,21 @@ struct MadeFor {
     /// Width and height of the frames that are read [default: $MEMTRANSFER_FRAME_SIZE, else 448]
     #[arg(long, value_name = "PIXELS", value_parser = frame_width)]
     frame_size: Option<u32>,
+    /// Read frames with a plate above every item, as in `run --plates on` and with `run --policy grounded`
+    #[arg(long, value_name = "on|off")]
+    plates: Option<Drawn>,
     /// Read frames without anything written in them, as in `run --labels off`
     #[arg(long, value_name = "on|off")]
     labels: Option<Drawn>,
     /// Read frames with this light and these tints, as in `run --appearance-seed`
     #[arg(long, value_name = "N")]
     appearance_seed: Option<u64>,
+}
+
+/// What the flag `name`, or else its variable, says about something that is drawn or not.
+fn is_drawn(name: &str, flag: Option<Drawn>) -> Result<Option<bool>> {
+    let of_variable = variable(name)?.and_then(|word| word.as_str()?.parse().ok());
+    Ok(flag.or(of_variable).map(|drawn: Drawn| drawn == Drawn::On))
 }
 
 /// The default of `run --seed`.
@@ -287,10 +296,11 @@ impl MadeFor {
         selection: DocumentSelection,
         demos: &[Demonstrations],
     ) -> Result<DocumentRequest> {
-        let Self { world, elsewhere, seed, frame_size, labels, appearance_seed } = self;
+        let Self { world, elsewhere, seed, frame_size, plates, labels, appearance_seed } = self;
         world.program()?;
         let of_warehouse = [
             ("elsewhere", elsewhere.is_some()),
+            ("plates", plates.is_some()),
             ("labels", labels.is_some()),
             ("appearance-seed", appearance_seed.is_some()),
         ];
@@ -320,12 +330,12 @@ impl MadeFor {
         )?;
         let size = variable("frame-size")?.and_then(|size| u32::try_from(size.as_u64()?).ok());
         let frame_size = frame_size.or(size).unwrap_or(FrameSize::DEFAULT.width);
-        let drawn = variable("labels")?.and_then(|word| word.as_str()?.parse().ok());
         let seed = variable("appearance-seed")?.and_then(|seed| seed.as_u64());
+        let standard = Appearance::STANDARD;
         let of_world = Appearance {
-            labels: labels.or(drawn).unwrap_or_default() == Drawn::On,
-            seed: appearance_seed.or(seed).unwrap_or_default(),
-            ..Appearance::STANDARD
+            plates: is_drawn("plates", plates)?.unwrap_or(standard.plates),
+            labels: is_drawn("labels", labels)?.unwrap_or(standard.labels),
+            seed: appearance_seed.or(seed).unwrap_or(standard.seed),
         };
         let appearance = if command.is_some() { Appearance::STANDARD } else { of_world };
         Ok(DocumentRequest {

@@ -8,7 +8,7 @@ use domain::Appearance;
 #[derive(Debug, Clone, Args)]
 pub struct AppearanceArgs {
     /// Whether a coloured plate hangs above every item
-    #[arg(long, value_name = "on|off", default_value = "on", action = ArgAction::Set,
+    #[arg(long, value_name = "on|off", default_value = "off", action = ArgAction::Set,
           value_parser = BoolishValueParser::new(), hide_possible_values = true)]
     plates: bool,
     /// Whether anything is written: names of items, numbers of bays, signs
@@ -40,7 +40,7 @@ mod tests {
 
     #[test]
     fn flags_are_read_as_they_are_written() {
-        let odd = Appearance { plates: false, labels: true, seed: 7 };
+        let odd = Appearance { plates: true, labels: false, seed: 7 };
         for appearance in [Appearance::STANDARD, odd] {
             let written =
                 appearance.flags().into_iter().flat_map(|(flag, value)| [flag.into(), value]);

@@ -72,6 +72,9 @@ const PARTS: [SectionEntry; 15] = [
     ("pairs", "Paired comparisons", pairs::blocks),
 ];
 
+/// Parts in which figures that the paper prints stand beside the run's.
+const BESIDE_PUBLISHED: [&str; 6] = ["main", "transfer", "blocked", "mixed", "groups", "design"];
+
 /// Parts that the paper does not have: they are not named where they were not run.
 const BEYOND_THE_PAPER: [&str; 2] = ["conflict", "growth"];
 
@@ -81,11 +84,16 @@ pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<ReportSection> {
     let mut sections = Vec::new();
     let mut not_run = Vec::new();
     for (id, title, blocks) in PARTS {
-        let blocks = blocks(view);
+        let mut blocks = blocks(view);
         if blocks
             .iter()
             .any(|block| matches!(block, ReportBlock::Table(_) | ReportBlock::Figure(_)))
         {
+            if BESIDE_PUBLISHED.contains(&id)
+                && let Some(sentence) = overview::had_plates(&view.log.manifest)
+            {
+                blocks.insert(0, ReportBlock::Text(sentence));
+            }
             sections.push(ReportSection::new(view.id(&format!("s-{id}")), title, blocks));
         } else if !BEYOND_THE_PAPER.contains(&id) {
             not_run.push(title);

@@ -1,5 +1,6 @@
 //! The report of a made-up run, and that it is complete.
 
+use conditions::settings::Drawn;
 use conditions::{Condition, PolicyKind};
 use rigs::records::{model_document, model_settings};
 use run_log::{BlockedRecord, EpisodeError, EpisodeRecord};
@@ -373,6 +374,34 @@ fn the_page_names_the_policy_and_is_self_contained() {
     assert!(
         !text.contains("stand-in") && text.contains("lower bound") && text.contains("Control:")
     );
+}
+
+/// Plates are what the paper's warehouse lacks. Other worlds have none, whatever a manifest says.
+#[test]
+fn the_paper_s_figures_stand_beside_a_sentence_about_plates() {
+    let mut log = paper_log();
+    let sections = |log: &RunLog| {
+        let document = document(std::slice::from_ref(log), &published());
+        let mentions = |section: &&ReportSection| {
+            section.blocks.iter().any(
+                |block| matches!(block, ReportBlock::Text(text) if text.contains("had plates")),
+            )
+        };
+        let sections = document.sections.iter().filter(mentions);
+        (sections.map(|section| section.id.clone()).collect::<Vec<_>>(), plain(&document))
+    };
+    log.manifest.settings.plates = Drawn::On;
+    let (found, text) = sections(&log);
+    let beside = ["s-main", "s-transfer", "s-blocked", "s-mixed", "s-groups", "s-design"];
+    assert_eq!(found, beside);
+    assert!(text.contains("Appearance of the world: plates."), "{text}");
+    log.manifest.settings.plates = Drawn::Off;
+    let (found, text) = sections(&log);
+    assert!(found.is_empty() && !text.contains("Appearance of the world"), "{text}");
+    log.manifest.settings.plates = Drawn::On;
+    log.manifest.settings.world_cmd = Some("python world.py".to_owned());
+    let (found, text) = sections(&log);
+    assert!(found.is_empty() && !text.contains("Appearance of the world"), "{text}");
 }
 
 #[test]

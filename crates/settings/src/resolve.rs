@@ -124,6 +124,7 @@ pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved>
         let out = format!("runs/{}", merged.folder_name(policy)?);
         merged.set("out", out, Origin::Default);
     }
+    merged.choose_plates(policy);
     merged.await_external_memory(policy);
     merged.complete_stream()?;
     let group_origins = merged.complete_groups(policy);
@@ -208,6 +209,14 @@ impl MergedLayers {
             );
         }
         Ok(policy)
+    }
+
+    /// Plates, where nothing says whether there are any: for a policy that needs them.
+    fn choose_plates(&mut self, policy: PolicyKind) {
+        if !self.values.contains_key("plates") {
+            let plates = if policy.needs_plates() { Drawn::On } else { Drawn::Off };
+            self.set("plates", plates.name(), Origin::Policy);
+        }
     }
 
     /// A world that a command starts, or one that the user starts, whichever the stronger source says.
@@ -407,9 +416,12 @@ pub fn check(settings: &RunSettings) -> Result<()> {
         "--worlds is {}, and a suite of streams has one: only the world of an episode can show its views later",
         settings.worlds
     );
-    if settings.plates == Drawn::Off {
-        check_without_plates(settings.policy, &conditions)?;
-    }
+    ensure!(
+        settings.plates == Drawn::On || !settings.policy.needs_plates(),
+        "--policy {} sees nothing but plates, so it cannot run with --plates off: leave that out, or choose another \
+         --policy",
+        settings.policy
+    );
     let is_complete = !settings.has_external_memories() || !settings.external_names().is_empty();
     if conditions.is_empty() && is_complete {
         let groups = &settings.groups;
@@ -485,7 +497,7 @@ fn check_own_world(settings: &RunSettings, flag: &str) -> Result<()> {
     let of_warehouse = [
         ("assets", settings.assets.is_some()),
         ("elsewhere", settings.elsewhere.is_some()),
-        ("plates", settings.plates == Drawn::Off),
+        ("plates", settings.plates == Drawn::On),
         ("labels", settings.labels == Drawn::Off),
         ("appearance-seed", settings.appearance_seed != 0),
         ("frames swapped", settings.frames == Frames::Swapped),
@@ -496,26 +508,6 @@ fn check_own_world(settings: &RunSettings, flag: &str) -> Result<()> {
     if let Some((setting, _)) = of_warehouse.into_iter().find(|(_, is_given)| *is_given) {
         bail!(
             "--{setting} is about the warehouse, and {flag} names another world: leave one of them out"
-        );
-    }
-    Ok(())
-}
-
-/// Checks that nothing in the run reads plates.
-fn check_without_plates(policy: PolicyKind, conditions: &[Condition]) -> Result<()> {
-    ensure!(
-        policy != PolicyKind::Grounded,
-        "--policy grounded sees nothing but plates, so it cannot run with --plates off: leave that out, or choose another \
-         --policy"
-    );
-    let reads = |condition: &&Condition| {
-        condition.memory.describe().is_some_and(|info| !info.documents.is_empty())
-    };
-    if let Some(condition) = conditions.iter().find(reads) {
-        bail!(
-            "the documents of {} memory are built from the plates in frames, and with --plates off there are none: leave \
-             that out, or choose memories without documents (--memory working,full-context,episodic)",
-            condition.memory
         );
     }
     Ok(())

@@ -1,14 +1,16 @@
 //! The two backends draw the same images but for rounding, and the CPU draws the same bytes with every vector width.
 
+use domain::Appearance;
 use raster::Level;
 use warehouse::{CaseSet, Variant, Warehouse};
 
 use super::*;
 use warehouse::every_pose;
 
+/// With plates, so that all three ways of colouring are compared.
 fn renderer(warehouse: &Warehouse, settings: &RenderSettings, backend: Backend) -> Renderer {
-    let backend = Some(backend);
-    Renderer::new(warehouse, RenderSettings { backend, ..settings.clone() }).unwrap()
+    let (backend, appearance) = (Some(backend), Appearance::WITH_PLATES);
+    Renderer::new(warehouse, RenderSettings { backend, appearance, ..settings.clone() }).unwrap()
 }
 
 /// Every 29th pose; `POSE_STEP=1` tests all of them. With `DIFF_DIR` set, both images are written there.

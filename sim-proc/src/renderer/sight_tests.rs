@@ -1,6 +1,6 @@
 //! Whether the rule of [`warehouse::sight`] agrees with what is drawn.
 
-use domain::{Cell, Heading, Pose};
+use domain::{Appearance, Cell, Heading, Pose};
 use warehouse::{CaseSet, Elsewhere, GeneratedWorld, Item, Shape, Warehouse, sight};
 
 use super::mesh::builder::Detail;
@@ -10,7 +10,11 @@ use crate::first_views::{FirstView, first_views, shown_targets};
 use warehouse::every_pose;
 
 fn renderer(warehouse: &Warehouse) -> Renderer {
-    let settings = RenderSettings { backend: Some(Backend::Cpu), ..RenderSettings::default() };
+    let settings = RenderSettings {
+        backend: Some(Backend::Cpu),
+        appearance: Appearance::WITH_PLATES,
+        ..RenderSettings::default()
+    };
     Renderer::new(warehouse, settings).unwrap()
 }
 

@@ -21,11 +21,16 @@ fn renderer(warehouse: &Warehouse, settings: RenderSettings) -> Renderer {
     }
 }
 
+/// Settings with which everything is drawn that there is.
+fn with_plates() -> RenderSettings {
+    RenderSettings { appearance: Appearance::WITH_PLATES, ..RenderSettings::default() }
+}
+
 /// A renderer with each backend.
 fn both(warehouse: &Warehouse) -> [Renderer; 2] {
     [Backend::Cpu, Backend::Wgpu].map(|backend| {
         let backend = Some(backend);
-        renderer(warehouse, RenderSettings { backend, ..RenderSettings::default() })
+        renderer(warehouse, RenderSettings { backend, ..with_plates() })
     })
 }
 
@@ -127,7 +132,7 @@ impl Pages {
 #[test]
 fn neither_the_frame_path_nor_the_batch_changes_a_byte() {
     let warehouse = Warehouse::shipped();
-    let settings = RenderSettings { width_px: 192, height_px: 128, ..RenderSettings::default() };
+    let settings = RenderSettings { width_px: 192, height_px: 128, ..with_plates() };
     let settings = RenderSettings { backend: Some(Backend::Wgpu), ..settings };
     let mut direct = renderer(&warehouse, settings.clone());
     let mut copied = renderer(&warehouse, RenderSettings { force_copy: true, ..settings });
@@ -342,7 +347,7 @@ fn a_moved_item_is_seen_where_it_stands_now() {
     let kind = &base.catalogue.types[item.item_type];
     let plate = Plate::new(&base.catalogue.categories[kind.category].name, &kind.name);
     for backend in [Backend::Cpu, Backend::Wgpu] {
-        let settings = RenderSettings { backend: Some(backend), ..RenderSettings::default() };
+        let settings = RenderSettings { backend: Some(backend), ..with_plates() };
         let mut renderer = Renderer::with_stocks(&moved, settings).unwrap();
         let mut read = |stock, at| plate_read(&mut renderer, &base, stock, at);
         assert_eq!((read(0, item.standpoint), read(0, to)), (vec![plate], vec![]));
@@ -376,7 +381,7 @@ fn a_stock_looks_as_in_a_scene_of_its_own_and_nothing_else_changes() {
     let [base, changed] = stocks(changes.clone());
     let [_, other] = stocks(vec![put(items[3].standpoint, None), put(empty[2], Some(0))]);
     let with = |labels, stocks: &[Warehouse]| {
-        let appearance = Appearance { labels, ..Appearance::STANDARD };
+        let appearance = Appearance { labels, ..Appearance::WITH_PLATES };
         let backend = Some(Backend::Cpu);
         let settings = RenderSettings { backend, appearance, ..RenderSettings::default() };
         Renderer::with_stocks(stocks, settings).unwrap()

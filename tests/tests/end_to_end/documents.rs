@@ -69,10 +69,14 @@ fn documents_contain_what_their_demonstrations_contain_and_nothing_else() {
 
     let again = bench.run(&build).expect(0);
     assert!(again.stderr.contains("0 built, 4 current"), "{}", again.stderr);
-    let listed = bench.run(&["memory", "ls", "--documents", "documents", "--json"]).expect(0);
-    let listed: Vec<Value> = serde_json::from_str(&listed.stdout).unwrap();
-    assert!(listed.len() == 4 && listed.iter().all(|document| document["state"] == "current"));
-    let show = ["memory", "show", "summary", "4", "--documents", "documents"];
+    // They are current for frames that look like theirs.
+    let list = ["memory", "ls", "--documents", "documents", "--json"];
+    for (plates, state) in [("on", "current"), ("off", "outdated")] {
+        let listed = bench.run(&[&list[..], &["--plates", plates]].concat()).expect(0);
+        let listed: Vec<Value> = serde_json::from_str(&listed.stdout).unwrap();
+        assert!(listed.len() == 4 && listed.iter().all(|document| document["state"] == state));
+    }
+    let show = ["memory", "show", "summary", "4", "--documents", "documents", "--plates", "on"];
     assert_eq!(bench.run(&show).expect(0).stdout, document(&folder, "summary-4").1);
 
     supplied_in_a_run(&bench, &folder);
@@ -107,7 +111,7 @@ fn a_run_that_is_stopped_while_it_builds_documents_says_so() {
 fn supplied_in_a_run(bench: &Bench, folder: &Path) {
     let mut args = vec!["run", "--policy", "random", "--memory", "hybrid", "--demos", "original"];
     args.extend(["--starts", "new", "--limit", "1", "--max-steps", "5", "--out", "out"]);
-    args.extend(["--documents", "./documents"]);
+    args.extend(["--documents", "./documents", "--plates", "on"]);
     bench.run(&args).expect(0);
     let read = |name: &str| {
         let text = fs::read_to_string(bench.out("out").join(name)).unwrap();

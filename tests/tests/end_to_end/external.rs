@@ -8,10 +8,11 @@ use memtransfer_tests::{
     Bench, Ended, kill, process_of, processes_with, program, sorted_log, stop, wait_for_episodes,
 };
 
-/// The arguments of a run of twelve episodes.
+/// The arguments of a run of twelve episodes. An external policy that is `grounded` needs plates as the built-in one does.
 fn slice<'a>(out: &'a str, lanes: &'a str, policy: &[&'a str]) -> Vec<&'a str> {
     let mut args = vec!["run", "--suite", "quick", "--cases", "t01-01,t03-02,t09-05"];
-    args.extend(["--memory", "working,full-context", "--lanes", lanes, "--out", out]);
+    args.extend(["--memory", "working,full-context", "--plates", "on"]);
+    args.extend(["--lanes", lanes, "--out", out]);
     args.extend(policy);
     args
 }

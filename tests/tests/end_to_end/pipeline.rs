@@ -1,12 +1,14 @@
 //! Whole runs: four processes, rendered frames, the real encoder.
 
 use std::fs;
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use memtransfer_tests::{
     Bench, Ended, episodes, kill, needs, process_of, process_of_world, records, shared_memory_of,
-    shutdown_total, sorted_log, success_rate, wait_for_episodes,
+    shutdown_total, sorted_log, success_rate, wait_for_episodes, words,
 };
+use png_file::RgbaImage;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -224,17 +226,38 @@ fn views_are_rendered_with_the_requested_backend() {
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
+/// How many plates the reader finds in the views that a run logged, those that memory supplied among them.
+fn plates_in_logged_views(run: &Path) -> usize {
+    let views = fs::read_dir(run.join("prompts/images")).unwrap();
+    let views: Vec<_> = views.map(|view| RgbaImage::read(&view.unwrap().path()).unwrap()).collect();
+    assert!(views.len() > 20, "{} views", views.len());
+    let read = |view: &RgbaImage| plates::read(view.width(), view.height(), view.as_bytes());
+    views.iter().map(|view| read(view).len()).sum()
+}
+
 #[test]
-fn without_plates_a_policy_runs_that_does_not_read_them() {
+fn frames_have_plates_for_the_policy_that_needs_them_and_for_no_other() {
     let bench = Bench::new();
-    let run = |policy, out| {
-        bench.run(&["run", "--policy", policy, "--plates", "off", "--limit", "1", "--out", out])
+    let run = |out, flags: &str| {
+        let line = "run --limit 1 --starts original --max-steps 12 --log-prompts --out";
+        bench.run(&[&words(line)[..], &[out], &words(flags)[..]].concat())
     };
-    let Ended { stderr, .. } = run("grounded", "grounded").expect(2);
+    let Ended { stderr, .. } = run("refused", "--policy grounded --plates off").expect(2);
     assert!(stderr.contains("sees nothing but plates"), "{stderr}");
-    assert!(!bench.out("grounded").exists());
-    run("random", "random").expect(0);
-    assert_eq!(records(&bench.out("random")).len(), 2);
+    assert!(!bench.out("refused").exists());
+    for (out, flags, plates) in [
+        ("grounded", "--policy grounded --memory full-context,episodic", "on"),
+        // With every memory of the suite.
+        ("imitate", "--policy imitate", "off"),
+        ("asked-for", "--policy imitate --memory full-context --plates on", "on"),
+    ] {
+        run(out, flags).expect(0);
+        let manifest = fs::read(bench.out(out).join("manifest.json")).unwrap();
+        let manifest: Value = serde_json::from_slice(&manifest).unwrap();
+        assert_eq!(manifest["settings"]["plates"], plates, "{out}");
+        assert_eq!(plates_in_logged_views(&bench.out(out)) > 0, plates == "on", "{out}");
+    }
+    assert_eq!(records(&bench.out("imitate")).len(), 6);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 

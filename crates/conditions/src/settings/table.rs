@@ -278,9 +278,9 @@ pub const KEYS: &[Key] = keys! {
     "frames" "KIND" Text(parses::<Frames>), Run Protocol = "rendered",
         "What frames show: rendered, or as a control blank (grey) or swapped (another pose), which leave what \
          memory supplies as it is, or blank-all (grey, also in memory's views; memory supplies no texts)";
-    "plates" "on|off" Text(parses::<Drawn>), Run Protocol = "on",
-        "Whether a coloured plate hangs above every item; grounded and the builders of documents read \
-         nothing else";
+    "plates" "on|off" Text(parses::<Drawn>), Run Protocol,
+        "Whether a coloured plate hangs above every item, which the paper's warehouse lacks \
+         [default: on for --policy grounded, which reads nothing else, otherwise off]";
     "labels" "on|off" Text(parses::<Drawn>), Run Protocol = "on",
         "Whether anything is written in the warehouse: names of items, numbers of bays, signs";
     "appearance-seed" "N" Number(0, u64::MAX, 1), Run Protocol = "0",

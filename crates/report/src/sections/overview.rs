@@ -104,10 +104,18 @@ fn standing(manifest: &Manifest) -> Vec<String> {
         )),
     }
     let appearance = settings.appearance();
-    if appearance != Appearance::STANDARD {
+    if settings.own_world().is_none() && appearance != Appearance::STANDARD {
         lines.push(format!("Appearance of the world: {appearance}."));
     }
     lines
+}
+
+/// That the frames of the run `manifest` had plates, for a reader who compares its figures with the paper's.
+pub(super) fn had_plates(manifest: &Manifest) -> Option<String> {
+    let settings = &manifest.settings;
+    (settings.own_world().is_none() && settings.appearance().plates).then(|| {
+        "The frames of this run had plates, coloured codes above items, which the paper's warehouse lacks.".to_owned()
+    })
 }
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {

@@ -4,6 +4,8 @@ use std::collections::BTreeSet;
 use std::io::ErrorKind;
 use std::sync::Once;
 
+use conditions::settings::Drawn;
+
 use super::*;
 use crate::manifest::MANIFEST_FILE;
 use crate::records::{
@@ -199,6 +201,34 @@ fn another_run_is_not_touched() {
       seed: 1 there, 8 now
     Use the same settings and code to continue it, remove it to start over (as `run --fresh` does), or choose another --out
     "#);
+}
+
+/// Programs of earlier versions drew plates for every policy, and the first of them did not say so.
+#[test]
+fn a_manifest_says_whether_there_were_plates_and_one_without_the_key_is_of_a_run_with_plates() {
+    let dir = tempfile::tempdir().unwrap();
+    let written = |plates| {
+        let mut manifest = manifest();
+        manifest.settings.plates = plates;
+        manifest.write(dir.path()).unwrap();
+        manifest
+    };
+    let path = dir.path().join(MANIFEST_FILE);
+    let without = written(Drawn::Off);
+    let text = fs::read_to_string(&path).unwrap();
+    assert!(text.contains("\"plates\": \"off\""), "{text}");
+    assert_eq!(Manifest::read(dir.path()).unwrap(), without);
+
+    let with = written(Drawn::On);
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replacen("    \"plates\": \"on\",\n", "", 1)).unwrap();
+    assert!(!fs::read_to_string(&path).unwrap().contains("plates"));
+    let earlier = Manifest::read(dir.path()).unwrap();
+    assert_eq!(earlier, with);
+    // It is neither continued without plates nor ranked beside runs without.
+    assert_eq!(without.differences(&earlier)[0].to_string(), "plates: \"on\" there, \"off\" now");
+    assert_ne!(without.protocol_id(), earlier.protocol_id());
+    assert_eq!(with.protocol_id(), earlier.protocol_id());
 }
 
 #[test]

@@ -58,17 +58,47 @@ fn settings_that_contradict_each_other_are_refused() {
     insta::assert_snapshot!(error(&[("plates", "off")]), @"--policy grounded sees nothing but plates, so it cannot run with --plates off: leave that out, or choose another --policy");
     insta::assert_snapshot!(error(&[("memory", "none")]), @"no memory is left: `--memory none` is for a memory of your own (--memory-cmd, or `external` in --memory)");
     insta::assert_snapshot!(error(&[("elsewhere", "w")]), @"--elsewhere is the warehouse of --demos elsewhere, and no condition has these demonstrations");
-    let external = ("policy", "external");
-    insta::assert_snapshot!(error(&[("plates", "off"), external, ("memory", "hybrid")]), @"the documents of hybrid memory are built from the plates in frames, and with --plates off there are none: leave that out, or choose memories without documents (--memory working,full-context,episodic)");
-    assert!(with(&[("plates", "off"), external, ("memory", "working,episodic")]).is_ok());
     assert!(with(&[("labels", "off"), ("appearance-seed", "7")]).is_ok());
     let elsewhere = [("world-cmd", "w"), ("policy", "imitate"), ("memory", "summary,hybrid")];
     assert!(with(&elsewhere).is_ok());
     assert!(with(&[&elsewhere[..], &[("documents", "model")]].concat()).is_ok());
+    let plates = [&elsewhere[..], &[("plates", "on")]].concat();
+    insta::assert_snapshot!(error(&plates), @"--plates is about the warehouse, and --world-cmd names another world: leave one of them out");
     insta::assert_snapshot!(error(&[("window", "6,20")]), @"a request under full-context/original/unchanged/original/h20 may need 61 images (the current view, 20 of the window, 40 of memory), and a prompt holds at most 50: lower --window or --keyframes");
     let long = error(&[("window", "20"), ("horizon", "30"), ("keyframes", "20")]);
     assert!(long.ends_with("lower --window, --hits or --horizon"), "{long}");
     assert!(with(&[("keyframes", "43")]).is_ok(), "50 images");
+}
+
+/// The paper's warehouse has no plates, and the policy that cannot do without them says so.
+#[test]
+fn plates_follow_from_the_policy_where_nothing_else_is_said() {
+    use Drawn::{Off, On};
+    let of = |policy: &str, others: &[Layer]| {
+        let policy = [flags(&[("policy", policy)]), environment("MEMTRANSFER_MODEL", "m")];
+        let resolved = merged(others.iter().cloned().chain(policy))?;
+        anyhow::Ok((resolved.settings.plates, resolved.origins["plates"]))
+    };
+    let given = |word| [flags(&[("plates", word)])];
+    for &policy in PolicyKind::ALL {
+        let name = policy.name();
+        let default = if policy == PolicyKind::Grounded { On } else { Off };
+        assert_eq!(of(name, &[]).unwrap(), (default, Origin::Policy), "{name}");
+        assert_eq!(of(name, &given("on")).unwrap(), (On, Origin::CommandLine), "{name}");
+        let variable = environment("MEMTRANSFER_PLATES", "on");
+        assert_eq!(of(name, &[variable]).unwrap(), (On, Origin::Environment), "{name}");
+        let without = of(name, &[suite("plates = \"off\"")]);
+        match policy {
+            PolicyKind::Grounded => assert!(without.is_err()),
+            _ => assert_eq!(without.unwrap(), (Off, Origin::Suite), "{name}"),
+        }
+    }
+    let shown = with(&[("policy", "imitate")]).unwrap().to_string();
+    let line = shown.lines().find(|line| line.starts_with("plates"));
+    assert!(line.is_some_and(|line| line.ends_with("# policy")), "{shown}");
+    let every: Vec<&str> = Representation::ALL.iter().map(|memory| memory.name()).collect();
+    let memories = ("memory", &*every.join(","));
+    assert!(with(&[("policy", "imitate"), memories]).is_ok(), "no memory needs plates");
 }
 
 #[test]

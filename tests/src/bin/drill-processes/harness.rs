@@ -121,11 +121,12 @@ pub(crate) struct Run {
 }
 
 impl Run {
-    /// Lets the same policy be a command of the user's.
+    /// Lets the same policy be a command of the user's, which sees the same frames.
     pub(crate) fn make_policy_external(&mut self) {
         let command = format!("{} serve --policy grounded", program("policy-proc").display());
         if let Some(at) = self.args.iter().position(|arg| arg == "--policy") {
-            self.args.splice(at..at + 2, ["--policy-cmd".to_owned(), command]);
+            let flags = ["--policy-cmd", &command, "--plates", "on"].map(str::to_owned);
+            self.args.splice(at..at + 2, flags);
         }
     }
 }

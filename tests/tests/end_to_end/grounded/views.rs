@@ -1,9 +1,9 @@
-//! Rendered views of the world.
+//! Rendered views of the world, with plates.
 
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use domain::{Cell, Pose};
+use domain::{Appearance, Cell, Pose};
 use peer::FrameView;
 use sim_proc::renderer::{RenderSettings, Renderer, ViewSpec};
 use warehouse::{Variant, Warehouse};
@@ -82,7 +82,9 @@ pub(crate) struct Views {
 
 impl Views {
     pub(crate) fn new(warehouse: &Warehouse) -> Self {
-        let renderer = Renderer::new(warehouse, RenderSettings::default()).unwrap();
+        let settings =
+            RenderSettings { appearance: Appearance::WITH_PLATES, ..RenderSettings::default() };
+        let renderer = Renderer::new(warehouse, settings).unwrap();
         let (rendered, rendered_closed) = Default::default();
         Self { renderer, rendered, closed: Vec::new(), rendered_closed, last_id: 0 }
     }
