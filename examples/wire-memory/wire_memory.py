@@ -14,7 +14,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION, EXTERNAL_MEMORY = 14, 4
+WIRE_VERSION, EXTERNAL_MEMORY = 15, 4
 TEXT, STEPS = 0, 1
 SEGMENT = 6
 NOT_MEASURED = 2**32 - 1
@@ -56,8 +56,8 @@ BankStep = struct("BankStep", 96, """frame: u64, content_hash: u8 x 16, state: f
 NoteHeader = struct("NoteHeader", 24, "id: u64, episode: u64, lane: u32, reserved: u32")
 ExternalEpisode = struct("ExternalEpisode", 280, """episode: u64, bank: u64, seed: u64, lane: u32, text_budget: u32,
     image_budget: u32, repeat: u32, instruction_len: u32, learning: u32, instruction: u8 x 232""")
-ExternalQuery = struct("ExternalQuery", 4264, """episode: u64, frame: u64, sent_ns: u64, lane: u32, step: u32,
-    state: f32 x 16, embedding_len: u32, feedback: u8, action: u8, last: u8, outcome: u8, reserved: u8 x 8,
+ExternalQuery = struct("ExternalQuery", 4256, """episode: u64, frame: u64, lane: u32, step: u32, state: f32 x 16,
+    embedding_len: u32, feedback: u8, action: u8, last: u8, outcome: u8, reserved: u8 x 8,
     demonstration: u32, sub_goals_len: u32, sub_goals: u16 x 24, embedding: f32 x 1024""")
 ExternalBuilt = struct("ExternalBuilt", 32, "bank: u64, store_bytes: u64, failure: u64, took_ns: u64")
 AnswerItem = struct("AnswerItem", 28, """first_byte: u32, bytes: u32, demonstration: u32, first_step: u32, steps: u32,
@@ -211,12 +211,13 @@ class Run:
         places = ((self.distance(now, state), number, step)
                   for number, (_, states) in enumerate(memory) for step, state in enumerate(states))
         # Equal distances: the first demonstration and step, so that equal queries have equal answers.
-        distance, number, first = min(places)
+        _, number, first = min(places)
         task, states = memory[number]
         steps = min(SEGMENT, len(states) - first)
         # An item that does not fit into a budget would be dropped: without their views, steps always fit.
+        # A distance that is told is one of views.
         answer.items[0] = AnswerItem(kind=STEPS, demonstration=number, first_step=first, steps=steps,
-            distance=distance, views=steps <= episode.image_budget, actions=1)
+            distance=float("nan"), views=steps <= episode.image_budget, actions=1)
         answer.items_len = 1
         text = f"From a demonstration of: {task}"
         if len(text.encode()) > episode.text_budget:

@@ -1,7 +1,7 @@
 """A policy on plain iceoryx2, without the package `memtransfer`. Everything it does is in docs/wire.md.
 
-It follows the expert's action in the retrieved view. Without one it walks ahead, and turns where its last move was
-blocked or where it sees nothing.
+It follows the expert's action in the retrieved view, if the expert had the same task. Otherwise it walks ahead, and turns where
+its last move was blocked or where it sees nothing.
 """
 
 import ctypes
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION = 14
+WIRE_VERSION = 15
 ROLES = ("orchestrator", "sim", "memory", "policy", "external-memory")
 POLICY = ROLES.index("policy")
 NO_ACTION, ACTED = 255, 0
@@ -39,7 +39,8 @@ def struct(name, size, fields):
 
 
 RecalledItem = struct("RecalledItem", 32, """document: u64, distance: f32, first_step: u32, steps: u32, first_byte: u32,
-    bytes: u32, kind: u8, whole: u8, reserved: u8 x 2""")
+    bytes: u32, kind: u8, whole: u8, first_instruction: u8, instructions: u8""")
+RecalledInstruction = struct("RecalledInstruction", 16, "document: u64, first_byte: u32, bytes: u32")
 SegmentStep = struct("SegmentStep", 16, "frame: u64, action: u8, reserved: u8 x 7")
 FrameHeader = struct("FrameHeader", 32, "id: u64, width: u32, height: u32, content_hash: u8 x 16")
 Page = struct("Page", PAGE_BYTES, "pixels: u8 x 4096")
@@ -54,8 +55,8 @@ PolicyEpisodeConfig = struct("PolicyEpisodeConfig", 264, """episode: u64, seed: 
     repeat: u32, starts_as_demonstrated: u8, window: u8, demonstrated_elsewhere: u8, reserved: u8, instruction: u8 x 232""")
 Observation = struct("Observation", 96, """episode: u64, frame: u64, lane: u32, step: u32, state: f32 x 16,
     feedback: u8, action: u8, last: u8, reserved: u8 x 5""")
-Recall = struct("Recall", 1064, """episode: u64, received_ns: u64, sent_ns: u64, lane: u32, step: u32, items_len: u32,
-    steps_len: u32, items: RecalledItem x 8, steps: SegmentStep x 48""")
+Recall = struct("Recall", 1312, """episode: u64, lane: u32, step: u32, items_len: u32, steps_len: u32, instructions_len: u32,
+    reserved: u32, items: RecalledItem x 8, steps: SegmentStep x 48, instructions: RecalledInstruction x 16""")
 Decision = struct("Decision", 272, """episode: u64, received_ns: u64, started_ns: u64, prompted_ns: u64, sent_ns: u64,
     decided_ns: u64, lane: u32, step: u32, prompt_tokens: u32, completion_tokens: u32, cached_tokens: u32,
     image_tokens: u32, memory_tokens: u32, reusable_tokens: u32, images_asked: u32, images: u32, attempts: u32, outcome: u8,
@@ -126,18 +127,23 @@ class Run:
         self.orchestrator.notify()
 
     def serve(self):
-        configs, observations, recalls, frames, received = {}, {}, {}, {}, 0
+        configs, observations, recalls, frames, documents, received = {}, {}, {}, {}, {}, 0
         while True:
             # Effects before causes: what a message refers to was sent before it.
             stops, evictions = drain(self.stops, Stop), drain(self.evictions, Eviction)
             recalls.update((recall.lane, recall) for recall in drain(self.recalls, Recall))
             observations.update((seen.lane, seen) for seen in drain(self.observations, Observation))
-            configs.update((config.lane, config) for config in drain(self.configs, PolicyEpisodeConfig))
+            for config in drain(self.configs, PolicyEpisodeConfig):
+                ended = configs[config.lane].episode if config.lane in configs else None
+                documents = {id: document for id, document in documents.items() if document[0] != ended}
+                configs[config.lane] = config
             while (sample := self.frames.receive()) is not None:
                 frames[FrameHeader.from_address(sample.user_header_ptr).id] = sample
                 received += 1
-            while self.documents.receive() is not None:
-                pass  # this policy reads none
+            while (sample := self.documents.receive()) is not None:
+                header = DocumentHeader.from_address(sample.user_header_ptr)
+                documents[header.id] = header.episode, bytes(sample.payload().as_memory_view())
+                sample = None  # a subscriber may borrow one at a time
             answered = 0
             for lane, observation in list(observations.items()):
                 step = (observation.episode, observation.step)
@@ -145,7 +151,9 @@ class Run:
                 if observation.last:
                     del observations[lane]
                 elif config and recall and config.episode == recall.episode and (recall.episode, recall.step) == step:
-                    self.answer(observation, recall, frames[observation.frame])
+                    instruction = bytes(config.instruction[:config.instruction_len])
+                    segment = same_task_segment(recall, instruction, documents)
+                    self.answer(observation, segment, frames[observation.frame])
                     del observations[lane], recalls[lane]
                     answered += 1
             for eviction in evictions:
@@ -159,9 +167,9 @@ class Run:
             # A recall may arrive shortly before its observation.
             self.listener.timed_wait(iox2.Duration.from_millis(1 if recalls else 1000))
 
-    def answer(self, observation, recall, frame):
+    def answer(self, observation, segment, frame):
         started = time.monotonic_ns()
-        action = self.decide(observation, recall, frame)
+        action = self.decide(observation, segment, frame)
         unknown = ("images_asked", "attempts", "prompt_tokens", "completion_tokens", "cached_tokens", "image_tokens", "memory_tokens",
                    "reusable_tokens")
         send(self.decisions, Decision(
@@ -169,18 +177,26 @@ class Run:
             started_ns=started, decided_ns=time.monotonic_ns(), images=1, outcome=ACTED,
             action=action, **dict.fromkeys(unknown, NOT_MEASURED)))
 
-    def decide(self, observation, recall, frame):
-        for item in recall.items[:recall.items_len]:
-            if item.kind == STEPS and item.first_step < recall.steps_len:
-                first = recall.steps[item.first_step]
-                if first.action != NO_ACTION:
-                    return first.action
+    def decide(self, observation, segment, frame):
+        if segment and segment.action != NO_ACTION:
+            return segment.action
         # The pixels are shared memory: only the row on the horizon is copied.
         header = FrameHeader.from_address(frame.user_header_ptr)
         start = 4 * header.width * (header.height // 2)
         horizon = ctypes.string_at(frame.payload_ptr + start, 4 * header.width)
         is_blank = horizon == horizon[:4] * header.width
         return self.turn_left if is_blank or observation.feedback == self.blocked else self.forward
+
+
+def same_task_segment(recall, instruction, documents):
+    """The first step of the retrieved part of a demonstration of this task, if there is one."""
+    for item in recall.items[:recall.items_len]:
+        if item.kind == STEPS and item.first_step < recall.steps_len and item.first_instruction < recall.instructions_len:
+            place = recall.instructions[item.first_instruction]
+            _, document = documents.get(place.document, (None, b""))
+            if document[place.first_byte:place.first_byte + place.bytes] == instruction:
+                return recall.steps[item.first_step]
+    return None
 
 
 def create(builder, senders, receivers, borrowed, buffer):

@@ -387,14 +387,15 @@ impl MemoryEpisode {
         } = *answer;
         let recall = Recall {
             episode,
-            received_ns,
             lane,
             step,
             items_len: assembled.items_len,
             steps_len: assembled.steps_len,
+            instructions_len: assembled.instructions_len,
+            reserved: 0,
             items: assembled.items,
             steps: assembled.steps,
-            ..Zeroable::zeroed()
+            instructions: assembled.instructions,
         };
         let (asked, supplied) = (checked.asked, checked.supplied);
         let trace = RecallTrace {

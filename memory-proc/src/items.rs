@@ -12,7 +12,8 @@ use peer::memory::{MemoryItem, Source, Views};
 use shm_types::documents::Content;
 use shm_types::message::{
     DocumentId, FrameId, ItemKind, MAX_ITEMS, MAX_SEGMENT, MAX_SOURCES, MAX_STEPS, NO_DOCUMENT,
-    NO_FRAME, RecalledItem, RecalledSource, SegmentStep, TrajectoryStep, action_code,
+    NO_FRAME, RecalledInstruction, RecalledItem, RecalledSource, SegmentStep, TrajectoryStep,
+    action_code,
 };
 
 use crate::bank::MemoryBank;
@@ -282,13 +283,17 @@ pub struct AssembledRecall {
     pub steps_len: u32,
     /// The steps.
     pub steps: [SegmentStep; MAX_STEPS],
+    /// Instructions in use.
+    pub instructions_len: u32,
+    /// The instructions of the demonstrations that items come from.
+    pub instructions: [RecalledInstruction; MAX_SOURCES],
     /// Sources in use.
     pub sources_len: u32,
     /// The sources.
     pub sources: [RecalledSource; MAX_SOURCES],
 }
 
-/// The texts that were published for an episode: document and first byte of each.
+/// The texts that were published for an episode, also instructions: document and first byte of each.
 pub type PublishedTexts = HashMap<Arc<str>, (DocumentId, u32)>;
 
 /// Puts recalls together.
@@ -321,11 +326,11 @@ impl Assembler<'_> {
             let mut item = RecalledItem { kind: *kind as u8, ..NOTHING };
             item.whole = (*whole).into();
             match &answer.given[items[0]] {
-                MemoryItem::Text { text, .. } => self.place(text, &mut item),
+                MemoryItem::Text { text, .. } => {
+                    (item.document, item.first_byte, item.bytes) = self.place(text);
+                }
                 MemoryItem::Frame { caption, distance, .. } => {
-                    if !caption.is_empty() {
-                        self.place(caption, &mut item);
-                    }
+                    (item.document, item.first_byte, item.bytes) = self.place(caption);
                     item.distance = distance.unwrap_or(f32::NAN);
                 }
                 MemoryItem::Steps { distance, .. } => item.distance = distance.unwrap_or(f32::NAN),
@@ -344,7 +349,13 @@ impl Assembler<'_> {
                 }
             }
             let number = recall.items_len as u8;
+            item.first_instruction = recall.instructions_len as u8;
             for &of in items {
+                if let Some(instruction) = instruction_of(&answer.given[of], self.bank) {
+                    let (document, first_byte, bytes) = self.place(instruction);
+                    recall.add_instruction(RecalledInstruction { document, first_byte, bytes });
+                    item.instructions += 1;
+                }
                 recall.add_sources(&answer.given[of], self.bank, number, *kind);
             }
             recall.items[usize::from(number)] = item;
@@ -353,23 +364,30 @@ impl Assembler<'_> {
         Ok(recall)
     }
 
-    /// Publishes the texts that have not been published for the episode, as one document.
+    /// Publishes the texts and instructions that have not been published for the episode, as one document.
     fn publish_texts(&mut self, answer: &CheckedAnswer) -> anyhow::Result<()> {
         let mut note = String::new();
-        let mut new = Vec::new();
+        let mut new: Vec<(Arc<str>, u32)> = Vec::new();
         for &number in answer.parts.iter().flat_map(|part| &part.items) {
-            let text = match &answer.given[number] {
-                MemoryItem::Text { text, .. } | MemoryItem::Frame { caption: text, .. } => text,
-                MemoryItem::Steps { .. } => continue,
+            let item = &answer.given[number];
+            let text = match item {
+                MemoryItem::Text { text, .. } => Some(text.clone()),
+                MemoryItem::Frame { caption, .. } => {
+                    Some(caption.clone()).filter(|of| !of.is_empty())
+                }
+                MemoryItem::Steps { .. } => None,
             };
-            if self.texts.contains_key(text) || new.iter().any(|(known, _)| known == text) {
-                continue;
-            }
-            if let Some(document) = self.documents.published(text) {
-                self.texts.insert(text.clone(), (document, 0));
-            } else {
-                new.push((text.clone(), note.len() as u32));
-                note.push_str(text);
+            let instruction = instruction_of(item, self.bank).filter(|of| !of.is_empty());
+            for text in text.into_iter().chain(instruction.map(Arc::from)) {
+                if self.texts.contains_key(&text) || new.iter().any(|(known, _)| *known == text) {
+                    continue;
+                }
+                if let Some(document) = self.documents.published(&text) {
+                    self.texts.insert(text, (document, 0));
+                } else {
+                    new.push((text.clone(), note.len() as u32));
+                    note.push_str(&text);
+                }
             }
         }
         if !new.is_empty() {
@@ -380,11 +398,10 @@ impl Assembler<'_> {
         Ok(())
     }
 
-    /// Writes the place of a published text.
-    fn place(&self, text: &Arc<str>, item: &mut RecalledItem) {
-        let place = self.texts.get(text).copied();
-        (item.document, item.first_byte) = place.unwrap_or((NO_DOCUMENT, 0));
-        item.bytes = text.len() as u32;
+    /// Where a published text is: document, first byte and bytes.
+    fn place(&self, text: &str) -> (DocumentId, u32, u32) {
+        let (document, first_byte) = self.texts.get(text).copied().unwrap_or((NO_DOCUMENT, 0));
+        (document, first_byte, text.len() as u32)
     }
 
     /// Publishes the steps of all trajectories of an answer as one document.
@@ -456,8 +473,19 @@ const NOTHING: RecalledItem = RecalledItem {
     bytes: 0,
     kind: 0,
     whole: 0,
-    reserved: [0; 2],
+    first_instruction: 0,
+    instructions: 0,
 };
+
+/// The instruction of the demonstration that an item shows steps of; `None` for a text.
+fn instruction_of<'b>(item: &MemoryItem, bank: &'b MemoryBank) -> Option<&'b str> {
+    let number = match item {
+        MemoryItem::Text { .. } => return None,
+        MemoryItem::Steps { source, .. } => source.demonstration,
+        MemoryItem::Frame { demonstration, .. } => *demonstration,
+    };
+    Some(&bank.demonstrations[number as usize].instruction)
+}
 
 /// Number of steps of an item.
 const fn steps_of(item: &MemoryItem) -> u32 {
@@ -475,6 +503,8 @@ impl AssembledRecall {
             items: [NOTHING; MAX_ITEMS],
             steps_len: 0,
             steps: [Zeroable::zeroed(); MAX_STEPS],
+            instructions_len: 0,
+            instructions: [Zeroable::zeroed(); MAX_SOURCES],
             sources_len: 0,
             sources: [Zeroable::zeroed(); MAX_SOURCES],
         }
@@ -486,6 +516,12 @@ impl AssembledRecall {
         self.steps[first as usize..][..steps.len()].copy_from_slice(steps);
         self.steps_len += count;
         (first, count)
+    }
+
+    /// Adds an instruction. There is room, because every item that has one also has a source.
+    fn add_instruction(&mut self, instruction: RecalledInstruction) {
+        self.instructions[self.instructions_len as usize] = instruction;
+        self.instructions_len += 1;
     }
 
     fn add_sources(&mut self, item: &MemoryItem, bank: &MemoryBank, number: u8, kind: ItemKind) {

@@ -308,10 +308,10 @@ impl<'a> MemoryServer<'a> {
     /// Sends what has arisen for external memories, and notifies each once.
     fn send_to_externals(&mut self) -> Result<(), BusError> {
         let Self { ports, engine, .. } = self;
-        for (index, mut message) in engine.take_external_messages() {
+        for (index, message) in engine.take_external_messages() {
             let external = ports.externals.iter_mut().find(|external| external.index == index);
             let Some(external) = external else { continue };
-            match external.send(&mut message) {
+            match external.send(&message) {
                 Ok(()) => {}
                 Err(BusError::Deserted { .. }) => engine.external_left(index, monotonic_ns()),
                 Err(error) => engine.external_unreachable(index, &message, &error.to_string()),
@@ -414,8 +414,7 @@ impl<'a> MemoryServer<'a> {
         let mut answers = self.engine.answers(monotonic_ns, &mut self.documents)?;
         for answer in &mut answers {
             let (recall, trace) = &mut **answer;
-            recall.sent_ns = monotonic_ns();
-            trace.sent_ns = recall.sent_ns;
+            trace.sent_ns = monotonic_ns();
             // The trace is sent before the recall, so that the policy's decision does not overtake it.
             self.ports.traces.send(trace)?;
             self.ports.recalls.send(recall)?;

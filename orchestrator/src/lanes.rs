@@ -8,14 +8,14 @@
 //! Every answer names its episode by an id that is used once. An answer to an earlier episode of the lane is
 //! late, and ignored.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 
 use case_book::{CaseBook, LearnedEpisode, WorldDeclaration};
 use domain::{ExternalName, MemoryKind};
 use run_log::{EpisodeRecord, RecallTotals, Stages};
 use shm_types::message::{
-    Decision, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, PolicyEpisodeConfig, RecallTrace, Role,
-    SnapshotReport, StepCommand, StepReport, WorldEpisodeConfig,
+    Decision, EpisodeId, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, PolicyEpisodeConfig,
+    RecallTrace, Role, SnapshotReport, StepCommand, StepReport, WorldEpisodeConfig,
 };
 use shm_types::notes::Note;
 
@@ -159,7 +159,8 @@ impl Context<'_> {
 pub struct Lanes<'w> {
     context: Context<'w>,
     lanes: Vec<Option<ActiveEpisode>>,
-    last_id: u64,
+    /// The ids of the episodes that have begun.
+    used_ids: HashSet<EpisodeId>,
     answered: Vec<AnsweredRequest>,
     stepped: Vec<Stamps>,
 }
@@ -170,7 +171,7 @@ impl<'w> Lanes<'w> {
         Self {
             context: Context { books, rules, now_ns: 0, experience: BTreeMap::new() },
             lanes: std::iter::repeat_with(|| None).take(count).collect(),
-            last_id: 0,
+            used_ids: HashSet::new(),
             answered: Vec::new(),
             stepped: Vec::new(),
         }
@@ -220,11 +221,23 @@ impl<'w> Lanes<'w> {
 
     /// Begins `episode` in the free lane `lane`.
     pub fn begin(&mut self, lane: usize, episode: PlannedEpisode) -> EpisodeOpening {
-        self.last_id += 1;
-        let mut active = ActiveEpisode::new(&self.context, self.last_id, lane as u32, episode);
+        let id = self.unused_id(episode.seed);
+        let mut active = ActiveEpisode::new(&self.context, id, lane as u32, episode);
         let opening = active.opening(&self.context);
         self.lanes[lane] = Some(active);
         opening
+    }
+
+    /// The id of the next attempt at the episode with this seed. No other attempt of the session has it.
+    fn unused_id(&mut self, seed: u64) -> EpisodeId {
+        let mut attempt = 1;
+        loop {
+            let id = episode_id(seed, attempt);
+            if id != 0 && self.used_ids.insert(id) {
+                return id;
+            }
+            attempt += 1;
+        }
     }
 
     /// Takes the simulator's answer. The facts of episodes that have ended are among `notes`.
@@ -355,6 +368,21 @@ impl<'w> Lanes<'w> {
             (0..).zip(&self.lanes).filter_map(|(lane, active)| Some((lane, active.as_ref()?)));
         active.map(|(lane, active)| active.pending(lane, memory_busy_ns)).collect()
     }
+}
+
+/// The id on the wire of an attempt at an episode: the first 8 bytes, as a little-endian number, of the BLAKE3 hash of
+/// `memtransfer episode id v1`, a zero byte, the [seed](conditions::key::EpisodeKey::seed) of the episode and the number of the
+/// attempt, both as 8 little-endian bytes.
+///
+/// So ids are the same whatever the lanes and whatever was executed before, and tell no more than the seed.
+fn episode_id(seed: u64, attempt: u64) -> EpisodeId {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(b"memtransfer episode id v1\0");
+    hasher.update(&seed.to_le_bytes());
+    hasher.update(&attempt.to_le_bytes());
+    let first = hasher.finalize();
+    let first = first.as_bytes().first_chunk::<8>();
+    first.copied().map_or(0, u64::from_le_bytes)
 }
 
 /// The episode that a message is about; `None` when the message is late.

@@ -125,14 +125,15 @@ mod tests {
         let [one, two, three] = [taken[0], taken[1], taken[2]];
         assert_eq!(decided(9, &[], &[]), explored);
         let segment = [step(Some(3), Some(one)), step(Some(4), Some(two))];
-        let segment = StepsView { distance: Some(0.1), is_whole: false, steps: &segment };
+        let segment =
+            StepsView { distance: Some(0.1), is_whole: false, instruction: "", steps: &segment };
         let whole = [
             step(Some(1), Some(one)),
             step(None, Some(two)),
             step(None, Some(three)),
             step(Some(2), None),
         ];
-        let whole = StepsView { distance: None, is_whole: true, steps: &whole };
+        let whole = StepsView { distance: None, is_whole: true, instruction: "", steps: &whole };
         let (segment, whole) = ([Item::Steps(segment)], [Item::Steps(whole)]);
         assert_eq!(decided(9, &[], &segment), one, "at the first step of what was retrieved");
         assert_eq!(decided(9, &[(9, one)], &segment), explored, "it changed nothing");

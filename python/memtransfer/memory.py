@@ -275,7 +275,7 @@ class Steps:
     """Whether to supply the expert's actions. The last step is always supplied without one."""
     distance: float | None = None
     """The distance between the first step and the query, if there is one. Prompts word it as a cosine distance
-    of views, from 0 to 2."""
+    of views, from 0 to 2: leave out one that means something else."""
 
 
 @dataclass(frozen=True, slots=True)

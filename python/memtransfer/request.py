@@ -58,6 +58,8 @@ class Segment:
     distance: float | None
     """The distance between what was retrieved and the query; `None` if memory tells none. For episodic memory, the
     cosine distance between the embeddings of the first view and the current view."""
+    instruction: str
+    """The task of the demonstration, in English: that of this episode, or another."""
     steps: tuple[RememberedStep, ...]
     """The steps, in order. Never empty."""
     is_whole: bool = False
@@ -76,6 +78,8 @@ class RememberedView:
     frame: Frame
     caption: str
     """The caption; may be empty."""
+    instruction: str
+    """The task of the demonstration that shows the view, in English."""
 
 
 Item: TypeAlias = Document | Segment | RememberedView

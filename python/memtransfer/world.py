@@ -150,6 +150,8 @@ class World(ABC):
     """Kinds of failure that the world has words for, and what they mean. `facts` can name one."""
     deterministic: bool = True
     """Whether the same actions lead from the same start to the same states and pictures, always and everywhere."""
+    _cases: Mapping[str, Case] | None = None
+    """The cases by id: those of the program, so that they are listed once and not for each lane."""
 
     @abstractmethod
     def cases(self) -> Iterable[Case]:
@@ -174,10 +176,9 @@ class World(ABC):
         return {}
 
     def _reset(self, case: str, start: str, blocked: bool, seed: int) -> tuple[Any, ...]:
-        known = self.__dict__.setdefault("_cases", {})
-        if not known:
-            known.update({listed.id: listed for listed in self.cases()})
-        observation = self.reset(Episode(known[case], start, blocked, seed))
+        if self._cases is None:
+            self._cases = {listed.id: listed for listed in self.cases()}
+        observation = self.reset(Episode(self._cases[case], start, blocked, seed))
         return self._told("reset", observation, START)
 
     def _step(self, action: int) -> tuple[Any, ...]:
@@ -299,7 +300,7 @@ def _case(world: World, case: Case) -> dict[str, Any]:
     }
 
 
-def _tasks(world: World) -> dict[str, Any]:
+def _tasks(world: World, cases: Sequence[Case]) -> dict[str, Any]:
     if not world.tasks:
         raise WorldError(f"the world {world.name} has no tasks")
     if not isinstance(world.tasks, Mapping):
@@ -308,7 +309,7 @@ def _tasks(world: World) -> dict[str, Any]:
     return {
         "tasks": [{"number": number, "name": name, "group": group} for number, (name, group) in numbered],
         "failures": [{"name": name, "words": words} for name, words in world.failures.items()],
-        "cases": [_case(world, case) for case in world.cases()],
+        "cases": [_case(world, case) for case in cases],
     }
 
 
@@ -322,11 +323,19 @@ def main(world: Callable[[], World]) -> None:
             raise WorldError(f"main needs what makes the world for each lane: {type(world).__name__}, not {type(world).__name__}()")
         one = world()
         declared = declaration(one).json()
-        tasks = json.dumps(_tasks(one))
+        cases = list(one.cases())
+        tasks = json.dumps(_tasks(one, cases))
+        by_id = {case.id: case for case in cases}
+
+        def of_lane() -> World:
+            made = world()
+            made._cases = by_id
+            return made
+
         # While the world waits, no Python code runs, so no Python handler would.
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
-        _native.world_main(world, declared, tasks, sys.argv[1:])
+        _native.world_main(of_lane, declared, tasks, sys.argv[1:])
     except WorldError as error:
         print(f"memtransfer: {error}", file=sys.stderr)
         sys.exit(1)

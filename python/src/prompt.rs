@@ -142,8 +142,17 @@ impl ReadRequest {
 /// An item of a request.
 enum ReadItem {
     Text(DocumentKind, String),
-    Steps { distance: Option<f32>, is_whole: bool, steps: Vec<StepView<'static>> },
-    Frame(FrameView<'static>, String),
+    Steps {
+        distance: Option<f32>,
+        is_whole: bool,
+        instruction: String,
+        steps: Vec<StepView<'static>>,
+    },
+    Frame {
+        frame: FrameView<'static>,
+        caption: String,
+        instruction: String,
+    },
 }
 
 impl ReadItem {
@@ -167,11 +176,18 @@ impl ReadItem {
                 let frame = if frame.is_none() { None } else { Some(frames.view(&frame)?) };
                 steps.push(StepView { frame, action: world.action_in(&step)? });
             }
-            let distance = item.getattr("distance")?.extract()?;
-            Ok(Self::Steps { distance, is_whole: item.getattr("is_whole")?.is_truthy()?, steps })
+            Ok(Self::Steps {
+                distance: item.getattr("distance")?.extract()?,
+                is_whole: item.getattr("is_whole")?.is_truthy()?,
+                instruction: item.getattr("instruction")?.extract()?,
+                steps,
+            })
         } else if item.is_instance(classes.remembered_view.bind(py))? {
-            let frame = frames.view(&item.getattr("frame")?)?;
-            Ok(Self::Frame(frame, item.getattr("caption")?.extract()?))
+            Ok(Self::Frame {
+                frame: frames.view(&item.getattr("frame")?)?,
+                caption: item.getattr("caption")?.extract()?,
+                instruction: item.getattr("instruction")?.extract()?,
+            })
         } else {
             Err(PyTypeError::new_err(format!(
                 "an item of a request is a Document, a Segment or a RememberedView, but this is a {}",
@@ -183,10 +199,15 @@ impl ReadItem {
     fn view(&self) -> Item<'_> {
         match self {
             Self::Text(kind, text) => Item::Text(TextView { id: 0, kind: *kind, text }),
-            Self::Steps { distance, is_whole, steps } => {
-                Item::Steps(StepsView { distance: *distance, is_whole: *is_whole, steps })
+            Self::Steps { distance, is_whole, instruction, steps } => Item::Steps(StepsView {
+                distance: *distance,
+                is_whole: *is_whole,
+                instruction,
+                steps,
+            }),
+            Self::Frame { frame, caption, instruction } => {
+                Item::Frame(CaptionedView { frame: *frame, caption, instruction })
             }
-            Self::Frame(frame, caption) => Item::Frame(CaptionedView { frame: *frame, caption }),
         }
     }
 }

@@ -116,16 +116,16 @@ impl<'py> Maker<'py, '_> {
                 let kind = classes.document_kind.member(py, *kind as u8);
                 classes.document.bind(py).call1((*id, kind, *text))
             }
-            Item::Steps(StepsView { distance, is_whole, steps }) => {
+            Item::Steps(StepsView { distance, is_whole, instruction, steps }) => {
                 let steps = self.tuple(steps.iter().map(|step| {
                     let frame = if step.frame.is_some() { frames.next() } else { None };
                     let values = (self.frame(frame)?, world.action(py, step.action)?);
                     classes.remembered_step.bind(py).call1(values)
                 }))?;
-                classes.segment.bind(py).call1((*distance, steps, *is_whole))
+                classes.segment.bind(py).call1((*distance, *instruction, steps, *is_whole))
             }
-            Item::Frame(CaptionedView { caption, .. }) => {
-                let values = (self.frame(frames.next())?, *caption);
+            Item::Frame(CaptionedView { caption, instruction, .. }) => {
+                let values = (self.frame(frames.next())?, *caption, *instruction);
                 classes.remembered_view.bind(py).call1(values)
             }
         }

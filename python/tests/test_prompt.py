@@ -72,11 +72,11 @@ def item(plain: dict[str, Any]) -> Item:
     if kind == "text":
         return Document(0, DocumentKind[of["kind"].upper()], of["text"])
     if kind == "frame":
-        return RememberedView(frame(of["view"]), of["caption"])
+        return RememberedView(frame(of["view"]), of["caption"], of["instruction"])
     steps = (
         RememberedStep(it["view"] and frame(it["view"]), action(it["action"])) for it in of["steps"]
     )
-    return Segment(of["distance"], tuple(steps), of["is_whole"])
+    return Segment(of["distance"], of["instruction"], tuple(steps), of["is_whole"])
 
 
 def test_golden_files_exist() -> None:
@@ -115,12 +115,11 @@ def test_a_prompt_is_in_the_words_of_its_world() -> None:
     view = frame("00" * 16)
     steps = (RememberedStep(view, 1), RememberedStep(None, None))
     window = [PastStep(view, 0, 2), PastStep(view, None, 1)]
-    asked = Request(
-        0, 2, 1, 0, 1, "Open it.", (3.25, 1.0), 1, view, window, [Segment(0.5, steps)], world=LOCK
-    )
+    items = [Segment(0.5, "Close it.", steps)]
+    asked = Request(0, 2, 1, 0, 1, "Open it.", (3.25, 1.0), 1, view, window, items, world=LOCK)
     prompt = prompts.render(asked, image_budget=0)
     text = prompt.system + "".join(part.text or "" for part in prompt.parts)
-    for words in ("You open a lock.", "The angle is 3.2 and the bolt is shut.", "turn left", "pull", "Click.", "What?"):
+    for words in ("You open a lock.", "The angle is 3.2 and the bolt is shut.", "turn left", "pull", "Click.", "What?", '"Close it."'):
         assert words in text, text
     assert "warehouse" not in text and "move forward" not in text
     for changes, problem in [

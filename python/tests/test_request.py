@@ -99,8 +99,9 @@ def test_items_are_sorted_by_what_they_are() -> None:
     frame = Frame.of(np.zeros((1, 1, 4), dtype=np.uint8))
     steps = (RememberedStep(frame, Action.LEFT), RememberedStep(None, None))
     note = Document(1, DocumentKind.NOTE, "turn left")
-    near, part, whole = Segment(0.5, steps, True), Segment(None, steps), Segment(None, steps, True)
-    items: list[Item] = [note, near, part, whole, RememberedView(frame, "a rack")]
+    near, part = Segment(0.5, "Find a cone.", steps, True), Segment(None, "Find a cone.", steps)
+    whole = Segment(None, "Find a barrel.", steps, True)
+    items: list[Item] = [note, near, part, whole, RememberedView(frame, "a rack", "Find a cone.")]
     request = Request(
         0, 0, 1, 5, 1, "Find a barrel.", Pose(3, 12, Heading.N).state, Feedback.START, frame, items=items
     )

@@ -188,6 +188,17 @@ def test_what_a_world_may_not_do_is_said_in_a_sentence(message: str, tmp_path: P
     assert ("Traceback" in done.stderr) == ("Error: " in last), done.stderr
 
 
+def test_cases_are_listed_once_in_a_process(tmp_path: Path) -> None:
+    script = tmp_path / "counted.py"
+    script.write_text(
+        f"import sys\nsys.path.insert(0, {str(EXAMPLES)!r})\nfrom corridor_world import *\n\n"
+        "class Counted(Corridor):\n    def cases(self):\n        print('listed')\n        return super().cases()\n\n"
+        "main(Counted)\n"
+    )
+    done = book(script, tmp_path)
+    assert (done.returncode, done.stderr) == (0, "listed\n")
+
+
 class Unpainted(Corridor):
     """Keeps what it may not keep."""
 

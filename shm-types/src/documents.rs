@@ -4,7 +4,7 @@
 //! the whole run (episode 0), or to one episode of one lane and is dropped with it. The policy copies its bytes once:
 //! documents are texts and short lists. Pixels stay in the [frame store](crate::frames).
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use iceoryx2::port::publisher::Publisher;
@@ -16,7 +16,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use crate::attach::Attach;
 use crate::bus::Bus;
 use crate::layout::wire_struct;
-use crate::message::{DocumentId, NO_DOCUMENT, Role, TrajectoryStep, read_action};
+use crate::message::{DocumentId, EpisodeId, NO_DOCUMENT, Role, TrajectoryStep, read_action};
 use crate::transport::{BusError, Ipc, delivered, receiver};
 use domain::{DocumentKind, UnknownCode};
 
@@ -233,6 +233,10 @@ impl DocumentPublisher {
 pub struct DocumentStore {
     subscriber: Subscriber<Ipc, [u8], DocumentHeader>,
     documents: HashMap<DocumentId, Arc<Document>>,
+    /// The episode of each lane.
+    running: HashMap<u32, EpisodeId>,
+    /// Episodes that are over. A document of one can still arrive.
+    ended: HashSet<EpisodeId>,
 }
 
 impl DocumentStore {
@@ -243,7 +247,8 @@ impl DocumentStore {
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
         bus.allowed(&[Role::Policy], DOCUMENT_SERVICE, "receive")?;
         let subscriber = receiver(&service(bus)?, "cannot receive documents")?;
-        Ok(Self { subscriber, documents: HashMap::new() })
+        let (documents, running, ended) = (HashMap::new(), HashMap::new(), HashSet::new());
+        Ok(Self { subscriber, documents, running, ended })
     }
 
     /// The document that `id` names, if there is one.
@@ -257,12 +262,13 @@ impl DocumentStore {
         Ok(self.documents.get(&id))
     }
 
-    /// Episode `episode` begins in `lane`: drops the documents of the lane's earlier episodes.
-    pub fn begin(&mut self, lane: u32, episode: u64) {
-        // Episode ids grow; documents of a later episode may have arrived early.
-        self.documents.retain(|_, document| {
-            document.episode == 0 || document.lane != lane || document.episode >= episode
-        });
+    /// Episode `episode` begins in `lane`: drops the documents of the lane's earlier one. Those of a later one may have arrived
+    /// early.
+    pub fn begin(&mut self, lane: u32, episode: EpisodeId) {
+        if let Some(ended) = self.running.insert(lane, episode) {
+            self.ended.insert(ended);
+            self.documents.retain(|_, document| document.episode != ended);
+        }
     }
 
     /// Number of documents in the store.
@@ -275,6 +281,9 @@ impl DocumentStore {
         let failed = |e| BusError::transport("receiving documents", e);
         while let Some(sample) = self.subscriber.receive().map_err(failed)? {
             let DocumentHeader { id, episode, lane, kind } = *sample.user_header();
+            if self.ended.contains(&episode) {
+                continue;
+            }
             let unusable = |problem| DocumentError::Unusable { id, problem };
             let kind = u8::try_from(kind).unwrap_or(u8::MAX);
             let kind = DocumentKind::try_from(kind).map_err(unusable)?;

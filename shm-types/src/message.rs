@@ -5,7 +5,7 @@
 //! through the declaration of the world, `world.json` in the folder to which it attaches.
 //!
 //! A lane has at most one message outstanding on any service. The orchestrator never uses an episode id twice in a
-//! run, so a late answer is recognised and dropped. All `*_ns` fields are CLOCK_MONOTONIC nanoseconds, which all
+//! session of a run, so a late answer is recognised and dropped. All `*_ns` fields are CLOCK_MONOTONIC nanoseconds, which all
 //! processes of a machine share.
 
 use iceoryx2::prelude::ZeroCopySend;
@@ -30,7 +30,7 @@ pub use route::{Description, Message, Traffic};
 pub use text::{MAX_REASON_BYTES, read_text, shortened_reason, write_text};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 14;
+pub const WIRE_VERSION: u32 = 15;
 
 /// Most demonstration steps that a [`Recall`] holds itself. A longer item is a document.
 pub const MAX_STEPS: usize = 48;
@@ -77,7 +77,8 @@ pub const MAX_FOLDER: usize = 1024;
 /// In [`RecalledSource::demonstration`]: the source is an earlier episode of the same stream, not a demonstration.
 pub const EXPERIENCE: u16 = u16::MAX;
 
-/// Identifies an episode. Grows, and is never reused within a run.
+/// Identifies an episode. Never 0, and never reused within a session of a run. Ids have no order: they tell neither an episode's
+/// place in the plan nor which of two began first.
 pub type EpisodeId = u64;
 
 /// Identifies a step of an episode: what an answer belongs to.
@@ -357,14 +358,10 @@ macro_rules! message_table {
     }
 
     /// Memory to policy: what memory supplies for a step.
-    Recall, "memtransfer.Recall", "recall", 1064 bytes,
+    Recall, "memtransfer.Recall", "recall", 1312 bytes,
         [Memory] to [Policy], Lanes {
         /// The episode.
         episode: u64,
-        /// When memory received the observation.
-        received_ns: u64,
-        /// When this message was sent.
-        sent_ns: u64,
         /// The lane.
         lane: u32,
         /// The step it answers.
@@ -373,10 +370,16 @@ macro_rules! message_table {
         items_len: u32,
         /// Entries of `steps` in use.
         steps_len: u32,
+        /// Entries of `instructions` in use.
+        instructions_len: u32,
+        /// Zero.
+        reserved: u32,
         /// What is supplied, in order. A document is published before the first recall that names it.
         items: [RecalledItem; MAX_ITEMS],
         /// The steps of the items that hold theirs here.
         steps: [SegmentStep; MAX_STEPS],
+        /// The instructions of the demonstrations that steps and captioned frames come from.
+        instructions: [RecalledInstruction; MAX_SOURCES],
     }
 
     /// Memory to orchestrator, with every recall: what was supplied, where it comes from, and when.
@@ -468,14 +471,12 @@ macro_rules! message_table {
     }
 
     /// Memory to an external memory: the agent's state after a step. Each is answered, except the last of an episode.
-    ExternalQuery, "memtransfer.ExternalQuery", "external-query", 4264 bytes,
+    ExternalQuery, "memtransfer.ExternalQuery", "external-query", 4256 bytes,
         [Memory] to [ExternalMemory], Lanes {
         /// The episode.
         episode: u64,
         /// The agent's view; [`NO_FRAME`] if `last` is 1.
         frame: FrameId,
-        /// When this message was sent.
-        sent_ns: u64,
         /// The lane.
         lane: u32,
         /// Steps taken so far.

@@ -7,9 +7,10 @@ use bytemuck::Zeroable;
 use case_book::{ActionDeclaration, BookFile, StateField, WORLD_FILE, WorldDeclaration};
 use domain::{Action, Feedback, Heading, Outcome, Pose, State};
 use shm_types::message::{
-    Decision, DocumentId, ExternalEpisode, ExternalQuery, FrameId, ItemKind, NO_ACTION, NO_FRAME,
-    NOT_MEASURED, Observation, PolicyEpisodeConfig, Recall, RecallTrace, RecalledItem, RequestId,
-    SegmentStep, StepCommand, StepKind, StepReport, WorldEpisodeConfig, write_text,
+    Decision, DocumentId, ExternalEpisode, ExternalQuery, FrameId, ItemKind, MAX_SOURCES,
+    NO_ACTION, NO_FRAME, NOT_MEASURED, Observation, PolicyEpisodeConfig, Recall, RecallTrace,
+    RecalledItem, RequestId, SegmentStep, StepCommand, StepKind, StepReport, WorldEpisodeConfig,
+    write_text,
 };
 use shm_types::process::monotonic_ns;
 
@@ -109,9 +110,7 @@ pub fn last(id: RequestId) -> Observation {
 /// A recall with a segment, whose last view has no action; without an item if `segment` is empty.
 pub fn recall(id: RequestId, segment: &[FrameId]) -> Recall {
     let RequestId { lane, episode, step } = id;
-    let now = monotonic_ns();
-    let mut recall =
-        Recall { lane, episode, step, received_ns: now, sent_ns: now, ..Zeroable::zeroed() };
+    let mut recall = Recall { lane, episode, step, ..Zeroable::zeroed() };
     if !segment.is_empty() {
         let item = RecalledItem { distance: 0.125, ..item(ItemKind::Steps) };
         let last = segment.len() - 1;
@@ -123,9 +122,10 @@ pub fn recall(id: RequestId, segment: &[FrameId]) -> Recall {
     recall
 }
 
-/// An item without a document, steps and distance.
+/// An item without a document, steps and distance; a step or a frame is of one demonstration.
 pub fn item(kind: ItemKind) -> RecalledItem {
-    RecalledItem { kind: kind as u8, distance: f32::NAN, ..Zeroable::zeroed() }
+    let instructions = matches!(kind, ItemKind::Steps | ItemKind::Frame).into();
+    RecalledItem { kind: kind as u8, distance: f32::NAN, instructions, ..Zeroable::zeroed() }
 }
 
 /// A step of an item.
@@ -139,13 +139,16 @@ pub fn text(document: DocumentId, bytes: usize) -> RecalledItem {
     RecalledItem { document, bytes: bytes as u32, ..item(ItemKind::Text) }
 }
 
-/// Adds an item to a recall, with the steps that the message holds for it.
+/// Adds an item to a recall, with the steps that the message holds for it, and as many empty instructions as it says.
 ///
 /// # Panics
 /// When the message has no room for them.
 pub fn supply(recall: &mut Recall, item: RecalledItem, steps: &[SegmentStep]) {
     let (at, first) = (recall.items_len as usize, recall.steps_len as usize);
     recall.items[at] = item;
+    recall.items[at].first_instruction = recall.instructions_len as u8;
+    recall.instructions_len += u32::from(item.instructions);
+    assert!(recall.instructions_len as usize <= MAX_SOURCES, "there is no room for instructions");
     recall.items_len += 1;
     if !steps.is_empty() {
         recall.items[at].first_step = recall.steps_len;
@@ -213,7 +216,6 @@ pub fn query(
     let mut query = ExternalQuery {
         episode,
         frame,
-        sent_ns: monotonic_ns(),
         lane,
         step,
         state: state.into().padded(),

@@ -225,6 +225,7 @@ pub(crate) struct Subject<'a, R: TestedRole> {
     errors: Vec<String>,
     /// The resident views and their content hashes.
     resident: Vec<(FrameId, [u8; 16])>,
+    /// The number of the last episode that began.
     last_episode: u64,
     /// The name, and how long it took to get ready.
     pub(crate) introduction: String,
@@ -345,7 +346,9 @@ impl<'a, R: TestedRole> Subject<'a, R> {
             }
         }
         self.last_episode += 1;
-        RequestId { lane, episode: self.last_episode, step: 0 }
+        // The ids of a run have no order. An odd factor keeps them apart.
+        let episode = self.last_episode.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        RequestId { lane, episode, step: 0 }
     }
 
     /// The answer to a request.

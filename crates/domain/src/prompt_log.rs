@@ -145,13 +145,22 @@ pub enum RecordedItem {
         /// distance between the embeddings of the first view and the current one.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         distance: Option<f32>,
+        /// The task of the demonstration.
+        instruction: String,
         /// The steps.
         steps: Vec<RecordedView>,
     },
-    /// The file of a demonstration that was supplied whole.
-    Trajectory(Hash),
+    /// A demonstration that was supplied whole.
+    Trajectory {
+        /// Its task.
+        instruction: String,
+        /// The file of its steps.
+        steps: Hash,
+    },
     /// A remembered view with a caption.
     Frame {
+        /// The task of its demonstration.
+        instruction: String,
         /// The view.
         frame: Hash,
         /// The file of the caption.
@@ -310,7 +319,10 @@ mod tests {
                 starts_as_demonstrated: false,
                 demonstrated_elsewhere: false,
                 window: Vec::new(),
-                items: vec![RecordedItem::Trajectory(hex(&[1; 16]))],
+                items: vec![RecordedItem::Trajectory {
+                    instruction: "Visit a cone.".to_owned(),
+                    steps: hex(&[1; 16]),
+                }],
             },
             exchange: None,
             answer: None,

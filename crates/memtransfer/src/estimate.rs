@@ -7,6 +7,7 @@
 
 use std::collections::BTreeMap;
 
+use case_book::Demonstration;
 use conditions::Condition;
 use conditions::cost::ModelPrices;
 use conditions::cost::Money;
@@ -27,6 +28,8 @@ const ALWAYS: u64 = 969;
 const PAST_STEP: u64 = 98;
 /// Characters around a retrieved view.
 const RETRIEVED_VIEW: u64 = 91;
+/// Characters around the instruction of a demonstration.
+const INSTRUCTION: u64 = 32;
 /// Characters of an action of a whole demonstration, and around one of its views.
 const ACTION: u64 = 14;
 const KEYFRAME: u64 = 30;
@@ -129,15 +132,27 @@ impl Basis<'_> {
         characters += match condition.memory.describe().map(|info| info.trajectories) {
             Some(Trajectories::Nothing) => 0,
             Some(Trajectories::Segment) => {
-                RETRIEVED_VIEW * u64::from(self.settings.hits * (1 + self.settings.horizon))
+                let (mut count, mut instructions) = (0, 0);
+                for of in missing.iter().flat_map(|of| self.demonstrated(condition, of)) {
+                    count += 1;
+                    instructions += of.instruction.chars().count() as u64;
+                }
+                let instruction = INSTRUCTION + instructions / count.max(1);
+                let views = RETRIEVED_VIEW * u64::from(1 + self.settings.horizon);
+                u64::from(self.settings.hits) * (instruction + views)
             }
             // At most, as everything about an external memory: what it supplies is not known in advance.
             None => u64::from(self.settings.memory_text_budget()),
             Some(Trajectories::Whole) => {
-                let actions: u64 =
-                    missing.iter().map(|episode| self.demonstrated(condition, episode)).sum();
-                let mean = actions / (missing.len() as u64).max(1);
-                ACTION * mean + KEYFRAME * u64::from(self.settings.keyframes)
+                let all = missing.iter().flat_map(|of| self.demonstrated(condition, of));
+                let characters: u64 = all
+                    .map(|of| {
+                        let instruction = of.instruction.chars().count() as u64;
+                        INSTRUCTION + instruction + ACTION * of.actions.len() as u64
+                    })
+                    .sum();
+                let mean = characters / (missing.len() as u64).max(1);
+                mean + KEYFRAME * u64::from(self.settings.keyframes)
             }
         };
         let mut documents = 0;
@@ -147,12 +162,15 @@ impl Basis<'_> {
         Some(tokens::of_text(characters, documents) + tokens::IMAGE * self.images(condition))
     }
 
-    /// Actions of the demonstrations that an episode remembers.
-    fn demonstrated(&self, condition: &Condition, episode: &PlannedEpisode) -> u64 {
+    /// The demonstrations that an episode remembers.
+    fn demonstrated(
+        &self,
+        condition: &Condition,
+        episode: &PlannedEpisode,
+    ) -> impl Iterator<Item = &Demonstration> {
         let book = &self.books.demonstrations.book;
         let named = book.of_case(episode.case_index as u32, condition.demonstrations);
-        let of = named.into_iter().flatten().map(|of| &book.demonstrations[of as usize]);
-        of.map(|of| of.actions.len() as u64).sum()
+        named.into_iter().flatten().map(|of| &book.demonstrations[of as usize])
     }
 }
 
@@ -215,9 +233,9 @@ pub(crate) mod tests {
         let [least, most] = found.requests;
         assert!(least.abs_diff(actions(0) + actions(1)) <= 2, "{least}");
         assert_eq!(most, 400);
-        // (2565 + 6 x 98 + 7 x 91) / 4, rounded up, and 14 images of 256.
-        assert_eq!((found.images_each, found.prompt_each), (14, Some(948 + 14 * 256)));
-        assert_eq!(found.tokens().unwrap()[1], 400 * (948 + 3584 + 30));
+        // (2565 + 6 x 98 + 7 x 91 + 32 + an instruction of 28) / 4, rounded up, and 14 images of 256.
+        assert_eq!((found.images_each, found.prompt_each), (14, Some(963 + 14 * 256)));
+        assert_eq!(found.tokens().unwrap()[1], 400 * (963 + 3584 + 30));
 
         let found = basis(&done).estimate(&condition, &missing);
         assert_eq!((found.requests, found.prompt_each), ([20, 20], Some(1200)));

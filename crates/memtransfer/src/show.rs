@@ -224,7 +224,7 @@ fn write_images(folder: &Path, run: &Path, prompt: &RecordedPrompt) -> Result<()
                 continue;
             }
             RecordedItem::Segment { steps, .. } => steps.as_slice(),
-            RecordedItem::Trajectory(hash) => prompt.trajectory(hash),
+            RecordedItem::Trajectory { steps, .. } => prompt.trajectory(steps),
         };
         for (step, seen) in steps.iter().enumerate() {
             if let Some(frame) = &seen.frame {

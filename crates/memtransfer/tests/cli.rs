@@ -379,7 +379,7 @@ fn a_dry_run_counts_and_touches_nothing() {
     assert_eq!(output.status.code(), Some(0));
     for (arguments, counted) in [
         ("--limit 10 --runs 2", "240 of 240 episodes of 12 conditions would run"),
-        ("--suite paper", "17500 of 17500 episodes of 53 conditions"),
+        ("--suite paper", "17900 of 17900 episodes of 53 conditions"),
         ("--suite paper --policy expert", "300 of 300 episodes of 3 conditions"),
         ("--suite design --memory working --runs 1", "300 of 300 episodes of 3 conditions"),
         ("--suite rq2 --window 0", "3600 of 3600 episodes of 12 conditions"),

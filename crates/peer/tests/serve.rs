@@ -17,14 +17,14 @@ use domain::prompt_log::{
 };
 use domain::{Action, ActionCode, Feedback, Outcome};
 use peer::{
-    Answer, Answers, Batch, Decider, Decision, FrameView, Item, Policy, Request, RequestId,
-    ServeError, StepsView, Usage, serve,
+    Answer, Answers, Batch, CaptionedView, Decider, Decision, FrameView, Item, Policy, Request,
+    RequestId, ServeError, StepsView, Usage, serve,
 };
 use rigs::process::{LONG, PolicyRig};
 use shm_types::documents::Content;
 use shm_types::message::{
     self, ErrorReportKind, Handshake, ItemKind, NO_ACTION, NO_FRAME, Observation, Recall,
-    RecalledItem, Role, TrajectoryStep,
+    RecalledInstruction, RecalledItem, Role, TrajectoryStep,
 };
 use shm_types::{Attach, Bus};
 
@@ -124,11 +124,13 @@ impl Policy for Recorder {
 fn told(item: &Item<'_>, grey: impl Fn(FrameView<'_>) -> u8) -> String {
     match item {
         Item::Text(text) => format!("{:?} {:?}", text.kind, text.text),
-        Item::Frame(captioned) => format!("{} {:?}", grey(captioned.frame), captioned.caption),
-        Item::Steps(StepsView { distance, is_whole, steps }) => {
+        Item::Frame(CaptionedView { frame, caption, instruction }) => {
+            format!("{} {caption:?} of {instruction:?}", grey(*frame))
+        }
+        Item::Steps(StepsView { distance, is_whole, instruction, steps }) => {
             let steps = steps.iter().map(|step| (step.frame.map(&grey), step.action));
             let what = if *is_whole { "whole" } else { "part" };
-            format!("{what} at {distance:?} {:?}", steps.collect::<Vec<_>>())
+            format!("{what} of {instruction:?} at {distance:?} {:?}", steps.collect::<Vec<_>>())
         }
     }
 }
@@ -165,17 +167,25 @@ fn items_of_every_kind_reach_the_policy() {
         first_step,
         steps: steps_len,
         whole,
+        instructions: if steps_len == 3 { 2 } else { 1 },
         ..item(ItemKind::Trajectory)
     };
     let mut first = recall(id(0, 9, 0), &[view, frame]);
     supply(&mut first, text(summary, 0, 16), &[]);
     supply(&mut first, trajectory(0, 3, 1), &[]);
-    let caption = RecalledItem { kind: ItemKind::Frame as u8, ..text(note, 1, 6) };
+    let caption = RecalledItem { kind: ItemKind::Frame as u8, instructions: 1, ..text(note, 1, 6) };
     supply(&mut first, caption, &[supplied(view, None)]);
     supply(&mut first, item(ItemKind::Frame), &[supplied(frame, None)]);
     supply(&mut first, trajectory(1, 1, 0), &[]);
     let left = supplied(NO_FRAME, Some(Action::Left));
     supply(&mut first, RecalledItem { whole: 1, ..item(ItemKind::Steps) }, &[left; 2]);
+    // Of the segment, the two demonstrations, and the view with a caption; the others have none.
+    let named = [(5, 8), (0, 5), (5, 8), (0, 5)];
+    let tasks = Content::Note("Halt.Zurück!".into());
+    let tasks = rig.neighbours.documents.publish(Some((0, 9)), &tasks).unwrap();
+    for (instruction, (first_byte, bytes)) in first.instructions.iter_mut().zip(named) {
+        *instruction = RecalledInstruction { document: tasks, first_byte, bytes };
+    }
     rig.step(&observation(id(0, 9, 0), frame), &first);
 
     let decision = rig.decisions(1)[0];
@@ -183,11 +193,11 @@ fn items_of_every_kind_reach_the_policy() {
     assert_eq!(heard.recv().unwrap(), "reset 0");
     let told = heard.recv().unwrap().replace("], ", "],\n");
     insta::assert_snapshot!(told, @r#"
-    lane 0 step 0 seed 0 "Find a cone." at 3,4,1 FeedbackCode(0) sees 10 after [] remembers [part at Some(0.125) [(Some(40), Some(ActionCode(4))), (Some(10), None)],
-    Summary "a cone at (1, 2)", whole at None [(Some(40), Some(ActionCode(0))), (None, None)],
-    whole at None [(Some(10), None)],
-    40 "urück", 10 "", part at None [(None, None)],
-    whole at None [(None, Some(ActionCode(2))), (None, Some(ActionCode(2)))]],
+    lane 0 step 0 seed 0 "Find a cone." at 3,4,1 FeedbackCode(0) sees 10 after [] remembers [part of "Zurück!" at Some(0.125) [(Some(40), Some(ActionCode(4))), (Some(10), None)],
+    Summary "a cone at (1, 2)", whole of "Halt." at None [(Some(40), Some(ActionCode(0))), (None, None)],
+    whole of "Zurück!" at None [(Some(10), None)],
+    40 "urück" of "Halt.", 10 "" of "", part of "" at None [(None, None)],
+    whole of "" at None [(None, Some(ActionCode(2))), (None, Some(ActionCode(2)))]],
     hinted
     "#);
 
@@ -198,10 +208,12 @@ fn items_of_every_kind_reach_the_policy() {
         text(note, 4, 1),
         text(note, 0, 99),
         text(note, u32::MAX, u32::MAX),
-        RecalledItem { kind: ItemKind::Frame as u8, steps: 1, ..text(note, 4, 9) },
+        RecalledItem { kind: ItemKind::Frame as u8, steps: 1, instructions: 1, ..text(note, 4, 9) },
         trajectory(2, 2, 1),
         RecalledItem { document: note, ..trajectory(0, 1, 1) },
         RecalledItem { document: foreign, ..trajectory(0, 1, 1) },
+        RecalledItem { instructions: 1, ..trajectory(0, 3, 1) },
+        RecalledItem { first_instruction: 7, ..trajectory(0, 1, 1) },
     ];
     let mut reports = Vec::new();
     for (step, bad) in (1..).zip(cases) {
@@ -220,6 +232,8 @@ fn items_of_every_kind_reach_the_policy() {
     recall for lane 0, step 7: item 0 has the steps 2..4 of document 1099511627779 with 3
     recall for lane 0, step 8: item 0 has steps of document 1099511627778, which is of kind note
     recall for lane 0, step 9: item 0 has steps of document 1099511627780: 7 is not an action of this world
+    recall for lane 0, step 10: item 0 has 1 instructions, expected 2
+    recall for lane 0, step 11: item 0 has the instructions 7..8 of a message with 7
     ");
     rig.stop();
 }
@@ -465,7 +479,7 @@ fn a_policy_gets_its_requests_with_window_and_segment() {
     lane 0 step 0 seed 0 "Find a red barrel." at 3,4,1 FeedbackCode(0) sees 30 after [] remembers []
     lane 2 step 0 seed 2 "Find a blue barrel." at 3,4,1 FeedbackCode(0) sees 20 after [] remembers []
     lane 2 step 1 seed 2 "Find a blue barrel." at 3,4,1 FeedbackCode(4) sees 30 after [(20, None, FeedbackCode(4))] remembers []
-    lane 2 step 2 seed 2 "Find a blue barrel." at 3,4,1 FeedbackCode(3) sees 10 after [(20, None, FeedbackCode(4)), (30, Some(ActionCode(2)), FeedbackCode(3))] remembers [part at Some(0.125) [(Some(10), Some(ActionCode(4))), (Some(20), None)]]
+    lane 2 step 2 seed 2 "Find a blue barrel." at 3,4,1 FeedbackCode(3) sees 10 after [(20, None, FeedbackCode(4)), (30, Some(ActionCode(2)), FeedbackCode(3))] remembers [part of "" at Some(0.125) [(Some(10), Some(ActionCode(4))), (Some(20), None)]]
     reset 0
     reset 2
     "#);

@@ -190,9 +190,9 @@ impl<'a> Writer<'_, 'a> {
         self.fill(&texts.document, &[("name", name), ("text", text)]);
     }
 
-    fn captioned(&mut self, &CaptionedView { frame, caption }: &CaptionedView<'a>) {
+    fn captioned(&mut self, &CaptionedView { frame, caption, instruction }: &CaptionedView<'a>) {
         let texts = &self.template.memory;
-        self.text(&texts.captioned_begin);
+        self.fill(&texts.captioned_begin, &[("instruction", instruction)]);
         if !caption.is_empty() {
             self.fill(&texts.caption, &[("caption", caption)]);
         }
@@ -221,6 +221,7 @@ impl<'a> Writer<'_, 'a> {
             ("count", count.to_string()),
             ("distance", self.distance(steps.distance.unwrap_or_default())),
             ("current_view", self.current_view()),
+            ("instruction", steps.instruction.to_owned()),
         ];
         self.fill(begin, &values.each_ref().map(|(name, value)| (*name, value.as_str())));
         match wording {

@@ -34,8 +34,12 @@ fn a_prompt_is_in_the_words_of_its_world() {
     let past = |action, feedback| PastView { frame, action, feedback: FeedbackCode(feedback) };
     let step = |action| StepView { frame: Some(frame), action };
     let steps = [step(Some(open_slowly)), step(Some(open)), step(Some(open)), step(None)];
-    let demonstration =
-        peer::Item::Steps(StepsView { distance: None, is_whole: true, steps: &steps });
+    let demonstration = peer::Item::Steps(StepsView {
+        distance: None,
+        is_whole: true,
+        instruction: "Open the {place}.",
+        steps: &steps,
+    });
     let request = Request {
         lane: 0,
         step: 2,
@@ -69,6 +73,9 @@ fn a_prompt_is_in_the_words_of_its_world() {
             assert!(!text.contains(word), "{word}: {text}");
         }
     }
+    let task =
+        "An expert acted here before, from start to end, to do this: \"Open the {place}.\"\n";
+    assert!(memory.contains(task), "{memory}");
     assert!(memory.contains("Actions: open door 2 slowly\n"), "{memory}");
     assert!(memory.contains("Actions: open door\n"), "{memory}");
     assert_eq!(

@@ -63,8 +63,8 @@ struct PlainPast {
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 enum PlainItem {
     Text { kind: String, text: String },
-    Steps { distance: Option<f32>, is_whole: bool, steps: Vec<PlainStep> },
-    Frame { view: String, caption: String },
+    Steps { distance: Option<f32>, is_whole: bool, instruction: String, steps: Vec<PlainStep> },
+    Frame { view: String, caption: String, instruction: String },
 }
 
 #[derive(Serialize, Deserialize)]
@@ -128,11 +128,11 @@ fn outcome(plain: &PlainRequest, image_budget: u32) -> (Value, String) {
             };
             Item::Text(TextView { id: 0, kind, text })
         }
-        &PlainItem::Steps { distance, is_whole, .. } => {
-            Item::Steps(StepsView { distance, is_whole, steps })
+        &PlainItem::Steps { distance, is_whole, ref instruction, .. } => {
+            Item::Steps(StepsView { distance, is_whole, instruction, steps })
         }
-        PlainItem::Frame { view: name, caption } => {
-            Item::Frame(CaptionedView { frame: view(name), caption })
+        PlainItem::Frame { view: name, caption, instruction } => {
+            Item::Frame(CaptionedView { frame: view(name), caption, instruction })
         }
     });
     let items: Vec<_> = items.collect();

@@ -207,11 +207,11 @@ fn resolve(run: &Path, entry: PromptLogEntry) -> Result<RecordedPrompt> {
             RecordedItem::Segment { steps, .. } => {
                 images.extend(steps.iter().filter_map(|step| step.frame.as_ref()));
             }
-            RecordedItem::Trajectory(hash) => {
+            RecordedItem::Trajectory { steps: hash, .. } => {
                 let steps = serde_json::from_str(&read(trajectory_file, hash)?)?;
                 trajectories.insert(hash.clone(), steps);
             }
-            RecordedItem::Frame { frame, caption } => {
+            RecordedItem::Frame { frame, caption, .. } => {
                 images.push(frame);
                 texts.push(caption);
             }
@@ -299,8 +299,8 @@ mod tests {
         for (frame, item) in [
             (&inside, text(&outside)),
             (&outside, text(&inside)),
-            (&inside, json!({"trajectory": outside})),
-            (&inside, json!({"frame": {"frame": outside, "caption": inside}})),
+            (&inside, json!({"trajectory": {"instruction": "Find a cone.", "steps": outside}})),
+            (&inside, json!({"frame": {"instruction": "", "frame": outside, "caption": inside}})),
         ] {
             let error = read(frame, item).unwrap_err().to_string();
             assert!(error.contains("../../secret\", which is no hash"), "{error}");

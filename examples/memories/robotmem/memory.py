@@ -1,5 +1,7 @@
 """robotmem: what the expert did, found by BM25 and sorted by the distance to where the agent is.
 
+That distance is one of cells, not of views, so items are supplied without it.
+
 robotmem searches with a model of its own unless `embed_backend` is "none". It then needs SQLite only.
 """
 
@@ -40,9 +42,7 @@ class Robotmem(Memory):
             return []  # robotmem refuses to search for nothing
         near = {"field": "spatial.position", "target": self.position(query.pose)}
         found = self.store.recall(query.instruction, n=HITS, spatial_sort=near)
-        return [
-            Steps(**memory["params"], distance=memory["_spatial_distance"]) for memory in found[:1]
-        ]
+        return [Steps(**memory["params"]) for memory in found[:1]]
 
     @staticmethod
     def position(pose):

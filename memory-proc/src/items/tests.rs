@@ -180,6 +180,12 @@ fn long_items_and_keyframes_become_documents_and_neighbours_one_item() {
     assert_eq!(places(recall.items[3]), (15, 33, 0, 2));
     assert_eq!(places(recall.items[5]), (48, 1, 0, 2));
     assert_eq!(documents.published.len(), 2, "a note and the steps of all trajectories");
+    assert_eq!(documents.published[0].1, Content::Note("Find a cone.a cone".to_owned()));
+    let instructions = recall.items[..6].iter().map(|i| (i.first_instruction, i.instructions));
+    let expected = [(0, 1), (1, 2), (3, 1), (4, 1), (5, 1), (6, 1)];
+    assert_eq!(instructions.collect::<Vec<_>>(), expected, "one for each demonstration");
+    let one = RecalledInstruction { document: 1, first_byte: 0, bytes: 12 };
+    assert_eq!(recall.instructions[..recall.instructions_len as usize], [one; 7]);
     let Content::Trajectories(steps) = &documents.published[1].1 else { panic!() };
     assert!(steps.is_sorted_by_key(|step| step.trajectory) && steps.len() == 49);
     let shown = steps[..15].iter().filter(|step| step.frame != NO_FRAME).count();
@@ -206,9 +212,15 @@ fn a_text_is_published_once_in_an_episode() {
     let again = items[1..].iter().cloned().chain([frame(0, 0, "a cone"), frame(0, 0, "new")]);
     let second = assembled(again.collect(), &mut texts, &mut documents);
     let places = second.items[..5].iter().map(|i| (i.document, i.first_byte));
-    assert_eq!(places.collect::<Vec<_>>(), [(2, 6), (2, 0), (1, 0), (2, 0), (3, 0)]);
+    assert_eq!(places.collect::<Vec<_>>(), [(2, 6), (2, 0), (1, 0), (2, 0), (3, 12)]);
     assert_eq!(documents.published[1].1, Content::Note("a conea bärrel".to_owned()));
-    assert_eq!(documents.published[2].1, Content::Note("new".to_owned()));
+    assert_eq!(documents.published[2].1, Content::Note("Find a cone.new".to_owned()));
+    let third = assembled(vec![frame(0, 1, ""), steps(1, 0, 2)], &mut texts, &mut documents);
+    assert_eq!(third.items[0].document, NO_DOCUMENT, "an empty caption is in no document");
+    for recall in [second, third] {
+        let one = RecalledInstruction { document: 3, first_byte: 0, bytes: 12 };
+        assert_eq!(recall.instructions[..2], [one; 2]);
+    }
     assert_eq!(documents.published.len(), 3);
 }
 

@@ -5,7 +5,6 @@ use shm_types::message::{
     MemoryEpisodeConfig, Observation, Recall, RecallTrace, Role, SnapshotReport, StepReport, Stop,
     View, ViewRequest,
 };
-use shm_types::process::monotonic_ns;
 use shm_types::{
     BankPublisher, Bus, BusError, FrameStore, Heartbeats, NoteReceiver, Notifier, Receiver, Sender,
 };
@@ -79,15 +78,12 @@ impl ExternalPorts {
     }
 
     /// Sends a message.
-    pub(super) fn send(&mut self, message: &mut ToExternal) -> Result<(), BusError> {
+    pub(super) fn send(&mut self, message: &ToExternal) -> Result<(), BusError> {
         match message {
             ToExternal::Bank(id, content) => self.banks.publish(*id, content),
             ToExternal::TakeBack(id) => self.banks.take_back(*id),
             ToExternal::Episode(message) => self.episodes.send(message),
-            ToExternal::Query(message) => {
-                message.sent_ns = monotonic_ns();
-                self.queries.send(message)
-            }
+            ToExternal::Query(message) => self.queries.send(message),
             ToExternal::Store(message) => self.stores.send(message),
         }
     }

@@ -1,5 +1,7 @@
 //! Lanes against a scripted simulator, memory and policy: no process, no shared memory.
 
+use std::collections::BTreeSet;
+
 use bytemuck::Zeroable;
 use case_book::{CaseInState, StreamBlock, StreamFacts, StreamsFacts};
 use conditions::key::{EpisodeKey, StreamPlace};
@@ -9,7 +11,7 @@ use domain::events::{Requirement, Visit};
 use domain::{Action, Arm, Cell, FeedbackLevel, Mixture, Outcome, Representation, StreamOrder};
 use orchestrator::books::Books;
 use orchestrator::lanes::{AnswerError, EpisodeOpening, FinishedEpisode, Lanes, Rules, Turn};
-use orchestrator::plan::{PlannedEpisode, StreamPart, sequence_id};
+use orchestrator::plan::{PlannedEpisode, StreamPart, plan, sequence_id};
 use orchestrator::streams::Remaining;
 use rigs::scripted::{ScriptedSim, ScriptedStep, request};
 use run_log::Ending;
@@ -389,8 +391,39 @@ fn an_invalid_answer_costs_its_own_episode_and_no_other() {
     assert_eq!(lanes.give_up(0).map(|episode| episode.case_index), Some(0));
     assert_eq!((lanes.busy(), lanes.free()), (1, Some(0)));
     let again = lanes.begin(0, episode(&books, 0, Start::Original, Route::Unchanged));
-    assert!(again.world.episode > observation.episode, "ids are not used twice");
+    assert_ne!(again.world.episode, observation.episode, "ids are not used twice");
     assert!(matches!(lanes.decided(&good), Ok(Turn::Wait)), "the old answer is late");
+}
+
+#[test]
+fn ids_of_episodes_have_no_order_and_depend_on_seed_and_episode_only() {
+    let books = books();
+    let conditions = [("working/original/unchanged/none".parse().unwrap(), 1)];
+    let ids = books.cases.book.ids();
+    let planned = |seed| plan(&conditions, &[0, 1, 2, 3, 4, 5, 6, 7], &ids, seed);
+    let begun = |episodes: &mut dyn Iterator<Item = PlannedEpisode>, free: usize| {
+        let mut lanes = Lanes::new(&books, RULES, 2);
+        let of = |episode: PlannedEpisode| {
+            let key = episode.key.to_string();
+            let EpisodeOpening { memory, policy, world } = lanes.begin(free, episode);
+            lanes.give_up(free as u32);
+            assert_eq!([memory.episode, policy.episode], [world.episode; 2]);
+            (key, world.episode)
+        };
+        episodes.map(of).collect::<Vec<_>>()
+    };
+    let first = begun(&mut planned(1), 0);
+    let in_order: Vec<u64> = first.iter().map(|(_, id)| *id).collect();
+    assert!(!in_order.is_sorted() && !in_order.iter().rev().is_sorted());
+    // The same for every order and lane, other ones for another seed, for another attempt, and in another lane.
+    let reversed: Vec<_> = planned(1).collect();
+    let mut again = begun(&mut reversed.into_iter().rev(), 1);
+    again.reverse();
+    assert_eq!(again, first);
+    let attempts = begun(&mut planned(1).chain(planned(1)).chain(planned(1)), 0);
+    assert_eq!(attempts[..8], first);
+    let all = attempts.into_iter().chain(begun(&mut planned(2), 0)).map(|(_, id)| id);
+    assert_eq!(all.collect::<BTreeSet<_>>().len(), 4 * 8);
 }
 
 #[test]

@@ -107,14 +107,24 @@ impl Ask {
         let demonstration = supplied(&self.demonstration);
         let mut items = Vec::new();
         for steps in &segments {
-            items.push(Item::Steps(StepsView { distance: Some(0.0), is_whole: false, steps }));
+            items.push(Item::Steps(StepsView {
+                distance: Some(0.0),
+                is_whole: false,
+                instruction: "",
+                steps,
+            }));
         }
         if !demonstration.is_empty() {
             let steps = &demonstration;
-            items.push(Item::Steps(StepsView { distance: None, is_whole: true, steps }));
+            items.push(Item::Steps(StepsView {
+                distance: None,
+                is_whole: true,
+                instruction: "",
+                steps,
+            }));
         }
         if self.captioned.is_some() {
-            items.push(Item::Frame(CaptionedView { frame: next(), caption: "" }));
+            items.push(Item::Frame(CaptionedView { frame: next(), caption: "", instruction: "" }));
         }
         for (id, (kind, text)) in (first_id..).zip(&self.texts) {
             items.push(Item::Text(TextView { id: id.into(), kind: *kind, text }));
@@ -400,7 +410,7 @@ proptest! {
                 action: action.map(Action::into),
             });
             let steps: Vec<_> = steps.collect();
-            let segment = StepsView { distance: None, is_whole: false, steps: &steps };
+            let segment = StepsView { distance: None, is_whole: false, instruction: "", steps: &steps };
             act(&Request {
                 lane: 0,
                 step: window.len() as u32,
@@ -414,7 +424,7 @@ proptest! {
                 window: &window,
                 items: &[
                     Item::Steps(segment),
-                    Item::Frame(CaptionedView { frame, caption: "noise" }),
+                    Item::Frame(CaptionedView { frame, caption: "noise", instruction: "" }),
                 ],
                 starts_as_demonstrated: false,
                 demonstrated_elsewhere: false,

@@ -62,7 +62,8 @@ impl LargestRequest {
         let text: String =
             DOCUMENT_LINE.chars().cycle().take(self.document_chars as usize).collect();
         let document = TextView { id: 0, kind: DocumentKind::Summary, text: &text };
-        let trajectory = StepsView { distance: None, is_whole: true, steps: &steps };
+        let instruction = "Find a blue barrel, then return to the cell where you started.";
+        let trajectory = StepsView { distance: None, is_whole: true, instruction, steps: &steps };
         let mut items = Vec::new();
         if self.keyframes > 0 {
             items.push(Item::Steps(trajectory));
@@ -76,7 +77,7 @@ impl LargestRequest {
             episode: 0,
             episode_seed: 0,
             repeat: 0,
-            instruction: "Find a blue barrel, then return to the cell where you started.",
+            instruction,
             state: State::default(),
             feedback: FeedbackCode::START,
             frame,

@@ -60,13 +60,13 @@ def item(of, views):
         return {"text": {"kind": of.kind.words, "text": of.text}}
     if isinstance(of, RememberedView):
         views.append(of.frame)
-        return {"frame": {"frame": of.frame.content_hash.hex(), "caption": of.caption}}
+        return {"frame": {"instruction": of.instruction, "frame": of.frame.content_hash.hex(), "caption": of.caption}}
     views += [remembered.frame for remembered in of.steps if remembered.frame is not None]
     steps = [*map(step, of.steps)]
     if of.is_trajectory:
-        return {"trajectory": steps}
+        return {"trajectory": {"instruction": of.instruction, "steps": steps}}
     distance = {} if of.distance is None else {"distance": of.distance}
-    return {"segment": {**distance, "steps": steps}}
+    return {"segment": {**distance, "instruction": of.instruction, "steps": steps}}
 
 
 def step(of):

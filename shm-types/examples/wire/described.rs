@@ -17,15 +17,16 @@ use shm_types::message::{
     AnswerItem, AnswerSource, CODE_SETS, Description, EXTERNAL, MAX_EMBEDDING,
     MAX_EXTERNAL_MEMORIES, MAX_FOLDER, MAX_INSTRUCTION, MAX_ITEMS, MAX_SEGMENT, MAX_SOURCES,
     MAX_STEPS, MAX_SUB_GOALS, MAX_WINDOW, MAX_WORLDS, MESSAGES, NO_ACTION, NO_DOCUMENT, NO_FRAME,
-    NOT_MEASURED, RecalledItem, RecalledSource, Role, SegmentStep, Traffic, TrajectoryStep,
-    WIRE_VERSION,
+    NOT_MEASURED, RecalledInstruction, RecalledItem, RecalledSource, Role, SegmentStep, Traffic,
+    TrajectoryStep, WIRE_VERSION,
 };
 use shm_types::notes::{FACTS_SERVICE, NOTE_SERVICE, NoteHeader};
 
 /// Structs that are parts of messages and documents.
-pub(crate) const PARTS: [Struct; 8] = [
+pub(crate) const PARTS: [Struct; 9] = [
     RecalledItem::LAYOUT,
     SegmentStep::LAYOUT,
+    RecalledInstruction::LAYOUT,
     TrajectoryStep::LAYOUT,
     RecalledSource::LAYOUT,
     AnswerItem::LAYOUT,

@@ -39,8 +39,22 @@ wire_struct! {
         kind: u8,
         /// Steps and trajectory: 1 if they are a whole demonstration, from its start to its end.
         whole: u8,
-        /// Zero.
-        reserved: [u8; 2],
+        /// Steps, trajectory and captioned frame: the first entry in [`Recall::instructions`].
+        first_instruction: u8,
+        /// Number of entries: one for each demonstration that the steps belong to, in their order; 0 for a text.
+        instructions: u8,
+    }
+}
+
+wire_struct! {
+    /// The instruction of a demonstration that an item of a [`Recall`] comes from.
+    RecalledInstruction, "memtransfer.RecalledInstruction", 16 bytes {
+        /// The note that holds it; [`NO_DOCUMENT`] if it is empty.
+        document: DocumentId,
+        /// Its first byte in the note.
+        first_byte: u32,
+        /// Its bytes.
+        bytes: u32,
     }
 }
 
@@ -77,7 +91,7 @@ wire_struct! {
         first_step: u32,
         /// Number of steps; 1 for a captioned frame.
         steps: u32,
-        /// Distance between the item and the query; NaN if it is not known.
+        /// Distance between the item and the query, which prompts word as a cosine distance of views; NaN if there is none.
         distance: f32,
         /// An [`ItemKind`] code; steps of any length are [`ItemKind::Steps`].
         kind: u8,

@@ -105,3 +105,18 @@ fn text_is_cut_at_a_character_and_read_with_care() {
     assert!(read_text(&buffer, 5).is_err());
     assert!(read_text(&[0xff; 4], 4).is_err());
 }
+
+/// Times of the run say whether a view was resident, and how long a memory took.
+#[test]
+fn what_policies_and_memories_are_told_has_no_times() {
+    let told = |description: &&Description| {
+        let is_theirs = |role: &Role| matches!(role, Role::Policy | Role::ExternalMemory);
+        description.to.iter().any(is_theirs)
+    };
+    let told: Vec<_> = MESSAGES.iter().filter(told).collect();
+    assert!(told.len() >= 8, "{told:?}");
+    for Description { layout, .. } in told {
+        let times = layout.fields.iter().filter(|field| field.name.ends_with("_ns"));
+        assert_eq!(times.map(|field| field.name).collect::<Vec<_>>(), [""; 0], "{}", layout.name);
+    }
+}

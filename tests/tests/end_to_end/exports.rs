@@ -161,8 +161,8 @@ fn exports_of_a_control_show_what_the_policy_was_shown() {
             for item in &prompt.entry.request.items {
                 match item {
                     RecordedItem::Text { .. } => texts += 1,
-                    RecordedItem::Trajectory(hash) => supplied.extend(
-                        prompt.trajectory(hash).iter().filter_map(|step| step.frame.clone()),
+                    RecordedItem::Trajectory { steps, .. } => supplied.extend(
+                        prompt.trajectory(steps).iter().filter_map(|step| step.frame.clone()),
                     ),
                     _ => {}
                 }

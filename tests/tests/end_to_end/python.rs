@@ -166,7 +166,7 @@ fn requests_match_the_prompt_log_and_their_pixels_are_shared_memory() {
             if let Some(text) = item.get_mut("text") {
                 text["text"] = document(&text["text"], "txt").into();
                 texts += 1;
-            } else if let Some(steps) = item.get_mut("trajectory") {
+            } else if let Some(steps) = item.pointer_mut("/trajectory/steps") {
                 *steps = serde_json::from_str(&document(steps, "json")).unwrap();
                 demonstrations += 1;
             } else {

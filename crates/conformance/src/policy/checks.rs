@@ -339,10 +339,11 @@ fn keyframes(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     });
     let document = subject.document(Some(id), &Content::Trajectories(steps.collect()))?;
     let frame = subject.view(7)?;
-    subject.ask_and_wait(
-        id,
-        &RequestScene { frame, items: vec![(document, Vec::new())], ..RequestScene::default() },
-    )?;
+    let items = vec![(document, Vec::new())];
+    let instruction = subject.instruction(id, "Geh zum blauen Faß, dann zurück.")?;
+    let scene =
+        RequestScene { frame, items, instruction: Some(instruction), ..RequestScene::default() };
+    subject.ask_and_wait(id, &scene)?;
     clear_away(subject)
 }
 
@@ -366,7 +367,8 @@ fn every_item(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
         frames.iter().map(|&frame| supplied(frame, action)).collect()
     };
     let of_steps = item(ItemKind::Steps);
-    let frame_of = |caption| RecalledItem { kind: ItemKind::Frame as u8, ..caption };
+    let frame_of =
+        |caption| RecalledItem { kind: ItemKind::Frame as u8, instructions: 1, ..caption };
     let forward = Some(Action::Forward);
     let mixed = vec![
         // "nach": a text may be a part of its document.
@@ -382,8 +384,12 @@ fn every_item(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let part = RecalledItem { first_step: 1, steps: 2, whole: 0, ..demonstrations };
     let repeated = vec![(part, Vec::new()); MAX_ITEMS];
     let longest = vec![(of_steps, steps(&views, forward))];
+    // One text for all demonstrations of the episode, and more than the instruction of an episode can have.
+    let long = "青い樽を探してください 🛢 ".repeat(40);
+    let instruction = Some(subject.instruction(id, &long)?);
     for (items, images) in [(mixed, 10), (repeated, 1), (longest, 1 + MAX_STEPS as u32)] {
-        let scene = RequestScene { frame: subject.view(5)?, items, ..RequestScene::default() };
+        let frame = subject.view(5)?;
+        let scene = RequestScene { frame, items, instruction, ..RequestScene::default() };
         let decision = subject.ask_and_wait(id, &scene)?;
         // The steps before this one are in the window.
         let (asked, shown) = (decision.images_asked, images + id.step);

@@ -5,8 +5,8 @@ pub(crate) mod checks;
 use domain::{Action, Outcome};
 use shm_types::documents::Content;
 use shm_types::message::{
-    Decision, FrameId, ItemKind, Observation, PolicyEpisodeConfig, Recall, RecalledItem, RequestId,
-    Role, SegmentStep,
+    Decision, FrameId, ItemKind, Observation, PolicyEpisodeConfig, Recall, RecalledInstruction,
+    RecalledItem, RequestId, Role, SegmentStep,
 };
 use shm_types::{Attach, BusError, FramePublisher};
 
@@ -80,6 +80,8 @@ pub(crate) struct RequestScene {
     pub(crate) segment: Vec<FrameId>,
     /// Further items, with the steps that the message holds for them.
     pub(crate) items: Vec<(RecalledItem, Vec<SegmentStep>)>,
+    /// The instruction of all demonstrations; an empty one if there is none.
+    pub(crate) instruction: Option<RecalledInstruction>,
 }
 
 impl RequestScene {
@@ -87,6 +89,9 @@ impl RequestScene {
         let mut recall = recall(id, &self.segment);
         for (item, steps) in &self.items {
             supply(&mut recall, *item, steps);
+        }
+        if let Some(instruction) = self.instruction {
+            recall.instructions[..recall.instructions_len as usize].fill(instruction);
         }
         recall
     }
@@ -107,12 +112,24 @@ impl TestedPolicy<'_> {
                 document,
                 steps: steps.len() as u32,
                 whole: 1,
+                instructions: steps.chunk_by(|a, b| a.trajectory == b.trajectory).count() as u8,
                 ..item(ItemKind::Trajectory)
             },
             Content::Summary(text) | Content::Semantic(text) | Content::Note(text) => {
                 RecalledItem { document, bytes: text.len() as u32, ..item(ItemKind::Text) }
             }
         })
+    }
+
+    /// Publishes the instruction of a demonstration for an episode.
+    pub(crate) fn instruction(
+        &mut self,
+        of: RequestId,
+        instruction: &str,
+    ) -> CheckResult<RecalledInstruction> {
+        let note = self.document(Some(of), &Content::Note(instruction.to_owned()))?;
+        let RecalledItem { document, first_byte, bytes, .. } = note;
+        Ok(RecalledInstruction { document, first_byte, bytes })
     }
 
     /// Begins an episode with a window of six steps.

@@ -107,8 +107,10 @@ fn prompt_text(text: &mut String, prompt: &RecordedPrompt) {
             }
             RecordedItem::Text { .. } => {}
             RecordedItem::Segment { steps, .. } => demonstration(text, steps),
-            RecordedItem::Trajectory(hash) => demonstration(text, prompt.trajectory(hash)),
-            RecordedItem::Frame { frame, caption } => {
+            RecordedItem::Trajectory { steps, .. } => {
+                demonstration(text, prompt.trajectory(steps));
+            }
+            RecordedItem::Frame { frame, caption, .. } => {
                 let _ = writeln!(text, "    image {}", short(frame));
                 indented(text, prompt.text(caption));
             }

@@ -13,9 +13,9 @@ use case_book::WorldDeclaration;
 use domain::pose::UnknownCode;
 use domain::{ActionCode, FeedbackCode, State};
 use shm_types::message::{
-    DocumentId, EpisodeId, FrameId, ItemKind, MAX_ITEMS, MAX_STEPS, MAX_WINDOW, NO_DOCUMENT,
-    NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecalledItem, RequestId, SegmentStep,
-    read_action, read_flag, read_text,
+    DocumentId, EpisodeId, FrameId, ItemKind, MAX_ITEMS, MAX_SOURCES, MAX_STEPS, MAX_WINDOW,
+    NO_DOCUMENT, NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecalledInstruction,
+    RecalledItem, RequestId, SegmentStep, read_action, read_flag, read_text,
 };
 
 const RECALL: &str = "recall";
@@ -74,17 +74,20 @@ pub(super) enum ItemContent {
     Steps {
         kind: StepsKind,
         steps: Range<usize>,
+        instruction: Option<TextPart>,
     },
-    /// Steps in a document.
+    /// Steps in a document, and the instruction of each demonstration that they belong to.
     Trajectory {
         kind: StepsKind,
         document: DocumentId,
         steps: Range<usize>,
+        instructions: Vec<Option<TextPart>>,
     },
-    /// A view in [`Recalled::steps`]; no caption if it is empty.
+    /// A view in [`Recalled::steps`]. An empty caption or instruction is absent.
     Frame {
         frame: FrameId,
         caption: Option<TextPart>,
+        instruction: Option<TextPart>,
     },
 }
 
@@ -93,6 +96,21 @@ pub(super) enum ItemContent {
 pub(super) struct TextPart {
     pub(super) document: DocumentId,
     pub(super) bytes: Range<usize>,
+}
+
+impl TextPart {
+    fn new(document: DocumentId, first_byte: u32, bytes: u32) -> Self {
+        Self { document, bytes: range(first_byte, bytes) }
+    }
+
+    /// The same; `None` for an empty text, which is in no document.
+    fn unless_absent(self) -> Option<Self> {
+        Some(self).filter(|part| part.document != NO_DOCUMENT || !part.bytes.is_empty())
+    }
+}
+
+fn range(first: u32, count: u32) -> Range<usize> {
+    first as usize..first as usize + count as usize
 }
 
 /// What the steps of an item are.
@@ -118,8 +136,10 @@ impl Recalled {
         };
         let steps = steps.iter().map(supplied).collect::<Result<Vec<_>, UnknownCode>>();
         let steps = steps.map_err(|problem| bad(RECALL, lane, step, problem))?;
+        let instructions = count("instructions", message.instructions_len, MAX_SOURCES)?;
+        let instructions = &message.instructions[..instructions];
         let items = items.iter().enumerate().map(|(item, content)| {
-            ItemContent::read(content, &steps)
+            ItemContent::read(content, &steps, instructions)
                 .map_err(|problem| bad_item(lane, step, item, &problem))
         });
         let items = items.collect::<Result<_, _>>()?;
@@ -128,21 +148,31 @@ impl Recalled {
 
     /// The documents that the items name.
     pub(super) fn documents(&self) -> impl Iterator<Item = DocumentId> {
-        self.items.iter().filter_map(|item| match item {
-            ItemContent::Text(part) => Some(part.document),
-            ItemContent::Trajectory { document, .. } => Some(*document),
-            ItemContent::Frame { caption, .. } => Some(caption.as_ref()?.document),
-            ItemContent::Steps { .. } => None,
+        self.items.iter().flat_map(|item| {
+            let (steps, texts): (_, Vec<&TextPart>) = match item {
+                ItemContent::Text(part) => (None, vec![part]),
+                ItemContent::Steps { instruction, .. } => (None, instruction.iter().collect()),
+                ItemContent::Trajectory { document, instructions, .. } => {
+                    (Some(*document), instructions.iter().flatten().collect())
+                }
+                ItemContent::Frame { caption, instruction, .. } => {
+                    (None, caption.iter().chain(instruction).collect())
+                }
+            };
+            steps.into_iter().chain(texts.into_iter().map(|part| part.document))
         })
     }
 }
 
 impl ItemContent {
-    /// Reads an item of a recall with `steps`; an error continues "item 2 ...".
-    fn read(item: &RecalledItem, steps: &[SuppliedStep]) -> Result<Self, String> {
+    /// Reads an item of a recall with `steps` and `instructions`; an error continues "item 2 ...".
+    fn read(
+        item: &RecalledItem,
+        steps: &[SuppliedStep],
+        instructions: &[RecalledInstruction],
+    ) -> Result<Self, String> {
         let &RecalledItem { document, distance, kind, whole, .. } = item;
-        let range = |first: u32, count: u32| first as usize..first as usize + count as usize;
-        let text = TextPart { document, bytes: range(item.first_byte, item.bytes) };
+        let text = TextPart::new(document, item.first_byte, item.bytes);
         let supplied = range(item.first_step, item.steps);
         let kind = ItemKind::try_from(kind).map_err(|problem| format!("is invalid: {problem}"))?;
         if kind != ItemKind::Text && supplied.is_empty() {
@@ -152,12 +182,35 @@ impl ItemContent {
             let (Range { start, end }, len) = (supplied, steps.len());
             return Err(format!("has the steps {start}..{end} of a message with {len}"));
         }
+        let named = range(item.first_instruction.into(), item.instructions.into());
+        let of_item = instructions.get(named.clone()).ok_or_else(|| {
+            format!("has the instructions {named:?} of a message with {}", instructions.len())
+        })?;
+        let mut instructions = of_item
+            .iter()
+            .map(|of| TextPart::new(of.document, of.first_byte, of.bytes).unless_absent());
+        let expected = match kind {
+            ItemKind::Text => 0,
+            ItemKind::Steps | ItemKind::Frame => 1,
+            // As many as there are demonstrations in the document.
+            ItemKind::Trajectory => of_item.len(),
+        };
+        if of_item.len() != expected {
+            let count = of_item.len();
+            return Err(format!("has {count} instructions, expected {expected}"));
+        }
         let distance = distance.is_finite().then_some(distance);
         let what = StepsKind { distance, is_whole: whole != 0 };
         Ok(match kind {
             ItemKind::Text => Self::Text(text),
-            ItemKind::Steps => Self::Steps { kind: what, steps: supplied },
-            ItemKind::Trajectory => Self::Trajectory { kind: what, document, steps: supplied },
+            ItemKind::Steps => {
+                let instruction = instructions.next().flatten();
+                Self::Steps { kind: what, steps: supplied, instruction }
+            }
+            ItemKind::Trajectory => {
+                let instructions = instructions.collect();
+                Self::Trajectory { kind: what, document, steps: supplied, instructions }
+            }
             ItemKind::Frame => {
                 let [(frame, _)] = steps[supplied] else {
                     return Err(format!("is a frame of {} steps", item.steps));
@@ -165,8 +218,8 @@ impl ItemContent {
                 if frame == NO_FRAME {
                     return Err("is a frame that names no frame".to_owned());
                 }
-                let is_empty = text.bytes.is_empty() && document == NO_DOCUMENT;
-                Self::Frame { frame, caption: (!is_empty).then_some(text) }
+                let (caption, instruction) = (text.unless_absent(), instructions.next().flatten());
+                Self::Frame { frame, caption, instruction }
             }
         })
     }
@@ -470,13 +523,19 @@ mod tests {
             recall
         };
         let with = |item| {
-            let mut recall = Recall { items_len: 2, steps_len: 4, ..recall(1, 5, 0) };
+            let mut recall =
+                Recall { items_len: 2, steps_len: 4, instructions_len: 2, ..recall(1, 5, 0) };
             recall.items[1] = item;
             recall
         };
         let of_kind = |kind| RecalledItem { kind, ..Zeroable::zeroed() };
+        let of_text = |first_instruction, instructions| RecalledItem {
+            first_instruction,
+            instructions,
+            ..of_kind(0)
+        };
         let steps = |kind: ItemKind, first_step, steps| {
-            with(RecalledItem { first_step, steps, ..of_kind(kind as u8) })
+            with(RecalledItem { first_step, steps, instructions: 1, ..of_kind(kind as u8) })
         };
         let errors = [
             join.begin(&config(2, 6)),
@@ -500,6 +559,10 @@ mod tests {
             recalled(&mut join, &steps(ItemKind::Trajectory, 0, 0)),
             recalled(&mut join, &steps(ItemKind::Frame, 0, 2)),
             recalled(&mut join, &steps(ItemKind::Frame, 0, 1)),
+            recalled(&mut join, &Recall { instructions_len: 17, ..recall(1, 5, 0) }),
+            recalled(&mut join, &with(of_text(2, 1))),
+            recalled(&mut join, &with(of_text(0, 1))),
+            recalled(&mut join, &with(RecalledItem { steps: 1, ..of_kind(ItemKind::Steps as u8) })),
             recalled(&mut join, &recall(u32::MAX, 5, 0)),
         ];
         let texts: Vec<_> = errors.into_iter().map(|e| e.unwrap_err().to_string()).collect();
@@ -525,6 +588,10 @@ mod tests {
         recall for lane 1, step 0: item 1 has no steps
         recall for lane 1, step 0: item 1 is a frame of 2 steps
         recall for lane 1, step 0: item 1 is a frame that names no frame
+        recall for lane 1, step 0: 17 instructions, but at most 16 fit
+        recall for lane 1, step 0: item 1 has the instructions 2..3 of a message with 2
+        recall for lane 1, step 0: item 1 has 1 instructions, expected 0
+        recall for lane 1, step 0: item 1 has 0 instructions, expected 1
         recall for lane 4294967295: the run has 2 lanes
         ");
         join.observe(&observation(1, 5, 0)).unwrap();
@@ -537,17 +604,18 @@ mod tests {
         #[test]
         fn no_recall_panics(
             bytes in proptest::collection::vec(proptest::num::u8::ANY, size_of::<Recall>()),
-            counts in (0..=MAX_ITEMS as u32, 0..=MAX_STEPS as u32),
+            counts in (0..=MAX_ITEMS as u32, 0..=MAX_STEPS as u32, 0..=MAX_SOURCES as u32),
             ranges in proptest::collection::vec((0..60_u32, 0..60_u32, 0..5_u8), MAX_ITEMS),
         ) {
             let world = scripted_world();
             let mut recall: Recall = bytemuck::pod_read_unaligned(&bytes);
             let _ = Recalled::read(&world, &recall);
-            (recall.items_len, recall.steps_len) = counts;
+            (recall.items_len, recall.steps_len, recall.instructions_len) = counts;
             recall.steps.iter_mut().for_each(|step| step.action %= 7);
             let _ = Recalled::read(&world, &recall);
             for (item, range) in recall.items.iter_mut().zip(ranges) {
                 (item.first_step, item.steps, item.kind) = range;
+                item.instructions = 1;
             }
             if let Ok(recalled) = Recalled::read(&world, &recall) {
                 assert_eq!(recalled.items.len(), counts.0 as usize);

@@ -61,10 +61,18 @@ pub struct PinnedStep {
 #[derive(Debug)]
 enum PinnedItem {
     Text(PinnedText),
-    /// Steps in [`PinnedStep::steps`].
-    Steps(StepsKind, Range<usize>),
+    /// Steps in [`PinnedStep::steps`], and their demonstration's instruction.
+    Steps {
+        kind: StepsKind,
+        steps: Range<usize>,
+        instruction: Option<PinnedText>,
+    },
     /// A step in [`PinnedStep::steps`] that has a view.
-    Frame(usize, Option<PinnedText>),
+    Frame {
+        step: usize,
+        caption: Option<PinnedText>,
+        instruction: Option<PinnedText>,
+    },
 }
 
 /// A part of a document, on character boundaries.
@@ -99,14 +107,17 @@ impl PinnedStep {
             let pinned = PinnedText { document, bytes };
             pinned.check().map(|()| pinned)
         };
+        let text_if_any = |part: &Option<TextPart>| part.as_ref().map(text).transpose();
         let first = self.steps.len();
         match &recalled.items[item] {
             ItemContent::Text(part) => self.items.push(PinnedItem::Text(text(part)?)),
-            ItemContent::Steps { kind, steps } => {
+            ItemContent::Steps { kind, steps, instruction } => {
+                let instruction = text_if_any(instruction)?;
                 self.steps.extend_from_slice(&recalled.steps[steps.clone()]);
-                self.items.push(PinnedItem::Steps(*kind, first..self.steps.len()));
+                let (kind, steps) = (*kind, first..self.steps.len());
+                self.items.push(PinnedItem::Steps { kind, steps, instruction });
             }
-            ItemContent::Trajectory { kind, document, steps } => {
+            ItemContent::Trajectory { kind, document, steps, instructions } => {
                 let document = named(*document)?;
                 let Content::Trajectories(content) = &document.content else {
                     let (id, kind) = (document.id, document.content.kind().word());
@@ -116,8 +127,14 @@ impl PinnedStep {
                     let (id, len) = (document.id, content.len());
                     return Err(format!("has the steps {steps:?} of document {id} with {len}"));
                 };
+                let demonstrations = content.chunk_by(|a, b| a.trajectory == b.trajectory);
+                let (count, expected) = (instructions.len(), demonstrations.clone().count());
+                if count != expected {
+                    return Err(format!("has {count} instructions, expected {expected}"));
+                }
                 let world = &self.step.episode.world;
-                for demonstration in content.chunk_by(|a, b| a.trajectory == b.trajectory) {
+                for (demonstration, instruction) in demonstrations.zip(instructions) {
+                    let instruction = text_if_any(instruction)?;
                     let first = self.steps.len();
                     for step in demonstration {
                         let action = read_action(step.action);
@@ -127,13 +144,14 @@ impl PinnedStep {
                         })?;
                         self.steps.push((step.frame, action));
                     }
-                    self.items.push(PinnedItem::Steps(*kind, first..self.steps.len()));
+                    let (kind, steps) = (*kind, first..self.steps.len());
+                    self.items.push(PinnedItem::Steps { kind, steps, instruction });
                 }
             }
-            ItemContent::Frame { frame, caption } => {
-                let caption = caption.as_ref().map(text).transpose()?;
+            ItemContent::Frame { frame, caption, instruction } => {
+                let (caption, instruction) = (text_if_any(caption)?, text_if_any(instruction)?);
                 self.steps.push((*frame, None));
-                self.items.push(PinnedItem::Frame(first, caption));
+                self.items.push(PinnedItem::Frame { step: first, caption, instruction });
             }
         }
         Ok(())
@@ -192,16 +210,21 @@ impl PinnedStep {
     }
 
     fn items<'a>(&'a self, views: &'a StepViews<'a>) -> Vec<Item<'a>> {
+        let text = |part: &'a Option<PinnedText>| part.as_ref().map_or("", PinnedText::text);
         let item = |item: &'a PinnedItem| match item {
             PinnedItem::Text(text) => Item::Text(text.view()),
-            PinnedItem::Steps(StepsKind { distance, is_whole }, steps) => Item::Steps(StepsView {
-                distance: *distance,
-                is_whole: *is_whole,
-                steps: &views.steps[steps.clone()],
-            }),
-            PinnedItem::Frame(step, caption) => Item::Frame(CaptionedView {
+            PinnedItem::Steps { kind: StepsKind { distance, is_whole }, steps, instruction } => {
+                Item::Steps(StepsView {
+                    distance: *distance,
+                    is_whole: *is_whole,
+                    instruction: text(instruction),
+                    steps: &views.steps[steps.clone()],
+                })
+            }
+            PinnedItem::Frame { step, caption, instruction } => Item::Frame(CaptionedView {
                 frame: views.steps[*step].frame.unwrap_or(FrameView::NONE),
-                caption: caption.as_ref().map_or("", PinnedText::text),
+                caption: text(caption),
+                instruction: text(instruction),
             }),
         };
         self.items.iter().map(item).collect()

@@ -118,16 +118,19 @@ impl PromptLogWriter {
                 RecordedItem::Text { kind: kind.word().to_owned(), text: self.text(text)? }
             }
             Item::Steps(supplied) => {
+                let instruction = supplied.instruction.to_owned();
                 let steps = self.views(world, supplied.steps)?;
                 if supplied.is_trajectory() {
-                    RecordedItem::Trajectory(self.trajectory(&steps)?)
+                    RecordedItem::Trajectory { instruction, steps: self.trajectory(&steps)? }
                 } else {
-                    RecordedItem::Segment { distance: supplied.distance, steps }
+                    RecordedItem::Segment { distance: supplied.distance, instruction, steps }
                 }
             }
-            Item::Frame(CaptionedView { frame, caption }) => {
-                RecordedItem::Frame { frame: self.view(frame)?, caption: self.text(caption)? }
-            }
+            Item::Frame(CaptionedView { frame, caption, instruction }) => RecordedItem::Frame {
+                instruction: (*instruction).to_owned(),
+                frame: self.view(frame)?,
+                caption: self.text(caption)?,
+            },
         })
     }
 

@@ -96,6 +96,8 @@ pub struct StepsView<'a> {
     pub distance: Option<f32>,
     /// Whether these are all steps of the demonstration.
     pub is_whole: bool,
+    /// The task of the demonstration, in English: that of this episode, or another.
+    pub instruction: &'a str,
     /// The steps, in order. Never empty.
     pub steps: &'a [StepView<'a>],
 }
@@ -117,6 +119,8 @@ pub struct CaptionedView<'a> {
     pub frame: FrameView<'a>,
     /// The caption; may be empty.
     pub caption: &'a str,
+    /// The task of the demonstration that shows the view, in English.
+    pub instruction: &'a str,
 }
 
 impl<'a> Item<'a> {

@@ -117,9 +117,9 @@ impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
         }
         let observations = self.observations.drain()?;
         for config in &self.configs.drain()? {
+            self.documents.begin(config.lane, config.episode);
             match self.join.begin(config) {
                 Ok(()) => {
-                    self.documents.begin(config.lane, config.episode);
                     self.open[config.lane as usize] = None;
                     self.policy.reset(config.lane);
                 }

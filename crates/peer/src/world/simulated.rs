@@ -236,10 +236,10 @@ impl<S: Simulator + ?Sized> World for SimulatedWorld<'_, S> {
         let Lane { environment: Some(environment), episode: Some(episode) } = &mut *lane else {
             return Err(invalid("the lane is in no episode".to_owned()).into());
         };
-        if id < episode.config.episode {
+        if id != episode.config.episode {
             return Ok(None);
         }
-        if (id, Some(step)) != (episode.config.episode, episode.step.checked_add(1)) {
+        if Some(step) != episode.step.checked_add(1) {
             let RunningEpisode { config, step, .. } = episode;
             let at = format!("the lane is in episode {} after step {step}", config.episode);
             return Err(invalid(at).into());

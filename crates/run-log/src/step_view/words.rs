@@ -10,12 +10,14 @@ pub fn title(item: &RecordedItem, prompt: &RecordedPrompt) -> String {
         RecordedItem::Text { kind, text } => {
             format!("Text ({kind}), {} characters", prompt.text(text).chars().count())
         }
-        RecordedItem::Segment { distance: Some(distance), .. } => {
-            format!("Retrieved, at distance {distance:.4}")
+        RecordedItem::Segment { distance: Some(distance), instruction, .. } => {
+            format!("Retrieved, at distance {distance:.4}: {instruction}")
         }
-        RecordedItem::Segment { distance: None, .. } => "Part of a demonstration".to_owned(),
-        RecordedItem::Trajectory(_) => "Demonstration".to_owned(),
-        RecordedItem::Frame { .. } => "Remembered view".to_owned(),
+        RecordedItem::Segment { distance: None, instruction, .. } => {
+            format!("Part of a demonstration: {instruction}")
+        }
+        RecordedItem::Trajectory { instruction, .. } => format!("Demonstration: {instruction}"),
+        RecordedItem::Frame { instruction, .. } => format!("Remembered view: {instruction}"),
     }
 }
 

@@ -83,9 +83,9 @@ fn the_paper_runs_these_conditions() {
     working/new/unchanged/none x3
     full-context/original/unchanged/original x5
     full-context/new/unchanged/original x3
-    summary/original/unchanged/original x3
+    summary/original/unchanged/original x5
     summary/new/unchanged/original x3
-    semantic/original/unchanged/original x3
+    semantic/original/unchanged/original x5
     semantic/new/unchanged/original x3
     hybrid/original/unchanged/original x3
     hybrid/new/unchanged/original x3
@@ -132,6 +132,6 @@ fn the_paper_runs_these_conditions() {
     episodic/original/unchanged/original/images x5
     full-context/original/unchanged/original/no-hint x5
     episodic/original/unchanged/original/no-hint x5
-    53 conditions, 17500 episodes
+    53 conditions, 17900 episodes
     ");
 }

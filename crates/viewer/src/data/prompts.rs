@@ -122,8 +122,8 @@ fn item_data(item: &RecordedItem, prompt: &RecordedPrompt) -> ItemData {
     let (text, images) = match item {
         RecordedItem::Text { text, .. } => (Some(prompt.text(text).to_owned()), Vec::new()),
         RecordedItem::Segment { steps, .. } => (None, row(steps)),
-        RecordedItem::Trajectory(hash) => (None, row(prompt.trajectory(hash))),
-        RecordedItem::Frame { frame, caption } => {
+        RecordedItem::Trajectory { steps, .. } => (None, row(prompt.trajectory(steps))),
+        RecordedItem::Frame { frame, caption, .. } => {
             let caption = prompt.text(caption).to_owned();
             (None, vec![ImageData { image: Some(frame.clone()), caption }])
         }

@@ -258,6 +258,7 @@ pub(crate) fn memory(input: &[u8]) {
     let mut made = messages::recall(id, &[]);
     (made.items_len, made.items) = (recall.items_len, recall.items);
     (made.steps_len, made.steps) = (recall.steps_len, recall.steps);
+    (made.instructions_len, made.instructions) = (recall.instructions_len, recall.instructions);
     let incoming = [
         Incoming::Config(Box::new(messages::config(0, 5, "Find a cone."))),
         Incoming::Observation(Box::new(messages::observation(id, 9))),

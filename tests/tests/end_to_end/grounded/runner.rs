@@ -111,7 +111,12 @@ impl Runner {
             Representation::FullContext => memory.iter().map(recall::trajectory).collect(),
             _ => Vec::new(),
         };
-        let whole = views.iter().map(|steps| StepsView { distance: None, is_whole: true, steps });
+        let whole = views.iter().map(|steps| StepsView {
+            distance: None,
+            is_whole: true,
+            instruction: &instruction,
+            steps,
+        });
         let fixed: Vec<_> = texts.chain(whole.map(Item::Steps)).collect();
         let mut stage = recall::KnownStage::default();
         for taken in 0..MAX_STEPS {
@@ -126,6 +131,7 @@ impl Runner {
             let segment = segment.as_ref().map(|(distance, steps)| StepsView {
                 distance: Some(*distance),
                 is_whole: false,
+                instruction: &instruction,
                 steps,
             });
             let items: Vec<_> = fixed.iter().copied().chain(segment.map(Item::Steps)).collect();
