@@ -6,7 +6,7 @@
 //! fit belongs to one episode, so the estimate depends neither on other lanes nor on the order of replies. Where the server
 //! reports image tokens, those are used.
 
-use domain::DocumentKind;
+use domain::{DocumentKind, tokens};
 use peer::Request;
 use prompt::{Prompt, PromptSection};
 
