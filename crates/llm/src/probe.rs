@@ -234,7 +234,7 @@ impl ServerProbe<'_> {
         let (server, models) = match models(self.client.http(), timeout) {
             Ok(answer) => answer,
             // The rest of the server may work.
-            Err(Transient::Timeout(_)) => {
+            Err(AttemptError::Transient(Transient::Timeout(_), _)) => {
                 let about = format!(
                     "the list of models did not come within {} s; the other checks go on",
                     timeout.as_secs()
@@ -242,7 +242,11 @@ impl ServerProbe<'_> {
                 self.found("reachable", ProbeMark::Doubtful, about);
                 return true;
             }
-            Err(problem) => {
+            Err(AttemptError::Final(error)) => {
+                self.found("reachable", ProbeMark::Bad, error.to_string());
+                return false;
+            }
+            Err(AttemptError::Transient(problem, _)) => {
                 let about = format!(
                     "no answer from {}: {problem} Start the server, or correct --base-url.",
                     self.report.endpoint
@@ -773,7 +777,7 @@ enum ModelList {
 fn models(
     client: &HttpClient,
     timeout: Duration,
-) -> Result<(Option<String>, ModelList), Transient> {
+) -> Result<(Option<String>, ModelList), AttemptError> {
     let page = client.get(&client.endpoint().page("/models"), timeout)?;
     if page.status != 200 {
         let message = reply::error_message(&page.body, |text| client.endpoint().masked(text));
