@@ -1,7 +1,7 @@
 //! One session of a run: records what the [`pipeline`](crate::pipeline) finishes in the run folder, and passes events
 //! to the monitor.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::Result;
 use domain::{ExternalName, Outcome, Reasoning};
@@ -36,7 +36,12 @@ pub(crate) struct RunSession<'a> {
     problems: u32,
     last_problem: String,
     finished: u32,
+    /// What was told of servers that do otherwise than asked.
+    told: BTreeSet<String>,
 }
+
+/// Words of a learned fact that says what a server does otherwise than asked.
+const OTHERWISE: [&str; 2] = ["the server ", "although "];
 
 impl<'a> RunSession<'a> {
     /// A session that is recorded in `folder`, with so many lanes and frames.
@@ -61,6 +66,7 @@ impl<'a> RunSession<'a> {
             problems: 0,
             last_problem: String::new(),
             finished: 0,
+            told: BTreeSet::new(),
         }
     }
 
@@ -164,6 +170,13 @@ impl Observer for RunSession<'_> {
     fn learned(&mut self, sender: Participant, facts: &Facts) -> Result<()> {
         for change in self.folder.learn(&sender.to_string(), facts)? {
             self.monitor.note(&change);
+        }
+        for (fact, value) in facts {
+            let note = format!("{sender}: {fact}: {value}");
+            if OTHERWISE.iter().any(|words| value.contains(words)) && self.told.insert(note.clone())
+            {
+                self.monitor.note(&note);
+            }
         }
         Ok(())
     }

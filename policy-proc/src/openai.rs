@@ -228,7 +228,8 @@ impl PendingRequest {
     fn report_facts(&self, reply: &ChatReply) {
         let refused = self.client.refused_fields();
         let mut in_force = self.in_force.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(facts) = in_force.add(reply, refused) {
+        let choices = prompt::answer_choices(&self.world);
+        if let Some(facts) = in_force.add(reply, &choices, refused) {
             // Under the lock, so that the latest facts are reported last.
             self.answers.learned(facts);
         }

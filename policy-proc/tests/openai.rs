@@ -233,8 +233,7 @@ fn answers_without_an_action_have_different_outcomes() {
     ];
     assert_eq!(outcomes, expected.map(|(lane, outcome)| (lane, outcome as u8)));
     // Once all have answered, the facts for the manifest are these, whatever the order of the replies.
-    let last =
-        r#"{"answers":"free text","reasoning":"off, as far as replies show","temperature":"0"}"#;
+    let last = r#"{"answers":"free text, although requests restrict them","reasoning":"off, as far as replies show","temperature":"0"}"#;
     while bench.learned_facts() != last {}
     // A refused request does not count against the model.
     let (report, text) = bench.error_report();

@@ -176,17 +176,10 @@ impl HttpClient {
 
     /// What a failure without a response means.
     fn failed(&self, error: ureq::Error, deadline: Duration) -> AttemptError {
-        let text = error.to_string();
-        if text.contains("certificate") {
-            return self.out_of_reach(format!(
-                "its certificate is not trusted ({text}): add the authority that signed it to those of the system, or name \
-                 its file in SSL_CERT_FILE"
-            ));
+        match problem_of_the_way(&error.to_string()) {
+            Some(problem) => self.out_of_reach(problem),
+            None => AttemptError::Transient(transient(error, deadline), None),
         }
-        if text.contains("InvalidContentType") {
-            return self.out_of_reach("it does not use TLS: try http://".to_owned());
-        }
-        AttemptError::Transient(transient(error, deadline), None)
     }
 
     fn out_of_reach(&self, problem: String) -> AttemptError {
@@ -195,13 +188,16 @@ impl HttpClient {
     }
 
     /// Fetches a page of the server, with the key, within `timeout`.
-    pub(crate) fn get(&self, url: &str, timeout: Duration) -> Result<ServerPage, Transient> {
+    pub(crate) fn get(&self, url: &str, timeout: Duration) -> Result<ServerPage, AttemptError> {
+        if let Some(problem) = &self.problem {
+            return Err(self.out_of_reach(problem.clone()));
+        }
         let mut get = self.agent.get(url);
         for (name, value) in self.endpoint.headers() {
             get = get.header(name, value);
         }
         let get = get.config().timeout_global(Some(timeout)).build();
-        let failed = |error| transient(error, timeout);
+        let failed = |error| self.failed(error, timeout);
         let mut response = get.call().map_err(failed)?;
         let body = read_body(&mut response).map_err(failed)?;
         Ok(ServerPage {
@@ -302,6 +298,39 @@ fn read_body(response: &mut Response<Body>) -> Result<Result<Vec<u8>, String>, u
     Ok(body::decompressed(bytes, header(response, CONTENT_ENCODING).unwrap_or_default()))
 }
 
+/// Why a failure without a response, in the words of ureq and rustls, meets every other request too, and what to do. `None`
+/// where another attempt may succeed.
+fn problem_of_the_way(text: &str) -> Option<String> {
+    if text.contains("certificate") {
+        let advice = match text {
+            _ if text.contains("CaUsedAsEndEntity") => {
+                "it is that of an authority, which SSL_CERT_FILE does not help: let it sign one for the server, or make a \
+                 self-signed one with -addext basicConstraints=critical,CA:FALSE"
+            }
+            _ if text.contains("not valid for name") => {
+                "use one of the names that it is valid for in the base URL"
+            }
+            _ if text.contains("xpired") => "check its dates and the clock of this machine",
+            _ => {
+                "add the authority that signed it to those of the system, or name its file in SSL_CERT_FILE"
+            }
+        };
+        return Some(format!("its certificate is not trusted ({text}): {advice}"));
+    }
+    if text.contains("InvalidContentType") {
+        return Some("it does not use TLS: try http://".to_owned());
+    }
+    let status = text.split_once("CONNECT proxy failed: proxy server responded ")?.1.get(..3)?;
+    let advice = match status {
+        "407" => "give the name and password in the URL of the proxy",
+        status if status.starts_with('4') => {
+            "let the proxy pass CONNECT to this host and port, or name the host in NO_PROXY"
+        }
+        _ => return None,
+    };
+    Some(format!("the proxy refuses to connect to it with status {status}: {advice}"))
+}
+
 fn transient(error: ureq::Error, deadline: Duration) -> Transient {
     match error {
         ureq::Error::Timeout(_) => Transient::Timeout(deadline),
@@ -330,4 +359,42 @@ fn header<T>(response: &Response<T>, name: HeaderName) -> Option<&str> {
 /// A number from 0 to 1 that differs from call to call. It only decides on the length of pauses.
 pub(crate) fn jitter(attempt: u32) -> f64 {
     RandomState::new().hash_one(attempt) as f64 / u64::MAX as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn advice_fits_what_is_wrong_on_the_way() {
+        for (text, expected) in [
+            ("io: invalid peer certificate: UnknownIssuer", "name its file in SSL_CERT_FILE"),
+            (
+                "io: invalid peer certificate: Other(OtherError(CaUsedAsEndEntity))",
+                "self-signed one with -addext basicConstraints=critical,CA:FALSE",
+            ),
+            (
+                "io: invalid peer certificate: certificate not valid for name \"vm\"; certificate is only valid for DnsName(\"a\")",
+                "use one of the names",
+            ),
+            ("io: invalid peer certificate: Expired", "check its dates"),
+            ("io: received corrupt message of type InvalidContentType", "try http://"),
+            (
+                "CONNECT proxy failed: proxy server responded 403/403",
+                "with status 403: let the proxy pass CONNECT to this host and port",
+            ),
+            (
+                "CONNECT proxy failed: proxy server responded 407/407",
+                "name and password in the URL",
+            ),
+        ] {
+            let problem = problem_of_the_way(text).unwrap();
+            assert!(problem.contains(expected), "{problem}");
+        }
+        for text in
+            ["io: Connection refused", "CONNECT proxy failed: proxy server responded 502/502"]
+        {
+            assert_eq!(problem_of_the_way(text), None);
+        }
+    }
 }

@@ -40,6 +40,10 @@ const LIST_TIMEOUT: Duration = Duration::from_secs(10);
 /// Edge of the coloured squares, in pixels: above the patch size of every model known.
 const SQUARE: u32 = 56;
 
+/// What two images with the same upper half and the same answer can mean.
+const SAME_HALF: &str = "the model may not see the lower half, or the server take an answer from a cache that compares \
+                         images only in part";
+
 /// How good a finding is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -121,18 +125,30 @@ pub struct RunRequest<'a> {
     pub with: Box<dyn Fn(u32) -> ChatRequest + 'a>,
 }
 
-/// Checks what the server can do, with `together` requests at once where several are sent. `requests` are the largest requests
-/// of the run to come, and `answer_tokens` is the bound on its answers.
+/// How a server is checked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ProbeSettings {
+    /// Number of requests at once where several are sent.
+    pub together: u32,
+    /// Maximum number of tokens of an answer of the run to come.
+    pub answer_tokens: u32,
+    /// Edge of a view of the run, in pixels.
+    pub frame_size: u32,
+}
+
+/// Checks what the server can do; `requests` are the largest requests of the run to come.
 pub fn run(
     client: &ChatClient,
-    together: u32,
-    answer_tokens: u32,
+    settings: ProbeSettings,
     requests: &[RunRequest<'_>],
 ) -> ProbeReport {
+    let ProbeSettings { together, answer_tokens, frame_size } = settings;
     let mut probe = ServerProbe {
         client,
         answer_tokens,
+        frame_size,
         reasoned: Some(false),
+        drops_images: false,
         report: ProbeReport {
             endpoint: client.http().endpoint().to_string(),
             model: client.settings().model.clone(),
@@ -162,8 +178,12 @@ struct ServerProbe<'a> {
     client: &'a ChatClient,
     /// Maximum number of tokens of a short answer, as in the run.
     answer_tokens: u32,
+    /// Edge of a view of the run, in pixels.
+    frame_size: u32,
     /// Whether a reply showed reasoning; `None` where none shows that there was none.
     reasoned: Option<bool>,
+    /// Whether the tokens of prompts show that not all images reach the model.
+    drops_images: bool,
     report: ProbeReport,
 }
 
@@ -214,7 +234,7 @@ impl ServerProbe<'_> {
         let (server, models) = match models(self.client.http(), timeout) {
             Ok(answer) => answer,
             // The rest of the server may work.
-            Err(Transient::Timeout(_)) => {
+            Err(AttemptError::Transient(Transient::Timeout(_), _)) => {
                 let about = format!(
                     "the list of models did not come within {} s; the other checks go on",
                     timeout.as_secs()
@@ -222,7 +242,11 @@ impl ServerProbe<'_> {
                 self.found("reachable", ProbeMark::Doubtful, about);
                 return true;
             }
-            Err(problem) => {
+            Err(AttemptError::Final(error)) => {
+                self.found("reachable", ProbeMark::Bad, error.to_string());
+                return false;
+            }
+            Err(AttemptError::Transient(problem, _)) => {
                 let about = format!(
                     "no answer from {}: {problem} Start the server, or correct --base-url.",
                     self.report.endpoint
@@ -455,7 +479,7 @@ impl ServerProbe<'_> {
     fn images(&mut self) -> bool {
         const SAME: &str = "the server may take an answer from a cache that ignores images";
         let (tokens, [red, blue]) =
-            (self.answer_tokens, [RED, BLUE].map(|rgba| square(rgba, rgba)));
+            (self.answer_tokens, [RED, BLUE].map(|rgba| square(SQUARE, rgba, rgba)));
         let question = "What colour is the square? Answer with one word.";
         let advice = "Serve a model that sees (for llama.cpp with its --mmproj file), or run with --image-budget 0.";
         let alone = [&red, &blue].map(|image| about_images(question, &[image], tokens));
@@ -496,7 +520,8 @@ impl ServerProbe<'_> {
         self.found("images in order", mark, about);
 
         let question = "Which colour has the lower half of this image? Answer with one word.";
-        let halves = [RED, BLUE].map(|rgba| square(GREY, rgba));
+        let frame_size = self.frame_size;
+        let halves = [RED, BLUE].map(|rgba| square(frame_size, GREY, rgba));
         let halves = halves.each_ref().map(|image| about_images(question, &[image], tokens));
         let advice = "Serve a model that sees.";
         let Some([to_red, to_blue]) = self.shown("images whole", halves, advice) else {
@@ -506,7 +531,7 @@ impl ServerProbe<'_> {
         let (mark, about) = if colours(&to_red) == ["red"] && colours(&to_blue) == ["blue"] {
             (ProbeMark::Ok, story)
         } else if to_red == to_blue && !colours(&to_red).is_empty() {
-            (ProbeMark::Bad, format!("{story}, and the rest of the images is the same: {SAME}."))
+            (ProbeMark::Bad, format!("{story}, in views of {frame_size} pixels: {SAME_HALF}."))
         } else {
             (ProbeMark::Doubtful, format!("{story}: the model may not see the whole image."))
         };
@@ -577,6 +602,7 @@ impl ServerProbe<'_> {
         } else {
             (ProbeMark::Ok, story)
         };
+        self.drops_images = mark == ProbeMark::Bad;
         self.found("tokens of images", mark, about);
     }
 
@@ -649,7 +675,10 @@ impl ServerProbe<'_> {
             .then(|| serde_json::Value::Object(options.extra_body.clone()).to_string());
         let tokens =
             (self.answer_tokens != PAPER_TOKENS).then(|| format!("at most {}", self.answer_tokens));
-        let images = (taken < needed).then(|| format!("at most {taken}"));
+        let images = match self.drops_images {
+            true => Some("not all reach the model".to_owned()),
+            false => (taken < needed).then(|| format!("at most {taken}")),
+        };
         let rows = [
             ("temperature", "0", temperature),
             ("reasoning", "off", reasoning),
@@ -748,7 +777,7 @@ enum ModelList {
 fn models(
     client: &HttpClient,
     timeout: Duration,
-) -> Result<(Option<String>, ModelList), Transient> {
+) -> Result<(Option<String>, ModelList), AttemptError> {
     let page = client.get(&client.endpoint().page("/models"), timeout)?;
     if page.status != 200 {
         let message = reply::error_message(&page.body, |text| client.endpoint().masked(text));
@@ -830,11 +859,12 @@ fn names(reply: &ChatReply, word: &str) -> bool {
     reply.text().to_lowercase().contains(word)
 }
 
-/// A square whose halves have these colours.
-fn square(upper: [u8; 4], lower: [u8; 4]) -> ImageUrl {
-    let half = (SQUARE * SQUARE / 2) as usize;
-    let pixels = [upper.repeat(half), lower.repeat(half)].concat();
-    let png = png_file::encode(SQUARE, SQUARE, png_file::Channels::Rgba, &pixels);
+/// A square of `edge` pixels whose halves have these colours.
+fn square(edge: u32, upper: [u8; 4], lower: [u8; 4]) -> ImageUrl {
+    let row = |rgba: [u8; 4]| rgba.repeat(edge as usize);
+    let (above, below) = (edge / 2, edge - edge / 2);
+    let pixels = [row(upper).repeat(above as usize), row(lower).repeat(below as usize)].concat();
+    let png = png_file::encode(edge, edge, png_file::Channels::Rgba, &pixels);
     ImageUrl::of_bytes("image/png", &png.unwrap_or_default())
 }
 

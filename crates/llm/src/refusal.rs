@@ -138,6 +138,7 @@ impl<'a> Refusal<'a> {
     /// What to do. `bytes` is the size of the request, `has_key` whether it had a key.
     pub(crate) fn advice(&self, request: &ChatRequest, bytes: usize, has_key: bool) -> String {
         let images = request.images();
+        let counted = format!("{images} image{}", if images == 1 { "" } else { "s" });
         let says = |words: &[&str]| has_any(&self.text, words);
         if self.is_out_of_credit() || self.status == 402 {
             return "the account of this key has nothing left to spend: see its billing page"
@@ -153,12 +154,12 @@ impl<'a> Refusal<'a> {
             401 | 403 => "check OPENAI_API_KEY".to_owned(),
             404 => "check the model's name and the base URL, which usually ends in /v1".to_owned(),
             413 => format!(
-                "the request has {bytes} bytes and {images} images, and the server or a proxy before it takes fewer: raise \
+                "the request has {bytes} bytes and {counted}, and the server or a proxy before it takes fewer: raise \
                  its limit (nginx: client_max_body_size), or make requests smaller with --image-format jpeg, a smaller \
                  --frame-size or --image-budget"
             ),
             _ if images > 0 && (says(&IMAGE_WORDS) || says(&LENGTH_WORDS)) => format!(
-                "the request has {images} images: lower --image-budget, or raise the server's context or its bound on \
+                "the request has {counted}: lower --image-budget, or raise the server's context or its bound on \
                  images"
             ),
             _ if says(&["system"]) => {
@@ -365,13 +366,9 @@ mod tests {
         with_image.messages[0].content = crate::MessageContent::Parts(vec![image]);
         let advice = |status, body: &str| refusal(status, body).advice(&with_image, 9000, true);
         for (status, body, expected) in [
-            (
-                400,
-                "Image count 6 exceeds limit 4",
-                "the request has 1 images: lower --image-budget",
-            ),
+            (400, "Image count 6 exceeds limit 4", "the request has 1 image: lower --image-budget"),
             (400, "maximum context length is 4096 tokens", "lower --image-budget"),
-            (413, "", "9000 bytes and 1 images"),
+            (413, "", "9000 bytes and 1 image,"),
             (402, "", "nothing left to spend"),
             (400, "Only user and assistant roles are supported, got system", "--system-role user"),
             (401, "", "check OPENAI_API_KEY"),

@@ -16,7 +16,7 @@ use orchestrator::run::{self, RunOutcome};
 use orchestrator::run_plan::RunPlan;
 use rustix::io::Errno;
 
-use super::doctor::copy_reports;
+use super::doctor::endpoint::copy_reports;
 use super::run::flags::RunOptions;
 use super::{Exit, in_one_line};
 use crate::signals::{self, Signals};

@@ -9,7 +9,9 @@ use std::time::Duration;
 use anyhow::ensure;
 use clap::Args;
 use domain::ImageFormat;
-use llm::probe::{self, PaperDifference, ProbeFinding, ProbeMark, ProbeReport, RunRequest};
+use llm::probe::{
+    self, PaperDifference, ProbeFinding, ProbeMark, ProbeReport, ProbeSettings, RunRequest,
+};
 use llm::{ChatClient, ChatSettings, Servers, Source};
 use policy_proc::openai::largest::LargestRequest;
 
@@ -121,7 +123,12 @@ pub(crate) fn run(arguments: &ProbeArguments) -> anyhow::Result<ExitCode> {
         }
     };
     let requests: Vec<_> = arguments.memory_size.iter().map(request).collect();
-    let report = probe::run(&client, arguments.together, arguments.answer_tokens, &requests);
+    let settings = ProbeSettings {
+        together: arguments.together,
+        answer_tokens: arguments.answer_tokens,
+        frame_size: arguments.frame_size,
+    };
+    let report = probe::run(&client, settings, &requests);
     print(&if arguments.json { serde_json::to_string_pretty(&report)? } else { plain(&report) })?;
     Ok(ExitCode::from(u8::from(report.worst() == ProbeMark::Bad)))
 }

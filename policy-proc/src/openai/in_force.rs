@@ -1,7 +1,7 @@
 //! What was in force when the model answered: whether it reasoned although it was asked not to, and whether its answers were
 //! restricted to the actions. Requests ask for both, but servers refuse fields, or ignore them, so only replies can tell.
 
-use domain::{Action, ReasoningRequest};
+use domain::ReasoningRequest;
 use llm::{CONSTRAINTS, ChatReply, ReplyContent};
 use serde_json::Value;
 
@@ -41,17 +41,18 @@ impl InForce {
         }
     }
 
-    /// Takes a reply, and the fields that servers have refused so far. Returns the facts for the manifest if they have
-    /// changed.
+    /// Takes a reply to a request with these choices, and the fields that servers have refused so far. Returns the facts for
+    /// the manifest if they have changed.
     pub(super) fn add(
         &mut self,
         reply: &ChatReply,
+        choices: &[&str],
         refused: Vec<&'static str>,
     ) -> Option<Vec<(&'static str, String)>> {
         self.reasoned |= reply.reasoned;
         if let ReplyContent::Text(text) = &reply.content {
             self.has_text = true;
-            self.unrestricted |= !is_choice(text);
+            self.unrestricted |= !is_choice(text, choices);
         }
         self.refused = refused;
         let mut facts = vec![
@@ -70,8 +71,11 @@ impl InForce {
 
     fn answers(&self) -> String {
         let refused = self.refused(FieldKind::Constraint);
-        if self.unrestricted || CONSTRAINTS.iter().all(|field| self.refused.contains(field)) {
+        if CONSTRAINTS.iter().all(|field| self.refused.contains(field)) {
             return format!("free text{refused}");
+        }
+        if self.unrestricted {
+            return format!("free text, although requests restrict them{refused}");
         }
         if !self.has_text {
             return format!("no reply shows whether they are restricted{refused}");
@@ -136,8 +140,8 @@ impl FieldKind {
 
 /// Whether an answer is what a server that restricts answers lets through: the words of an action, alone or as the `action` of
 /// an object.
-fn is_choice(text: &str) -> bool {
-    let is_action = |text: &str| Action::ALL.iter().any(|action| action.words() == text);
+fn is_choice(text: &str, choices: &[&str]) -> bool {
+    let is_action = |text: &str| choices.contains(&text);
     let of_object = || {
         let object: Value = serde_json::from_str(text).ok()?;
         object.get("action")?.as_str().map(is_action)
@@ -162,11 +166,14 @@ mod tests {
         }
     }
 
+    const CHOICES: [&str; 2] = ["move forward", "turn left"];
+
     #[test]
     fn the_facts_follow_from_replies_and_refusals() {
         let said = |text: &str| reply(ReplyContent::Text(text.to_owned()), false);
         let mut cut_off_only = InForce::new(ReasoningRequest::Off, "0".to_owned());
-        let unknown = cut_off_only.add(&reply(ReplyContent::Length(String::new()), false), vec![]);
+        let unknown =
+            cut_off_only.add(&reply(ReplyContent::Length(String::new()), false), &CHOICES, vec![]);
         assert_eq!(
             unknown.unwrap(),
             [
@@ -176,7 +183,7 @@ mod tests {
             ]
         );
         let mut in_force = InForce::new(ReasoningRequest::Off, "0".to_owned());
-        let first = in_force.add(&said("move forward"), vec![]);
+        let first = in_force.add(&said("move forward"), &CHOICES, vec![]);
         assert_eq!(
             first.unwrap(),
             [
@@ -185,9 +192,9 @@ mod tests {
                 ("temperature", "0".to_owned()),
             ]
         );
-        assert_eq!(in_force.add(&said("{\"action\": \"turn left\"}"), vec![]), None);
+        assert_eq!(in_force.add(&said("{\"action\": \"turn left\"}"), &CHOICES, vec![]), None);
         let refused = vec!["reasoning_effort", "grammar"];
-        let second = in_force.add(&said("turn left"), refused.clone());
+        let second = in_force.add(&said("turn left"), &CHOICES, refused.clone());
         assert_eq!(
             second.unwrap(),
             [
@@ -204,21 +211,29 @@ mod tests {
         );
         // An answer that was cut off or is empty shows no restriction, nor that there is none.
         let cut_off = reply(ReplyContent::Length("I see".to_owned()), true);
-        let [_, (_, reasoning), _] = &in_force.add(&cut_off, refused.clone()).unwrap()[..] else {
+        let [_, (_, reasoning), _] =
+            &in_force.add(&cut_off, &CHOICES, refused.clone()).unwrap()[..]
+        else {
             panic!("three facts")
         };
         assert_eq!(
             reasoning,
             "on: replies show it, although it was asked to be off; the server refuses reasoning_effort"
         );
-        let [(_, answers), ..] = &in_force.add(&said("I turn left."), refused).unwrap()[..] else {
+        let [(_, answers), ..] =
+            &in_force.add(&said("I turn left."), &CHOICES, refused).unwrap()[..]
+        else {
             panic!("three facts")
         };
-        assert_eq!(answers, "free text; the server refuses grammar");
+        assert_eq!(
+            answers,
+            "free text, although requests restrict them; the server refuses grammar"
+        );
         let mut refusing = InForce::new(ReasoningRequest::Off, "0".to_owned());
-        let facts = refusing.add(&said("turn left"), CONSTRAINTS.to_vec()).unwrap();
+        let facts = refusing.add(&said("turn left"), &CHOICES, CONSTRAINTS.to_vec()).unwrap();
         assert!(facts[0].1.starts_with("free text; the server refuses"), "{facts:?}");
-        let facts = refusing.add(&said("turn left"), vec!["temperature", "max_tokens"]).unwrap();
+        let facts =
+            refusing.add(&said("turn left"), &CHOICES, vec!["temperature", "max_tokens"]).unwrap();
         assert_eq!(
             facts[2..],
             [
@@ -230,7 +245,11 @@ mod tests {
             ]
         );
         let mut reasoning = InForce::new(ReasoningRequest::Low, "0".to_owned());
-        let facts = reasoning.add(&reply(ReplyContent::Text("turn left".to_owned()), true), vec![]);
+        let facts = reasoning.add(
+            &reply(ReplyContent::Text("turn left".to_owned()), true),
+            &CHOICES,
+            vec![],
+        );
         assert_eq!(facts.unwrap()[1].1, "asked for (low), replies show it");
     }
 }

@@ -195,6 +195,8 @@ fn a_run_whose_answers_are_all_cut_off_says_so_and_stops() {
     assert!(in_one_line(&ended.stdout).contains(&described), "{}", ended.stdout);
     assert!(ended.stderr.contains("10 of 10 answers have no action"), "{}", ended.stderr);
     assert!(ended.stderr.contains("the run measures nothing"), "{}", ended.stderr);
+    let told = "policy: reasoning: on: replies show it, although it was asked to be off";
+    assert_eq!(ended.stderr.matches(told).count(), 1, "{}", ended.stderr);
     let silent = bench.out("silent");
     for request in requests(&silent) {
         assert_eq!(

@@ -318,6 +318,10 @@ fn errors_that_concern_every_request_stop_the_client() {
             fails(500, "Conversation roles must alternate user/assistant"),
             "status 500: Conversation roles must alternate user/assistant; the model's chat template cannot render the conversation: try --system-role user",
         ),
+        (
+            fails(400, "Only user and assistant roles are supported, got system"),
+            "status 400: Only user and assistant roles are supported, got system; the model's chat template cannot render the conversation: try --system-role user",
+        ),
         (html(308, "Location: https://x/v1/"), "a redirection to https://x/v1/"),
     ] {
         // Before the first reply and, unless it is a name that may be missing for a while, after it.
@@ -466,7 +470,7 @@ fn a_400_to_every_request_stops_the_client_and_names_the_image_budget() {
     let errors: Vec<_> = (0..6).map(|_| bench.client.ask(&request, 0).unwrap_err()).collect();
     assert!(matches!(errors[0], AskError::Failed(_)));
     let AskError::Stopped(why) = &errors[5] else { panic!("{errors:?}") };
-    assert!(why.contains("the request has 1 images: lower --image-budget"), "{why}");
+    assert!(why.contains("the request has 1 image: lower --image-budget"), "{why}");
     assert_eq!(server.received().len(), 5);
 }
 
@@ -487,6 +491,30 @@ fn a_refused_field_is_left_out_from_then_on() {
     }
     assert!(server.received()[3].body.get("reasoning_effort").is_some());
     assert_eq!(bench.client.refused_fields(), ["chat_template_kwargs", "temperature"]);
+}
+
+/// A server that refuses all fields that it does not know, with status 422 and without a message.
+#[test]
+fn a_strict_server_gets_the_fields_that_it_knows() {
+    let known = ["model", "messages", "temperature", "max_tokens", "stream"];
+    let server = Server::start(move |request| {
+        let fields = request.body.as_object().unwrap().keys();
+        let others = fields.filter(|field| !known.contains(&field.as_str()));
+        let detail: Vec<_> = others
+            .map(|field| json!({"type": "extra_forbidden", "loc": ["body", field]}))
+            .collect();
+        match detail.is_empty() {
+            true => Reaction::says("North."),
+            false => Reaction::json(422, &json!({"detail": detail})),
+        }
+    })
+    .unwrap();
+    let bench = Bench::new(&server.base_url(), settings(1, 0));
+    let request = ChatRequest { choices: vec!["North.".to_owned()], ..ChatRequest::text("?", 9) };
+    assert_eq!(bench.client.ask(&request, 0).unwrap().attempts, 1);
+    assert_eq!(server.received().len(), 3, "with all, with response_format, with none");
+    let kept = server.received()[2].body.as_object().unwrap().len();
+    assert_eq!((kept, bench.client.refused_fields().len()), (known.len(), 8));
 }
 
 /// A field that the message of another error only mentions stays as it is.

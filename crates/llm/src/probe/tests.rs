@@ -11,6 +11,9 @@ const KEY: &str = "sk-very-secret";
 /// Images of the run's largest request.
 const IMAGES: u32 = 47;
 
+/// Edge of its views, in pixels.
+const FRAME_SIZE: u32 = 128;
+
 fn images(request: &Received) -> Vec<&str> {
     let parts = request.body.pointer("/messages/0/content").and_then(Value::as_array);
     let parts = parts.map(Vec::as_slice).unwrap_or_default();
@@ -40,8 +43,8 @@ fn seeing(request: &Received, most: usize) -> Reaction {
         return refused(&format!("At most {most} image(s) may be provided in one request."));
     }
     let colour = |image: &&str| {
-        let shows = |image: &str, upper, lower| image == &*square(upper, lower).url;
-        if shows(image, RED, RED) || shows(image, GREY, RED) { "Red" } else { "blue" }
+        let shows = |edge, upper| **image == *square(edge, upper, RED).url;
+        if shows(SQUARE, RED) || shows(FRAME_SIZE, GREY) { "Red" } else { "blue" }
     };
     let text = text(request);
     let colours: Vec<&str> = images.iter().map(colour).collect();
@@ -60,7 +63,7 @@ fn seeing(request: &Received, most: usize) -> Reaction {
 
 /// A request with `images` images and the text of a run.
 fn run_request(images: u32) -> ChatRequest {
-    let image = square([0; 4], [0; 4]);
+    let image = square(SQUARE, [0; 4], [0; 4]);
     about_images("What do you do?", &vec![&image; images as usize], PAPER_TOKENS)
 }
 
@@ -89,7 +92,9 @@ fn probe_with(base_url: &str, settings: ChatSettings) -> ProbeReport {
             request
         }),
     });
-    let report = run(&client, 4, PAPER_TOKENS, &requests);
+    let settings =
+        ProbeSettings { together: 4, answer_tokens: PAPER_TOKENS, frame_size: FRAME_SIZE };
+    let report = run(&client, settings, &requests);
     let written = serde_json::to_string(&report).unwrap();
     assert!(!written.contains(KEY), "{written}");
     report
@@ -285,7 +290,7 @@ fn what_the_model_does_not_get_is_found() {
     fn say(body: &mut Value, text: &str) {
         body["choices"][0]["message"]["content"] = json!(text);
     }
-    let cases: [(&str, Change, Marks); 8] = [
+    let cases: [(&str, Change, Marks); 10] = [
         (
             "the last image only",
             |request, body| {
@@ -306,6 +311,15 @@ fn what_the_model_does_not_get_is_found() {
                 }
             },
             &[("images", ProbeMark::Bad), ("images whole", ProbeMark::Bad)],
+        ),
+        (
+            "the upper half only",
+            |request, body| {
+                if text(request).contains("lower half") {
+                    say(body, "red");
+                }
+            },
+            &[("images", ProbeMark::Ok), ("images whole", ProbeMark::Bad)],
         ),
         (
             "a cut beginning",
@@ -345,6 +359,14 @@ fn what_the_model_does_not_get_is_found() {
             &[("reasoning off", ProbeMark::Doubtful)],
         ),
         (
+            "nothing within the bound",
+            |_, body| {
+                body["choices"][0] =
+                    json!({"message": {"content": null}, "finish_reason": "length"});
+            },
+            &[("answers", ProbeMark::Bad), ("reasoning off", ProbeMark::Doubtful)],
+        ),
+        (
             "only reasoning",
             |_, body| {
                 body["choices"][0] = json!({"message": {"content": null, "reasoning": "I think"}, "finish_reason": "length"});
@@ -358,6 +380,9 @@ fn what_the_model_does_not_get_is_found() {
         for (what, expected) in expected {
             assert_eq!(mark(&report, what), *expected, "{name}, {what}: {}", story(&report));
         }
+        let differences = report.differences.iter().flatten();
+        let dropped = differences.filter(|one| one.here == "not all reach the model").count();
+        assert_eq!(dropped, usize::from(mark(&report, "tokens of images") == ProbeMark::Bad));
     }
 }
 
