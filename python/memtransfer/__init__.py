@@ -28,8 +28,10 @@ from memtransfer.errors import (
     MemTransferError,
     PolicyError,
     PromptLogError,
+    RunError,
     WorldError,
 )
+from memtransfer.evaluation import Comparison, Result, evaluate
 from memtransfer.memory import (
     Demonstration,
     DemonstrationStep,
@@ -85,6 +87,7 @@ __all__ = [
     "Answer",
     "AttachError",
     "BusError",
+    "Comparison",
     "Decision",
     "Demonstration",
     "DemonstrationStep",
@@ -113,6 +116,8 @@ __all__ = [
     "RememberedStep",
     "RememberedView",
     "Request",
+    "Result",
+    "RunError",
     "Segment",
     "Source",
     "Steps",
@@ -122,6 +127,7 @@ __all__ = [
     "View",
     "WorldDeclaration",
     "WorldError",
+    "evaluate",
     "run",
     "serve",
 ]

@@ -1,0 +1,219 @@
+"""Serves objects of this process as the policy and the memories of a run that it has started.
+
+For each object the run starts a small process, `_relay.py`, which tells this process the folder to join, and lives as long as the
+object's service. The service is a thread of this process: objects of a notebook, or of a script without a main guard, cannot be moved
+to another process. The native services release the interpreter while they wait.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import shlex
+import socket
+import struct
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeAlias
+
+from memtransfer import _native
+from memtransfer._relay import SOCKET
+from memtransfer.errors import AttachError, BusError
+from memtransfer.memory import Memory
+from memtransfer.policy import Policy
+from memtransfer.serving import code_of_object, described, maker_of
+
+_PYTHON, _RELAY = "_MEMTRANSFER_PYTHON", "_MEMTRANSFER_RELAY"
+"""Variables for the commands of objects, which are therefore the same in every installation."""
+
+_DESCRIPTION = "description.json"
+"""The file in which a memory describes itself."""
+
+_TRANSPORT_FAILED = 2
+"""The exit status of an object that cannot join its run, or has lost it."""
+
+Served: TypeAlias = Policy | Memory | type[Memory]
+
+
+def name_of(served: Served) -> str:
+    """Returns the name of an object among those of its run: `policy`, or `memory` and its name."""
+    return "policy" if isinstance(served, Policy) else f"memory {described(served)[0]}"
+
+
+def command_of(served: Served) -> str:
+    """Returns the command that stands for an object in a run."""
+    words = " ".join(shlex.quote(word) for word in name_of(served).split(" ", 1))
+    return shlex.join(["sh", "-c", f'exec "${_PYTHON}" -IS "${_RELAY}" {words}'])
+
+
+class Objects:
+    """The services of the objects of a run. A context manager: the services end with the run, and the socket with the context."""
+
+    def __init__(self, objects: Sequence[Served]) -> None:
+        self._services = {name_of(served): _Service(served) for served in objects}
+        # An abstract address: nothing is left of it when this process is killed.
+        self._address = f"memtransfer-{os.getpid()}-{secrets.token_hex(8)}"
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """The variables that the run needs."""
+        relay = Path(__file__).with_name("_relay.py")
+        return {SOCKET: self._address, _PYTHON: sys.executable, _RELAY: str(relay)}
+
+    @property
+    def raised(self) -> BaseException | None:
+        """The first exception that an object raised."""
+        raised = (service.raised for service in self._services.values())
+        return next((one for one in raised if one is not None), None)
+
+    def __enter__(self) -> Objects:
+        self._socket.bind(f"\0{self._address}")
+        self._socket.listen()
+        threading.Thread(target=self._accept, name="memtransfer relays", daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        # Wakes the thread that accepts.
+        self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
+    def join(self, timeout_s: float) -> None:
+        """Waits for services that still run once the run has ended: they notice it within a second, but one that hangs does not."""
+        for service in self._services.values():
+            service.ended.wait(timeout_s)
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                relay, _ = self._socket.accept()
+            except OSError:
+                return
+            threading.Thread(target=self._attend, args=(relay,), name="memtransfer object", daemon=True).start()
+
+    def _attend(self, relay: socket.socket) -> None:
+        credentials = relay.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+        _, user, _ = struct.unpack("3i", credentials)
+        with relay.makefile("r", encoding="utf-8") as lines:
+            name, folder = (lines.readline().rstrip("\n") for _ in range(2)) if user == os.getuid() else ("", "")
+        service = self._services.get(name)
+        if service is None or not folder:
+            relay.close()
+        else:
+            service.serve(folder, relay)
+
+
+class _Service:
+    """The service of one object."""
+
+    def __init__(self, served: Served) -> None:
+        self.raised: BaseException | None = None
+        self.ended = threading.Event()
+        self.ended.set()
+        self._served = served
+        self._code = code_of_object(served)
+        self._lock = threading.Lock()
+        self._relay: socket.socket | None = None
+
+    def serve(self, folder: str, relay: socket.socket) -> None:
+        """Serves the object in this thread until its run ends. If another thread does already, the run has started its processes again:
+        the service joins them by itself, and `relay` stands for it from now on."""
+        with self._lock:
+            before, self._relay = self._relay, relay
+            is_served = not self.ended.is_set()
+            self.ended.clear()
+            if before is not None:
+                before.close()
+            if is_served:
+                self._describe(folder)
+                return
+        while True:
+            status = self._serve_once(folder)
+            with self._lock:
+                if status == _TRANSPORT_FAILED and self._relay is not relay and self._relay is not None:
+                    # It ended before it could join the processes that were started again.
+                    relay = self._relay
+                    continue
+                self.ended.set()
+                self._tell(f"\0{status}")
+                if self._relay is not None:
+                    self._relay.close()
+                self._relay = None
+                return
+
+    def _serve_once(self, folder: str) -> int:
+        """Serves the object until its run ends, or its processes are started again and cannot be joined. Returns an exit status."""
+        served = self._served
+        with _exceptions_go_to(self._note):
+            try:
+                if isinstance(served, Policy):
+                    _native.serve(served, self._code, folder)
+                else:
+                    _native.serve_memory(maker_of(served), (*described(served), self._code), folder)
+            except (AttachError, BusError) as error:
+                self._tell(f"memtransfer: {error}\n")
+                return _TRANSPORT_FAILED
+            except BaseException as error:  # Whatever it is, the caller of `evaluate` raises it.
+                self._note(error)
+                return 1
+        return 0
+
+    def _describe(self, folder: str) -> None:
+        """Describes a memory that is being served once more: the run has removed the file, and reads it before the memory joins."""
+        if isinstance(self._served, Policy):
+            return
+        names = ("name", "version", "scope", "embeddings", "frames", "deterministic", "learns")
+        description = dict(zip(names, described(self._served), strict=True))
+        draft, path = Path(folder, f"{_DESCRIPTION}.draft"), Path(folder, _DESCRIPTION)
+        draft.write_text(json.dumps({**description, "sdk": "python", "code": self._code}), encoding="utf-8")
+        draft.rename(path)
+
+    def _note(self, raised: BaseException) -> None:
+        """Keeps the first exception, and sends the traceback of each to the run's log."""
+        self.raised = self.raised or raised
+        self._tell("".join(traceback.format_exception(raised)))
+
+    def _tell(self, text: str) -> None:
+        relay = self._relay
+        with suppress(OSError):
+            if relay is not None:
+                relay.sendall(text.encode())
+
+
+_notes: dict[int, Callable[[BaseException], None]] = {}
+"""By thread that serves an object: what receives the exceptions that it raises."""
+
+_hook_lock = threading.Lock()
+_hook_before: list[Callable[[type[BaseException], BaseException, TracebackType | None], Any]] = []
+
+
+def _hook(kind: type[BaseException], raised: BaseException, trace: TracebackType | None) -> None:
+    note = _notes.get(threading.get_ident())
+    if note is None:
+        _hook_before[0](kind, raised, trace)
+    else:
+        note(raised)
+
+
+@contextmanager
+def _exceptions_go_to(note: Callable[[BaseException], None]) -> Iterator[None]:
+    """Gives `note` the exceptions of the object that this thread serves. The native service prints them, which calls `sys.excepthook`,
+    and the caller's screen would be full of them."""
+    with _hook_lock:
+        if not _notes:
+            _hook_before[:] = [sys.excepthook]
+            sys.excepthook = _hook
+        _notes[threading.get_ident()] = note
+    try:
+        yield
+    finally:
+        with _hook_lock:
+            del _notes[threading.get_ident()]
+            if not _notes and sys.excepthook is _hook:
+                sys.excepthook = _hook_before[0]
