@@ -55,8 +55,12 @@ def command_of(served: Served) -> str:
 class Objects:
     """The services of the objects of a run. A context manager: the services end with the run, and the socket with the context."""
 
+    broken: threading.Event
+    """Set once a service has ended with an exception that an object raised: that is no reason to start the run's processes again."""
+
     def __init__(self, objects: Sequence[Served]) -> None:
-        self._services = {name_of(served): _Service(served) for served in objects}
+        self.broken = threading.Event()
+        self._services = {name_of(served): _Service(served, self.broken) for served in objects}
         # An abstract address: nothing is left of it when this process is killed.
         self._address = f"memtransfer-{os.getpid()}-{secrets.token_hex(8)}"
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -66,6 +70,11 @@ class Objects:
         """The variables that the run needs."""
         relay = Path(__file__).with_name("_relay.py")
         return {SOCKET: self._address, _PYTHON: sys.executable, _RELAY: str(relay)}
+
+    @property
+    def words(self) -> dict[str, str]:
+        """By command of an object: what messages call it."""
+        return {command_of(service.served): name for name, service in self._services.items()}
 
     @property
     def raised(self) -> BaseException | None:
@@ -112,11 +121,12 @@ class Objects:
 class _Service:
     """The service of one object."""
 
-    def __init__(self, served: Served) -> None:
+    def __init__(self, served: Served, broken: threading.Event) -> None:
+        self.served = served
         self.raised: BaseException | None = None
         self.ended = threading.Event()
         self.ended.set()
-        self._served = served
+        self._broken = broken
         self._code = code_of_object(served)
         self._lock = threading.Lock()
         self._relay: socket.socket | None = None
@@ -149,7 +159,7 @@ class _Service:
 
     def _serve_once(self, folder: str) -> int:
         """Serves the object until its run ends, or its processes are started again and cannot be joined. Returns an exit status."""
-        served = self._served
+        served = self.served
         with _exceptions_go_to(self._note):
             try:
                 if isinstance(served, Policy):
@@ -161,15 +171,16 @@ class _Service:
                 return _TRANSPORT_FAILED
             except BaseException as error:  # Whatever it is, the caller of `evaluate` raises it.
                 self._note(error)
+                self._broken.set()
                 return 1
         return 0
 
     def _describe(self, folder: str) -> None:
         """Describes a memory that is being served once more: the run has removed the file, and reads it before the memory joins."""
-        if isinstance(self._served, Policy):
+        if isinstance(self.served, Policy):
             return
         names = ("name", "version", "scope", "embeddings", "frames", "deterministic", "learns")
-        description = dict(zip(names, described(self._served), strict=True))
+        description = dict(zip(names, described(self.served), strict=True))
         draft, path = Path(folder, f"{_DESCRIPTION}.draft"), Path(folder, _DESCRIPTION)
         draft.write_text(json.dumps({**description, "sdk": "python", "code": self._code}), encoding="utf-8")
         draft.rename(path)

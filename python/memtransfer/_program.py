@@ -36,9 +36,13 @@ _DIE_WITH_PARENT = (
 """Makes the kernel send SIGTERM when the parent ends (`PR_SET_PDEATHSIG`), which stops a run cleanly, and becomes the program."""
 
 _CONTROL = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
+
+_MESSAGE = re.compile(r"^(memtransfer: |error: |stopped: |\d+ of \d+ episodes could not be finished|no answer of the model )", re.MULTILINE)
+"""The begin of the message with which the program ends."""
+
+_SAME_COMMAND = re.compile(r"\s+(\S*/)?memtransfer run .*")
+
 _TICK_S = 0.1
-_LINE_INTERVAL_S = 5.0
-_REDRAW_INTERVAL_S = 0.5
 
 
 def find_program() -> str:
@@ -89,17 +93,14 @@ def dying_with_this_process(command: Sequence[str]) -> list[str]:
 
 
 def message_in(printed: str) -> str:
-    """Returns the message in what a run has printed to standard error, without commands of the shell."""
-    lines = [_CONTROL.sub("", line).rstrip() for line in printed.splitlines()]
-    kept = [line for line in lines if not re.match(r"\s+(\S*/)?memtransfer .*", line)]
-    text = "\n".join(kept).strip()
+    """Returns the message in what the program has printed to standard error: its error, or what it says at the end of a run."""
+    text = "\n".join(_CONTROL.sub("", line).rstrip() for line in printed.splitlines()).strip()
+    begin = list(_MESSAGE.finditer(text))
+    if begin:
+        text = text[begin[-1].start() :]
     for prefix in ("memtransfer: ", "error: "):
-        before, found, after = text.rpartition(f"\n{prefix}")
-        if found or text.startswith(prefix):
-            text = after if found else text.removeprefix(prefix)
-            break
-    usage = text.find("\n\nUsage: ")
-    return (text if usage < 0 else text[:usage]) or "it ended without a message"
+        text = text.removeprefix(prefix)
+    return text.partition("\n\nUsage: ")[0] or "it ended without a message"
 
 
 class Style(Enum):
@@ -115,6 +116,10 @@ class Style(Enum):
     """Only what the user has to know."""
 
 
+_INTERVALS_S = {Style.TERMINAL: 0.0, Style.NOTEBOOK: 0.5, Style.LINES: 5.0}
+"""The least time between two lines of progress."""
+
+
 def style_of_screen(progress: bool) -> Style:
     """Returns how progress is shown where this process prints to."""
     if not progress:
@@ -128,57 +133,68 @@ def style_of_screen(progress: bool) -> Style:
 class _Screen:
     """Shows what a run prints to its terminal: progress, which replaces itself, and notes, which stay."""
 
-    def __init__(self, style: Style) -> None:
+    def __init__(self, style: Style, words: Mapping[str, str]) -> None:
         self.notes: list[str] = []
         self._style = style
+        self._words = words
         self._decoder = codecs.getincrementaldecoder("utf-8")(errors="replace")
         self._line = ""
+        self._is_message = False
         self._shown, self._shown_s = "", float("-inf")
 
     def receive(self, chunk: bytes) -> None:
-        text = self._decoder.decode(chunk)
-        if self._style is Style.TERMINAL:
-            self._write(text)
-        *whole, self._line = (self._line + text).split("\n")
+        """Shows more of what the run prints."""
+        *whole, self._line = (self._line + self._decoder.decode(chunk)).split("\n")
         for line in whole:
             self._note(self._last_drawn(line))
         if self._line:
             self._progress(self._last_drawn(self._line))
 
     def close(self, last: str) -> None:
-        """Replaces the line of a notebook by a last one."""
-        if self._style is Style.NOTEBOOK:
-            self._replace(last)
+        """Replaces the progress by a last line."""
+        if self._style is not Style.NOTES and last:
+            self._show(last)
             self._write("\n")
+        elif self._shown:
+            self._show("")
 
     @staticmethod
     def _last_drawn(line: str) -> str:
         return _CONTROL.sub("", line.rstrip("\r").rpartition("\r")[2])
 
     def _note(self, line: str) -> None:
+        if _SAME_COMMAND.fullmatch(line):
+            line = "  the same call of `evaluate`"
+        for ours, meaning in self._words.items():
+            line = line.replace(ours, meaning)
         if not line:
             return
         self.notes.append(line)
-        if self._style is Style.NOTEBOOK:
-            self._replace(line)
+        self._is_message = self._is_message or _MESSAGE.match(line) is not None
+        # A message is raised.
+        if not self._is_message:
+            self._show(line)
+            self._write("\n")
             self._shown = ""
-        if self._style is not Style.TERMINAL:
-            self._write("\n" if self._style is Style.NOTEBOOK else f"{line}\n")
 
     def _progress(self, line: str) -> None:
-        interval_s = {Style.NOTEBOOK: _REDRAW_INTERVAL_S, Style.LINES: _LINE_INTERVAL_S}.get(self._style)
+        interval_s = _INTERVALS_S.get(self._style)
         now_s = time.monotonic()
-        if interval_s is None or line == self._shown or now_s - self._shown_s < interval_s:
+        if interval_s is None or not line or line == self._shown or now_s - self._shown_s < interval_s:
             return
         self._shown_s = now_s
-        if self._style is Style.NOTEBOOK:
-            self._replace(line)
-        else:
-            self._write(f"{line}\n")
-        self._shown = line
+        self._show(line)
+        if self._style is Style.LINES:
+            self._write("\n")
 
-    def _replace(self, line: str) -> None:
-        self._write(f"\r{line:<{len(self._shown)}}")
+    def _show(self, line: str) -> None:
+        """Replaces the line that is shown, where a line can be."""
+        if self._style is Style.TERMINAL:
+            self._write(f"\r\x1b[2K{line}")
+        elif self._style is Style.NOTEBOOK:
+            self._write(f"\r{line:<{len(self._shown)}}")
+        else:
+            self._write(line)
         self._shown = line
 
     def _write(self, text: str) -> None:
@@ -200,17 +216,20 @@ class Ended:
     """Whether SIGINT stopped it."""
 
 
-def attend(command: Sequence[str], variables: Mapping[str, str], style: Style, last: str) -> Ended:
-    """Starts the program, shows its progress, and waits until it ends. `last` is the last line of a successful one in a notebook.
+def attend(
+    command: Sequence[str], variables: Mapping[str, str], stop: threading.Event, screen: tuple[Style, Mapping[str, str], str]
+) -> Ended:
+    """Starts the program, shows its progress, and waits until it ends. It is interrupted once `stop` is set. `screen` says how progress
+    is shown, which words of messages are replaced, and the last line if the program succeeds.
 
     In the main thread, an interrupt is passed on, and the program stops cleanly; a second one ends it at once. In another thread, which
     gets no interrupts, the program is in the process group of this process, and gets those of the terminal by itself.
     """
-    screen = _Screen(style)
+    style, words, last = screen
+    shown = _Screen(style, words)
     in_main = threading.current_thread() is threading.main_thread()
     terminal, end = pty.openpty()
     _copy_size(end)
-    dumb = {} if style is Style.TERMINAL else {"TERM": "xterm", "NO_COLOR": "1"}
     children: list[subprocess.Popen[bytes]] = []
     with _interrupts_go_to(lambda: _send_interrupt(children)) as count:
         try:
@@ -219,7 +238,7 @@ def attend(command: Sequence[str], variables: Mapping[str, str], style: Style, l
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=end,
-                env=environment({**variables, **dumb}),
+                env=environment({**variables, "TERM": "xterm", "NO_COLOR": "1"}),
                 start_new_session=in_main,
             )
         except BaseException:
@@ -234,31 +253,37 @@ def attend(command: Sequence[str], variables: Mapping[str, str], style: Style, l
         reader = threading.Thread(target=_read, args=(terminal, chunks), name="memtransfer progress", daemon=True)
         reader.start()
         try:
-            _show(child, chunks, screen)
+            _show(child, chunks, shown, stop)
         finally:
             if child.poll() is None:
                 child.terminate()
                 child.wait()
         status = child.wait()
         interrupted = bool(count()) or status == 128 + signal.SIGINT
-        screen.close(last if status == 0 else f"stopped with status {status}")
-        return Ended(status, "\n".join(screen.notes), interrupted and status != 0)
+        shown.close(last if status == 0 else "")
+        return Ended(status, "\n".join(shown.notes), interrupted and status != 0)
 
 
-def _show(child: subprocess.Popen[bytes], chunks: queue.SimpleQueue[bytes | None], screen: _Screen) -> None:
-    while True:
+def _show(
+    child: subprocess.Popen[bytes], chunks: queue.SimpleQueue[bytes | None], screen: _Screen, stop: threading.Event
+) -> None:
+    """Shows what `child` prints until it ends."""
+    is_stopped, is_read = False, False
+    # Interrupts are handled between two looks, so no wait is long.
+    while not (is_read and child.poll() is not None):
+        if stop.is_set() and not is_stopped:
+            is_stopped = True
+            _send_interrupt([child])
         try:
             chunk = chunks.get(timeout=_TICK_S)
         except queue.Empty:
-            if child.poll() is not None:
-                return
+            # What it has started may have its terminal open still.
+            is_read = is_read or child.poll() is not None
             continue
         if chunk is None:
-            # Until it has ended, too: interrupts are handled between two looks.
-            while child.poll() is None:
-                time.sleep(_TICK_S)
-            return
-        screen.receive(chunk)
+            is_read = True
+        else:
+            screen.receive(chunk)
 
 
 def _read(terminal: int, chunks: queue.SimpleQueue[bytes | None]) -> None:

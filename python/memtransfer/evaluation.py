@@ -15,12 +15,12 @@ from __future__ import annotations
 
 import difflib
 import html
+import importlib
 import json
 import os
 import pickle
 import re
 import shlex
-import signal
 import subprocess
 import sys
 import tempfile
@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
 from memtransfer import _objects, _program
 from memtransfer._world_process import PICKLE
-from memtransfer.errors import RunError
+from memtransfer.errors import MemTransferError, RunError
 from memtransfer.memory import Memory
 from memtransfer.policy import Policy
 from memtransfer.serving import is_memory
@@ -211,14 +211,18 @@ def evaluate(
         command = [_program.find_program(), "run", *arguments]
         if served_world is not None:
             command += ["--world-cmd", served_world.command]
-        style = _program.style_of_screen(progress)
         variables = {**services.environment, **world_variables}
-        ended = _program.attend(command, variables, style, f"finished: {path}")
+        screen = (_program.style_of_screen(progress), services.words, f"finished: {path}")
+        ended = _program.attend(command, variables, services.broken, screen)
         services.join(_END_S)
+    raised = services.raised
+    if services.broken.is_set() and raised is not None:
+        message = str(raised) if isinstance(raised, MemTransferError) else f"{type(raised).__name__}: {raised}"
+        raise RunError(message, ended.status) from raised
     if ended.interrupted:
         raise KeyboardInterrupt
     if ended.status != 0:
-        raise RunError(_program.message_in(ended.notes), ended.status) from services.raised
+        raise RunError(_program.message_in(ended.notes), ended.status) from raised
     return Result(path, served_world)
 
 
@@ -329,7 +333,7 @@ def _pickled(world: Callable[[], World]) -> bytes:
     if world.__module__ != "__main__":
         return pickle.dumps(world)
     try:
-        import cloudpickle
+        cloudpickle: Any = importlib.import_module("cloudpickle")
     except ModuleNotFoundError:
         raise ModuleNotFoundError(
             "a world that a notebook or the main program defines is sent to its process with cloudpickle: `pip install cloudpickle`, or "
@@ -512,8 +516,8 @@ class Result:
 
     def _main_scores(self) -> pd.DataFrame:
         main = ["episodes", "sr", "sr_low", "sr_high", "spl", "spl_low", "spl_high", "mean_steps"]
-        scores = self.scores
-        return scores[[name for name in main if name in scores]].round(3)
+        scores: pd.DataFrame = self.scores[[name for name in main if name in self.scores]].round(3)
+        return scores
 
 
 def _interval(spread: Mapping[str, Any]) -> tuple[float, float] | None:

@@ -94,7 +94,8 @@ def read_scores(folder: str | Path) -> pd.DataFrame:
         table = pd.read_csv(os.path.join(scratch, "report", "conditions.csv")).set_index("condition")
     table = table.astype({name: float for name in _MAIN_SCORES[1:]})
     others = [name for name in table if name not in _MAIN_SCORES and not _NOT_SCORES.fullmatch(str(name))]
-    return table[[*_MAIN_SCORES, *(name for name in others if table[name].notna().any())]]
+    scores: pd.DataFrame = table[[*_MAIN_SCORES, *(name for name in others if table[name].notna().any())]]
+    return scores
 
 
 def _frame(columns: list[tuple[str, str, list[Any]]]) -> pd.DataFrame:
