@@ -8,6 +8,7 @@ to another process. The native services release the interpreter while they wait.
 from __future__ import annotations
 
 import json
+import logging
 import os
 import secrets
 import shlex
@@ -151,7 +152,7 @@ class _Service:
                     relay = self._relay
                     continue
                 self.ended.set()
-                self._tell(f"\0{status}")
+                self.tell(f"\0{status}")
                 if self._relay is not None:
                     self._relay.close()
                 self._relay = None
@@ -160,17 +161,17 @@ class _Service:
     def _serve_once(self, folder: str) -> int:
         """Serves the object until its run ends, or its processes are started again and cannot be joined. Returns an exit status."""
         served = self.served
-        with _exceptions_go_to(self._note):
+        with _prints_of(self):
             try:
                 if isinstance(served, Policy):
                     _native.serve(served, self._code, folder)
                 else:
                     _native.serve_memory(maker_of(served), (*described(served), self._code), folder)
             except (AttachError, BusError) as error:
-                self._tell(f"memtransfer: {error}\n")
+                self.tell(f"memtransfer: {error}\n")
                 return _TRANSPORT_FAILED
             except BaseException as error:  # Whatever it is, the caller of `evaluate` raises it.
-                self._note(error)
+                self.note(error)
                 self._broken.set()
                 return 1
         return 0
@@ -185,46 +186,60 @@ class _Service:
         draft.write_text(json.dumps({**description, "sdk": "python", "code": self._code}), encoding="utf-8")
         draft.rename(path)
 
-    def _note(self, raised: BaseException) -> None:
+    def note(self, raised: BaseException) -> None:
         """Keeps the first exception, and sends the traceback of each to the run's log."""
         self.raised = self.raised or raised
-        self._tell("".join(traceback.format_exception(raised)))
+        self.tell("".join(traceback.format_exception(raised)))
 
-    def _tell(self, text: str) -> None:
+    def tell(self, text: str) -> None:
+        """Sends text to the run's log."""
         relay = self._relay
         with suppress(OSError):
             if relay is not None:
                 relay.sendall(text.encode())
 
 
-_notes: dict[int, Callable[[BaseException], None]] = {}
-"""By thread that serves an object: what receives the exceptions that it raises."""
+_LOGGER = logging.getLogger("memtransfer")
+"""What the native services write to."""
+
+_services: dict[int, _Service] = {}
+"""By thread: the service that it runs."""
 
 _hook_lock = threading.Lock()
 _hook_before: list[Callable[[type[BaseException], BaseException, TracebackType | None], Any]] = []
 
 
 def _hook(kind: type[BaseException], raised: BaseException, trace: TracebackType | None) -> None:
-    note = _notes.get(threading.get_ident())
-    if note is None:
+    service = _services.get(threading.get_ident())
+    if service is None:
         _hook_before[0](kind, raised, trace)
     else:
-        note(raised)
+        service.note(raised)
+
+
+def _is_for_the_screen(record: logging.LogRecord) -> bool:
+    service = _services.get(threading.get_ident())
+    if service is not None:
+        service.tell(f"{record.levelname}: {record.getMessage()}\n")
+    return service is None
 
 
 @contextmanager
-def _exceptions_go_to(note: Callable[[BaseException], None]) -> Iterator[None]:
-    """Gives `note` the exceptions of the object that this thread serves. The native service prints them, which calls `sys.excepthook`,
-    and the caller's screen would be full of them."""
+def _prints_of(service: _Service) -> Iterator[None]:
+    """Gives `service` the exceptions and log messages of the native service that this thread runs. They would be printed: the native
+    service calls `sys.excepthook` for each exception of an object, and a notebook would be full of them."""
     with _hook_lock:
-        if not _notes:
+        if not _services:
             _hook_before[:] = [sys.excepthook]
             sys.excepthook = _hook
-        _notes[threading.get_ident()] = note
+            _LOGGER.addFilter(_is_for_the_screen)
+        _services[threading.get_ident()] = service
     try:
         yield
     finally:
         with _hook_lock:
-            del _notes[threading.get_ident()]
-            if not _notes and sys.excepthook is _hook:
-                sys.excepthook = _hook_before[0]
+            del _services[threading.get_ident()]
+            if not _services:
+                _LOGGER.removeFilter(_is_for_the_screen)
+                if sys.excepthook is _hook:
+                    sys.excepthook = _hook_before[0]

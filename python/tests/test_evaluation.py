@@ -31,7 +31,7 @@ SCRIPT = """
     class Forward(Policy):
         def act(self, batch):
             open("acts", "a").write("x")
-            time.sleep(PAUSE_S)
+            time.sleep(float(os.environ["PAUSE_S"]))
             return [Action.FORWARD for _ in batch]
 
     class Nothing(Memory):
@@ -39,8 +39,6 @@ SCRIPT = """
 
         def recall(self, query):
             return []
-
-    PAUSE_S = float(os.environ["PAUSE_S"])
 
     def run():
         settings = dict(frame_size=64, max_steps=20, lanes=2, limit=4, starts="original", out="run")
