@@ -1,6 +1,6 @@
 """Policies, memories and worlds for MemTransfer in Python, and the results of runs.
 
-    from memtransfer import Action, Policy, run
+    from memtransfer import Action, Policy, evaluate
 
     class AlwaysForward(Policy):
         name = "always-forward"
@@ -8,8 +8,9 @@
         def act(self, batch):
             return [Action.FORWARD for request in batch]
 
-    run(AlwaysForward())
+    result = evaluate(policy=AlwaysForward(), memory="working", limit=10, out="runs/forward")
 
+`evaluate` starts a run with objects of this process, `memtransfer.evaluation` explains how; `run` serves a run that the shell has started.
 `memtransfer.prompt` renders the benchmark's own prompt and reads a model's answers; `memtransfer.results` reads
 the folder of a run. `Memory` is a memory of your own. `gymnasium.make("memtransfer:MemTransfer-v0")` makes an
 environment. `memtransfer.world` is for a world of your own. The guides are `docs/python.md`, `docs/memory.md` and

@@ -7,7 +7,6 @@ to another process. The native services release the interpreter while they wait.
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import secrets
@@ -32,12 +31,6 @@ from memtransfer.serving import code_of_object, described, maker_of
 
 _PYTHON, _RELAY = "_MEMTRANSFER_PYTHON", "_MEMTRANSFER_RELAY"
 """Variables for the commands of objects, which are therefore the same in every installation."""
-
-_DESCRIPTION = "description.json"
-"""The file in which a memory describes itself."""
-
-_TRANSPORT_FAILED = 2
-"""The exit status of an object that cannot join its run, or has lost it."""
 
 Served: TypeAlias = Policy | Memory | type[Memory]
 
@@ -129,62 +122,39 @@ class _Service:
         self.ended.set()
         self._broken = broken
         self._code = code_of_object(served)
-        self._lock = threading.Lock()
+        # The run may start its processes again: the service before ends within a second, unless the object hangs.
+        self._turn = threading.Lock()
         self._relay: socket.socket | None = None
 
     def serve(self, folder: str, relay: socket.socket) -> None:
-        """Serves the object in this thread until its run ends. If another thread does already, the run has started its processes again:
-        the service joins them by itself, and `relay` stands for it from now on."""
-        with self._lock:
-            before, self._relay = self._relay, relay
-            is_served = not self.ended.is_set()
+        """Serves the object in this thread, until the run or its processes end."""
+        with self._turn, relay:
             self.ended.clear()
-            if before is not None:
-                before.close()
-            if is_served:
-                self._describe(folder)
-                return
-        while True:
-            status = self._serve_once(folder)
-            with self._lock:
-                if status == _TRANSPORT_FAILED and self._relay is not relay and self._relay is not None:
-                    # It ended before it could join the processes that were started again.
-                    relay = self._relay
-                    continue
-                self.ended.set()
+            self._relay = relay
+            try:
+                status = self._serve(folder)
                 self.tell(f"\0{status}")
-                if self._relay is not None:
-                    self._relay.close()
+            finally:
                 self._relay = None
-                return
+                self.ended.set()
 
-    def _serve_once(self, folder: str) -> int:
-        """Serves the object until its run ends, or its processes are started again and cannot be joined. Returns an exit status."""
+    def _serve(self, folder: str) -> int:
+        """Returns the exit status of a process that would serve the object."""
         served = self.served
         with _prints_of(self):
             try:
                 if isinstance(served, Policy):
-                    _native.serve(served, self._code, folder)
+                    _native.serve(served, self._code, folder, True)
                 else:
-                    _native.serve_memory(maker_of(served), (*described(served), self._code), folder)
+                    _native.serve_memory(maker_of(served), (*described(served), self._code), folder, True)
             except (AttachError, BusError) as error:
                 self.tell(f"memtransfer: {error}\n")
-                return _TRANSPORT_FAILED
+                return 2
             except BaseException as error:  # Whatever it is, the caller of `evaluate` raises it.
                 self.note(error)
                 self._broken.set()
                 return 1
         return 0
-
-    def _describe(self, folder: str) -> None:
-        """Describes a memory that is being served once more: the run has removed the file, and reads it before the memory joins."""
-        if isinstance(self.served, Policy):
-            return
-        names = ("name", "version", "scope", "embeddings", "frames", "deterministic", "learns")
-        description = dict(zip(names, described(self.served), strict=True))
-        draft, path = Path(folder, f"{_DESCRIPTION}.draft"), Path(folder, _DESCRIPTION)
-        draft.write_text(json.dumps({**description, "sdk": "python", "code": self._code}), encoding="utf-8")
-        draft.rename(path)
 
     def note(self, raised: BaseException) -> None:
         """Keeps the first exception, and sends the traceback of each to the run's log."""

@@ -33,6 +33,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
 from memtransfer import _objects, _program
+from memtransfer._relay import ATTACH
 from memtransfer._world_process import PICKLE
 from memtransfer.errors import MemTransferError, RunError
 from memtransfer.memory import Memory
@@ -196,6 +197,8 @@ def evaluate(
         TypeError: There is no such setting, or an argument is of the wrong type.
         ValueError: Two memories have the same name, or an attribute of a memory is not valid.
     """
+    if os.environ.get(ATTACH):
+        raise RunError(f"this process was started by a run, which {ATTACH} names: serve it with `run`, not `evaluate`")
     objects: list[_objects.Served] = []
     arguments = [
         *_policy_flags(policy, objects),
@@ -244,7 +247,8 @@ def _memory_flags(
 ) -> list[str]:
     if memory is None:
         return []
-    flags, names = [], []
+    flags: list[str] = []
+    names: list[str] = []
     for one in [memory] if isinstance(memory, str) or is_memory(memory) else _sequence_of("memory", memory):
         if is_memory(one):
             name = _objects.name_of(one)

@@ -64,10 +64,10 @@ def serve(program: Program, folder: str | Path) -> None:
 
 def _serve(program: Program, folder: str | None) -> None:
     if isinstance(program, Policy):
-        _native.serve(program, code_of(type(program)), folder)
+        _native.serve(program, code_of(type(program)), folder, False)
     elif is_memory(program):
         kind = program if isinstance(program, type) else type(program)
-        _native.serve_memory(maker_of(program), (*described(program), code_of(kind)), folder)
+        _native.serve_memory(maker_of(program), (*described(program), code_of(kind)), folder, False)
     else:
         raise TypeError(f"{program!r} is neither a Policy nor a Memory")
 

@@ -394,3 +394,56 @@ def test_a_world_of_a_script_is_a_world_of_the_run(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text(source.split("if __name__")[0] + f"{use}")
     ended = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True)
     assert (ended.returncode, set(ended.stdout.strip("[]\n").split(", "))) == (0, {"100.0"}), ended.stderr
+
+
+def examples(page: str) -> list[str]:
+    """The Python code on a page of the documentation, with shorter episodes."""
+    text = (Path(__file__).parents[2] / page).read_text()
+    blocks = [rest.split("```")[0] for rest in text.split("```python\n")[1:]]
+    return [block.replace("limit=5", "limit=1, max_steps=3, frame_size=64") for block in blocks]
+
+
+def test_the_tutorials_run(tmp_path: Path) -> None:
+    memory, evaluation = examples("docs/memory.md")[:2]
+    (tmp_path / "my_memory.py").write_text(memory)
+    (tmp_path / "evaluation.py").write_text(evaluation)
+    policy = examples("docs/python.md")[0]
+    assert "evaluate(policy=FollowMemory()" in policy
+    (tmp_path / "policy.py").write_text(policy + "print(result)\n")
+    for script, condition in (("evaluation.py", "top-3/new/unchanged/original"), ("policy.py", "episodic/new/unchanged/original")):
+        ended = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True)
+        assert ended.returncode == 0 and condition in ended.stdout, ended.stderr
+
+
+def test_the_example_compares_memories(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import compare_memories
+
+    result = compare_memories.compare(1, str(tmp_path / "run"))
+    assert set(result.episodes["memory"]) == {"top-3", "working", "episodic"}
+
+
+def test_a_run_does_not_start_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MEMTRANSFER_ATTACH", str(tmp_path))
+    with pytest.raises(RunError, match="serve it with `run`, not `evaluate`"):
+        evaluate(out=tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("style", "shown"),
+    [
+        ("TERMINAL", "\r\x1b[2K[#.] 1/2\r\x1b[2Ka note\n\r\x1b[2K[##] 2/2\r\x1b[2Kfinished\n"),
+        ("NOTEBOOK", "\r[#.] 1/2\ra note  \n\rfinished\n"),
+        ("LINES", "[#.] 1/2\na note\nfinished\n"),
+        ("NOTES", "a note\n"),
+    ],
+)
+def test_progress_replaces_itself_and_notes_stay(style: str, shown: str, capsys: pytest.CaptureFixture[str]) -> None:
+    from memtransfer._program import Style, _Screen
+
+    screen = _Screen(Style[style], {"`sh -c relay`": "policy"})
+    printed = "\r\x1b[2K[#.] 1/2|\r\x1b[2Ka note\r\n|\r\x1b[2K[##] 2/2|\r\x1b[2Kmemtransfer: `sh -c relay` ended. To resume:\r\n  /bin/memtransfer run --x\r\n"
+    for chunk in printed.split("|"):
+        screen.receive(chunk.encode())
+    screen.close("finished")
+    assert capsys.readouterr().err == shown
+    assert screen.notes == ["a note", "memtransfer: policy ended. To resume:", "  the same call of `evaluate`"]
