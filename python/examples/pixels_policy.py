@@ -1,5 +1,9 @@
 """Walks while the floor ahead is free, and turns where it is not.
 
+    evaluate(policy=Pixels(), memory=["working", "episodic"], limit=5, out="runs/pixels")
+
+in Python, or in the shell:
+
     memtransfer run --policy-cmd "python pixels_policy.py"
 
 It knows only what bare floor looks like. The pixels are in shared memory; numpy copies only the small patch of each frame

@@ -1,5 +1,9 @@
 """Takes one of the seven actions at random. Start a run with it:
 
+    evaluate(policy=Random(), memory=["working", "episodic"], limit=5, out="runs/random")
+
+in Python, or in the shell:
+
     memtransfer run --policy-cmd "python random_policy.py"
 """
 

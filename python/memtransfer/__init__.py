@@ -1,6 +1,6 @@
 """Policies, memories and worlds for MemTransfer in Python, and the results of runs.
 
-    from memtransfer import Action, Policy, run
+    from memtransfer import Action, Policy, evaluate
 
     class AlwaysForward(Policy):
         name = "always-forward"
@@ -8,8 +8,9 @@
         def act(self, batch):
             return [Action.FORWARD for request in batch]
 
-    run(AlwaysForward())
+    result = evaluate(policy=AlwaysForward(), memory="working", limit=10, out="runs/forward")
 
+`evaluate` starts a run with objects of this process, `memtransfer.evaluation` explains how; `run` serves a run that the shell has started.
 `memtransfer.prompt` renders the benchmark's own prompt and reads a model's answers; `memtransfer.results` reads
 the folder of a run. `Memory` is a memory of your own. `gymnasium.make("memtransfer:MemTransfer-v0")` makes an
 environment. `memtransfer.world` is for a world of your own. The guides are `docs/python.md`, `docs/memory.md` and
@@ -28,8 +29,10 @@ from memtransfer.errors import (
     MemTransferError,
     PolicyError,
     PromptLogError,
+    RunError,
     WorldError,
 )
+from memtransfer.evaluation import Comparison, Result, evaluate
 from memtransfer.memory import (
     Demonstration,
     DemonstrationStep,
@@ -85,6 +88,7 @@ __all__ = [
     "Answer",
     "AttachError",
     "BusError",
+    "Comparison",
     "Decision",
     "Demonstration",
     "DemonstrationStep",
@@ -113,6 +117,8 @@ __all__ = [
     "RememberedStep",
     "RememberedView",
     "Request",
+    "Result",
+    "RunError",
     "Segment",
     "Source",
     "Steps",
@@ -122,6 +128,7 @@ __all__ = [
     "View",
     "WorldDeclaration",
     "WorldError",
+    "evaluate",
     "run",
     "serve",
 ]

@@ -108,11 +108,12 @@ class MemoryStep:
 
     def field(self, name: str) -> Any: ...
 
-def serve(policy: Policy, code: str, folder: str | PathLike[str] | None) -> None: ...
+def serve(policy: Policy, code: str, folder: str | PathLike[str] | None, generation: bool) -> None: ...
 def serve_memory(
     create: Callable[[], Memory],
     description: tuple[str, str, str, bool, bool, bool, bool, str],
     folder: str | PathLike[str] | None,
+    generation: bool,
 ) -> None: ...
 def world_main(
     create: Callable[[], World], declaration: str, tasks: str, arguments: list[str]

@@ -32,3 +32,15 @@ class WorldError(MemTransferError):
 
 class PolicyError(MemTransferError):
     """The policy broke its contract: the wrong number of answers, or a value that is not an answer."""
+
+
+class RunError(MemTransferError):
+    """A run could not begin, could not go on, or could not finish all episodes; or its folder cannot be read.
+
+    The message is the program's own. If an object that was given to `evaluate` raised an exception, it is the cause.
+    """
+
+    def __init__(self, message: str, status: int = 2) -> None:
+        """`status` is the exit status of the program: 1 if episodes are missing, which the same call runs again; 2 for an error."""
+        super().__init__(message)
+        self.status = status

@@ -12,6 +12,9 @@ Needs pandas: `pip install './python[results]'`. The run's scores with their int
 from __future__ import annotations
 
 import json
+import os
+import re
+import tempfile
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +23,7 @@ from typing import Any
 import pandas as pd
 
 from memtransfer import _native
+from memtransfer._program import output_of
 
 _DTYPES = {"text": "string", "whole": "Int64", "real": "Float64", "flag": "boolean"}
 
@@ -70,6 +74,28 @@ def read(folder: str | Path) -> Results:
         timings=_frame(timings),
         sessions=json.loads(sessions),
     )
+
+
+_MAIN_SCORES = ("episodes", "sr", "sr_low", "sr_high", "spl", "spl_low", "spl_high")
+
+_NOT_SCORES = re.compile("log|policy|policy_role|published_.*")
+
+
+def read_scores(folder: str | Path) -> pd.DataFrame:
+    """Computes the scores of the run in `folder`, with the program `memtransfer`. Returns one row for each condition, which is the index:
+    the number of `episodes`; `sr`, the success rate in percent, and `spl`, the success weighted by path length from 0 to 1, each with the
+    `_low` and `_high` of its 95 % interval over cases; then the other columns of the report's `conditions.csv` that have a value.
+
+    Raises:
+        RunError: The folder holds no run that can be read, or there is no program.
+    """
+    with tempfile.TemporaryDirectory(prefix="memtransfer-report-") as scratch:
+        output_of(["report", os.fspath(folder), "--out", os.path.join(scratch, "report")], accepted=(0, 1))
+        table = pd.read_csv(os.path.join(scratch, "report", "conditions.csv")).set_index("condition")
+    table = table.astype({name: float for name in _MAIN_SCORES[1:]})
+    others = [name for name in table if name not in _MAIN_SCORES and not _NOT_SCORES.fullmatch(str(name))]
+    scores: pd.DataFrame = table[[*_MAIN_SCORES, *(name for name in others if table[name].notna().any())]]
+    return scores
 
 
 def _frame(columns: list[tuple[str, str, list[Any]]]) -> pd.DataFrame:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import inspect
 import os
 import re
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from types import FrameType
-from typing import TypeAlias
+from types import CodeType, FrameType, FunctionType
+from typing import TypeAlias, TypeGuard
 
 from memtransfer import _native
 from memtransfer.errors import MemTransferError, PolicyError
@@ -62,18 +64,32 @@ def serve(program: Program, folder: str | Path) -> None:
 
 def _serve(program: Program, folder: str | None) -> None:
     if isinstance(program, Policy):
-        _native.serve(program, code_of(type(program)), folder)
-    elif isinstance(program, Memory):
-        _serve_memory(program, partial(copy.deepcopy, program), folder)
-    elif isinstance(program, type) and issubclass(program, Memory):
-        _serve_memory(program, program, folder)
+        _native.serve(program, code_of(type(program)), folder, False)
+    elif is_memory(program):
+        kind = program if isinstance(program, type) else type(program)
+        _native.serve_memory(maker_of(program), (*described(program), code_of(kind)), folder, False)
     else:
         raise TypeError(f"{program!r} is neither a Policy nor a Memory")
 
 
-def _serve_memory(
-    memory: Memory | type[Memory], create: Callable[[], Memory], folder: str | None
-) -> None:
+def is_memory(program: object) -> TypeGuard[Memory | type[Memory]]:
+    """Returns whether `program` is a memory, or the class of one."""
+    return isinstance(program, Memory) or (isinstance(program, type) and issubclass(program, Memory))
+
+
+def maker_of(memory: Memory | type[Memory]) -> Callable[[], Memory]:
+    """Returns what makes the memory of a bank: the class, or deep copies of the instance."""
+    return memory if isinstance(memory, type) else partial(copy.deepcopy, memory)
+
+
+def described(memory: Memory | type[Memory]) -> tuple[str, str, str, bool, bool, bool, bool]:
+    """Returns what a memory says of itself: name, version, scope, and whether it uses embeddings, looks at frames, is deterministic
+    and learns.
+
+    Raises:
+        TypeError: An attribute is of the wrong type, or the memory learns and does not override `save` and `load`.
+        ValueError: There is no such scope.
+    """
     kind = memory if isinstance(memory, type) else type(memory)
     name = memory.name or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", kind.__name__).lower()
     if memory.scope not in ("case", "all"):
@@ -85,8 +101,7 @@ def _serve_memory(
             raise TypeError(f"{attribute} of memory {name} is {getattr(memory, attribute)!r}, but must be a bool")
     if memory.learns and (kind.save is Memory.save or kind.load is Memory.load):
         raise TypeError(f"memory {name} learns: it must override save and load, or a resumed run loses what it has learned")
-    needs = (memory.embeddings, memory.frames, memory.deterministic, memory.learns)
-    _native.serve_memory(create, (name, memory.version, memory.scope, *needs, code_of(kind)), folder)
+    return name, memory.version, memory.scope, memory.embeddings, memory.frames, memory.deterministic, memory.learns
 
 
 def code_of(kind: type) -> str:
@@ -94,16 +109,81 @@ def code_of(kind: type) -> str:
     and those of the modules that define the class and its bases. Modules of the standard library and of this package are left
     out. Empty if there is no file, as in a notebook."""
     names = ["__main__", *(base.__module__ for base in kind.__mro__)]
-    hashes = {}
+    hashes: dict[str, str] = {}
     for name in dict.fromkeys(names):
-        file = getattr(sys.modules.get(name), "__file__", None)
-        package = name.partition(".")[0]
-        if file and package not in sys.stdlib_module_names and package != __package__ and Path(file).is_file():
-            hashes[os.path.abspath(file)] = hashlib.sha256(Path(file).read_bytes()).hexdigest()[:16]
+        hashes.update(_hash_of_module(name))
+    return _in_words(hashes)
+
+
+def _hash_of_module(name: str) -> dict[str, str]:
+    """The file of a module with the start of its SHA-256; none of the standard library, of this package, and of what has no file."""
+    file = getattr(sys.modules.get(name), "__file__", None)
+    package = name.partition(".")[0]
+    if not file or package in sys.stdlib_module_names or package == __package__ or not Path(file).is_file():
+        return {}
+    return {os.path.abspath(file): hashlib.sha256(Path(file).read_bytes()).hexdigest()[:16]}
+
+
+def _in_words(hashes: Mapping[str, str]) -> str:
     told = " ".join(f"{os.path.basename(file)}={digest}" for file, digest in hashes.items())
     if len(told.encode()) > 100:
         return f"{len(hashes)} files={hashlib.sha256(told.encode()).hexdigest()[:16]}"
     return told
+
+
+def code_of_object(program: Program) -> str:
+    """Returns what tells changed code of an object that the process serves which has called `evaluate`, as `code_of` does for a program:
+    the files of the modules that its class and its bases are defined in and, of what the main program or a notebook defines, the sources
+    that the class uses. The rest of a main program is its call of `evaluate`, which may change."""
+    kind = program if isinstance(program, type) else type(program)
+    files, sources = {}, {}
+    for base in kind.__mro__:
+        if base.__module__ == "__main__":
+            sources.update(_sources_of(base))
+        else:
+            files.update(_hash_of_module(base.__module__))
+    if sources:
+        text = "\n".join(sources[name] for name in sorted(sources))
+        files[kind.__name__] = hashlib.sha256(text.encode()).hexdigest()[:16]
+    return _in_words(files)
+
+
+def _sources_of(used: type | FunctionType) -> dict[str, str]:
+    """The sources of a class or function of the main program, and of those classes, functions and constants there that it names; by name."""
+    sources: dict[str, str] = {}
+    waiting: list[type | FunctionType] = [used]
+    while waiting:
+        one = waiting.pop()
+        if one.__qualname__ in sources:
+            continue
+        names: set[str] = set()
+        for function in [one] if isinstance(one, FunctionType) else _functions_of(one):
+            with suppress(OSError, TypeError):
+                sources[function.__qualname__] = inspect.getsource(function)
+            names |= _names_in(function.__code__)
+        sources.setdefault(one.__qualname__, "")
+        if isinstance(one, type):
+            plain = ((name, value) for name, value in vars(one).items() if isinstance(value, str | int | float))
+            sources[one.__qualname__] = repr(sorted(item for item in plain if not item[0].startswith("__")))
+        main = vars(sys.modules["__main__"])
+        for name in sorted(names & main.keys()):
+            value = main[name]
+            if isinstance(value, type | FunctionType) and value.__module__ == "__main__":
+                waiting.append(value)
+            elif isinstance(value, str | int | float) and name.isupper():
+                sources[name] = repr(value)
+    return sources
+
+
+def _functions_of(kind: type) -> list[FunctionType]:
+    members = (getattr(value, "fget", None) or getattr(value, "__func__", value) for value in vars(kind).values())
+    return [member for member in members if isinstance(member, FunctionType)]
+
+
+def _names_in(code: CodeType) -> set[str]:
+    """The names that code uses, that of functions within it included."""
+    inner = (constant for constant in code.co_consts if isinstance(constant, CodeType))
+    return set(code.co_names).union(*map(_names_in, inner))
 
 
 def _set_handlers(program: Program) -> dict[int, signal._HANDLER]:

@@ -11,7 +11,7 @@ use peer::memory::{
     Demonstration, Episode, EpisodeEnd, Memory, MemoryDescription, MemoryError, MemoryItem,
     MemoryMethod, Query, Scope, Source, Step, Views,
 };
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::exceptions::{PySystemExit, PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyBytes, PyList, PyString, PyTuple};
@@ -400,6 +400,10 @@ fn number(value: PyResult<Bound<'_, PyAny>>) -> PyResult<u32> {
 
 /// The failure that an exception is to the run. The traceback goes to the log.
 fn failure(py: Python<'_>, name: &str, raised: &PyErr) -> MemoryError {
-    raised.print(py);
+    // To print a SystemExit ends the process, which may be a notebook's.
+    match raised.is_instance_of::<PySystemExit>(py) {
+        true => raised.display(py),
+        false => raised.print(py),
+    }
     MemoryError::new(format_args!("memory {name} raised {raised}"))
 }

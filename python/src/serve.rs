@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use peer::ServeError;
+use peer::{ServeError, Until};
 use pyo3::prelude::*;
 use shm_types::BusError;
 
@@ -10,18 +10,19 @@ use crate::classes::error;
 use crate::memory::{Described, PythonMethod};
 use crate::policy::PythonPolicy;
 
-/// Serves the run in `folder`, or without one the run that `MEMTRANSFER_ATTACH` names, until the run ends. `code`
-/// tells the files of its code.
+/// Serves the run in `folder`, or without one the run that `MEMTRANSFER_ATTACH` names, until the run ends, or its `generation` if
+/// that is true. `code` tells the files of its code.
 #[pyfunction]
 pub(crate) fn serve(
     policy: &Bound<'_, PyAny>,
     code: String,
     folder: Option<PathBuf>,
+    generation: bool,
 ) -> PyResult<()> {
     let py = policy.py();
     let mut policy = PythonPolicy::new(policy, code)?;
     let served = py.detach(|| match &folder {
-        Some(folder) => peer::serve(&mut policy, folder),
+        Some(folder) => peer::serve_until(&mut policy, folder, until(generation)),
         None => peer::serve_from_environment(&mut policy),
     });
     match policy.take_raised() {
@@ -36,14 +37,19 @@ pub(crate) fn serve_memory(
     create: &Bound<'_, PyAny>,
     description: Described,
     folder: Option<PathBuf>,
+    generation: bool,
 ) -> PyResult<()> {
     let py = create.py();
     let method = PythonMethod::new(create, description)?;
     let served = py.detach(|| match &folder {
-        Some(folder) => peer::memory::serve(&method, folder),
+        Some(folder) => peer::memory::serve_until(&method, folder, until(generation)),
         None => peer::memory::serve_from_environment(&method),
     });
     ended(py, served)
+}
+
+fn until(generation: bool) -> Until {
+    if generation { Until::GenerationEnds } else { Until::RunEnds }
 }
 
 /// The exception that an end of serving is to the caller.

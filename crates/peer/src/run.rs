@@ -33,29 +33,46 @@ pub fn folder_from_environment(role: Role) -> Result<PathBuf, ServeError> {
     folder.map(PathBuf::from).ok_or(ServeError::NoRun(role))
 }
 
-/// Serves in the run whose folder is `folder` until the orchestrator sends a stop message, in every generation.
+/// How long a role is taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Until {
+    /// Until the run is over, in every generation.
+    RunEnds,
+    /// Until the generation is over: what takes the role in the next one is another service.
+    GenerationEnds,
+}
+
+/// Serves in the run whose folder is `folder` until the orchestrator sends a stop message, in every generation or, if `until` says
+/// so, in one.
 ///
 /// A process that the orchestrator started is killed with it, however it ends; any other process notices within a second.
 ///
 /// # Errors
 /// When there is no such run, it cannot be joined, its transport fails, it ends without a stop message, or the service
 /// fails.
-pub fn serve_role<S: Service>(service: &mut S, folder: &Path) -> Result<(), ServeError> {
+pub fn serve_role<S: Service>(
+    service: &mut S,
+    folder: &Path,
+    until: Until,
+) -> Result<(), ServeError> {
     // Both closures need the service, one after the other.
     let service = RefCell::new(service);
     serve_generations(
         folder,
+        until,
         |attach| service.borrow().join(attach),
         |bus, run| Connection::new(bus)?.serve(&mut **service.borrow_mut(), run),
     )
 }
 
-/// Joins each generation of the run whose folder is `folder`, and serves in it, until the orchestrator sends a stop message.
+/// Joins each generation of the run whose folder is `folder`, or the first one if `until` says so, and serves in it, until the
+/// orchestrator sends a stop message.
 ///
 /// # Errors
 /// As [`serve_role`].
 pub(crate) fn serve_generations(
     folder: &Path,
+    until: Until,
     join: impl Fn(Attach) -> Result<Bus, BusError>,
     mut serve: impl FnMut(Bus, &WatchedRun) -> Result<End, ServeError>,
 ) -> Result<(), ServeError> {
@@ -76,6 +93,9 @@ pub(crate) fn serve_generations(
                 run.after(&attach, error)?
             }
             Err(error) => return Err(error),
+        };
+        if until == Until::GenerationEnds {
+            return Ok(());
         }
     }
 }

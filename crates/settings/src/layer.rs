@@ -8,9 +8,10 @@ use conditions::settings::{KEYS, Key, STREAM_TABLE, Scope, StreamSettings, VARIA
 use domain::names::{UnknownName, nearest};
 use serde_json::{Map, Value};
 
-/// Variables with the prefix that are not settings: folders, the user's own ONNX Runtime, and what tests use.
-const OTHER_VARIABLES: [&str; 6] =
-    ["CACHE", "RUN_DIR", "ATTACH", "WORLD_INDEX", "REGENERATE", "ONNXRUNTIME"];
+/// Variables with the prefix that are not settings: folders, the user's own ONNX Runtime, the program that the Python package starts,
+/// and what tests use.
+const OTHER_VARIABLES: [&str; 7] =
+    ["CACHE", "RUN_DIR", "ATTACH", "WORLD_INDEX", "REGENERATE", "ONNXRUNTIME", "PROGRAM"];
 const TEST_VARIABLES: &str = "TEST_";
 
 /// Where a setting comes from, weakest first.
@@ -216,7 +217,7 @@ mod tests {
         );
         insta::assert_snapshot!(environment("MEMTRANSFER_ALLOW_COMMANDS", "1").unwrap_err(), @"MEMTRANSFER_ALLOW_COMMANDS: no variable allows the commands of a file, since it would hold for every file: give --allow-commands");
         for (other, value) in
-            [("MEMTRANSFER_CACHE", "x"), ("LANES", "abc"), ("MEMTRANSFER_LANES", "")]
+            [("MEMTRANSFER_PROGRAM", "x"), ("LANES", "abc"), ("MEMTRANSFER_LANES", "")]
         {
             assert!(environment(other, value).unwrap().values.is_empty(), "{other}");
         }

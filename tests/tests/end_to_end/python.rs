@@ -10,8 +10,8 @@ use std::process::{Child, Command, Stdio};
 use std::sync::LazyLock;
 
 use memtransfer_tests::{
-    Bench, Ended, episodes, eventually, kill, needs, process_of_world, records, sorted_log,
-    wait_for_episodes, words,
+    Bench, Ended, episodes, eventually, kill, needs, process_of_world, program, records,
+    sorted_log, wait_for_episodes, words,
 };
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
@@ -95,9 +95,27 @@ fn prompt_log(run: &Path) -> Vec<Value> {
     json_lines(&run.join("prompts/session-1/generation-1.jsonl"))
 }
 
+/// The tests that start runs.
+const EVALUATION_TESTS: &str = "tests/test_evaluation.py";
+
 #[test]
 fn the_package_passes_its_own_tests() {
-    python(&["-m", "pytest"], &[]).expect(0);
+    python(&["-m", "pytest", "--ignore", EVALUATION_TESTS], &[]).expect(0);
+}
+
+#[test]
+fn the_package_evaluates_objects() {
+    let listed = python(&["-m", "pytest", "--collect-only", EVALUATION_TESTS], &[]);
+    let listed = listed.expect(0).stdout;
+    let tests: Vec<&str> =
+        listed.lines().filter(|line| line.starts_with(EVALUATION_TESTS)).collect();
+    assert!(tests.len() > 10, "{listed}");
+    let program = program("memtransfer");
+    for test in tests {
+        // Each has the time of one run.
+        let variables = [("MEMTRANSFER_PROGRAM", program.to_str().unwrap())];
+        python(&["-m", "pytest", test], &variables).expect(0);
+    }
 }
 
 #[test]

@@ -25,7 +25,7 @@ use shm_types::message::shortened_reason;
 
 pub use self::items::{MemoryItem, Source, Views};
 pub use self::method::{MemoryMethod, Method};
-pub use self::serving::{serve, serve_from_environment};
+pub use self::serving::{serve, serve_from_environment, serve_until};
 pub use self::views::{
     Demonstration, DemonstrationStep, Episode, EpisodeEnd, PastStep, Query, Step,
 };

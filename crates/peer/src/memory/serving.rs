@@ -13,7 +13,7 @@ use super::{MemoryMethod, session};
 use crate::connection::{Connection, Service};
 use crate::error::ServeError;
 use crate::program_code::own_code;
-use crate::run::{folder_from_environment, serve_role};
+use crate::run::{Until, folder_from_environment, serve_role};
 
 /// How often to look for `attach.json`.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
@@ -33,6 +33,18 @@ pub fn serve_from_environment(method: &dyn MemoryMethod) -> Result<(), ServeErro
 /// When there is no such run, the description cannot be written, the run cannot be joined, its transport fails, or it
 /// ends without a stop message.
 pub fn serve(method: &dyn MemoryMethod, folder: &Path) -> Result<(), ServeError> {
+    serve_until(method, folder, Until::RunEnds)
+}
+
+/// As [`serve`], but `until` can end it with the generation.
+///
+/// # Errors
+/// As [`serve`].
+pub fn serve_until(
+    method: &dyn MemoryMethod,
+    folder: &Path,
+    until: Until,
+) -> Result<(), ServeError> {
     let not_found = |_: io::Error| ServeError::NotARun(folder.to_owned());
     let folder = folder.canonicalize().map_err(not_found)?;
     let not_a_memory = || ServeError::NotAMemoryFolder(folder.clone());
@@ -46,7 +58,7 @@ pub fn serve(method: &dyn MemoryMethod, folder: &Path) -> Result<(), ServeError>
     }
     description.write(&folder).map_err(BusError::from)?;
     wait_for_run(run)?;
-    serve_role(&mut MemoryService { method, description, index }, run)
+    serve_role(&mut MemoryService { method, description, index }, run, until)
 }
 
 /// Waits until the run in `folder` can be joined.

@@ -22,7 +22,7 @@ pub use self::request::{
 use crate::connection::{Connection, Service};
 use crate::error::ServeError;
 use crate::program_code::own_code;
-use crate::run::{folder_from_environment, serve_role};
+use crate::run::{Until, folder_from_environment, serve_role};
 
 /// A policy that decides at once.
 pub trait Policy {
@@ -116,7 +116,7 @@ impl<P: Policy + ?Sized> Decider for P {
 pub fn serve_from_environment(policy: &mut (impl Decider + ?Sized)) -> Result<(), ServeError> {
     let folder = folder_from_environment(Role::Policy)?;
     let code = Some(own_code().map_err(ServeError::OwnCode)?);
-    serve_role(&mut PolicyService { policy, code }, &folder)
+    serve_role(&mut PolicyService { policy, code }, &folder, Until::RunEnds)
 }
 
 /// Serves `policy` in the run whose folder is `folder` until the orchestrator sends a stop message, as
@@ -125,7 +125,19 @@ pub fn serve_from_environment(policy: &mut (impl Decider + ?Sized)) -> Result<()
 /// # Errors
 /// As [`serve_role`].
 pub fn serve(policy: &mut (impl Decider + ?Sized), folder: &Path) -> Result<(), ServeError> {
-    serve_role(&mut PolicyService { policy, code: None }, folder)
+    serve_until(policy, folder, Until::RunEnds)
+}
+
+/// As [`serve`], but `until` can end it with the generation.
+///
+/// # Errors
+/// As [`serve_role`].
+pub fn serve_until(
+    policy: &mut (impl Decider + ?Sized),
+    folder: &Path,
+    until: Until,
+) -> Result<(), ServeError> {
+    serve_role(&mut PolicyService { policy, code: None }, folder, until)
 }
 
 /// The fact that tells a program's code.

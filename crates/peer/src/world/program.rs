@@ -23,7 +23,7 @@ use super::simulator::{CaseDeclaration, Simulator, TrajectoryName};
 use super::stage::{Stage, StageBegin};
 use super::{GREY, RenderSetup, World, WorldFailure};
 use crate::error::ServeError;
-use crate::run::{folder_from_environment, serve_generations};
+use crate::run::{Until, folder_from_environment, serve_generations};
 
 /// How long to wait for the shared memory of the generation before.
 const ROOM_TIMEOUT: Duration = Duration::from_secs(30);
@@ -157,7 +157,7 @@ pub fn serve_world<W: World>(
         Err(_) => 0,
     };
     let join = |attach: Attach| Bus::join_as(attach, Role::Sim, index);
-    serve_generations(folder, join, |bus, run| {
+    serve_generations(folder, Until::RunEnds, join, |bus, run| {
         let attach = bus.attach();
         wait_for_room(attach)?;
         let mut world = make(attach)?;

@@ -1,0 +1,449 @@
+"""Evaluations: real runs of the program that `MEMTRANSFER_PROGRAM` names, or that is on the PATH."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import textwrap
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from memtransfer import Action, Memory, Policy, PolicyError, RunError, Steps, evaluate
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "examples"))
+
+SHORT: dict[str, Any] = {"frame_size": 64, "max_steps": 7, "lanes": 3, "limit": 3, "starts": "original", "progress": False}
+"""Short episodes on small frames."""
+
+SCRIPT = """
+    import asyncio, os, sys, time
+    from memtransfer import Action, Memory, Policy, evaluate
+
+    class Forward(Policy):
+        def act(self, batch):
+            open("acts", "a").write("x")
+            time.sleep(float(os.environ["PAUSE_S"]))
+            return [Action.FORWARD for _ in batch]
+
+    class Nothing(Memory):
+        embeddings = False
+
+        def recall(self, query):
+            return []
+
+    def run():
+        settings = dict(frame_size=64, max_steps=20, lanes=2, limit=4, starts="original", out="run")
+        return evaluate(policy=Forward(), memory=[Nothing(), "working"], **settings)
+"""
+"""A script without a main guard."""
+
+
+@pytest.fixture(autouse=True)
+def registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Where the runs of a test are registered. Nothing may be left there, nor any process of them."""
+    # Short, because it is part of the names of sockets.
+    folder = Path(tempfile.mkdtemp(prefix="mt", dir="/dev/shm"))
+    monkeypatch.setenv("MEMTRANSFER_RUN_DIR", str(folder))
+    yield folder
+    eventually(lambda: not os.listdir(folder) and not processes(folder))
+    shutil.rmtree(folder)
+
+
+def eventually(condition: Callable[[], Any]) -> Any:
+    """Waits until `condition` returns something true, and returns it."""
+    while not (value := condition()):
+        time.sleep(0.05)
+    return value
+
+
+def processes(registry: Path) -> list[str]:
+    """The command lines of the processes that have this registry, but for this one."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            mine = f"MEMTRANSFER_RUN_DIR={registry}\0".encode() in (process / "environ").read_bytes()
+            if mine and int(process.name) != os.getpid():
+                found.append((process / "cmdline").read_text().replace("\0", " "))
+        except OSError:
+            pass
+    return found
+
+
+class Forward(Policy):
+    """Always moves forward."""
+
+    def act(self, batch):
+        return [Action.FORWARD for _ in batch]
+
+
+class TopThree(Memory):
+    """Supplies the steps with the most similar views."""
+
+    name = "top-3"
+
+    def build(self, demonstrations):
+        self.demonstrations = demonstrations
+
+    def recall(self, query):
+        similar = self.demonstrations[0].embeddings @ query.embedding
+        return [Steps(0, int(step)) for step in (-similar).argsort()[:3]]
+
+
+class Nothing(Memory):
+    """Supplies nothing."""
+
+    embeddings = False
+
+    def recall(self, query):
+        return []
+
+
+def records(run: Path) -> list[str]:
+    """The log of a run, but for measured times and tries."""
+    return sorted((run / "episodes.jsonl").read_text().splitlines())
+
+
+def test_objects_of_this_process_are_evaluated(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    memory = [TopThree(), Nothing, "working"]
+    result = evaluate(policy=Forward(), memory=memory, out=out, **SHORT)
+    assert result.path == out and result.manifest["processes"]["policy"]["policy"] == "Forward"
+    assert list(result.manifest["memories"]) == ["nothing", "top-3"]
+    scores = result.scores
+    conditions = ["nothing/original/unchanged/original", "top-3/original/unchanged/original", "working/original/unchanged/none"]
+    assert sorted(scores.index) == conditions
+    assert list(scores.columns[:4]) == ["episodes", "sr", "sr_low", "sr_high"]
+    assert scores["episodes"].tolist() == [3, 3, 3] and (scores["sr_low"] <= scores["sr"]).all()
+    assert len(result.episodes) == 9 and set(result.episodes["memory"]) == {"top-3", "nothing", "working"}
+    compared = result.compare(conditions[1], conditions[0])
+    assert (compared.a, compared.b, compared.pairs, compared.cases) == (conditions[1], conditions[0], 3, 3)
+    assert compared.difference == compared.success_a - compared.success_b and compared.interval is not None
+    with pytest.raises(RunError, match="did you mean `top-3/original/unchanged/original`"):
+        result.compare("top-3/original/unchanged/orignal", conditions[0])
+    assert conditions[0] in repr(result) and conditions[0] in result._repr_html_()
+    page = result.report()
+    assert page == out / "report/report.html" and "top-3" in page.read_text()
+    # The same call again finds nothing missing, and a larger limit adds episodes.
+    before = records(out)
+    evaluate(policy=Forward(), memory=memory, out=out, **SHORT)
+    assert records(out) == before
+    grown = evaluate(policy=Forward(), memory=memory, out=out, **{**SHORT, "limit": 4})
+    assert len(grown.episodes) == 12 and set(before) < set(records(out))
+
+
+def test_the_viewer_serves_the_run(tmp_path: Path, registry: Path) -> None:
+    script = """
+        import urllib.request
+        from memtransfer import evaluate
+        result = evaluate(policy="random", memory="working", out="run", limit=1, max_steps=3, frame_size=64)
+        address = result.view()
+        assert address == result.view()
+        print(urllib.request.urlopen(address).status)
+    """
+    ended = subprocess.run([sys.executable, "-c", textwrap.dedent(script)], cwd=tmp_path, capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout) == (0, "200\n"), ended.stderr
+
+
+def test_an_object_is_logged_as_a_command_with_the_same_class(tmp_path: Path) -> None:
+    module = tmp_path / "my_memory.py"
+    module.write_text("from memtransfer import Memory, run\nclass Mine(Memory):\n    embeddings = False\n    def recall(self, query): return ['go']\n")
+    program = tmp_path / "program.py"
+    program.write_text("from my_memory import Mine\nfrom memtransfer import run\nrun(Mine())\n")
+    sys.path.insert(0, str(tmp_path))
+    try:
+        from my_memory import Mine  # type: ignore[import-not-found]
+    finally:
+        sys.path.remove(str(tmp_path))
+    evaluate(policy="random", memory=Mine(), out=tmp_path / "object", **SHORT)
+    evaluate(policy="random", memory=f"{sys.executable} {program}", out=tmp_path / "command", **SHORT)
+
+    def of(run: str) -> tuple[Any, Any]:
+        kept = [json.loads(line) for line in records(tmp_path / run)]
+        manifest = json.loads((tmp_path / run / "manifest.json").read_text())
+        memory = manifest["memories"]["mine"]
+        # How it is started, and by what.
+        for fact in ("command", "files", "code"):
+            memory.pop(fact, None)
+        del manifest["settings"]["memory-cmd"], manifest["settings"]["out"]
+        return kept, manifest
+
+    (object_log, object_manifest), (command_log, command_manifest) = of("object"), of("command")
+    assert object_log == command_log and object_manifest == command_manifest
+
+
+def test_what_a_memory_raises_is_the_cause(tmp_path: Path) -> None:
+    class Fails(Nothing):
+        def recall(self, query):
+            if query.step == 3:
+                raise KeyError("corridor")
+            return []
+
+    with pytest.raises(RunError, match="(?s)3 of 3 episodes could not be finished.*memory fails raised KeyError: 'corridor'") as caught:
+        evaluate(policy="random", memory=Fails(), out=tmp_path / "run", **SHORT)
+    assert caught.value.status == 1
+    cause = caught.value.__cause__
+    assert isinstance(cause, KeyError) and cause.__traceback__ is not None and cause.__traceback__.tb_frame.f_code.co_name == "recall"
+    assert "KeyError: 'corridor'" in (tmp_path / "run/logs/external-memory-0.log").read_text()
+
+
+def test_a_memory_that_exits_costs_its_episode_and_not_this_process(tmp_path: Path) -> None:
+    class Exits(Nothing):
+        def recall(self, query):
+            sys.exit(3)
+
+    with pytest.raises(RunError, match="memory exits raised SystemExit: 3"):
+        evaluate(policy="random", memory=Exits(), out=tmp_path / "run", **SHORT)
+
+
+def test_what_a_policy_raises_is_the_cause(tmp_path: Path) -> None:
+    class Divides(Policy):
+        def act(self, batch):
+            return [len(batch) // 0]
+
+    class Short(Policy):
+        def act(self, batch):
+            return []
+
+    class Resets(Forward):
+        def reset(self, lane):
+            raise ValueError("no lane")
+
+    with pytest.raises(RunError, match="policy Divides raised ZeroDivisionError") as caught:
+        evaluate(policy=Divides(), memory="working", out=tmp_path / "divides", **SHORT)
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+    # A broken contract is no crash: the run stops at once.
+    with pytest.raises(RunError, match="policy Short answered 0 of . requests: it must answer each once") as caught:
+        evaluate(policy=Short(), memory="working", out=tmp_path / "short", **SHORT)
+    assert isinstance(caught.value.__cause__, PolicyError)
+    with pytest.raises(RunError, match="^ValueError: no lane$"):
+        evaluate(policy=Resets(), memory="working", out=tmp_path / "resets", **SHORT)
+
+
+def test_the_message_of_the_program_is_raised(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="^--lanes: 0 is not a whole number from 1 to 1024$") as caught:
+        evaluate(out=tmp_path / "run", lanes=0)
+    assert caught.value.status == 2
+    with pytest.raises(RunError, match="^unknown suite `rq7`: did you mean `rq1`"):
+        evaluate(out=tmp_path / "run", suite="rq7")
+    with pytest.raises(RunError, match="there is no program `no-such-program` in"):
+        evaluate(out=tmp_path / "run", policy="no-such-program --fast")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"limitt": 3}, TypeError, "there is no setting 'limitt': did you mean 'limit'?"),
+        ({"max-steps": 3}, TypeError, "there is no setting 'max-steps': did you mean 'max_steps'?"),
+        ({"fresh": "yes"}, TypeError, "fresh is 'yes', which is no bool"),
+        ({"policy": Forward}, TypeError, r"policy is the class Forward: pass an object, Forward\(...\)"),
+        ({"policy": 3}, TypeError, "policy is 3, which is neither a Policy nor a str"),
+        ({"memory": 3}, TypeError, "memory is 3, which is no sequence"),
+        ({"memory": ["working", 3]}, TypeError, "memory is 3, which is neither a Memory, the class of one nor a str"),
+        ({"memory": [Nothing(), Nothing]}, ValueError, "two objects of the name memory nothing"),
+        ({"memory": "external"}, ValueError, "pass the memory itself"),
+        ({"world": 3}, TypeError, "world is 3, which is neither a str nor what makes a world"),
+    ],
+)
+def test_arguments_that_start_no_run(tmp_path: Path, arguments: dict[str, Any], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        evaluate(out=tmp_path / "run", **arguments)
+    assert not (tmp_path / "run").exists()
+
+
+def test_settings_are_the_flags_of_run() -> None:
+    from memtransfer._program import find_program
+    from memtransfer.evaluation import Settings
+
+    printed = subprocess.run([find_program(), "run", "--help"], capture_output=True, text=True, check=True).stdout
+    flags = {line.split()[0] for line in printed.splitlines() if line.startswith("      --")}
+    ours = {f"--{name.replace('_', '-')}" for name in Settings.__annotations__}
+    arguments = {"--policy", "--policy-cmd", "--memory", "--memory-cmd", "--world", "--world-cmd", "--suite", "--out", "--quiet"}
+    # What runs nothing, and what `evaluate` does itself.
+    assert flags - arguments - {"--dry-run", "--show-settings", "--die-with"} == ours
+
+
+def test_without_the_program_there_is_a_hint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MEMTRANSFER_PROGRAM", "no-such-program")
+    with pytest.raises(RunError, match="MEMTRANSFER_PROGRAM is no-such-program, which is no program"):
+        evaluate(out=tmp_path / "run")
+
+
+def test_without_pandas_there_is_a_hint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = evaluate(policy="random", memory="working", out=tmp_path / "run", **SHORT)
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ModuleNotFoundError, match="data frames need pandas: `pip install pandas`"):
+        result.scores  # noqa: B018
+    assert str(tmp_path / "run") in repr(result)
+
+
+def start(folder: Path, call: str, pause_s: float) -> subprocess.Popen[str]:
+    """Starts the script with a last line."""
+    folder.joinpath("script.py").write_text(textwrap.dedent(SCRIPT) + call)
+    environment = {**os.environ, "PAUSE_S": str(pause_s)}
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    # A group of its own, as a shell gives it.
+    return subprocess.Popen([sys.executable, "script.py"], cwd=folder, env=environment, start_new_session=True, **pipes)
+
+
+@pytest.mark.parametrize("caller", ["run()", "asyncio.run(coroutine())", "asyncio.run(asyncio.to_thread(run))"])
+@pytest.mark.parametrize("to_group", [False, True])
+def test_an_interrupt_stops_the_run_and_the_same_call_resumes_it(tmp_path: Path, caller: str, to_group: bool) -> None:
+    if "thread" in caller and not to_group:
+        pytest.skip("a thread gets no interrupts; those of a terminal and of Jupyter go to the group")
+    call = f"async def coroutine():\n    return run()\ntry:\n    print(len({caller}.episodes))\nexcept KeyboardInterrupt:\n    print('interrupted')\n"
+    script = start(tmp_path, call, 0.2)
+    eventually((tmp_path / "acts").exists)
+    (os.killpg if to_group else os.kill)(script.pid, signal.SIGINT)
+    printed, problems = script.communicate()
+    assert (script.returncode, printed) == (0, "interrupted\n"), problems
+    assert "stopped by SIGINT" in problems and "ended at once" not in problems
+    printed, problems = start(tmp_path, call, 0).communicate()
+    assert printed == "8\n", problems
+
+
+@pytest.mark.parametrize("caller", ["asyncio.run(coroutine())", "asyncio.run(asyncio.to_thread(run))"])
+def test_it_runs_beside_an_event_loop(tmp_path: Path, caller: str) -> None:
+    call = f"async def coroutine():\n    return run()\nprint(len({caller}.episodes))\n"
+    printed, problems = start(tmp_path, call, 0).communicate()
+    assert printed == "8\n", problems
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_run_ends_with_the_process_that_called_it(tmp_path: Path, registry: Path, number: signal.Signals) -> None:
+    script = start(tmp_path, "run()", 0.2)
+    eventually((tmp_path / "acts").exists)
+    runs = os.listdir(registry)
+    assert len(runs) == 1 and processes(registry)
+    script.send_signal(number)
+    script.communicate()
+    eventually(lambda: not processes(registry) and not os.listdir(registry))
+    assert not [name for name in os.listdir("/dev/shm") if name.startswith(f"mt{runs[0]}")]
+    printed, problems = start(tmp_path, "print(len(run().episodes))", 0).communicate()
+    assert printed == "8\n", problems
+
+
+def test_objects_join_processes_that_were_started_again(tmp_path: Path, registry: Path) -> None:
+    script = start(tmp_path, "print(len(run().episodes))", 0.05)
+    eventually((tmp_path / "acts").exists)
+    (world,) = [
+        process for process in Path("/proc").glob("[0-9]*") if "sim-proc" in command(process) and f"={registry}\0" in variables(process)
+    ]
+    os.kill(int(world.name), signal.SIGKILL)
+    printed, problems = script.communicate()
+    assert printed == "8\n", problems
+    assert "starting again" in problems
+
+
+def command(process: Path) -> str:
+    return read(process / "cmdline").split("\0")[0]
+
+
+def variables(process: Path) -> str:
+    return read(process / "environ")
+
+
+def read(path: Path) -> str:
+    try:
+        return path.read_text(errors="replace")
+    except OSError:
+        return ""
+
+
+def test_changed_code_is_refused_and_a_changed_call_is_not(tmp_path: Path) -> None:
+    script = """
+        from memtransfer import Memory, evaluate
+        def words(): return "turn"
+        class Mine(Memory):
+            embeddings = False
+            def recall(self, query): return [words()]
+        print(len(evaluate(policy="random", memory=Mine(), out="run", limit=2, max_steps=3, frame_size=64, starts="original").episodes))
+    """
+
+    def printed(text: str) -> tuple[str, str]:
+        (tmp_path / "script.py").write_text(textwrap.dedent(text))
+        ended = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True)
+        return ended.stdout, ended.stderr
+
+    assert printed(script)[0] == "2\n"
+    assert printed(script.replace("limit=2", "limit=3"))[0] == "3\n"
+    nothing, problems = printed(script.replace('"turn"', '"go"'))
+    assert nothing == "" and "code of memory mine" in problems, problems
+
+
+def test_a_world_of_a_module_is_a_world_of_the_run(tmp_path: Path) -> None:
+    import corridor_world
+
+    settings = {**SHORT, "limit": 2, "max_steps": 30}
+    result = evaluate(world=corridor_world.Corridor, policy="imitate", memory=[Nothing(), "full-context"], out=tmp_path / "run", **settings)
+    assert len(result.scores) == 2 and len(result.episodes) == 4
+
+
+def test_a_world_of_a_script_is_a_world_of_the_run(tmp_path: Path) -> None:
+    source = (Path(__file__).parent.parent / "examples/corridor_world.py").read_text()
+    call = 'evaluate(world=Corridor, policy="expert", out="run", limit=2, frame_size=64, starts="original")'
+    use = f"import urllib.request\nfrom memtransfer import evaluate\nresult = {call}\nurllib.request.urlopen(result.view())\nprint(result.scores['sr'].tolist())\n"
+    (tmp_path / "script.py").write_text(source.split("if __name__")[0] + f"{use}")
+    ended = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True)
+    assert (ended.returncode, set(ended.stdout.strip("[]\n").split(", "))) == (0, {"100.0"}), ended.stderr
+
+
+def examples(page: str) -> list[str]:
+    """The Python code on a page of the documentation, with shorter episodes."""
+    text = (Path(__file__).parents[2] / page).read_text()
+    blocks = [rest.split("```")[0] for rest in text.split("```python\n")[1:]]
+    return [block.replace("limit=5", "limit=1, max_steps=3, frame_size=64") for block in blocks]
+
+
+def test_the_tutorials_run(tmp_path: Path) -> None:
+    memory, evaluation = examples("docs/memory.md")[:2]
+    (tmp_path / "my_memory.py").write_text(memory)
+    (tmp_path / "evaluation.py").write_text(evaluation)
+    policy = examples("docs/python.md")[0]
+    assert "evaluate(policy=FollowMemory()" in policy
+    (tmp_path / "policy.py").write_text(policy + "print(result)\n")
+    for script, condition in (("evaluation.py", "top-3/new/unchanged/original"), ("policy.py", "episodic/new/unchanged/original")):
+        ended = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True)
+        assert ended.returncode == 0 and condition in ended.stdout, ended.stderr
+
+
+def test_the_example_compares_memories(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import compare_memories
+
+    result = compare_memories.compare(1, str(tmp_path / "run"))
+    assert set(result.episodes["memory"]) == {"top-3", "working", "episodic"}
+
+
+def test_a_run_does_not_start_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MEMTRANSFER_ATTACH", str(tmp_path))
+    with pytest.raises(RunError, match="serve it with `run`, not `evaluate`"):
+        evaluate(out=tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("style", "shown"),
+    [
+        ("TERMINAL", "\r\x1b[2K[#.] 1/2\r\x1b[2Ka note\n\r\x1b[2K[##] 2/2\r\x1b[2Kfinished\n"),
+        ("NOTEBOOK", "\r[#.] 1/2\ra note  \n\rfinished\n"),
+        ("LINES", "[#.] 1/2\na note\nfinished\n"),
+        ("NOTES", "a note\n"),
+    ],
+)
+def test_progress_replaces_itself_and_notes_stay(style: str, shown: str, capsys: pytest.CaptureFixture[str]) -> None:
+    from memtransfer._program import Style, _Screen
+
+    screen = _Screen(Style[style], {"`sh -c relay`": "policy"})
+    printed = "\r\x1b[2K[#.] 1/2|\r\x1b[2Ka note\r\n|\r\x1b[2K[##] 2/2|\r\x1b[2Kmemtransfer: `sh -c relay` ended. To resume:\r\n  /bin/memtransfer run --x\r\n"
+    for chunk in printed.split("|"):
+        screen.receive(chunk.encode())
+    screen.close("finished")
+    assert capsys.readouterr().err == shown
+    assert screen.notes == ["a note", "memtransfer: policy ended. To resume:", "  the same call of `evaluate`"]
