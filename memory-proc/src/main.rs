@@ -7,10 +7,13 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::Context;
+use case_book::{BookFile, DemonstrationBook};
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use documents::{DocumentName, ModelRecipe, Recipe};
-use llm::{ChatClient, ChatSettings, Servers, Source};
+use documents::{DocumentName, ModelRecipe, Recipe, Sources};
+use domain::{HEADER_VARIABLE, ImageFormat, ReasoningRequest, SecretHeader, SystemRole};
+use llm::{ChatClient, ChatSettings, RequestOptions, Servers, Source, extra_body};
 use memory_proc::builders::build::{self, BuildSettings};
+use memory_proc::builders::views::{ViewRenderer, ViewedWorld};
 use memory_proc::builders::{DocumentBuilder, Extractive, ModelBuilder, model};
 use memory_proc::embed_command;
 use memory_proc::encoder::Provider;
@@ -108,6 +111,12 @@ enum MemoryProcVerb {
         /// The other world in which tasks are demonstrated
         #[arg(long, value_name = "FILE")]
         elsewhere: Option<PathBuf>,
+        /// The command that starts the world, if it is another one than the warehouse
+        #[arg(long, value_name = "COMMAND")]
+        world_cmd: Option<String>,
+        /// The ids of that world's cases in the order of the demonstrations' book, as a JSON list
+        #[arg(long, value_name = "FILE")]
+        case_ids: Option<PathBuf>,
         /// Width and height of the frames, in pixels
         #[arg(long, value_name = "PIXELS")]
         frame_size: u32,
@@ -175,11 +184,26 @@ struct BuilderArguments {
     /// The model's server, up to /v1 [default: $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
     #[arg(long, value_name = "URL")]
     base_url: Option<String>,
-    /// Further headers of requests to the model, one a line
-    #[arg(long, env = domain::HEADER_VARIABLE, value_delimiter = '\n', hide = true, hide_env_values = true)]
-    header: Vec<domain::SecretHeader>,
+    /// Where the value of --base-url was given: it decides which key is sent there
+    #[arg(long, value_name = "SOURCE", default_value = Source::CommandLine.word(), hide = true)]
+    base_url_from: Source,
+    /// What requests say about reasoning: off, minimal, low, medium, high, or nothing (model)
+    #[arg(long, value_name = "LEVEL", default_value_t = ReasoningRequest::Off)]
+    reasoning: ReasoningRequest,
+    /// How the rules are sent: as system, as developer, or in the user's message (user)
+    #[arg(long, value_name = "ROLE", default_value_t = SystemRole::System)]
+    system_role: SystemRole,
+    /// Further fields of each request, a JSON object; a field that is null is not sent
+    #[arg(long, value_name = "JSON")]
+    extra_body: Option<String>,
+    /// A further header of each request
+    #[arg(long, value_name = "NAME: VALUE", env = HEADER_VARIABLE, value_delimiter = '\n', hide_env_values = true)]
+    header: Vec<SecretHeader>,
+    /// Image encoding: png, or jpeg (smaller, with loss)
+    #[arg(long, value_name = "FORMAT", default_value_t = ImageFormat::Png)]
+    image_format: ImageFormat,
     /// Time limit of an attempt
-    #[arg(long, alias = "timeout", value_name = "SECONDS", default_value_t = 300)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 300)]
     request_timeout: u32,
     /// How often a request is sent again after a transient failure
     #[arg(long, value_name = "N", default_value_t = 5)]
@@ -190,6 +214,12 @@ struct BuilderArguments {
     /// Maximum number of tokens in an answer
     #[arg(long, value_name = "N", default_value_t = ModelRecipe::MAX_TOKENS)]
     max_tokens: u32,
+    /// Maximum number of views of each demonstration that are shown
+    #[arg(long, value_name = "N", default_value_t = ModelRecipe::VIEWS)]
+    views: u32,
+    /// Maximum number of images in a prompt
+    #[arg(long, value_name = "N", default_value_t = ModelRecipe::IMAGE_BUDGET)]
+    image_budget: u32,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -201,24 +231,48 @@ enum BuilderKind {
 }
 
 impl BuilderArguments {
-    fn builder(self) -> anyhow::Result<(Recipe, Box<dyn DocumentBuilder>)> {
+    /// The builder of documents from `sources` in `world`.
+    fn builder(
+        self,
+        world: ViewedWorld,
+        sources: Sources,
+    ) -> anyhow::Result<(Recipe, Box<dyn DocumentBuilder>)> {
         let model = match self.builder {
             BuilderKind::Extractive => return Ok((Recipe::Extractive, Box::new(Extractive))),
             BuilderKind::Model => self.model.context("--builder model needs --model NAME")?,
         };
-        let given = self.base_url.as_deref().map(|url| (url, Source::CommandLine));
+        let given = self.base_url.as_deref().map(|url| (url, self.base_url_from));
         let servers = Servers::from_environment(given, Path::new("."))?;
-        let Servers { first, others, .. } = servers.with_headers(&self.header, false)?;
+        // The program that started this one knows where the headers were given, and has checked it.
+        let Servers { first, others, .. } = servers.with_headers(&self.header, true)?;
+        let fields = self.extra_body.as_deref().map(extra_body).transpose();
+        let fields = fields.map_err(anyhow::Error::msg).context("--extra-body")?;
+        let options = RequestOptions {
+            reasoning: self.reasoning,
+            system_role: self.system_role,
+            extra_body: fields.unwrap_or_default(),
+        };
         let settings = ChatSettings {
+            options,
             request_timeout: Duration::from_secs(self.request_timeout.into()),
             max_retries: self.max_retries,
             max_connections: 1,
             ..ChatSettings::new(&*model)
         };
         let client = ChatClient::balanced(first, others, settings, None);
-        let (context_chars, max_tokens) = (self.context_chars, self.max_tokens);
-        let recipe = ModelRecipe { model, context_chars, max_tokens };
-        let builder = ModelBuilder::new(model::ask_through(client), recipe.clone());
+        let recipe = ModelRecipe {
+            model,
+            context_chars: self.context_chars,
+            max_tokens: self.max_tokens,
+            views: self.views,
+            image_budget: self.image_budget,
+            reasoning: self.reasoning,
+            system_role: self.system_role,
+            extra_body: self.extra_body,
+            image_format: self.image_format,
+        };
+        let views = ViewRenderer::new(world, sources, self.image_format);
+        let builder = ModelBuilder::new(model::ask_through(client), views, recipe.clone());
         Ok((Recipe::Model(recipe), Box::new(builder)))
     }
 }
@@ -324,6 +378,8 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
             demonstrations,
             assets,
             elsewhere,
+            world_cmd,
+            case_ids,
             frame_size,
             appearance,
             documents,
@@ -331,22 +387,30 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
             builder,
         } => {
             die_with_parent(parent_id()).context("cannot tie this process to its parent")?;
-            let files = [("--assets", assets), ("--elsewhere", elsewhere)];
-            let given =
-                files.into_iter().filter_map(|(flag, file)| Some([flag.into(), file?.into()]));
-            let (recipe, mut builder) = builder.builder()?;
-            let settings = BuildSettings {
-                demonstrations,
-                world: given.flatten().collect(),
-                frame_size,
-                appearance: appearance.into(),
-                documents,
-                wanted,
-                recipe,
+            let book = BookFile::<DemonstrationBook>::read(&demonstrations)?.book;
+            let sources = Sources::new(book, frame_size, appearance.into());
+            let world = match case_ids {
+                Some(file) => {
+                    ViewedWorld::Other { command: world_cmd, cases: read_case_ids(&file)? }
+                }
+                None => {
+                    let files = [("--assets", assets), ("--elsewhere", elsewhere)];
+                    let flags = files.into_iter();
+                    let given = flags.filter_map(|(flag, file)| Some([flag.into(), file?.into()]));
+                    ViewedWorld::Warehouse { demonstrations, arguments: given.flatten().collect() }
+                }
             };
+            let (recipe, mut builder) = builder.builder(world, sources.clone())?;
+            let settings = BuildSettings { sources, documents, wanted, recipe };
             build::build(&settings, builder.as_mut(), std::io::stdout().lock())
         }
     }
+}
+
+fn read_case_ids(file: &Path) -> anyhow::Result<Vec<String>> {
+    let ids = durable::input::read_text(file).map_err(anyhow::Error::from);
+    let ids = ids.and_then(|text| Ok(serde_json::from_str(&text)?));
+    ids.with_context(|| format!("cannot read {}", file.display()))
 }
 
 fn profile(arguments: ProfileArguments) -> anyhow::Result<()> {

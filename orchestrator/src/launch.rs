@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use case_book::DEMONSTRATIONS_FILE;
 use conditions::settings::{ModelSettings, RunSettings};
 use conditions::{Condition, Frames, PolicyKind};
-use domain::{HEADER_VARIABLE, MemoryKind, SecretHeader};
+use domain::{MemoryKind, SecretHeader};
 use run_log::{DOCUMENTS_FOLDER, ELSEWHERE_FILE, PROMPT_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE};
 use shm_types::message::Role;
 use shm_types::process::shared_memory_space;
@@ -79,7 +79,7 @@ pub(crate) fn ship_embeddings(options: &mut PipelineOptions, file: &Path) {
 
 /// Tells the policy that asks a model where the address of its server was given, on which the key depends: `source` is a word of
 /// `policy-proc serve --base-url-from`.
-pub fn tell_source_of_base_url(options: &mut PipelineOptions, source: &str) {
+pub(crate) fn tell_source_of_base_url(options: &mut PipelineOptions, source: &str) {
     let has_address = |launch: &&mut Launch| launch.args.iter().any(|arg| arg == BASE_URL);
     for policy in options.launches.iter_mut().filter(has_address) {
         policy.args.extend(["--base-url-from".into(), source.into()]);
@@ -255,10 +255,8 @@ fn policy_launch(settings: &RunSettings) -> Result<Option<Launch>> {
             policy.args.extend(["--prompt".into(), settings.out.join(PROMPT_FILE).into()]);
         }
         policy.needs_keys = true;
-        // Other users see the arguments of a process.
-        let headers: Vec<String> = model.header.iter().map(SecretHeader::exposed).collect();
-        // One that is empty counts as not set.
-        policy.env.push((HEADER_VARIABLE.into(), headers.join("\n").into()));
+        let (variable, headers) = SecretHeader::variable(&model.header);
+        policy.env.push((variable.into(), headers.into()));
     }
     Ok(Some(policy))
 }

@@ -16,6 +16,7 @@ mod usage;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use domain::ImageFormat;
 use domain::hex;
 use domain::prompt_log::{RecordedExchange, RecordedMessage, RecordedPart};
 use llm::{
@@ -26,7 +27,8 @@ use peer::{
     ActionCode, Answer, Answers, Batch, Decider, Decision, FrameView, RequestId, ServeError, Usage,
     WorldDeclaration,
 };
-use prompt::image::ImageFormat;
+
+use prompt::image::described;
 use prompt::{PartContent, Prompt, Template, UnreadAnswer, read_answer, read_cut_off_answer};
 use shm_types::process::monotonic_ns;
 
@@ -113,7 +115,7 @@ impl Decider for Openai {
             ("prompt", self.template.version().to_owned()),
             // There is little room for facts, and 16 digits tell any two templates apart.
             ("prompt_hash", self.template.hash()[..16].to_owned()),
-            ("image_format", image_format.described()),
+            ("image_format", described(*image_format)),
             ("image_budget", image_budget.to_string()),
             ("answer_tokens", answer_tokens.to_string()),
         ]

@@ -6,12 +6,12 @@ use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, Condvar, Mutex};
 
 use conformance::messages::{self, config, observation, recall, supply};
-use domain::{Action, Feedback, Outcome, Reasoning};
+use domain::{Action, Feedback, ImageFormat, Outcome, Reasoning};
 use llm::{ChatClient, ChatSettings, Endpoint, ReplyCache};
 use peer::serve;
 use policy_proc::openai::{Openai, OpenaiSettings};
 use prompt::Template;
-use prompt::image::ImageFormat;
+
 use rigs::chat_server::{Reaction, Received, Server, completion};
 use rigs::process::{LONG, PolicyRig};
 use serde_json::{Value, json};

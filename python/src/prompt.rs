@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use domain::hex;
-use domain::{DocumentKind, FeedbackCode, State};
+use domain::{DocumentKind, FeedbackCode, ImageFormat, State};
 use peer::{CaptionedView, FrameView, Item, PastView, Request, StepView, StepsView, TextView};
-use prompt::image::{ImageFormat, encode};
+use prompt::image::encode;
 use prompt::{PartContent, Prompt, Template};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;

@@ -38,14 +38,6 @@ named! {
         Expert = "expert",
     }
 
-    /// The format in which views are sent to a model.
-    ImageFormat, "image format" {
-        /// Without loss.
-        Png = "png",
-        /// Smaller, with a little loss.
-        Jpeg = "jpeg",
-    }
-
     /// What frames show: the true view, or a control that proves that results come from pixels. What memory supplies is
     /// replaced by the last one only.
     Frames, "kind of frames" {

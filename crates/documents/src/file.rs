@@ -54,6 +54,9 @@ pub struct BuildAccount {
     /// Answered requests, including reused ones of an earlier attempt.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub requests: Option<u64>,
+    /// Images in all prompts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub images: Option<u64>,
     /// Answers that reached the token limit and were used up to their last whole line or sentence, in documents of earlier
     /// versions: such an answer now fails the build.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -67,6 +70,11 @@ pub struct BuildAccount {
 }
 
 impl BuildAccount {
+    /// Tokens of prompts and answers, if both were reported.
+    pub fn tokens(&self) -> Option<u64> {
+        self.prompt_tokens?.checked_add(self.completion_tokens?)
+    }
+
     fn is_empty(&self) -> bool {
         *self == Self::default()
     }
@@ -76,6 +84,20 @@ impl Provenance {
     /// The document's name.
     pub fn name(&self) -> DocumentName {
         DocumentName { kind: self.kind, demonstrations: self.demonstrations }
+    }
+
+    /// The model that wrote it, by the name under which it was asked; `None` for another builder.
+    pub fn model(&self) -> Option<String> {
+        if self.builder != "model" {
+            return None;
+        }
+        // As `ModelRecipe` writes it.
+        let asked = || {
+            let (_, after) = self.builder_version.split_once(", model ")?;
+            let (before, _) = after.split_once(" characters to ")?;
+            Some(before.rsplit_once(", ")?.0.to_owned())
+        };
+        asked().or_else(|| self.account.model.clone())
     }
 
     /// The document's address.

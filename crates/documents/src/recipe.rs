@@ -1,12 +1,14 @@
 //! How a document is built: the builder, and everything in it that determines the text.
 
+use domain::{ImageFormat, ReasoningRequest, SystemRole};
+
 use crate::{DocumentName, sha256_of_parts};
 
 /// The version of the extractive builder. Changes whenever the same demonstrations give another text.
 pub const EXTRACTIVE_VERSION: u32 = 2;
 
 /// The version of the prompts that the model builder sends. Changes whenever one of them does.
-pub const PROMPT_VERSION: u32 = 1;
+pub const PROMPT_VERSION: u32 = 2;
 
 /// How a document is built.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -26,6 +28,18 @@ pub struct ModelRecipe {
     pub context_chars: usize,
     /// Maximum number of tokens in an answer, and so in the document.
     pub max_tokens: u32,
+    /// Maximum number of views of each demonstration that are shown; 0 for a model that reads text only.
+    pub views: u32,
+    /// Maximum number of images in a prompt.
+    pub image_budget: u32,
+    /// What requests say about reasoning.
+    pub reasoning: ReasoningRequest,
+    /// How the rules are sent.
+    pub system_role: SystemRole,
+    /// Further fields of the requests: a JSON object, as it was given.
+    pub extra_body: Option<String>,
+    /// How images are encoded.
+    pub image_format: ImageFormat,
 }
 
 impl ModelRecipe {
@@ -33,6 +47,62 @@ impl ModelRecipe {
     pub const CONTEXT_CHARS: usize = 100_000;
     /// The default of `max_tokens`; the paper's summaries have about 13,000.
     pub const MAX_TOKENS: u32 = 16_000;
+    /// The default of `views`: start, end, sub-goals and some turns of a demonstration.
+    pub const VIEWS: u32 = 8;
+    /// The default of `image_budget`: the paper's.
+    pub const IMAGE_BUDGET: u32 = 50;
+
+    /// The defaults, for `model`.
+    pub fn new(model: impl Into<String>) -> Self {
+        Self {
+            model: model.into(),
+            context_chars: Self::CONTEXT_CHARS,
+            max_tokens: Self::MAX_TOKENS,
+            views: Self::VIEWS,
+            image_budget: Self::IMAGE_BUDGET,
+            reasoning: ReasoningRequest::Off,
+            system_role: SystemRole::System,
+            extra_body: None,
+            image_format: ImageFormat::Png,
+        }
+    }
+
+    /// Maximum number of views of each demonstration, all of which have to fit into a prompt.
+    pub fn views_each(&self) -> usize {
+        self.views.min(self.image_budget) as usize
+    }
+
+    /// Everything in it that determines the text, in words: what requests are by default is not named.
+    fn version(&self) -> String {
+        let Self {
+            model,
+            context_chars,
+            max_tokens,
+            views,
+            image_budget,
+            reasoning,
+            system_role,
+            extra_body,
+            image_format,
+        } = self;
+        let mut words = format!(
+            "prompts {PROMPT_VERSION}, model {model}, {context_chars} characters to {max_tokens} tokens, {views} views of \
+             each demonstration, {image_budget} images"
+        );
+        if *reasoning != ReasoningRequest::Off {
+            words += &format!(", reasoning {reasoning}");
+        }
+        if *system_role != SystemRole::System {
+            words += &format!(", system role {system_role}");
+        }
+        if *image_format != ImageFormat::Png {
+            words += &format!(", images {image_format}");
+        }
+        if let Some(fields) = extra_body {
+            words += &format!(", fields {fields}");
+        }
+        words
+    }
 }
 
 impl Recipe {
@@ -48,9 +118,7 @@ impl Recipe {
     pub fn version(&self) -> String {
         match self {
             Self::Extractive => EXTRACTIVE_VERSION.to_string(),
-            Self::Model(ModelRecipe { model, context_chars, max_tokens }) => format!(
-                "prompts {PROMPT_VERSION}, model {model}, {context_chars} characters to {max_tokens} tokens"
-            ),
+            Self::Model(recipe) => recipe.version(),
         }
     }
 
@@ -85,18 +153,26 @@ mod tests {
     #[test]
     fn everything_that_a_document_depends_on_changes_its_address() {
         let name = |text: &str| text.parse::<DocumentName>().unwrap();
-        let model = |model: &str, context_chars, max_tokens| {
-            Recipe::Model(ModelRecipe { model: model.into(), context_chars, max_tokens })
+        let model = |change: fn(&mut ModelRecipe)| {
+            let mut recipe = ModelRecipe::new("A");
+            change(&mut recipe);
+            Recipe::Model(recipe).address(name("summary/4"), "a")
         };
         let mut addresses = vec![
             Recipe::Extractive.address(name("summary/4"), "a"),
             Recipe::Extractive.address(name("summary/original"), "a"),
             Recipe::Extractive.address(name("semantic/4"), "a"),
             Recipe::Extractive.address(name("summary/4"), "b"),
-            model("A", 9, 9).address(name("summary/4"), "a"),
-            model("B", 9, 9).address(name("summary/4"), "a"),
-            model("A", 8, 9).address(name("summary/4"), "a"),
-            model("A", 9, 8).address(name("summary/4"), "a"),
+            model(|_| {}),
+            model(|recipe| recipe.model = "B".into()),
+            model(|recipe| recipe.context_chars = 9),
+            model(|recipe| recipe.max_tokens = 9),
+            model(|recipe| recipe.views = 0),
+            model(|recipe| recipe.image_budget = 9),
+            model(|recipe| recipe.reasoning = ReasoningRequest::Low),
+            model(|recipe| recipe.system_role = SystemRole::User),
+            model(|recipe| recipe.image_format = ImageFormat::Jpeg),
+            model(|recipe| recipe.extra_body = Some("{\"top_k\": 1}".into())),
         ];
         let count = addresses.len();
         addresses.sort();

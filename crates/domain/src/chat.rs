@@ -31,6 +31,14 @@ named! {
         /// At the beginning of the user's message, for models that know no other role.
         User = "user",
     }
+
+    /// How the images of a request are encoded.
+    ImageFormat, "image format" {
+        /// Without loss.
+        Png = "png",
+        /// Smaller, with a little loss.
+        Jpeg = "jpeg",
+    }
 }
 
 /// Fields of a request that a run sets itself.
@@ -67,6 +75,13 @@ impl SecretHeader {
     /// The header with its value, as [`FromStr`] reads it.
     pub fn exposed(&self) -> String {
         format!("{}: {}", self.name, self.value)
+    }
+
+    /// The variable that gives `headers` to a child process: other users see the arguments of a process. One that is empty
+    /// counts as not set.
+    pub fn variable(headers: &[Self]) -> (&'static str, String) {
+        let headers: Vec<String> = headers.iter().map(Self::exposed).collect();
+        (HEADER_VARIABLE, headers.join("\n"))
     }
 }
 

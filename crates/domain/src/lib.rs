@@ -24,6 +24,7 @@ pub mod search_profile;
 mod shell;
 mod state;
 mod stream;
+pub mod tokens;
 
 pub use appearance::Appearance;
 pub use cache::{
@@ -31,8 +32,8 @@ pub use cache::{
     create_private_folder,
 };
 pub use chat::{
-    HEADER_VARIABLE, KEY_VARIABLES, NoHeader, REQUEST_FIELDS, ReasoningRequest, SecretHeader,
-    SystemRole,
+    HEADER_VARIABLE, ImageFormat, KEY_VARIABLES, NoHeader, REQUEST_FIELDS, ReasoningRequest,
+    SecretHeader, SystemRole,
 };
 pub use demonstrations::{DemonstrationKind, Demonstrations, Mixture, UnknownDemonstrations};
 pub use hex::hex;

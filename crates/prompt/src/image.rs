@@ -1,10 +1,8 @@
 //! Views as encoded images.
 
-use std::fmt;
-use std::str::FromStr;
-
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use domain::ImageFormat;
 use jpeg_encoder::{ColorType, Encoder};
 use peer::FrameView;
 use png_file::Channels;
@@ -12,53 +10,16 @@ use png_file::Channels;
 /// Quality of JPEG images, out of 100: labels stay readable.
 pub const JPEG_QUALITY: u8 = 90;
 
-/// How images are encoded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ImageFormat {
-    /// Without loss.
-    Png,
-    /// With loss, at [`JPEG_QUALITY`]; smaller.
-    Jpeg,
-}
-
-/// A word that names no image format.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{0} is no image format: use png or jpeg")]
-pub struct UnknownFormat(String);
-
 /// Pixels that cannot be encoded.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct EncodeError(String);
 
-impl FromStr for ImageFormat {
-    type Err = UnknownFormat;
-
-    fn from_str(word: &str) -> Result<Self, UnknownFormat> {
-        match word {
-            "png" => Ok(Self::Png),
-            "jpeg" => Ok(Self::Jpeg),
-            other => Err(UnknownFormat(other.to_owned())),
-        }
-    }
-}
-
-impl fmt::Display for ImageFormat {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Png => "png",
-            Self::Jpeg => "jpeg",
-        })
-    }
-}
-
-impl ImageFormat {
-    /// The format, with its quality where it has one: for the manifest.
-    pub fn described(self) -> String {
-        match self {
-            Self::Png => self.to_string(),
-            Self::Jpeg => format!("{self} {JPEG_QUALITY}"),
-        }
+/// A format, with its quality where it has one: for the manifest.
+pub fn described(format: ImageFormat) -> String {
+    match format {
+        ImageFormat::Png => format.to_string(),
+        ImageFormat::Jpeg => format!("{format} {JPEG_QUALITY}"),
     }
 }
 

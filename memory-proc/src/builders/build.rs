@@ -1,14 +1,11 @@
 //! Builds documents, one after the other, from the demonstrations of a book.
 
-use std::ffi::OsString;
 use std::io::Write;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use case_book::{BookFile, DemonstrationBook};
 use documents::{DocumentFile, DocumentFolder, DocumentName, Provenance, Recipe, Sources};
-use domain::Appearance;
 
 use super::{BuiltText, DocumentBuilder};
 
@@ -18,14 +15,8 @@ const REPORT_INTERVAL: Duration = Duration::from_millis(250);
 /// What to build, and where.
 #[derive(Debug, Clone)]
 pub struct BuildSettings {
-    /// The file of demonstrations.
-    pub demonstrations: PathBuf,
-    /// The arguments of `sim-proc views` that say what the world is.
-    pub world: Vec<OsString>,
-    /// Width and height of the frames that they are built from, in pixels.
-    pub frame_size: u32,
-    /// How the world looks in the frames.
-    pub appearance: Appearance,
+    /// What they are built from.
+    pub sources: Sources,
     /// The folder that the documents are written to.
     pub documents: PathBuf,
     /// The documents, in the order of building.
@@ -38,24 +29,20 @@ pub struct BuildSettings {
 /// after the other.
 ///
 /// # Errors
-/// When the demonstrations cannot be read, or a document cannot be built or written. Documents that have been written are
-/// kept.
+/// When a document cannot be built or written. Documents that have been written are kept.
 pub fn build(
     settings: &BuildSettings,
     builder: &mut dyn DocumentBuilder,
     out: impl Write,
 ) -> Result<()> {
-    let book = BookFile::<DemonstrationBook>::read(&settings.demonstrations)?.book;
-    let sources = Sources::new(book, settings.frame_size, settings.appearance);
     let mut progress = Progress { out, last_report: None };
     let mut each = settings.wanted.iter();
-    each.try_for_each(|&name| write(name, settings, &sources, builder, &mut progress))
+    each.try_for_each(|&name| write(name, settings, builder, &mut progress))
 }
 
 fn write(
     name: DocumentName,
-    BuildSettings { documents, recipe, .. }: &BuildSettings,
-    sources: &Sources,
+    BuildSettings { sources, documents, recipe, .. }: &BuildSettings,
     builder: &mut dyn DocumentBuilder,
     progress: &mut Progress<impl Write>,
 ) -> Result<()> {
@@ -67,7 +54,7 @@ fn write(
     let mut failure = None;
     let steps = path.with_extension("steps");
     let built = builder.build(kind, &sources.book().world, &listed, &steps, &mut |done, total| {
-        let reported = progress.report("parts", done, total);
+        let reported = progress.report(done, total);
         failure = failure.take().or(reported.err());
     });
     let BuiltText { text, account } =
@@ -96,11 +83,11 @@ struct Progress<W> {
 
 impl<W: Write> Progress<W> {
     /// Reports progress, at most every [`REPORT_INTERVAL`].
-    fn report(&mut self, stage: &str, done: usize, total: usize) -> Result<()> {
+    fn report(&mut self, done: usize, total: usize) -> Result<()> {
         if self.last_report.is_some_and(|when| when.elapsed() < REPORT_INTERVAL) {
             return Ok(());
         }
         self.last_report = Some(Instant::now());
-        writeln!(self.out, "{stage} {done} {total}").context("cannot report progress")
+        writeln!(self.out, "parts {done} {total}").context("cannot report progress")
     }
 }

@@ -1,7 +1,8 @@
 //! Builders of documents.
 //!
 //! - [`DocumentBuilder`]: writes a text from demonstrations; [`Extractive`] needs no model, [`ModelBuilder`] asks one;
-//! - [`build`](mod@build): has documents written.
+//! - [`build`](mod@build): has documents written;
+//! - [`ViewRenderer`](views::ViewRenderer): draws the views that a model is shown.
 //!
 //! A builder gets the world's declaration and demonstrations only. They hold no map, catalogue, test reference or case name,
 //! so none of them can get into a document (specification, sections 2 and 4).
@@ -11,6 +12,7 @@ mod extractive;
 pub mod model;
 #[cfg(test)]
 mod testing;
+pub mod views;
 
 use std::path::Path;
 

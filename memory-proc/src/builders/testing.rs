@@ -1,6 +1,8 @@
 //! A small world and demonstrations in it, for tests of the builders.
 
-use case_book::{ActionDeclaration, Demonstration, StateField, WorldDeclaration};
+use case_book::{
+    ActionDeclaration, Demonstration, DemonstrationBook, StateField, WorldDeclaration,
+};
 use domain::{ActionCode, DemonstrationKind, FeedbackCode, State};
 
 /// The action "walk east".
@@ -55,5 +57,18 @@ pub(super) fn demonstration(
         feedback,
         sub_goals: sub_goals.to_vec(),
         actions: actions.iter().copied().map(ActionCode).collect(),
+    }
+}
+
+/// A book of two cases, each with a demonstration whose views are seen nowhere else.
+pub(super) fn book() -> DemonstrationBook {
+    let of_case = |case: u32| {
+        let of = demonstration("Walk to cell 4.", 2, &[EAST, EAST, OPEN, EAST], &[4]);
+        Demonstration { case, views: of.views.iter().map(|view| 10 * case + view).collect(), ..of }
+    };
+    DemonstrationBook {
+        world: corridor(),
+        demonstrations: vec![of_case(0), of_case(1)],
+        ..DemonstrationBook::default()
     }
 }

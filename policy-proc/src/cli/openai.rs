@@ -5,13 +5,12 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::Args;
-use domain::{HEADER_VARIABLE, ReasoningRequest, SecretHeader, SystemRole};
+use domain::{HEADER_VARIABLE, ImageFormat, ReasoningRequest, SecretHeader, SystemRole};
 use llm::{
     ChatClient, ChatSettings, EndpointLimit, ReplyCache, RequestOptions, Servers, Source,
     extra_body,
 };
 use policy_proc::openai::{Openai, OpenaiSettings};
-use prompt::image::ImageFormat;
 use prompt::{Template, TemplateError};
 
 /// The flags of `--policy openai`.

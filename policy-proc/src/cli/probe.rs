@@ -8,10 +8,10 @@ use std::time::Duration;
 
 use anyhow::ensure;
 use clap::Args;
+use domain::ImageFormat;
 use llm::probe::{self, PaperDifference, ProbeFinding, ProbeMark, ProbeReport, RunRequest};
 use llm::{ChatClient, ChatSettings, Servers, Source};
 use policy_proc::openai::largest::LargestRequest;
-use prompt::image::ImageFormat;
 
 use super::print;
 

@@ -13,8 +13,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
+use domain::ImageFormat;
 use peer::FrameView;
-use prompt::image::{ImageFormat, data_url};
+use prompt::image::data_url;
 
 /// Maximum number of bytes of URLs in one generation; two hold some thousands of views.
 const GENERATION_BYTES: usize = 128 << 20;

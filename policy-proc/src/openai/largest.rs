@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use domain::DocumentKind;
+use domain::{DocumentKind, ImageFormat};
 use llm::ChatRequest;
 use peer::{
     ActionCode, ActionDeclaration, FeedbackCode, FrameView, Item, PastView, Request, State,
     StateField, StepView, StepsView, TextView, WorldDeclaration,
 };
-use prompt::image::{ImageFormat, data_url};
+use prompt::image::data_url;
 use prompt::{Prompt, Template};
 
 /// Steps between two keyframes of a demonstration, about what the demonstrations of the benchmark have.

@@ -54,6 +54,14 @@ fn command(bench: &Bench, args: &[&str]) -> Ended {
     ended
 }
 
+/// Whether a file below `folder` holds `secret`.
+fn is_written(secret: &str, folder: &Path) -> bool {
+    let holds = |file: &PathBuf| {
+        fs::read(file).unwrap().windows(secret.len()).any(|part| part == secret.as_bytes())
+    };
+    files(folder).iter().any(holds)
+}
+
 /// All files below `folder`.
 fn files(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap());
@@ -109,12 +117,8 @@ fn a_key_is_in_no_file_no_output_and_no_list_of_processes() {
 
     assert!(seen.with_key.load(SeqCst) > 10);
     assert_eq!(*seen.told.lock().unwrap(), [0; 0]);
+    assert!(!is_written(KEY, bench.folder.path()));
     let written = files(bench.folder.path());
-    for file in &written {
-        let content = fs::read(file).unwrap();
-        let leaks = content.windows(KEY.len()).any(|part| part == KEY.as_bytes());
-        assert!(!leaks, "{} holds the key", file.display());
-    }
     // The answers were written, with a mask in the key's place.
     let masked = |name: &str| {
         let of =
@@ -128,4 +132,49 @@ fn a_key_is_in_no_file_no_output_and_no_list_of_processes() {
         assert_eq!(mode & 0o777, 0o700, "{private} can be read by other users");
     }
     assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+/// `memory build` has the flags of `run` about requests; a header is in no file, no output and no list of processes.
+#[test]
+fn a_model_is_asked_for_documents_as_a_run_asks_it() {
+    const SECRET: &str = "proxy-2b7d-never-written";
+    let bench = Bench::new();
+    let told = Arc::<Mutex<Vec<u32>>>::default();
+    let server = Server::concurrent({
+        let told = Arc::clone(&told);
+        move |_| {
+            told.lock().unwrap().extend(processes_with(SECRET.as_bytes()));
+            Reaction::says("# Text")
+        }
+    });
+    let server = server.unwrap();
+    let base_url = server.base_url();
+    let build = |flags: &[&str], headers: &str| {
+        let mut args = vec!["memory", "build", "--builder", "model", "--model", "m"];
+        args.extend(["--demos", "original", "--kind", "semantic", "--frame-size", "64"]);
+        args.extend(["--base-url", &base_url, "--out", "documents"]);
+        let mut command = bench.command(&[&args, flags].concat());
+        command.env("MEMTRANSFER_HEADER", headers).env("MEMTRANSFER_REASONING", "low");
+        let ended = Ended::run(&mut command).expect(0);
+        assert!(!ended.stdout.contains(SECRET) && !ended.stderr.contains(SECRET));
+    };
+    build(&[], &format!("X-Team: {SECRET}"));
+    let header = format!("X-Proxy: {SECRET}");
+    let body = r#"{"top_k": 7}"#;
+    build(&["--extra-body", body, "--system-role", "user", "--header", &header], "X-Team: other");
+    let received = server.received();
+    let (first, last) = (received.first().unwrap(), received.last().unwrap());
+    for request in [first, last] {
+        assert_eq!(request.body["reasoning_effort"], "low");
+        assert!(request.headers.iter().any(|header| header.contains(SECRET)));
+    }
+    assert_eq!(first.body["messages"][0]["role"], "system");
+    assert_eq!(last.body["messages"][0]["role"], "user");
+    assert_eq!((&first.body["top_k"], &last.body["top_k"]), (&json!(null), &json!(7)));
+    // Two recipes, and so two documents.
+    let documents = fs::read_dir(bench.out("documents")).unwrap();
+    let paths = documents.map(|entry| entry.unwrap().path());
+    assert_eq!(paths.filter(|path| path.extension().is_some_and(|it| it == "json")).count(), 2);
+    assert!(told.lock().unwrap().is_empty());
+    assert!(!is_written(SECRET, bench.folder.path()));
 }

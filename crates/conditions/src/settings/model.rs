@@ -5,10 +5,9 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use domain::names::{UnknownName, serde_as_text};
-use domain::{ReasoningRequest, SecretHeader, SystemRole};
+use domain::{ImageFormat, ReasoningRequest, SecretHeader, SystemRole};
 use serde::{Deserialize, Serialize};
 
-use crate::ImageFormat;
 use crate::cost::Money;
 
 /// How the model is asked. `memtransfer run --help` describes each field under the same name.

@@ -8,14 +8,14 @@ use domain::limits::{MAX_FRAMES, MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW, MAX_WORLDS}
 use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use domain::names::UnknownName;
 use domain::{
-    Arm, FeedbackLevel, REQUEST_FIELDS, ReasoningRequest, SecretHeader, StreamOrder, SystemRole,
+    Arm, FeedbackLevel, ImageFormat, REQUEST_FIELDS, ReasoningRequest, SecretHeader, StreamOrder,
+    SystemRole,
 };
 use serde_json::{Map, Value};
 
 use super::{CaseSelector, DocumentSource, Drawn, ResponseCache, WorldStart};
 use crate::{
-    Demonstrations, Frames, Hint, ImageFormat, PolicyKind, Route, SegmentContent, Start,
-    representation,
+    Demonstrations, Frames, Hint, PolicyKind, Route, SegmentContent, Start, representation,
 };
 
 /// Maximum number of images in a prompt (paper, Experimental Setup).
@@ -269,9 +269,10 @@ pub const KEYS: &[Key] = keys! {
     "hint" "LIST" List(parses::<Hint>), Group Selection = "on",
         "Whether the prompt says that the demonstration has the same starting pose, where it has: \
          on, off";
-    "documents" "BUILDER|DIR" Text(parses::<DocumentSource>), Run Outcome = "extractive",
-        "Documents of summary, semantic and hybrid memory: from the builder extractive or model, or \
-         from the folder DIR";
+    "documents" "BUILDER|DIR" Text(parses::<DocumentSource>), Run Outcome,
+        "Documents of summary, semantic and hybrid memory: extractive (written by a script), model (by the run's own \
+         model, or by any that has written them before), model:NAME (by that one before), or those in the folder DIR \
+         [default: model with --policy openai, otherwise extractive]";
     "frame-size" "PIXELS" Number(64, 4096, 64), Run Protocol = "448",
         "Width and height of a frame, a multiple of 64";
     "frames" "KIND" Text(parses::<Frames>), Run Protocol = "rendered",

@@ -1,5 +1,9 @@
 //! The builder with a scripted model.
 
+use case_book::{CaseDemonstrations, DemonstrationBook};
+use documents::asking::BuildEstimate;
+use documents::{DocumentName, Sources};
+use domain::{Appearance, Demonstrations, ImageFormat, tokens};
 use tempfile::TempDir;
 
 use super::super::testing::{self, EAST, OPEN, corridor};
@@ -27,12 +31,35 @@ fn demonstration() -> Demonstration {
     testing::demonstration("Walk to cell 5.", 1, &[EAST, EAST, EAST, OPEN, EAST, EAST], &[4, 6])
 }
 
-/// A recipe whose prompts of `stage` have room for `count` demonstrations beside `other` characters.
+/// A recipe whose prompts of `stage` have room for `count` demonstrations without views beside `other` characters.
 fn room_for(stage: PromptStage, count: usize, other: usize) -> ModelRecipe {
-    let words = stage.prompt(0, &[("limit", "2000")]).chars();
-    let one = chars(&narration::narrate(1, &corridor(), &demonstration())) + 20;
-    let context_chars = words + count * one + other;
-    ModelRecipe { model: "m".into(), context_chars, max_tokens: 1000 }
+    let endless =
+        ModelRecipe { context_chars: 1 << 20, max_tokens: 1000, views: 0, ..ModelRecipe::new("m") };
+    let world = corridor();
+    let room = PromptTexts { world: &world, recipe: &endless }.room(stage, 0).chars;
+    let one = narrations(&world, &[&demonstration()], 0)[0].size().chars + 20;
+    ModelRecipe { context_chars: (1 << 20) - room + count * one + other, ..endless }
+}
+
+/// Draws a view as one pixel, whose red is the view's number.
+struct Pixels;
+
+impl DrawViews for Pixels {
+    fn draw(&mut self, view: u32) -> anyhow::Result<DrawnView> {
+        DrawnView::of_pixels(1, &[view as u8, 0, 0, 255], ImageFormat::Png)
+    }
+}
+
+/// A prompt as it was asked.
+type Prompt = DocumentPrompt<DrawnView>;
+
+/// The text of a prompt's user message.
+fn user(prompt: &Prompt) -> String {
+    let texts = prompt.user.iter().filter_map(|part| match part {
+        PromptPart::Text(text) => Some(text.as_str()),
+        PromptPart::View(_) => None,
+    });
+    texts.collect()
 }
 
 struct Bench {
@@ -50,15 +77,15 @@ impl Bench {
         kind: DocumentKind,
         count: usize,
         recipe: &ModelRecipe,
-        mut script: impl FnMut(usize, &DocumentPrompt) -> anyhow::Result<ChatReply>,
-    ) -> (anyhow::Result<BuiltText>, Vec<DocumentPrompt>) {
+        mut script: impl FnMut(usize, &Prompt) -> anyhow::Result<ChatReply>,
+    ) -> (anyhow::Result<BuiltText>, Vec<Prompt>) {
         let mut asked = Vec::new();
-        let ask = |prompt: &DocumentPrompt, _: &mut dyn FnMut()| {
+        let ask = |prompt: &Prompt, _: &mut dyn FnMut()| {
             asked.push(prompt.clone());
             script(asked.len(), prompt)
         };
         let steps = self.folder.path().join("summary-4.steps");
-        let mut builder = ModelBuilder::new(ask, recipe.clone());
+        let mut builder = ModelBuilder::new(ask, Pixels, recipe.clone());
         let mut seen = Vec::new();
         let mut progress = |done, of| seen.push((done, of));
         let demonstrations = vec![demonstration(); count];
@@ -83,25 +110,9 @@ impl Bench {
 }
 
 #[test]
-fn a_demonstration_in_words() {
-    insta::assert_snapshot!(narration::narrate(7, &corridor(), &demonstration()), @r#"
-    ## Demonstration 7
-    Task: "Walk to cell 5."
-    - start: You are in cell 1, and the door is closed.
-    - walk east 2: You are in cell 3, and the door is closed.
-    - walk east: You are in cell 3, and the door is closed.
-    - told: There is a door.
-    - open the door: You are in cell 3, and the door is open.
-    - sub-goal 1 of the task is completed
-    - walk east 2: You are in cell 5, and the door is open.
-    - sub-goal 2 of the task is completed
-    "#);
-}
-
-#[test]
 fn each_summary_continues_the_previous_one() {
     let recipe = room_for(PromptStage::Summary, 2, 60);
-    let script = |number, _: &DocumentPrompt| Ok(says(format!("# Summary {number}")));
+    let script = |number, _: &Prompt| Ok(says(format!("# Summary {number}")));
     let (built, asked) = Bench::new().build(DocumentKind::Summary, 5, &recipe, script);
     let built = built.unwrap();
     assert_eq!(built.text, "# Summary 3\n");
@@ -111,19 +122,20 @@ fn each_summary_continues_the_previous_one() {
             model: Some("scripted-1".into()),
             prompt_version: Some(PROMPT_VERSION),
             requests: Some(3),
+            images: Some(0),
             cut_off: None,
             prompt_tokens: Some(300),
             completion_tokens: Some(30),
         }
     );
-    let numbers = |prompt: &DocumentPrompt| {
-        (1..=5).filter(|n| prompt.user.contains(&format!("## Demonstration {n}\n"))).collect()
+    let numbers = |prompt: &Prompt| {
+        (1..=5).filter(|n| user(prompt).contains(&format!("## Demonstration {n}\n"))).collect()
     };
     let shown: Vec<Vec<u32>> = asked.iter().map(numbers).collect();
     assert_eq!(shown, [vec![1, 2], vec![3, 4], vec![5]]);
-    assert!(asked[0].user.contains("(There is none yet.)"));
-    assert!(asked[1].user.contains("# Summary 1\n") && !asked[2].user.contains("Summary 1"));
-    let longest = asked.iter().map(DocumentPrompt::chars);
+    assert!(user(&asked[0]).contains("(There is none yet.)"));
+    assert!(user(&asked[1]).contains("# Summary 1\n") && !user(&asked[2]).contains("Summary 1"));
+    let longest = asked.iter().map(Prompt::chars);
     assert!(longest.max().is_some_and(|chars| chars <= recipe.context_chars));
 }
 
@@ -153,14 +165,14 @@ fn knowledge_is_extracted_consolidated_and_refined() {
             "008-refine.json",
         ]
     );
-    assert!(asked[4].user.contains("## Notes 2\n") && !asked[4].user.contains("## Notes 3"));
+    assert!(user(&asked[4]).contains("## Notes 2\n") && !user(&asked[4]).contains("## Notes 3"));
 }
 
 #[test]
 fn a_stopped_build_continues_and_a_finished_one_asks_nothing() {
     for kind in [DocumentKind::Summary, DocumentKind::Semantic] {
         let recipe = room_for(PromptStage::Summary, 1, 60);
-        let fails_at = |number, _: &DocumentPrompt| match number {
+        let fails_at = |number, _: &Prompt| match number {
             3 => bail!("the server is gone"),
             _ => Ok(says(format!("# Text {number}"))),
         };
@@ -176,16 +188,121 @@ fn a_stopped_build_continues_and_a_finished_one_asks_nothing() {
         assert_eq!(built.as_ref().unwrap(), &whole.0.unwrap());
         assert_eq!([&asked[..2], &rest].concat(), whole.1, "nothing is asked twice");
 
-        let unreachable = |_, _: &DocumentPrompt| -> anyhow::Result<ChatReply> { panic!("asked") };
+        let unreachable = |_, _: &Prompt| -> anyhow::Result<ChatReply> { panic!("asked") };
         let (again, _) = bench.build(kind, 4, &recipe, unreachable);
         assert_eq!(again.unwrap(), built.unwrap());
+    }
+}
+
+/// The numbers of the views in each prompt.
+fn shown(asked: &[Prompt]) -> Vec<Vec<u32>> {
+    let number = |view: &DrawnView| {
+        let is_it = |number: &u32| Pixels.draw(*number).unwrap() == *view;
+        (0..256).find(is_it).unwrap()
+    };
+    asked.iter().map(|prompt| prompt.views().map(number).collect()).collect()
+}
+
+#[test]
+fn prompts_show_keyframes_within_the_image_budget() {
+    let recipe = ModelRecipe { views: 3, image_budget: 7, ..room_for(PromptStage::Summary, 9, 99) };
+    let script = |number, _: &Prompt| Ok(says(format!("# Text {number}")));
+    for (kind, others) in [(DocumentKind::Summary, 0), (DocumentKind::Semantic, 2)] {
+        let (built, asked) = Bench::new().build(kind, 5, &recipe, script);
+        let account = built.unwrap().account;
+        // Start, door and end of two demonstrations each.
+        let pair = vec![0, 4, 6, 0, 4, 6];
+        let mut expected = vec![pair.clone(), pair, vec![0, 4, 6]];
+        expected.extend(vec![Vec::new(); others]);
+        assert_eq!(shown(&asked), expected);
+        assert_eq!((account.requests, account.images), (Some(3 + others as u64), Some(15)));
+        assert!(user(&asked[1]).contains("Image 6:\n") && !user(&asked[1]).contains("Image 7"));
+    }
+    let none = ModelRecipe { image_budget: 0, ..recipe };
+    let (_, asked) = Bench::new().build(DocumentKind::Summary, 5, &none, script);
+    assert_eq!(shown(&asked), [Vec::<u32>::new()]);
+}
+
+#[test]
+fn a_view_that_is_not_drawn_fails_the_build() {
+    struct Blind;
+    impl DrawViews for Blind {
+        fn draw(&mut self, view: u32) -> anyhow::Result<DrawnView> {
+            bail!("no view {view}")
+        }
+    }
+    let recipe = ModelRecipe { views: 1, ..room_for(PromptStage::Summary, 1, 999) };
+    let ask = |_: &Prompt, _: &mut dyn FnMut()| panic!("asked");
+    let bench = Bench::new();
+    let built = ModelBuilder::new(ask, Blind, recipe).build(
+        DocumentKind::Summary,
+        &corridor(),
+        &[&demonstration()],
+        bench.folder.path(),
+        &mut |_, _| (),
+    );
+    let error = format!("{:#}", built.unwrap_err());
+    assert_eq!(error, "the stage `summary` of the document failed: no view 0");
+}
+
+#[test]
+fn a_request_has_images_where_the_prompt_has_views_and_is_plain_text_without() {
+    let recipe = ModelRecipe { views: 1, ..room_for(PromptStage::Extract, 2, 999) };
+    let script = |_, _: &Prompt| Ok(says("# Text"));
+    let (_, asked) = Bench::new().build(DocumentKind::Semantic, 2, &recipe, script);
+    let MessageContent::Parts(parts) = request(&asked[0]).messages.remove(1).content else {
+        panic!("no parts")
+    };
+    let words = parts.iter().map(|part| match part {
+        ContentPart::Text { text } => text.lines().last().unwrap(),
+        ContentPart::ImageUrl { image_url } => &image_url.url[..22],
+    });
+    let image = "data:image/png;base64,";
+    let words: Vec<&str> = words.collect();
+    assert_eq!(words, ["Image 1:", image, "Image 2:", image, "Extract the knowledge."]);
+    let content = request(&asked[1]).messages.remove(1).content;
+    assert!(matches!(content, MessageContent::Text(_)), "{content:?}");
+}
+
+/// What is asked is what was estimated, and answers of any allowed length are within the estimate.
+#[test]
+fn requests_are_within_the_estimate() {
+    let recipe = ModelRecipe { views: 2, ..room_for(PromptStage::Summary, 4, 3000) };
+    let demonstrations = vec![demonstration(); 20];
+    let book = DemonstrationBook {
+        world: corridor(),
+        cases: (0..20)
+            .map(|own| CaseDemonstrations { own: vec![own], ..Default::default() })
+            .collect(),
+        demonstrations,
+        ..DemonstrationBook::default()
+    };
+    let sources = Sources::new(book, 448, Appearance::STANDARD);
+    for kind in DocumentKind::TEXTS {
+        let name = DocumentName { kind, demonstrations: Demonstrations::ORIGINAL };
+        let estimate = BuildEstimate::of(name, &sources, &recipe);
+        for length in [1, 900, 2300] {
+            let script = |_, _: &Prompt| Ok(says("n".repeat(length)));
+            let (built, asked) = Bench::new().build(kind, 20, &recipe, script);
+            let BuiltText { account, .. } = built.unwrap();
+            let [least, most] = estimate.requests;
+            assert!((least..=most).contains(&account.requests.unwrap()), "{length}: {estimate:?}");
+            assert_eq!(account.images, Some(estimate.images));
+            let chars: usize = asked.iter().map(Prompt::chars).sum();
+            let text = (chars as f64 / tokens::PROSE) as u64 + tokens::IMAGE * estimate.images;
+            let [_, most] = estimate.prompt_tokens;
+            assert!(text <= most, "{kind:?} {length}: {text} {most}");
+        }
+        if kind == DocumentKind::Summary {
+            assert!(estimate.requests[0] < estimate.requests[1]);
+        }
     }
 }
 
 #[test]
 fn counts_that_the_server_does_not_report_are_absent() {
     let recipe = room_for(PromptStage::Summary, 1, 60);
-    let script = |number, _: &DocumentPrompt| {
+    let script = |number, _: &Prompt| {
         let prompt_tokens = (number != 2).then_some(7);
         Ok(ChatReply { model: None, prompt_tokens, ..says("# Summary") })
     };
@@ -206,7 +323,7 @@ fn an_unusable_answer_fails_the_build_and_is_not_stored() {
         ),
     ] {
         let (bench, recipe) = (Bench::new(), room_for(PromptStage::Summary, 9, 60));
-        let script = |_, _: &DocumentPrompt| Ok(reply(content.clone()));
+        let script = |_, _: &Prompt| Ok(reply(content.clone()));
         let (built, _) = bench.build(DocumentKind::Summary, 1, &recipe, script);
         let error = format!("{:#}", built.unwrap_err());
         assert!(error.contains(expected), "{error}");
