@@ -41,6 +41,7 @@ Examples:
   memtransfer memory build                        both kinds, of one and of four demonstrations
   memtransfer memory build --kind summary --demos irrelevant,confusable
   memtransfer memory build --builder model --base-url http://localhost:8000/v1 --model NAME
+  memtransfer memory build --builder model --model NAME --dry-run          what that would take
   memtransfer memory ls
   memtransfer memory show summary 4")]
 pub(super) struct MemoryArgs {
@@ -63,7 +64,7 @@ struct BuildArgs {
     /// The demonstrations of every case they are made of, as in `run --demos`
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "original,4")]
     demos: Vec<Demonstrations>,
-    /// The kinds: summary (the demonstrations), semantic (general knowledge)
+    /// The kinds: summary (what the demonstrations show), semantic (general knowledge)
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "summary,semantic",
           value_parser = kind)]
     kind: Vec<DocumentKind>,
@@ -360,7 +361,7 @@ pub(super) fn run(args: MemoryArgs) -> Result<Exit> {
 
 fn build(args: BuildArgs) -> Result<Exit> {
     let prices = args.model.prices.clone();
-    let (recipe, server) = args.model.recipe(args.builder, args.quiet)?;
+    let (recipe, server) = args.model.recipe(args.builder, args.quiet || args.dry_run)?;
     let mut wanted = Vec::new();
     for &demonstrations in &args.demos {
         if demonstrations == Demonstrations::NONE {
