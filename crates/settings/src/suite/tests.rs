@@ -60,7 +60,14 @@ fn union<'a>(settings: impl IntoIterator<Item = &'a RunSettings>) -> Vec<(Condit
 fn the_suite_paper_contains_all_questions() {
     let paper = shipped("paper");
     let parts = ["rq1", "rq2", "rq3", "design"].map(shipped);
-    assert_eq!(union([&paper]), union(&parts));
+    let conditions = |runs: &[(Condition, u32)]| runs.iter().map(|of| of.0).collect::<Vec<_>>();
+    let (all, of_parts) = (union([&paper]), union(&parts));
+    assert_eq!(conditions(&all), conditions(&of_parts));
+    let more = all.iter().zip(&of_parts).filter(|(one, other)| one != other);
+    let more: Vec<String> =
+        more.map(|(one, other)| format!("{} {} {}", one.0, one.1, other.1)).collect();
+    let original = "original/unchanged/original 5 3";
+    assert_eq!(more, [format!("summary/{original}"), format!("semantic/{original}")]);
     let quick = RunSettings { limit: None, ..shipped("quick") };
     let all = paper.conditions();
     assert!(quick.conditions().iter().all(|condition| all.contains(condition)));

@@ -220,7 +220,7 @@ fn a_memory_of_texts_pins_no_view_but_those_that_it_names() {
     assert_eq!((rig.rig.pins, rig.rig.releases), (2, 0));
     assert_eq!(
         rig.rig.documents.published[0].1,
-        shm_types::documents::Content::Note("left".into())
+        shm_types::documents::Content::Note("Find an orange cone.left".into())
     );
     assert_eq!((recall.items[1].bytes, trace.text, trace.sources_len), (4, 4, 2));
     assert_eq!((trace.sources[1].demonstration, trace.sources[1].steps), (2, 9));
