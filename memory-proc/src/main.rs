@@ -7,11 +7,13 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::Context;
+use case_book::{BookFile, DemonstrationBook};
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use documents::{DocumentName, ModelRecipe, Recipe};
+use documents::{DocumentName, ModelRecipe, Recipe, Sources};
 use domain::{HEADER_VARIABLE, ImageFormat, ReasoningRequest, SecretHeader, SystemRole};
 use llm::{ChatClient, ChatSettings, RequestOptions, Servers, Source, extra_body};
 use memory_proc::builders::build::{self, BuildSettings};
+use memory_proc::builders::views::{ViewRenderer, ViewedWorld};
 use memory_proc::builders::{DocumentBuilder, Extractive, ModelBuilder, model};
 use memory_proc::embed_command;
 use memory_proc::encoder::Provider;
@@ -109,6 +111,12 @@ enum MemoryProcVerb {
         /// The other world in which tasks are demonstrated
         #[arg(long, value_name = "FILE")]
         elsewhere: Option<PathBuf>,
+        /// The command that starts the world, if it is another one than the warehouse
+        #[arg(long, value_name = "COMMAND")]
+        world_cmd: Option<String>,
+        /// The ids of that world's cases in the order of the demonstrations' book, as a JSON list
+        #[arg(long, value_name = "FILE")]
+        case_ids: Option<PathBuf>,
         /// Width and height of the frames, in pixels
         #[arg(long, value_name = "PIXELS")]
         frame_size: u32,
@@ -206,6 +214,12 @@ struct BuilderArguments {
     /// Maximum number of tokens in an answer
     #[arg(long, value_name = "N", default_value_t = ModelRecipe::MAX_TOKENS)]
     max_tokens: u32,
+    /// Maximum number of views of each demonstration that are shown
+    #[arg(long, value_name = "N", default_value_t = ModelRecipe::VIEWS)]
+    views: u32,
+    /// Maximum number of images in a prompt
+    #[arg(long, value_name = "N", default_value_t = ModelRecipe::IMAGE_BUDGET)]
+    image_budget: u32,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -217,7 +231,12 @@ enum BuilderKind {
 }
 
 impl BuilderArguments {
-    fn builder(self) -> anyhow::Result<(Recipe, Box<dyn DocumentBuilder>)> {
+    /// The builder of documents from `sources` in `world`.
+    fn builder(
+        self,
+        world: ViewedWorld,
+        sources: Sources,
+    ) -> anyhow::Result<(Recipe, Box<dyn DocumentBuilder>)> {
         let model = match self.builder {
             BuilderKind::Extractive => return Ok((Recipe::Extractive, Box::new(Extractive))),
             BuilderKind::Model => self.model.context("--builder model needs --model NAME")?,
@@ -245,12 +264,15 @@ impl BuilderArguments {
             model,
             context_chars: self.context_chars,
             max_tokens: self.max_tokens,
+            views: self.views,
+            image_budget: self.image_budget,
             reasoning: self.reasoning,
             system_role: self.system_role,
             extra_body: self.extra_body,
             image_format: self.image_format,
         };
-        let builder = ModelBuilder::new(model::ask_through(client), recipe.clone());
+        let views = ViewRenderer::new(world, sources, self.image_format);
+        let builder = ModelBuilder::new(model::ask_through(client), views, recipe.clone());
         Ok((Recipe::Model(recipe), Box::new(builder)))
     }
 }
@@ -356,6 +378,8 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
             demonstrations,
             assets,
             elsewhere,
+            world_cmd,
+            case_ids,
             frame_size,
             appearance,
             documents,
@@ -363,22 +387,30 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
             builder,
         } => {
             die_with_parent(parent_id()).context("cannot tie this process to its parent")?;
-            let files = [("--assets", assets), ("--elsewhere", elsewhere)];
-            let given =
-                files.into_iter().filter_map(|(flag, file)| Some([flag.into(), file?.into()]));
-            let (recipe, mut builder) = builder.builder()?;
-            let settings = BuildSettings {
-                demonstrations,
-                world: given.flatten().collect(),
-                frame_size,
-                appearance: appearance.into(),
-                documents,
-                wanted,
-                recipe,
+            let book = BookFile::<DemonstrationBook>::read(&demonstrations)?.book;
+            let sources = Sources::new(book, frame_size, appearance.into());
+            let world = match case_ids {
+                Some(file) => {
+                    ViewedWorld::Other { command: world_cmd, cases: read_case_ids(&file)? }
+                }
+                None => {
+                    let files = [("--assets", assets), ("--elsewhere", elsewhere)];
+                    let flags = files.into_iter();
+                    let given = flags.filter_map(|(flag, file)| Some([flag.into(), file?.into()]));
+                    ViewedWorld::Warehouse { demonstrations, arguments: given.flatten().collect() }
+                }
             };
+            let (recipe, mut builder) = builder.builder(world, sources.clone())?;
+            let settings = BuildSettings { sources, documents, wanted, recipe };
             build::build(&settings, builder.as_mut(), std::io::stdout().lock())
         }
     }
+}
+
+fn read_case_ids(file: &Path) -> anyhow::Result<Vec<String>> {
+    let ids = durable::input::read_text(file).map_err(anyhow::Error::from);
+    let ids = ids.and_then(|text| Ok(serde_json::from_str(&text)?));
+    ids.with_context(|| format!("cannot read {}", file.display()))
 }
 
 fn profile(arguments: ProfileArguments) -> anyhow::Result<()> {

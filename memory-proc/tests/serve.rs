@@ -238,7 +238,6 @@ fn write_document(folder: &Path, kind: DocumentKind, set: Demonstrations) {
         demonstrations: set,
         builder: "test".to_owned(),
         builder_version: "1".to_owned(),
-        inputs_sha256: String::new(),
         sources_sha256: String::new(),
         text_sha256: String::new(),
         trajectories: 100,

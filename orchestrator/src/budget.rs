@@ -1,6 +1,7 @@
 //! The limits on what a run may spend: `--max-tokens-total` and `--max-cost`.
 //!
-//! Requests of earlier sessions count, also those of episodes that were repeated.
+//! Requests of earlier sessions count, also those of episodes that were repeated, and those for documents that the run has had
+//! its model write.
 
 use conditions::cost::{ModelPrices, Money};
 use conditions::settings::ModelSettings;
@@ -27,9 +28,36 @@ impl Budget {
         Self { used: UsageTotals::of(past), max_tokens, max_cost }
     }
 
+    /// Counts what other requests took: those for documents.
+    pub(crate) fn count(&mut self, usage: &UsageTotals) {
+        self.used.merge(usage);
+    }
+
     /// Counts a request.
     pub(crate) fn add(&mut self, request: &RequestRecord) {
         self.used.add(request);
+    }
+
+    /// Why `part`, which takes at least `least`, is not begun, if a limit does not allow for it.
+    pub(crate) fn too_small(&self, part: &str, least: &UsageTotals) -> Option<String> {
+        let mut after = self.used;
+        after.merge(least);
+        let (tokens, so_far) = (least.tokens(), self.used.tokens());
+        if let Some(most) = self.max_tokens.filter(|most| after.tokens() > *most) {
+            return Some(format!(
+                "{part} takes about {tokens} tokens at least, the run has used {so_far}, and --max-tokens-total is {most}: raise \
+                 it to continue"
+            ));
+        }
+        let (most, prices) = self.max_cost.as_ref()?;
+        (after.cost(prices) > *most).then(|| {
+            let (cost, so_far) = (least.cost(prices), self.used.cost(prices));
+            let currency = &prices.currency;
+            format!(
+                "{part} costs about {cost} {currency} at least, the run has cost {so_far}, and --max-cost is {most}: raise it to \
+                 continue"
+            )
+        })
     }
 
     /// Why the run has to stop, if a limit is reached.
@@ -96,6 +124,17 @@ mod tests {
         // 3 x (1000 x 1 + 3 x 10) millionths.
         let said = "the run has cost 0.00309 EUR, and --max-cost is 0.003: raise it to continue";
         assert_eq!(cost.exceeded().as_deref(), Some(said));
+    }
+
+    #[test]
+    fn what_a_limit_does_not_allow_for_is_not_begun() {
+        let past = [request("a", 0)];
+        let least = UsageTotals { prompt_tokens: 2000, ..UsageTotals::default() };
+        let refused = |tokens, cost| budget(tokens, cost, &past).too_small("it", &least);
+        assert_eq!(refused(None, None), None);
+        assert_eq!(refused(Some(3003), Some("0.00303")), None);
+        insta::assert_snapshot!(refused(Some(3002), None).unwrap(), @"it takes about 2000 tokens at least, the run has used 1003, and --max-tokens-total is 3002: raise it to continue");
+        insta::assert_snapshot!(refused(None, Some("0.00302")).unwrap(), @"it costs about 0.002 EUR at least, the run has cost 0.00103, and --max-cost is 0.00302: raise it to continue");
     }
 
     #[test]

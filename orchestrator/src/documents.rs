@@ -12,12 +12,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use case_book::CaseBook;
 use conditions::Condition;
 use documents::{
-    DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, Sources, StoredDocument,
+    BuildAccount, DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, Sources,
+    StoredDocument,
 };
 use domain::{SecretHeader, cache_folder};
-use run_log::DocumentFacts;
+use run_log::{DocumentFacts, DocumentUsage};
 
 /// Locked while documents are built in a folder.
 const LOCK_FILE: &str = "lock";
@@ -50,10 +52,28 @@ pub struct DocumentRequest {
     pub assets: Option<PathBuf>,
     /// The world's file of the other world in which tasks are demonstrated, if there is one.
     pub elsewhere: Option<String>,
+    /// The world that takes the place of the warehouse, if one does.
+    pub own_world: Option<OwnWorld>,
     /// Which documents are acceptable. Missing ones are built if this is a recipe.
     pub selection: DocumentSelection,
     /// How a model is asked.
     pub server: ModelServer,
+}
+
+/// How the views of a world other than the warehouse are drawn.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OwnWorld {
+    /// The command that starts it; `None` if the user starts it, so that no views can be drawn before the run.
+    pub command: Option<String>,
+    /// The ids of its cases, in the order of the case book.
+    pub case_ids: Vec<String>,
+}
+
+impl OwnWorld {
+    /// The world that `command` starts, with the cases of `book`.
+    pub fn of(command: Option<String>, book: &CaseBook) -> Self {
+        Self { command, case_ids: book.ids().into_iter().map(str::to_owned).collect() }
+    }
 }
 
 /// How a model is asked for documents. None of it changes the prompts.
@@ -88,8 +108,6 @@ pub enum BuildStage {
     Waiting,
     /// The process starts.
     Starting,
-    /// Views are rendered and read: done, of all.
-    Views(u64, u64),
     /// A document is written: parts done, of all.
     Writing(u64, u64),
 }
@@ -122,6 +140,16 @@ impl DocumentRequest {
         let find = |&name: &DocumentName| folder.find(name, &self.selection, &self.sources);
         let found: std::io::Result<_> = wanted.iter().map(find).collect();
         found.with_context(|| format!("cannot list {}", folder.path().display()))
+    }
+
+    /// Those of the wanted documents that would be built: the ones that are not current, or all if `force`.
+    ///
+    /// # Errors
+    /// When the folder cannot be read.
+    pub fn missing(&self, wanted: &[DocumentName], force: bool) -> Result<Vec<DocumentName>> {
+        let found = self.find(wanted)?.into_iter();
+        let missing = found.filter(|document| force || document.state != DocumentState::Current);
+        Ok(missing.map(|document| document.name).collect())
     }
 
     /// All documents in the folder.
@@ -203,7 +231,8 @@ impl DocumentRequest {
         };
         let out = self.folder.iter().map(|path| format!(" --out {}", path.display()));
         format!(
-            "document {} is {} in {}{why}, and a run builds extractive documents only. To build it:\n  \
+            "document {} is {} in {}{why}, and a run builds documents by the script or by its own model only. To build \
+             it:\n  \
              memtransfer memory build --builder {builder} --kind {} --demos {demonstrations}{}",
             document.name,
             document.state.word(),
@@ -222,6 +251,8 @@ impl DocumentRequest {
                 ("--model", Some(recipe.model.clone())),
                 ("--context-chars", Some(recipe.context_chars.to_string())),
                 ("--max-tokens", Some(recipe.max_tokens.to_string())),
+                ("--views", Some(recipe.views.to_string())),
+                ("--image-budget", Some(recipe.image_budget.to_string())),
                 ("--reasoning", Some(recipe.reasoning.to_string())),
                 ("--system-role", Some(recipe.system_role.to_string())),
                 ("--extra-body", recipe.extra_body.clone()),
@@ -242,9 +273,20 @@ impl ReadyDocuments {
         Self { documents, built: Vec::new(), _lock: None }
     }
 
+    /// Adds `others`. While this value exists, no other process builds in the folder of the last ones that were built.
+    pub fn add(&mut self, others: Self) {
+        self.documents.extend(others.documents);
+        self.built.extend(others.built);
+        self._lock = others._lock.or(self._lock.take());
+    }
+
     /// Their entries in the manifest, by name.
     pub fn facts(&self) -> BTreeMap<String, DocumentFacts> {
-        facts(&self.documents)
+        let mut facts = facts(&self.documents);
+        for name in &self.built {
+            facts.entry(name.to_string()).and_modify(|document| document.built = true);
+        }
+        facts
     }
 
     /// Copies the documents into a run's folder, unless they are there: a run keeps what it supplied.
@@ -271,6 +313,9 @@ pub fn facts(documents: &[StoredDocument]) -> BTreeMap<String, DocumentFacts> {
         let facts = DocumentFacts {
             sha256: document.provenance.text_sha256.clone(),
             builder: document.provenance.builder.clone(),
+            model: document.provenance.model(),
+            usage: usage(&document.provenance.account),
+            built: false,
             address: stored.address.clone(),
             bytes: document.text.len() as u64,
             words: document.words(),
@@ -278,6 +323,12 @@ pub fn facts(documents: &[StoredDocument]) -> BTreeMap<String, DocumentFacts> {
         Some((stored.name.to_string(), facts))
     };
     documents.iter().filter_map(facts).collect()
+}
+
+/// What a document took of a model; `None` for one that no model has written.
+fn usage(account: &BuildAccount) -> Option<DocumentUsage> {
+    let &BuildAccount { requests, prompt_tokens, completion_tokens, .. } = account;
+    Some(DocumentUsage { requests: requests?, prompt_tokens, completion_tokens })
 }
 
 /// Locks a folder, which is created if it is missing, against other builds. `None` when stopped.
@@ -307,7 +358,7 @@ fn lock(
 mod tests {
     use case_book::BookRequest;
     use conditions::{Route, Start, Variation};
-    use documents::{BuildAccount, DocumentFile, Provenance};
+    use documents::{DocumentFile, Provenance};
     use domain::{Appearance, Demonstrations, Representation};
     use warehouse::case_book::write_books;
 
@@ -342,13 +393,14 @@ mod tests {
             sources: Sources::new(demonstrations, 448, Appearance::STANDARD),
             assets: None,
             elsewhere: None,
+            own_world: None,
             selection,
             server: ModelServer::default(),
         }
     }
 
     #[test]
-    fn a_run_does_not_build_a_model_s_documents_and_says_how() {
+    fn a_run_does_not_build_documents_of_another_model_and_says_how() {
         let folder = tempfile::tempdir().unwrap();
         let request = request(folder.path(), DocumentSelection::Model(Some("m".into())));
         let wanted = ["summary/4".parse().unwrap()];
@@ -368,7 +420,6 @@ mod tests {
             demonstrations: name.demonstrations,
             builder: Recipe::Extractive.builder().to_owned(),
             builder_version: Recipe::Extractive.version(),
-            inputs_sha256: String::new(),
             sources_sha256: request.sources.sha256(name.demonstrations),
             text_sha256: String::new(),
             trajectories: 1,

@@ -14,6 +14,9 @@ use crate::progress::Verbosity;
 pub type Adjustment<'a> =
     dyn Fn(&RunSettings, &mut Attach, &mut PipelineOptions) -> Result<()> + 'a;
 
+/// Prepares that the model of a run with these settings is asked.
+pub type Announcement<'a> = dyn Fn(&RunSettings) -> Result<()> + 'a;
+
 /// How a run is executed this time. It changes no result.
 pub struct Invocation<'a> {
     /// Whether the run starts over, and an earlier one in its folder is removed.
@@ -26,6 +29,11 @@ pub struct Invocation<'a> {
     pub stop: &'a AtomicBool,
     /// What asked it to stop, such as the name of a signal, for the record of the session.
     pub stop_reason: Box<dyn Fn() -> Option<&'static str> + 'a>,
+    /// Where the address of the model's server was given, on which the key depends: a word of `--base-url-from`.
+    pub base_url_from: Option<&'static str>,
+    /// Called before the run's model is asked: for documents, and for decisions. It ends the run if the model must not be
+    /// asked.
+    pub before_asking: Box<Announcement<'a>>,
     /// Called when episodes are missing, before the processes are started.
     pub adjust: Box<Adjustment<'a>>,
 }
@@ -39,6 +47,8 @@ impl<'a> Invocation<'a> {
             trace: None,
             stop,
             stop_reason: Box::new(|| None),
+            base_url_from: None,
+            before_asking: Box::new(|_| Ok(())),
             adjust: Box::new(|_, _, _| Ok(())),
         }
     }

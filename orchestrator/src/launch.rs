@@ -79,7 +79,7 @@ pub(crate) fn ship_embeddings(options: &mut PipelineOptions, file: &Path) {
 
 /// Tells the policy that asks a model where the address of its server was given, on which the key depends: `source` is a word of
 /// `policy-proc serve --base-url-from`.
-pub fn tell_source_of_base_url(options: &mut PipelineOptions, source: &str) {
+pub(crate) fn tell_source_of_base_url(options: &mut PipelineOptions, source: &str) {
     let has_address = |launch: &&mut Launch| launch.args.iter().any(|arg| arg == BASE_URL);
     for policy in options.launches.iter_mut().filter(has_address) {
         policy.args.extend(["--base-url-from".into(), source.into()]);

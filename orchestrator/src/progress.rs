@@ -4,6 +4,7 @@ use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
 use crate::documents::BuildStage;
+use crate::status::duration;
 
 /// What is shown on stderr.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,24 +26,37 @@ impl Verbosity {
 
 /// Shows how far the building of documents is.
 #[derive(Debug)]
-pub struct BuildProgress(ProgressDisplay);
+pub struct BuildProgress {
+    display: ProgressDisplay,
+    /// What is done while a document is written.
+    title: String,
+    /// Of what is counted now.
+    pace: Option<Pace>,
+}
 
 impl BuildProgress {
     /// A display that shows nothing yet.
     pub fn new(verbosity: Verbosity) -> Self {
-        Self(ProgressDisplay::new(verbosity))
+        Self::titled(verbosity, None)
+    }
+
+    /// One that says what is being written; `None`: documents.
+    pub fn titled(verbosity: Verbosity, title: Option<String>) -> Self {
+        let title = title.unwrap_or_else(|| "writing documents".to_owned());
+        Self { display: ProgressDisplay::new(verbosity), title, pace: None }
     }
 
     /// Shows `stage`.
     pub fn show(&mut self, stage: BuildStage) {
         let (phase, counts) = match stage {
             BuildStage::Waiting => ("waiting for another build in the same folder", None),
-            BuildStage::Starting => ("starting simulator and memory", None),
-            BuildStage::Views(done, total) => ("reading the demonstrations", Some((done, total))),
-            BuildStage::Writing(done, total) => ("writing documents", Some((done, total))),
+            BuildStage::Starting => ("starting the builder", None),
+            BuildStage::Writing(done, total) => (&*self.title, Some((done, total))),
         };
-        self.0.show(phase, counts.unwrap_or_default(), || match counts {
-            Some((done, total)) => format!("{phase}: {done}/{total}"),
+        let left = counts.and_then(|counts| time_left(&mut self.pace, counts));
+        let left = left.map_or_else(String::new, |left| format!(", {} left", duration(left)));
+        self.display.show(phase, counts.unwrap_or_default(), || match counts {
+            Some((done, total)) => format!("{phase}: {done}/{total}{left}"),
             None => phase.to_owned(),
         });
     }
@@ -50,8 +64,30 @@ impl BuildProgress {
     /// Removes the bar. Where there is no terminal, a line says whether the documents are complete.
     pub fn close(self, complete: bool) {
         let state = if complete { "done" } else { "not complete" };
-        self.0.close(|| format!("documents: {state}"));
+        self.display.close(|| format!("documents: {state}"));
     }
+}
+
+/// How fast parts are done.
+#[derive(Debug, Clone, Copy)]
+struct Pace {
+    /// When the first number of them was reported.
+    start: Instant,
+    /// That number, of parts that were done before.
+    first: u64,
+    /// The last number that was reported.
+    last: u64,
+}
+
+/// The time that the rest of `total` parts takes, if it goes on at this pace; `None` before one is done. When `done` falls, something
+/// else is counted, at a pace of its own.
+fn time_left(pace: &mut Option<Pace>, (done, total): (u64, u64)) -> Option<Duration> {
+    let now = Pace { start: Instant::now(), first: done, last: done };
+    let Pace { start, first, last } = pace.filter(|pace| pace.last <= done).unwrap_or(now);
+    *pace = Some(Pace { start, first, last: last.max(done) });
+    let done_now = (done > first).then_some(done - first)?;
+    let rate = total.saturating_sub(done) as f64 / done_now as f64;
+    Duration::try_from_secs_f64(start.elapsed().as_secs_f64() * rate).ok()
 }
 
 /// Time between two lines where there is no terminal.
@@ -167,6 +203,24 @@ fn bar(done: u64, total: u64, text: &str, columns: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_time_left_follows_from_what_is_done_now() {
+        let mut pace = None;
+        // Three of ten were done before.
+        assert_eq!(time_left(&mut pace, (3, 10)), None);
+        let earlier = |pace: Option<Pace>| {
+            pace.map(|pace| Pace { start: pace.start - Duration::from_secs(600), ..pace })
+        };
+        pace = earlier(pace);
+        let minutes = |left: Option<Duration>| left.map(|left| left.as_secs() / 60);
+        assert!(minutes(time_left(&mut pace, (5, 10))) >= Some(25));
+        assert_eq!(time_left(&mut pace, (10, 10)), Some(Duration::ZERO));
+        // The next document, of which nothing is done.
+        assert_eq!(time_left(&mut pace, (0, 4)), None);
+        pace = earlier(pace);
+        assert!(minutes(time_left(&mut pace, (1, 4))) >= Some(30));
+    }
 
     #[test]
     fn a_bar_fits_its_columns() {

@@ -20,7 +20,8 @@ use crate::launch;
 use crate::monitor::Monitor;
 use crate::pipeline::{self, Ending, Observer, PipelineOptions};
 use crate::plan::PlannedEpisode;
-use crate::progress::{ProgressDisplay, Verbosity};
+use crate::progress::{ProgressDisplay, Verbosity, say};
+use crate::run_documents::DocumentSupply;
 use crate::run_plan::RunPlan;
 use crate::session::RunSession;
 use crate::status::EpisodeCounts;
@@ -32,6 +33,8 @@ use crate::trace::RunTrace;
 pub enum RunOutcome {
     /// It was asked to stop before the first episode, while documents were being built.
     Stopped,
+    /// It has stopped before the first episode, because documents take more than it may spend: the reason.
+    OverBudget(String),
     /// All its episodes were finished before.
     NothingMissing,
     /// The processes have ended, or the budget was used up before they were started.
@@ -48,12 +51,24 @@ pub fn execute(mut plan: RunPlan, invocation: &Invocation<'_>) -> Result<RunOutc
     let mut manifest = plan.manifest()?;
     let started = plan.started.take();
     let settings = &plan.settings;
-    let Some(documents) = plan.documents(invocation)? else { return Ok(RunOutcome::Stopped) };
+    let mut fresh = invocation.fresh;
+    // So that a session that is stopped before the first episode leaves what it has spent.
+    let record = &mut |documents| {
+        let manifest = Manifest { documents, ..manifest.clone() };
+        let opened = RunFolder::open(&settings.out, manifest, std::mem::take(&mut fresh))?;
+        opened.notes.iter().for_each(|note| say(note));
+        Ok(())
+    };
+    let documents = match plan.documents(invocation, record)? {
+        DocumentSupply::Ready(documents) => documents,
+        DocumentSupply::Stopped => return Ok(RunOutcome::Stopped),
+        DocumentSupply::OverBudget(why) => return Ok(RunOutcome::OverBudget(why)),
+    };
     manifest.documents = documents.facts();
     if !invocation.fresh && RunFolder::has_episodes(&settings.out) {
         check_resumable(&plan, &manifest)?;
     }
-    let opened = RunFolder::open(&settings.out, manifest, invocation.fresh)?;
+    let opened = RunFolder::open(&settings.out, manifest, fresh)?;
     let Opened { mut folder, finished, requests, notes } = opened;
     let mut progress = ProgressDisplay::new(invocation.verbosity);
     notes.iter().for_each(|note| progress.note(note));
@@ -75,7 +90,9 @@ pub fn execute(mut plan: RunPlan, invocation: &Invocation<'_>) -> Result<RunOutc
         }
         return Ok(RunOutcome::NothingMissing);
     }
-    let budget = Budget::new(settings.model.as_ref(), folder.manifest().prices.as_ref(), &requests);
+    let prices = folder.manifest().prices.as_ref();
+    let mut budget = Budget::new(settings.model.as_ref(), prices, &requests);
+    budget.count(&folder.manifest().built_usage());
     if let Some(why) = budget.exceeded() {
         return Ok(RunOutcome::Ended(Ending { halted: Some(why), ..Ending::default() }));
     }
@@ -144,7 +161,11 @@ pub fn observe(
     observer: &mut dyn Observer,
 ) -> Result<RunOutcome> {
     let started = plan.started.take();
-    let Some(documents) = plan.documents(invocation)? else { return Ok(RunOutcome::Stopped) };
+    let documents = match plan.documents(invocation, &mut |_| Ok(()))? {
+        DocumentSupply::Ready(documents) => documents,
+        DocumentSupply::Stopped => return Ok(RunOutcome::Stopped),
+        DocumentSupply::OverBudget(why) => return Ok(RunOutcome::OverBudget(why)),
+    };
     let out = &plan.settings.out;
     fs::create_dir_all(out)?;
     documents.copy_to(&out.join(DOCUMENTS_FOLDER))?;
@@ -186,6 +207,11 @@ impl<'a> RunProcesses<'a> {
         }
         if let Some(file) = shipped_embeddings {
             launch::ship_embeddings(&mut options, file);
+        }
+        if settings.model.is_some() {
+            (invocation.before_asking)(settings)?;
+            let source = invocation.base_url_from.iter();
+            source.for_each(|source| launch::tell_source_of_base_url(&mut options, source));
         }
         (invocation.adjust)(settings, &mut attach, &mut options)?;
         let rules = launch::rules(settings, memories)?;

@@ -16,13 +16,12 @@ use shm_types::message::{MAX_SOURCES, WIRE_VERSION};
 
 use crate::books::Books;
 use crate::command_files::command_files;
-use crate::documents::ReadyDocuments;
 use crate::external_memory::{self, ExternalMemory, StartedMemories};
 use crate::invocation::Invocation;
 use crate::launch;
 use crate::plan::PlannedEpisode;
 use crate::progress::{ProgressDisplay, say};
-use crate::run_documents::RunDocuments;
+use crate::run_documents::{DocumentSupply, RecordDocuments, RunDocuments};
 use crate::selection::SelectedCases;
 
 /// What a plan of a run is made for.
@@ -188,12 +187,17 @@ impl RunPlan {
             .with_context(|| format!("cannot write {}", path.display()))
     }
 
-    /// The documents of the run, built if they are missing. `None` when asked to stop.
+    /// The documents of the run, built if they are missing. `record` is that of [`RunDocuments::supply`].
     ///
     /// # Errors
     /// As [`RunDocuments::supply`].
-    pub fn documents(&self, invocation: &Invocation<'_>) -> Result<Option<ReadyDocuments>> {
-        RunDocuments::of(&self.settings, &self.books, invocation.fresh).supply(invocation)
+    pub fn documents(
+        &self,
+        invocation: &Invocation<'_>,
+        record: &mut RecordDocuments<'_>,
+    ) -> Result<DocumentSupply> {
+        let documents = RunDocuments::of(&self.settings, &self.books, invocation.fresh);
+        documents.supply(self, invocation, record)
     }
 
     /// Whether a memory of the run matches views.

@@ -172,7 +172,7 @@ impl LiveStatus {
 }
 
 /// A duration for people: `48 s`, `3 min 20 s`, `1 h 05 min`.
-fn duration(duration: Duration) -> String {
+pub(crate) fn duration(duration: Duration) -> String {
     let s = duration.as_secs_f64().round() as u64;
     match s {
         0..60 => format!("{s} s"),

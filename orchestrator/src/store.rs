@@ -498,7 +498,6 @@ mod tests {
             demonstrations: domain::Demonstrations::ALL,
             builder: "extractive".to_owned(),
             builder_version: "1".to_owned(),
-            inputs_sha256: String::new(),
             sources_sha256: String::new(),
             text_sha256: String::new(),
             trajectories: 1,

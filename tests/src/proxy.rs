@@ -106,7 +106,7 @@ fn forward(address: &str, request: &Received) -> io::Result<(u16, Vec<String>, S
 }
 
 /// The parts of the messages of a request's body.
-fn parts(body: &Value) -> Vec<MessagePart> {
+pub fn parts(body: &Value) -> Vec<MessagePart> {
     let mut parts = Vec::new();
     for message in body["messages"].as_array().into_iter().flatten() {
         let role = message["role"].as_str().unwrap_or_default();

@@ -21,6 +21,7 @@ mod declaration;
 mod demonstrations;
 mod episodes;
 mod file;
+mod keyframes;
 mod request;
 #[cfg(test)]
 mod tests;
@@ -41,6 +42,7 @@ pub use episodes::{
     SharedFacts, looped_at,
 };
 pub use file::{BookError, BookFile, CASE_BOOK_FILE, DEMONSTRATIONS_FILE, WORLD_FILE};
+pub use keyframes::{Moment, keyframes};
 pub use request::{BookRequest, ElsewhereRequest, StreamsRequest};
 
 /// The number on the wire of the world variant that is the other warehouse.

@@ -11,7 +11,7 @@ use crate::recipe::address;
 use crate::{DocumentName, sha256_of};
 
 /// The version of the file format.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// Maximum size of a text in bytes: the wire carries no longer documents.
 pub const MAX_TEXT_BYTES: usize = 16 << 20;
@@ -28,10 +28,7 @@ pub struct Provenance {
     pub builder: String,
     /// Everything else about the builder that determines the text: its version, model, prompts, limits.
     pub builder_version: String,
-    /// SHA-256 of the transcripts that the builder read.
-    pub inputs_sha256: String,
-    /// SHA-256 of what the transcripts follow from ([`Sources::sha256`](crate::Sources::sha256)), known without
-    /// rendering.
+    /// SHA-256 of what it is built from ([`Sources::sha256`](crate::Sources::sha256)), known without rendering.
     pub sources_sha256: String,
     /// SHA-256 of the text.
     pub text_sha256: String,
@@ -57,6 +54,9 @@ pub struct BuildAccount {
     /// Answered requests, including reused ones of an earlier attempt.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub requests: Option<u64>,
+    /// Images in all prompts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub images: Option<u64>,
     /// Answers that reached the token limit and were used up to their last whole line or sentence, in documents of earlier
     /// versions: such an answer now fails the build.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -70,6 +70,11 @@ pub struct BuildAccount {
 }
 
 impl BuildAccount {
+    /// Tokens of prompts and answers, if both were reported.
+    pub fn tokens(&self) -> Option<u64> {
+        self.prompt_tokens?.checked_add(self.completion_tokens?)
+    }
+
     fn is_empty(&self) -> bool {
         *self == Self::default()
     }
@@ -79,6 +84,20 @@ impl Provenance {
     /// The document's name.
     pub fn name(&self) -> DocumentName {
         DocumentName { kind: self.kind, demonstrations: self.demonstrations }
+    }
+
+    /// The model that wrote it, by the name under which it was asked; `None` for another builder.
+    pub fn model(&self) -> Option<String> {
+        if self.builder != "model" {
+            return None;
+        }
+        // As `ModelRecipe` writes it.
+        let asked = || {
+            let (_, after) = self.builder_version.split_once(", model ")?;
+            let (before, _) = after.split_once(" characters to ")?;
+            Some(before.rsplit_once(", ")?.0.to_owned())
+        };
+        asked().or_else(|| self.account.model.clone())
     }
 
     /// The document's address.
@@ -219,7 +238,6 @@ pub(crate) mod tests {
             demonstrations: Demonstrations::ALL,
             builder: "extractive".to_owned(),
             builder_version: "1".to_owned(),
-            inputs_sha256: "00".to_owned(),
             sources_sha256: "11".to_owned(),
             text_sha256: String::new(),
             trajectories: 400,
@@ -254,7 +272,7 @@ pub(crate) mod tests {
         let json = fs::read_to_string(&path).unwrap();
         for (from, to, problem) in [
             ("{", "", "trailing characters"),
-            ("\"format\": 1", "\"format\": 2", "format 2; this program reads format 1"),
+            ("\"format\": 2", "\"format\": 1", "format 1; this program reads format 2"),
             ("\"format\"", "\"fromat\"", "no `format`"),
             ("A summary", "A sumary", "its text has been changed"),
             ("# A summary", " ", "1 bytes"),

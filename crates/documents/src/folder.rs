@@ -101,9 +101,7 @@ impl DocumentSelection {
                 (&*made.builder, &made.builder_version) == (recipe.builder(), &recipe.version())
             }
             Self::Model(None) => made.builder == "model",
-            Self::Model(Some(model)) => {
-                made.builder == "model" && made.builder_version.contains(&format!("model {model},"))
-            }
+            Self::Model(Some(model)) => made.model().as_ref() == Some(model),
             Self::Any => true,
         }
     }
@@ -359,7 +357,10 @@ mod tests {
         ] {
             let found = bench.find(&DocumentSelection::Recipe(recipe), frame);
             assert_eq!(found.state, DocumentState::Current);
-            assert_eq!(found.document.unwrap().text, expected);
+            let document = found.document.unwrap();
+            assert_eq!(document.text, expected);
+            let author = expected.strip_prefix("by ").and_then(|by| by.get(..1));
+            assert_eq!(document.provenance.model().as_deref(), author);
         }
         let listed = bench.folder().list(&bench.sources[&FRAME]).unwrap();
         let outdated = listed.iter().filter(|stored| stored.state == DocumentState::Outdated);

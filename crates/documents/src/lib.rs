@@ -6,8 +6,11 @@
 //! size, version of this program). Documents with different addresses lie side by side in a [folder](DocumentFolder);
 //! building one never replaces another.
 //!
-//! What is not here: how a text is written (memory-proc), and when documents are built (orchestrator).
+//! What a model is asked for a document is here as well ([`asking`]), because an estimate needs it before anything is asked.
+//!
+//! What is not here: asking, scripted texts (memory-proc), and when documents are built (orchestrator).
 
+pub mod asking;
 mod file;
 mod folder;
 mod name;

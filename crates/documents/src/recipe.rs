@@ -5,10 +5,10 @@ use domain::{ImageFormat, ReasoningRequest, SystemRole};
 use crate::{DocumentName, sha256_of_parts};
 
 /// The version of the extractive builder. Changes whenever the same demonstrations give another text.
-pub const EXTRACTIVE_VERSION: u32 = 1;
+pub const EXTRACTIVE_VERSION: u32 = 2;
 
 /// The version of the prompts that the model builder sends. Changes whenever one of them does.
-pub const PROMPT_VERSION: u32 = 1;
+pub const PROMPT_VERSION: u32 = 2;
 
 /// How a document is built.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -28,6 +28,10 @@ pub struct ModelRecipe {
     pub context_chars: usize,
     /// Maximum number of tokens in an answer, and so in the document.
     pub max_tokens: u32,
+    /// Maximum number of views of each demonstration that are shown; 0 for a model that reads text only.
+    pub views: u32,
+    /// Maximum number of images in a prompt.
+    pub image_budget: u32,
     /// What requests say about reasoning.
     pub reasoning: ReasoningRequest,
     /// How the rules are sent.
@@ -43,6 +47,10 @@ impl ModelRecipe {
     pub const CONTEXT_CHARS: usize = 100_000;
     /// The default of `max_tokens`; the paper's summaries have about 13,000.
     pub const MAX_TOKENS: u32 = 16_000;
+    /// The default of `views`: start, end, sub-goals and some turns of a demonstration.
+    pub const VIEWS: u32 = 8;
+    /// The default of `image_budget`: the paper's.
+    pub const IMAGE_BUDGET: u32 = 50;
 
     /// The defaults, for `model`.
     pub fn new(model: impl Into<String>) -> Self {
@@ -50,11 +58,18 @@ impl ModelRecipe {
             model: model.into(),
             context_chars: Self::CONTEXT_CHARS,
             max_tokens: Self::MAX_TOKENS,
+            views: Self::VIEWS,
+            image_budget: Self::IMAGE_BUDGET,
             reasoning: ReasoningRequest::Off,
             system_role: SystemRole::System,
             extra_body: None,
             image_format: ImageFormat::Png,
         }
+    }
+
+    /// Maximum number of views of each demonstration, all of which have to fit into a prompt.
+    pub fn views_each(&self) -> usize {
+        self.views.min(self.image_budget) as usize
     }
 
     /// Everything in it that determines the text, in words: what requests are by default is not named.
@@ -63,13 +78,16 @@ impl ModelRecipe {
             model,
             context_chars,
             max_tokens,
+            views,
+            image_budget,
             reasoning,
             system_role,
             extra_body,
             image_format,
         } = self;
         let mut words = format!(
-            "prompts {PROMPT_VERSION}, model {model}, {context_chars} characters to {max_tokens} tokens"
+            "prompts {PROMPT_VERSION}, model {model}, {context_chars} characters to {max_tokens} tokens, {views} views of \
+             each demonstration, {image_budget} images"
         );
         if *reasoning != ReasoningRequest::Off {
             words += &format!(", reasoning {reasoning}");
@@ -149,6 +167,8 @@ mod tests {
             model(|recipe| recipe.model = "B".into()),
             model(|recipe| recipe.context_chars = 9),
             model(|recipe| recipe.max_tokens = 9),
+            model(|recipe| recipe.views = 0),
+            model(|recipe| recipe.image_budget = 9),
             model(|recipe| recipe.reasoning = ReasoningRequest::Low),
             model(|recipe| recipe.system_role = SystemRole::User),
             model(|recipe| recipe.image_format = ImageFormat::Jpeg),

@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use case_book::{Demonstration, DemonstrationBook, ViewPlace, WAREHOUSE};
-use domain::{Appearance, Demonstrations, hex};
+use case_book::{Demonstration, DemonstrationBook, ViewPlace};
+use domain::{Appearance, Demonstrations};
 
 use crate::sha256_of_parts;
 
@@ -63,12 +63,9 @@ impl Sources {
     }
 
     /// SHA-256, in hexadecimal digits, of everything that determines the demonstrations of `selection` and their views
-    /// and is known without rendering: what can be seen in the variants in which they take place, the demonstrations, the
-    /// frames' size, their appearance if it is not the standard one, and this program's version, which stands for how the
-    /// world is drawn and how plates are read.
-    ///
-    /// Of a world other than the warehouse, what it says of itself counts, too, and of demonstrations all that is in words: documents
-    /// are written from these.
+    /// and is known without rendering: what the world says of itself, all of the demonstrations that is in words, what can be
+    /// seen in the variants in which they take place, the frames' size, their appearance if it is not the standard one, and
+    /// this program's version, which stands for how the world is drawn.
     ///
     /// Test references and other variants are left out: a document does not depend on them.
     pub fn sha256(&self, selection: Demonstrations) -> String {
@@ -80,25 +77,19 @@ impl Sources {
             .map(|variant| book.variants.get(variant).map_or("", String::as_str))
             .collect();
         let mut parts = vec![
-            "memtransfer sources v3".to_owned(),
+            "memtransfer sources v4".to_owned(),
             env!("CARGO_PKG_VERSION").to_owned(),
+            format!("{:?}", book.world),
             hashes.join(" "),
             format!("{frame_size} x {frame_size}"),
         ];
         if *appearance != Appearance::STANDARD {
             parts.push(appearance.to_string());
         }
-        let is_warehouse = book.world.name == WAREHOUSE;
-        if !is_warehouse {
-            parts.push(format!("{:?}", book.world));
-        }
         for of in demonstrations {
-            if !is_warehouse {
-                parts.push(format!("{:?} {:?} {:?}", of.states, of.feedback, of.sub_goals));
-            }
-            parts.push(of.instruction.clone());
-            parts.push(of.states[0].to_string());
-            parts.push(hex(&of.actions.iter().map(|action| action.0).collect::<Vec<u8>>()));
+            let Demonstration { instruction, states, feedback, sub_goals, actions, .. } = of;
+            parts.push(instruction.clone());
+            parts.push(format!("{states:?} {feedback:?} {sub_goals:?} {actions:?}"));
         }
         sha256_of_parts(parts.iter().map(String::as_str))
     }
@@ -140,25 +131,24 @@ pub(crate) mod tests {
         assert_ne!(hash, stocked.sha256(Demonstrations::ALL));
     }
 
-    /// What is in the words of a document of another world.
     #[test]
-    fn words_count_in_other_worlds_only() {
+    fn everything_in_the_words_of_a_document_counts() {
         let book = book(None);
-        let hash = |change: fn(&mut DemonstrationBook), name: &str| {
+        let hash = |change: fn(&mut DemonstrationBook)| {
             let mut book = book.clone();
-            book.world.name = name.to_owned();
             change(&mut book);
             Sources::new(book, FRAME, Appearance::STANDARD).sha256(Demonstrations::ALL)
         };
-        let changes: [fn(&mut DemonstrationBook); 3] = [
+        let changes: [fn(&mut DemonstrationBook); 7] = [
+            |_| (),
             |book| book.world.state_sentence.push('!'),
+            |book| book.demonstrations[0].instruction.push('!'),
+            |book| book.demonstrations[0].states.swap(0, 1),
             |book| book.demonstrations[0].feedback.swap(0, 1),
             |book| book.demonstrations[0].sub_goals.clear(),
+            |book| book.demonstrations[0].actions.reverse(),
         ];
-        for change in changes {
-            assert_eq!(hash(change, WAREHOUSE), hash(|_| (), WAREHOUSE));
-            assert_ne!(hash(change, "other"), hash(|_| (), "other"));
-        }
+        assert_eq!(changes.map(hash).into_iter().collect::<BTreeSet<_>>().len(), 7);
     }
 
     #[test]

@@ -24,6 +24,7 @@ pub mod search_profile;
 mod shell;
 mod state;
 mod stream;
+pub mod tokens;
 
 pub use appearance::Appearance;
 pub use cache::{

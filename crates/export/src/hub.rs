@@ -9,6 +9,7 @@ use anyhow::{Result, bail};
 use conditions::{Condition, Frames};
 use run_log::RunLog;
 use run_log::date::date;
+use run_log::memory_label::author_words;
 use scores::{ConditionScore, Interval, Scores, StreamScore, score};
 
 use crate::files::{is_file, write_text};
@@ -122,6 +123,10 @@ fn yaml(
         if frames != Frames::Rendered {
             write!(task_id, "_frames-{frames}")?;
             write!(notes, "; a control: frames {frames}")?;
+        }
+        let authors = manifest.document_authors(condition.memory);
+        if !authors.is_empty() {
+            write!(notes, "; documents: {}", author_words(&authors))?;
         }
         if let Some(Interval { low, high }) = interval {
             write!(notes, "; 95 % interval {low:.1} to {high:.1}")?;

@@ -3,7 +3,7 @@
 //! The number of steps of an episode is not known in advance, so there are two figures: at least as many as the reference,
 //! at most T_max. Where the run folder has finished episodes of a condition, their mean replaces both, and the tokens of
 //! their prompts are used. Otherwise a prompt is estimated from the template's length, the characters per token of
-//! [`prompt::tokens`], and 256 tokens an image (the paper's figure).
+//! [`domain::tokens`], and 256 tokens an image (the paper's figure).
 
 use std::collections::BTreeMap;
 
@@ -13,10 +13,10 @@ use conditions::cost::Money;
 use conditions::settings::{ModelSettings, RunSettings};
 use documents::DocumentName;
 use domain::representation::Trajectories;
+use domain::tokens;
 use orchestrator::books::Books;
 use orchestrator::documents::needed;
 use orchestrator::plan::PlannedEpisode;
-use prompt::tokens;
 use run_log::EpisodeRecord;
 use run_log::usage::UsageTotals;
 
@@ -30,8 +30,6 @@ const RETRIEVED_VIEW: u64 = 91;
 /// Characters of an action of a whole demonstration, and around one of its views.
 const ACTION: u64 = 14;
 const KEYFRAME: u64 = 30;
-/// Tokens of an image of the default size (specification, section 2).
-const IMAGE_TOKENS: u64 = 256;
 
 /// What the missing episodes of a condition would take.
 #[derive(Debug, Clone, PartialEq)]
@@ -146,7 +144,7 @@ impl Basis<'_> {
         for name in needed([condition]) {
             documents += self.documents.get(&name)?;
         }
-        Some(tokens::of_text(characters, documents) + IMAGE_TOKENS * self.images(condition))
+        Some(tokens::of_text(characters, documents) + tokens::IMAGE * self.images(condition))
     }
 
     /// Actions of the demonstrations that an episode remembers.

@@ -1,16 +1,16 @@
 //! What the verbs `run`, `plan` and `work` share: how the orchestrator is called, and what is printed when it stops early.
 
+use std::cell::Cell;
 use std::ffi::OsString;
 use std::io;
 use std::path::Path;
 
-use anyhow::{Result, anyhow};
-use conditions::settings::{Group, RunSettings};
+use anyhow::{Error, Result, anyhow};
+use conditions::settings::{Group, ModelSettings, RunSettings};
 use conditions::{Demonstrations, Route, Start};
 use domain::{SecretHeader, cache_folder, shell_word};
 use llm::{Servers, Source};
 use orchestrator::invocation::Invocation;
-use orchestrator::launch;
 use orchestrator::progress::Verbosity;
 use orchestrator::run::{self, RunOutcome};
 use orchestrator::run_plan::RunPlan;
@@ -29,23 +29,31 @@ pub(super) const FILLING_STORE: &str = "the store was being filled";
 /// The invocation that `options` describe, which a signal stops.
 pub(super) fn invocation<'a>(options: &'a RunOptions, signals: &'a Signals) -> Invocation<'a> {
     let RunOptions { fresh, quiet, trace, base_url_source, header_source, .. } = options;
+    let servers = move |model: &ModelSettings| {
+        let given = model.base_url.as_deref().map(|url| (url, *base_url_source));
+        let of_file = *header_source == Source::SettingsFile;
+        let servers = Servers::from_environment(given, Path::new("."))?;
+        Ok::<_, Error>(servers.with_headers(&model.header, of_file)?)
+    };
+    let is_announced = Cell::new(*quiet);
     Invocation {
         fresh: *fresh,
         verbosity: Verbosity::of_quiet(*quiet),
         trace: trace.clone(),
         stop_reason: Box::new(|| signals.received().map(signals::name)),
-        adjust: Box::new(move |settings, _, pipeline| {
+        base_url_from: Some(base_url_source.word()),
+        before_asking: Box::new(move |settings| {
             let Some(model) = &settings.model else { return Ok(()) };
-            let given = model.base_url.as_deref().map(|url| (url, *base_url_source));
-            let of_file = *header_source == Source::SettingsFile;
-            let servers = Servers::from_environment(given, Path::new("."))?;
-            let servers = servers.with_headers(&model.header, of_file)?;
-            if !quiet {
+            let servers = servers(model)?;
+            // A run that has documents written asks twice.
+            if !is_announced.replace(true) {
                 say!("asking {} at {servers}", model.model);
             }
-            copy_reports(&cache_folder()?, &model.model, &servers, &settings.out)?;
-            launch::tell_source_of_base_url(pipeline, base_url_source.word());
             Ok(())
+        }),
+        adjust: Box::new(move |settings, _, _| {
+            let Some(model) = &settings.model else { return Ok(()) };
+            copy_reports(&cache_folder()?, &model.model, &servers(model)?, &settings.out)
         }),
         ..Invocation::until(signals.stop())
     }
@@ -92,12 +100,21 @@ pub(super) fn note_omissions(settings: &RunSettings) {
     }
 }
 
+/// Reports that documents take more than the run may spend.
+pub(super) fn over_budget(why: &str) -> Exit {
+    say!(
+        "stopped before the first episode: {why}\nDocuments that are complete are kept. To resume:\n  {}",
+        same_command()
+    );
+    Exit::Failed
+}
+
 /// Reports that a signal came before the first episode, while something else was being done.
 pub(super) fn stopped_before_episodes(signals: &Signals, meanwhile: &str) -> Exit {
     let signal = signals.received().unwrap_or_default();
     say!(
-        "stopped by {} while {meanwhile}, before the first episode. Documents that were complete are kept. To \
-         resume:\n  {}",
+        "stopped by {} while {meanwhile}, before the first episode. Documents that were complete are kept, and so are \
+         replies for the others. To resume:\n  {}",
         signals::name(signal),
         same_command()
     );

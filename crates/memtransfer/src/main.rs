@@ -14,6 +14,7 @@ mod clean;
 mod commands;
 mod conformance;
 mod doctor;
+mod document_estimate;
 mod estimate;
 mod execution;
 mod export;

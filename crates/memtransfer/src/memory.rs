@@ -6,7 +6,9 @@ use std::str::FromStr;
 use anyhow::{Context, Result, bail};
 use case_book::{BookRequest, ElsewhereRequest};
 use clap::{Args, Subcommand, ValueEnum};
+use conditions::cost::ModelPrices;
 use conditions::settings::Drawn;
+use documents::asking::BuildEstimate;
 use documents::{
     DocumentFile, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe, Sources,
     StoredDocument, kind,
@@ -17,21 +19,23 @@ use domain::{
 };
 use llm::{Servers, Source};
 use orchestrator::books::{Books, WRITING_TIMEOUT};
-use orchestrator::documents::{DocumentRequest, ModelServer, document_folder};
+use orchestrator::documents::{DocumentRequest, ModelServer, OwnWorld, document_folder};
 use orchestrator::progress::{BuildProgress, Verbosity};
+use orchestrator::run_documents::listed;
 use report::table::table;
 use serde_json::{Value, json};
 use settings::{Layer, variable};
 use shm_types::FrameSize;
 
 use super::{Exit, WorldArgs, print, print_json};
+use crate::document_estimate::document_table;
 use crate::signals::Signals;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Documents are built from the selected demonstrations of all cases, by reading their frames. `run`
-builds the extractive documents that it needs; build them here to read them, or to have a model
-write them. A document is never replaced by one of another model, frame size or world.
+Documents are built from the selected demonstrations of all cases. `run` builds those that it needs,
+with its own model or the script; build them here to read them, with other limits, or with another
+model. A document is never replaced by one of another model, frame size or world.
 
 Examples:
   memtransfer memory build                        both kinds, of one and of four demonstrations
@@ -72,6 +76,9 @@ struct BuildArgs {
     /// Build them again even if they are current or broken
     #[arg(long)]
     force: bool,
+    /// Print what would be built, and the estimated requests, images and tokens of a model; build nothing
+    #[arg(long)]
+    dry_run: bool,
     /// Print only errors
     #[arg(long)]
     quiet: bool,
@@ -112,6 +119,15 @@ struct ModelArgs {
     /// Maximum number of tokens in an answer [default: 16000]
     #[arg(long, value_name = "N")]
     max_tokens: Option<u32>,
+    /// Views of each demonstration that are shown, at most; 0 for a model that reads text only [default: 8]
+    #[arg(long, value_name = "N")]
+    views: Option<u32>,
+    /// Maximum number of images in a prompt, as in `run` [default: $MEMTRANSFER_IMAGE_BUDGET, else 50]
+    #[arg(long, value_name = "N")]
+    image_budget: Option<u32>,
+    /// The prices of the model's tokens (docs/costs.md), for the estimate
+    #[arg(long, value_name = "FILE")]
+    prices: Option<PathBuf>,
     /// Time limit of one attempt [default: 300]
     #[arg(long = "request-timeout", value_name = "SECONDS")]
     timeout: Option<u32>,
@@ -141,6 +157,9 @@ impl ModelArgs {
         *image_format = setting(self.image_format, "image-format")?.unwrap_or(*image_format);
         recipe.context_chars = self.context_chars.map_or(recipe.context_chars, |n| n as usize);
         recipe.max_tokens = self.max_tokens.unwrap_or(recipe.max_tokens);
+        recipe.views = self.views.unwrap_or(recipe.views);
+        let of_run = variable("image-budget")?.and_then(|n| u32::try_from(n.as_u64()?).ok());
+        recipe.image_budget = self.image_budget.or(of_run).unwrap_or(recipe.image_budget);
         let source = match &self.base_url {
             Some(_) => Source::CommandLine,
             None => Source::Environment,
@@ -180,9 +199,8 @@ where
 }
 
 /// A text that `run --extra-body` accepts.
-fn extra_body(text: &str) -> Result<String> {
-    Layer::flags([("extra-body", text)])?;
-    Ok(text.to_owned())
+fn extra_body(text: &str) -> Result<String, String> {
+    llm::extra_body(text).map(|_| text.to_owned())
 }
 
 #[derive(Debug, Args)]
@@ -269,12 +287,25 @@ impl MadeFor {
         demos: &[Demonstrations],
     ) -> Result<DocumentRequest> {
         let Self { world, elsewhere, seed, frame_size, labels, appearance_seed } = self;
-        world.warehouse()?;
+        world.program()?;
+        let of_warehouse = [
+            ("elsewhere", elsewhere.is_some()),
+            ("labels", labels.is_some()),
+            ("appearance-seed", appearance_seed.is_some()),
+        ];
+        let given = of_warehouse.into_iter().find(|(_, is_given)| *is_given);
+        let command = world.other.command().map(str::to_owned);
+        if let (Some(_), Some((flag, _))) = (&command, given) {
+            bail!(
+                "--{flag} is about the warehouse, and --world-cmd (or MEMTRANSFER_WORLD_CMD) names another world: leave one \
+                 of them out"
+            );
+        }
         let assets = world.assets;
         let of_run = variable("seed")?.and_then(|seed| seed.as_u64());
         let take_place_elsewhere = demos.iter().any(|set| set.take_place_elsewhere());
         let books = Books::of_world(
-            None,
+            command.as_deref(),
             &BookRequest {
                 assets: assets.clone(),
                 demonstrations: demos.to_vec(),
@@ -290,16 +321,18 @@ impl MadeFor {
         let frame_size = frame_size.or(size).unwrap_or(FrameSize::DEFAULT.width);
         let drawn = variable("labels")?.and_then(|word| word.as_str()?.parse().ok());
         let seed = variable("appearance-seed")?.and_then(|seed| seed.as_u64());
-        let appearance = Appearance {
+        let of_world = Appearance {
             labels: labels.or(drawn).unwrap_or_default() == Drawn::On,
             seed: appearance_seed.or(seed).unwrap_or_default(),
             ..Appearance::STANDARD
         };
+        let appearance = if command.is_some() { Appearance::STANDARD } else { of_world };
         Ok(DocumentRequest {
             folder,
             sources: Sources::new(books.demonstrations.book, frame_size, appearance),
             assets,
             elsewhere: books.elsewhere,
+            own_world: command.map(|command| OwnWorld::of(Some(command), &books.cases.book)),
             selection,
             server: ModelServer::default(),
         })
@@ -315,6 +348,7 @@ pub(super) fn run(args: MemoryArgs) -> Result<Exit> {
 }
 
 fn build(args: BuildArgs) -> Result<Exit> {
+    let prices = args.model.prices.clone();
     let (recipe, server) = args.model.recipe(args.builder, args.quiet)?;
     let mut wanted = Vec::new();
     for &demonstrations in &args.demos {
@@ -329,6 +363,18 @@ fn build(args: BuildArgs) -> Result<Exit> {
     let request =
         args.made_for.request(args.out, DocumentSelection::Recipe(recipe), &args.demos)?;
     let request = DocumentRequest { server, ..request };
+    let missing = request.missing(&wanted, args.force)?;
+    let estimate = estimate(&request, &missing, prices.as_deref())?;
+    if args.dry_run {
+        let names = listed(&missing);
+        let all = wanted.len();
+        print(&format!("{} of {all} documents would be built: {names}\n", missing.len()))?;
+        print(&estimate.unwrap_or_default())?;
+        return Ok(Exit::Complete);
+    }
+    if let (Some(estimate), false) = (&estimate, args.quiet) {
+        say!("{estimate}");
+    }
     let mut progress = BuildProgress::new(Verbosity::of_quiet(args.quiet));
     let ready =
         request.ensure(&wanted, args.force, signals.stop(), &mut |stage| progress.show(stage));
@@ -344,6 +390,24 @@ fn build(args: BuildArgs) -> Result<Exit> {
         say!("{built} built, {} current, in {}", all - built, folder.path().display());
     }
     Ok(Exit::Complete)
+}
+
+/// What a model would be asked for the documents that are missing. `None` when no model is.
+fn estimate(
+    request: &DocumentRequest,
+    missing: &[DocumentName],
+    prices: Option<&Path>,
+) -> Result<Option<String>> {
+    let DocumentSelection::Recipe(Recipe::Model(recipe)) = &request.selection else {
+        return Ok(None);
+    };
+    let prices = prices.map(|file| ModelPrices::read(file, &recipe.model)).transpose()?;
+    if missing.is_empty() {
+        return Ok(None);
+    }
+    let of = |name: &DocumentName| (*name, BuildEstimate::of(*name, &request.sources, recipe));
+    let estimates: Vec<_> = missing.iter().map(of).collect();
+    Ok(Some(document_table(&estimates, prices.as_ref())))
 }
 
 fn ls(args: LsArgs) -> Result<Exit> {
@@ -414,7 +478,8 @@ fn show(args: DocumentArgs) -> Result<Exit> {
 
 /// A table of documents, at most 100 columns wide.
 fn overview(documents: &[StoredDocument]) -> String {
-    let header = ["document", "address", "builder", "state", "size", "words", "demos", "views"];
+    let header =
+        ["document", "address", "builder", "state", "size", "demos", "requests", "images", "Mtok"];
     let mut table = table(&header, 4);
     for stored in documents {
         let document = stored.document.as_ref();
@@ -422,26 +487,25 @@ fn overview(documents: &[StoredDocument]) -> String {
         table.add_row([
             stored.name.to_string(),
             stored.address.clone().unwrap_or("-".to_owned()),
-            made(|file| match model_of(file) {
+            made(|file| match file.provenance.model() {
                 Some(model) => format!("model {model}"),
                 None => file.provenance.builder.clone(),
             }),
             stored.state.word().to_owned(),
             made(|file| format!("{:.1} KiB", file.text.len() as f64 / 1024.0)),
-            made(|file| file.words().to_string()),
             made(|file| file.provenance.trajectories.to_string()),
-            made(|file| file.provenance.views.to_string()),
+            made(|file| count(file.provenance.account.requests)),
+            made(|file| count(file.provenance.account.images)),
+            made(|file| match file.provenance.account.tokens() {
+                Some(tokens) => format!("{:.2}", tokens as f64 / 1e6),
+                None => "-".to_owned(),
+            }),
         ]);
     }
     table.to_string()
 }
 
-/// The name of the model that wrote a document.
-fn model_of(file: &DocumentFile) -> Option<String> {
-    if file.provenance.builder != "model" {
-        return None;
-    }
-    let version = file.provenance.builder_version.split(", ");
-    let named = version.into_iter().find_map(|part| part.strip_prefix("model "));
-    named.map(str::to_owned).or_else(|| file.provenance.account.model.clone())
+/// A number that was counted.
+fn count(count: Option<u64>) -> String {
+    count.map_or("-".to_owned(), |count| count.to_string())
 }

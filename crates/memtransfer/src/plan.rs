@@ -9,13 +9,14 @@ use clap::Args;
 use conditions::PolicyKind;
 use conditions::settings::RunSettings;
 use domain::cache_folder;
+use orchestrator::run_documents::DocumentSupply;
 use orchestrator::run_plan::{ALL, Purpose, RunPlan};
 use orchestrator::store::{Shipment, Store};
 use orchestrator::units::{UNIT_EPISODES, UnitPlan};
 use settings::{Layer, resolve};
 
 use super::execution::{
-    BUILDING_DOCUMENTS, FILLING_STORE, STARTING_MEMORIES, invocation, note_omissions,
+    BUILDING_DOCUMENTS, FILLING_STORE, STARTING_MEMORIES, invocation, note_omissions, over_budget,
     stopped_before_episodes,
 };
 use super::run::flags::{RunOptions, SettingFlags, source_of};
@@ -92,8 +93,12 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
         return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
     note_omissions(&run.settings);
-    let Some(documents) = run.documents(&invocation)? else {
-        return Ok(stopped_before_episodes(&signals, BUILDING_DOCUMENTS));
+    let documents = match run.documents(&invocation, &mut |_| Ok(()))? {
+        DocumentSupply::Ready(documents) => documents,
+        DocumentSupply::Stopped => {
+            return Ok(stopped_before_episodes(&signals, BUILDING_DOCUMENTS));
+        }
+        DocumentSupply::OverBudget(why) => return Ok(over_budget(&why)),
     };
     let mut manifest = run.manifest()?;
     manifest.documents = documents.facts();

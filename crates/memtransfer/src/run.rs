@@ -17,8 +17,8 @@ use run_log::{EpisodeError, RunLog};
 use settings::{Layer, resolve};
 
 use super::execution::{
-    BUILDING_DOCUMENTS, STARTING_MEMORIES, execute, invocation, note_omissions, same_command,
-    stopped_before_episodes,
+    BUILDING_DOCUMENTS, STARTING_MEMORIES, execute, invocation, note_omissions, over_budget,
+    same_command, stopped_before_episodes,
 };
 use super::{Exit, commands, print};
 use crate::signals::{self, Signals};
@@ -86,6 +86,7 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
     let out = plan.settings.out.clone();
     let halted = match execute(plan, &invocation)? {
         RunOutcome::Stopped => return Ok(stopped_before_episodes(&signals, BUILDING_DOCUMENTS)),
+        RunOutcome::OverBudget(why) => return Ok(over_budget(&why)),
         RunOutcome::NothingMissing => None,
         RunOutcome::Ended(ending) => ending.halted,
     };

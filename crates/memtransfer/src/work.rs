@@ -19,8 +19,8 @@ use settings::{KEYS, Key, Layer, on_this_machine, variable};
 use shm_types::process::die_with_parent;
 
 use super::execution::{
-    BUILDING_DOCUMENTS, STARTING_MEMORIES, execute, invocation, note_omissions, same_command,
-    stopped_before_episodes,
+    BUILDING_DOCUMENTS, STARTING_MEMORIES, execute, invocation, note_omissions, over_budget,
+    same_command, stopped_before_episodes,
 };
 use super::run;
 use super::run::flags::{MachineFlags, RunOptions};
@@ -107,6 +107,7 @@ pub(super) fn run(args: WorkArgs) -> Result<Exit> {
     let planned = unit.episodes.len();
     let halted = match execute(unit, &invocation).map_err(of_plan)? {
         RunOutcome::Stopped => return Ok(stopped_before_episodes(&signals, BUILDING_DOCUMENTS)),
+        RunOutcome::OverBudget(why) => return Ok(over_budget(&why)),
         RunOutcome::NothingMissing => None,
         RunOutcome::Ended(ending) => ending.halted,
     };

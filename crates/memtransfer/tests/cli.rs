@@ -128,7 +128,7 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
         ("memory build --reasoning low", "--model needs --builder model"),
         ("memory build --builder model", "--builder model needs --model NAME"),
         ("memory build --builder model --reasoning lo", "did you mean `low`?"),
-        ("memory build --builder model --extra-body []", "--extra-body: not a JSON object"),
+        ("memory build --builder model --extra-body []", "it is not a JSON object such as"),
         ("memory show summary", "<DEMOS>"),
     ] {
         let found = refused(dir.path(), arguments);
@@ -921,6 +921,8 @@ fn a_key_is_not_sent_to_an_address_that_a_file_names() {
     let in_file = dir.path().join("downloaded");
     for (folder, arguments, place) in [
         (&*in_file, format!("run {openai}"), "the file .env"),
+        // Asks for documents first.
+        (&in_file, format!("run {openai}").replace("working", "summary"), "the file .env"),
         (&in_file, "doctor --policy openai --model m".to_owned(), "the file .env"),
         (&in_file, "memory build --builder model --model m".to_owned(), "the file .env"),
         (dir.path(), "run --suite ./suite.toml".to_owned(), "the suite or plan"),

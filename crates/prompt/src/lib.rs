@@ -6,7 +6,7 @@
 //!
 //! - [`Prompt::new`] renders a [`Request`] within an image budget;
 //! - [`read_answer`] finds the action in a model's answer;
-//! - [`image`] encodes views for a request, and [`tokens`] estimates how many tokens a text has.
+//! - [`image`] encodes views for a request.
 //!
 //! Asking a model is left to the `llm` crate.
 
@@ -17,7 +17,6 @@ mod render;
 mod template;
 #[cfg(test)]
 mod tests;
-pub mod tokens;
 
 use peer::{FrameView, Request, WorldDeclaration};
 use serde_json::{Value, json};

@@ -154,6 +154,7 @@ pub(super) fn conditions(views: &[ScoredRun<'_>]) -> DataFrame {
     frame.text("frames", |(view, _)| Some(view.log.manifest.settings.frames.to_string()));
     frame.text("condition", |(_, score)| Some(score.condition.to_string()));
     add_condition(&mut frame, |(_, score)| Some(score.condition));
+    frame.text("memory_label", |(view, score)| Some(view.label(score.condition.memory)));
     frame.whole("episodes", |(_, score)| Some(score.episodes));
     frame.whole("planned", |(_, score)| Some(score.planned));
     frame.real("sr_if_missing_fail", |(_, score)| Some(score.bounds?.sr.low));
@@ -282,6 +283,7 @@ pub(super) fn streams(views: &[ScoredRun<'_>]) -> DataFrame {
     add_run(&mut frame, |(view, _)| view.log);
     frame.text("condition", |(_, score)| Some(score.condition.to_string()));
     add_condition(&mut frame, |(_, score)| Some(score.condition));
+    frame.text("memory_label", |(view, score)| Some(view.label(score.condition.memory)));
     frame.whole("streams", |(_, score)| Some(score.streams));
     frame.whole("sequences", |(_, score)| Some(score.sequences));
     frame.whole("planned", |(_, score)| Some(score.planned));

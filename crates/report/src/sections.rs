@@ -5,6 +5,7 @@ mod conditions;
 mod conflict;
 mod cost;
 mod design;
+mod documents;
 mod elsewhere;
 mod failures;
 mod groups;

@@ -5,7 +5,8 @@ use conditions::settings::{Group, RunSettings};
 use conditions::{Condition, Demonstrations, Route, SegmentContent, Start};
 use domain::{Action, Arm, MemoryKind, Representation, StreamOrder};
 use rigs::records::{
-    external_memory, log, record, sequence, settings, stream_log, tell, tell_failure, under, world,
+    external_memory, log, record, script_document, sequence, settings, stream_log, tell,
+    tell_failure, under, world,
 };
 use run_log::{Ending, EpisodeRecord, RecallTotals, RunLog, StreamRecord, Unread};
 
@@ -45,6 +46,11 @@ pub(crate) fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
     (log.dir, log.name) = ("runs/made-up".into(), "made-up".to_owned());
     for name in conditions.iter().filter_map(|(condition, _)| condition.memory.external()) {
         log.manifest.memories.entry(name).or_insert_with(|| external_memory("1"));
+    }
+    for (condition, _) in conditions {
+        let kinds = condition.memory.describe().map_or(&[][..], |info| info.documents).iter();
+        let names = kinds.map(|kind| format!("{}/{}", kind.word(), condition.demonstrations));
+        log.manifest.documents.extend(names.map(|name| (name, script_document())));
     }
     for (timings, record) in log.timings.iter_mut().zip(&log.episodes) {
         let requests = record.steps;

@@ -1,6 +1,7 @@
 //! The report of a made-up run, and that it is complete.
 
 use conditions::{Condition, PolicyKind};
+use rigs::records::{model_document, model_settings};
 use run_log::{BlockedRecord, EpisodeError, EpisodeRecord};
 
 use super::testing::{made_up, made_up_streams, paper_conditions};
@@ -272,6 +273,75 @@ fn external_memories_stand_in_every_table_after_the_built_in_ones() {
     assert_eq!(serde_json::from_str::<Vec<EpisodeRecord>>(&text).unwrap(), log.episodes);
     let summary = summary(&log);
     assert!(summary.lines().all(|line| line.chars().count() <= 100), "{summary}");
+}
+
+/// A run with a condition of each memory that supplies documents, and one of working memory.
+fn log_with_documents() -> RunLog {
+    let of = |memory: &str| format!("{memory}/new/unchanged/original");
+    let conditions = ["summary", "semantic", "hybrid"].map(of);
+    let names: Vec<&str> = conditions.iter().map(String::as_str).collect();
+    made_up(&only(&[&names[..], &["working/new/unchanged/none"]].concat()), &[1, 2])
+}
+
+/// The same run with documents by the model `author`, for the model `own`.
+fn log_by_models(author: &str, own: &str) -> RunLog {
+    let mut log = log_with_documents();
+    log.manifest.settings.policy = PolicyKind::Openai;
+    log.manifest.settings.model = Some(model_settings(own));
+    log.manifest.documents.values_mut().for_each(|facts| *facts = model_document(author));
+    log
+}
+
+#[test]
+fn rows_of_memories_say_who_wrote_their_documents() {
+    let labels = |log: &RunLog| -> Vec<String> {
+        let document = document(std::slice::from_ref(log), &published());
+        let main = table(&document, "main");
+        main.groups.iter().filter_map(|group| group.label.clone()).collect()
+    };
+    let of_others = |text: &str| text.contains("The paper's documents were written by its own");
+    let script = log_with_documents();
+    let expected = ["Working memory", "Summary (extractive)", "Semantic (extractive)"];
+    assert_eq!(labels(&script), [&expected[..], &["Hybrid (extractive)"]].concat());
+    let page = plain(&document(std::slice::from_ref(&script), &published()));
+    assert!(of_others(&page), "{page}");
+    let shown = summary(&script);
+    assert!(shown.contains("Summary (extractive)") && !of_others(&shown), "{shown}");
+
+    let own = log_by_models("m", "m");
+    assert_eq!(labels(&own), ["Working memory", "Summary", "Semantic", "Hybrid"]);
+    assert!(!of_others(&plain(&document(std::slice::from_ref(&own), &published()))));
+    let shown = summary(&own).replace('\n', " ");
+    assert!(!shown.contains("Summary ("), "{shown}");
+    let expected = "m wrote semantic/original, summary/original for this run, in 10 requests with 2200 tokens; tokens per \
+                    100 cases leave these out, as the paper's do.";
+    assert!(shown.contains(expected), "{shown}");
+
+    let other = log_by_models("n", "m");
+    assert_eq!(labels(&other)[1..], ["Summary (by n)", "Semantic (by n)", "Hybrid (by n)"]);
+}
+
+#[test]
+fn runs_with_documents_by_others_are_named_beside_each_other() {
+    let named = |log: RunLog, name: &str| RunLog { name: name.to_owned(), ..log };
+    let logs = [
+        named(log_with_documents(), "script"),
+        named(log_by_models("m", "m"), "own"),
+        named(log_by_models("m", "n"), "other"),
+    ];
+    let page = plain(&document(&logs, &published()));
+    for expected in [
+        "The documents of summary memory have different authors: extractive in script; by m in own, other.",
+        "author of document summary/original differs: extractive in script, the model m in own.",
+        "script,\"grounded, scripted stand-in\",Semantic (extractive),",
+        "own,openai (m),Semantic,",
+        "other,openai (n),Semantic (by m),",
+    ] {
+        assert!(page.contains(expected), "{expected}:\n{page}");
+    }
+    assert!(!page.contains("The documents of episodic"), "{page}");
+    let alike = [&logs[1], &logs[2]].map(RunLog::clone);
+    assert!(!plain(&document(&alike, &published())).contains("different authors"));
 }
 
 #[test]

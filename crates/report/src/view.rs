@@ -32,6 +32,11 @@ impl ScoredRun<'_> {
         self.scores.of(&condition)
     }
 
+    /// The name of a memory of the run, with the author of its documents if that is not the run's model.
+    pub(super) fn label(&self, memory: MemoryKind) -> String {
+        self.log.manifest.memory_label(memory)
+    }
+
     /// Whether one of the conditions was run.
     pub(super) fn has_any(&self, names: &[String]) -> bool {
         names.iter().any(|name| self.score(name).is_some())
@@ -91,7 +96,7 @@ impl ScoredRun<'_> {
                 cells: theirs(memory),
             });
             let rows = [ours].into_iter().chain(theirs).collect();
-            RowGroup { label: Some(title(memory)), rows }
+            RowGroup { label: Some(self.label(memory)), rows }
         };
         memories.iter().map(group).collect()
     }
@@ -105,24 +110,6 @@ pub(super) const THEIRS: &str = "published";
 /// The headings of the two label columns of paired rows.
 pub(super) fn pair_stubs() -> Vec<String> {
     vec!["Representation".to_owned(), "Source".to_owned()]
-}
-
-/// The name of a memory in tables: of a representation as in the paper's, of an external memory its own.
-pub(super) fn title(memory: MemoryKind) -> String {
-    let representation = match memory {
-        MemoryKind::External(name) => return name.to_string(),
-        MemoryKind::BuiltIn(representation) => representation,
-    };
-    let title = match representation {
-        Representation::Working => "Working memory",
-        Representation::FullContext => "Full-context",
-        Representation::Summary => "Summary",
-        Representation::Semantic => "Semantic",
-        Representation::Hybrid => "Hybrid",
-        Representation::Episodic => "Episodic",
-        Representation::Adaptive => "Adaptive",
-    };
-    title.to_owned()
 }
 
 /// The condition's name: `rest` is `start/route`, and working memory has no demonstrations.

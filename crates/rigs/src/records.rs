@@ -5,12 +5,12 @@
 use std::collections::BTreeMap;
 
 use case_book::{FailureKind, WorldFacts};
-use conditions::settings::{RunSettings, StreamSettings};
+use conditions::settings::{ModelSettings, RunSettings, StreamSettings};
 use conditions::{Condition, Demonstrations, Start, Variation};
 use domain::{Arm, FeedbackLevel, Outcome, Representation, StreamOrder};
 use run_log::{
-    Ending, EpisodeRecord, EpisodeTimings, ExternalMemoryFacts, FORMAT, Manifest, RecallTotals,
-    RequestRecord, RunLog, Stages, StreamRecord,
+    DocumentFacts, Ending, EpisodeRecord, EpisodeTimings, ExternalMemoryFacts, FORMAT, Manifest,
+    RecallTotals, RequestRecord, RunLog, Stages, StreamRecord,
 };
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -35,6 +35,38 @@ pub fn manifest() -> Manifest {
         unit: None,
         processes: BTreeMap::new(),
     }
+}
+
+/// The settings of a model called `name`, with every value at its default.
+pub fn model_settings(name: &str) -> ModelSettings {
+    made(json!({
+        "model": name,
+        "image-format": "png",
+        "image-budget": 50,
+        "answer-tokens": 30,
+        "max-connections": 16,
+        "max-retries": 5,
+        "request-timeout": 120,
+        "response-cache": "off",
+    }))
+}
+
+/// A document by a builder that asks no model, `extractive`.
+pub fn script_document() -> DocumentFacts {
+    made(json!({ "sha256": "00", "builder": "extractive", "bytes": 2_000, "words": 300 }))
+}
+
+/// A document that a run had the model `name` write in 5 requests with 1,000 tokens of prompts and 100 of answers.
+pub fn model_document(name: &str) -> DocumentFacts {
+    made(json!({
+        "sha256": "11",
+        "builder": "model",
+        "model": name,
+        "usage": { "requests": 5, "prompt_tokens": 1_000, "completion_tokens": 100 },
+        "built": true,
+        "bytes": 2_000,
+        "words": 300,
+    }))
 }
 
 /// What `json` says, where nothing is said as in a log of a run with defaults.

@@ -28,6 +28,7 @@ mod journal;
 mod known;
 pub mod latency;
 mod manifest;
+pub mod memory_label;
 mod merge;
 pub mod policy;
 mod read;
@@ -45,7 +46,7 @@ pub use files::{
 pub use folder::{LEARNED_FACTS, Opened, RunFolder};
 pub use journal::{DamagedLine, Journal, JournalContents, JournalTail, damaged_file, read_journal};
 pub use manifest::{
-    CASE_BOOK_HASH, DEMONSTRATIONS_HASH, Difference, DocumentFacts, ELSEWHERE_HASH,
+    CASE_BOOK_HASH, DEMONSTRATIONS_HASH, Difference, DocumentFacts, DocumentUsage, ELSEWHERE_HASH,
     ExternalMemoryFacts, FORMAT, Manifest, PROMPT_HASH, STREAMS_HASH, UnitId,
 };
 pub use merge::{

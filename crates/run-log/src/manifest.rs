@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use super::{LogError, system};
+use crate::usage::UsageTotals;
 use conditions::cost::ModelPrices;
 use conditions::settings::{Key, RunSettings};
 
@@ -95,8 +96,18 @@ pub struct UnitId {
 pub struct DocumentFacts {
     /// SHA-256 of its text, as hexadecimal digits.
     pub sha256: String,
-    /// The builder.
+    /// The builder: `extractive` or `model`.
     pub builder: String,
+    /// The model that wrote it, by the name under which it was asked; absent for other builders, and in the manifests of
+    /// earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<String>,
+    /// What it took of the model; absent as `model` is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub usage: Option<DocumentUsage>,
+    /// Whether the run had it built. Otherwise it was there before.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub built: bool,
     /// Hash of everything that it depends on; absent in the manifests of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub address: Option<String>,
@@ -104,6 +115,37 @@ pub struct DocumentFacts {
     pub bytes: u64,
     /// Words of its text.
     pub words: u64,
+}
+
+/// The requests to a model that a document took. What the server did not report is absent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DocumentUsage {
+    /// Answered requests.
+    pub requests: u64,
+    /// Tokens of all prompts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prompt_tokens: Option<u64>,
+    /// Tokens of all answers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub completion_tokens: Option<u64>,
+}
+
+impl DocumentUsage {
+    /// As totals. Those of a document whose tokens are unknown are in no sum.
+    pub fn totals(&self) -> UsageTotals {
+        let Self { requests, prompt_tokens, completion_tokens } = *self;
+        let tokens = prompt_tokens.zip(completion_tokens);
+        let (prompt_tokens, completion_tokens) = tokens.unwrap_or_default();
+        let unknown = if tokens.is_some() { 0 } else { requests };
+        UsageTotals {
+            requests,
+            attempts: requests,
+            unknown,
+            prompt_tokens,
+            completion_tokens,
+            ..UsageTotals::default()
+        }
+    }
 }
 
 /// An external memory, as it describes itself.
@@ -263,12 +305,24 @@ impl Manifest {
             ));
         }
         let mut documents = there.documents;
-        documents.extend(self.documents);
+        for (name, mut document) in self.documents {
+            // A session that builds nothing uses the copies of the one that did.
+            document.built |= documents.get(&name).is_some_and(|before| before.built);
+            documents.insert(name, document);
+        }
         let mut memories = there.memories;
         memories.extend(self.memories);
         let (processes, commit, prices) =
             (there.processes, there.commit, self.prices.or(there.prices));
         Self { processes, commit, prices, documents, memories, ..self }
+    }
+
+    /// What the documents took that the run has had its model write.
+    pub fn built_usage(&self) -> UsageTotals {
+        let mut sum = UsageTotals::default();
+        let built = self.documents.values().filter(|document| document.built);
+        built.filter_map(|document| document.usage).for_each(|usage| sum.merge(&usage.totals()));
+        sum
     }
 
     /// The name that the policy reported, for example a model's; `None` before it has.

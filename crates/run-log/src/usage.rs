@@ -50,6 +50,17 @@ impl UsageTotals {
         self.cached_tokens += u64::from(request.cached_tokens.unwrap_or(0));
     }
 
+    /// Adds the totals of other requests.
+    pub fn merge(&mut self, other: &Self) {
+        self.requests += other.requests;
+        self.attempts += other.attempts;
+        self.replayed += other.replayed;
+        self.unknown += other.unknown;
+        self.prompt_tokens += other.prompt_tokens;
+        self.cached_tokens += other.cached_tokens;
+        self.completion_tokens += other.completion_tokens;
+    }
+
     /// Attempts beyond the first of each request.
     pub const fn retries(&self) -> u64 {
         self.attempts.saturating_sub(self.requests)

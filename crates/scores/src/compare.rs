@@ -7,7 +7,7 @@ use domain::shell_word;
 
 use crate::comparison::{Comparison, compare};
 use crate::trial::Trials;
-use run_log::{Difference, LEARNED_FACTS, RunLog};
+use run_log::{Difference, LEARNED_FACTS, Manifest, RunLog};
 
 /// Why two configurations cannot be compared.
 #[derive(Debug, thiserror::Error)]
@@ -99,7 +99,22 @@ pub fn differing_settings(a: &RunLog, b: &RunLog) -> Vec<Difference> {
     let mut differences = b.manifest.differences(&a.manifest);
     differences.retain(|one| !["policy", "policy-cmd", "model"].contains(&one.key.as_str()));
     differences.extend(LEARNED_FACTS.into_iter().filter_map(|fact| learned_difference(a, b, fact)));
+    for other in author_differences(&a.manifest, &b.manifest) {
+        // Other authors write other texts.
+        differences.retain(|one| one.key != format!("document {}", other.key));
+        differences.push(Difference { key: format!("author of document {}", other.key), ..other });
+    }
     differences
+}
+
+/// The documents of two runs that have other authors, by name.
+fn author_differences(a: &Manifest, b: &Manifest) -> Vec<Difference> {
+    let both = a.documents.iter().filter_map(|(name, of_a)| {
+        let (there, here) = (a.document_author(of_a), b.document_author(b.documents.get(name)?));
+        let (key, differ) = (name.clone(), there != here);
+        differ.then(|| Difference { key, there: there.to_string(), here: here.to_string() })
+    });
+    both.collect()
 }
 
 /// What the policies of two runs learned differently of their servers, which refuse fields or ignore them.
@@ -132,7 +147,9 @@ fn can_be_paired(a: &RunLog, b: &RunLog) -> Result<(), CompareError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rigs::records::{log, record, stream_log, stream_record};
+    use rigs::records::{
+        log, model_document, model_settings, record, script_document, stream_log, stream_record,
+    };
 
     #[test]
     fn settings_that_differ_are_named_with_both_values() {
@@ -151,13 +168,9 @@ mod tests {
         max-steps: 200 and 60
         seed: 3 and 1
         ");
-        let model = serde_json::json!({
-            "model": "m", "image-format": "png", "image-budget": 50, "answer-tokens": 30, "max-connections": 1,
-            "max-retries": 0, "request-timeout": 1, "response-cache": "off",
-        });
         for log in [&mut a, &mut b] {
             log.manifest.settings = rigs::records::manifest().settings;
-            log.manifest.settings.model = serde_json::from_value(model.clone()).unwrap();
+            log.manifest.settings.model = Some(model_settings("m"));
         }
         let facts = [("fields".to_owned(), "the server refuses temperature".to_owned())];
         b.manifest.processes.insert("policy".to_owned(), facts.into());
@@ -166,6 +179,15 @@ mod tests {
             [&*of_server.key, &*of_server.there, &*of_server.here],
             ["fields", "as asked", "the server refuses temperature"]
         );
+        b.manifest.processes.clear();
+        let in_both = ["semantic/4", "summary/4"];
+        a.manifest.documents = in_both.map(|name| (name.to_owned(), script_document())).into();
+        b.manifest.documents = in_both.map(|name| (name.to_owned(), model_document("m"))).into();
+        let differing = differing_settings(&a, &b);
+        let shown = differing.iter().map(|one| format!("{}: {}, {}", one.key, one.there, one.here));
+        let expected =
+            in_both.map(|name| format!("author of document {name}: extractive, the model m"));
+        assert_eq!(shown.collect::<Vec<_>>(), expected);
         let compared = compare_runs(&a, &b).unwrap();
         assert_eq!((compared[0].sr.a, compared[0].sr.b, compared[0].sr.mean), (100.0, 0.0, 100.0));
         let streams = stream_log(vec![stream_record("a", true)], [2, 1, 2]);

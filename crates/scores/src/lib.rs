@@ -14,6 +14,7 @@
 //! | follow F, recovery C, change Delta, retention R | `blocked.rs` |
 //! | images, tokens, unreadable answers, retrievals from other tasks | `cost.rs` |
 //! | tokens, latency and cost of requests to a model | `requests.rs` |
+//! | what writing the documents took | `documents.rs` |
 //! | what memories supplied and what that took | `memory.rs` |
 //! | kinds of failure, the cases that fail most | `failure.rs`, `worst.rs` |
 //! | time of a step by stage, steps per second | `time.rs` |
@@ -32,6 +33,7 @@ mod comparison;
 mod condition;
 mod conflict;
 mod cost;
+mod documents;
 mod failure;
 mod growth;
 mod interval;
@@ -50,6 +52,7 @@ pub use blocked::{BlockedScore, Derived};
 pub use comparison::{Comparison, FigureDifference, compare};
 pub use condition::{Bounds, ConditionScore};
 pub use conflict::HISTORIES;
+pub use documents::DocumentScore;
 pub use failure::{Failures, failure_of};
 pub use growth::GrowthScore;
 pub use interval::Interval;
@@ -91,6 +94,9 @@ pub struct Scores {
     /// Requests to the model; absent when there were none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub requests: Option<RequestScore>,
+    /// What writing the documents took of models; absent when none has written any.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub documents: Vec<DocumentScore>,
     /// The conditions with demonstrations from before and after a passage has closed, over the cases whose original
     /// demonstration that invalidates; absent when there is no demonstration from after it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -138,6 +144,7 @@ pub fn score(log: &RunLog) -> Scores {
         errored: log.errors.len(),
         steps_per_s: time::steps_per_s(&log.timings),
         requests: RequestScore::of_run(log),
+        documents: DocumentScore::of_run(&log.manifest),
         streams,
     }
 }

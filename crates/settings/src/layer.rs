@@ -20,7 +20,7 @@ pub enum Origin {
     Default,
     /// The suite.
     Suite,
-    /// The policy, for which the setting makes no difference.
+    /// The policy, for which the setting makes no difference, or on which its default depends.
     Policy,
     /// A `MEMTRANSFER_*` variable.
     Environment,

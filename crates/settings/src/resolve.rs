@@ -118,6 +118,7 @@ pub fn check_values(settings: &RunSettings) -> Result<()> {
 pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved> {
     let mut merged = MergedLayers::of(layers);
     let policy = merged.choose_policy()?;
+    merged.set_default("documents", default_documents(policy).to_string());
     merged.choose_world()?;
     if !merged.values.contains_key("out") {
         let out = format!("runs/{}", merged.folder_name(policy)?);
@@ -159,6 +160,13 @@ impl MergedLayers {
     fn set(&mut self, key: &str, value: impl Into<Value>, origin: Origin) {
         self.values.insert(key.to_owned(), value.into());
         self.origins.insert(key.to_owned(), origin);
+    }
+
+    /// Gives `key` the value that it has with the run's policy where nothing sets it.
+    fn set_default(&mut self, key: &str, value: impl Into<Value>) {
+        if !self.origins.contains_key(key) {
+            self.set(key, value, Origin::Policy);
+        }
     }
 
     fn remove(&mut self, key: &str) -> Option<(Value, Origin)> {
@@ -341,6 +349,18 @@ fn complete(
     origins
 }
 
+/// The documents of a run with this policy where nothing sets them: those of a model are by that model, as in the paper.
+fn default_documents(policy: PolicyKind) -> DocumentSource {
+    match policy {
+        PolicyKind::Openai => DocumentSource::Model(None),
+        PolicyKind::Grounded
+        | PolicyKind::Imitate
+        | PolicyKind::External
+        | PolicyKind::Random
+        | PolicyKind::Expert => DocumentSource::Extractive,
+    }
+}
+
 /// The keys that make no difference to a policy that ignores what it is given, each with the value that
 /// stands for all.
 fn irrelevant_to(policy: PolicyKind) -> Vec<(&'static str, Value)> {
@@ -469,7 +489,6 @@ fn check_own_world(settings: &RunSettings, flag: &str) -> Result<()> {
         ("labels", settings.labels == Drawn::Off),
         ("appearance-seed", settings.appearance_seed != 0),
         ("frames swapped", settings.frames == Frames::Swapped),
-        ("documents model", matches!(settings.documents, DocumentSource::Model(_))),
         ("warm-views", settings.warm_views),
         ("adapter", settings.adapter.is_some()),
         ("backend", settings.backend.is_some()),

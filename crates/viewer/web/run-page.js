@@ -9,7 +9,7 @@ memtransfer.runPage = (current) => {
   const filters = { page: "", run: runs.length > 1 ? number : "", memory: "", group: "", outcome: "", a: "", b: "", sort: "", tables: "", ...current };
   delete filters.key;
 
-  const memories = [...new Set(run.conditions.map((condition) => condition.memory))];
+  const memories = [...new Map(run.conditions.map(({ memory, label }) => [memory, label]))];
   const used = () => new Set(all.map((episode) => episode.condition));
 
   function shownConditions() {
@@ -102,11 +102,11 @@ memtransfer.runPage = (current) => {
     const shown = found.reduce((sum, row) => sum + row.shown.filter(matches).length, 0);
     const planned = run.planned > all.length ? `, of ${run.planned} planned` : "";
     count.textContent = `${shown} of ${all.length} episodes${planned}, ${found.length} ${found.length === 1 ? "case" : "cases"}.`;
-    const heading = ({ memory, rest, index }) => {
+    const heading = ({ label, rest, index }) => {
       const ofCondition = all.filter((episode) => episode.condition === index);
       const successes = ofCondition.filter((episode) => episode.outcome === 0).length;
       const pause = () => h("span", { class: "hidden" }, ", ");
-      return h("th", { scope: "col" }, h("span", { class: "memory" }, memory), pause(), h("span", { class: "rest" }, rest.split("/").join(" ")), pause(),
+      return h("th", { scope: "col" }, h("span", { class: "memory" }, label), pause(), h("span", { class: "rest" }, rest.split("/").join(" ")), pause(),
         h("span", { class: "rate" }, `${successes}/${ofCondition.length}`));
     };
     const cell = (row, { index }) => h("td", {}, row.shown.filter((episode) => episode.condition === index).map((episode) => {
@@ -175,7 +175,7 @@ memtransfer.runPage = (current) => {
   const conditionOptions = [["", "any"], ...run.conditions.map(({ name }) => [name, name])];
   const outcomes = [["", "all"], ["failure", "every failure"], ["success", "success"], ...run.failures.map(([name]) => [name, name])];
   const form = h("form", { class: "filters", "aria-label": "Filters", onsubmit: (event) => event.preventDefault() },
-    select("memory", "Memory", [["", "all"], ...memories.map((memory) => [memory, memory])]),
+    select("memory", "Memory", [["", "all"], ...memories]),
     select("group", "Tasks", [["", "all"], ...run.groups.map((group) => [group, group])]),
     select("outcome", "Outcome", outcomes),
     select("a", "Disagreement between", conditionOptions),

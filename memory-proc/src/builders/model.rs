@@ -5,11 +5,9 @@
 //! - A semantic document is built in three stages: notes are *extracted* from groups of demonstrations, *consolidated*
 //!   until one set is left, and *refined* to a document.
 //!
-//! Every reply is stored when it arrives, so an interrupted build continues where it was. The crate `llm` sends the
-//! requests.
+//! Every reply is stored when it arrives, so an interrupted build continues where it was. What is asked is in
+//! [`documents::asking`]; the crate `llm` sends the requests.
 
-mod narration;
-mod prompt;
 mod steps;
 
 use std::path::Path;
@@ -18,18 +16,19 @@ use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
 use case_book::{Demonstration, WorldDeclaration};
+use documents::asking::{
+    DocumentPrompt, Narration, PartSize, PromptPart, PromptStage, PromptTexts, narrations,
+};
 use documents::{BuildAccount, ModelRecipe, PROMPT_VERSION};
 use domain::DocumentKind;
-use llm::{ChatClient, ChatReply, ReplyContent};
+use llm::{
+    ChatClient, ChatMessage, ChatReply, ChatRequest, ChatRole, ContentPart, MessageContent,
+    ReplyContent,
+};
 
-pub use self::prompt::DocumentPrompt;
-
-use self::prompt::PromptStage;
 use self::steps::StepFolder;
-use super::{BuiltText, DocumentBuilder, Transcript};
-
-/// Minimum number of characters in a token. Coordinates and digits make short tokens.
-const CHARS_PER_TOKEN: usize = 2;
+use super::views::{DrawViews, DrawnView};
+use super::{BuiltText, DocumentBuilder};
 
 /// Maximum size of a document: a larger one leaves no room in a prompt beside its images.
 const MAX_DOCUMENT_BYTES: usize = 256 << 10;
@@ -38,15 +37,21 @@ const MAX_DOCUMENT_BYTES: usize = 256 << 10;
 const PROGRESS_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Sends prompts to a model. The second argument is called about once a second until the reply arrives.
-pub trait AskModel: FnMut(&DocumentPrompt, &mut dyn FnMut()) -> anyhow::Result<ChatReply> {}
+pub trait AskModel:
+    FnMut(&DocumentPrompt<DrawnView>, &mut dyn FnMut()) -> anyhow::Result<ChatReply>
+{
+}
 
-impl<F: FnMut(&DocumentPrompt, &mut dyn FnMut()) -> anyhow::Result<ChatReply>> AskModel for F {}
+impl<F> AskModel for F where
+    F: FnMut(&DocumentPrompt<DrawnView>, &mut dyn FnMut()) -> anyhow::Result<ChatReply>
+{
+}
 
 /// Sends prompts through a chat client.
 pub fn ask_through(client: ChatClient) -> impl AskModel {
-    move |prompt: &DocumentPrompt, waiting: &mut dyn FnMut()| {
+    move |prompt: &DocumentPrompt<DrawnView>, waiting: &mut dyn FnMut()| {
         let (sender, replies) = mpsc::channel();
-        client.submit(prompt.request(), 0, move |result| {
+        client.submit(request(prompt), 0, move |result| {
             // The build may have been given up.
             drop(sender.send(result));
         });
@@ -60,39 +65,63 @@ pub fn ask_through(client: ChatClient) -> impl AskModel {
     }
 }
 
-/// Builds documents by asking a model.
-#[derive(Debug)]
-pub struct ModelBuilder<A> {
-    ask: A,
-    recipe: ModelRecipe,
+/// The request that carries a prompt. Without views, its messages are plain text, as every server takes them.
+fn request(prompt: &DocumentPrompt<DrawnView>) -> ChatRequest {
+    let user = match &*prompt.user {
+        [PromptPart::Text(text)] => MessageContent::Text(text.clone()),
+        parts => MessageContent::Parts(parts.iter().map(content).collect()),
+    };
+    let messages = vec![
+        ChatMessage::text(ChatRole::System, &*prompt.system),
+        ChatMessage { role: ChatRole::User, content: user },
+    ];
+    ChatRequest { messages, max_tokens: prompt.max_tokens, choices: Vec::new() }
 }
 
-impl<A: AskModel> ModelBuilder<A> {
-    /// Creates a builder that follows `recipe` and sends its prompts with `ask`.
-    pub fn new(ask: A, recipe: ModelRecipe) -> Self {
-        Self { ask, recipe }
+fn content(part: &PromptPart<DrawnView>) -> ContentPart {
+    match part {
+        PromptPart::Text(text) => ContentPart::Text { text: text.clone() },
+        PromptPart::View(view) => ContentPart::ImageUrl { image_url: view.url.clone() },
     }
 }
 
-impl<A: AskModel> DocumentBuilder for ModelBuilder<A> {
+/// Builds documents by asking a model.
+#[derive(Debug)]
+pub struct ModelBuilder<A, V> {
+    ask: A,
+    views: V,
+    recipe: ModelRecipe,
+}
+
+impl<A: AskModel, V: DrawViews> ModelBuilder<A, V> {
+    /// Creates a builder that follows `recipe`, sends its prompts with `ask`, and shows what `views` draws.
+    pub fn new(ask: A, views: V, recipe: ModelRecipe) -> Self {
+        Self { ask, views, recipe }
+    }
+}
+
+impl<A: AskModel, V: DrawViews> DocumentBuilder for ModelBuilder<A, V> {
     fn build(
         &mut self,
         kind: DocumentKind,
-        transcripts: &[Transcript],
+        world: &WorldDeclaration,
+        demonstrations: &[&Demonstration],
         steps: &Path,
         progress: &mut dyn FnMut(usize, usize),
     ) -> anyhow::Result<BuiltText> {
-        let narrated: Vec<String> =
-            (1..).zip(transcripts).map(|(number, one)| narration::narrate(number, one)).collect();
+        let Self { ask, views, recipe } = self;
+        let narrated = narrations(world, demonstrations, recipe.views_each());
         let mut draft = Draft {
-            ask: &mut self.ask,
-            recipe: &self.recipe,
-            steps: StepFolder::open(steps, &self.recipe.model)?,
+            ask,
+            views,
+            texts: PromptTexts { world, recipe },
+            steps: StepFolder::open(steps, &recipe.model)?,
             models: Vec::new(),
             account: BuildAccount {
                 model: None,
                 prompt_version: Some(PROMPT_VERSION),
                 requests: Some(0),
+                images: Some(0),
                 cut_off: None,
                 prompt_tokens: Some(0),
                 completion_tokens: Some(0),
@@ -114,24 +143,13 @@ impl<A: AskModel> DocumentBuilder for ModelBuilder<A> {
         let model = (!draft.models.is_empty()).then(|| draft.models.join(", "));
         Ok(BuiltText { text: text + "\n", account: BuildAccount { model, ..draft.account } })
     }
-
-    fn build_of_any_world(
-        &mut self,
-        _: DocumentKind,
-        world: &WorldDeclaration,
-        _: &[&Demonstration],
-    ) -> anyhow::Result<BuiltText> {
-        bail!(
-            "the prompts of the builder `model` are about the warehouse, and the world is {}",
-            world.name
-        )
-    }
 }
 
 /// A document that is being written.
 struct Draft<'a> {
     ask: &'a mut dyn AskModel,
-    recipe: &'a ModelRecipe,
+    views: &'a mut dyn DrawViews,
+    texts: PromptTexts<'a>,
     steps: StepFolder,
     /// The models that have answered, each once.
     models: Vec<String>,
@@ -141,28 +159,28 @@ struct Draft<'a> {
 impl Draft<'_> {
     fn summary(
         &mut self,
-        narrated: &[String],
+        narrated: &[Narration],
         progress: &mut dyn FnMut(usize, usize),
     ) -> anyhow::Result<String> {
-        let mut summary = "(There is none yet.)".to_owned();
+        let mut summary = String::new();
         let mut done = 0;
         while done < narrated.len() {
             progress(done, narrated.len());
-            let room = self.room(PromptStage::Summary, &summary);
-            let next = fitting(&narrated[done..], room);
+            let room = self.texts.room(PromptStage::Summary, chars(&summary));
+            let next = room.fitting(narrated[done..].iter().map(Narration::size));
+            let PartSize { chars: length, .. } = narrated[done].size();
             ensure!(
                 next > 0,
-                "demonstration {} has {} characters, and beside a summary of {} there is room for {room} of the {} in \
-                 a prompt: raise --context-chars or lower --max-tokens",
+                "demonstration {} has {length} characters, and beside a summary of {} there is room for {} of the {} in a \
+                 prompt: raise --context-chars or lower --max-tokens",
                 done + 1,
-                chars(&narrated[done]),
                 chars(&summary),
-                self.recipe.context_chars
+                room.chars,
+                self.texts.recipe.context_chars
             );
-            let demonstrations = narrated[done..done + next].join("\n");
-            let values = [("so_far", &*summary), ("demonstrations", &demonstrations)];
-            summary =
-                self.ask(PromptStage::Summary, &values, &mut || progress(done, narrated.len()))?;
+            let prompt = self.texts.summary(&summary, &narrated[done..done + next]);
+            let waiting = &mut || progress(done, narrated.len());
+            summary = self.ask(PromptStage::Summary, &prompt, waiting)?;
             done += next;
         }
         progress(done, narrated.len());
@@ -172,41 +190,37 @@ impl Draft<'_> {
 
     fn semantic(
         &mut self,
-        narrated: &[String],
+        narrated: &[Narration],
         progress: &mut dyn FnMut(usize, usize),
     ) -> anyhow::Result<String> {
         // Consolidation and refinement count as one part each.
         let parts = narrated.len() + 2;
         let mut notes = Vec::new();
         let mut done = 0;
-        for demonstrations in self.groups(PromptStage::Extract, narrated)? {
+        for group in self.groups(PromptStage::Extract, narrated, Narration::size)? {
             progress(done, parts);
-            let joined = demonstrations.join("\n");
-            let values = [("demonstrations", &*joined)];
-            notes.push(self.ask(PromptStage::Extract, &values, &mut || progress(done, parts))?);
-            done += demonstrations.len();
+            let prompt = self.texts.extract(group);
+            let waiting = &mut || progress(done, parts);
+            notes.push(self.ask(PromptStage::Extract, &prompt, waiting)?);
+            done += group.len();
         }
         ensure!(!notes.is_empty(), "there are no demonstrations to learn from");
         progress(parts - 2, parts);
         loop {
-            let groups = self.groups(PromptStage::Consolidate, &notes)?;
+            let of_notes = |text: &String| PartSize { chars: chars(text), images: 0 };
+            let groups = self.groups(PromptStage::Consolidate, &notes, of_notes)?;
             ensure!(
                 groups.len() == 1 || groups.len() < notes.len(),
                 "no two of {} sets of notes fit into a prompt of {} characters: raise --context-chars or lower \
                  --max-tokens",
                 notes.len(),
-                self.recipe.context_chars
+                self.texts.recipe.context_chars
             );
             let mut fewer = Vec::new();
             for group in groups {
-                let joined = (1..)
-                    .zip(group)
-                    .map(|(number, notes): (u32, _)| format!("## Notes {number}\n{notes}\n"))
-                    .collect::<Vec<_>>()
-                    .join("\n");
-                let values = [("notes", &*joined)];
+                let prompt = self.texts.consolidate(group);
                 let waiting = &mut || progress(parts - 2, parts);
-                fewer.push(self.ask(PromptStage::Consolidate, &values, waiting)?);
+                fewer.push(self.ask(PromptStage::Consolidate, &prompt, waiting)?);
             }
             notes = fewer;
             if notes.len() == 1 {
@@ -215,29 +229,31 @@ impl Draft<'_> {
         }
         progress(parts - 1, parts);
         let waiting = &mut || progress(parts - 1, parts);
-        let document = self.ask(PromptStage::Refine, &[("notes", &notes[0])], waiting)?;
+        let document = self.ask(PromptStage::Refine, &self.texts.refine(&notes[0]), waiting)?;
         progress(parts, parts);
         Ok(document)
     }
 
-    /// Splits `texts` into consecutive groups that fit into a prompt of `stage`.
-    fn groups<'t>(
+    /// Splits `parts` into consecutive groups that fit into a prompt of `stage`.
+    fn groups<'t, T>(
         &self,
         stage: PromptStage,
-        texts: &'t [String],
-    ) -> anyhow::Result<Vec<&'t [String]>> {
-        let room = self.room(stage, "");
+        parts: &'t [T],
+        size: impl Fn(&T) -> PartSize,
+    ) -> anyhow::Result<Vec<&'t [T]>> {
+        let room = self.texts.room(stage, 0);
         let mut groups = Vec::new();
-        let mut rest = texts;
+        let mut rest = parts;
         while !rest.is_empty() {
-            let count = fitting(rest, room);
+            let count = room.fitting(rest.iter().map(&size));
             ensure!(
                 count > 0,
-                "a text of {} characters for the stage `{}` does not fit: a prompt of {} has room for {room}; raise \
+                "a text of {} characters for the stage `{}` does not fit: a prompt of {} has room for {}; raise \
                  --context-chars",
-                chars(&rest[0]),
+                size(&rest[0]).chars,
                 stage.name(),
-                self.recipe.context_chars
+                self.texts.recipe.context_chars,
+                room.chars
             );
             let (group, after) = rest.split_at(count);
             groups.push(group);
@@ -246,34 +262,19 @@ impl Draft<'_> {
         Ok(groups)
     }
 
-    /// Characters that fit into a prompt of `stage` beside its own words and `other`.
-    fn room(&self, stage: PromptStage, other: &str) -> usize {
-        let own = self.prompt(stage, &[]).chars();
-        self.recipe.context_chars.saturating_sub(own + chars(other))
-    }
-
-    fn prompt(&self, stage: PromptStage, values: &[(&str, &str)]) -> DocumentPrompt {
-        let max_tokens = self.recipe.max_tokens;
-        let limit = (max_tokens as usize * CHARS_PER_TOKEN).to_string();
-        let values: Vec<_> = values.iter().copied().chain([("limit", &*limit)]).collect();
-        stage.prompt(max_tokens, &values)
-    }
-
     /// The model's answer at a stage, without a fence around it; never empty.
     fn ask(
         &mut self,
         stage: PromptStage,
-        values: &[(&str, &str)],
+        prompt: &DocumentPrompt<u32>,
         waiting: &mut dyn FnMut(),
     ) -> anyhow::Result<String> {
-        let prompt = self.prompt(stage, values);
-        let ask = &mut *self.ask;
         let failed = || format!("the stage `{}` of the document failed", stage.name());
-        let reply = self
-            .steps
-            .next(stage, &prompt, usable, || ask(&prompt, waiting))
-            .with_context(failed)?;
-        count(&mut self.account, &reply);
+        let prompt = prompt.try_map(|view| self.views.draw(*view)).with_context(failed)?;
+        let ask = &mut *self.ask;
+        let asked = || ask(&prompt, waiting);
+        let reply = self.steps.next(stage, &prompt, usable, asked).with_context(failed)?;
+        count(&mut self.account, &prompt, &reply);
         let known = |model: &&String| self.models.contains(model);
         self.models.extend(reply.model.as_ref().filter(|model| !known(model)).cloned());
         text_of(&reply).map(str::to_owned).with_context(failed)
@@ -317,17 +318,6 @@ fn text_of(reply: &ChatReply) -> Option<&str> {
     Some(text.trim()).filter(|text| !text.is_empty())
 }
 
-/// The number of leading `texts` that fit into `room` characters, each on lines of its own.
-fn fitting(texts: &[String], room: usize) -> usize {
-    let mut used = 0;
-    let fits = |text: &&String| {
-        // Texts are joined by a line break, and notes have a heading.
-        used += chars(text) + "## Notes 1234\n\n\n".len();
-        used <= room
-    };
-    texts.iter().take_while(fits).count()
-}
-
 fn chars(text: &str) -> usize {
     text.chars().count()
 }
@@ -337,9 +327,10 @@ fn add(sum: &mut Option<u64>, part: Option<u64>) {
     *sum = sum.zip(part).and_then(|(sum, part)| sum.checked_add(part));
 }
 
-/// Counts a reply.
-fn count(account: &mut BuildAccount, reply: &ChatReply) {
+/// Counts a prompt and its reply.
+fn count(account: &mut BuildAccount, prompt: &DocumentPrompt<DrawnView>, reply: &ChatReply) {
     add(&mut account.requests, Some(1));
+    add(&mut account.images, Some(prompt.views().count() as u64));
     add(&mut account.prompt_tokens, reply.prompt_tokens);
     add(&mut account.completion_tokens, reply.completion_tokens);
 }

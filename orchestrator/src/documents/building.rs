@@ -20,6 +20,9 @@ use supervise::Launch;
 use super::{BuildStage, DocumentRequest};
 use crate::scratch::ScratchFolder;
 
+/// The ids of the cases of another world, for the process.
+const CASE_IDS_FILE: &str = "case-ids.json";
+
 /// How often signals are looked for.
 const TICK: Duration = Duration::from_millis(50);
 
@@ -89,11 +92,8 @@ pub(super) fn build(
 fn stage_of(line: &str) -> Option<BuildStage> {
     let mut words = line.split(' ');
     let (stage, done, total) = (words.next()?, words.next()?.parse(), words.next()?.parse());
-    match stage {
-        "views" => Some(BuildStage::Views(done.ok()?, total.ok()?)),
-        "parts" => Some(BuildStage::Writing(done.ok()?, total.ok()?)),
-        _ => None,
-    }
+    let writing = BuildStage::Writing(done.ok()?, total.ok()?);
+    (stage == "parts").then_some(writing)
 }
 
 /// The process, with its files in the folder `files`.
@@ -109,14 +109,18 @@ fn launch(
         fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
         Ok::<_, anyhow::Error>(path.display().to_string())
     };
-    let DocumentRequest { sources, assets, elsewhere, .. } = request;
+    let DocumentRequest { sources, assets, elsewhere, own_world, .. } = request;
     let book = BookFile::new(sources.book())?;
     let elsewhere = elsewhere.as_ref().map(|text| write(ELSEWHERE_FILE, text)).transpose()?;
+    let case_ids = own_world.as_ref().map(|world| serde_json::to_string(&world.case_ids));
+    let case_ids = case_ids.transpose()?.map(|ids| write(CASE_IDS_FILE, &ids)).transpose()?;
     let names: Vec<String> = names.iter().map(DocumentName::to_string).collect();
     let flags = [
         ("--demonstrations", Some(write(DEMONSTRATIONS_FILE, &book.text)?)),
         ("--assets", assets.as_ref().map(|path| path.display().to_string())),
         ("--elsewhere", elsewhere),
+        ("--case-ids", case_ids),
+        ("--world-cmd", own_world.as_ref().and_then(|world| world.command.clone())),
         ("--frame-size", Some(sources.frame_size().to_string())),
         ("--documents", Some(folder.display().to_string())),
         ("--wanted", Some(names.join(","))),

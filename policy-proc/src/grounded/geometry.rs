@@ -46,25 +46,6 @@ pub(super) fn relocated(pose: Pose, from: Pose, to: Pose) -> Option<Pose> {
     Some(Pose { cell, heading: to.heading.turned(from.heading.quarters_to(pose.heading)) })
 }
 
-/// The path from `start` that moves in `directions`, always facing ahead. The last step has no action.
-pub(super) fn path_along(
-    start: Pose,
-    directions: impl IntoIterator<Item = Heading>,
-) -> Vec<PathStep> {
-    let (mut pose, mut path) = (start, Vec::new());
-    for direction in directions {
-        if let Some(turn) = turn_towards(pose.heading, direction) {
-            path.push(PathStep { pose, action: Some(turn) });
-            pose.heading = direction;
-        }
-        let Some(cell) = pose.cell.step(direction) else { break };
-        path.push(PathStep { pose, action: Some(Action::Forward) });
-        pose.cell = cell;
-    }
-    path.push(PathStep { pose, action: None });
-    path
-}
-
 /// The cells in order, each once.
 pub(super) fn sorted(cells: impl Iterator<Item = Cell>) -> Vec<Cell> {
     let mut cells: Vec<Cell> = cells.collect();

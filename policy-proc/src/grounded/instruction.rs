@@ -61,6 +61,20 @@ impl<'a> NavigationGoal<'a> {
         };
         Some(Self { visit, targets, ending })
     }
+
+    /// The kinds of items of which one completes sub-goal `number` of `total`, counted from 1: one kind, several where the
+    /// order is free, none at the return to the start.
+    pub(super) fn completed_at(&self, number: usize, total: usize) -> &[ItemName<'a>] {
+        let kinds = match (self.visit, self.ending) {
+            (_, FinalCell::Origin) if number == total => 0..0,
+            (VisitOrder::One | VisitOrder::Every | VisitOrder::AnyOrder, _) => {
+                0..self.targets.len()
+            }
+            (VisitOrder::InOrder, FinalCell::FirstItem) if number == total => 0..1,
+            (VisitOrder::InOrder, _) => number.saturating_sub(1)..number,
+        };
+        self.targets.get(kinds).unwrap_or_default()
+    }
 }
 
 #[cfg(test)]

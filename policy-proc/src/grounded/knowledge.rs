@@ -52,8 +52,6 @@ pub(super) struct Knowledge {
     pub(super) standpoints: Vec<Vec<Cell>>,
     /// Demonstrated paths: of several, those that reach the most targets.
     pub(super) demonstrations: Vec<Tour>,
-    /// Cells at the ends of the regions in which the targets were seen, sorted.
-    pub(super) outlooks: Vec<Cell>,
     floor: Vec<Cell>,
     racks: Vec<Cell>,
 }
@@ -85,15 +83,7 @@ impl Knowledge {
         let floor = floor.chain(landmarks.iter().map(|landmark| landmark.standpoint));
         let walked = paths.iter().flatten().map(|step| step.pose.cell);
         let floor = sorted(floor.chain(walked).chain(goals.iter().copied()));
-        let regions = documents
-            .iter()
-            .flat_map(|document| targets.iter().flat_map(|&target| document.regions(target)));
-        let outlooks = regions.flat_map(|region| {
-            let cells = || region.cells().filter(|cell| floor.binary_search(cell).is_ok());
-            cells().min().into_iter().chain(cells().max())
-        });
         Self {
-            outlooks: sorted(outlooks),
             demonstrations: paths.into_iter().map(|path| Tour::along(path, &goals)).collect(),
             racks: sorted(landmarks.iter().filter_map(rack_of)),
             floor,

@@ -23,9 +23,6 @@ const PATIENCE: usize = 40;
 /// began.
 const RESTLESS_STEPS: u32 = 24;
 
-/// Steps for which one of the regions that targets were seen in is searched, before the next.
-const SEARCH_STEPS: u32 = 30;
-
 /// The action for `request`.
 pub(super) fn next_action(
     request: &Request<'_>,
@@ -60,7 +57,6 @@ impl RoutePlanner<'_> {
             .or_else(|| in_order(&|tour| self.join(std::iter::once(tour), FARTHEST_SEGMENT)))
             .or_else(|| self.join(self.demonstrations(), u32::MAX))
             .or_else(|| self.approach_target())
-            .or_else(|| self.approach_outlook())
             .unwrap_or_else(|| self.explore())
     }
 
@@ -102,13 +98,6 @@ impl RoutePlanner<'_> {
             return None;
         }
         self.wanted(goal).into_iter().find_map(|cells| self.approach(&cells))
-    }
-
-    /// A step towards a region in which the targets were seen: each of them in turn.
-    fn approach_outlook(&self) -> Option<Action> {
-        let outlooks = &self.beliefs.knowledge.outlooks;
-        let turn = (self.request.step / SEARCH_STEPS) as usize;
-        self.approach(&[*outlooks.get(turn.checked_rem(outlooks.len())?)?])
     }
 
     /// A step towards the nearest of `cells`; `None` on one of them.

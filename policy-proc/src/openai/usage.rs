@@ -6,9 +6,9 @@
 //! fit belongs to one episode, so the estimate depends neither on other lanes nor on the order of replies. Where the server
 //! reports image tokens, those are used.
 
-use domain::DocumentKind;
+use domain::{DocumentKind, tokens};
 use peer::Request;
-use prompt::{Prompt, PromptSection, tokens};
+use prompt::{Prompt, PromptSection};
 
 use super::reuse::EarlierPrompt;
 

@@ -33,9 +33,9 @@ fn documents_of_the_corridor_are_written_in_its_words() {
     let summary = document(&bench, "out", "summary-original.json");
     let semantic = document(&bench, "out", "semantic-original.json");
     let visited = "\n## \"Walk to cell 7, then to cell 6.\"\n- start: You are in cell 2.\n- walk east 5\n\
-                   - sub-goal 1 of 2: You are in cell 7.\n- walk west\n- end: You are in cell 6.\n";
+                   - sub-goal 1 of 2: You are in cell 7.\n- walk west\n- sub-goal 2 of 2: You are in cell 6.\n";
     assert!(summary.contains(visited), "{summary}");
-    assert!(semantic.contains("- walk west, taken 2 times: cell 2 times\n"), "{semantic}");
+    assert!(semantic.contains("- walk west, 2 of 24 actions: cell 100 %\n"), "{semantic}");
     // A request under hybrid memory has both, and no images of memory.
     let bytes = (summary.len() + semantic.len()).to_string();
     let supplied = ["Hybrid", "2.00", "0.00", &bytes];

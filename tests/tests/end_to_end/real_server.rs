@@ -20,7 +20,7 @@ const CONTEXT: u32 = 4096;
 const FRAME_SIZE: &str = "64";
 
 /// Writes the shipped assets, reduced to two short cases, to `folder`: documents are built from all cases.
-fn two_cases(folder: &Path) {
+pub(crate) fn two_cases(folder: &Path) {
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets");
     fs::create_dir(folder).unwrap();
     for file in ["layout.toml", "catalogue.toml", "models.toml", "published.toml"] {
@@ -42,7 +42,7 @@ fn two_cases(folder: &Path) {
 fn build<'a>(base_url: &'a str, kind: &'a str) -> Vec<&'a str> {
     let mut args = vec!["memory", "build", "--builder", "model", "--model", MODEL];
     args.extend(["--base-url", base_url, "--max-tokens", "24", "--kind", kind]);
-    args.extend(["--demos", "original"]);
+    args.extend(["--demos", "original", "--views", "0"]);
     args.extend(["--assets", "assets", "--frame-size", FRAME_SIZE]);
     args.extend(["--out", "documents", "--quiet"]);
     args

@@ -12,9 +12,10 @@ use domain::names::{UnknownName, serde_as_text};
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum DocumentSource {
-    /// The deterministic builder that needs no model.
+    /// The script: deterministic, and needs no model.
     Extractive,
-    /// Documents that a model has written: the one named, or any.
+    /// A model. With a name, documents that this one has written before. Without, the run's own model, which writes those
+    /// that are missing; in a run without a model, documents that any has written before.
     Model(Option<String>),
     /// A folder that holds them.
     Folder(PathBuf),

@@ -269,9 +269,10 @@ pub const KEYS: &[Key] = keys! {
     "hint" "LIST" List(parses::<Hint>), Group Selection = "on",
         "Whether the prompt says that the demonstration has the same starting pose, where it has: \
          on, off";
-    "documents" "BUILDER|DIR" Text(parses::<DocumentSource>), Run Outcome = "extractive",
-        "Documents of summary, semantic and hybrid memory: from the builder extractive or model, or \
-         from the folder DIR";
+    "documents" "BUILDER|DIR" Text(parses::<DocumentSource>), Run Outcome,
+        "Documents of summary, semantic and hybrid memory: extractive (written by a script), model (by the run's own \
+         model, or by any that has written them before), model:NAME (by that one before), or those in the folder DIR \
+         [default: model with --policy openai, otherwise extractive]";
     "frame-size" "PIXELS" Number(64, 4096, 64), Run Protocol = "448",
         "Width and height of a frame, a multiple of 64";
     "frames" "KIND" Text(parses::<Frames>), Run Protocol = "rendered",

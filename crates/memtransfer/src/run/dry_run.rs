@@ -10,6 +10,7 @@ use orchestrator::run_plan::RunPlan;
 use report::table;
 use run_log::{EpisodeRecord, LogError, RunLog};
 
+use crate::document_estimate::document_table;
 use crate::estimate::{Basis, RunEstimate};
 
 /// What would run: conditions, episodes, requests, and the estimated cost of a model.
@@ -21,7 +22,7 @@ pub(super) fn describe(plan: &RunPlan, fresh: bool) -> Result<String> {
         let key = episode.key.to_string();
         done.binary_search_by(|record| record.key.cmp(&key)).is_ok()
     };
-    let sizes = if settings.model.is_some() { documents.sizes() } else { BTreeMap::new() };
+    let sizes = if settings.model.is_some() { documents.largest_sizes() } else { BTreeMap::new() };
     let basis = settings.model.as_ref().map(|model| Basis {
         settings,
         model,
@@ -70,8 +71,16 @@ pub(super) fn describe(plan: &RunPlan, fresh: bool) -> Result<String> {
         most_requests(missing),
         about_documents(&documents),
     );
+    let of_documents = documents.estimates();
+    if !of_documents.is_empty() {
+        let table = document_table(&of_documents, prices.as_ref());
+        text += &format!("\n\nThe model would write first, whatever the episodes take:\n{table}");
+    }
     if !estimates.is_empty() {
         text += &cost_table(&estimates, prices.as_ref());
+        if !of_documents.is_empty() {
+            text += "\nA document that is not written yet counts with the most tokens that an answer may have.";
+        }
     }
     Ok(text)
 }

@@ -5,9 +5,7 @@ use domain::MemoryKind;
 use scores::{BlockedScore, Derived};
 
 use crate::document::{Missing, RowGroup, Table, TableCell, TableColumn, TableRow};
-use crate::view::{
-    ScoredRun, name, pair_stubs, published_text, signed, sure_or, title, with_interval,
-};
+use crate::view::{ScoredRun, name, pair_stubs, published_text, signed, sure_or, with_interval};
 
 const NEEDS_BOTH: Missing = Missing::NotMeasured(
     "needs the unchanged and the blocked route, for change also those of working memory",
@@ -79,7 +77,7 @@ fn rows(view: &ScoredRun<'_>, is_shown: impl Fn(&Condition) -> bool) -> Option<T
         TableRow::new(label, cells(view, &condition.to_string()))
     };
     let groups = shown.chunk_by(|a, b| a.memory == b.memory).map(|conditions| RowGroup {
-        label: conditions.first().map(|condition| title(condition.memory)),
+        label: conditions.first().map(|condition| view.label(condition.memory)),
         rows: conditions.iter().map(row).collect(),
     });
     let table = Table {

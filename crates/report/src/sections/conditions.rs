@@ -5,7 +5,7 @@ use scores::ConditionScore;
 
 use super::main_table::{NO_REQUESTS, NO_TOKENS};
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
-use crate::view::{ScoredRun, interval_text, plain_or, spread_text, title};
+use crate::view::{ScoredRun, interval_text, plain_or, spread_text};
 
 const NO_RETRIEVAL: Missing = Missing::NotApplicable("nothing is retrieved under this condition");
 const ONE_CASE: Missing = Missing::NotMeasured("one case says nothing about others");
@@ -34,7 +34,7 @@ pub(crate) fn conditions_table(view: &ScoredRun<'_>) -> Table {
     let scores = &view.scores.conditions;
     let groups = scores.chunk_by(|a, b| a.condition.memory == b.condition.memory);
     let group = |scores: &[ConditionScore]| RowGroup {
-        label: scores.first().map(|score| title(score.condition.memory)),
+        label: scores.first().map(|score| view.label(score.condition.memory)),
         rows: scores.iter().map(row).collect(),
     };
     Table {

@@ -10,7 +10,7 @@ use super::blocked::NONE_TRIED;
 use super::missing::NOTHING_RETRIEVED;
 use super::mixed::NO_RETRIEVAL;
 use crate::document::{Missing, RowGroup, Table, TableCell, TableColumn, TableRow};
-use crate::view::{ScoredRun, sure, sure_or, title};
+use crate::view::{ScoredRun, sure, sure_or};
 
 /// Success on both routes and use of outdated demonstrations from the new start, the only one with blocked routes, by memory,
 /// variation and demonstrations; `None` where there is no demonstration from after the event.
@@ -52,7 +52,7 @@ pub(crate) fn conflict_table(view: &ScoredRun<'_>) -> Option<Table> {
     let groups = both.into_iter().map(|(memory, variation)| {
         let sets = [Demonstrations::NONE].into_iter().chain(HISTORIES);
         RowGroup {
-            label: Some(title(memory) + &variation.to_string().replace('/', ", ")),
+            label: Some(view.label(memory) + &variation.to_string().replace('/', ", ")),
             rows: sets.filter_map(|set| row(memory, variation, set)).collect(),
         }
     });

@@ -6,7 +6,7 @@ use scores::RequestScore;
 
 use super::main_table::{NO_REQUESTS, mega};
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
-use crate::view::{ScoredRun, name, pair_stubs, plain_or, title};
+use crate::view::{ScoredRun, name, pair_stubs, plain_or};
 
 const SETTINGS: [(&str, &str, &str); 2] = [
     ("New start, 1 demo", "new/unchanged", "original"),
@@ -105,7 +105,7 @@ pub(crate) fn requests_table(view: &ScoredRun<'_>) -> Option<Table> {
     let row = |(label, figure): (String, Figure)| {
         TableRow::new(label, scores.iter().map(|score| figure(score)).collect())
     };
-    let columns = by_memory.iter().map(|(memory, _)| title(*memory)).chain(["All".to_owned()]);
+    let columns = by_memory.iter().map(|(memory, _)| view.label(*memory)).chain(["All".to_owned()]);
     Some(Table {
         id: view.id("requests"),
         caption: "Requests to the model over all conditions of a memory, including those of episodes that were \

@@ -4,7 +4,7 @@ use domain::{MemoryKind, Representation};
 
 use crate::document::{ReportBlock, RowGroup, Table, TableRow};
 use crate::sections::main_table::{rate_figure, rate_rows};
-use crate::view::{OURS, ScoredRun, THEIRS, name, our_rates, rate_columns, their_rates, title};
+use crate::view::{OURS, ScoredRun, THEIRS, name, our_rates, rate_columns, their_rates};
 
 const ORIGINAL: &str = "original/unchanged";
 
@@ -42,7 +42,7 @@ fn choices(view: &ScoredRun<'_>) -> Vec<(String, Vec<(String, String)>)> {
         let standard = name(memory, ORIGINAL, "original");
         let named =
             |(choice, part): &(&str, &str)| ((*choice).to_owned(), format!("{standard}{part}"));
-        (title(memory), choices.iter().map(named).collect())
+        (view.label(memory), choices.iter().map(named).collect())
     };
     let hint = [("hint on (standard)", ""), ("hint off", "/no-hint")];
     let mut choices = vec![

@@ -4,7 +4,7 @@ use domain::{MemoryKind, Representation};
 
 use crate::document::{ReportBlock, ReportSection, RowGroup, Table};
 use crate::sections::pairs::{columns, row};
-use crate::view::{ScoredRun, name, title};
+use crate::view::{ScoredRun, name};
 
 const SETTING: &str = "new/unchanged";
 const ELSEWHERE: &str = "elsewhere";
@@ -28,7 +28,7 @@ pub(super) fn section(view: &ScoredRun<'_>) -> Option<ReportSection> {
             let label = "elsewhere − working memory";
             rows.extend(has_run(&nothing).then(|| row(view, label, &elsewhere, &nothing)));
         }
-        RowGroup { label: Some(title(memory)), rows }
+        RowGroup { label: Some(view.label(memory)), rows }
     };
     let memories = view.memories();
     let groups = memories.iter().map(group).filter(|group| !group.rows.is_empty());

@@ -8,7 +8,7 @@ use scores::{ConditionScore, worst_cases};
 use crate::document::{ReportBlock, Table};
 use crate::plot::{Stack, StackRow, stack};
 use crate::sections::conditions::setting;
-use crate::view::{ScoredRun, title};
+use crate::view::ScoredRun;
 
 /// Cases in the table of the worst.
 const WORST: usize = 10;
@@ -23,7 +23,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let terms = present.map(|kind| (kind.name.clone(), kind.words.clone()));
     let mut blocks = vec![ReportBlock::Text(text.to_owned()), ReportBlock::Terms(terms.collect())];
     let bars = view.scores.conditions.iter().map(|score| StackRow {
-        label: format!("{}: {}", title(score.condition.memory), setting(&score.condition)),
+        label: format!("{}: {}", view.label(score.condition.memory), setting(&score.condition)),
         lengths: Some(shares(score)),
     });
     blocks.push(ReportBlock::Figure(stack(&Stack {
@@ -68,7 +68,7 @@ pub(crate) fn failures_table(view: &ScoredRun<'_>) -> Option<Table> {
         return None;
     }
     rows.push(row("all", None));
-    let titles: Vec<String> = memories.iter().map(|memory| title(*memory)).collect();
+    let titles: Vec<String> = memories.iter().map(|memory| view.label(*memory)).collect();
     let columns: Vec<&str> = titles.iter().map(String::as_str).chain(["All"]).collect();
     Some(Table::of_text(
         view.id("failures"),

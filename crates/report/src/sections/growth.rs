@@ -7,7 +7,7 @@ use super::missing::{NO_RECALL, NO_STORE, NOTHING_RETRIEVED};
 use super::mixed::NO_RETRIEVAL;
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::plot::{Curve, Curves, curves};
-use crate::view::{ScoredRun, plain_or, sure, title};
+use crate::view::{ScoredRun, plain_or, sure};
 
 const NO_TYPE: Missing =
     Missing::NotMeasured("the log does not tell the type of every source's task");
@@ -17,7 +17,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let rows = groups.iter().flat_map(|scores| {
         let labelled: Vec<(String, String)> =
             scores.iter().map(|one| (label(one), one.score.condition.to_string())).collect();
-        rate_rows(view, &heading(scores), &labelled)
+        rate_rows(view, &heading(view, scores), &labelled)
     });
     let success = rate_figure(
         view.id("growth-figure"),
@@ -28,7 +28,11 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         let of = |scores: &&[GrowthScore]| {
             let points = scores.iter().filter_map(|one| Some((f64::from(one.size), value(one)?)));
             let points: Vec<(f64, f64)> = points.filter(|point| point.0 > 0.0).collect();
-            (points.len() > 1).then(|| Curve { name: heading(scores), is_bound: false, points })
+            (points.len() > 1).then(|| Curve {
+                name: heading(view, scores),
+                is_bound: false,
+                points,
+            })
         };
         let shown: Vec<Curve> = groups.iter().filter_map(of).collect();
         (!shown.is_empty()).then(|| {
@@ -53,19 +57,19 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
 
 /// The scores, by memory, start, route and variation.
 fn by_memory<'a>(view: &'a ScoredRun<'_>) -> impl Iterator<Item = &'a [GrowthScore]> {
-    view.scores.growth.chunk_by(|a, b| heading_key(a) == heading_key(b))
+    view.scores.growth.chunk_by(|a, b| heading_key(view, a) == heading_key(view, b))
 }
 
-fn heading_key(one: &GrowthScore) -> String {
+fn heading_key(view: &ScoredRun<'_>, one: &GrowthScore) -> String {
     let condition = one.score.condition;
     let rest = format!("{} {}{}", condition.start, condition.route, condition.variation);
     let usual = "new unchanged";
     let rest = if rest == usual { String::new() } else { format!(", {rest}") };
-    title(condition.memory) + &rest
+    view.label(condition.memory) + &rest
 }
 
-fn heading(scores: &[GrowthScore]) -> String {
-    scores.first().map(heading_key).unwrap_or_default()
+fn heading(view: &ScoredRun<'_>, scores: &[GrowthScore]) -> String {
+    scores.first().map(|one| heading_key(view, one)).unwrap_or_default()
 }
 
 fn label(one: &GrowthScore) -> String {
@@ -95,7 +99,7 @@ pub(crate) fn growth_table(view: &ScoredRun<'_>) -> Option<Table> {
     };
     let groups: Vec<RowGroup> = by_memory(view)
         .map(|scores| RowGroup {
-            label: Some(heading(scores)),
+            label: Some(heading(view, scores)),
             rows: scores.iter().map(row).collect(),
         })
         .collect();

@@ -5,9 +5,7 @@ use scores::{ConditionScore, Interval};
 
 use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
 use crate::plot::{Dot, DotRow, dots};
-use crate::view::{
-    ScoredRun, name, our_rates, pair_stubs, plain_or, rate_columns, their_rates, title,
-};
+use crate::view::{ScoredRun, name, our_rates, pair_stubs, plain_or, rate_columns, their_rates};
 
 /// A heading, start and route, demonstrations.
 pub(super) type Setting = (&'static str, &'static str, &'static str);
@@ -88,7 +86,7 @@ pub(super) fn rates_by_memory<const N: usize>(
     let rows = |&memory: &MemoryKind| {
         let labels = settings.iter().map(|(heading, _, _)| (*heading).to_owned());
         let conditions: Vec<_> = labels.zip(names(memory, settings)).collect();
-        rate_rows(view, &title(memory), &conditions)
+        rate_rows(view, &view.label(memory), &conditions)
     };
     memories.iter().flat_map(rows).collect()
 }

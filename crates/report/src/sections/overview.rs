@@ -10,8 +10,9 @@ use run_log::usage::UsageTotals;
 use run_log::{EpisodeError, EpisodeRecord, ExternalMemoryFacts, Manifest};
 use scores::RequestScore;
 
+use super::documents;
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
-use crate::view::{ScoredRun, title};
+use crate::view::ScoredRun;
 
 /// What gets the missing episodes, as the rest of a sentence.
 pub(super) fn how_to_continue(view: &ScoredRun<'_>) -> &'static str {
@@ -39,6 +40,7 @@ pub(crate) fn notices(view: &ScoredRun<'_>) -> Vec<String> {
         ));
     }
     notices.extend(answers(view));
+    notices.extend(documents::accounts(view));
     for score in scores.conditions.iter().take(MOST_BOUNDS) {
         if let Some(bounds) = &score.bounds {
             notices.push(format!(
@@ -109,7 +111,8 @@ fn standing(manifest: &Manifest) -> Vec<String> {
 }
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
-    let mut blocks: Vec<ReportBlock> = notices(view).into_iter().map(ReportBlock::Notice).collect();
+    let notices = notices(view).into_iter().chain(documents::beside_the_paper(view));
+    let mut blocks: Vec<ReportBlock> = notices.map(ReportBlock::Notice).collect();
     let (settings, scores) = (&view.log.manifest.settings, &view.scores);
     let cases = scores.conditions.iter().map(|score| score.cases).max().unwrap_or(0);
     let runs = scores.conditions.iter().map(|score| score.runs).max().unwrap_or(0);
@@ -164,7 +167,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let memory = |representation: &Representation| {
         let RepresentationInfo { stores, supplies, .. } = representation.describe();
         let meaning = format!("stores {stores}; supplies {supplies}");
-        (title((*representation).into()), meaning)
+        (view.label((*representation).into()), meaning)
     };
     let external = view.log.manifest.memories.iter().map(|(name, facts)| {
         let ExternalMemoryFacts { version, command, scope, .. } = facts;

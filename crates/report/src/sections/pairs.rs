@@ -7,7 +7,7 @@ use scores::{Comparison, FigureDifference};
 
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::sections::conditions::setting;
-use crate::view::{ScoredRun, name, p_value, signed, title, with_interval};
+use crate::view::{ScoredRun, name, p_value, signed, with_interval};
 
 /// A condition without its memory: start and route, demonstrations.
 type Setting = (&'static str, &'static str);
@@ -40,7 +40,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
             let label = "memory − working memory (new start, 4 demos)";
             rows.push(row(view, label, &of(("new/unchanged", "4")), &baseline));
         }
-        RowGroup { label: Some(title(representation)), rows }
+        RowGroup { label: Some(view.label(representation)), rows }
     };
     let table = Table {
         id: view.id("pairs"),

@@ -8,11 +8,12 @@ use scores::{ConditionScore, Estimate, Spread, StreamScore};
 use serde_json::Value;
 
 use super::blocked::NONE_TRIED;
+use super::documents::other_authors;
 use super::main_table::{NO_REQUESTS, NO_TOKENS};
 use crate::document::{
     Missing, ReportBlock, ReportSection, RowGroup, Table, TableCell, TableColumn, TableRow,
 };
-use crate::view::{ScoredRun, plain_or, sure, sure_or, title, with_interval};
+use crate::view::{ScoredRun, plain_or, sure, sure_or, with_interval};
 
 const NO_SEQUENCE: Missing = Missing::Undefined("no sequence of streams defines it");
 
@@ -53,6 +54,7 @@ pub(crate) fn ranking(views: &[ScoredRun<'_>]) -> ReportSection {
                 blocks.extend(differences((id, &protocol), (first_id, first)));
             }
         }
+        blocks.extend(other_authors(views).into_iter().map(ReportBlock::Notice));
         for (caption, columns, rows) in tables(views) {
             number += 1;
             let caption = format!("Suite {suite}, protocol {id}: {caption}, the best first.");
@@ -161,7 +163,7 @@ fn ranked_row(
     (figures, means): (Vec<TableCell>, [Option<f64>; 2]),
 ) -> RankedRow {
     let manifest = &view.log.manifest;
-    let mut memory = title(condition.memory);
+    let mut memory = view.label(condition.memory);
     let external = condition.memory.external();
     if let Some(facts) = external.and_then(|name| manifest.memories.get(&name)) {
         memory += &format!(" {}", facts.version);

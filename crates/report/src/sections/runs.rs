@@ -3,6 +3,8 @@
 use std::collections::BTreeSet;
 
 use conditions::Condition;
+use domain::MemoryKind;
+use run_log::memory_label::memory_title;
 use scores::compare::{compare_runs, differing_settings};
 
 use super::overview::notices;
@@ -11,7 +13,7 @@ use crate::document::{
     Missing, ReportBlock, ReportSection, RowGroup, Table, TableCell, TableColumn, TableRow,
 };
 use crate::sections::conditions::setting;
-use crate::view::{ScoredRun, sure, title};
+use crate::view::{ScoredRun, sure};
 
 /// The section about all runs together.
 pub(crate) fn runs(views: &[ScoredRun<'_>]) -> ReportSection {
@@ -65,7 +67,7 @@ fn side_by_side(views: &[ScoredRun<'_>]) -> Table {
         TableRow::new(setting(condition), cells.collect())
     };
     let group = |conditions: &[Condition]| RowGroup {
-        label: conditions.first().map(|condition| title(condition.memory)),
+        label: conditions.first().map(|condition| shared_label(views, condition.memory)),
         rows: conditions.iter().map(row).collect(),
     };
     let columns = views.iter().flat_map(|view| {
@@ -80,6 +82,16 @@ fn side_by_side(views: &[ScoredRun<'_>]) -> Table {
         columns: columns.collect(),
         groups: conditions.chunk_by(|a, b| a.memory == b.memory).map(group).collect(),
     }
+}
+
+/// The name of a memory, with the author of its documents where all runs that have it have the same.
+fn shared_label(views: &[ScoredRun<'_>], memory: MemoryKind) -> String {
+    let has_it = |view: &&ScoredRun<'_>| {
+        view.scores.conditions.iter().any(|score| score.condition.memory == memory)
+    };
+    let mut labels = views.iter().filter(has_it).map(|view| view.label(memory));
+    let first = labels.next().unwrap_or_default();
+    if labels.all(|label| label == first) { first } else { memory_title(memory) }
 }
 
 fn compared(first: &ScoredRun<'_>, second: &ScoredRun<'_>) -> Vec<ReportBlock> {

@@ -17,7 +17,7 @@ use scores::{Estimate, StreamScore, StreamScores};
 
 use crate::document::{Missing, ReportBlock, ReportSection, RowGroup, TableCell, TableRow};
 use crate::sections::overview::how_to_continue;
-use crate::view::{ScoredRun, title, with_interval};
+use crate::view::{ScoredRun, with_interval};
 
 /// The sections about streams; none for a run without.
 pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<ReportSection> {
@@ -110,13 +110,14 @@ fn memory_and_arm() -> Vec<String> {
 
 /// A row for each condition, by memory.
 fn by_condition(
+    view: &ScoredRun<'_>,
     scores: &StreamScores,
     cells: impl Fn(&StreamScore) -> Option<Vec<TableCell>>,
 ) -> Vec<RowGroup> {
     let row = |score: &StreamScore| Some(TableRow::new(arm(&score.condition), cells(score)?));
     let of_memory = scores.conditions.chunk_by(|a, b| a.condition.memory == b.condition.memory);
     let group = |scores: &[StreamScore]| RowGroup {
-        label: scores.first().map(|score| title(score.condition.memory)),
+        label: scores.first().map(|score| view.label(score.condition.memory)),
         rows: scores.iter().filter_map(row).collect(),
     };
     of_memory.map(group).filter(|group| !group.rows.is_empty()).collect()

@@ -4,7 +4,7 @@ use domain::MemoryKind;
 use scores::MemoryScore;
 
 use crate::document::{Missing, RowGroup, Table, TableCell, TableColumn, TableRow};
-use crate::view::{ScoredRun, plain_or, title};
+use crate::view::{ScoredRun, plain_or};
 
 const BUILT_IN: Missing =
     Missing::NotApplicable("a built-in memory has no messages of its own, and asks no model");
@@ -28,7 +28,7 @@ pub(crate) fn supplied_table(view: &ScoredRun<'_>) -> Option<Table> {
             plain_or(store, 1, NOT_TOLD),
             external(score.tokens_each),
         ];
-        TableRow::new(title(*memory), cells)
+        TableRow::new(view.label(*memory), cells)
     };
     let rows: Vec<TableRow> = scores.iter().map(row).collect();
     let columns =

@@ -6,7 +6,7 @@ use scores::StageTimes;
 
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableColumn, TableRow};
 use crate::plot::{Stack, StackRow, stack};
-use crate::view::{ScoredRun, plain_or, title};
+use crate::view::{ScoredRun, plain_or};
 
 /// The stages in which something is computed; the others are transport between processes.
 const WORK: [&str; 6] = ["dynamics", "render", "embed", "search", "assemble", "decide"];
@@ -19,7 +19,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         let work = WORK.map(|stage| times.stage(stage).unwrap_or(0.0) / 1000.0);
         let between = times.sum / 1000.0 - work.iter().sum::<f64>();
         StackRow {
-            label: title(memory),
+            label: view.label(memory),
             lengths: Some(work.into_iter().chain([between]).collect()),
         }
     };
@@ -52,7 +52,7 @@ pub(crate) fn time_table(view: &ScoredRun<'_>) -> Option<Table> {
                   cost. Depends on the machine and on the number of lanes."
             .to_owned(),
         stubs: vec!["Stage".to_owned()],
-        columns: times.iter().map(|(memory, _)| TableColumn::new(title(*memory))).collect(),
+        columns: times.iter().map(|(memory, _)| TableColumn::new(view.label(*memory))).collect(),
         groups: vec![RowGroup { label: None, rows }],
     })
 }

@@ -6,7 +6,9 @@ use std::sync::Once;
 
 use super::*;
 use crate::manifest::MANIFEST_FILE;
-use crate::records::{keyed, manifest, record, request, stream_record, timings};
+use crate::records::{
+    keyed, manifest, model_document, record, request, script_document, stream_record, timings,
+};
 use crate::{DocumentFacts, RunLog};
 
 fn keys(records: &[EpisodeRecord]) -> Vec<&str> {
@@ -119,13 +121,7 @@ fn requests_survive_a_kill_before_their_episode_is_finished() {
 #[test]
 fn a_run_can_grow_but_not_shrink() {
     let dir = tempfile::tempdir().unwrap();
-    let document = |sha256: &str| DocumentFacts {
-        sha256: sha256.to_owned(),
-        builder: "extractive".to_owned(),
-        address: None,
-        bytes: 1,
-        words: 1,
-    };
+    let document = |sha256: &str| DocumentFacts { sha256: sha256.to_owned(), ..script_document() };
     let with = |documents: &[(&str, &str)]| {
         let facts = documents.iter().map(|(name, sha256)| ((*name).to_owned(), document(sha256)));
         Manifest { documents: facts.collect(), ..manifest() }
@@ -154,6 +150,26 @@ fn a_run_can_grow_but_not_shrink() {
     log.check_planned(&BTreeSet::from([key.clone(), "another".to_owned()])).unwrap();
     let error = log.check_planned(&BTreeSet::new()).unwrap_err().to_string();
     assert!(error.contains("1 finished episodes") && error.contains(&key), "{error}");
+}
+
+#[test]
+fn what_a_run_has_built_stays_its_own_when_it_is_resumed() {
+    let dir = tempfile::tempdir().unwrap();
+    let with = |name: &str, document| Manifest {
+        documents: [(name.to_owned(), document)].into(),
+        ..manifest()
+    };
+    let built = model_document("m");
+    let first = with("summary/original", built.clone());
+    drop(RunFolder::open(dir.path(), first, false).unwrap());
+    let copy = DocumentFacts { built: false, ..built.clone() };
+    let later = with("summary/original", copy.clone());
+    let folder = RunFolder::open(dir.path(), later, false).unwrap().folder;
+    assert_eq!(folder.manifest().documents["summary/original"], built);
+    drop(folder);
+    let grown = with("semantic/original", copy.clone());
+    let folder = RunFolder::open(dir.path(), grown, false).unwrap().folder;
+    assert_eq!(folder.manifest().documents["semantic/original"], copy);
 }
 
 #[test]

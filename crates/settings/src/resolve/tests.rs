@@ -64,12 +64,33 @@ fn settings_that_contradict_each_other_are_refused() {
     assert!(with(&[("labels", "off"), ("appearance-seed", "7")]).is_ok());
     let elsewhere = [("world-cmd", "w"), ("policy", "imitate"), ("memory", "summary,hybrid")];
     assert!(with(&elsewhere).is_ok());
-    let by_model = [&elsewhere[..], &[("documents", "model")]].concat();
-    insta::assert_snapshot!(error(&by_model), @"--documents model is about the warehouse, and --world-cmd names another world: leave one of them out");
+    assert!(with(&[&elsewhere[..], &[("documents", "model")]].concat()).is_ok());
     insta::assert_snapshot!(error(&[("window", "6,20")]), @"a request under full-context/original/unchanged/original/h20 may need 61 images (the current view, 20 of the window, 40 of memory), and a prompt holds at most 50: lower --window or --keyframes");
     let long = error(&[("window", "20"), ("horizon", "30"), ("keyframes", "20")]);
     assert!(long.ends_with("lower --window, --hits or --horizon"), "{long}");
     assert!(with(&[("keyframes", "43")]).is_ok(), "50 images");
+}
+
+#[test]
+fn documents_are_by_the_model_of_a_run_that_has_one() {
+    use Origin::{CommandLine, Environment, Policy, Suite};
+    let openai = flags(&[("policy", "openai"), ("model", "m")]);
+    let of_suite = suite("documents = \"extractive\"");
+    let of_environment = environment("MEMTRANSFER_DOCUMENTS", "./mine");
+    let given = flags(&[("policy", "openai"), ("model", "m"), ("documents", "extractive")]);
+    for (layers, expected, origin) in [
+        (vec![openai.clone()], "model", Policy),
+        (vec![of_suite, openai.clone()], "extractive", Suite),
+        (vec![of_environment, openai], "./mine", Environment),
+        (vec![given], "extractive", CommandLine),
+        (vec![], "extractive", Policy),
+        (vec![flags(&[("policy-cmd", "mine")])], "extractive", Policy),
+        (vec![flags(&[("policy", "imitate"), ("documents", "model")])], "model", CommandLine),
+    ] {
+        let resolved = merged(layers).unwrap();
+        assert_eq!(resolved.settings.documents.to_string(), expected);
+        assert_eq!(resolved.origin("documents"), Some(origin));
+    }
 }
 
 #[test]

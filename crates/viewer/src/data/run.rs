@@ -46,6 +46,8 @@ pub struct RunData {
 struct ConditionData {
     name: String,
     memory: String,
+    /// The memory as people read it, with the author of its documents.
+    label: String,
     /// The rest of the name.
     rest: String,
 }
@@ -89,7 +91,8 @@ impl RunData {
         let condition = |condition: &Condition| {
             let (name, memory) = (condition.to_string(), condition.memory.to_string());
             let rest = name.strip_prefix(&format!("{memory}/")).unwrap_or_default().to_owned();
-            ConditionData { name, memory, rest }
+            let label = log.manifest.memory_label(condition.memory);
+            ConditionData { name, memory, label, rest }
         };
         Ok(Self {
             name: log.name.clone(),

@@ -1,7 +1,7 @@
 //! The prompts and replies of a document, stored in a folder beside it so that an interrupted build can continue.
 //!
 //! A file holds one prompt and its reply, and is reused only for the same prompt to the same model. A prompt without a
-//! usable reply leaves no file.
+//! usable reply leaves no file. Of images only hashes are stored.
 
 use std::collections::BTreeSet;
 use std::ffi::OsString;
@@ -13,10 +13,12 @@ use anyhow::Context;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::prompt::{DocumentPrompt, PromptStage};
+use documents::asking::{DocumentPrompt, PromptStage};
 use domain::create_private_folder;
 use domain::hex;
 use llm::ChatReply;
+
+use crate::builders::views::DrawnView;
 
 /// A stored step.
 #[derive(Debug, Serialize, Deserialize)]
@@ -24,7 +26,8 @@ use llm::ChatReply;
 struct StepFile {
     /// SHA-256 of the model's name and the prompt.
     request_sha256: String,
-    prompt: DocumentPrompt,
+    /// The prompt, with the SHA-256 of its images' pixels.
+    prompt: DocumentPrompt<String>,
     reply: ChatReply,
 }
 
@@ -51,14 +54,16 @@ impl StepFolder {
     pub(super) fn next(
         &mut self,
         stage: PromptStage,
-        prompt: &DocumentPrompt,
+        prompt: &DocumentPrompt<DrawnView>,
         usable: impl Fn(ChatReply) -> anyhow::Result<ChatReply>,
         ask: impl FnOnce() -> anyhow::Result<ChatReply>,
     ) -> anyhow::Result<ChatReply> {
         let name = format!("{:03}-{}.json", self.used.len() + 1, stage.name());
         let path = self.folder.join(&name);
         self.used.insert(name.into());
-        let request_sha256 = self.sha256(prompt)?;
+        let hash = |view: &DrawnView| Ok::<_, anyhow::Error>(view.sha256.clone());
+        let prompt = prompt.try_map(hash)?;
+        let request_sha256 = self.sha256(&prompt)?;
         if let Some(step) = load(&path)?.filter(|step| step.request_sha256 == request_sha256) {
             match step.reply.judged().map_err(anyhow::Error::msg).and_then(&usable) {
                 Ok(reply) => return Ok(reply),
@@ -69,7 +74,7 @@ impl StepFolder {
             }
         }
         let reply = usable(ask()?)?;
-        let step = StepFile { request_sha256, prompt: prompt.clone(), reply };
+        let step = StepFile { request_sha256, prompt, reply };
         save(&path, &step).with_context(|| format!("cannot write {}", path.display()))?;
         Ok(step.reply)
     }
@@ -88,7 +93,7 @@ impl StepFolder {
         stale().with_context(|| format!("cannot clear {}", self.folder.display()))
     }
 
-    fn sha256(&self, prompt: &DocumentPrompt) -> anyhow::Result<String> {
+    fn sha256(&self, prompt: &DocumentPrompt<String>) -> anyhow::Result<String> {
         let mut hasher = Sha256::new();
         hasher.update((self.model.len() as u64).to_le_bytes());
         hasher.update(&self.model);
@@ -134,10 +139,22 @@ mod tests {
     use anyhow::bail;
 
     use super::*;
+    use documents::asking::PromptPart;
+    use domain::ImageFormat;
     use llm::ReplyContent;
 
-    fn prompt(limit: &str) -> DocumentPrompt {
-        PromptStage::Extract.prompt(9, &[("limit", limit)])
+    /// A prompt with one image of this colour.
+    fn prompt(colour: u8) -> DocumentPrompt<DrawnView> {
+        DocumentPrompt {
+            system: "System.".to_owned(),
+            user: vec![
+                PromptPart::Text("Image 1:\n".to_owned()),
+                PromptPart::View(
+                    DrawnView::of_pixels(1, &[colour, 0, 0, 255], ImageFormat::Png).unwrap(),
+                ),
+            ],
+            max_tokens: 9,
+        }
     }
 
     fn reply(text: &str) -> ChatReply {
@@ -163,26 +180,26 @@ mod tests {
     fn a_reply_is_reused_for_the_same_request_to_the_same_model_only() {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path().join("summary-4.steps");
-        let next = |model, limit, answer: Option<&str>| {
+        let next = |model, colour, answer: Option<&str>| {
             let mut steps = StepFolder::open(&folder, model).unwrap();
             let ask = || match answer {
                 Some(text) => Ok(reply(text)),
                 None => bail!("no server"),
             };
             steps
-                .next(PromptStage::Extract, &prompt(limit), whole, ask)
+                .next(PromptStage::Extract, &prompt(colour), whole, ask)
                 .map(|reply| reply.text().to_owned())
         };
-        assert!(next("m", "1", None).is_err());
+        assert!(next("m", 1, None).is_err());
         assert_eq!(names(&folder), [""; 0], "a failure leaves nothing");
-        assert_eq!(next("m", "1", Some("a")).unwrap(), "a");
+        assert_eq!(next("m", 1, Some("a")).unwrap(), "a");
         assert_eq!(names(&folder), ["001-extract.json"]);
-        assert_eq!(next("m", "1", None).unwrap(), "a");
-        assert!(next("m", "2", None).is_err());
-        assert!(next("n", "1", None).is_err());
-        assert_eq!(next("n", "1", Some("b")).unwrap(), "b");
+        assert_eq!(next("m", 1, None).unwrap(), "a");
+        assert!(next("m", 2, None).is_err());
+        assert!(next("n", 1, None).is_err());
+        assert_eq!(next("n", 1, Some("b")).unwrap(), "b");
         fs::write(folder.join("001-extract.json"), "{").unwrap();
-        assert_eq!(next("n", "1", Some("c")).unwrap(), "c");
+        assert_eq!(next("n", 1, Some("c")).unwrap(), "c");
     }
 
     #[test]
@@ -192,7 +209,7 @@ mod tests {
             let mut steps = StepFolder::open(folder.path(), "m").unwrap();
             let ask = || Ok(super::super::tests::reply(content));
             steps
-                .next(PromptStage::Extract, &prompt("1"), usable, ask)
+                .next(PromptStage::Extract, &prompt(1), usable, ask)
                 .map(|reply| reply.text().to_owned())
         };
         // As an earlier version stored it.
@@ -209,7 +226,7 @@ mod tests {
             fs::write(folder.path().join(name), "x").unwrap();
         }
         let mut steps = StepFolder::open(folder.path(), "m").unwrap();
-        steps.next(PromptStage::Summary, &prompt("1"), whole, || Ok(reply("a"))).unwrap();
+        steps.next(PromptStage::Summary, &prompt(1), whole, || Ok(reply("a"))).unwrap();
         steps.finish().unwrap();
         assert_eq!(names(folder.path()), ["001-summary.json", "a-b.json", "notes.txt"]);
     }

@@ -1,12 +1,12 @@
 //! The builder with a scripted model.
 
-use std::sync::Arc;
-
-use domain::{Action, Cell, Feedback, Heading, Pose};
-use plates::{Landmark, Plate};
+use case_book::{CaseDemonstrations, DemonstrationBook};
+use documents::asking::BuildEstimate;
+use documents::{DocumentName, Sources};
+use domain::{Appearance, Demonstrations, ImageFormat, tokens};
 use tempfile::TempDir;
 
-use super::super::{FrameReading, TranscriptStep};
+use super::super::testing::{self, EAST, OPEN, corridor};
 use super::*;
 
 pub(super) fn reply(content: ReplyContent) -> ChatReply {
@@ -26,47 +26,40 @@ fn says(text: impl Into<String>) -> ChatReply {
     reply(ReplyContent::Text(text.into()))
 }
 
-/// A demonstration: past a barrel, to a cone behind a turn.
-fn transcript(instruction: &str) -> Transcript {
-    let barrel = Landmark {
-        standpoint: Cell::new(3, 5),
-        face: Heading::W,
-        plate: Plate::new("barrels", "blue barrel"),
-    };
-    let cone = Landmark { plate: Plate::new("cones", "orange cone"), ..barrel };
-    let (none, one, both) = (vec![], vec![barrel], vec![barrel, cone]);
-    let step = |y, heading, feedback, landmarks: &Vec<_>, completed, action| TranscriptStep {
-        pose: Pose::new(3, y, heading),
-        feedback,
-        seen: Arc::new(FrameReading { frame: [0; 16], landmarks: landmarks.clone() }),
-        completed,
-        action,
-    };
-    use Heading::{N, W};
-    let forward = Some(Action::Forward);
-    Transcript {
-        instruction: instruction.into(),
-        steps: vec![
-            step(2, N, Feedback::Start, &one, 0, forward),
-            step(3, N, Feedback::Moved, &one, 0, forward),
-            step(4, N, Feedback::Moved, &none, 0, forward),
-            step(4, N, Feedback::Blocked, &none, 0, forward),
-            step(5, N, Feedback::Moved, &none, 1, Some(Action::TurnLeft)),
-            step(5, W, Feedback::Turned, &both, 1, None),
-        ],
+/// A demonstration: through a door.
+fn demonstration() -> Demonstration {
+    testing::demonstration("Walk to cell 5.", 1, &[EAST, EAST, EAST, OPEN, EAST, EAST], &[4, 6])
+}
+
+/// A recipe whose prompts of `stage` have room for `count` demonstrations without views beside `other` characters.
+fn room_for(stage: PromptStage, count: usize, other: usize) -> ModelRecipe {
+    let endless =
+        ModelRecipe { context_chars: 1 << 20, max_tokens: 1000, views: 0, ..ModelRecipe::new("m") };
+    let world = corridor();
+    let room = PromptTexts { world: &world, recipe: &endless }.room(stage, 0).chars;
+    let one = narrations(&world, &[&demonstration()], 0)[0].size().chars + 20;
+    ModelRecipe { context_chars: (1 << 20) - room + count * one + other, ..endless }
+}
+
+/// Draws a view as one pixel, whose red is the view's number.
+struct Pixels;
+
+impl DrawViews for Pixels {
+    fn draw(&mut self, view: u32) -> anyhow::Result<DrawnView> {
+        DrawnView::of_pixels(1, &[view as u8, 0, 0, 255], ImageFormat::Png)
     }
 }
 
-fn transcripts(count: usize) -> Vec<Transcript> {
-    (0..count).map(|_| transcript("Find a blue barrel.")).collect()
-}
+/// A prompt as it was asked.
+type Prompt = DocumentPrompt<DrawnView>;
 
-/// A recipe whose prompts of `stage` have room for `count` demonstrations beside `other` characters.
-fn room_for(stage: PromptStage, count: usize, other: usize) -> ModelRecipe {
-    let words = stage.prompt(0, &[("limit", "2000")]).chars();
-    let one = chars(&narration::narrate(1, &transcripts(1)[0])) + 20;
-    let context_chars = words + count * one + other;
-    ModelRecipe { context_chars, max_tokens: 1000, ..ModelRecipe::new("m") }
+/// The text of a prompt's user message.
+fn user(prompt: &Prompt) -> String {
+    let texts = prompt.user.iter().filter_map(|part| match part {
+        PromptPart::Text(text) => Some(text.as_str()),
+        PromptPart::View(_) => None,
+    });
+    texts.collect()
 }
 
 struct Bench {
@@ -84,18 +77,20 @@ impl Bench {
         kind: DocumentKind,
         count: usize,
         recipe: &ModelRecipe,
-        mut script: impl FnMut(usize, &DocumentPrompt) -> anyhow::Result<ChatReply>,
-    ) -> (anyhow::Result<BuiltText>, Vec<DocumentPrompt>) {
+        mut script: impl FnMut(usize, &Prompt) -> anyhow::Result<ChatReply>,
+    ) -> (anyhow::Result<BuiltText>, Vec<Prompt>) {
         let mut asked = Vec::new();
-        let ask = |prompt: &DocumentPrompt, _: &mut dyn FnMut()| {
+        let ask = |prompt: &Prompt, _: &mut dyn FnMut()| {
             asked.push(prompt.clone());
             script(asked.len(), prompt)
         };
         let steps = self.folder.path().join("summary-4.steps");
-        let mut builder = ModelBuilder::new(ask, recipe.clone());
+        let mut builder = ModelBuilder::new(ask, Pixels, recipe.clone());
         let mut seen = Vec::new();
         let mut progress = |done, of| seen.push((done, of));
-        let built = builder.build(kind, &transcripts(count), &steps, &mut progress);
+        let demonstrations = vec![demonstration(); count];
+        let demonstrations = Vec::from_iter(&demonstrations);
+        let built = builder.build(kind, &corridor(), &demonstrations, &steps, &mut progress);
         assert!(seen.is_sorted(), "{seen:?}");
         if built.is_ok() {
             assert!(seen.last().is_some_and(|(done, of)| done == of), "{seen:?}");
@@ -115,45 +110,9 @@ impl Bench {
 }
 
 #[test]
-fn a_demonstration_in_words() {
-    insta::assert_snapshot!(narration::narrate(7, &transcript("Find a blue barrel.")), @r#"
-    ## Demonstration 7
-    Task: "Find a blue barrel."
-    - start: at (3, 2) facing N
-    - sees blue barrel [plate 554-611]: stand at (3, 5) facing W
-    - move forward 3: at (3, 4) facing N
-    - the way is blocked
-    - move forward: at (3, 5) facing N
-    - sub-goal 1 of the task is completed
-    - turn left: at (3, 5) facing W
-    - sees item [plate 316-110]: stand at (3, 5) facing W
-    "#);
-}
-
-#[test]
-fn a_step_that_changes_no_pose_is_blocked_whatever_the_feedback() {
-    let told = transcript("Find a blue barrel.");
-    let mut other = told.clone();
-    other.steps.iter_mut().for_each(|step| step.feedback = Feedback::Start);
-    assert_eq!(narration::narrate(7, &other), narration::narrate(7, &told));
-}
-
-#[test]
-fn documents_of_other_worlds_are_refused() {
-    let ask = |_: &DocumentPrompt, _: &mut dyn FnMut()| panic!("asked");
-    let mut builder = ModelBuilder::new(ask, room_for(PromptStage::Summary, 1, 0));
-    let world = WorldDeclaration { name: "corridor".to_owned(), ..WorldDeclaration::default() };
-    let error = builder.build_of_any_world(DocumentKind::Summary, &world, &[]).unwrap_err();
-    assert_eq!(
-        error.to_string(),
-        "the prompts of the builder `model` are about the warehouse, and the world is corridor"
-    );
-}
-
-#[test]
 fn each_summary_continues_the_previous_one() {
     let recipe = room_for(PromptStage::Summary, 2, 60);
-    let script = |number, _: &DocumentPrompt| Ok(says(format!("# Summary {number}")));
+    let script = |number, _: &Prompt| Ok(says(format!("# Summary {number}")));
     let (built, asked) = Bench::new().build(DocumentKind::Summary, 5, &recipe, script);
     let built = built.unwrap();
     assert_eq!(built.text, "# Summary 3\n");
@@ -163,19 +122,20 @@ fn each_summary_continues_the_previous_one() {
             model: Some("scripted-1".into()),
             prompt_version: Some(PROMPT_VERSION),
             requests: Some(3),
+            images: Some(0),
             cut_off: None,
             prompt_tokens: Some(300),
             completion_tokens: Some(30),
         }
     );
-    let numbers = |prompt: &DocumentPrompt| {
-        (1..=5).filter(|n| prompt.user.contains(&format!("## Demonstration {n}\n"))).collect()
+    let numbers = |prompt: &Prompt| {
+        (1..=5).filter(|n| user(prompt).contains(&format!("## Demonstration {n}\n"))).collect()
     };
     let shown: Vec<Vec<u32>> = asked.iter().map(numbers).collect();
     assert_eq!(shown, [vec![1, 2], vec![3, 4], vec![5]]);
-    assert!(asked[0].user.contains("(There is none yet.)"));
-    assert!(asked[1].user.contains("# Summary 1\n") && !asked[2].user.contains("Summary 1"));
-    let longest = asked.iter().map(DocumentPrompt::chars);
+    assert!(user(&asked[0]).contains("(There is none yet.)"));
+    assert!(user(&asked[1]).contains("# Summary 1\n") && !user(&asked[2]).contains("Summary 1"));
+    let longest = asked.iter().map(Prompt::chars);
     assert!(longest.max().is_some_and(|chars| chars <= recipe.context_chars));
 }
 
@@ -205,14 +165,14 @@ fn knowledge_is_extracted_consolidated_and_refined() {
             "008-refine.json",
         ]
     );
-    assert!(asked[4].user.contains("## Notes 2\n") && !asked[4].user.contains("## Notes 3"));
+    assert!(user(&asked[4]).contains("## Notes 2\n") && !user(&asked[4]).contains("## Notes 3"));
 }
 
 #[test]
 fn a_stopped_build_continues_and_a_finished_one_asks_nothing() {
     for kind in [DocumentKind::Summary, DocumentKind::Semantic] {
         let recipe = room_for(PromptStage::Summary, 1, 60);
-        let fails_at = |number, _: &DocumentPrompt| match number {
+        let fails_at = |number, _: &Prompt| match number {
             3 => bail!("the server is gone"),
             _ => Ok(says(format!("# Text {number}"))),
         };
@@ -228,16 +188,121 @@ fn a_stopped_build_continues_and_a_finished_one_asks_nothing() {
         assert_eq!(built.as_ref().unwrap(), &whole.0.unwrap());
         assert_eq!([&asked[..2], &rest].concat(), whole.1, "nothing is asked twice");
 
-        let unreachable = |_, _: &DocumentPrompt| -> anyhow::Result<ChatReply> { panic!("asked") };
+        let unreachable = |_, _: &Prompt| -> anyhow::Result<ChatReply> { panic!("asked") };
         let (again, _) = bench.build(kind, 4, &recipe, unreachable);
         assert_eq!(again.unwrap(), built.unwrap());
+    }
+}
+
+/// The numbers of the views in each prompt.
+fn shown(asked: &[Prompt]) -> Vec<Vec<u32>> {
+    let number = |view: &DrawnView| {
+        let is_it = |number: &u32| Pixels.draw(*number).unwrap() == *view;
+        (0..256).find(is_it).unwrap()
+    };
+    asked.iter().map(|prompt| prompt.views().map(number).collect()).collect()
+}
+
+#[test]
+fn prompts_show_keyframes_within_the_image_budget() {
+    let recipe = ModelRecipe { views: 3, image_budget: 7, ..room_for(PromptStage::Summary, 9, 99) };
+    let script = |number, _: &Prompt| Ok(says(format!("# Text {number}")));
+    for (kind, others) in [(DocumentKind::Summary, 0), (DocumentKind::Semantic, 2)] {
+        let (built, asked) = Bench::new().build(kind, 5, &recipe, script);
+        let account = built.unwrap().account;
+        // Start, door and end of two demonstrations each.
+        let pair = vec![0, 4, 6, 0, 4, 6];
+        let mut expected = vec![pair.clone(), pair, vec![0, 4, 6]];
+        expected.extend(vec![Vec::new(); others]);
+        assert_eq!(shown(&asked), expected);
+        assert_eq!((account.requests, account.images), (Some(3 + others as u64), Some(15)));
+        assert!(user(&asked[1]).contains("Image 6:\n") && !user(&asked[1]).contains("Image 7"));
+    }
+    let none = ModelRecipe { image_budget: 0, ..recipe };
+    let (_, asked) = Bench::new().build(DocumentKind::Summary, 5, &none, script);
+    assert_eq!(shown(&asked), [Vec::<u32>::new()]);
+}
+
+#[test]
+fn a_view_that_is_not_drawn_fails_the_build() {
+    struct Blind;
+    impl DrawViews for Blind {
+        fn draw(&mut self, view: u32) -> anyhow::Result<DrawnView> {
+            bail!("no view {view}")
+        }
+    }
+    let recipe = ModelRecipe { views: 1, ..room_for(PromptStage::Summary, 1, 999) };
+    let ask = |_: &Prompt, _: &mut dyn FnMut()| panic!("asked");
+    let bench = Bench::new();
+    let built = ModelBuilder::new(ask, Blind, recipe).build(
+        DocumentKind::Summary,
+        &corridor(),
+        &[&demonstration()],
+        bench.folder.path(),
+        &mut |_, _| (),
+    );
+    let error = format!("{:#}", built.unwrap_err());
+    assert_eq!(error, "the stage `summary` of the document failed: no view 0");
+}
+
+#[test]
+fn a_request_has_images_where_the_prompt_has_views_and_is_plain_text_without() {
+    let recipe = ModelRecipe { views: 1, ..room_for(PromptStage::Extract, 2, 999) };
+    let script = |_, _: &Prompt| Ok(says("# Text"));
+    let (_, asked) = Bench::new().build(DocumentKind::Semantic, 2, &recipe, script);
+    let MessageContent::Parts(parts) = request(&asked[0]).messages.remove(1).content else {
+        panic!("no parts")
+    };
+    let words = parts.iter().map(|part| match part {
+        ContentPart::Text { text } => text.lines().last().unwrap(),
+        ContentPart::ImageUrl { image_url } => &image_url.url[..22],
+    });
+    let image = "data:image/png;base64,";
+    let words: Vec<&str> = words.collect();
+    assert_eq!(words, ["Image 1:", image, "Image 2:", image, "Extract the knowledge."]);
+    let content = request(&asked[1]).messages.remove(1).content;
+    assert!(matches!(content, MessageContent::Text(_)), "{content:?}");
+}
+
+/// What is asked is what was estimated, and answers of any allowed length are within the estimate.
+#[test]
+fn requests_are_within_the_estimate() {
+    let recipe = ModelRecipe { views: 2, ..room_for(PromptStage::Summary, 4, 3000) };
+    let demonstrations = vec![demonstration(); 20];
+    let book = DemonstrationBook {
+        world: corridor(),
+        cases: (0..20)
+            .map(|own| CaseDemonstrations { own: vec![own], ..Default::default() })
+            .collect(),
+        demonstrations,
+        ..DemonstrationBook::default()
+    };
+    let sources = Sources::new(book, 448, Appearance::STANDARD);
+    for kind in DocumentKind::TEXTS {
+        let name = DocumentName { kind, demonstrations: Demonstrations::ORIGINAL };
+        let estimate = BuildEstimate::of(name, &sources, &recipe);
+        for length in [1, 900, 2300] {
+            let script = |_, _: &Prompt| Ok(says("n".repeat(length)));
+            let (built, asked) = Bench::new().build(kind, 20, &recipe, script);
+            let BuiltText { account, .. } = built.unwrap();
+            let [least, most] = estimate.requests;
+            assert!((least..=most).contains(&account.requests.unwrap()), "{length}: {estimate:?}");
+            assert_eq!(account.images, Some(estimate.images));
+            let chars: usize = asked.iter().map(Prompt::chars).sum();
+            let text = (chars as f64 / tokens::PROSE) as u64 + tokens::IMAGE * estimate.images;
+            let [_, most] = estimate.prompt_tokens;
+            assert!(text <= most, "{kind:?} {length}: {text} {most}");
+        }
+        if kind == DocumentKind::Summary {
+            assert!(estimate.requests[0] < estimate.requests[1]);
+        }
     }
 }
 
 #[test]
 fn counts_that_the_server_does_not_report_are_absent() {
     let recipe = room_for(PromptStage::Summary, 1, 60);
-    let script = |number, _: &DocumentPrompt| {
+    let script = |number, _: &Prompt| {
         let prompt_tokens = (number != 2).then_some(7);
         Ok(ChatReply { model: None, prompt_tokens, ..says("# Summary") })
     };
@@ -258,7 +323,7 @@ fn an_unusable_answer_fails_the_build_and_is_not_stored() {
         ),
     ] {
         let (bench, recipe) = (Bench::new(), room_for(PromptStage::Summary, 9, 60));
-        let script = |_, _: &DocumentPrompt| Ok(reply(content.clone()));
+        let script = |_, _: &Prompt| Ok(reply(content.clone()));
         let (built, _) = bench.build(DocumentKind::Summary, 1, &recipe, script);
         let error = format!("{:#}", built.unwrap_err());
         assert!(error.contains(expected), "{error}");

@@ -1,5 +1,6 @@
 //! The choice of keyframes: examples by hand, and properties.
 
+use case_book::Moment;
 use domain::{Action, Feedback, Heading, Pose};
 use proptest::prelude::*;
 
@@ -130,7 +131,10 @@ proptest! {
             // A moment is kept only if all more important moments are.
             let moments = |kept: bool| {
                 let these = (0..length).filter(move |&step| is_kept(step) == kept);
-                these.map(|step| Moment::of(demonstration, step, &turns()) as u8)
+                let is_turn = |step: usize| {
+                    demonstration.steps[step].action.is_some_and(|action| turns().contains(&action))
+                };
+                these.map(move |step| Moment::of(demonstration.stages, step, is_turn))
             };
             if let (Some(least), Some(most)) = (moments(true).max(), moments(false).min()) {
                 prop_assert!(least <= most);

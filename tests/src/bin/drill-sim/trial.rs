@@ -141,6 +141,9 @@ pub(crate) fn execute(
                     )),
                 }
             }
+            Ended::Returned(Ok(RunOutcome::OverBudget(why))) => {
+                violations.push(format!("session {sessions} has no budget, and stopped: {why}"));
+            }
             Ended::Returned(Ok(RunOutcome::Stopped)) => {
                 violations.push(format!("session {sessions} stopped unasked"));
             }

@@ -44,7 +44,7 @@ fn every_representation_helps_as_far_as_its_content_allows() {
             9..=10,
         ),
         ("a summary", Condition::of(Summary), 9..=10),
-        ("semantic knowledge", Condition::of(Semantic), 5..=10),
+        ("semantic knowledge", Condition::of(Semantic), 1..=9),
         ("both documents", Condition::of(Hybrid), 9..=10),
         ("views without actions", Condition { actions: false, ..Condition::of(Episodic) }, 1..=9),
         ("four demonstrations, new start", new(FullContext), 5..=9),

@@ -168,7 +168,7 @@ impl Runner {
             1 => Demonstrations::ORIGINAL,
             _ => Demonstrations::ALL,
         };
-        let build = || (id, documents::document(kind, selection, &mut self.views));
+        let build = || (id, documents::document(kind, selection));
         self.documents.entry((kind, demonstrations)).or_insert_with(build).clone()
     }
 

@@ -40,7 +40,7 @@ pub(crate) fn adaptation_table(view: &ScoredRun<'_>) -> Option<Table> {
             .to_owned(),
         stubs: memory_and_arm(),
         columns,
-        groups: by_condition(scores, row),
+        groups: by_condition(view, scores, row),
     };
     table.pruned()
 }
@@ -73,7 +73,7 @@ pub(crate) fn orders_table(view: &ScoredRun<'_>) -> Option<Table> {
             .to_owned(),
         stubs: memory_and_arm(),
         columns: columns.collect(),
-        groups: by_condition(scores, row),
+        groups: by_condition(view, scores, row),
     };
     table.pruned()
 }

@@ -7,7 +7,7 @@ use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableCol
 use crate::plot::{Curve, Curves, curves};
 use crate::sections::main_table::NO_TOKENS;
 use crate::sections::missing::{NO_RECALL, NO_STORE};
-use crate::view::{ScoredRun, plain_or, title};
+use crate::view::{ScoredRun, plain_or};
 
 const NO_CASE: Missing = Missing::Undefined("no case is certified");
 
@@ -32,7 +32,7 @@ fn cost_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<Table> {
         TableRow::new(format!("after {}", cost.after), cells)
     };
     let group = |score: &StreamScore| RowGroup {
-        label: Some(format!("{}, {}", title(score.condition.memory), arm(&score.condition))),
+        label: Some(format!("{}, {}", view.label(score.condition.memory), arm(&score.condition))),
         rows: score.costs.iter().map(row).collect(),
     };
     let table = Table {
@@ -90,7 +90,7 @@ pub(crate) fn necessity_table(view: &ScoredRun<'_>) -> Option<Table> {
             ];
             TableRow::new(arm(&one.condition), cells)
         };
-        RowGroup { label: Some(title(oracle.memory)), rows: success.iter().map(row).collect() }
+        RowGroup { label: Some(view.label(oracle.memory)), rows: success.iter().map(row).collect() }
     };
     let mut columns = vec![TableColumn::new("Certified"), TableColumn::new("Share %")];
     columns.extend(["all cases", "certified"].map(|name| TableColumn::under("Success %", name)));

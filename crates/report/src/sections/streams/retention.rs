@@ -4,7 +4,7 @@ use scores::{StreamScore, StreamScores};
 
 use super::{arm, by_condition, memory_and_arm, sure};
 use crate::document::{Missing, RowGroup, Table, TableColumn, TableRow};
-use crate::view::{ScoredRun, plain_or, title};
+use crate::view::{ScoredRun, plain_or};
 
 const ONE_BLOCK: Missing = Missing::Undefined("it needs two blocks");
 const NO_BASELINE: Missing =
@@ -32,7 +32,7 @@ pub(crate) fn transfer_table(view: &ScoredRun<'_>) -> Option<Table> {
             .to_owned(),
         stubs: memory_and_arm(),
         columns: ["ACC", "BWT", "FWT", "Forgetting"].map(TableColumn::new).to_vec(),
-        groups: by_condition(scores, row),
+        groups: by_condition(view, scores, row),
     };
     table.pruned()
 }
@@ -46,7 +46,7 @@ pub(super) fn matrix_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Optio
         TableRow::new(format!("after {learned}"), cells.collect())
     };
     let group = |score: &StreamScore| RowGroup {
-        label: Some(format!("{}, {}", title(score.condition.memory), arm(&score.condition))),
+        label: Some(format!("{}, {}", view.label(score.condition.memory), arm(&score.condition))),
         rows: score.matrix.iter().enumerate().map(row).collect(),
     };
     let table = Table {

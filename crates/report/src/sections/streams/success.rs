@@ -7,7 +7,7 @@ use scores::{FigureDifference, RoundScore, StreamScore, StreamScores};
 use super::{by_condition, is_tested, memory_and_arm, short, sure};
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::plot::{Course, Curve, course};
-use crate::view::{ScoredRun, signed, title, with_interval};
+use crate::view::{ScoredRun, signed, with_interval};
 
 const NO_BLOCK: Missing = Missing::Undefined("the streams have no such block");
 const NO_ORACLE: Missing = Missing::NotApplicable(
@@ -42,7 +42,7 @@ fn rounds_figure(
         format!(
             "{} over the stream, as drawn: success in each learning round, a mean over streams. Dashed: events. Gray: no \
              memory.",
-            title(memory)
+            view.label(memory)
         ),
         scores.conditions.iter().filter(|score| is_shown(score)),
         |round| round.success,
@@ -120,7 +120,7 @@ pub(crate) fn success_table(view: &ScoredRun<'_>) -> Option<Table> {
             .to_owned(),
         stubs: memory_and_arm(),
         columns,
-        groups: by_condition(scores, row),
+        groups: by_condition(view, scores, row),
     };
     table.pruned()
 }
