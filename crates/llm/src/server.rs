@@ -464,6 +464,9 @@ impl ServerState {
 
     fn refused(&mut self, error: RequestError) -> AskError {
         self.alive();
+        if let RequestError::OutOfReach { .. } = error {
+            return self.stop(error.to_string());
+        }
         if concerns_all(&error, self.replies > 0) {
             return self.stop(format!("the server refuses every request: {error}"));
         }
@@ -509,11 +512,10 @@ const fn is_throttled(reason: &Transient) -> bool {
 /// Whether every other request would meet the same error. A server that has replied knows the model.
 const fn concerns_all(error: &RequestError, replied: bool) -> bool {
     match error {
-        RequestError::Refused { permanent: true, .. }
-        | RequestError::NotChat { .. }
-        | RequestError::OutOfReach { .. } => true,
+        RequestError::Refused { permanent: true, .. } | RequestError::NotChat { .. } => true,
         RequestError::Refused { status: 404, .. } => !replied,
         RequestError::Refused { .. }
+        | RequestError::OutOfReach { .. }
         | RequestError::Unserializable(_)
         | RequestError::GaveUp { .. } => false,
     }

@@ -200,9 +200,8 @@ where
 }
 
 /// A text that `run --extra-body` accepts.
-fn extra_body(text: &str) -> Result<String> {
-    Layer::flags([("extra-body", text)])?;
-    Ok(text.to_owned())
+fn extra_body(text: &str) -> Result<String, String> {
+    llm::extra_body(text).map(|_| text.to_owned())
 }
 
 #[derive(Debug, Args)]

@@ -128,7 +128,7 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
         ("memory build --reasoning low", "--model needs --builder model"),
         ("memory build --builder model", "--builder model needs --model NAME"),
         ("memory build --builder model --reasoning lo", "did you mean `low`?"),
-        ("memory build --builder model --extra-body []", "--extra-body: not a JSON object"),
+        ("memory build --builder model --extra-body []", "it is not a JSON object such as"),
         ("memory show summary", "<DEMOS>"),
     ] {
         let found = refused(dir.path(), arguments);

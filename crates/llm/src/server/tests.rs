@@ -359,6 +359,10 @@ fn a_server_that_refuses_every_request_stops_the_client() {
         let error = story.until_end(&refused(400));
         assert!(matches!(error, AskError::Failed(_)), "others were answered");
     }
+    let endpoint = "E".to_owned();
+    let out_of_reach = RequestError::OutOfReach { endpoint, problem: "no TLS".to_owned() };
+    let stopped = Story::new(4, 5, 600).until_end(&AttemptError::Final(out_of_reach));
+    assert_eq!(stopped, AskError::Stopped("E cannot be reached: no TLS".to_owned()));
     // These stop it also after a reply, as does what is no chat server.
     let not_chat = RequestError::NotChat { endpoint: "E".into(), what: "a web page".into() };
     for failure in [refused(401), refused(402), refused(403), AttemptError::Final(not_chat)] {
