@@ -237,6 +237,12 @@ def test_the_message_of_the_program_is_raised(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="there is no program `no-such-program` in"):
         evaluate(out=tmp_path / "run", policy="no-such-program --fast")
 
+    class Spaced(Nothing):
+        name = "Two Words"
+
+    with pytest.raises(RunError, match='"Two Words" is not a name of a memory: 1 to 24 lower-case letters, digits and hyphens$'):
+        evaluate(out=tmp_path / "run", memory=Spaced())
+
 
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
