@@ -12,17 +12,16 @@ import signal
 import struct
 import subprocess
 import sys
-import sysconfig
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
-from pathlib import Path
 from types import FrameType
 
 from memtransfer.errors import RunError
+from memtransfer.programs import program
 
 PROGRAM = "MEMTRANSFER_PROGRAM"
 """The variable that names the program."""
@@ -52,25 +51,18 @@ _LAST_WORDS_S = 10.0
 
 
 def find_program() -> str:
-    """Returns the path of `memtransfer`: what the variable `MEMTRANSFER_PROGRAM` names, or the one that came with this package, or the
-    one on the `PATH`.
+    """Returns the path of `memtransfer`: what the variable `MEMTRANSFER_PROGRAM` names, else the one that was installed with this package,
+    else the one on the `PATH`.
 
     Raises:
-        RunError: There is none.
+        MemTransferError: There is none.
     """
     named = os.environ.get(PROGRAM)
-    if named:
-        found = shutil.which(named)
-        if found is None:
-            raise RunError(f"{PROGRAM} is {named}, which is no program")
-        return os.path.abspath(found)
-    folders = [str(Path(__file__).with_name("bin")), sysconfig.get_path("scripts"), os.environ.get("PATH", os.defpath)]
-    found = shutil.which("memtransfer", path=os.pathsep.join(folders))
+    if not named:
+        return str(program())
+    found = shutil.which(named)
     if found is None:
-        raise RunError(
-            f"there is no program `memtransfer` beside this package or on the PATH: build it with `cargo build --release`, and name it in "
-            f"{PROGRAM}=target/release/memtransfer"
-        )
+        raise RunError(f"{PROGRAM} is {named}, which is no program")
     return os.path.abspath(found)
 
 
