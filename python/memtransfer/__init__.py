@@ -17,6 +17,8 @@ makes an environment. `memtransfer.world` is for a world of your own. The guides
 `docs/gymnasium.md` of the project.
 """
 
+from typing import TYPE_CHECKING, Any
+
 from memtransfer._native import Frame, __version__
 from memtransfer.codes import Action, DocumentKind, Feedback, Heading, Outcome
 from memtransfer.declaration import Pose, WorldDeclaration
@@ -30,7 +32,6 @@ from memtransfer.errors import (
     RunError,
     WorldError,
 )
-from memtransfer.evaluation import Comparison, Result, evaluate
 from memtransfer.memory import (
     Demonstration,
     DemonstrationStep,
@@ -62,6 +63,9 @@ from memtransfer.request import (
     Usage,
 )
 from memtransfer.serving import run, serve
+
+if TYPE_CHECKING:
+    from memtransfer.evaluation import Comparison, Result, evaluate
 
 EMPTY = Outcome.EMPTY
 REFUSED = Outcome.REFUSED
@@ -122,3 +126,12 @@ __all__ = [
     "run",
     "serve",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    # What starts runs needs more of the standard library than what serves them: imported when it is used.
+    if name in ("Comparison", "Result", "evaluate"):
+        from memtransfer import evaluation
+
+        return getattr(evaluation, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
