@@ -300,11 +300,18 @@ def start(folder: Path, call: str, pause_s: float) -> subprocess.Popen[str]:
     return subprocess.Popen([sys.executable, "script.py"], cwd=folder, env=environment, start_new_session=True, **pipes)
 
 
-@pytest.mark.parametrize("caller", ["run()", "asyncio.run(coroutine())", "asyncio.run(asyncio.to_thread(run))"])
-@pytest.mark.parametrize("to_group", [False, True])
+@pytest.mark.parametrize(
+    ("caller", "to_group"),
+    [
+        ("run()", False),
+        ("run()", True),
+        ("asyncio.run(coroutine())", False),
+        ("asyncio.run(coroutine())", True),
+        # A thread gets no interrupts; those of a terminal and of Jupyter go to the group.
+        ("asyncio.run(asyncio.to_thread(run))", True),
+    ],
+)
 def test_an_interrupt_stops_the_run_and_the_same_call_resumes_it(tmp_path: Path, caller: str, to_group: bool) -> None:
-    if "thread" in caller and not to_group:
-        pytest.skip("a thread gets no interrupts; those of a terminal and of Jupyter go to the group")
     call = f"async def coroutine():\n    return run()\ntry:\n    print(len({caller}.episodes))\nexcept KeyboardInterrupt:\n    print('interrupted')\n"
     script = start(tmp_path, call, 0.2)
     eventually((tmp_path / "acts").exists)
