@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from memtransfer import Action, Memory, Policy, PolicyError, RunError, Steps, evaluate
+from memtransfer import Action, Memory, Policy, PolicyError, Result, RunError, Steps, evaluate
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "examples"))
 
@@ -187,12 +187,14 @@ def test_what_a_memory_raises_is_the_cause(tmp_path: Path) -> None:
                 raise KeyError("corridor")
             return []
 
-    with pytest.raises(RunError, match="(?s)3 of 3 episodes could not be finished.*memory fails raised KeyError: 'corridor'") as caught:
-        evaluate(policy="random", memory=Fails(), out=tmp_path / "run", **SHORT)
+    with pytest.raises(RunError, match="(?s)3 of 6 episodes could not be finished.*memory fails raised KeyError: 'corridor'") as caught:
+        evaluate(policy="random", memory=[Fails(), "working"], out=tmp_path / "run", **SHORT)
     assert caught.value.status == 1
     cause = caught.value.__cause__
     assert isinstance(cause, KeyError) and cause.__traceback__ is not None and cause.__traceback__.tb_frame.f_code.co_name == "recall"
     assert "KeyError: 'corridor'" in (tmp_path / "run/logs/external-memory-0.log").read_text()
+    # What is finished can be read.
+    assert Result(tmp_path / "run").scores["episodes"].to_dict()["working/original/unchanged/none"] == 3
 
 
 def test_a_memory_that_exits_costs_its_episode_and_not_this_process(tmp_path: Path) -> None:
