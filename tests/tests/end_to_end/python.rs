@@ -123,7 +123,9 @@ fn the_package_evaluates_objects() {
 fn the_package_is_typed() {
     let bench = Bench::new();
     let cache = bench.out("mypy");
-    python(&["-m", "mypy", "--cache-dir", cache.to_str().unwrap(), "memtransfer"], &[]).expect(0);
+    let cache = ["--cache-dir", cache.to_str().unwrap()];
+    let typed = ["memtransfer", "examples/compare_memories.py"];
+    python(&[&["-m", "mypy"][..], &cache, &typed].concat(), &[]).expect(0);
 }
 
 /// The package as `pip install` installs it, in a folder. Inspect names the tasks of packages in folders of this name only.
