@@ -80,7 +80,7 @@ def main():
     parser.add_argument("--rounds", type=int, default=5, metavar="N")
     parser.add_argument("--steps", type=int, default=640, metavar="N")
     arguments = parser.parse_args()
-    name, bare = "memtransfer:MemTransfer-v0", {"anti_aliasing": False}
+    name, bare = "memtransfer.gym:MemTransfer-v0", {"anti_aliasing": False}
     with tempfile.TemporaryDirectory(prefix="vizdoom-") as folder:
         game = vizdoom_game(folder)
         measured = {

@@ -22,6 +22,7 @@ mod embedded_views;
 pub mod embedding_cache;
 pub mod encoder;
 pub mod engine;
+mod environment;
 pub mod episode;
 pub mod external;
 #[doc(hidden)]

@@ -46,8 +46,10 @@ def main() -> None:
     result = compare(arguments.limit, arguments.out)
     print(result)
     difference = result.compare("top-3/new/unchanged/original", "episodic/new/unchanged/original")
-    print(f"top-3 minus episodic from new starts: {difference.difference:.1f} points of success in {difference.pairs} pairs,")
-    print(f"95 % interval {difference.interval}, p = {difference.p}")
+    print(f"top-3 minus episodic from new starts: {difference.difference:.1f} points of success in {difference.pairs} pairs")
+    if difference.interval is not None:
+        low, high = difference.interval
+        print(f"95 % interval {low:.1f} to {high:.1f}, p = {difference.p}")
 
 
 if __name__ == "__main__":

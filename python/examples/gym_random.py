@@ -2,7 +2,7 @@
 
     python gym_random.py --episodes 20
 
-Needs `pip install './python[gym]'`.
+Needs `pip install 'memtransfer[gym]'`.
 """
 
 import argparse
@@ -16,7 +16,7 @@ def main():
     parser.add_argument("--episodes", type=int, default=20, metavar="N")
     parser.add_argument("--frame-size", type=int, default=128, metavar="PIXELS")
     arguments = parser.parse_args()
-    env = gymnasium.make("memtransfer:MemTransfer-v0", frame_size=arguments.frame_size)
+    env = gymnasium.make("memtransfer.gym:MemTransfer-v0", frame_size=arguments.frame_size)
     env.action_space.seed(1)
     steps = successes = 0
     began = time.perf_counter()

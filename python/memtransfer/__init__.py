@@ -12,14 +12,14 @@
 
 `evaluate` starts a run with objects of this process, `memtransfer.evaluation` explains how; `run` serves a run that the shell has started.
 `memtransfer.prompt` renders the benchmark's own prompt and reads a model's answers; `memtransfer.results` reads
-the folder of a run. `Memory` is a memory of your own. `gymnasium.make("memtransfer:MemTransfer-v0")` makes an
-environment. `memtransfer.world` is for a world of your own. The guides are `docs/python.md`, `docs/memory.md` and
+the folder of a run. `Memory` is a memory of your own. `gymnasium.make("memtransfer.gym:MemTransfer-v0")`
+makes an environment. `memtransfer.world` is for a world of your own. The guides are `docs/python.md`, `docs/memory.md` and
 `docs/gymnasium.md` of the project.
 """
 
-from contextlib import suppress
+from typing import TYPE_CHECKING, Any
 
-from memtransfer._native import Frame
+from memtransfer._native import Frame, __version__
 from memtransfer.codes import Action, DocumentKind, Feedback, Heading, Outcome
 from memtransfer.declaration import Pose, WorldDeclaration
 from memtransfer.errors import (
@@ -32,7 +32,6 @@ from memtransfer.errors import (
     RunError,
     WorldError,
 )
-from memtransfer.evaluation import Comparison, Result, evaluate
 from memtransfer.memory import (
     Demonstration,
     DemonstrationStep,
@@ -65,19 +64,13 @@ from memtransfer.request import (
 )
 from memtransfer.serving import run, serve
 
+if TYPE_CHECKING:
+    from memtransfer.evaluation import Comparison, Result, evaluate
+
 EMPTY = Outcome.EMPTY
 REFUSED = Outcome.REFUSED
 CUT_OFF = Outcome.CUT_OFF
 UNREADABLE = Outcome.UNREADABLE
-
-with suppress(ModuleNotFoundError):
-    from gymnasium.envs.registration import register
-
-    register(
-        id="MemTransfer-v0",
-        entry_point="memtransfer.gym:MemTransferEnv",
-        vector_entry_point="memtransfer.gym:MemTransferVectorEnv",
-    )
 
 __all__ = [
     "CUT_OFF",
@@ -128,7 +121,17 @@ __all__ = [
     "View",
     "WorldDeclaration",
     "WorldError",
+    "__version__",
     "evaluate",
     "run",
     "serve",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    # What starts runs needs more of the standard library than what serves them: imported when it is used.
+    if name in ("Comparison", "Result", "evaluate"):
+        from memtransfer import evaluation
+
+        return getattr(evaluation, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -14,6 +14,8 @@ from memtransfer.policy import Policy
 from memtransfer.request import Request
 from memtransfer.world import World
 
+__version__: str
+
 class Frame:
     """A view. Its pixels are in shared memory and never change."""
 

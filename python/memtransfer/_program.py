@@ -12,17 +12,16 @@ import signal
 import struct
 import subprocess
 import sys
-import sysconfig
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
-from pathlib import Path
 from types import FrameType
 
 from memtransfer.errors import RunError
+from memtransfer.programs import program
 
 PROGRAM = "MEMTRANSFER_PROGRAM"
 """The variable that names the program."""
@@ -40,31 +39,30 @@ _CONTROL = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
 _MESSAGE = re.compile(r"^(memtransfer: |error: |stopped: |\d+ of \d+ episodes could not be finished|no answer of the model )", re.MULTILINE)
 """The begin of the message with which the program ends."""
 
+_ADVICE = re.compile(r"\nA (memory writes|policy attaches) .*\n +memtransfer conformance .*_MEMTRANSFER_RELAY.*")
+"""How to examine a command that stands for an object."""
+
 _SAME_COMMAND = re.compile(r"\s+(\S*/)?memtransfer run .*")
 
 _TICK_S = 0.1
 
+_LAST_WORDS_S = 10.0
+"""How long to wait for what the program has printed, once it has ended."""
+
 
 def find_program() -> str:
-    """Returns the path of `memtransfer`: what the variable `MEMTRANSFER_PROGRAM` names, or the one that came with this package, or the
-    one on the `PATH`.
+    """Returns the path of `memtransfer`: what the variable `MEMTRANSFER_PROGRAM` names, else the one that was installed with this package,
+    else the one on the `PATH`.
 
     Raises:
-        RunError: There is none.
+        MemTransferError: There is none.
     """
     named = os.environ.get(PROGRAM)
-    if named:
-        found = shutil.which(named)
-        if found is None:
-            raise RunError(f"{PROGRAM} is {named}, which is no program")
-        return os.path.abspath(found)
-    folders = [str(Path(__file__).with_name("bin")), sysconfig.get_path("scripts"), os.environ.get("PATH", os.defpath)]
-    found = shutil.which("memtransfer", path=os.pathsep.join(folders))
+    if not named:
+        return str(program())
+    found = shutil.which(named)
     if found is None:
-        raise RunError(
-            f"there is no program `memtransfer` beside this package or on the PATH: build it with `cargo build --release`, and name it in "
-            f"{PROGRAM}=target/release/memtransfer"
-        )
+        raise RunError(f"{PROGRAM} is {named}, which is no program")
     return os.path.abspath(found)
 
 
@@ -100,7 +98,7 @@ def message_in(printed: str) -> str:
         text = text[begin[-1].start() :]
     for prefix in ("memtransfer: ", "error: "):
         text = text.removeprefix(prefix)
-    return text.partition("\n\nUsage: ")[0] or "it ended without a message"
+    return _ADVICE.sub("", text).partition("\n\nUsage: ")[0] or "it ended without a message"
 
 
 class Style(Enum):
@@ -261,7 +259,7 @@ def attend(
         status = child.wait()
         interrupted = bool(count()) or status == 128 + signal.SIGINT
         shown.close(last if status == 0 else "")
-        return Ended(status, "\n".join(shown.notes), interrupted and status != 0)
+        return Ended(status, "\n".join(shown.notes), interrupted)
 
 
 def _show(
@@ -269,16 +267,18 @@ def _show(
 ) -> None:
     """Shows what `child` prints until it ends."""
     is_stopped, is_read = False, False
+    give_up_s = float("inf")
     # Interrupts are handled between two looks, so no wait is long.
-    while not (is_read and child.poll() is not None):
+    while not (is_read and child.poll() is not None) and time.monotonic() < give_up_s:
         if stop.is_set() and not is_stopped:
             is_stopped = True
             _send_interrupt([child])
         try:
             chunk = chunks.get(timeout=_TICK_S)
         except queue.Empty:
-            # What it has started may have its terminal open still.
-            is_read = is_read or child.poll() is not None
+            if child.poll() is not None and give_up_s == float("inf"):
+                # What it has started may have its terminal open still.
+                give_up_s = time.monotonic() + _LAST_WORDS_S
             continue
         if chunk is None:
             is_read = True

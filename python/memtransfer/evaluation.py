@@ -192,7 +192,7 @@ def evaluate(
 
     Raises:
         RunError: The run could not begin, or not all episodes could be finished: the message is the run's own. If an object raised an
-            exception, it is the cause. Finished episodes are kept.
+            exception, it is the cause. Finished episodes are kept: `Result(out)` reads them.
         KeyboardInterrupt: The run was interrupted. It has stopped cleanly, and the same call resumes it. A second interrupt ends it at once.
         TypeError: There is no such setting, or an argument is of the wrong type.
         ValueError: Two memories have the same name, or an attribute of a memory is not valid.
@@ -334,11 +334,11 @@ class _WorldCommand:
 
 
 def _pickled(world: Callable[[], World]) -> bytes:
-    if world.__module__ != "__main__":
-        return pickle.dumps(world)
     try:
         cloudpickle: Any = importlib.import_module("cloudpickle")
     except ModuleNotFoundError:
+        if world.__module__ != "__main__":
+            return pickle.dumps(world)
         raise ModuleNotFoundError(
             "a world that a notebook or the main program defines is sent to its process with cloudpickle: `pip install cloudpickle`, or "
             "define the world in a module",
@@ -401,13 +401,14 @@ class Comparison:
 
 
 class Result:
-    """The result of a run, read from its folder when it is asked for."""
+    """The result of a run, read from its folder when it is asked for. `Result("runs/mine")` reads a run that is there already, finished or
+    not."""
 
     path: Path
     """The folder of the run."""
 
-    def __init__(self, path: Path, world: _WorldCommand | None = None) -> None:
-        self.path = path
+    def __init__(self, path: File, world: _WorldCommand | None = None) -> None:
+        self.path = Path(path).absolute()
         self._world = world
 
     @property

@@ -2,12 +2,12 @@
 
     import gymnasium
 
-    env = gymnasium.make("memtransfer:MemTransfer-v0", case="t01-01", render_mode="rgb_array")
-    envs = gymnasium.make_vec("memtransfer:MemTransfer-v0", num_envs=64, frame_size=128)
+    env = gymnasium.make("memtransfer.gym:MemTransfer-v0", case="t01-01", render_mode="rgb_array")
+    envs = gymnasium.make_vec("memtransfer.gym:MemTransfer-v0", num_envs=64, frame_size=128)
 
 Both step and render in this process, without the processes of a run, and show what a policy of a run is shown: view,
 pose, instruction and feedback. There is no memory of demonstrations. Needs Gymnasium: `pip install
-'./python[gym]'`. The guide is `docs/gymnasium.md` of the project.
+'memtransfer[gym]'`. The guide is `docs/gymnasium.md` of the project.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from typing import Any, TypeAlias
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import register
 from gymnasium.error import DependencyNotInstalled, ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -346,6 +347,13 @@ class _Window:
         if self._screen is not None:
             self._pygame.display.quit()
             self._screen = None
+
+
+register(
+    id="MemTransfer-v0",
+    entry_point="memtransfer.gym:MemTransferEnv",
+    vector_entry_point="memtransfer.gym:MemTransferVectorEnv",
+)
 
 
 def _several(values: str | Sequence[str]) -> Sequence[str]:

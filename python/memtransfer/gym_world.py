@@ -13,7 +13,7 @@
         def read(self, env):
             return env.unwrapped.agent_pos
 
-Needs Gymnasium: `pip install './python[gym]'`.
+Needs Gymnasium: `pip install 'memtransfer[gym]'`.
 """
 
 from __future__ import annotations

@@ -3,14 +3,13 @@
     inspect eval memtransfer/rq1 --model openai/gpt-4o --sample-id "t03-01.*"
 
 A sample is a case under a condition. It is run by a `memtransfer run` of its own, whose requests go to the model that
-Inspect evaluates, as the prompt of `--policy openai`. Needs `pip install './python[inspect]'`, and `memtransfer` on the
-PATH. The guide is `docs/inspect.md` of the project.
+Inspect evaluates, as the prompt of `--policy openai`. Needs `pip install 'memtransfer[inspect]'`. The
+guide is `docs/inspect.md` of the project.
 """
 
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
@@ -42,6 +41,7 @@ from memtransfer import _native
 from memtransfer.codes import Outcome
 from memtransfer.errors import MemTransferError
 from memtransfer.policy import Policy
+from memtransfer.programs import program
 from memtransfer.prompt import IMAGE_BUDGET, SETTINGS, VERSION, Prompt, data_url, read_answer, render
 from memtransfer.request import Answer, Decision, Failed, Request, Usage
 from memtransfer.serving import serve
@@ -119,7 +119,7 @@ def episode(suite: str, image_budget: int = IMAGE_BUDGET, out: str | None = None
     async def solve(state: TaskState, generate: Generate) -> TaskState:
         with tempfile.TemporaryDirectory(prefix="memtransfer-inspect-") as scratch:
             run = Path(out or scratch, f"{state.sample_id}.{state.epoch}").absolute()
-            command = [_program(), "run", "--suite", suite, "--cases", state.metadata["case"]]
+            command = [str(program()), "run", "--suite", suite, "--cases", state.metadata["case"]]
             for name, value in state.metadata["flags"].items():
                 command += [f"--{name}", value]
             command += ["--runs", "1", "--seed", str(state.epoch), "--lanes", "1", "--fresh"]
@@ -282,16 +282,9 @@ def _result(run: Path, log: str) -> dict[str, Any]:
 
 
 def _listed(*arguments: str) -> list[dict[str, Any]]:
-    command = [_program(), "ls", *arguments, "--json"]
+    command = [str(program()), "ls", *arguments, "--json"]
     listed = subprocess.run(command, capture_output=True, text=True)
     if listed.returncode != 0:
         raise RuntimeError(f"{' '.join(command)} failed: {listed.stderr.strip()}")
     rows: list[dict[str, Any]] = json.loads(listed.stdout)
     return rows
-
-
-def _program() -> str:
-    program = shutil.which("memtransfer")
-    if program is None:
-        raise RuntimeError("memtransfer is not on the PATH: build it, and add the folder target/release")
-    return program

@@ -24,15 +24,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
-from typing import Any, TypeAlias
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from memtransfer._native import Frame
 from memtransfer.codes import Action, Feedback
 from memtransfer.declaration import WAREHOUSE, InState, WorldDeclaration
 from memtransfer.request import ReadWhenUsed
+
+if TYPE_CHECKING:
+    # A policy needs no NumPy, which takes longer to import than everything else here.
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@
     results = read("runs/quick-random")
     results.episodes.groupby("memory", observed=True)["success"].mean()
 
-Needs pandas: `pip install './python[results]'`. The run's scores with their intervals are in the report that
+Needs pandas: `pip install 'memtransfer[results]'`. The run's scores with their intervals are in the report that
 `memtransfer report` writes; this module gives the episodes that they are computed from.
 """
 

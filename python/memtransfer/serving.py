@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import hashlib
-import inspect
 import os
 import re
 import signal
@@ -150,6 +149,8 @@ def code_of_object(program: Program) -> str:
 
 def _sources_of(used: type | FunctionType) -> dict[str, str]:
     """The sources of a class or function of the main program, and of those classes, functions and constants there that it names; by name."""
+    import inspect
+
     sources: dict[str, str] = {}
     waiting: list[type | FunctionType] = [used]
     while waiting:

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from memtransfer import Action, Memory, Policy, PolicyError, RunError, Steps, evaluate
+from memtransfer import Action, Memory, Policy, PolicyError, Result, RunError, Steps, evaluate
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "examples"))
 
@@ -187,12 +187,14 @@ def test_what_a_memory_raises_is_the_cause(tmp_path: Path) -> None:
                 raise KeyError("corridor")
             return []
 
-    with pytest.raises(RunError, match="(?s)3 of 3 episodes could not be finished.*memory fails raised KeyError: 'corridor'") as caught:
-        evaluate(policy="random", memory=Fails(), out=tmp_path / "run", **SHORT)
+    with pytest.raises(RunError, match="(?s)3 of 6 episodes could not be finished.*memory fails raised KeyError: 'corridor'") as caught:
+        evaluate(policy="random", memory=[Fails(), "working"], out=tmp_path / "run", **SHORT)
     assert caught.value.status == 1
     cause = caught.value.__cause__
     assert isinstance(cause, KeyError) and cause.__traceback__ is not None and cause.__traceback__.tb_frame.f_code.co_name == "recall"
     assert "KeyError: 'corridor'" in (tmp_path / "run/logs/external-memory-0.log").read_text()
+    # What is finished can be read.
+    assert Result(tmp_path / "run").scores["episodes"].to_dict()["working/original/unchanged/none"] == 3
 
 
 def test_a_memory_that_exits_costs_its_episode_and_not_this_process(tmp_path: Path) -> None:
@@ -236,6 +238,12 @@ def test_the_message_of_the_program_is_raised(tmp_path: Path) -> None:
         evaluate(out=tmp_path / "run", suite="rq7")
     with pytest.raises(RunError, match="there is no program `no-such-program` in"):
         evaluate(out=tmp_path / "run", policy="no-such-program --fast")
+
+    class Spaced(Nothing):
+        name = "Two Words"
+
+    with pytest.raises(RunError, match='"Two Words" is not a name of a memory: 1 to 24 lower-case letters, digits and hyphens$'):
+        evaluate(out=tmp_path / "run", memory=Spaced())
 
 
 @pytest.mark.parametrize(
@@ -294,11 +302,18 @@ def start(folder: Path, call: str, pause_s: float) -> subprocess.Popen[str]:
     return subprocess.Popen([sys.executable, "script.py"], cwd=folder, env=environment, start_new_session=True, **pipes)
 
 
-@pytest.mark.parametrize("caller", ["run()", "asyncio.run(coroutine())", "asyncio.run(asyncio.to_thread(run))"])
-@pytest.mark.parametrize("to_group", [False, True])
+@pytest.mark.parametrize(
+    ("caller", "to_group"),
+    [
+        ("run()", False),
+        ("run()", True),
+        ("asyncio.run(coroutine())", False),
+        ("asyncio.run(coroutine())", True),
+        # A thread gets no interrupts; those of a terminal and of Jupyter go to the group.
+        ("asyncio.run(asyncio.to_thread(run))", True),
+    ],
+)
 def test_an_interrupt_stops_the_run_and_the_same_call_resumes_it(tmp_path: Path, caller: str, to_group: bool) -> None:
-    if "thread" in caller and not to_group:
-        pytest.skip("a thread gets no interrupts; those of a terminal and of Jupyter go to the group")
     call = f"async def coroutine():\n    return run()\ntry:\n    print(len({caller}.episodes))\nexcept KeyboardInterrupt:\n    print('interrupted')\n"
     script = start(tmp_path, call, 0.2)
     eventually((tmp_path / "acts").exists)

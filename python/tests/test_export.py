@@ -44,8 +44,8 @@ def test_a_missing_library_is_named_with_the_command_that_installs_it(
 ) -> None:
     flag = {"rerun": "--rrd"}.get(extra, f"--{extra}")
     error = said(capsys, str(RUN), flag, str(tmp_path / "out"), "--limit", "1")
-    assert f"pip install './python[{extra}]'" in error
-    project = (Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8")
+    assert f"pip install 'memtransfer[{extra}]'" in error
+    project = (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
     assert re.search(rf"^{extra} = \[", project, re.MULTILINE)
     assert not any(tmp_path.iterdir())
 

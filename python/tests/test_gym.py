@@ -18,7 +18,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from memtransfer import Action, Feedback
 from memtransfer.gym import MemTransferEnv, MemTransferVectorEnv
 
-NAME = "memtransfer:MemTransfer-v0"
+NAME = "memtransfer.gym:MemTransfer-v0"
 CASES = ["t01-01", "t03-07", "t07-02"]
 SMALL: dict[str, Any] = {"case": CASES, "start": ["original", "new"], "frame_size": 64}
 

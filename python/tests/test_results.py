@@ -42,7 +42,7 @@ def test_facts_of_the_warehouse_have_columns_of_their_own() -> None:
 
 
 def test_the_extra_results_brings_what_reports_are_read_with() -> None:
-    project = (Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8")
+    project = (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
     (extra,) = re.findall(r"^results = \[(.*)\]$", project, re.MULTILINE)
     # `pandas.read_parquet` needs pyarrow, for the Parquet files of `memtransfer report`.
     assert "pandas" in extra and "pyarrow" in extra

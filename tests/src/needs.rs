@@ -11,6 +11,11 @@ pub fn python() -> PathBuf {
     installed("python-tests/bin/python")
 }
 
+/// The Python with the packages that the wheel depends on for embeddings: those of `xtask/python/requirements-wheel.txt`.
+pub fn wheel_python() -> PathBuf {
+    installed("python-wheel/bin/python")
+}
+
 /// The Python with Inspect: the packages of `xtask/python/requirements-inspect.txt`.
 pub fn inspect_python() -> PathBuf {
     installed("python-inspect/bin/python")

@@ -1,4 +1,4 @@
-//! `demo`: builds the programs and runs the quick suite.
+//! `demo`: builds the programs and runs `memtransfer demo`.
 
 use std::os::unix::process::CommandExt;
 
@@ -6,13 +6,13 @@ use anyhow::Context;
 
 use crate::workspace::Workspace;
 
-/// Builds the programs, then replaces this process with `memtransfer run`.
+/// Builds the programs, then replaces this process with `memtransfer demo`.
 pub(crate) fn run(workspace: &Workspace, run_flags: &[String]) -> anyhow::Result<bool> {
     if !workspace.build_programs_for_this_machine()? {
         return Ok(false);
     }
     let memtransfer = workspace.program("memtransfer")?;
-    let mut arguments = vec!["run", "--suite", "quick", "--policy", "grounded"];
+    let mut arguments = vec!["demo"];
     arguments.extend(run_flags.iter().map(String::as_str));
     eprintln!("memtransfer {}", arguments.join(" "));
     // `exec` returns only on failure.

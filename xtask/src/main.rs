@@ -54,7 +54,7 @@ enum Verb {
         #[arg(long)]
         lerobot: bool,
     },
-    /// Set up, build, run the quick suite, print its table
+    /// Set up, build, run `memtransfer demo`
     Demo {
         /// Flags for `memtransfer run`, for example `-- --fresh --lanes 8`
         #[arg(last = true)]
@@ -70,7 +70,7 @@ enum Verb {
     Bench(bench::BenchArguments),
     /// Build, disturb runs on purpose, write target/drill (docs/reliability.md)
     Drill(drill::DrillArguments),
-    /// Build a wheel of the Python package into target/wheels
+    /// Build the wheel, with the programs and the Python package, into target/wheels
     Wheel,
     /// Check links between crates, features, citations, format, lints and docs
     Check,

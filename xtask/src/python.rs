@@ -160,15 +160,14 @@ pub(crate) fn run_script(script: &Path, arguments: &[&OsStr]) -> anyhow::Result<
     Ok(())
 }
 
-/// Builds a wheel of the package in `python/` into `target/wheels`. pip installs maturin in the version of
-/// `python/pyproject.toml`.
+/// Builds the wheel, with the programs, into `target/wheels`. pip installs maturin in the version of `pyproject.toml`.
 pub(crate) fn build_wheel(workspace: &Workspace) -> anyhow::Result<bool> {
     let wheels = workspace.root().join("target/wheels");
     let mut command = python();
     command
         .args(["-m", "pip", "wheel", "--no-deps", "--disable-pip-version-check", "--wheel-dir"])
         .arg(&wheels)
-        .arg(workspace.root().join("python"));
+        .arg(workspace.root());
     succeeds(&mut command)
 }
 

@@ -13,6 +13,7 @@ mod cache;
 mod clean;
 mod commands;
 mod conformance;
+mod demo;
 mod doctor;
 mod document_estimate;
 mod estimate;
@@ -60,6 +61,7 @@ struct Cli {
 
 const EXAMPLES: &str = "\
 Examples:
+  memtransfer demo                         two minutes to the first tables
   memtransfer run                          the suite `quick`; the same command again resumes it
   memtransfer run --limit 5 --policy random
   memtransfer score runs/quick-grounded    its table again, from the log alone
@@ -80,6 +82,8 @@ file.";
 
 #[derive(Debug, Subcommand)]
 enum MemtransferVerb {
+    /// Try it: run the suite `quick` with the policy `grounded`, print its tables and what to do next
+    Demo(demo::DemoArgs),
     /// Run a suite: start the processes, run the episodes, print the table
     Run(Box<run::RunArgs>),
     /// Divide a run into units for several machines
@@ -167,6 +171,7 @@ impl From<Exit> for ExitCode {
 fn main() -> ExitCode {
     program::log_to_stderr();
     let outcome = match program::parse::<Cli>().verb {
+        MemtransferVerb::Demo(args) => demo::run(args),
         MemtransferVerb::Run(args) => run::run(*args),
         MemtransferVerb::Plan(args) => plan::run(*args),
         MemtransferVerb::Work(args) => work::run(*args),

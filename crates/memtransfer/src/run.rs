@@ -14,7 +14,7 @@ use orchestrator::run::RunOutcome;
 use orchestrator::run_plan::{ALL, Purpose, RunPlan};
 use run_log::answers::WithoutAction;
 use run_log::{EpisodeError, RunLog};
-use settings::{Layer, resolve};
+use settings::{Layer, Resolved, resolve};
 
 use super::execution::{
     BUILDING_DOCUMENTS, STARTING_MEMORIES, execute, invocation, note_omissions, over_budget,
@@ -57,10 +57,17 @@ pub(super) struct RunArgs {
     show_settings: bool,
 }
 
+impl RunArgs {
+    /// The settings, each with its origin.
+    pub(super) fn resolve(&self) -> Result<Resolved> {
+        let environment = Layer::environment(std::env::vars_os())?;
+        resolve([environment, self.flags.layer()?])
+    }
+}
+
 pub(super) fn run(args: RunArgs) -> Result<Exit> {
-    let RunArgs { flags, mut options, show_settings } = args;
-    let environment = Layer::environment(std::env::vars_os())?;
-    let resolved = resolve([environment, flags.layer()?])?;
+    let resolved = args.resolve()?;
+    let RunArgs { mut options, show_settings, .. } = args;
     if show_settings {
         print(&resolved.to_string())?;
         return Ok(Exit::Complete);

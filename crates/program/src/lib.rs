@@ -3,7 +3,7 @@
 
 mod appearance;
 
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -43,7 +43,12 @@ pub fn log_to_stderr() {
 
 /// Reads the command line. A variable that stands for a flag counts as not set when it is empty.
 pub fn parse<T: Parser>() -> T {
-    let matches = without_empty_variables(T::command()).get_matches();
+    parse_from(std::env::args_os())
+}
+
+/// Reads a command line as [`parse`] does. The first argument is the program's name.
+pub fn parse_from<T: Parser>(arguments: impl IntoIterator<Item = OsString>) -> T {
+    let matches = without_empty_variables(T::command()).get_matches_from(arguments);
     T::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
 }
 

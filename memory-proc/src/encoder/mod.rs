@@ -22,6 +22,7 @@ use shm_types::process::monotonic_ns;
 
 use search::{ContentHash, Embedding};
 
+mod cut;
 mod preprocess;
 mod provider;
 mod session;

@@ -20,7 +20,8 @@ use ort::session::{HasSelectedOutputs, OutputSelector, RunOptions};
 use ort::value::{Outlet, TensorElementType, TensorRef};
 use sha2::{Digest, Sha256};
 
-use super::Provider;
+use super::{Provider, cut};
+use crate::environment::{INSTALL_MODEL, INSTALL_RUNTIME, PythonEnvironment, RUNTIMES};
 use crate::manifest::{Model, Pooling};
 use crate::paths::{CacheFolder, RuntimeLibrary};
 use search::Embedding;
@@ -32,7 +33,9 @@ pub struct ModelFile {
     pub model: Model,
     /// Its path.
     pub path: PathBuf,
-    /// SHA-256 of its bytes, in hexadecimal.
+    /// Whether the model is cut from the file, which is a package's.
+    is_cut: bool,
+    /// SHA-256 of its bytes, in hexadecimal; after the cut, if it is cut.
     pub sha256: String,
     /// Its bytes, once they have been read.
     bytes: Mutex<Option<Arc<[u8]>>>,
@@ -45,13 +48,23 @@ fn sha256_of(bytes: &[u8]) -> String {
     hex(&Sha256::digest(bytes))
 }
 
-/// The record of the SHA-256 of the file `path` as it is now; `None` if it may still be changing.
-fn hash_record(path: &Path, cache: &CacheFolder) -> Option<PathBuf> {
+/// The bytes of the model in the file `path`, which `is_cut` from it or is the whole file.
+fn read_model(path: &Path, is_cut: bool) -> io::Result<Arc<[u8]>> {
+    let bytes = durable::input::read_large(path)?;
+    if !is_cut {
+        return Ok(bytes.into());
+    }
+    cut::backbone(&bytes).map(Arc::from).map_err(io::Error::other)
+}
+
+/// The record of the SHA-256 of the model in the file `path` as it is now; `None` if it may still be changing.
+fn hash_record(path: &Path, is_cut: bool, cache: &CacheFolder) -> Option<PathBuf> {
     let path = path.canonicalize().ok()?;
     let facts = path.metadata().ok()?;
     let is_settled = facts.modified().ok()?.elapsed().is_ok_and(|age| age > SETTLED);
     let identity = format!(
-        "{path:?} {} {} {} {}.{} {}.{}",
+        "{path:?}{} {} {} {} {}.{} {}.{}",
+        if is_cut { " cut" } else { "" },
         facts.dev(),
         facts.ino(),
         facts.size(),
@@ -78,25 +91,34 @@ fn keep_record(record: &Path, sha256: &str) {
 }
 
 impl ModelFile {
-    /// A model's file: `given`, else the one that setup put into the cache folder. It is read if its hash is not known.
+    /// A model's file: `given`, else the one in the Python environment of this program, else the one that setup put into the cache
+    /// folder. It is read if its hash is not known.
     ///
     /// # Errors
     /// When there is no such file, or its SHA-256 is not the manifest's.
     pub fn read(model: &Model, given: Option<&Path>, cache: &CacheFolder) -> Result<Self> {
-        let path = match (given, &model.file) {
-            (Some(given), _) => given.to_path_buf(),
-            (None, Some(file)) => cache.model(file),
+        let environment = PythonEnvironment::of_this_program();
+        let (path, is_cut) = match (given, &model.file) {
+            (Some(given), _) => (given.to_path_buf(), false),
+            (None, Some(file)) => match environment.uncut_model(file) {
+                Some(uncut) => (uncut, true),
+                None => (cache.model(file), false),
+            },
             (None, None) => bail!(
                 "the encoder {} needs a model file: pass --encoder-file (docs/encoders.md says how to export one)",
                 model.name
             ),
         };
-        let bringing = model.brought_by.as_ref().filter(|_| given.is_none());
+        let bringing = match environment.brings(model.file.as_deref()) {
+            true => Some(INSTALL_MODEL),
+            false => model.brought_by.as_deref(),
+        };
+        let bringing = bringing.filter(|_| given.is_none());
         let shown = path.display();
-        let record = hash_record(&path, cache);
+        let record = hash_record(&path, is_cut, cache);
         let known = record.as_ref().and_then(|record| durable::input::read_text(record).ok());
         let known = known.filter(|known| known.len() == 64);
-        let read = || durable::input::read_large(&path).map(Arc::<[u8]>::from);
+        let read = || read_model(&path, is_cut);
         let bytes = known.is_none().then(read).transpose().map_err(|error| match bringing {
             Some(command) if error.kind() == std::io::ErrorKind::NotFound => anyhow!(
                 "the encoder {} needs {shown}, which is not there; run `{command}`",
@@ -114,6 +136,7 @@ impl ModelFile {
         };
         if let Some(expected) = model.sha256.as_ref().filter(|expected| **expected != sha256) {
             let next = match bringing {
+                Some(command) if is_cut => format!("run `{command}`"),
                 Some(command) => format!("delete it and run `{command}`"),
                 None => "give the right file, or correct the model's entry in models.toml".into(),
             };
@@ -121,7 +144,7 @@ impl ModelFile {
                 "{shown} is not the model that the manifest describes: its SHA-256 is {sha256}, not {expected}; {next}"
             );
         }
-        Ok(Self { model: model.clone(), path, sha256, bytes: Mutex::new(bytes) })
+        Ok(Self { model: model.clone(), path, is_cut, sha256, bytes: Mutex::new(bytes) })
     }
 
     /// The bytes, read now unless they have been.
@@ -131,13 +154,13 @@ impl ModelFile {
             return Ok(bytes.clone());
         }
         let path = self.path.display();
-        let read = durable::input::read_large(&self.path)
+        let read = read_model(&self.path, self.is_cut)
             .with_context(|| format!("cannot read the model file {path}"))?;
         ensure!(
             sha256_of(&read) == self.sha256,
             "the model file {path} has changed since this process started: start the run again"
         );
-        Ok(bytes.insert(read.into()).clone())
+        Ok(bytes.insert(read).clone())
     }
 }
 
@@ -150,19 +173,26 @@ pub(super) struct Runtime {
 }
 
 impl Runtime {
-    /// Loads the library, unless this process has loaded one already. One in the cache folder is loaded only if its hash is known.
+    /// Loads the library, unless this process has loaded one already. One of the user's own is loaded as it is, any other only if
+    /// its hash is known.
     pub(super) fn load(library: &RuntimeLibrary) -> Result<Self> {
         static ENVIRONMENT: OnceLock<(PathBuf, Result<Environment, String>)> = OnceLock::new();
         let path = library.path();
         let shown = path.display();
         let next = match library {
-            RuntimeLibrary::Cached(_) => "run `cargo xtask setup`".to_owned(),
             RuntimeLibrary::Own(_) => format!("{RUNTIME_VARIABLE} names it"),
+            _ if PythonEnvironment::of_this_program().is_there() => {
+                format!("run `{INSTALL_RUNTIME}`")
+            }
+            _ => "run `cargo xtask setup`".to_owned(),
         };
         ensure!(path.is_file(), "ONNX Runtime is not at {shown}; {next}");
         let load = || {
             match library {
-                RuntimeLibrary::Cached(path) => check_known(path)?,
+                RuntimeLibrary::Cached(path) => check_known(path, RUNTIME_SHA256)?,
+                RuntimeLibrary::Installed(path) => {
+                    check_known(path, &RUNTIMES.map(|(_, sha256)| sha256))?;
+                }
                 RuntimeLibrary::Own(path) => {
                     check_whole(path).map_err(|error| error.to_string())?
                 }
@@ -211,15 +241,15 @@ impl Runtime {
     }
 }
 
-/// Checks that the library `path` is one that set-up fetches: it is code, and the cache folder also holds what others sent.
-fn check_known(path: &Path) -> Result<(), String> {
+/// Checks that the library `path` has one of these SHA-256: it is code, and the cache folder also holds what others sent.
+fn check_known(path: &Path, known: &[&str]) -> Result<(), String> {
     let bytes = durable::input::read_large(path).map_err(|error| error.to_string())?;
     let sha256 = sha256_of(&bytes);
-    if RUNTIME_SHA256.contains(&&*sha256) {
+    if known.contains(&&*sha256) {
         return Ok(());
     }
     Err(format!(
-        "it is not the library that set-up fetches, and was not loaded (its SHA-256 is {sha256}). A build of your own is used \
+        "it is not the library of a known release, and was not loaded (its SHA-256 is {sha256}). A build of your own is used \
          from another folder, with {RUNTIME_VARIABLE}=FILE"
     ))
 }

@@ -1,6 +1,6 @@
 """Trains PPO of Stable-Baselines3 on one case for some thousand steps, and tests what it has learnt.
 
-    pip install ./python -r requirements.txt
+    pip install memtransfer-*.whl -r requirements.txt
     python train.py --steps 4096
 
 Some thousand steps show that everything fits together, no more: the reward is sparse, so an agent that learns
@@ -17,7 +17,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 
 
 def make(case, max_steps):
-    env = gymnasium.make("memtransfer:MemTransfer-v0", case=case, frame_size=64, max_steps=max_steps)
+    env = gymnasium.make("memtransfer.gym:MemTransfer-v0", case=case, frame_size=64, max_steps=max_steps)
     return FilterObservation(env, ["pixels", "pose", "feedback"])
 
 

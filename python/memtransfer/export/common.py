@@ -53,7 +53,7 @@ def library(module: str, extra: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         raise ExportError(
-            f"cannot import {module} ({error}): run pip install './python[{extra}]' in the project's folder"
+            f"cannot import {module} ({error}): run pip install 'memtransfer[{extra}]'"
         ) from error
 
 

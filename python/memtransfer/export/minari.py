@@ -25,7 +25,7 @@ def write(selected: Selected, name: str) -> str:
     recording, trajectories = selected.recording, selected.playable()
     settings = recording.manifest["settings"]
     env = gymnasium.make(
-        "memtransfer:MemTransfer-v0",
+        "memtransfer.gym:MemTransfer-v0",
         frame_size=recording.frame_size,
         plates=settings["plates"] == "on",
         labels=settings["labels"] == "on",

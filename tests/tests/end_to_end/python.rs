@@ -2,6 +2,7 @@
 
 mod examples;
 mod other_programs;
+mod wheel;
 
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -122,38 +123,22 @@ fn the_package_evaluates_objects() {
 fn the_package_is_typed() {
     let bench = Bench::new();
     let cache = bench.out("mypy");
-    python(&["-m", "mypy", "--cache-dir", cache.to_str().unwrap(), "memtransfer"], &[]).expect(0);
+    let cache = ["--cache-dir", cache.to_str().unwrap()];
+    let typed = ["memtransfer", "examples/compare_memories.py"];
+    python(&[&["-m", "mypy"][..], &cache, &typed].concat(), &[]).expect(0);
 }
 
-/// The package as `pip install ./python` installs it, but with the maturin among the tests' packages. All tests share one
-/// folder, because builds of maturin in one target folder take each other's files away.
-///
-/// Inspect names the tasks of packages in folders of this name only.
+/// The package as `pip install` installs it, in a folder. Inspect names the tasks of packages in folders of this name only.
 static SITE_PACKAGES: LazyLock<PathBuf> = LazyLock::new(|| {
     let place = Path::new(env!("CARGO_TARGET_TMPDIR")).join("site-packages");
     if place.exists() {
         std::fs::remove_dir_all(&place).unwrap();
     }
-    let mut args = vec!["-m", "pip", "install", "--quiet", "--disable-pip-version-check"];
-    args.extend(["--no-index", "--no-deps", "--no-build-isolation", "--no-compile", "--target"]);
-    args.extend([place.to_str().unwrap(), "."]);
-    let scripts = "import sysconfig; print(sysconfig.get_path('scripts'))";
-    let scripts = python(&["-c", scripts], &[]).expect(0).stdout;
-    let path = format!("{}:{}", scripts.trim(), std::env::var("PATH").unwrap());
-    python(&args, &[("PATH", &path)]).expect(0);
+    let wheel = wheel::WHEEL.to_str().unwrap();
+    let target = ["--no-compile", "--target", place.to_str().unwrap()];
+    python(&[&wheel::PIP_INSTALL[..], &target, &[wheel]].concat(), &[]).expect(0);
     place
 });
-
-#[test]
-fn the_package_can_be_installed_from_the_checkout() {
-    let place = SITE_PACKAGES.as_path();
-    assert!(place.join("memtransfer/py.typed").is_file());
-    assert!(place.join("memtransfer/_native.pyi").is_file());
-    let look = "import memtransfer._native; print(memtransfer._native.__file__)";
-    let ended = python(&["-P", "-c", look], &[("PYTHONPATH", place.to_str().unwrap())]).expect(0);
-    let loaded = Path::new(ended.stdout.trim());
-    assert_eq!(loaded.parent().unwrap(), place.join("memtransfer"));
-}
 
 #[test]
 fn requests_match_the_prompt_log_and_their_pixels_are_shared_memory() {
