@@ -206,11 +206,14 @@ fn cache() -> DoctorFinding {
         Err(error) => return DoctorFinding::of(WHAT, Err(error)),
     };
     let shown = folder.display();
-    if let Err(error) = access(&folder, Access::READ_OK | Access::EXEC_OK) {
-        let error = anyhow!("cannot read {shown}: {error}; `cargo xtask setup` makes and fills it");
-        return DoctorFinding::of(WHAT, Err(error));
+    match access(&folder, Access::READ_OK | Access::EXEC_OK) {
+        Ok(()) | Err(Errno::NOENT) => {}
+        Err(error) => return DoctorFinding::of(WHAT, Err(anyhow!("cannot read {shown}: {error}"))),
     }
     match unwritable(&folder) {
+        None if !folder.exists() => {
+            DoctorFinding::of(WHAT, Ok(format!("{shown} is not there yet: the first run makes it")))
+        }
         None => DoctorFinding::of(WHAT, Ok(format!("{shown} can be read and written"))),
         Some((path, error)) => DoctorFinding {
             doubtful: true,
@@ -229,10 +232,13 @@ fn cache() -> DoctorFinding {
 /// What a run would write in the cache folder `cache` and cannot, and why; what is not there yet would be made.
 fn unwritable(cache: &Path) -> Option<(PathBuf, Errno)> {
     let mut written = Vec::new();
+    let cache = std::path::absolute(cache).unwrap_or_else(|_| cache.to_owned());
+    // A folder that is missing is made in the first one above it that is there.
+    let there = cache.ancestors().find(|folder| folder.exists()).unwrap_or(&cache);
     for name in ["documents", "embeddings", "model-hashes", "responses"] {
         let folder = cache.join(name);
         if !folder.exists() {
-            written.push(cache.to_owned());
+            written.push(there.to_owned());
             continue;
         }
         written.push(folder.clone());
@@ -326,6 +332,14 @@ fn succeed(mut command: Command, stop: &AtomicBool) -> anyhow::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_cache_folder_that_is_not_there_yet_can_be_made() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(unwritable(&folder.path().join("home/.cache/memtransfer")), None);
+        std::fs::write(folder.path().join("file"), "").unwrap();
+        assert_eq!(unwritable(folder.path()), None);
+    }
 
     #[test]
     fn too_few_open_files_are_reported_with_the_command_that_raises_them() {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::LazyLock;
 
-use memtransfer_tests::{Bench, Ended, episodes, needs, repository};
+use memtransfer_tests::{Bench, Ended, needs, records, repository};
 use serde_json::Value;
 
 use super::python;
@@ -100,7 +100,7 @@ fn programs_run_in_the_environment_that_the_wheel_is_installed_in() {
     assert!(demo.stdout.contains("Episodic"), "{}", demo.stdout);
     assert!(demo.stderr.contains("memtransfer view first"), "{}", demo.stderr);
     let run = bench.out("first");
-    assert_eq!(episodes(&run).len(), 4);
+    assert_eq!(records(&run).len(), 4);
     let manifest = fs::read_to_string(run.join("manifest.json")).unwrap();
     let manifest: Value = serde_json::from_str(&manifest).unwrap();
     assert_eq!(manifest["processes"]["memory"]["encoder"], "dinov2-s14");
