@@ -205,6 +205,24 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_time_left_follows_from_what_is_done_now() {
+        let mut pace = None;
+        // Three of ten were done before.
+        assert_eq!(time_left(&mut pace, (3, 10)), None);
+        let earlier = |pace: Option<Pace>| {
+            pace.map(|pace| Pace { start: pace.start - Duration::from_secs(600), ..pace })
+        };
+        pace = earlier(pace);
+        let minutes = |left: Option<Duration>| left.map(|left| left.as_secs() / 60);
+        assert!(minutes(time_left(&mut pace, (5, 10))) >= Some(25));
+        assert_eq!(time_left(&mut pace, (10, 10)), Some(Duration::ZERO));
+        // The next document, of which nothing is done.
+        assert_eq!(time_left(&mut pace, (0, 4)), None);
+        pace = earlier(pace);
+        assert!(minutes(time_left(&mut pace, (1, 4))) >= Some(30));
+    }
+
+    #[test]
     fn a_bar_fits_its_columns() {
         assert_eq!(bar(1, 2, "x", 100), "[############............] x");
         assert_eq!(bar(0, 0, "x", 100), "[........................] x");

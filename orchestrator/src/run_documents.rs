@@ -202,14 +202,17 @@ impl RunDocuments {
     /// What the run may still spend: sessions before this one count, also if they were stopped before the first episode.
     fn budget(&self, plan: &RunPlan, fresh: bool) -> Result<Budget> {
         let out = &plan.settings.out;
-        let is_begun = !fresh && out.join("manifest.json").exists();
+        let model = plan.settings.model.as_ref();
+        let is_limited =
+            model.is_some_and(|of| of.max_tokens_total.is_some() || of.max_cost.is_some());
+        let is_begun = is_limited && !fresh && out.join("manifest.json").exists();
         let earlier = is_begun.then(|| RunLog::read(out)).transpose()?;
         let earlier = match earlier {
             Some(log) if plan.manifest()?.differences(&log.manifest).is_empty() => Some(log),
             _ => None,
         };
         let past = earlier.as_ref().map_or(&[][..], |log| &log.requests);
-        let mut budget = Budget::new(plan.settings.model.as_ref(), plan.prices.as_ref(), past);
+        let mut budget = Budget::new(model, plan.prices.as_ref(), past);
         earlier.iter().for_each(|log| budget.count(&log.manifest.built_usage()));
         Ok(budget)
     }
@@ -219,12 +222,17 @@ impl RunDocuments {
         facts(&self.usable())
     }
 
-    /// Sizes of the texts in bytes: of those that are ready, and at most of those that the run's model writes.
+    /// Sizes of the texts that are ready, in bytes.
     pub fn sizes(&self) -> BTreeMap<DocumentName, u64> {
         let usable = self.usable().into_iter();
-        let ready =
-            usable.filter_map(|stored| Some((stored.name, stored.document?.text.len() as u64)));
-        let mut sizes: BTreeMap<DocumentName, u64> = ready.collect();
+        usable
+            .filter_map(|stored| Some((stored.name, stored.document?.text.len() as u64)))
+            .collect()
+    }
+
+    /// As [`Self::sizes`]; of those that the run's model writes the most that they can have.
+    pub fn largest_sizes(&self) -> BTreeMap<DocumentName, u64> {
+        let mut sizes = self.sizes();
         if let Some(recipe) = self.recipe_of_model() {
             let most = (f64::from(recipe.max_tokens) * tokens::DOCUMENT) as u64;
             sizes.extend(self.missing().into_iter().map(|name| (name, most)));

@@ -9,7 +9,7 @@ use std::time::SystemTime;
 use anyhow::{Context, anyhow, bail, ensure};
 use case_book::BookRequest;
 use clap::{Args, ValueEnum};
-use conditions::settings::RunSettings;
+use conditions::settings::{DocumentSource, RunSettings};
 use documents::DocumentName;
 use domain::{Pose, cache_folder, create_private_folder};
 use llm::{Endpoint, Servers, Source};
@@ -405,8 +405,9 @@ fn endpoint(
         about,
         data: None,
     });
-    let too_small = size_without(&documents.missing()).into_iter();
-    let compared = differences.map(|differences| {
+    let too_small = size_without(&documents.missing(), documents.builds_missing()).into_iter();
+    let compared = differences.map(|mut differences| {
+        differences.extend(other_documents(&settings));
         DoctorFinding::of("endpoint, against the paper", Ok(table(&differences)))
     });
     Ok(std::iter::once(whole).chain(parts).chain(too_small).chain(compared).collect())
@@ -465,15 +466,35 @@ fn table(differences: &[ProbedDifference]) -> String {
     format!("what a run with this server does differently{rows}")
 }
 
-/// That the request of the run's size had no documents, if they are not built yet.
-fn size_without(missing: &[DocumentName]) -> Option<DoctorFinding> {
+/// That documents are not by the model that decides, where a run with these settings has such.
+fn other_documents(settings: &RunSettings) -> Option<ProbedDifference> {
+    let model = settings.model.as_ref().map(|model| &model.model);
+    let here = match &settings.documents {
+        DocumentSource::Model(None) => return None,
+        DocumentSource::Model(name) if name.as_ref() == model => return None,
+        DocumentSource::Model(Some(name)) => format!("by {name}"),
+        DocumentSource::Extractive => "by a script (--documents extractive)".to_owned(),
+        DocumentSource::Folder(path) => format!("those in {}", path.display()),
+    };
+    Some(ProbedDifference {
+        setting: "documents".to_owned(),
+        paper: "by the model that decides".to_owned(),
+        here,
+    })
+}
+
+/// That the request of the run's size had no documents, if they are not built yet. `are_built`: by the run.
+fn size_without(missing: &[DocumentName], are_built: bool) -> Option<DoctorFinding> {
+    let when = match are_built {
+        true => "a run builds them before its first episode",
+        false => "`memtransfer memory build` builds them",
+    };
     (!missing.is_empty()).then(|| DoctorFinding {
         doubtful: true,
         ..DoctorFinding::of(
             "endpoint, documents",
             Ok(format!(
-                "the request of the run's size was without {}, which are not built yet: `memtransfer memory build` \
-                 builds them, then check again",
+                "the request of the run's size was without {}, which are not built yet: {when}; then check again",
                 listed(missing)
             )),
         )
@@ -568,10 +589,35 @@ mod tests {
             request_size(&settings, &documents).join(" "),
             @"--memory-size working:0:0 --frame-size 128 --window 9 --answer-tokens 30 --reasoning off --system-role system --image-budget 12 --image-format png --request-timeout 77"
         );
-        let finding = size_without(&documents.missing()).unwrap();
-        assert!(finding.ok && finding.doubtful);
-        assert!(finding.about.contains("without summary/original, semantic/original, which"));
-        assert!(size_without(&[]).is_none());
+        let about = |are_built| {
+            let finding = size_without(&documents.missing(), are_built).unwrap();
+            assert!(finding.ok && finding.doubtful);
+            finding.about
+        };
+        insta::assert_snapshot!(about(documents.builds_missing()), @"the request of the run's size was without summary/original, semantic/original, which are not built yet: `memtransfer memory build` builds them; then check again");
+        assert!(
+            about(true).ends_with("a run builds them before its first episode; then check again")
+        );
+        assert!(size_without(&[], true).is_none());
+    }
+
+    #[test]
+    fn documents_that_are_not_the_model_s_differ_from_the_paper() {
+        let of = |documents: Option<&str>| {
+            let flags = [("policy", "openai"), ("model", "m")].into_iter();
+            let given = documents.map(|documents| ("documents", documents));
+            let settings = resolve([Layer::flags(flags.chain(given)).unwrap()]).unwrap().settings;
+            other_documents(&settings).map(|one| table(&[one]))
+        };
+        for own in [None, Some("model"), Some("model:m")] {
+            assert_eq!(of(own), None);
+        }
+        insta::assert_snapshot!(of(Some("extractive")).unwrap(), @"
+        what a run with this server does differently
+          documents            by a script (--documents extractive) (paper: by the model that decides)
+        ");
+        assert!(of(Some("model:n")).unwrap().contains("  by n (paper: "));
+        assert!(of(Some("./mine")).unwrap().contains("  those in ./mine (paper: "));
     }
 
     #[test]

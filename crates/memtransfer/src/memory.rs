@@ -33,9 +33,9 @@ use crate::signals::Signals;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Documents are built from the selected demonstrations of all cases, by a script or by a model. `run`
-builds those that it needs; build them here to read them. A document is never replaced by one of
-another model, frame size or world.
+Documents are built from the selected demonstrations of all cases. `run` builds those that it needs,
+with its own model or the script; build them here to read them, with other limits, or with another
+model. A document is never replaced by one of another model, frame size or world.
 
 Examples:
   memtransfer memory build                        both kinds, of one and of four demonstrations

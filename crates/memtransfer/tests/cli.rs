@@ -921,6 +921,8 @@ fn a_key_is_not_sent_to_an_address_that_a_file_names() {
     let in_file = dir.path().join("downloaded");
     for (folder, arguments, place) in [
         (&*in_file, format!("run {openai}"), "the file .env"),
+        // Asks for documents first.
+        (&in_file, format!("run {openai}").replace("working", "summary"), "the file .env"),
         (&in_file, "doctor --policy openai --model m".to_owned(), "the file .env"),
         (&in_file, "memory build --builder model --model m".to_owned(), "the file .env"),
         (dir.path(), "run --suite ./suite.toml".to_owned(), "the suite or plan"),

@@ -28,6 +28,7 @@ mod pipeline;
 mod python;
 mod ray;
 mod real_server;
+mod run_documents;
 mod statistics;
 mod streams;
 mod transfer;

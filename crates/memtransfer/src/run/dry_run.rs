@@ -22,7 +22,7 @@ pub(super) fn describe(plan: &RunPlan, fresh: bool) -> Result<String> {
         let key = episode.key.to_string();
         done.binary_search_by(|record| record.key.cmp(&key)).is_ok()
     };
-    let sizes = if settings.model.is_some() { documents.sizes() } else { BTreeMap::new() };
+    let sizes = if settings.model.is_some() { documents.largest_sizes() } else { BTreeMap::new() };
     let basis = settings.model.as_ref().map(|model| Basis {
         settings,
         model,
