@@ -7,6 +7,7 @@ state of it is a `Pose`. In any other world, actions and feedback are plain numb
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -105,6 +106,14 @@ class WorldDeclaration:
         if (x, y, heading) != tuple(state) or heading not in range(len(_HEADINGS)):
             raise AttributeError(f"the state {tuple(state)} is no pose")
         return Pose(x, y, _HEADINGS[heading])
+
+    def sentence(self, state: Sequence[float]) -> str:
+        """Returns a state in a sentence, as prompts have it."""
+        values = {
+            field.name: field.words[int(number)] if field.words else f"{number:.{field.digits}f}"
+            for field, number in zip(self.state, state)
+        }
+        return re.sub(r"\{([^{}]*)\}", lambda name: values.get(name[1], name[0]), self.state_sentence)
 
     def json(self) -> str:
         """Returns the declaration as runs write it (`world.json`)."""

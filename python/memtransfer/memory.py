@@ -22,6 +22,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -114,27 +115,26 @@ class Demonstration(Sequence[DemonstrationStep]):
         return (self[step] for step in range(len(self)))
 
     def route(self) -> str:
-        """Returns the demonstration as a line of text: the task, the start, and the straight legs of the route.
+        """Returns the demonstration as text: the task, the start, the actions, and the end.
 
-        It takes a world whose states are poses. For example `"Find a blue barrel." from (14, 11) facing S: south 3 to (14, 8), west 5 to (9, 8).`
+        It is in the grammar of summaries (`docs/documents.md` of the project), which the policy `grounded` reads. For example
+
+            ## "Find a blue barrel."
+            - start: You are in column 14, row 11, and face south.
+            - move forward 3, turn right, move forward 5
+            - end: You are in column 9, row 8, and face west.
         """
-        poses = [step.pose for step in self]
-        cells = [(pose.x, pose.y) for pose in poses]
-        legs: list[tuple[str, int, tuple[int, int]]] = []
-        for (x, y), here in zip(cells, cells[1:]):
-            if here == (x, y):
-                continue
-            direction = _DIRECTIONS.get((here[0] - x, here[1] - y), "on")
-            if legs and legs[-1][0] == direction:
-                legs[-1] = (direction, legs[-1][1] + 1, here)
-            else:
-                legs.append((direction, 1, here))
-        said = ", ".join(f"{direction} {count} to {cell}" for direction, count, cell in legs)
-        heading = poses[0].heading.name
-        return f'"{self.instruction}" from {cells[0]} facing {heading}: {said or "stay"}.'
-
-
-_DIRECTIONS = {(0, 1): "north", (1, 0): "east", (0, -1): "south", (-1, 0): "west"}
+        taken: list[str] = []
+        for step in range(len(self) - 1):
+            words = self.world.action_words(int(self.actions[step]))
+            if (self.states[step] == self.states[step + 1]).all():
+                words += f' ("{self.world.feedback[self.feedback[step + 1]]}")'
+            taken.append(words)
+        rows = [(words, len(list(row))) for words, row in groupby(taken)]
+        actions = ", ".join(words if times == 1 else f"{words} {times}" for words, times in rows)
+        start, end = (self.world.sentence(self.states[step].tolist()) for step in (0, -1))
+        lines = [f'## "{self.instruction}"', f"- start: {start}", f"- {actions}", f"- end: {end}"]
+        return "\n".join(line for line in lines if line != "- ")
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,23 +57,35 @@ def test_a_demonstration_is_a_sequence_of_steps() -> None:
         steps[5]
 
 
-def test_a_route_names_the_task_the_start_and_the_corners() -> None:
-    route = demonstration().route()
-    assert route == '"Find a blue barrel." from (3, 4) facing N: north 2 to (3, 6), east 1 to (4, 6).'
+def test_a_route_is_the_demonstration_in_words() -> None:
+    assert demonstration().route() == (
+        '## "Find a blue barrel."\n'
+        "- start: You are in column 3, row 4, and face north.\n"
+        "- move forward 2, turn right, move forward\n"
+        "- end: You are in column 4, row 6, and face east."
+    )
     stays = Demonstration(
         "Stay.", *(getattr(demonstration(), name)[:1] for name in ("states", "actions", "feedback", "embeddings"))
     )
-    assert stays.route() == '"Stay." from (3, 4) facing N: stay.'
+    here = "You are in column 3, row 4, and face north."
+    assert stays.route() == f'## "Stay."\n- start: {here}\n- end: {here}'
+    blocked = demonstration()
+    blocked.states[1:3] = blocked.states[0]
+    blocked.feedback[1:3] = Feedback.BLOCKED
+    vain = f'move forward ("{WAREHOUSE.feedback[Feedback.BLOCKED]}") 2'
+    assert f"- {vain}, turn right, move forward\n" in blocked.route()
 
 
 def test_a_demonstration_in_another_world_has_numbers() -> None:
-    world = dataclasses.replace(WAREHOUSE, name="lock", actions=("pull", "turn"), state=(Field("angle"),), feedback=("Begin.", "What?"))
+    world = dataclasses.replace(WAREHOUSE, name="lock", actions=("pull", "turn"), state=(Field("angle", digits=1),), feedback=("Begin.", "What?"))
+    world = dataclasses.replace(world, state_sentence="At {angle} {dial}.")
     states = np.array([[0.5], [1.5]], dtype=np.float32)
     codes = np.array([1, -1], dtype=np.int32), np.array([0, 1], dtype=np.int32)
     turns = Demonstration("Turn it.", states, *codes, np.eye(2, dtype=np.float32), world=world)
     assert len(turns) == 2 and turns[0] == DemonstrationStep((0.5,), 1, 0, world)
     assert type(turns[0].action) is int and turns.world.action_words(turns[0].action) == "turn"
-    for read in (lambda: turns.poses, lambda: turns[0].pose, lambda: turns.route()):
+    assert turns.route() == '## "Turn it."\n- start: At 0.5 {dial}.\n- turn\n- end: At 1.5 {dial}.'
+    for read in (lambda: turns.poses, lambda: turns[0].pose):
         with pytest.raises(AttributeError, match="the world lock has no poses: its states have the numbers angle"):
             read()
 

@@ -2,7 +2,7 @@
 //! and hybrid memory.
 //!
 //! A document is addressed by everything that it depends on: its [name](DocumentName), the [recipe](Recipe) that it was
-//! built with (builder, model, prompts, limits) and its [sources](Sources) (demonstrations, layout, catalogue, frame
+//! built with (builder, model, prompts, limits) and its [sources](Sources) (the world in words, demonstrations, frame
 //! size, version of this program). Documents with different addresses lie side by side in a [folder](DocumentFolder);
 //! building one never replaces another.
 //!

@@ -11,8 +11,8 @@ from openai import OpenAI
 from memtransfer import Memory, Source, Text, run
 
 TASK = (
-    "A robot was shown a route in a warehouse; (3, 4) is column 3, row 4. Write one short note with the task and the "
-    "cells of the route, for a robot that gets a similar task."
+    "A robot was shown a route. Write one short note with the task and the places of the route, for a robot that gets a "
+    "similar task."
 )
 
 

@@ -209,6 +209,11 @@ A number after an action says how often in a row it was taken.
 - start: You are in column 1, row 1, and face north.
 - move forward
 - sub-goal 1 of 2: You are in column 1, row 2, and face north.
+
+## "Find a green cone."
+- start: You are in column 5, row 1, and face north.
+- move forward 2
+- end: You are in column 5, row 3, and face north.
 "#;
 
     fn standpoints(text: &str, instruction: &str) -> Vec<(u8, u8)> {
@@ -243,8 +248,10 @@ A number after an action says how often in a row it was taken.
         for (path, end) in routes.iter().zip(ends) {
             assert_eq!(path.last(), Some(&PathStep { pose: end, action: None }));
         }
+        let to_the_cone = document.routes("Find a green cone.").map(|path| letters(&path));
+        assert_eq!(to_the_cone.collect::<Vec<_>>(), ["ff"]);
         assert_eq!(document.routes("Find a red barrel.").count(), 0);
-        assert_eq!(document.floor.len(), 6 + 3 + 2, "of columns 14, 13 and 1");
+        assert_eq!(document.floor.len(), 6 + 3 + 2 + 3, "of columns 14, 13, 1 and 5");
     }
 
     #[test]

@@ -38,7 +38,7 @@ class Checks(Scripted):
             assert len(demonstration.frames) == steps
             pixels = demonstration.frames[0].pixels
             assert pixels.shape[2] == 4 and not pixels.flags.writeable
-            assert demonstration.route().startswith(f'"{demonstration.instruction}" from (')
+            assert demonstration.route().startswith(f'## "{demonstration.instruction}"\n- start: You are in ')
         self.episodes = {}
         self.seen["banks"] += 1
 
