@@ -68,7 +68,19 @@ mod tests {
             cached_prompt: None,
             completion: Money { millionths: 1_600_000 },
         };
-        insta::assert_snapshot!(document_table(&estimates, Some(&prices)), @"");
+        insta::assert_snapshot!(document_table(&estimates, Some(&prices)), @r#"
+        ───────────────────────────────────────────────────────────────────────────────
+        document          requests  at most  images  Mtok  at most  USD, least  at most
+        ───────────────────────────────────────────────────────────────────────────────
+        summary/original        17       20     800  0.51     0.92        0.20     0.75
+        semantic/4              69      140    3200  2.07     6.44        0.83     5.26
+        all                     86      160    4000  2.58     7.36        1.03     6.02
+        ───────────────────────────────────────────────────────────────────────────────
+        An estimate. Mtok: million tokens of prompts and answers. From empty answers to answers of --max-tokens
+        each; a token is 4 characters of the prompts' own words or 2.3 of demonstrations and answers, an image
+        256 tokens. Answers stored by an earlier attempt are not asked for again.
+        Costs: without discounts for the server's own cache.
+        "#);
         assert!(document_table(&estimates, None).ends_with("give --prices FILE (docs/costs.md)."));
     }
 }

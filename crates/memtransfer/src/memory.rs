@@ -64,7 +64,7 @@ struct BuildArgs {
     /// The demonstrations of every case they are made of, as in `run --demos`
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "original,4")]
     demos: Vec<Demonstrations>,
-    /// The kinds: summary (what the demonstrations show), semantic (general knowledge)
+    /// The kinds: summary (the demonstrations), semantic (general knowledge)
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "summary,semantic",
           value_parser = kind)]
     kind: Vec<DocumentKind>,
