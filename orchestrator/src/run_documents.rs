@@ -342,10 +342,12 @@ fn in_words(estimate: &BuildEstimate, prices: Option<&ModelPrices>) -> String {
     let cost = prices.map(|prices| {
         format!(", {} to {} {}", least.cost(prices), most.cost(prices), prices.currency)
     });
+    let requests = match (least.requests, most.requests) {
+        (least, most) if least == most => least.to_string(),
+        (least, most) => format!("{least} to {most}"),
+    };
     format!(
-        "{} to {} requests with {} images, {:.2} to {:.2} million tokens{} (an estimate)",
-        least.requests,
-        most.requests,
+        "{requests} requests with {} images, {:.2} to {:.2} million tokens{} (an estimate)",
         estimate.images,
         millions(&least),
         millions(&most),
