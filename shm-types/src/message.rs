@@ -23,7 +23,9 @@ pub use codes::{
     ViewRequestKind, action_code, read_action, read_flag,
 };
 pub use counts::DecisionCounts;
-pub use domain::limits::{MAX_EXTERNAL_MEMORIES, MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW, MAX_WORLDS};
+pub use domain::limits::{
+    MAX_EXTERNAL_MEMORIES, MAX_INSTRUCTION, MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW, MAX_WORLDS,
+};
 pub use domain::{MAX_ACTIONS, MAX_STATE};
 pub use parts::*;
 pub use route::{Description, Message, Traffic};
@@ -40,9 +42,6 @@ pub const MAX_SOURCES: usize = 16;
 
 /// Most numbers of an embedding.
 pub const MAX_EMBEDDING: usize = 1024;
-
-/// Maximum length of an instruction, in bytes.
-pub const MAX_INSTRUCTION: usize = 232;
 
 /// The `action` code for "no action".
 pub const NO_ACTION: u8 = u8::MAX;

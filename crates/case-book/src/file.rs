@@ -4,6 +4,7 @@ use std::collections::HashSet;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use domain::limits::MAX_INSTRUCTION;
 use domain::{ActionCode, State};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -82,6 +83,13 @@ impl Check for CaseBook {
         let mut ids = HashSet::new();
         if let Some(case) = self.cases.iter().find(|case| !ids.insert(&case.id)) {
             return Some(format!("it has case {} twice", case.id));
+        }
+        if let Some(case) = self.cases.iter().find(|case| case.instruction.len() > MAX_INSTRUCTION) {
+            return Some(format!(
+                "the instruction of case {} has {} bytes, and at most {MAX_INSTRUCTION} fit",
+                case.id,
+                case.instruction.len()
+            ));
         }
         if let Some(problem) = self.world.problem() {
             return Some(problem);

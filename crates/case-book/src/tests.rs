@@ -1,5 +1,7 @@
 //! Books by hand: sets, orders, and what is refused.
 
+use std::collections::BTreeMap;
+
 use domain::{ActionCode, DemonstrationKind, Demonstrations, FeedbackCode, State, StreamOrder};
 
 use super::*;
@@ -123,4 +125,25 @@ fn a_book_that_names_what_it_lacks_is_refused() {
     }
     let missing = BookFile::<DemonstrationBook>::read(std::path::Path::new("/no/such/file"));
     assert_eq!(missing.unwrap_err().to_string(), "cannot read /no/such/file");
+}
+
+/// A longer one would be cut on its way to policies and memories.
+#[test]
+fn an_instruction_that_does_not_fit_is_refused() {
+    let of = |bytes: usize| {
+        let case = CaseFacts {
+            id: "a".to_owned(),
+            task: 1,
+            instruction: "x".repeat(bytes),
+            references: Vec::new(),
+            invalidated_when_blocked: false,
+        };
+        let world = WorldFacts { declaration: doors(), ..WorldFacts::default() };
+        let (streams, stale) = (None, BTreeMap::new());
+        let book = BookFile::new(CaseBook { world, cases: vec![case], streams, stale }).unwrap();
+        BookFile::<CaseBook>::parse(book.text, "here").map(drop).map_err(|error| error.to_string())
+    };
+    let refused = "the instruction of case a has 233 bytes, and at most 232 fit";
+    assert!(of(233).unwrap_err().ends_with(refused));
+    assert!(!of(232).is_err_and(|error| error.contains("instruction")));
 }

@@ -1,5 +1,8 @@
 //! The largest sizes of what a run is made of: what fits into messages and shared memory, and so what settings may say.
 
+/// Longest instruction of a case, in bytes.
+pub const MAX_INSTRUCTION: usize = 232;
+
 /// Longest window of past steps.
 pub const MAX_WINDOW: usize = 32;
 
