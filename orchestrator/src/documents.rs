@@ -273,11 +273,10 @@ impl ReadyDocuments {
         Self { documents, built: Vec::new(), _lock: None }
     }
 
-    /// Adds `others`. While this value exists, no other process builds in the folder of the last ones that were built.
+    /// Adds `others`, whose folder is not locked any more, so that more can be built in it.
     pub fn add(&mut self, others: Self) {
         self.documents.extend(others.documents);
         self.built.extend(others.built);
-        self._lock = others._lock.or(self._lock.take());
     }
 
     /// Their entries in the manifest, by name.
@@ -450,6 +449,12 @@ mod tests {
         assert!(lock(folder.path(), &stop, &mut report).unwrap().is_none());
         assert_eq!(stages, [BuildStage::Waiting]);
         drop(first);
+        assert!(lock(folder.path(), &stop, &mut |_| ()).unwrap().is_some());
+        // Documents that were added to others do not keep the next ones from being built.
+        let locked = lock(folder.path(), &stop, &mut |_| ()).unwrap();
+        let added = ReadyDocuments { _lock: locked, ..ReadyDocuments::unlocked(Vec::new()) };
+        let mut ready = ReadyDocuments::unlocked(Vec::new());
+        ready.add(added);
         assert!(lock(folder.path(), &stop, &mut |_| ()).unwrap().is_some());
         // A pipe in its place is not waited for.
         let path = folder.path().join(LOCK_FILE);

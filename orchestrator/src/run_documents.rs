@@ -202,14 +202,17 @@ impl RunDocuments {
     /// What the run may still spend: sessions before this one count, also if they were stopped before the first episode.
     fn budget(&self, plan: &RunPlan, fresh: bool) -> Result<Budget> {
         let out = &plan.settings.out;
-        let is_begun = !fresh && out.join("manifest.json").exists();
+        let model = plan.settings.model.as_ref();
+        let is_limited =
+            model.is_some_and(|of| of.max_tokens_total.is_some() || of.max_cost.is_some());
+        let is_begun = is_limited && !fresh && out.join("manifest.json").exists();
         let earlier = is_begun.then(|| RunLog::read(out)).transpose()?;
         let earlier = match earlier {
             Some(log) if plan.manifest()?.differences(&log.manifest).is_empty() => Some(log),
             _ => None,
         };
         let past = earlier.as_ref().map_or(&[][..], |log| &log.requests);
-        let mut budget = Budget::new(plan.settings.model.as_ref(), plan.prices.as_ref(), past);
+        let mut budget = Budget::new(model, plan.prices.as_ref(), past);
         earlier.iter().for_each(|log| budget.count(&log.manifest.built_usage()));
         Ok(budget)
     }
@@ -339,10 +342,12 @@ fn in_words(estimate: &BuildEstimate, prices: Option<&ModelPrices>) -> String {
     let cost = prices.map(|prices| {
         format!(", {} to {} {}", least.cost(prices), most.cost(prices), prices.currency)
     });
+    let requests = match (least.requests, most.requests) {
+        (least, most) if least == most => least.to_string(),
+        (least, most) => format!("{least} to {most}"),
+    };
     format!(
-        "{} to {} requests with {} images, {:.2} to {:.2} million tokens{} (an estimate)",
-        least.requests,
-        most.requests,
+        "{requests} requests with {} images, {:.2} to {:.2} million tokens{} (an estimate)",
         estimate.images,
         millions(&least),
         millions(&most),

@@ -38,8 +38,8 @@ fn documents_of_the_corridor_are_written_in_its_words() {
     assert!(semantic.contains("- walk west, 2 of 24 actions: cell 100 %\n"), "{semantic}");
     // A request under hybrid memory has both, and no images of memory.
     let bytes = (summary.len() + semantic.len()).to_string();
-    let supplied = ["Hybrid", "2.00", "0.00", &bytes];
-    let mut lines = ended.stdout.lines().map(|line| line.split_whitespace().take(4));
+    let supplied = ["Hybrid", "(extractive)", "2.00", "0.00", &bytes];
+    let mut lines = ended.stdout.lines().map(|line| line.split_whitespace().take(5));
     assert!(lines.any(|cells| cells.eq(supplied)), "{}", ended.stdout);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
