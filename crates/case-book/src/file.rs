@@ -84,7 +84,8 @@ impl Check for CaseBook {
         if let Some(case) = self.cases.iter().find(|case| !ids.insert(&case.id)) {
             return Some(format!("it has case {} twice", case.id));
         }
-        if let Some(case) = self.cases.iter().find(|case| case.instruction.len() > MAX_INSTRUCTION) {
+        if let Some(case) = self.cases.iter().find(|case| case.instruction.len() > MAX_INSTRUCTION)
+        {
             return Some(format!(
                 "the instruction of case {} has {} bytes, and at most {MAX_INSTRUCTION} fit",
                 case.id,
