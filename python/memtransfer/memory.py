@@ -100,6 +100,8 @@ class Demonstration(Sequence[DemonstrationStep]):
         """
         for state in self.states[:1]:
             self.world.pose(state.tolist())
+        import numpy as np
+
         return self.states.astype(np.int32)
 
     def __getitem__(self, step: Any) -> Any:

@@ -9,8 +9,8 @@ use super::{Cli, Exit, MemtransferVerb, run};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-This is `memtransfer run --suite quick --policy grounded`, in the folder runs/quick-grounded. It needs no
-model, no key and no network. The same command again resumes it, or prints the tables again.
+This is `memtransfer run --suite quick --policy grounded`, in the folder runs/quick-grounded. It
+needs no model, no key and no network. The same command again resumes it, or prints its tables.
 
 Examples:
   memtransfer demo

@@ -82,7 +82,7 @@ file.";
 
 #[derive(Debug, Subcommand)]
 enum MemtransferVerb {
-    /// Try it: run the suite `quick` with the policy `grounded`, print its tables and what to do next
+    /// Try it: the suite `quick` with a scripted policy, its tables and what to do next
     Demo(demo::DemoArgs),
     /// Run a suite: start the processes, run the episodes, print the table
     Run(Box<run::RunArgs>),

@@ -442,9 +442,10 @@ fn listed(help: &str, from: &str) -> Vec<String> {
 
 #[test]
 fn every_output_with_figures_of_a_run_names_a_policy_that_is_no_model() {
-    /// Each verb with the commands that show figures of a run. The others are tested where a run takes place (`run`, `work`,
-    /// `top`, `view`), or show no figure of a policy.
+    /// Each verb with the commands that show figures of a run. The others are tested where a run takes place (`demo`, `run`,
+    /// `work`, `top`, `view`), or show no figure of a policy.
     const SHOWN: &[(&str, &[&str])] = &[
+        ("demo", &[]),
         ("run", &[]),
         ("plan", &[]),
         ("work", &[]),

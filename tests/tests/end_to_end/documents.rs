@@ -46,7 +46,8 @@ fn demonstrated(selection: Demonstrations) -> (BTreeSet<String>, BTreeSet<String
 #[test]
 fn documents_contain_what_their_demonstrations_contain_and_nothing_else() {
     let bench = Bench::new();
-    let build = ["memory", "build", "--demos", "original,4", "--out", "documents"];
+    let build =
+        ["memory", "build", "--demos", "original,4", "--plates", "on", "--out", "documents"];
     let built = bench.run(&build).expect(0);
     assert!(built.stderr.contains("4 built, 0 current"), "{}", built.stderr);
     assert_eq!(bench.leftovers(), Vec::<String>::new());

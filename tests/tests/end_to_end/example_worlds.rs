@@ -215,6 +215,7 @@ fn verbs_treat_a_world_of_ones_own_like_the_warehouse() {
         ("view r --out pages", "index.html"),
         ("export r --format mcap --episodes 2 --out mcap", ".mcap"),
         ("export r --format csv --out tables", "steps.csv"),
+        ("memory build --demos original --kind summary --out documents", "summary/original"),
         ("render --case reach-7 --trajectory blocked --size 64 --out views", "views/006.png"),
     ] {
         let printed = ask(&bench, &world, line).expect(0).stdout;
@@ -226,9 +227,7 @@ fn verbs_treat_a_world_of_ones_own_like_the_warehouse() {
     assert!(columns.lines().next().unwrap().contains(",step,state_step,"), "{columns}");
     let views = std::fs::read_dir(bench.out("pages/run1/views")).unwrap().count();
     assert!(views > 10, "{views} views");
-    for line in
-        ["map", "generate", "ls items", "ls streams", "memory build", "render --pose 3,12,N"]
-    {
+    for line in ["map", "generate", "ls items", "ls streams", "render --pose 3,12,N"] {
         let refused = ask(&bench, &world, line).expect(2).stderr;
         assert!(refused.contains("--world-cmd") || refused.contains("--case"), "{line}: {refused}");
     }
