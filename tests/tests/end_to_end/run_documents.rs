@@ -63,7 +63,10 @@ fn slice(out: &str) -> Vec<&str> {
 
 /// Starts the program with a cache folder of the bench's own.
 fn start(bench: &Bench, cache: &str, args: &[&str]) -> Child {
-    bench.command(args).env("MEMTRANSFER_CACHE", bench.out(cache)).spawn().unwrap()
+    let mut command = bench.command(args);
+    // What a killed one leaves goes with the bench.
+    command.env("MEMTRANSFER_CACHE", bench.out(cache)).env("TMPDIR", bench.folder.path());
+    command.spawn().unwrap()
 }
 
 fn ended(bench: &Bench, cache: &str, args: &[&str]) -> Ended {

@@ -138,7 +138,8 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
     // A screen reader passes arrow keys to a grid, and reads its headings with pauses.
     assert_eq!(browser.value("document.querySelector('.grid > table').role"), "grid");
     let heading = browser.value("document.querySelector('thead th:nth-child(2)').textContent");
-    assert!(heading.as_str().unwrap().starts_with("working, new unchanged none, "), "{heading}");
+    let heading = heading.as_str().unwrap();
+    assert!(heading.starts_with("Working memory, new unchanged none, "), "{heading}");
     // Tab reaches one episode; arrow keys move among the others.
     assert_eq!(browser.value("document.querySelectorAll('td a.mark[tabindex=\"0\"]').length"), 1);
     browser.value("document.querySelector('td a.mark[tabindex=\"0\"]').focus()");
