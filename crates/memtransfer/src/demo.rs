@@ -30,7 +30,7 @@ pub(super) fn run(args: DemoArgs) -> Result<Exit> {
     let out = run_args.resolve()?.settings.out;
     let exit = run::run(*run_args)?;
     if exit == Exit::Complete {
-        say!("{}", next_steps(&out.display().to_string()));
+        say!("\n{}", next_steps(&out.display().to_string()));
     }
     Ok(exit)
 }
