@@ -87,6 +87,7 @@ class Run:
         config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 4 * self.notifiers
         self.node = iox2.NodeBuilder.new().config(config).create(iox2.ServiceType.Ipc)
         self.generation = attach["generation"]
+        self.orchestrator_process = Path(f"/proc/{attach['orchestrator_pid']}")
         lanes, capacity = attach["lanes"], attach["frame_capacity"]
         chunks = capacity + 32 + capacity // 8 + lanes + 16
         self.queues = {"lanes": 2 * lanes + 16, "frames": 2 * chunks, "few": 256}
@@ -162,7 +163,7 @@ class Run:
                 send(self.shutdown_reports, ShutdownReport(role=POLICY, frames_received=received))
             if stops or answered:
                 self.orchestrator.notify()
-            if stops:
+            if stops or not self.orchestrator_process.exists():
                 return
             # A recall may arrive shortly before its observation.
             self.listener.timed_wait(iox2.Duration.from_millis(1 if recalls else 1000))
