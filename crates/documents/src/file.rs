@@ -57,10 +57,6 @@ pub struct BuildAccount {
     /// Images in all prompts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub images: Option<u64>,
-    /// Answers that reached the token limit and were used up to their last whole line or sentence, in documents of earlier
-    /// versions: such an answer now fails the build.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub cut_off: Option<u64>,
     /// Tokens of all prompts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prompt_tokens: Option<u64>,

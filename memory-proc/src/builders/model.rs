@@ -122,7 +122,6 @@ impl<A: AskModel, V: DrawViews> DocumentBuilder for ModelBuilder<A, V> {
                 prompt_version: Some(PROMPT_VERSION),
                 requests: Some(0),
                 images: Some(0),
-                cut_off: None,
                 prompt_tokens: Some(0),
                 completion_tokens: Some(0),
             },

@@ -123,7 +123,6 @@ fn each_summary_continues_the_previous_one() {
             prompt_version: Some(PROMPT_VERSION),
             requests: Some(3),
             images: Some(0),
-            cut_off: None,
             prompt_tokens: Some(300),
             completion_tokens: Some(30),
         }
