@@ -130,7 +130,7 @@ fn a_book_that_names_what_it_lacks_is_refused() {
 /// A longer one would be cut on its way to policies and memories.
 #[test]
 fn an_instruction_that_does_not_fit_is_refused() {
-    let of = |bytes: usize| {
+    let parsed_with = |bytes: usize| {
         let case = CaseFacts {
             id: "a".to_owned(),
             task: 1,
@@ -144,6 +144,6 @@ fn an_instruction_that_does_not_fit_is_refused() {
         BookFile::<CaseBook>::parse(book.text, "here").map(drop).map_err(|error| error.to_string())
     };
     let refused = "the instruction of case a has 233 bytes, and at most 232 fit";
-    assert!(of(233).unwrap_err().ends_with(refused));
-    assert!(!of(232).is_err_and(|error| error.contains("instruction")));
+    assert!(parsed_with(233).unwrap_err().ends_with(refused));
+    assert!(!parsed_with(232).is_err_and(|error| error.contains("instruction")));
 }

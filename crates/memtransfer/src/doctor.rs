@@ -234,11 +234,11 @@ fn unwritable(cache: &Path) -> Option<(PathBuf, Errno)> {
     let mut written = Vec::new();
     let cache = std::path::absolute(cache).unwrap_or_else(|_| cache.to_owned());
     // A folder that is missing is made in the first one above it that is there.
-    let there = cache.ancestors().find(|folder| folder.exists()).unwrap_or(&cache);
+    let nearest = cache.ancestors().find(|folder| folder.exists()).unwrap_or(&cache);
     for name in ["documents", "embeddings", "model-hashes", "responses"] {
         let folder = cache.join(name);
         if !folder.exists() {
-            written.push(there.to_owned());
+            written.push(nearest.to_owned());
             continue;
         }
         written.push(folder.clone());

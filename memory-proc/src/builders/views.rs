@@ -179,7 +179,7 @@ impl DrawViews for ViewRenderer {
 
 impl Drop for RendererProcess {
     fn drop(&mut self) {
-        // It may be rendering for nobody.
+        // Nobody waits for a view that it may be rendering.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

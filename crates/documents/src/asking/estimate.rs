@@ -143,10 +143,10 @@ impl<'a> Asked<'a> {
     }
 
     fn ask(&mut self, stage: PromptStage, material: PartSize) {
-        let own = self.texts.own_chars(stage) as u64;
+        let of_template = self.texts.own_chars(stage) as u64;
         self.requests += 1;
         self.images += material.images as u64;
-        self.prompt_tokens += tokens::of_text(own, material.chars as u64);
+        self.prompt_tokens += tokens::of_text(of_template, material.chars as u64);
         self.prompt_tokens += tokens::IMAGE * material.images as u64;
     }
 }
@@ -194,9 +194,10 @@ mod tests {
     #[test]
     fn long_answers_leave_less_room() {
         let recipe = ModelRecipe { views: 0, max_tokens: 700, ..recipe() };
-        let own = PromptTexts { world: &world(), recipe: &recipe }.own_chars(PromptStage::Summary);
+        let texts = PromptTexts { world: &world(), recipe: &recipe };
+        let of_template = texts.own_chars(PromptStage::Summary);
         // An answer has at most 1610 characters, and a demonstration more than 200.
-        let small = ModelRecipe { context_chars: own + 2000, ..recipe };
+        let small = ModelRecipe { context_chars: of_template + 2000, ..recipe };
         for name in ["summary/original", "semantic/original"] {
             let [least, most] = of_many(30, name, &small).requests;
             assert!(least < most, "{name}: {least} {most}");

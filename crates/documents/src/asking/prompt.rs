@@ -184,12 +184,12 @@ impl PromptTexts<'_> {
             world.action_codes().map(|code| world.action_words(code)).collect();
         let of_world = [("rules", world.rules.as_str()), ("actions", &actions.join(", "))];
         let limit = (recipe.max_tokens as usize * CHARS_PER_TOKEN).to_string();
-        let own = [
+        let of_all_stages = [
             ("world", &*fill(WORLD.trim_end(), &of_world)),
             ("images", if recipe.views_each() > 0 { IMAGES.trim_end() } else { "" }),
             ("limit", &limit),
         ];
-        let values = [&own, values].concat();
+        let values = [&of_all_stages, values].concat();
         let filled = |template: &str| fill(template, &values);
         let (system, user) = stage.file().split_once(USER).unwrap_or(("", stage.file()));
         let (before, after) =

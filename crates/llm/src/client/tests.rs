@@ -496,10 +496,10 @@ fn a_refused_field_is_left_out_from_then_on() {
 /// A server that refuses all fields that it does not know, with status 422 and without a message.
 #[test]
 fn a_strict_server_gets_the_fields_that_it_knows() {
-    let known = ["model", "messages", "temperature", "max_tokens", "stream"];
+    let accepted = ["model", "messages", "temperature", "max_tokens", "stream"];
     let server = Server::start(move |request| {
         let fields = request.body.as_object().unwrap().keys();
-        let others = fields.filter(|field| !known.contains(&field.as_str()));
+        let others = fields.filter(|field| !accepted.contains(&field.as_str()));
         let detail: Vec<_> = others
             .map(|field| json!({"type": "extra_forbidden", "loc": ["body", field]}))
             .collect();
@@ -514,7 +514,7 @@ fn a_strict_server_gets_the_fields_that_it_knows() {
     assert_eq!(bench.client.ask(&request, 0).unwrap().attempts, 1);
     assert_eq!(server.received().len(), 3, "with all, with response_format, with none");
     let kept = server.received()[2].body.as_object().unwrap().len();
-    assert_eq!((kept, bench.client.refused_fields().len()), (known.len(), 8));
+    assert_eq!((kept, bench.client.refused_fields().len()), (accepted.len(), 8));
 }
 
 /// A field that the message of another error only mentions stays as it is.
