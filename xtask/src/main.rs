@@ -11,6 +11,7 @@ mod cache;
 mod check;
 mod citations;
 mod demo;
+mod docs;
 mod drill;
 mod features;
 mod pins;
@@ -72,7 +73,9 @@ enum Verb {
     Drill(drill::DrillArguments),
     /// Build the wheel, with the programs and the Python package, into target/wheels
     Wheel,
-    /// Check links between crates, features, citations, format, lints and docs
+    /// Check the documents and build them as a site with search into target/site
+    Docs,
+    /// Check links between crates, features, citations, documents, format, lints and rustdoc
     Check,
     /// What CI runs: `check`, `test`, `drill --quick`
     Ci,
@@ -125,6 +128,7 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
             drill::run(arguments, &workspace)
         }
         Verb::Wheel => python::build_wheel(&workspace),
+        Verb::Docs => docs::build(&pins, &cache, &workspace),
         Verb::Check => check::run(&workspace),
         Verb::Ci => {
             let checked = check::run(&workspace)?;
