@@ -9,8 +9,20 @@ use pulldown_cmark::{Event, Options, Parser, Tag, TagEnd};
 pub(super) struct Markdown {
     pub(super) links: Vec<Link>,
     pub(super) headings: Vec<Heading>,
+    pub(super) parts: Parts,
     /// Lines with links that are not read: those of HTML, and those whose target is not written beside them.
     pub(super) unread: Vec<usize>,
+}
+
+/// How many parts of each kind a text has.
+#[derive(Default, PartialEq, Eq, Debug)]
+pub(super) struct Parts {
+    pub(super) headings: usize,
+    pub(super) lists: usize,
+    pub(super) list_items: usize,
+    pub(super) table_rows: usize,
+    pub(super) code_blocks: usize,
+    pub(super) images: usize,
 }
 
 /// A link or an image.
@@ -40,6 +52,15 @@ impl Markdown {
         let mut page = Self::default();
         let mut heading: Option<String> = None;
         for (event, range) in Parser::new_ext(text, Options::ENABLE_TABLES).into_offset_iter() {
+            match &event {
+                Event::Start(Tag::Heading { .. }) => page.parts.headings += 1,
+                Event::Start(Tag::List(_)) => page.parts.lists += 1,
+                Event::Start(Tag::Item) => page.parts.list_items += 1,
+                Event::Start(Tag::TableHead | Tag::TableRow) => page.parts.table_rows += 1,
+                Event::Start(Tag::CodeBlock(_)) => page.parts.code_blocks += 1,
+                Event::Start(Tag::Image { .. }) => page.parts.images += 1,
+                _ => {}
+            }
             match event {
                 Event::Start(
                     ref tag @ (Tag::Link { ref dest_url, .. } | Tag::Image { ref dest_url, .. }),

@@ -7,6 +7,7 @@ mod foreign;
 mod links;
 mod markdown;
 mod navigation;
+mod rendering;
 mod site;
 
 pub(crate) use site::{build, check};

@@ -6,9 +6,9 @@ use std::path::{Component, Path, PathBuf};
 use anyhow::{Context, ensure};
 use serde_json::json;
 
-use super::foreign;
 use super::links::{Documents, Fault, Target};
 use super::navigation::Navigation;
+use super::{foreign, rendering};
 use crate::cache::{Cache, remove_folder};
 use crate::pins::{Pins, Purpose};
 use crate::setup;
@@ -69,12 +69,38 @@ pub(crate) fn build(pins: &Pins, cache: &Cache, workspace: &Workspace) -> anyhow
     if !succeeds(&mut mkdocs)? {
         return Ok(false);
     }
-    let foreign = foreign::loads(&site)?;
-    for (path, load) in &foreign {
-        eprintln!("{}: loads from another host: {load}", path.display());
+    let faults = faults(&documents, &navigation, &site)?;
+    for fault in &faults {
+        eprintln!("{fault}");
     }
     eprintln!("the site: {}", site.join("index.html").display());
-    Ok(foreign.is_empty())
+    Ok(faults.is_empty())
+}
+
+/// What is wrong in the built site.
+fn faults(
+    documents: &Documents,
+    navigation: &Navigation,
+    site: &Path,
+) -> anyhow::Result<Vec<Fault>> {
+    let of_site = foreign::loads(site)?.into_iter().map(|(path, load)| {
+        let message = format!("the page loads from another host: {load}");
+        Fault { path, line: 0, message }
+    });
+    let mut faults: Vec<Fault> = of_site.collect();
+    for path in &navigation.pages {
+        let Some(page) = documents.page(path) else { continue };
+        let html = match path.ends_with("README.md") {
+            true => site.join(path.with_file_name("index.html")),
+            false => site.join(path.with_extension("html")),
+        };
+        let text =
+            fs::read_to_string(&html).with_context(|| format!("cannot read {}", html.display()))?;
+        if let Some(message) = rendering::difference(&page.markdown.parts, &text) {
+            faults.push(Fault { path: path.clone(), line: 0, message });
+        }
+    }
+    Ok(faults)
 }
 
 /// Reads the documents; `None` where there are faults, which are printed.
