@@ -7,6 +7,7 @@ mod foreign;
 mod links;
 mod markdown;
 mod navigation;
+mod reference;
 mod rendering;
 mod site;
 

@@ -8,7 +8,7 @@ use serde_json::json;
 
 use super::links::{Documents, Fault, Target};
 use super::navigation::Navigation;
-use super::{foreign, rendering};
+use super::{foreign, reference, rendering};
 use crate::cache::{Cache, remove_folder};
 use crate::pins::{Pins, Purpose};
 use crate::setup;
@@ -48,13 +48,21 @@ pub(crate) fn build(pins: &Pins, cache: &Cache, workspace: &Workspace) -> anyhow
             write(&sources.join("pages").join(&image), &bytes)?;
         }
     }
+    let reference = reference::pages(workspace)?;
+    for page in &reference {
+        write(&sources.join("pages").join(&page.path), page.text.as_bytes())?;
+    }
+    let mut entries = navigation.entries.clone();
+    entries.push(reference::entry(&reference));
+    let package = workspace.root().join(reference::PACKAGE);
     let settings = workspace.root().join(SETTINGS);
     let configuration = json!({
         "INHERIT": settings,
         "docs_dir": sources.join("pages"),
         "site_dir": site,
         "theme": { "custom_dir": settings.with_file_name("theme") },
-        "nav": navigation.entries,
+        "nav": entries,
+        "plugins": { "mkdocstrings": { "handlers": { "python": { "paths": [package.parent()] } } } },
     });
     // JSON is YAML.
     let configuration_path = sources.join("mkdocs.yml");
