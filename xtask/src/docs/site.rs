@@ -41,7 +41,8 @@ pub(crate) fn build(pins: &Pins, cache: &Cache, workspace: &Workspace) -> anyhow
     for path in &navigation.pages {
         let page =
             Copy { documents: &documents, navigation: &navigation, path, revision: &revision };
-        write(&sources.join("pages").join(path), page.text().as_bytes())?;
+        let text = format!("{}{}", rank(path), page.text());
+        write(&sources.join("pages").join(path), text.as_bytes())?;
         for image in page.images() {
             let bytes = fs::read(workspace.root().join(&image))
                 .with_context(|| format!("cannot read {}", image.display()))?;
@@ -83,6 +84,15 @@ pub(crate) fn build(pins: &Pins, cache: &Cache, workspace: &Workspace) -> anyhow
     }
     eprintln!("the site: {}", site.join("index.html").display());
     Ok(faults.is_empty())
+}
+
+/// The head of a copy that ranks the page in the search: what was decided or changed comes after what is.
+fn rank(path: &Path) -> &'static str {
+    if path.starts_with("docs/decisions") || path == Path::new("CHANGELOG.md") {
+        "---\nsearch:\n  boost: 0.2\n---\n\n"
+    } else {
+        ""
+    }
 }
 
 /// What is wrong in the built site.
