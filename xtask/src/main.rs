@@ -77,7 +77,7 @@ enum Verb {
     Docs,
     /// Check links between crates, features, citations, documents, format, lints and rustdoc
     Check,
-    /// What CI runs: `check`, `test`, `drill --quick`
+    /// What CI runs: `check`, `docs`, `test`, `drill --quick`
     Ci,
     /// Write an untrained ViT-B/16 with seeded weights, for tests and timing
     VitB16Untrained,
@@ -132,8 +132,12 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
         Verb::Check => check::run(&workspace),
         Verb::Ci => {
             let checked = check::run(&workspace)?;
+            let built = docs::build(&pins, &cache, &workspace)?;
             let tested = test::run(&pins, &cache, &workspace, &[])?;
-            Ok(drill::run(&drill::DrillArguments::of_ci(), &workspace)? && tested && checked)
+            Ok(drill::run(&drill::DrillArguments::of_ci(), &workspace)?
+                && tested
+                && built
+                && checked)
         }
         Verb::VitB16Untrained => {
             let encoder = Purpose::Only("models/vit-b16-untrained.onnx");

@@ -47,8 +47,8 @@ mod tests {
 
     #[test]
     fn a_list_that_the_site_shows_as_text_is_noticed() {
-        let page = Markdown::read("# A\n\nThese:\n- one\n- two\n\n    code\n");
-        let html = "<li>around</li><article><h1 id=\"a\">A</h1><p>These: - one - two</p><pre>code</pre></article>";
+        let page = Markdown::read("# A\n\nThese:\n- one\n- two\n\nAnd:\n\n    code\n");
+        let html = "<li>around</li><article><h1 id=\"a\">A</h1><p>These: - one - two</p><p>And:</p><pre>code</pre></article>";
         let expected = format!("lists: 1, on the site 0; list items: 2, on the site 0; {ADVICE}");
         assert_eq!(difference(&page.parts, html), Some(expected));
         let html = "<article><h1 id=\"a\">A</h1><ul><li>one</li><li>two</li></ul><pre>code</pre></article>";
