@@ -3,6 +3,7 @@
 //! The Markdown files stay where they are and are written for a code host. What the site needs otherwise, it gets in the
 //! copies that are built.
 
+mod commands;
 mod foreign;
 mod links;
 mod markdown;

@@ -8,7 +8,7 @@ use serde_json::json;
 
 use super::links::{Documents, Fault, Target};
 use super::navigation::Navigation;
-use super::{foreign, reference, rendering};
+use super::{commands, foreign, reference, rendering};
 use crate::cache::{Cache, remove_folder};
 use crate::pins::{Pins, Purpose};
 use crate::setup;
@@ -23,8 +23,8 @@ const SETTINGS: &str = "xtask/site/mkdocs.yml";
 /// Where the repository is published.
 const REPOSITORY: &str = env!("CARGO_PKG_REPOSITORY");
 
-/// Checks the links of all Markdown files, and that each page is in the navigation once. Prints the faults; returns whether there
-/// was none.
+/// Checks links and commands of all Markdown files, and that each page is in the navigation once. Prints the faults; returns
+/// whether there was none.
 pub(crate) fn check(workspace: &Workspace) -> anyhow::Result<bool> {
     Ok(read(workspace)?.is_some())
 }
@@ -127,6 +127,7 @@ fn read(workspace: &Workspace) -> anyhow::Result<Option<(Documents, Navigation)>
     let mut faults: Vec<Fault> = documents.broken_links();
     let (navigation, of_navigation) = Navigation::of(&documents);
     faults.extend(of_navigation);
+    faults.extend(commands::refused(&documents, &workspace.packages(&["--no-deps"])?));
     for fault in &faults {
         eprintln!("{fault}");
     }
