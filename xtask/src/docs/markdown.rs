@@ -1,8 +1,9 @@
-//! What a Markdown page has: links, images and headings, read as a code host does (CommonMark with GitHub's tables).
+//! What a Markdown page has: links, images and headings, read as GitHub does.
 
 use std::ops::Range;
 
-use pulldown_cmark::{Event, Options, Parser, Tag, TagEnd};
+use markdown::ParseOptions;
+use markdown::mdast::Node;
 
 /// A page's links and headings, in the order of the text.
 #[derive(Default)]
@@ -48,51 +49,58 @@ pub(super) struct Heading {
 
 impl Markdown {
     pub(super) fn read(text: &str) -> Self {
-        let line_of = |at: usize| text[..at].matches('\n').count() + 1;
         let mut page = Self::default();
-        let mut heading: Option<String> = None;
-        for (event, range) in Parser::new_ext(text, Options::ENABLE_TABLES).into_offset_iter() {
-            match &event {
-                Event::Start(Tag::Heading { .. }) => page.parts.headings += 1,
-                Event::Start(Tag::List(_)) => page.parts.lists += 1,
-                Event::Start(Tag::Item) => page.parts.list_items += 1,
-                Event::Start(Tag::TableHead | Tag::TableRow) => page.parts.table_rows += 1,
-                Event::Start(Tag::CodeBlock(_)) => page.parts.code_blocks += 1,
-                Event::Start(Tag::Image { .. }) => page.parts.images += 1,
-                _ => {}
-            }
-            match event {
-                Event::Start(
-                    ref tag @ (Tag::Link { ref dest_url, .. } | Tag::Image { ref dest_url, .. }),
-                ) => match text[range.clone()].rfind(&**dest_url) {
-                    Some(at) => page.links.push(Link {
-                        target: dest_url.to_string(),
-                        is_image: matches!(tag, Tag::Image { .. }),
-                        line: line_of(range.start + at),
-                        range: range.start + at..range.start + at + dest_url.len(),
-                    }),
-                    None => page.unread.push(line_of(range.start)),
-                },
-                Event::Html(html) | Event::InlineHtml(html)
-                    if html.contains("href=") || html.contains("src=") =>
-                {
-                    page.unread.push(line_of(range.start));
-                }
-                Event::Start(Tag::Heading { .. }) => heading = Some(String::new()),
-                Event::End(TagEnd::Heading(level)) => {
-                    let text = heading.take().unwrap_or_default();
-                    let (anchor, line) = (anchor_of(&text), line_of(range.start));
-                    page.headings.push(Heading { level: level as usize, text, anchor, line });
-                }
-                Event::Text(part) | Event::Code(part) => {
-                    if let Some(heading) = &mut heading {
-                        heading.push_str(&part);
-                    }
-                }
-                _ => {}
-            }
+        // Only MDX, which is off, has texts that cannot be read.
+        if let Ok(root) = markdown::to_mdast(text, &ParseOptions::gfm()) {
+            page.add(&root, text);
         }
         page
+    }
+
+    /// Adds a node of the text and what is in it.
+    fn add(&mut self, node: &Node, text: &str) {
+        let range = node.position().map_or(0..0, |it| it.start.offset..it.end.offset);
+        let line = node.position().map_or(0, |it| it.start.line);
+        match node {
+            Node::Link(link) => self.add_link(&link.url, false, range, text),
+            Node::Image(image) => {
+                self.parts.images += 1;
+                self.add_link(&image.url, true, range, text);
+            }
+            Node::LinkReference(_) | Node::ImageReference(_) => self.unread.push(line),
+            Node::Html(html) if html.value.contains("href=") || html.value.contains("src=") => {
+                self.unread.push(line);
+            }
+            Node::Heading(heading) => {
+                self.parts.headings += 1;
+                let (level, text) = (usize::from(heading.depth), node.to_string());
+                let anchor = anchor_of(&text);
+                self.headings.push(Heading { level, text, anchor, line });
+            }
+            Node::List(_) => self.parts.lists += 1,
+            Node::ListItem(_) => self.parts.list_items += 1,
+            Node::TableRow(_) => self.parts.table_rows += 1,
+            Node::Code(_) => self.parts.code_blocks += 1,
+            _ => {}
+        }
+        for child in node.children().into_iter().flatten() {
+            self.add(child, text);
+        }
+    }
+
+    /// Adds the link in these bytes of the text.
+    fn add_link(&mut self, target: &str, is_image: bool, range: Range<usize>, text: &str) {
+        let line_of = |at: usize| text[..at].matches('\n').count() + 1;
+        match text[range.clone()].rfind(target) {
+            Some(at) => {
+                let start = range.start + at;
+                let (line, range) = (line_of(start), start..start + target.len());
+                self.links.push(Link { target: target.to_owned(), is_image, line, range });
+            }
+            // Of other hosts and of mail, where the text leaves out the scheme.
+            None if target.contains(':') => {}
+            None => self.unread.push(line_of(range.start)),
+        }
     }
 
     pub(super) fn has_anchor(&self, anchor: &str) -> bool {
@@ -132,6 +140,7 @@ mod tests {
     fn links_that_cannot_be_read_are_noticed() {
         let text = "<a href=\"x\">x</a>\n\n[text][name]\n\n[name]: elsewhere.md\n";
         assert_eq!(Markdown::read(text).unread, [1, 3]);
+        assert!(Markdown::read("someone@example.org, www.example.org\n").unread.is_empty());
     }
 
     #[test]
