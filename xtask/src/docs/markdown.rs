@@ -11,6 +11,8 @@ pub(super) struct Markdown {
     pub(super) links: Vec<Link>,
     pub(super) headings: Vec<Heading>,
     pub(super) parts: Parts,
+    /// What a reader sees, without spaces.
+    pub(super) letters: String,
     /// Lines with links that are not read: those of HTML, and those whose target is not written beside them.
     pub(super) unread: Vec<usize>,
 }
@@ -80,7 +82,12 @@ impl Markdown {
             Node::List(_) => self.parts.lists += 1,
             Node::ListItem(_) => self.parts.list_items += 1,
             Node::TableRow(_) => self.parts.table_rows += 1,
-            Node::Code(_) => self.parts.code_blocks += 1,
+            Node::Code(code) => {
+                self.parts.code_blocks += 1;
+                self.letters.extend(code.value.split_whitespace());
+            }
+            Node::Text(text) => self.letters.extend(text.value.split_whitespace()),
+            Node::InlineCode(code) => self.letters.extend(code.value.split_whitespace()),
             _ => {}
         }
         for child in node.children().into_iter().flatten() {

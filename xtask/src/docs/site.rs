@@ -114,7 +114,7 @@ fn faults(
         };
         let text =
             fs::read_to_string(&html).with_context(|| format!("cannot read {}", html.display()))?;
-        if let Some(message) = rendering::difference(&page.markdown.parts, &text) {
+        if let Some(message) = rendering::difference(&page.markdown, &text) {
             faults.push(Fault { path: path.clone(), line: 0, message });
         }
     }
