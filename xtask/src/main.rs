@@ -1,7 +1,7 @@
 //! `cargo xtask VERB`: everything between a fresh clone and a result.
 //!
 //! Only these verbs install or download anything; the programs name the verb to run when something is missing. xtask knows
-//! cargo, pip, uv, apt-get and `xtask/setup.toml`. It links no other crate of the workspace, so that it builds in seconds.
+//! cargo, git, pip, uv, MkDocs, apt-get and `xtask/setup.toml`. It links no other crate of the workspace, so that it builds in seconds.
 //!
 //! Exit status: 0 success, 1 a check or a test failed, 2 error.
 
