@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use crate::workspace::{Workspace, succeeds};
-use crate::{boundaries, citations, features};
+use crate::{boundaries, citations, docs, features};
 
 /// Runs all checks, also after one has failed. Returns whether all passed.
 pub(crate) fn run(workspace: &Workspace) -> anyhow::Result<bool> {
@@ -18,9 +18,10 @@ pub(crate) fn run(workspace: &Workspace) -> anyhow::Result<bool> {
     check("links between crates", boundaries::check(workspace)?);
     check("features of dependencies", features::check(workspace)?);
     check("citations", citations::resolve(workspace)?);
+    check("documents", docs::check(workspace)?);
     check("format", succeeds(&mut workspace.cargo(&["fmt", "--all", "--check"]))?);
     check("lints", succeeds(&mut lints(workspace))?);
-    check("docs", succeeds(&mut docs(workspace))?);
+    check("rustdoc", succeeds(&mut rustdoc(workspace))?);
 
     if failed.is_empty() {
         eprintln!("check: all passed");
@@ -43,7 +44,7 @@ fn lints(workspace: &Workspace) -> Command {
     ])
 }
 
-fn docs(workspace: &Workspace) -> Command {
+fn rustdoc(workspace: &Workspace) -> Command {
     let mut command =
         workspace.cargo(&["doc", "--release", "--workspace", "--no-deps", "--keep-going"]);
     command.env("RUSTDOCFLAGS", "--deny warnings");

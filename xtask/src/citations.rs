@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
@@ -20,7 +19,7 @@ pub(crate) fn resolve(workspace: &Workspace) -> anyhow::Result<bool> {
     let text = fs::read_to_string(&page).with_context(|| format!("cannot read {PAGE}"))?;
     let sections = sections(&text);
     let mut resolved = true;
-    for path in tracked_sources(workspace)? {
+    for path in workspace.tracked_files(&["*.rs", "*.py"])? {
         let path = workspace.root().join(path);
         let source =
             fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
@@ -30,26 +29,6 @@ pub(crate) fn resolve(workspace: &Workspace) -> anyhow::Result<bool> {
         }
     }
     Ok(resolved)
-}
-
-/// The Rust and Python files under version control, relative to the root.
-fn tracked_sources(workspace: &Workspace) -> anyhow::Result<Vec<PathBuf>> {
-    let output = workspace
-        .at_root(Path::new("git"), &["ls-files", "*.rs", "*.py"])
-        .output()
-        .context("cannot start git")?;
-    anyhow::ensure!(
-        output.status.success(),
-        "git ls-files failed: {}",
-        String::from_utf8_lossy(&output.stderr).trim()
-    );
-    let listed =
-        String::from_utf8(output.stdout).context("git printed a name that is not UTF-8")?;
-    Ok(listed
-        .lines()
-        .map(PathBuf::from)
-        .filter(|path| workspace.root().join(path).exists())
-        .collect())
 }
 
 /// The numbers of the page's second-level headings, `## 4. Trajectories`.

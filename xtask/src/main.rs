@@ -1,7 +1,7 @@
 //! `cargo xtask VERB`: everything between a fresh clone and a result.
 //!
 //! Only these verbs install or download anything; the programs name the verb to run when something is missing. xtask knows
-//! cargo, pip, uv, apt-get and `xtask/setup.toml`. It links no other crate of the workspace, so that it builds in seconds.
+//! cargo, git, pip, uv, MkDocs, apt-get and `xtask/setup.toml`. It links no other crate of the workspace, so that it builds in seconds.
 //!
 //! Exit status: 0 success, 1 a check or a test failed, 2 error.
 
@@ -11,6 +11,7 @@ mod cache;
 mod check;
 mod citations;
 mod demo;
+mod docs;
 mod drill;
 mod features;
 mod pins;
@@ -72,9 +73,11 @@ enum Verb {
     Drill(drill::DrillArguments),
     /// Build the wheel, with the programs and the Python package, into target/wheels
     Wheel,
-    /// Check links between crates, features, citations, format, lints and docs
+    /// Check the documents and build them as a site with search into target/site
+    Docs,
+    /// Check links between crates, features, citations, documents, format, lints and rustdoc
     Check,
-    /// What CI runs: `check`, `test`, `drill --quick`
+    /// What CI runs: `check`, `docs`, `test`, `drill --quick`
     Ci,
     /// Write an untrained ViT-B/16 with seeded weights, for tests and timing
     VitB16Untrained,
@@ -125,11 +128,16 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
             drill::run(arguments, &workspace)
         }
         Verb::Wheel => python::build_wheel(&workspace),
+        Verb::Docs => docs::build(&pins, &cache, &workspace),
         Verb::Check => check::run(&workspace),
         Verb::Ci => {
             let checked = check::run(&workspace)?;
+            let built = docs::build(&pins, &cache, &workspace)?;
             let tested = test::run(&pins, &cache, &workspace, &[])?;
-            Ok(drill::run(&drill::DrillArguments::of_ci(), &workspace)? && tested && checked)
+            Ok(drill::run(&drill::DrillArguments::of_ci(), &workspace)?
+                && tested
+                && built
+                && checked)
         }
         Verb::VitB16Untrained => {
             let encoder = Purpose::Only("models/vit-b16-untrained.onnx");

@@ -64,6 +64,22 @@ impl Workspace {
         Ok(metadata.packages)
     }
 
+    /// The files under version control that match any of the patterns, relative to the root; those that exist.
+    pub(crate) fn tracked_files(&self, patterns: &[&str]) -> anyhow::Result<Vec<PathBuf>> {
+        let output = self
+            .at_root(Path::new("git"), &["ls-files", "-z", "--"])
+            .args(patterns)
+            .output()
+            .context("cannot start git")?;
+        if !output.status.success() {
+            bail!("git ls-files failed: {}", String::from_utf8_lossy(&output.stderr).trim());
+        }
+        let listed =
+            String::from_utf8(output.stdout).context("git printed a name that is not UTF-8")?;
+        let paths = listed.split_terminator('\0').map(PathBuf::from);
+        Ok(paths.filter(|path| self.root.join(path).exists()).collect())
+    }
+
     /// Any program, run at the root with the cache folder in its environment.
     pub(crate) fn at_root(&self, program: &Path, arguments: &[&str]) -> Command {
         let mut command = Command::new(program);

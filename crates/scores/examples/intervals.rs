@@ -1,7 +1,7 @@
 //! Prints how often the 95 % intervals of scores hold the true figure, and how often the sign test finds a difference
 //! where there is none.
 //!
-//!     cargo run --release -p results --example intervals [DRAWS [SEED]]
+//!     cargo run --release -p scores --example intervals [DRAWS [SEED]]
 //!
 //! Runs are drawn whose figures are known, and scored as any run. A table has a row for each number of cases and a column for each
 //! success rate: the percentage of drawn runs whose interval holds the true figure.
