@@ -12,8 +12,8 @@ use super::{Exit, print};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Reads the runs' folders and nothing else. Writes report.html (one page, everything inside),
-its figures as SVG, every table as CSV, and conditions and episodes as CSV and Parquet;
-prints the path of the page. Exit status 1 when episodes were given up.
+its figures as SVG and PDF, every table as CSV, and conditions and episodes as CSV and Parquet;
+prints the path of the page. Every caption names the policy. Exit status 1 when episodes were given up.
 Of several runs the page ranks the conditions, and compares every two runs pair by pair.
 
 Examples:
@@ -27,6 +27,9 @@ pub(super) struct ReportArgs {
     /// Write into DIR [default: `report` in the folder of a single run]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Write every table as LaTeX as well, with booktabs: tables/*.tex
+    #[arg(long)]
+    latex: bool,
 }
 
 pub(super) fn run(args: &ReportArgs) -> anyhow::Result<Exit> {
@@ -34,9 +37,9 @@ pub(super) fn run(args: &ReportArgs) -> anyhow::Result<Exit> {
     let mut logs = logs.collect::<Result<Vec<_>, _>>()?;
     tell_apart(&mut logs);
     let page = match (&args.out, &logs[..]) {
-        (Some(out), _) => report::write(&logs, out)?,
+        (Some(out), _) => report::write(&logs, out, args.latex)?,
         (None, [log]) => {
-            let (page, others) = report::write_in_place(log)?;
+            let (page, others) = report::write_in_place(log, args.latex)?;
             for other in others {
                 say!("kept {}, which is no part of a report", other.display());
             }

@@ -52,11 +52,11 @@ impl ReportSection {
         Self { id: id.into(), level: 2, title: title.into(), blocks, policy: None }
     }
 
-    /// The section with figures of `policy`, a policy's label. Where a policy `is_marked`, as one that is no model, the caption of
-    /// every table and figure and every image name it: each of them can be shown without the rest of the report.
-    fn with_policy(mut self, policy: &str, is_marked: bool) -> Self {
+    /// The section with figures of `policy`, a policy's label. The caption of every table and figure and every image name it: each
+    /// of them can be shown without the rest of the report.
+    fn with_policy(mut self, policy: &str) -> Self {
         self.policy = Some(policy.to_owned());
-        for block in self.blocks.iter_mut().filter(|_| is_marked) {
+        for block in &mut self.blocks {
             match block {
                 ReportBlock::Table(table) => table.caption += &policy_note(policy),
                 ReportBlock::Figure(figure) => figure.add_note(&policy_note(policy)),
@@ -68,17 +68,16 @@ impl ReportSection {
 
     /// The section with figures of one run's policy.
     pub(super) fn of_policy(self, policy: &PolicyLabel) -> Self {
-        self.with_policy(&policy.to_string(), policy.role.is_some())
+        self.with_policy(&policy.to_string())
     }
 
     /// The section with figures of several runs, each with the label of its policy.
     pub(super) fn of_policies<'a>(
         self,
-        runs: impl Iterator<Item = (&'a str, PolicyLabel)> + Clone,
+        runs: impl Iterator<Item = (&'a str, PolicyLabel)>,
     ) -> Self {
-        let is_marked = runs.clone().any(|(_, policy)| policy.role.is_some());
         let labels: Vec<String> = runs.map(|(run, policy)| format!("{run}: {policy}")).collect();
-        self.with_policy(&labels.join("; "), is_marked)
+        self.with_policy(&labels.join("; "))
     }
 
     /// The tables, in order.

@@ -1,7 +1,7 @@
 //! Reports about runs, from their logs alone.
 //!
 //! Three steps: [`score`](scores) computes, `sections/` arranges figures into a [`ReportDocument`] of sections, tables
-//! and plots, and one file for each format writes it: `html.rs`, `csv.rs`, `parquet.rs`, `terminal.rs`.
+//! and plots, and one file for each format writes it: `html.rs`, `csv.rs`, `parquet.rs`, `latex.rs`, `terminal.rs`.
 //! The published figures are data ([`Published`], `assets/published.toml`).
 //!
 //! The same logs give the same files, byte for byte.
@@ -11,6 +11,7 @@ mod data;
 mod document;
 mod frame;
 mod html;
+mod latex;
 mod parquet;
 mod plot;
 mod published;
@@ -133,15 +134,15 @@ fn arrange(views: &[ScoredRun<'_>]) -> ReportDocument {
 /// | file | holds |
 /// |---|---|
 /// | `report.html` | everything, in one page |
-/// | `figures/` | its figures, as SVG |
-/// | `tables/` | each table as it is printed, as CSV |
+/// | `figures/` | its figures, as SVG and as PDF |
+/// | `tables/` | each table as it is printed, as CSV and, `with_latex`, as LaTeX |
 /// | `conditions.csv`, `conditions.parquet` | a row for each condition with every figure, in full |
 /// | `episodes.csv`, `episodes.parquet` | a row for each episode |
 /// | `streams.csv`, `streams.parquet` | of streams: a row for each condition with every figure, in full |
 ///
 /// # Errors
 /// When the folder holds something else, or an operation of the system fails.
-pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
+pub fn write(logs: &[RunLog], dir: &Path, with_latex: bool) -> Result<PathBuf, ReportError> {
     // Without the page, the files are someone else's, whatever their names are.
     let has_page = fs::symlink_metadata(dir.join(PAGE)).is_ok();
     let names = if has_page { report_names() } else { KnownNames::new([]) };
@@ -149,7 +150,7 @@ pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
     if let Some(other) = others.first() {
         return Err(ReportError::NotAReport(dir.join(other)));
     }
-    replace(logs, dir, &[])
+    replace(logs, dir, &[], with_latex)
 }
 
 /// Writes the report about the run `log` into the run's folder, as [`write()`]. Returns the page to open, and what is in the report's
@@ -157,17 +158,25 @@ pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
 ///
 /// # Errors
 /// When an operation of the system fails.
-pub fn write_in_place(log: &RunLog) -> Result<(PathBuf, Vec<PathBuf>), ReportError> {
+pub fn write_in_place(
+    log: &RunLog,
+    with_latex: bool,
+) -> Result<(PathBuf, Vec<PathBuf>), ReportError> {
     let dir = log.dir.join(REPORT_FOLDER);
     let names = report_names().map_err(failed(&dir))?;
     let others = others_in(&dir, &names).map_err(failed(&dir))?;
-    let page = replace(std::slice::from_ref(log), &dir, &others)?;
+    let page = replace(std::slice::from_ref(log), &dir, &others, with_latex)?;
     Ok((page, others.iter().map(|path| dir.join(path)).collect()))
 }
 
-fn replace(logs: &[RunLog], dir: &Path, others: &[PathBuf]) -> Result<PathBuf, ReportError> {
+fn replace(
+    logs: &[RunLog],
+    dir: &Path,
+    others: &[PathBuf],
+    with_latex: bool,
+) -> Result<PathBuf, ReportError> {
     let draft = FolderDraft::new(dir).map_err(failed(dir))?;
-    write_files(logs, draft.path())?;
+    write_files(logs, draft.path(), with_latex)?;
     draft.keep(others).and_then(|()| draft.finish()).map_err(failed(dir))?;
     Ok(dir.join(PAGE))
 }
@@ -186,7 +195,7 @@ fn others_in(dir: &Path, names: &KnownNames) -> io::Result<Vec<PathBuf>> {
 }
 
 /// Writes the files of the report into the folder `dir`.
-fn write_files(logs: &[RunLog], dir: &Path) -> Result<(), ReportError> {
+fn write_files(logs: &[RunLog], dir: &Path, with_latex: bool) -> Result<(), ReportError> {
     let published = Published::load()?;
     let views = views(logs, &published);
     let document = arrange(&views);
@@ -195,6 +204,8 @@ fn write_files(logs: &[RunLog], dir: &Path) -> Result<(), ReportError> {
     text(PAGE, &page(&document)?)?;
     for figure in document.figures() {
         text(&format!("figures/{}.svg", figure.id), &figure.svg())?;
+        let pdf = figure.pdf();
+        write_file(dir.join(format!("figures/{}.pdf", figure.id)), |file| file.write_all(&pdf))?;
     }
     for section in &document.sections {
         for table in section.tables() {
@@ -202,6 +213,9 @@ fn write_files(logs: &[RunLog], dir: &Path) -> Result<(), ReportError> {
                 let policy = section.policy.as_deref();
                 csv::write_table(table, policy, file).map_err(io::Error::other)
             })?;
+            if with_latex {
+                text(&format!("tables/{}.tex", table.id), &latex::table(table))?;
+            }
         }
     }
     let mut frames =
@@ -245,7 +259,7 @@ mod folder_tests {
         let base = tempfile::tempdir().unwrap();
         let logs = [log(vec![record("t01-01", true)])];
         let dir = base.path().join("report");
-        let page = write(&logs, &dir).unwrap();
+        let page = write(&logs, &dir, false).unwrap();
         let text = fs::read(&page).unwrap();
         // What the page links to stays as it is, and so does what the folder links to.
         let mine = base.path().join("mine");
@@ -254,13 +268,13 @@ mod folder_tests {
         fs::remove_file(&page).unwrap();
         symlink(mine.join("report.html"), &page).unwrap();
         fs::remove_file(dir.join("episodes.csv")).unwrap();
-        write(&logs, &dir).unwrap();
+        write(&logs, &dir, false).unwrap();
         assert!(
             fs::symlink_metadata(&page).unwrap().is_file() && dir.join("episodes.csv").exists()
         );
         fs::remove_dir_all(&dir).unwrap();
         symlink(&mine, &dir).unwrap();
-        write(&logs, &dir).unwrap();
+        write(&logs, &dir, false).unwrap();
         assert!(fs::symlink_metadata(&dir).unwrap().is_dir());
         assert_eq!(fs::read(&page).unwrap(), text);
         assert_eq!(fs::read(mine.join("report.html")).unwrap(), b"mine");
@@ -268,7 +282,7 @@ mod folder_tests {
 
         for (file, is_page) in [("notes.txt", true), ("conditions.csv", false)] {
             fs::write(mine.join(file), "mine").unwrap();
-            let problem = write(&logs, &mine).unwrap_err().to_string();
+            let problem = write(&logs, &mine, false).unwrap_err().to_string();
             assert!(problem.contains(&format!("{file} is no part of a report")), "{problem}");
             assert_eq!(mine.join("report.html").exists(), is_page);
             fs::remove_file(mine.join(file)).unwrap();
@@ -276,7 +290,7 @@ mod folder_tests {
         }
         // Neither in the folders of a report.
         fs::write(dir.join("figures/mine.svg"), "mine").unwrap();
-        let problem = write(&logs, &dir).unwrap_err().to_string();
+        let problem = write(&logs, &dir, false).unwrap_err().to_string();
         assert!(problem.contains("report/figures/mine.svg is no part of a report"), "{problem}");
         assert_eq!(fs::read_dir(base.path()).unwrap().count(), 2, "no draft is left");
     }
@@ -285,7 +299,7 @@ mod folder_tests {
     fn a_report_in_place_keeps_files_of_the_user() {
         let base = tempfile::tempdir().unwrap();
         let log = RunLog { dir: base.path().to_owned(), ..log(vec![record("t01-01", true)]) };
-        let (page, others) = write_in_place(&log).unwrap();
+        let (page, others) = write_in_place(&log, false).unwrap();
         assert!(page.is_file() && others.is_empty());
         let dir = base.path().join("report");
         let mine = ["figures/main-figure.png", "my.html", "notes/a/b.txt", "tables/mine.csv"];
@@ -297,7 +311,7 @@ mod folder_tests {
         let earlier = dir.join("tables/stream-cost.csv");
         fs::write(&earlier, "").unwrap();
         fs::write(&page, "").unwrap();
-        let (page, others) = write_in_place(&log).unwrap();
+        let (page, others) = write_in_place(&log, false).unwrap();
         assert_ne!(fs::read(page).unwrap(), b"");
         assert!(!earlier.exists());
         for name in mine {
@@ -307,6 +321,6 @@ mod folder_tests {
         assert_eq!(others, said.map(|name| dir.join(name)));
         // Where there is no report yet.
         fs::remove_file(dir.join("report.html")).unwrap();
-        assert!(write_in_place(&log).unwrap().0.is_file());
+        assert!(write_in_place(&log, false).unwrap().0.is_file());
     }
 }

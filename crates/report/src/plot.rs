@@ -1,234 +1,73 @@
-//! Figures as SVG: readable in black and white, with labels and error bars.
+//! Figures, readable in black and white and in print: with labels, intervals and legends.
 //!
-//! Colors carry no meaning. Dots differ by shape, filled or open; parts of a bar by their order, a light or a dark
-//! gray, and a number that the legend explains. Ink and paper are classes that take the colors of the page, with black
-//! and white as attributes where there is no style sheet.
+//! Colours carry no meaning. Dots differ by shape, filled or open; curves also by their dashes; parts of a bar by tone and
+//! hatching. A figure is a [`Drawing`], which is written as SVG and as PDF.
 
 mod course;
 mod curves;
 mod dots;
+mod drawing;
+mod heat;
+mod pdf;
 mod stack;
+mod svg;
 
-pub(super) use course::{Course, course};
+pub(super) use course::{Course, CourseCurve, CoursePoint, course};
 pub use curves::{Curve, Curves, curves};
 pub(super) use dots::{Dot, DotRow, dots};
+pub(super) use heat::{HeatMap, HeatPanel, heat_map};
 pub use stack::{Stack, StackRow, stack};
 
-use std::fmt::Write;
+use drawing::{Drawing, GRAY, GRID, INK, Paint, Stroke, THICK_GRAY, TextAnchor, TextStyle, Tone};
 
 /// The width of every figure: that of the text of the page.
 const WIDTH: i32 = 820;
 /// The horizontal position where row labels end and the plot begins.
-const LEFT: i32 = 250;
+const LEFT: i32 = 290;
 const RIGHT: i32 = 24;
 /// The height of the labels of a horizontal axis.
 const BOTTOM: i32 = 44;
-/// The height of a line below the plot.
-const NOTE: i32 = 24;
 
 /// A figure.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReportFigure {
-    /// Unique in the document; the name of its SVG file.
+    /// Unique in the document; the name of its files.
     pub id: String,
     /// The caption.
     pub caption: String,
     /// Its content in words, for readers who do not see it.
     pub alt: String,
-    image: Svg,
+    drawing: Drawing,
 }
 
 impl ReportFigure {
+    /// Makes a figure with its content `in_words`.
+    fn new(
+        drawing: Drawing,
+        id: &str,
+        caption: &str,
+        in_words: impl Iterator<Item = String>,
+    ) -> Self {
+        let alt = format!("{caption} {}", in_words.collect::<Vec<_>>().join("; "));
+        Self { id: id.to_owned(), caption: caption.to_owned(), alt, drawing }
+    }
+
     /// The image, as an `svg` element.
     pub fn svg(&self) -> String {
-        self.image.element_text()
+        svg::element(&self.drawing)
+    }
+
+    /// The image, as a PDF file of one page of its size. Its letters are outlines, so it needs no font.
+    pub fn pdf(&self) -> Vec<u8> {
+        pdf::file(&self.drawing, &self.caption)
     }
 
     /// Adds a note under the image, to the caption and to the content in words.
     pub(super) fn add_note(&mut self, note: &str) {
-        self.image.add_note(note.trim());
+        self.drawing.add_note(note.trim());
         self.caption += note;
         self.alt += note;
     }
-}
-
-/// An SVG image. Coordinates are pixels from the top left.
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct Svg {
-    height: i32,
-    body: String,
-}
-
-/// How a shape is painted: a class of the page's style sheet, with the attributes that it stands for.
-#[derive(Clone, Copy)]
-enum Paint {
-    /// Filled with ink.
-    Ink,
-    /// Outlined with ink, filled with paper.
-    Open,
-    /// Outlined with gray, filled with paper.
-    OpenGray,
-    /// Outlined with ink, filled with dark gray.
-    Dark,
-    /// Outlined with ink, filled with light gray.
-    Light,
-}
-
-impl Paint {
-    const fn attributes(self) -> &'static str {
-        match self {
-            Self::Ink => r##"class="ink" fill="#000""##,
-            Self::Open => r##"class="open" fill="#fff" stroke="#000""##,
-            Self::OpenGray => {
-                r##"class="open-gray" fill="#fff" stroke="#767676" stroke-width="2""##
-            }
-            Self::Dark => r##"class="bar" fill="#595959" stroke="#000""##,
-            Self::Light => r##"class="bar" fill="#d6d6d6" stroke="#000""##,
-        }
-    }
-}
-
-/// How a line is drawn.
-#[derive(Clone, Copy)]
-enum Stroke {
-    Ink,
-    Gray,
-    ThickGray,
-    /// A grid line.
-    Rule,
-}
-
-impl Stroke {
-    const fn attributes(self) -> &'static str {
-        match self {
-            Self::Ink => r##"class="line" stroke="#000""##,
-            Self::Gray => r##"stroke="#767676""##,
-            Self::ThickGray => r##"stroke="#767676" stroke-width="3""##,
-            Self::Rule => r##"class="rule" stroke="#b8b8b8""##,
-        }
-    }
-}
-
-/// How text is written.
-#[derive(Clone, Copy)]
-enum TextStyle {
-    Plain,
-    Bold,
-    Faint,
-    /// On a dark bar.
-    OnDark,
-    /// On a light bar.
-    OnLight,
-}
-
-/// Where text stands relative to its point.
-#[derive(Clone, Copy)]
-enum TextAnchor {
-    Before,
-    After,
-    Around,
-}
-
-impl Svg {
-    fn new(height: i32) -> Self {
-        Self { height, body: String::new() }
-    }
-
-    /// The figure with this image and its content `in_words`.
-    fn finish(
-        self,
-        id: &str,
-        caption: &str,
-        in_words: impl Iterator<Item = String>,
-    ) -> ReportFigure {
-        let alt = format!("{caption} {}", in_words.collect::<Vec<_>>().join("; "));
-        ReportFigure { id: id.to_owned(), caption: caption.to_owned(), alt, image: self }
-    }
-
-    /// The image as an `svg` element.
-    fn element_text(&self) -> String {
-        format!(
-            "<svg width=\"{WIDTH}\" height=\"{0}\" viewBox=\"0 0 {WIDTH} {0}\" \
-             xmlns=\"http://www.w3.org/2000/svg\" font-family=\"sans-serif\">\n{1}</svg>\n",
-            self.height, self.body
-        )
-    }
-
-    /// Adds a line of text below the image.
-    fn add_note(&mut self, text: &str) {
-        self.text(text, (8, self.height + NOTE / 2), TextAnchor::After, TextStyle::Faint);
-        self.height += NOTE;
-    }
-
-    fn element(&mut self, element: std::fmt::Arguments<'_>) {
-        // Writing to a string cannot fail.
-        let _ = writeln!(self.body, "{element}");
-    }
-
-    fn text(&mut self, text: &str, (x, y): (i32, i32), side: TextAnchor, style: TextStyle) {
-        let anchor = match side {
-            TextAnchor::Before => "end",
-            TextAnchor::After => "start",
-            TextAnchor::Around => "middle",
-        };
-        let style = match style {
-            TextStyle::Plain => r##"font-size="16" class="ink" fill="#000""##,
-            TextStyle::Bold => r##"font-size="16" font-weight="bold" class="ink" fill="#000""##,
-            TextStyle::Faint => r##"font-size="14" fill="#767676""##,
-            TextStyle::OnDark => r##"font-size="14" fill="#ffffff""##,
-            TextStyle::OnLight => r##"font-size="14" fill="#000000""##,
-        };
-        let text = escaped(text);
-        self.element(format_args!(
-            r#"<text x="{x}" y="{y}" dy="0.35em" text-anchor="{anchor}" {style}>{text}</text>"#
-        ));
-    }
-
-    /// The label of a row, left of [`LEFT`]: smaller where it would not fit.
-    fn row_label(&mut self, text: &str, y: i32) {
-        /// The mean width of a character, in font sizes: of a wide sans-serif font.
-        const WIDTH: f64 = 0.58;
-        let room = f64::from(LEFT - 16) / (WIDTH * text.chars().count() as f64);
-        let (x, size, text) = (LEFT - 12, room.min(16.0), escaped(text));
-        self.element(format_args!(
-            r##"<text x="{x}" y="{y}" dy="0.35em" text-anchor="end" font-size="{size:.1}" class="ink" fill="#000">{text}</text>"##
-        ));
-    }
-
-    fn line(&mut self, points: &[(i32, i32)], stroke: Stroke) {
-        let (points, stroke) = (coordinates(points), stroke.attributes());
-        self.element(format_args!(r#"<polyline points="{points}" fill="none" {stroke}/>"#));
-    }
-
-    /// A dashed gray line.
-    fn dashed(&mut self, points: [(i32, i32); 2]) {
-        let (points, stroke) = (coordinates(&points), Stroke::Gray.attributes());
-        self.element(format_args!(
-            r#"<polyline points="{points}" fill="none" {stroke} stroke-dasharray="6 4"/>"#
-        ));
-    }
-
-    fn circle(&mut self, (x, y): (i32, i32), paint: Paint) {
-        let paint = paint.attributes();
-        self.element(format_args!(r#"<circle cx="{x}" cy="{y}" r="4" {paint}/>"#));
-    }
-
-    fn polygon(&mut self, points: &[(i32, i32)], paint: Paint) {
-        let (points, paint) = (coordinates(points), paint.attributes());
-        self.element(format_args!(r#"<polygon points="{points}" {paint}/>"#));
-    }
-
-    fn rectangle(&mut self, [(left, top), (right, bottom)]: [(i32, i32); 2], paint: Paint) {
-        self.polygon(&[(left, top), (right, top), (right, bottom), (left, bottom)], paint);
-    }
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
-}
-
-fn coordinates(points: &[(i32, i32)]) -> String {
-    points.iter().map(|(x, y)| format!("{x},{y}")).collect::<Vec<_>>().join(" ")
 }
 
 /// A horizontal axis.
@@ -264,14 +103,14 @@ impl ValueAxis {
     }
 
     /// Draws grid lines, marks and the name of the axis.
-    fn draw(&self, svg: &mut Svg, name: &str, top: i32, bottom: i32) {
+    fn draw(&self, drawing: &mut Drawing, name: &str, top: i32, bottom: i32) {
         for (value, label) in self.marks() {
             let x = self.x(value);
-            svg.line(&[(x, top), (x, bottom)], Stroke::Rule);
-            svg.text(&label, (x, bottom + 12), TextAnchor::Around, TextStyle::Plain);
+            drawing.line(&[(x, top), (x, bottom)], GRID);
+            drawing.text(&label, (x, bottom + 12), TextAnchor::Around, TextStyle::PLAIN);
         }
         let middle = i32::midpoint(self.x(self.from), self.x(self.to));
-        svg.text(name, (middle, bottom + 32), TextAnchor::Around, TextStyle::Plain);
+        drawing.text(name, (middle, bottom + 32), TextAnchor::Around, TextStyle::PLAIN);
     }
 }
 

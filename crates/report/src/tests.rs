@@ -457,9 +457,9 @@ fn a_small_run() {
 fn a_report_is_a_folder_of_files_and_the_same_each_time() {
     let log = made_up(&only(&["working/new/unchanged/none", "episodic/new/unchanged/4"]), &[1]);
     let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let page = write(std::slice::from_ref(&log), first.path()).unwrap();
+    let page = write(std::slice::from_ref(&log), first.path(), true).unwrap();
     assert_eq!(page, first.path().join("report.html"));
-    write(std::slice::from_ref(&log), second.path()).unwrap();
+    write(std::slice::from_ref(&log), second.path(), true).unwrap();
     for name in [
         "report.html",
         "conditions.csv",
@@ -467,7 +467,9 @@ fn a_report_is_a_folder_of_files_and_the_same_each_time() {
         "episodes.csv",
         "episodes.parquet",
         "tables/main.csv",
+        "tables/main.tex",
         "figures/main-figure.svg",
+        "figures/main-figure.pdf",
     ] {
         let content = |dir: &tempfile::TempDir| fs::read(dir.path().join(name)).unwrap();
         assert!(!content(&first).is_empty(), "{name}");
@@ -495,7 +497,7 @@ fn files(dir: &Path) -> Vec<(String, Vec<u8>)> {
 }
 
 #[test]
-fn every_file_of_a_report_names_a_policy_that_is_no_model() {
+fn every_file_of_a_report_names_its_policy() {
     let mut beyond = made_up(
         &only(&[
             "working/new/unchanged/none",
@@ -532,7 +534,7 @@ fn every_file_of_a_report_names_a_policy_that_is_no_model() {
                 log.manifest.settings.policy = policy;
             }
             let dir = tempfile::tempdir().unwrap();
-            write(&logs, dir.path()).unwrap();
+            write(&logs, dir.path(), true).unwrap();
             // The names by which a report is replaced and removed are those of all its files.
             let others = report_names().unwrap().others_in(dir.path()).unwrap();
             assert!(others.is_empty(), "{others:?}");
@@ -553,7 +555,9 @@ fn every_file_of_a_report_names_a_policy_that_is_no_model() {
                         let label = label.replace(", ", ",");
                         assert!(lines.all(|line| line.contains(&label)), "{name}: {label}");
                     }
-                    Some(label) if name.starts_with("tables/") => {
+                    // Its letters are outlines; its title is the caption, which is checked below.
+                    _ if name.ends_with(".pdf") => assert!(content.starts_with(b"%PDF"), "{name}"),
+                    Some(label) if name.ends_with(".csv") => {
                         let mut lines = text.lines().skip(1);
                         let is_named = |line: &str| line.contains(label) || line.ends_with(THEIRS);
                         assert!(lines.all(is_named), "{name}: {label}\n{text}");
@@ -628,7 +632,7 @@ fn a_run_of_streams_has_its_own_sections_and_no_row_in_the_others() {
     assert_eq!(wide, None);
     log.episodes.push(lost);
     let dir = tempfile::tempdir().unwrap();
-    write(std::slice::from_ref(&log), dir.path()).unwrap();
+    write(std::slice::from_ref(&log), dir.path(), false).unwrap();
     let rows = fs::read_to_string(dir.path().join("streams.csv")).unwrap();
     assert_eq!(rows.lines().count(), 1 + 8);
 }

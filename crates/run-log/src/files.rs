@@ -44,7 +44,7 @@ const REPORT_IDS: &str = concat!(
     "blocked|blocked-others|conditions|conflict|cost|design|design-figure|elsewhere|external-pairs|facts|failures|",
     "failures-figure|groups|growth|growth-(figure|search|store)|main|main-figure|mixed|mixed-figure|necessity|pairs|",
     "provenance|ranking-[0-9]+|requests|runs|supplied|time|time-figure|transfer|transfer-figure|worst-cases|",
-    "stream-(adaptation|cost|cost-figure|differences|matrix|orders|rounds-[a-z0-9-]+|success|success-figure|transfer)))",
+    "stream-(adaptation|cost|cost-figure|differences|matrix|matrix-figure|orders|rounds-[a-z0-9-]+|success|success-figure|transfer)))",
 );
 
 /// The names in a run folder, as regular expressions, except those of the manifest, of the lock, of the report, and of the logs of
@@ -91,7 +91,7 @@ fn report_patterns(folder: &str) -> [String; 4] {
     [
         format!("{folder}report\\.(html|md)"),
         format!("{folder}(conditions|episodes|streams)\\.(csv|parquet)"),
-        format!("{folder}figures/({REPORT_IDS}\\.svg)?"),
-        format!("{folder}tables/({REPORT_IDS}\\.csv)?"),
+        format!("{folder}figures/({REPORT_IDS}\\.(svg|pdf))?"),
+        format!("{folder}tables/({REPORT_IDS}\\.(csv|tex))?"),
     ]
 }

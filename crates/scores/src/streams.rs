@@ -133,9 +133,9 @@ pub struct RoundScore {
     /// The round in it, from 1.
     pub round: u32,
     /// Success in the round.
-    pub success: f64,
+    pub success: Estimate,
     /// Success over all learning episodes up to its end.
-    pub running: f64,
+    pub running: Estimate,
 }
 
 /// Two conditions on the same sequences.
@@ -323,7 +323,7 @@ fn rounds(sequences: &CompleteSequences<'_>) -> Vec<RoundScore> {
             let of_sequence = |_, sequence: &Sequence<'_>| {
                 online::rounds(sequence).get(&(place, round)).copied().map(value)
             };
-            mean(by_stream(&drawn, of_sequence).into_values())
+            Estimate::of(&by_stream(&drawn, of_sequence), Interval::PERCENT)
         };
         let success = over_streams(|(in_round, _)| in_round)?;
         let running = over_streams(|(_, so_far)| so_far)?;

@@ -1,6 +1,10 @@
-//! Curves on two logarithmic axes, distinguished by the shapes of their points.
+//! Curves on two logarithmic axes, told apart by the shapes of their points and by their dashes.
 
-use super::{BOTTOM, Paint, RIGHT, ReportFigure, Stroke, Svg, TextAnchor, TextStyle, WIDTH};
+use super::drawing::Point;
+use super::{
+    BOTTOM, Drawing, GRID, INK, Paint, RIGHT, ReportFigure, Stroke, THICK_GRAY, TextAnchor,
+    TextStyle, WIDTH,
+};
 
 /// A plot of curves.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -82,44 +86,42 @@ pub fn curves(plot: &Curves) -> ReportFigure {
     let bottom = top + HEIGHT;
     let across = Scale::over(all().map(|(x, _)| x), AXIS, WIDTH - RIGHT);
     let up = Scale::over(all().map(|(_, y)| y), bottom, top);
-    let mut svg = Svg::new(bottom + BOTTOM);
-    draw_axes(&mut svg, plot, &across, &up);
+    let mut drawing = Drawing::new(bottom + BOTTOM);
+    draw_axes(&mut drawing, plot, &across, &up);
     let names: Vec<(&str, bool)> =
         shown.iter().map(|(curve, _)| (curve.name.as_str(), curve.is_bound)).collect();
-    let (shapes, _) = legend(&mut svg, &names);
+    let shapes = legend(&mut drawing, &names);
     for ((_, points), shape) in shown.iter().zip(shapes) {
-        let pixels: Vec<(i32, i32)> =
-            points.iter().map(|(x, y)| (across.at(*x), up.at(*y))).collect();
-        draw_curve(&mut svg, &pixels, shape);
+        let pixels: Vec<Point> = points.iter().map(|(x, y)| (across.at(*x), up.at(*y))).collect();
+        draw_curve(&mut drawing, &pixels, shape);
     }
     let in_words = shown.iter().map(|(curve, points)| {
         let points: Vec<String> =
             points.iter().map(|(x, y)| format!("{} at {}", label(*y), label(*x))).collect();
         format!("{}: {}", curve.name, points.join(", "))
     });
-    svg.finish(&plot.id, &plot.caption, in_words)
+    ReportFigure::new(drawing, &plot.id, &plot.caption, in_words)
 }
 
-fn draw_axes(svg: &mut Svg, plot: &Curves, across: &Scale, up: &Scale) {
+fn draw_axes(drawing: &mut Drawing, plot: &Curves, across: &Scale, up: &Scale) {
     let (top, bottom) = (up.end, up.start);
     for mark in across.marks() {
         let x = across.at(mark);
-        svg.line(&[(x, top), (x, bottom)], Stroke::Rule);
-        svg.text(&label(mark), (x, bottom + 12), TextAnchor::Around, TextStyle::Plain);
+        drawing.line(&[(x, top), (x, bottom)], GRID);
+        drawing.text(&label(mark), (x, bottom + 12), TextAnchor::Around, TextStyle::PLAIN);
     }
     for mark in up.marks() {
         let y = up.at(mark);
-        svg.line(&[(across.start, y), (across.end, y)], Stroke::Rule);
-        svg.text(&label(mark), (across.start - 8, y), TextAnchor::Before, TextStyle::Plain);
+        drawing.line(&[(across.start, y), (across.end, y)], GRID);
+        drawing.text(&label(mark), (across.start - 8, y), TextAnchor::Before, TextStyle::PLAIN);
     }
     let middle = i32::midpoint(across.start, across.end);
-    svg.text(&plot.across, (middle, bottom + 32), TextAnchor::Around, TextStyle::Plain);
-    svg.text(&plot.up, (8, top - 12), TextAnchor::After, TextStyle::Faint);
+    drawing.text(&plot.across, (middle, bottom + 32), TextAnchor::Around, TextStyle::PLAIN);
+    drawing.text(&plot.up, (8, top - 12), TextAnchor::After, TextStyle::FAINT);
 }
 
-/// Draws the names of curves, each with whether it is a bound. Returns their shapes, none for a bound, and the bottom of
-/// the legend.
-pub(super) fn legend(svg: &mut Svg, names: &[(&str, bool)]) -> (Vec<Option<usize>>, i32) {
+/// Draws the names of curves, each with whether it is a bound. Returns their shapes, none for a bound.
+fn legend(drawing: &mut Drawing, names: &[(&str, bool)]) -> Vec<Option<usize>> {
     let mut next = 0..;
     let mut shapes = Vec::new();
     for (place, (name, is_bound)) in names.iter().enumerate() {
@@ -128,29 +130,36 @@ pub(super) fn legend(svg: &mut Svg, names: &[(&str, bool)]) -> (Vec<Option<usize
             AXIS + 360 * (place % LEGEND_COLUMNS) as i32,
             TOP + LEGEND_ROW * (place / LEGEND_COLUMNS) as i32,
         );
-        draw_curve(svg, &[(x, y), (x + 28, y)], shape);
-        svg.text(name, (x + 40, y), TextAnchor::After, TextStyle::Plain);
+        draw_curve(drawing, &[(x, y), (x + 28, y)], shape);
+        drawing.text(name, (x + 40, y), TextAnchor::After, TextStyle::PLAIN);
         shapes.push(shape);
     }
-    (shapes, TOP + LEGEND_ROW * names.len().div_ceil(LEGEND_COLUMNS) as i32)
+    shapes
 }
 
+/// The lines of curves, in order.
+const DASHES: [&[u8]; 5] = [&[], &[9, 4], &[2, 4], &[12, 4, 2, 4], &[5, 3]];
+
 /// Draws a curve with its points; a bound, which has no shape, without.
-pub(super) fn draw_curve(svg: &mut Svg, pixels: &[(i32, i32)], shape: Option<usize>) {
-    svg.line(pixels, if shape.is_some() { Stroke::Ink } else { Stroke::ThickGray });
+pub(super) fn draw_curve(drawing: &mut Drawing, pixels: &[Point], shape: Option<usize>) {
+    let stroke = match shape {
+        Some(shape) => Stroke { width: 1.5, dashes: DASHES[shape % DASHES.len()], ..INK },
+        None => THICK_GRAY,
+    };
+    drawing.line(pixels, stroke);
     if let Some(shape) = shape {
-        pixels.iter().for_each(|&point| draw_mark(svg, shape, point));
+        pixels.iter().for_each(|&point| draw_mark(drawing, shape, point));
     }
 }
 
-/// Draws the point of a curve: circle, diamond, square, triangle; filled, then open.
-fn draw_mark(svg: &mut Svg, shape: usize, (x, y): (i32, i32)) {
-    let paint = if (shape / 4).is_multiple_of(2) { Paint::Ink } else { Paint::Open };
+/// Draws the point of a curve: circle, diamond, square, triangle; filled and open in turn.
+fn draw_mark(drawing: &mut Drawing, shape: usize, (x, y): Point) {
+    let paint = if shape.is_multiple_of(2) { Paint::INK } else { Paint::OPEN };
     match shape % 4 {
-        0 => svg.circle((x, y), paint),
-        1 => svg.polygon(&[(x, y - 6), (x + 6, y), (x, y + 6), (x - 6, y)], paint),
-        2 => svg.rectangle([(x - 4, y - 4), (x + 4, y + 4)], paint),
-        _ => svg.polygon(&[(x, y - 5), (x + 5, y + 4), (x - 5, y + 4)], paint),
+        0 => drawing.circle((x, y), paint),
+        1 => drawing.polygon(&[(x, y - 6), (x + 6, y), (x, y + 6), (x - 6, y)], paint),
+        2 => drawing.rectangle([(x - 4, y - 4), (x + 4, y + 4)], paint),
+        _ => drawing.polygon(&[(x, y - 5), (x + 5, y + 4), (x - 5, y + 4)], paint),
     }
 }
 

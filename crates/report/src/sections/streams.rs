@@ -12,7 +12,7 @@ pub(crate) use success::{differences_table, success_table};
 
 use conditions::{Condition, Variation};
 use domain::{Arm, FeedbackLevel};
-use retention::matrix_table;
+use retention::{matrix_figure, matrix_table};
 use scores::{Estimate, StreamScore, StreamScores};
 
 use crate::document::{Missing, ReportBlock, ReportSection, RowGroup, TableCell, TableRow};
@@ -31,7 +31,7 @@ pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<ReportSection> {
         (
             "retention",
             "Streams: what is kept and what carries over",
-            ReportBlock::tables([transfer_table(view), matrix_table(view, scores)]),
+            retention_blocks(view, scores),
         ),
         (
             "adaptation",
@@ -51,6 +51,11 @@ pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<ReportSection> {
         }
     }
     sections
+}
+
+fn retention_blocks(view: &ScoredRun<'_>, scores: &StreamScores) -> Vec<ReportBlock> {
+    let tables = ReportBlock::tables([transfer_table(view), matrix_table(view, scores)]);
+    matrix_figure(view, scores).map(ReportBlock::Figure).into_iter().chain(tables).collect()
 }
 
 /// The notice about sequences that enter no figure.

@@ -121,7 +121,7 @@ fn success_regret_lag_and_stale_reuse_of_learning_episodes() {
     near(score.stale, 100.0 / 3.0);
     near(score.stale_after, 50.0);
     let rounds: Vec<(u32, u32, f64, f64)> =
-        score.rounds.iter().map(|r| (r.place, r.round, r.success, r.running)).collect();
+        score.rounds.iter().map(|r| (r.place, r.round, r.success.mean, r.running.mean)).collect();
     let all = [(0, 1, 100.0, 100.0), (1, 1, 50.0, 75.0), (2, 1, 50.0, 400.0 / 6.0)];
     assert_eq!(rounds, all);
     assert_eq!(of(&scores, episodic(Arm::Oracle)).regret, None, "not compared with itself");

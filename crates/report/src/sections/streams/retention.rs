@@ -2,8 +2,9 @@
 
 use scores::{StreamScore, StreamScores};
 
-use super::{arm, by_condition, memory_and_arm, sure};
+use super::{arm, by_condition, memory_and_arm, short, sure};
 use crate::document::{Missing, RowGroup, Table, TableColumn, TableRow};
+use crate::plot::{HeatMap, HeatPanel, ReportFigure, heat_map};
 use crate::view::{ScoredRun, plain_or};
 
 const ONE_BLOCK: Missing = Missing::Undefined("it needs two blocks");
@@ -60,4 +61,25 @@ pub(super) fn matrix_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Optio
         groups: scores.conditions.iter().filter(|score| score.average.is_some()).map(group).collect(),
     };
     table.pruned()
+}
+
+/// R as heat maps; `None` where there is no matrix.
+pub(super) fn matrix_figure(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<ReportFigure> {
+    let scores = scores.conditions.iter().filter(|score| score.average.is_some());
+    let panel = |score: &StreamScore| HeatPanel {
+        name: short(&score.condition),
+        cells: score.matrix.clone(),
+    };
+    let panels: Vec<HeatPanel> = scores.map(panel).collect();
+    (!panels.is_empty()).then(|| {
+        heat_map(&HeatMap {
+            id: view.id("stream-matrix-figure"),
+            caption: "R: success in percent on the cases of each block, after so many blocks were learned. White: 0 %; dark: \
+                      100 %."
+                .to_owned(),
+            columns: "block",
+            rows: "blocks learned",
+            panels,
+        })
+    })
 }

@@ -2,11 +2,11 @@
 
 use conditions::Condition;
 use domain::{Arm, MemoryKind, Representation};
-use scores::{FigureDifference, RoundScore, StreamScore, StreamScores};
+use scores::{Estimate, FigureDifference, RoundScore, StreamScore, StreamScores};
 
 use super::{by_condition, is_tested, memory_and_arm, short, sure};
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
-use crate::plot::{Course, Curve, course};
+use crate::plot::{Course, CourseCurve, CoursePoint, course};
 use crate::view::{ScoredRun, signed, with_interval};
 
 const NO_BLOCK: Missing = Missing::Undefined("the streams have no such block");
@@ -26,7 +26,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>, scores: &StreamScores) -> Vec<ReportB
     blocks
 }
 
-/// Success by learning round: the arms of `memory`, frozen Episodic beside them, and no memory in gray.
+/// Success by learning round: a panel for each arm of `memory`, frozen Episodic beside them, and no memory in gray.
 fn rounds_figure(
     view: &ScoredRun<'_>,
     scores: &StreamScores,
@@ -40,8 +40,8 @@ fn rounds_figure(
     draw(
         format!("{}-{memory}", view.id("stream-rounds")),
         format!(
-            "{} over the stream, as drawn: success in each learning round, a mean over streams. Dashed: events. Gray: no \
-             memory.",
+            "{} over the stream, as drawn: success in each learning round, a mean over streams, with 95 % intervals over streams. \
+             Dashed: events between blocks. Gray: no memory.",
             view.label(memory)
         ),
         scores.conditions.iter().filter(|score| is_shown(score)),
@@ -52,8 +52,8 @@ fn rounds_figure(
 fn running_figure(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<ReportBlock> {
     draw(
         view.id("stream-success-figure"),
-        "Stream success: success over all learning episodes so far, as drawn, a mean over streams. Dashed: events. Gray: no \
-         memory."
+        "Stream success: success over all learning episodes so far, as drawn, a mean over streams, with 95 % \
+         intervals over streams. Dashed: events between blocks. Gray: no memory."
             .to_owned(),
         scores.conditions.iter().filter(|score| {
             is_tested(&score.condition) || !score.condition.memory.uses_demonstrations()
@@ -66,16 +66,21 @@ fn draw<'a>(
     id: String,
     caption: String,
     scores: impl Iterator<Item = &'a StreamScore>,
-    value: fn(&RoundScore) -> f64,
+    value: fn(&RoundScore) -> Estimate,
 ) -> Option<ReportBlock> {
     let curve = |score: &StreamScore| {
         let rounds_of =
             |place| score.rounds.iter().filter(move |round| round.place == place).count();
         let point = |round: &RoundScore| {
             let within = (f64::from(round.round) - 0.5) / rounds_of(round.place) as f64;
-            (f64::from(round.place) + within, value(round))
+            let Estimate { mean: percent, interval, .. } = value(round);
+            CoursePoint {
+                at: f64::from(round.place) + within,
+                percent,
+                interval: interval.map(|found| (found.low, found.high)),
+            }
         };
-        Curve {
+        CourseCurve {
             name: short(&score.condition),
             is_bound: !score.condition.memory.uses_demonstrations(),
             points: score.rounds.iter().map(point).collect(),
