@@ -10,6 +10,7 @@ mod csv;
 mod data;
 mod document;
 mod frame;
+mod gates;
 mod html;
 mod parquet;
 mod plot;
@@ -31,6 +32,7 @@ pub use document::{
     TableRow,
 };
 pub use frame::{DataFrame, Series, Values};
+pub use gates::gates;
 pub use plot::{Curve, Curves, ReportFigure, Stack, StackRow, curves, stack};
 pub use published::{Published, PublishedCondition, PublishedSpread};
 pub use steps::steps_frame;
