@@ -39,7 +39,7 @@ fn line(result: &GateResult) -> String {
     };
     let value = value.map(|value| {
         let interval = interval.map(|interval| format!(" {}", interval_text(interval, digits)));
-        let cases = against.as_ref().map(|_| format!(" of {cases} cases"));
+        let cases = against.as_ref().map(|_| format!(", {cases} cases"));
         format!(": {}{}{}", shown(value), interval.unwrap_or_default(), cases.unwrap_or_default())
     });
     let reason = reason.as_ref().map(|reason| format!(": {reason}"));
@@ -72,7 +72,19 @@ mod tests {
             ["sr >= 60", "sr < 60", "sr >= 80", "spl > 0.1", "change > 0"].map(gate).to_vec();
         results.extend(no_worse_than((&run, &scores), (&base, &score(&base)), 10.0).unwrap());
         let text = gates(&results);
-        insta::assert_snapshot!(text, @"");
+        insta::assert_snapshot!(text, @"
+        Gates
+        passed     episodic/original/unchanged/original: sr >= 60: 80.0 [67.4, 90.3]
+        failed     episodic/original/unchanged/original: sr < 60: 80.0 [67.4, 90.3]
+        undecided  episodic/original/unchanged/original: sr >= 80: 80.0 [67.4, 90.3]: values on both sides
+        passed     episodic/original/unchanged/original: spl > 0.1: 0.640 [0.542, 0.727]
+        undecided  episodic/original/unchanged/original: change > 0: of blocked routes only
+        passed     episodic/original/unchanged/original: sr minus that of
+                   a-run-with-quite-a-long-name-on-the-main-branch > -10: −2.0 [−8.7, 4.8], 50 cases
+
+        3 of 6 passed, 1 failed, 2 undecided. Passed: the whole 95 % interval, in brackets, satisfies the
+        gate; failed: none of it does. Undecided is not passed.
+        ");
         assert!(text.lines().all(|line| line.chars().count() <= WIDTH));
     }
 }

@@ -295,10 +295,7 @@ impl Gate {
             (Some(problem), _) => (Verdict::Undecided, Some(problem)),
             (None, None) => (Verdict::Undecided, Some("it has no interval".to_owned())),
             (None, Some(interval)) => match operator.decide(interval, bound) {
-                Verdict::Undecided => (
-                    Verdict::Undecided,
-                    Some("the interval has values on both sides of the bound".to_owned()),
-                ),
+                Verdict::Undecided => (Verdict::Undecided, Some("values on both sides".to_owned())),
                 verdict => (verdict, None),
             },
         };
@@ -336,7 +333,7 @@ impl Gate {
                     value.is_none().then(|| {
                         match score.blocked {
                             Some(_) => "it was not measured or is not defined",
-                            None => "only conditions on a blocked route have it",
+                            None => "of blocked routes only",
                         }
                         .to_owned()
                     })

@@ -83,7 +83,7 @@ fn what_was_not_measured_in_full_is_undecided() {
     whole.manifest.unit = Some(UnitId { plan: "00".to_owned(), number: 0 });
     insta::assert_snapshot!(undecided(&whole, "sr >= 50"), @"the run is a unit of a plan: merge the units first");
     insta::assert_snapshot!(undecided(&run("run", 1, 1), "sr >= 0"), @"it has no interval");
-    insta::assert_snapshot!(undecided(&run("run", 5, 5), "follow >= 0"), @"only conditions on a blocked route have it");
+    insta::assert_snapshot!(undecided(&run("run", 5, 5), "follow >= 0"), @"of blocked routes only");
 
     let blocked = "episodic/new/blocked/original".parse().unwrap();
     let log = log((0..9).map(|case| under(blocked, record(&format!("c{case}"), true))).collect());
