@@ -21,11 +21,12 @@ Reads the runs' folders and nothing else; a run in progress can be scored, too.
 A comparison is paired: it takes the cases and repetitions that both sides have, prints the figures
 of both and their difference, and names the settings in which two runs differ.
 
-With --require or --require-no-worse-than the tables end with a line for each gate. It is passed
-where the whole 95 % interval of the figure satisfies it, failed where none of the interval does, and
-otherwise undecided: too few cases, or episodes are missing. Of --require-no-worse-than the figure is
-the difference of the success rates on the same cases and repetitions, and the bound -POINTS; with
-100 cases equal runs pass by default, with 50 they do not. Each gate is decided by itself.
+With --require or --require-no-worse-than the tables end with a line for each gate. A gate is passed
+where the whole 95 % interval of the figure satisfies it, failed where none of the interval does,
+and otherwise undecided, which is not passed: too few cases, or episodes are missing. The figure of
+--require-no-worse-than is the difference of the success rates on the same cases and repetitions,
+and the bound -POINTS: with 100 cases equal runs pass by default, with 50 they do not. Each gate is
+decided by itself, at 95 %. docs/gates.md has more.
 
 Exit status: 0 complete, and every gate is passed; 1 episodes were given up; 2 error, also for a
 gate that names no condition of the run; 4 a gate is failed or undecided.
@@ -71,10 +72,16 @@ pub(super) fn run(args: &ScoreArgs) -> anyhow::Result<Exit> {
         (None, None) => {
             let scores = score(&log);
             gates = args.required.check((&log, &scores), base.as_ref())?;
-            let shown = GatedScores { scores: &scores, gates: &gates };
+            let differing_settings =
+                base.as_ref().map(|base| differing_settings(&log, base)).unwrap_or_default();
+            let shown = GatedScores { scores: &scores, differing_settings, gates: &gates };
             args.show(&shown, || match gates[..] {
                 [] => report::summary(&log),
-                _ => format!("{}\n{}", report::summary(&log), report::gates(&gates)),
+                _ => format!(
+                    "{}\n{}",
+                    report::summary(&log),
+                    report::gates(&gates, &shown.differing_settings)
+                ),
             })?;
         }
         (None, Some(other)) => {
@@ -110,6 +117,9 @@ pub(super) fn run(args: &ScoreArgs) -> anyhow::Result<Exit> {
 struct GatedScores<'a> {
     #[serde(flatten)]
     scores: &'a Scores,
+    /// Those in which the run differs from the one that it has to be no worse than.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    differing_settings: Vec<Difference>,
     #[serde(skip_serializing_if = "<[GateResult]>::is_empty")]
     gates: &'a [GateResult],
 }

@@ -1,5 +1,6 @@
 //! Gates in a terminal: a line each.
 
+use run_log::Difference;
 use scores::gate::{GateResult, Verdict};
 
 use super::table::{WIDTH, wrap};
@@ -8,8 +9,9 @@ use super::view::{interval_text, signed};
 /// The width of the longest verdict, and of the space after it.
 const VERDICT: usize = 11;
 
-/// What became of the gates, as text, at most 100 columns wide.
-pub fn gates(results: &[GateResult]) -> String {
+/// What became of the gates, as text, at most 100 columns wide. `differing` are the settings in which the run differs from one that it
+/// has to be no worse than.
+pub fn gates(results: &[GateResult], differing: &[Difference]) -> String {
     let mut text = "Gates\n".to_owned();
     for result in results {
         // A long name of a condition takes a second line.
@@ -17,6 +19,12 @@ pub fn gates(results: &[GateResult]) -> String {
             let verdict = if index == 0 { result.verdict.name() } else { "" };
             text += &format!("{verdict:<VERDICT$}{line}\n");
         }
+    }
+    for Difference { key, there, here } in differing {
+        let note = format!(
+            "Note: {key} differs: {there} in this run, {here} in the one that it is compared with."
+        );
+        text += &(wrap(&note, WIDTH).join("\n") + "\n");
     }
     let count = |verdict| results.iter().filter(|result| result.verdict == verdict).count();
     let [passed, failed, undecided] =
@@ -71,7 +79,9 @@ mod tests {
         let mut results =
             ["sr >= 60", "sr < 60", "sr >= 80", "spl > 0.1", "change > 0"].map(gate).to_vec();
         results.extend(no_worse_than((&run, &scores), (&base, &score(&base)), 10.0).unwrap());
-        let text = gates(&results);
+        let differing =
+            Difference { key: "seed".to_owned(), there: "1".to_owned(), here: "2".to_owned() };
+        let text = gates(&results, &[differing]);
         insta::assert_snapshot!(text, @"
         Gates
         passed     episodic/original/unchanged/original: sr >= 60: 80.0 [67.4, 90.3]
@@ -79,8 +89,9 @@ mod tests {
         undecided  episodic/original/unchanged/original: sr >= 80: 80.0 [67.4, 90.3]: values on both sides
         passed     episodic/original/unchanged/original: spl > 0.1: 0.640 [0.542, 0.727]
         undecided  episodic/original/unchanged/original: change > 0: of blocked routes only
-        passed     episodic/original/unchanged/original: sr minus that of
-                   a-run-with-quite-a-long-name-on-the-main-branch > -10: −2.0 [−8.7, 4.8], 50 cases
+        passed     episodic/original/unchanged/original: sr minus
+                   a-run-with-quite-a-long-name-on-the-main-branch's > -10: −2.0 [−8.7, 4.8], 50 cases
+        Note: seed differs: 1 in this run, 2 in the one that it is compared with.
 
         3 of 6 passed, 1 failed, 2 undecided. Passed: the whole 95 % interval, in brackets, satisfies the
         gate; failed: none of it does. Undecided is not passed.

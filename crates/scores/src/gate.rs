@@ -267,7 +267,7 @@ impl GateResult {
     /// The gate alone: `episodic/new/unchanged/4: sr >= 60`.
     pub fn gate(&self) -> String {
         let Self { condition, figure, against, operator, bound, .. } = self;
-        let difference = against.as_ref().map(|run| format!(" minus that of {run}"));
+        let difference = against.as_ref().map(|run| format!(" minus {run}'s"));
         format!("{condition}: {figure}{} {operator} {bound}", difference.unwrap_or_default())
     }
 }

@@ -17,7 +17,7 @@ pub(super) struct RequireArgs {
     #[arg(long, value_name = "RUN2", conflicts_with_all = ["compare", "other"])]
     require_no_worse_than: Option<PathBuf>,
     /// How many percentage points lower is not worse
-    #[arg(long, value_name = "POINTS", default_value = "5", requires = "require_no_worse_than", value_parser = points)]
+    #[arg(long, value_name = "POINTS", default_value = "5", allow_negative_numbers = true, requires = "require_no_worse_than", value_parser = points)]
     margin: f64,
 }
 

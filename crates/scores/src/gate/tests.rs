@@ -210,7 +210,25 @@ fn the_whole_interval_of_the_difference_decides() {
         assert_eq!(found.verdict.name(), verdict, "{margin}: {found:?}");
     }
     let found = only(compared(&less, &good, 5.0));
-    assert_eq!(found.gate(), format!("{EPISODIC}: sr minus that of good > -5"));
+    assert_eq!(found.gate(), format!("{EPISODIC}: sr minus good's > -5"));
+}
+
+#[test]
+fn a_hundred_cases_of_which_few_change_are_enough_for_the_margin() {
+    // With k cases that changed in each direction the half width is 1.984 * sqrt((2 k + 2) * 100^2 / (101 * 102)).
+    for (changed, margin, verdict) in
+        [(2, 5.0, "passed"), (3, 5.0, "undecided"), (12, 10.0, "passed"), (13, 10.0, "undecided")]
+    {
+        let before = run("before", 50, 100);
+        let after = (0..100)
+            .map(|case| record(&format!("c{case:03}"), (changed..50 + changed).contains(&case)));
+        let found = only(compared(&named("after", log(after.collect())), &before, margin));
+        assert_eq!(
+            (found.verdict.name(), found.value),
+            (verdict, Some(0.0)),
+            "{changed}: {found:?}"
+        );
+    }
 }
 
 #[test]
