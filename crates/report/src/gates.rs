@@ -31,7 +31,7 @@ pub fn gates(results: &[GateResult], differing: &[Difference]) -> String {
         [Verdict::Passed, Verdict::Failed, Verdict::Undecided].map(count);
     let note = format!(
         "{passed} of {} passed, {failed} failed, {undecided} undecided. Passed: the whole 95 % interval, in brackets, satisfies \
-         the gate; failed: none of it does. Undecided is not passed.",
+         the gate; failed: none of it does; undecided, which is not passed: neither.",
         results.len()
     );
     text + "\n" + &wrap(&note, WIDTH).join("\n") + "\n"
@@ -86,7 +86,7 @@ mod tests {
         Gates
         passed     episodic/original/unchanged/original: sr >= 60: 80.0 [67.4, 90.3]
         failed     episodic/original/unchanged/original: sr < 60: 80.0 [67.4, 90.3]
-        undecided  episodic/original/unchanged/original: sr >= 80: 80.0 [67.4, 90.3]: values on both sides
+        undecided  episodic/original/unchanged/original: sr >= 80: 80.0 [67.4, 90.3]
         passed     episodic/original/unchanged/original: spl > 0.1: 0.640 [0.542, 0.727]
         undecided  episodic/original/unchanged/original: change > 0: of blocked routes only
         passed     episodic/original/unchanged/original: sr minus
@@ -94,7 +94,7 @@ mod tests {
         Note: seed differs: 1 in this run, 2 in the one that it is compared with.
 
         3 of 6 passed, 1 failed, 2 undecided. Passed: the whole 95 % interval, in brackets, satisfies the
-        gate; failed: none of it does. Undecided is not passed.
+        gate; failed: none of it does; undecided, which is not passed: neither.
         ");
         assert!(text.lines().all(|line| line.chars().count() <= WIDTH));
     }

@@ -239,8 +239,8 @@ pub enum GateError {
 /// A gate and what became of it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct GateResult {
-    /// The condition.
-    pub condition: Condition,
+    /// The name of the condition.
+    pub condition: String,
     /// The figure.
     pub figure: GateFigure,
     /// The other run, where the figure's difference to that run's on the same cases and repetitions is meant.
@@ -258,7 +258,7 @@ pub struct GateResult {
     pub cases: usize,
     /// What became of the gate.
     pub verdict: Verdict,
-    /// Why the gate is undecided.
+    /// Why the gate is undecided, unless the interval has values on both sides.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
 }
@@ -294,13 +294,10 @@ impl Gate {
         let (verdict, reason) = match (problem, interval) {
             (Some(problem), _) => (Verdict::Undecided, Some(problem)),
             (None, None) => (Verdict::Undecided, Some("it has no interval".to_owned())),
-            (None, Some(interval)) => match operator.decide(interval, bound) {
-                Verdict::Undecided => (Verdict::Undecided, Some("values on both sides".to_owned())),
-                verdict => (verdict, None),
-            },
+            (None, Some(interval)) => (operator.decide(interval, bound), None),
         };
         GateResult {
-            condition,
+            condition: condition.to_string(),
             figure,
             against,
             operator,

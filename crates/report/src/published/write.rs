@@ -30,7 +30,7 @@ pub(crate) fn of_run(log: &RunLog, scores: &Scores) -> Option<String> {
         let of_group = |group: &GroupScore| {
             let key = group_key(&group.group);
             let figure = of_group(score, &key)?;
-            Some(format!("{} = {}", quoted(&key), number(figure)))
+            Some(format!("{} = {}", key_text(&key), number(figure)))
         };
         let of_groups: Vec<String> = score.groups.iter().filter_map(of_group).collect();
         if !of_groups.is_empty() {
@@ -38,6 +38,12 @@ pub(crate) fn of_run(log: &RunLog, scores: &Scores) -> Option<String> {
         }
     }
     (!scores.conditions.is_empty()).then_some(text)
+}
+
+/// A key as TOML writes it.
+fn key_text(key: &str) -> String {
+    let is_bare = key.chars().all(|c| c.is_ascii_alphanumeric() || ['-', '_'].contains(&c));
+    if is_bare && !key.is_empty() { key.to_owned() } else { quoted(key) }
 }
 
 /// A text as TOML writes it.

@@ -186,7 +186,8 @@ fn summary(compared: &[(&str, Vec<Pair>)], conditions: usize) -> String {
 
 /// What it says that a published figure lies in an interval, with the errors that the published ones have.
 fn meaning(published: &Published, common: &Common<'_>) -> String {
-    let mut text = "The intervals are of this run alone, and a published figure has an error of its own: if both measured the \
+    let mut text = "A figure inside an interval is not contradicted by this run; a wide interval contradicts little. The intervals \
+                    are of this run alone, and a published figure has an error of its own: if both measured the \
                     same, each on its own set of as many cases, about 83 % of the published figures would lie in the intervals; on \
                     the same cases more would. Figures of one condition are of the same episodes, so they lie in or out together."
         .to_owned();
