@@ -10,6 +10,7 @@ pub(crate) use write::of_run;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::io;
+use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 
 use conditions::Condition;
@@ -51,9 +52,9 @@ pub struct PublishedCondition {
     #[serde(default)]
     pub source: String,
     /// Repetitions, where they are others than the configuration's.
-    pub runs: Option<u32>,
+    pub runs: Option<NonZeroU32>,
     /// Cases, where they are others than the configuration's.
-    pub cases: Option<u32>,
+    pub cases: Option<NonZeroU32>,
     #[serde(default, deserialize_with = "percentage")]
     pub sr: Option<PublishedFigure>,
     #[serde(default, deserialize_with = "share")]
@@ -187,14 +188,20 @@ impl Published {
         self.conditions.iter().find(|condition| condition.name == name)
     }
 
+    /// A condition's own count, or that of the configuration.
+    fn count(&self, own: Option<NonZeroU32>, name: &str) -> Option<u32> {
+        let of_all = || self.configuration.get(name)?.parse().ok();
+        own.map(NonZeroU32::get).or_else(of_all)
+    }
+
     /// The repetitions of a condition, if they are stated.
     pub(crate) fn runs(&self, condition: &PublishedCondition) -> Option<u32> {
-        condition.runs.or(self.configuration.get(configuration::RUNS)?.parse().ok())
+        self.count(condition.runs, configuration::RUNS)
     }
 
     /// The cases of a condition, if they are stated.
     pub(crate) fn cases(&self, condition: &PublishedCondition) -> Option<u32> {
-        condition.cases.or(self.configuration.get(configuration::CASES)?.parse().ok())
+        self.count(condition.cases, configuration::CASES)
     }
 }
 

@@ -57,14 +57,15 @@ const SMALL: &str =
 #[test]
 fn a_figure_is_a_number_or_has_a_deviation() {
     let text = format!(
-        "{SMALL}sr = 66\nspl = {{ mean = 0.25, std = 0.01 }}\ngroups = {{ revisit = 93 }}\n"
+        "{SMALL}runs = 5\nsr = 66\nspl = {{ mean = 0.25, std = 0.01 }}\ngroups = {{ revisit = 93 }}\n"
     );
     let found = Published::parse("f.toml", &text).unwrap();
     let condition = &found.conditions[0];
     assert_eq!(condition.sr, Some(PublishedFigure { mean: 66.0, std: None }));
     assert_eq!(condition.spl, Some(PublishedFigure { mean: 0.25, std: Some(0.01) }));
     assert_eq!(condition.group("revisit").unwrap().mean, 93.0);
-    assert_eq!((found.runs(condition), found.is_paper), (None, false));
+    assert_eq!((found.runs(condition), found.cases(condition)), (Some(5), None));
+    assert!(!found.is_paper);
 }
 
 #[test]
@@ -84,6 +85,7 @@ fn what_is_wrong_with_a_file_is_named_with_its_line() {
         with("retention = nan"),
         with("groups = { revisit = 930 }"),
         with("succes = 66.0"),
+        with("runs = 0"),
         error(&SMALL.replace("/new/", "/newer/")),
         with("sr = 1\n\n[[condition]]\nname = \"episodic/new/unchanged/4\""),
         configured("max-step = 200"),

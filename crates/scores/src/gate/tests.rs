@@ -105,7 +105,7 @@ fn a_gate_is_read_with_its_unit_and_what_is_wrong_is_named() {
         (format!(" {EPISODIC} : sr  <  60.5  % "), "sr < 60.5"),
         (format!("{blocked}: change > −20 points"), "change > -20"),
         (format!("{blocked}: retention <= 1.5"), "retention <= 1.5"),
-        (format!("top-3/new/unchanged/4: spl >= .2"), "spl >= 0.2"),
+        ("top-3/new/unchanged/4: spl >= .2".to_owned(), "spl >= 0.2"),
     ] {
         let Gate { figure, operator, bound, .. } = text.parse().unwrap();
         assert_eq!(format!("{figure} {operator} {bound}"), expected);
