@@ -21,6 +21,9 @@ const OTHERS: [&str; 6] = [CASES, RUNS, WINDOW, "suite", "version", "world"];
 const HASHES: [(&str, &str); 3] =
     [("layout-hash", "layout"), ("catalogue-hash", "catalogue"), ("cases-hash", "cases")];
 
+/// Hexadecimal digits of a hash in a file.
+const HASH_DIGITS: usize = 16;
+
 /// The names of all facts.
 pub(crate) fn known() -> impl Iterator<Item = &'static str> {
     let settings = KEYS.iter().filter(|key| is_stated(key)).map(|key| key.name);
@@ -60,7 +63,8 @@ pub(crate) fn facts(log: &RunLog) -> BTreeMap<String, String> {
         ("world".to_owned(), log.world.declaration.name.clone()),
     ]);
     for (fact, name) in HASHES {
-        facts.extend(manifest.hashes.get(name).map(|hash| (fact.to_owned(), hash.clone())));
+        let shown = |hash: &String| hash.get(..HASH_DIGITS).unwrap_or(hash).to_owned();
+        facts.extend(manifest.hashes.get(name).map(|hash| (fact.to_owned(), shown(hash))));
     }
     if let Ok(Value::Object(settings)) = serde_json::to_value(&manifest.settings) {
         let stated =
