@@ -288,8 +288,9 @@ fn configuration(view: &ScoredRun<'_>, common: &Common<'_>) -> Vec<ReportBlock> 
     let table = Table::of_text(view.id("configuration"), caption, (&["Fact"], &columns), rows)
         .with_text(&columns);
     let stated: BTreeSet<&str> = stated.into_keys().collect();
+    // The window is in the names of conditions.
     let unknown: Vec<&str> = known()
-        .filter(|name| ![CASES, RUNS].contains(name))
+        .filter(|name| ![CASES, RUNS, WINDOW].contains(name))
         .filter(|name| !stated.contains(name) && own.contains_key(*name))
         .collect();
     let mut blocks = vec![ReportBlock::Table(table)];
