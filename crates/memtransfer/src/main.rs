@@ -1,7 +1,8 @@
 //! The command line: the verbs, and one exit point.
 //!
 //! Data goes to stdout, progress and messages go to stderr. The exit status is 0 when everything is complete, 1 when
-//! something is incomplete or failed, 2 on an error, 3 when units of a plan are missing, and 128 + n when signal n ended the program.
+//! something is incomplete or failed, 2 on an error, 3 when units of a plan are missing, 4 when a gate is not passed, and 128 + n when
+//! signal n ended the program.
 
 /// Prints a message to stderr, as [`orchestrator::progress::say`] does.
 macro_rules! say {
@@ -75,8 +76,8 @@ Examples:
   memtransfer profile                      measure how long an access to memory takes
   memtransfer doctor                       check what is missing on this machine
 
-Exit status: 0 complete, 1 incomplete or failed, 2 error, 3 units missing, 128 + n ended by
-signal n.
+Exit status: 0 complete, 1 incomplete or failed, 2 error, 3 units missing, 4 a gate not passed,
+128 + n ended by signal n.
 Every setting of `run` can be given as a MEMTRANSFER_* variable, most also as a key of a suite
 file.";
 
@@ -151,6 +152,8 @@ enum Exit {
     Error,
     /// Units of a plan are missing.
     UnitsMissing,
+    /// A gate on a run's figures is failed or undecided.
+    NotPassed,
     /// A signal ended it.
     Signal(u8),
 }
@@ -162,6 +165,7 @@ impl From<Exit> for ExitCode {
             Exit::Failed => 1,
             Exit::Error => 2,
             Exit::UnitsMissing => 3,
+            Exit::NotPassed => 4,
             Exit::Signal(signal) => 128_u8.saturating_add(signal),
         })
     }
@@ -342,6 +346,7 @@ mod tests {
             (Exit::Failed, 1),
             (Exit::Error, 2),
             (Exit::UnitsMissing, 3),
+            (Exit::NotPassed, 4),
             (Exit::Signal(2), 130),
             (Exit::Signal(15), 143),
         ] {

@@ -433,6 +433,148 @@ fn finished_run(dir: &Path, name: &str, policy: PolicyKind) {
     }
 }
 
+/// A finished run of the first `cases` cases under one condition, of which the first `successes` succeed.
+fn run_of_cases(dir: &Path, name: &str, successes: u32, cases: u32) {
+    let mut manifest = records::manifest();
+    let group = &mut manifest.settings.groups[0];
+    group.memory = vec![domain::Representation::Episodic.into()];
+    group.starts = vec![conditions::Start::Original];
+    manifest.episodes = cases;
+    let mut folder = RunFolder::open(&dir.join(name), manifest, false).unwrap().folder;
+    let records = (0..cases).map(|case| {
+        let id = format!("t{:02}-{:02}", 1 + case / 10, 1 + case % 10);
+        let record = records::record(&id, case < successes);
+        let timings = records::timings(&record);
+        (record, timings)
+    });
+    folder.finish(&records.collect::<Vec<_>>()).unwrap();
+}
+
+#[test]
+fn a_gate_that_is_not_passed_has_an_exit_status_of_its_own() {
+    let dir = dir();
+    for (name, successes, cases) in
+        [("all", 100, 100), ("most", 70, 100), ("few", 10, 10), ("other", 99, 100)]
+    {
+        run_of_cases(dir.path(), name, successes, cases);
+    }
+    run_of_cases(dir.path(), "stopped", 50, 50);
+    let manifest = dir.path().join("stopped/manifest.json");
+    let text = fs::read_to_string(&manifest).unwrap();
+    fs::write(&manifest, text.replace("\"episodes\": 50", "\"episodes\": 100")).unwrap();
+    let condition = "episodic/original/unchanged/original";
+    for (arguments, status, line) in [
+        ("score all --require C:sr>=97", 0, "passed     C: sr >= 97: 100.0 [97.1, 100.0]"),
+        ("score all --require C:sr>=99", 4, "undecided  C: sr >= 99: 100.0 [97.1, 100.0]"),
+        ("score all --require C:sr<50", 4, "failed     C: sr < 50: 100.0 [97.1, 100.0]"),
+        (
+            "score all --require C:sr>=97 --require C:spl>=0.9",
+            4,
+            "1 of 2 passed, 1 failed, 0 undecided.",
+        ),
+        (
+            "score all --require C:sr>=97 --require C:spl>=0.5",
+            0,
+            "2 of 2 passed, 0 failed, 0 undecided.",
+        ),
+        ("score few --require C:sr>=90", 4, "undecided  C: sr >= 90: 100.0"),
+        ("score stopped --require C:sr>=50", 4, ": 50 of 100 episodes are missing"),
+        ("score all --require C:change>=0", 4, "undecided  C: change >= 0: of blocked routes only"),
+        (
+            "score all --require-no-worse-than all",
+            0,
+            "passed     C: sr minus all's > -5: 0.0 [−2.8, 2.8], 100 cases",
+        ),
+        ("score other --require-no-worse-than all", 0, "passed     C: sr minus all's > -5: −1.0"),
+        ("score few --require-no-worse-than all", 4, "undecided  C: sr minus all's > -5: 0.0"),
+        ("score few --require-no-worse-than all --margin 40", 0, ", 10 cases"),
+        ("score most --require-no-worse-than all", 4, "failed     C: sr minus all's > -5: −30.0"),
+        ("score all --require-no-worse-than most", 0, "passed     C: sr minus most's > -5: +30.0"),
+        (
+            "score stopped --require-no-worse-than all",
+            4,
+            "50 of 100 episodes are missing in stopped",
+        ),
+        ("score all --require C:sr>=97 --require-no-worse-than most", 0, "2 of 2 passed"),
+    ] {
+        let arguments = arguments.replace('C', condition);
+        let output = memtransfer(dir.path(), &arguments);
+        // A long line goes on below its beginning.
+        let shown = text_of(&output).replace(&format!("\n{}", " ".repeat(11)), " ");
+        assert_eq!(output.status.code(), Some(status), "{arguments}: {shown}");
+        let line = line.replace('C', condition);
+        assert!(shown.lines().any(|shown| shown.contains(&line)), "{arguments}: {line}\n{shown}");
+        assert!(shown.contains("scripted stand-in"), "{shown}");
+    }
+    let output = memtransfer(dir.path(), &format!("score all --json --require {condition}:sr>=97"));
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(0));
+    let gate = &json["gates"][0];
+    assert_eq!((gate["figure"].as_str(), gate["verdict"].as_str()), (Some("sr"), Some("passed")));
+    assert!(json["conditions"][0]["sr"]["mean"] == gate["value"] && gate["value"] == 100.0);
+    let output = memtransfer(dir.path(), "score all --json");
+    assert!(!text_of(&output).contains("gates"), "{}", text_of(&output));
+    for (arguments, said) in [
+        ("score all --require C", "is not a gate: write CONDITION: FIGURE OPERATOR NUMBER"),
+        ("score all --require C:srr>=60", "did you mean `sr`?"),
+        ("score all --require C:sr>=600", "sr lies from 0 to 100"),
+        ("score all --require episodic/original/unchanged/nearby:sr>=60", "did you mean `C`?"),
+        ("score all --require-no-worse-than nowhere", "nowhere"),
+        ("score all --require-no-worse-than all --margin -1", "expected percentage points"),
+        ("score all --require-no-worse-than all --margin x", "expected percentage points"),
+        ("score all --margin 3", "--require-no-worse-than"),
+        ("score all most --require C:sr>=60", "cannot be used with"),
+    ] {
+        let (arguments, said) =
+            (arguments.replace('C', condition), said.replace("`C`", &format!("`{condition}`")));
+        let shown = refused(dir.path(), &arguments);
+        assert!(shown.contains(&said), "{arguments}: {shown}");
+    }
+}
+
+/// What the program has printed to stdout.
+fn text_of(output: &Output) -> String {
+    text(&output.stdout)
+}
+
+#[test]
+fn a_run_is_set_beside_published_figures() {
+    let dir = dir();
+    run_of_cases(dir.path(), "all", 100, 100);
+    run_of_cases(dir.path(), "most", 70, 100);
+    let page = |arguments: &str| {
+        let output = memtransfer(dir.path(), arguments);
+        assert_eq!(output.status.code(), Some(0), "{arguments}: {}", text(&output.stderr));
+        fs::read_to_string(dir.path().join(text_of(&output).trim())).unwrap()
+    };
+    assert!(!page("report all").contains("Reproduction"));
+    let found = page("report all --against all/report/published.toml");
+    assert!(
+        found.contains("2 of 2 published figures lie in this run’s intervals")
+            || found.contains("2 of 2 published figures lie in this run&#39;s intervals"),
+        "{found}"
+    );
+    let found = page("report most --against all/report/published.toml --out made");
+    assert!(found.contains("0 of 2 published figures lie"), "{found}");
+    assert!(dir.path().join("made/tables/reproduction.csv").exists());
+    let found = page("report most --against paper --out made");
+    assert!(found.contains("This run has 1 of 41 published conditions"), "{found}");
+    fs::write(dir.path().join("broken.toml"), "title = \"t\"\npolicy = \"p\"\nyear = 2026\n")
+        .unwrap();
+    for (arguments, said) in [
+        ("report all --against broken.toml", "broken.toml: TOML parse error at line 3, column 1"),
+        ("report all --against nowhere.toml", "cannot read nowhere.toml"),
+        (
+            "report all most --against paper --out both",
+            "--against sets one run beside published figures, and 2 runs are given",
+        ),
+    ] {
+        let shown = refused(dir.path(), arguments);
+        assert!(shown.contains(said), "{arguments}: {shown}");
+    }
+    assert!(!dir.path().join("both").exists());
+}
+
 /// The words that `--help` lists after the line `from`, indented, until an empty line.
 fn listed(help: &str, from: &str) -> Vec<String> {
     let lines = help.lines().skip_while(|line| *line != from).skip(1);
@@ -469,7 +611,14 @@ fn every_output_with_figures_of_a_run_names_a_policy_that_is_no_model() {
                 "score RUN other --compare A A --json",
             ],
         ),
-        ("report", &["report RUN --out made/report", "report RUN other --out made/both"]),
+        (
+            "report",
+            &[
+                "report RUN --out made/report",
+                "report RUN --out made/against --against paper",
+                "report RUN other --out made/both",
+            ],
+        ),
         ("view", &[]),
         (
             "export",
@@ -525,6 +674,8 @@ fn every_output_with_figures_of_a_run_names_a_policy_that_is_no_model() {
         let made = dir.path().join("made");
         for file in [
             "report/report.html",
+            "report/published.toml",
+            "against/report.html",
             "both/report.html",
             "tables/episodes.csv",
             "tables/steps.csv",

@@ -213,11 +213,13 @@ pub(super) fn conditions(views: &[ScoredRun<'_>]) -> DataFrame {
     };
     frame.real("published_sr", |(view, score)| Some(published(view, score)?.sr?.mean));
     frame.real("published_sr_std", |(view, score)| published(view, score)?.sr?.std);
-    frame.real("published_spl", |(view, score)| published(view, score)?.spl);
+    frame.real("published_spl", |(view, score)| Some(published(view, score)?.spl?.mean));
     frame.real("published_tokens_per_100", |(view, score)| {
-        Some(published(view, score)?.mtok? * 1e6)
+        Some(published(view, score)?.mtok?.mean * 1e6)
     });
-    frame.text("published_source", |(view, score)| Some(published(view, score)?.source));
+    frame.text("published_source", |(view, score)| {
+        Some(published(view, score)?.source).filter(|source| !source.is_empty())
+    });
     frame.finish()
 }
 

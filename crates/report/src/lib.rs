@@ -2,7 +2,7 @@
 //!
 //! Three steps: [`score`](scores) computes, `sections/` arranges figures into a [`ReportDocument`] of sections, tables
 //! and plots, and one file for each format writes it: `html.rs`, `csv.rs`, `parquet.rs`, `latex.rs`, `terminal.rs`.
-//! The published figures are data ([`Published`], `assets/published.toml`).
+//! Published figures are data ([`Published`], `assets/published.toml`).
 //!
 //! The same logs give the same files, byte for byte.
 
@@ -10,6 +10,7 @@ mod csv;
 mod data;
 mod document;
 mod frame;
+mod gates;
 mod html;
 mod latex;
 mod parquet;
@@ -32,8 +33,9 @@ pub use document::{
     TableRow,
 };
 pub use frame::{DataFrame, Series, Values};
+pub use gates::gates;
 pub use plot::{Curve, Curves, ReportFigure, Stack, StackRow, curves, stack};
-pub use published::{Published, PublishedCondition, PublishedSpread};
+pub use published::{Published, PublishedCondition, PublishedError, PublishedFigure};
 pub use steps::steps_frame;
 pub use terminal::{compared_runs, comparison, summary};
 
@@ -73,13 +75,13 @@ pub enum ReportError {
         source: askama::Error,
     },
     /// The built-in figures of the paper cannot be read.
-    #[error("assets/published.toml: {0}")]
-    Published(#[from] toml::de::Error),
+    #[error(transparent)]
+    Published(#[from] PublishedError),
 }
 
-/// The report about `logs` as a document.
+/// The report about `logs` as a document, with the `published` figures in its tables.
 pub fn document(logs: &[RunLog], published: &Published) -> ReportDocument {
-    arrange(&views(logs, published))
+    arrange(&views(logs, published), false)
 }
 
 /// `document` as one self-contained HTML page.
@@ -89,6 +91,15 @@ pub fn document(logs: &[RunLog], published: &Published) -> ReportDocument {
 pub fn page(document: &ReportDocument) -> Result<String, ReportError> {
     let template = |source| ReportError::Template { page: "the page", source };
     html::render(document).map_err(template)
+}
+
+/// What a report has beside its own figures.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Options<'a> {
+    /// Figures that the run is set beside; without them, those of the paper.
+    pub against: Option<&'a Published>,
+    /// Whether tables are written as LaTeX as well.
+    pub latex: bool,
 }
 
 static NOTHING_PUBLISHED: LazyLock<Published> = LazyLock::new(Published::default);
@@ -101,19 +112,25 @@ fn views<'a>(logs: &'a [RunLog], published: &'a Published) -> Vec<ScoredRun<'a>>
     let view = |(place, log): (usize, &'a RunLog)| {
         // What the paper prints is about the warehouse.
         let is_elsewhere = log.manifest.settings.own_world().is_some();
-        let published = if is_elsewhere { &*NOTHING_PUBLISHED } else { published };
+        let published =
+            if is_elsewhere && published.is_paper { &*NOTHING_PUBLISHED } else { published };
         ScoredRun { log, scores: score(log), published, prefix: prefix(place) }
     };
     (1..).zip(logs).map(view).collect()
 }
 
-fn arrange(views: &[ScoredRun<'_>]) -> ReportDocument {
+/// The report, of a single run with a section about the published figures if `is_reproduction`.
+fn arrange(views: &[ScoredRun<'_>], is_reproduction: bool) -> ReportDocument {
     let mut sections = Vec::new();
     let policy = |view: &ScoredRun<'_>| view.log.manifest.policy_label();
     match views {
         [view] => {
-            let found = sections::sections(view).into_iter();
-            sections.extend(found.map(|section| section.of_policy(&policy(view))));
+            let mut found = sections::sections(view);
+            if is_reproduction {
+                // After the overview.
+                found.insert(found.len().min(1), sections::reproduction(view));
+            }
+            sections.extend(found.into_iter().map(|section| section.of_policy(&policy(view))));
         }
         _ => {
             let policies = views.iter().map(|view| (view.log.name.as_str(), policy(view)));
@@ -129,20 +146,22 @@ fn arrange(views: &[ScoredRun<'_>]) -> ReportDocument {
 }
 
 /// Writes the report about `logs` as the folder `dir`, in place of an earlier report there: a kill at any moment leaves one
-/// or the other. Returns the page to open.
+/// or the other. Returns the page to open. `against` are published figures to set beside those of a single run, with a section
+/// about each of them; without them, the tables have the paper's.
 ///
 /// | file | holds |
 /// |---|---|
 /// | `report.html` | everything, in one page |
 /// | `figures/` | its figures, as SVG and as PDF |
-/// | `tables/` | each table as it is printed, as CSV and, `with_latex`, as LaTeX |
+/// | `tables/` | each table as it is printed, as CSV and, if asked for, as LaTeX |
 /// | `conditions.csv`, `conditions.parquet` | a row for each condition with every figure, in full |
 /// | `episodes.csv`, `episodes.parquet` | a row for each episode |
+/// | `published.toml` | of a single run: its figures in the format of published ones, for others to set theirs beside |
 /// | `streams.csv`, `streams.parquet` | of streams: a row for each condition with every figure, in full |
 ///
 /// # Errors
 /// When the folder holds something else, or an operation of the system fails.
-pub fn write(logs: &[RunLog], dir: &Path, with_latex: bool) -> Result<PathBuf, ReportError> {
+pub fn write(logs: &[RunLog], dir: &Path, options: Options<'_>) -> Result<PathBuf, ReportError> {
     // Without the page, the files are someone else's, whatever their names are.
     let has_page = fs::symlink_metadata(dir.join(PAGE)).is_ok();
     let names = if has_page { report_names() } else { KnownNames::new([]) };
@@ -150,7 +169,7 @@ pub fn write(logs: &[RunLog], dir: &Path, with_latex: bool) -> Result<PathBuf, R
     if let Some(other) = others.first() {
         return Err(ReportError::NotAReport(dir.join(other)));
     }
-    replace(logs, dir, &[], with_latex)
+    replace(logs, dir, options, &[])
 }
 
 /// Writes the report about the run `log` into the run's folder, as [`write()`]. Returns the page to open, and what is in the report's
@@ -160,23 +179,23 @@ pub fn write(logs: &[RunLog], dir: &Path, with_latex: bool) -> Result<PathBuf, R
 /// When an operation of the system fails.
 pub fn write_in_place(
     log: &RunLog,
-    with_latex: bool,
+    options: Options<'_>,
 ) -> Result<(PathBuf, Vec<PathBuf>), ReportError> {
     let dir = log.dir.join(REPORT_FOLDER);
     let names = report_names().map_err(failed(&dir))?;
     let others = others_in(&dir, &names).map_err(failed(&dir))?;
-    let page = replace(std::slice::from_ref(log), &dir, &others, with_latex)?;
+    let page = replace(std::slice::from_ref(log), &dir, options, &others)?;
     Ok((page, others.iter().map(|path| dir.join(path)).collect()))
 }
 
 fn replace(
     logs: &[RunLog],
     dir: &Path,
+    options: Options<'_>,
     others: &[PathBuf],
-    with_latex: bool,
 ) -> Result<PathBuf, ReportError> {
     let draft = FolderDraft::new(dir).map_err(failed(dir))?;
-    write_files(logs, draft.path(), with_latex)?;
+    write_files(logs, draft.path(), options)?;
     draft.keep(others).and_then(|()| draft.finish()).map_err(failed(dir))?;
     Ok(dir.join(PAGE))
 }
@@ -195,10 +214,11 @@ fn others_in(dir: &Path, names: &KnownNames) -> io::Result<Vec<PathBuf>> {
 }
 
 /// Writes the files of the report into the folder `dir`.
-fn write_files(logs: &[RunLog], dir: &Path, with_latex: bool) -> Result<(), ReportError> {
-    let published = Published::load()?;
-    let views = views(logs, &published);
-    let document = arrange(&views);
+fn write_files(logs: &[RunLog], dir: &Path, options: Options<'_>) -> Result<(), ReportError> {
+    let paper = Published::paper()?;
+    let Options { against, latex } = options;
+    let views = views(logs, against.unwrap_or(&paper));
+    let document = arrange(&views, against.is_some());
     let text =
         |name: &str, text: &str| write_file(dir.join(name), |file| file.write_all(text.as_bytes()));
     text(PAGE, &page(&document)?)?;
@@ -213,7 +233,7 @@ fn write_files(logs: &[RunLog], dir: &Path, with_latex: bool) -> Result<(), Repo
                 let policy = section.policy.as_deref();
                 csv::write_table(table, policy, file).map_err(io::Error::other)
             })?;
-            if with_latex {
+            if latex {
                 text(&format!("tables/{}.tex", table.id), &latex::table(table))?;
             }
         }
@@ -222,6 +242,11 @@ fn write_files(logs: &[RunLog], dir: &Path, with_latex: bool) -> Result<(), Repo
         vec![("conditions", data::conditions(&views)), ("episodes", data::episodes_frame(logs))];
     if views.iter().any(|view| view.scores.streams.is_some()) {
         frames.push(("streams", data::streams(&views)));
+    }
+    if let [view] = &views[..]
+        && let Some(figures) = published::of_run(view.log, &view.scores)
+    {
+        text("published.toml", &figures)?;
     }
     for (name, frame) in frames {
         write_file(dir.join(format!("{name}.csv")), |file| frame.write_csv(file))?;
@@ -259,7 +284,7 @@ mod folder_tests {
         let base = tempfile::tempdir().unwrap();
         let logs = [log(vec![record("t01-01", true)])];
         let dir = base.path().join("report");
-        let page = write(&logs, &dir, false).unwrap();
+        let page = write(&logs, &dir, Options::default()).unwrap();
         let text = fs::read(&page).unwrap();
         // What the page links to stays as it is, and so does what the folder links to.
         let mine = base.path().join("mine");
@@ -268,13 +293,13 @@ mod folder_tests {
         fs::remove_file(&page).unwrap();
         symlink(mine.join("report.html"), &page).unwrap();
         fs::remove_file(dir.join("episodes.csv")).unwrap();
-        write(&logs, &dir, false).unwrap();
+        write(&logs, &dir, Options::default()).unwrap();
         assert!(
             fs::symlink_metadata(&page).unwrap().is_file() && dir.join("episodes.csv").exists()
         );
         fs::remove_dir_all(&dir).unwrap();
         symlink(&mine, &dir).unwrap();
-        write(&logs, &dir, false).unwrap();
+        write(&logs, &dir, Options::default()).unwrap();
         assert!(fs::symlink_metadata(&dir).unwrap().is_dir());
         assert_eq!(fs::read(&page).unwrap(), text);
         assert_eq!(fs::read(mine.join("report.html")).unwrap(), b"mine");
@@ -282,7 +307,7 @@ mod folder_tests {
 
         for (file, is_page) in [("notes.txt", true), ("conditions.csv", false)] {
             fs::write(mine.join(file), "mine").unwrap();
-            let problem = write(&logs, &mine, false).unwrap_err().to_string();
+            let problem = write(&logs, &mine, Options::default()).unwrap_err().to_string();
             assert!(problem.contains(&format!("{file} is no part of a report")), "{problem}");
             assert_eq!(mine.join("report.html").exists(), is_page);
             fs::remove_file(mine.join(file)).unwrap();
@@ -290,7 +315,7 @@ mod folder_tests {
         }
         // Neither in the folders of a report.
         fs::write(dir.join("figures/mine.svg"), "mine").unwrap();
-        let problem = write(&logs, &dir, false).unwrap_err().to_string();
+        let problem = write(&logs, &dir, Options::default()).unwrap_err().to_string();
         assert!(problem.contains("report/figures/mine.svg is no part of a report"), "{problem}");
         assert_eq!(fs::read_dir(base.path()).unwrap().count(), 2, "no draft is left");
     }
@@ -299,7 +324,7 @@ mod folder_tests {
     fn a_report_in_place_keeps_files_of_the_user() {
         let base = tempfile::tempdir().unwrap();
         let log = RunLog { dir: base.path().to_owned(), ..log(vec![record("t01-01", true)]) };
-        let (page, others) = write_in_place(&log, false).unwrap();
+        let (page, others) = write_in_place(&log, Options::default()).unwrap();
         assert!(page.is_file() && others.is_empty());
         let dir = base.path().join("report");
         let mine = ["figures/main-figure.png", "my.html", "notes/a/b.txt", "tables/mine.csv"];
@@ -311,7 +336,7 @@ mod folder_tests {
         let earlier = dir.join("tables/stream-cost.csv");
         fs::write(&earlier, "").unwrap();
         fs::write(&page, "").unwrap();
-        let (page, others) = write_in_place(&log, false).unwrap();
+        let (page, others) = write_in_place(&log, Options::default()).unwrap();
         assert_ne!(fs::read(page).unwrap(), b"");
         assert!(!earlier.exists());
         for name in mine {
@@ -321,6 +346,6 @@ mod folder_tests {
         assert_eq!(others, said.map(|name| dir.join(name)));
         // Where there is no report yet.
         fs::remove_file(dir.join("report.html")).unwrap();
-        assert!(write_in_place(&log, false).unwrap().0.is_file());
+        assert!(write_in_place(&log, Options::default()).unwrap().0.is_file());
     }
 }

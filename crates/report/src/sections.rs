@@ -18,6 +18,7 @@ mod overview;
 mod pairs;
 mod provenance;
 mod ranking;
+mod reproduction;
 mod runs;
 mod streams;
 mod supplied;
@@ -26,6 +27,7 @@ mod transfer;
 
 pub(super) use method::method;
 pub(super) use ranking::ranking;
+pub(super) use reproduction::section as reproduction;
 pub(super) use runs::runs;
 
 use blocked::{blocked_table, other_blocked_table};
@@ -90,6 +92,7 @@ pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<ReportSection> {
             .any(|block| matches!(block, ReportBlock::Table(_) | ReportBlock::Figure(_)))
         {
             if BESIDE_PUBLISHED.contains(&id)
+                && view.published.is_paper
                 && let Some(sentence) = overview::had_plates(&view.log.manifest)
             {
                 blocks.insert(0, ReportBlock::Text(sentence));

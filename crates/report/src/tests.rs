@@ -10,7 +10,7 @@ use super::view::THEIRS;
 use super::*;
 
 fn published() -> Published {
-    Published::load().unwrap()
+    Published::paper().unwrap()
 }
 
 fn paper_log() -> RunLog {
@@ -457,9 +457,10 @@ fn a_small_run() {
 fn a_report_is_a_folder_of_files_and_the_same_each_time() {
     let log = made_up(&only(&["working/new/unchanged/none", "episodic/new/unchanged/4"]), &[1]);
     let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let page = write(std::slice::from_ref(&log), first.path(), true).unwrap();
+    let with_latex = Options { latex: true, ..Options::default() };
+    let page = write(std::slice::from_ref(&log), first.path(), with_latex).unwrap();
     assert_eq!(page, first.path().join("report.html"));
-    write(std::slice::from_ref(&log), second.path(), true).unwrap();
+    write(std::slice::from_ref(&log), second.path(), with_latex).unwrap();
     for name in [
         "report.html",
         "conditions.csv",
@@ -534,7 +535,7 @@ fn every_file_of_a_report_names_its_policy() {
                 log.manifest.settings.policy = policy;
             }
             let dir = tempfile::tempdir().unwrap();
-            write(&logs, dir.path(), true).unwrap();
+            write(&logs, dir.path(), Options { latex: true, ..Options::default() }).unwrap();
             // The names by which a report is replaced and removed are those of all its files.
             let others = report_names().unwrap().others_in(dir.path()).unwrap();
             assert!(others.is_empty(), "{others:?}");
@@ -632,7 +633,106 @@ fn a_run_of_streams_has_its_own_sections_and_no_row_in_the_others() {
     assert_eq!(wide, None);
     log.episodes.push(lost);
     let dir = tempfile::tempdir().unwrap();
-    write(std::slice::from_ref(&log), dir.path(), false).unwrap();
+    write(std::slice::from_ref(&log), dir.path(), Options::default()).unwrap();
     let rows = fs::read_to_string(dir.path().join("streams.csv")).unwrap();
     assert_eq!(rows.lines().count(), 1 + 8);
+}
+
+/// The figures of `log` as a file of its own.
+fn own_figures(log: &RunLog, change: impl Fn(String) -> String) -> Published {
+    let dir = tempfile::tempdir().unwrap();
+    let page = write(std::slice::from_ref(log), dir.path(), Options::default()).unwrap();
+    let file = page.with_file_name("published.toml");
+    let text = change(fs::read_to_string(&file).unwrap());
+    fs::write(&file, text).unwrap();
+    Published::read(&file).unwrap()
+}
+
+/// The report about `log` beside these figures.
+fn reproduction(log: &RunLog, published: &Published) -> ReportDocument {
+    arrange(&views(std::slice::from_ref(log), published), true)
+}
+
+fn notice_of_reproduction(document: &ReportDocument) -> &str {
+    let section = document.sections.iter().find(|section| section.id == "s-reproduction").unwrap();
+    let notice = section.blocks.iter().find_map(|block| match block {
+        ReportBlock::Notice(text) => Some(text),
+        _ => None,
+    });
+    notice.unwrap()
+}
+
+#[test]
+fn a_run_beside_its_own_figures_covers_all_of_them() {
+    let log = paper_log();
+    let published = own_figures(&log, |text| text);
+    let document = reproduction(&log, &published);
+    rows_are_whole(&document);
+    assert_eq!(document.sections[1].id, "s-reproduction");
+    insta::assert_snapshot!(notice_of_reproduction(&document), @"341 of 341 published figures lie in this run's intervals. Not counted: 65 published figures have no interval in this run.");
+    for row in table(&document, "reproduction").groups.iter().flat_map(|group| &group.rows) {
+        let [_, _, difference, place] = &texts(row)[..] else { panic!("four columns") };
+        assert!(difference.trim_matches(['0', '.']).is_empty(), "{}: {difference}", row.label);
+        assert!(["inside", "n/a"].contains(&place.as_str()), "{}: {place}", row.label);
+    }
+    let facts = table(&document, "configuration").groups.iter().flat_map(|group| &group.rows);
+    let differing: Vec<_> = facts.filter(|row| texts(row)[2] != "same").collect();
+    assert!(differing.is_empty(), "{differing:?}");
+    // Its tables have the figures of the file where they had the paper's.
+    let cells = cells(&document);
+    let of = |source: &str| {
+        let place = format!("main: Episodic {source}: New start, 4 demos SR %");
+        cells.iter().find(|(at, _)| *at == place).unwrap().1.text()
+    };
+    assert!(of("this run").starts_with(&of("published")), "{} {}", of("this run"), of("published"));
+    assert!(!plain(&document).contains("The paper's documents were written by"));
+}
+
+#[test]
+fn figures_that_differ_are_above_or_below_and_facts_are_compared() {
+    let names =
+        ["working/new/unchanged/none", "episodic/new/unchanged/4", "episodic/new/blocked/4"];
+    let log = made_up(&only(&names), &[1, 9]);
+    let episodic =
+        score(&log).conditions.into_iter().find(|score| score.condition.to_string() == names[1]);
+    let interval = episodic.unwrap().sr.interval.unwrap();
+    let text = format!(
+        "title = \"Figures\"\nsource = \"table 1\"\npolicy = \"some-model\"\n\n[configuration]\ncases = 20\nruns = 3\n\
+         window = 6\nencoder = \"ViT-B/16\"\nmax-steps = 200\nmodel = \"some-model\"\n\n\
+         [[condition]]\nname = \"{}\"\nruns = 2\nsr = {{ mean = {:?}, std = 1.0 }}\nspl = 0.0\nmtok = 3\nimg = 7.0\n\
+         change = 1.0\n\n\
+         [[condition]]\nname = \"{}\"\nsr = {{ mean = {:?}, std = 3.0 }}\ngroups = {{ basic = 50, other = 1 }}\n\n\
+         [[condition]]\nname = \"{}\"\nretention = {{ mean = 9.5, std = 0.5 }}\nsr = 0.0\n\n\
+         [[condition]]\nname = \"hybrid/new/unchanged/4\"\nsr = 50.0\n",
+        names[1], interval.high, names[0], 100.0, names[2]
+    );
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("figures.toml");
+    fs::write(&file, text).unwrap();
+    let document = reproduction(&log, &Published::read(&file).unwrap());
+    rows_are_whole(&document);
+    let section = document.sections.iter().find(|section| section.id == "s-reproduction").unwrap();
+    let sections = vec![section.clone()];
+    insta::assert_snapshot!(plain(&ReportDocument { title: String::new(), sections }));
+}
+
+#[test]
+fn nothing_in_common_is_said() {
+    let log = made_up(&only(&["episodic/new/unchanged/4"]), &[1]);
+    let published = own_figures(&log, |text| text.replace("episodic/new/", "hybrid/new/"));
+    let document = reproduction(&log, &published);
+    insta::assert_snapshot!(notice_of_reproduction(&document), @"No published figure has an interval in this run. This run has 0 of 1 published conditions.");
+    assert!(document.tables().all(|table| table.id != "reproduction"));
+    rows_are_whole(&document);
+}
+
+#[test]
+fn the_paper_s_figures_are_compared_on_demand() {
+    let log = paper_log();
+    let document = reproduction(&log, &published());
+    insta::assert_snapshot!(notice_of_reproduction(&document), @"48 of 134 published figures lie in this run's intervals. Not counted: 24 published figures have no interval in this run. 10 published figures were not measured in this run.");
+    let rows = table(&document, "reproduction").groups.iter().map(|group| group.rows.len());
+    // Every printed figure: see the test of the file.
+    let all = (6 + 6 + 4 + 5 + 15 + 3) + (6 + 6 + 4 + 5 + 15) + 21 + 10 + 4 * 5 + 2 + 40;
+    assert_eq!(rows.sum::<usize>(), all);
 }

@@ -8,7 +8,7 @@ use run_log::RunLog;
 use scores::{ConditionScore, Interval, Scores, Spread};
 
 use super::document::{Missing, RowGroup, TableCell, TableColumn, TableRow};
-use super::published::{Published, PublishedCondition, PublishedSpread};
+use super::published::{Published, PublishedCondition, PublishedFigure};
 
 /// One run, scored.
 #[derive(Debug)]
@@ -77,20 +77,38 @@ impl ScoredRun<'_> {
         figure: impl Fn(&PublishedCondition) -> Option<String>,
     ) -> TableCell {
         let published = self.published.of(name).and_then(figure);
-        published.map_or_else(|| unpublished(name), TableCell::Value)
+        published.map_or_else(|| self.unpublished(name), TableCell::Value)
     }
 
-    /// A row of this run for each of `memories`, and a published one for each built-in memory.
+    /// Why no figure of the condition called `name` is published.
+    fn unpublished(&self, name: &str) -> TableCell {
+        let reason = if self.published.is_paper { not_in_the_paper(name) } else { NOT_IN_THE_FILE };
+        TableCell::Missing(Missing::NotReported(reason))
+    }
+
+    /// Whether a published row stands beside this memory's: for a built-in one, or one that the publication has, where there
+    /// are published figures.
+    fn is_published(&self, memory: MemoryKind) -> bool {
+        let mut conditions = self.published.conditions.iter();
+        let is_of = |condition: &PublishedCondition| {
+            condition.name.split('/').next() == Some(memory.to_string().as_str())
+        };
+        match memory.built_in() {
+            Some(_) => conditions.next().is_some(),
+            None => conditions.any(is_of),
+        }
+    }
+
+    /// A row of this run for each of `memories`, and a published one where [`is_published`](Self::is_published).
     pub(super) fn pairs(
         &self,
         memories: &[MemoryKind],
         ours: impl Fn(MemoryKind) -> Vec<TableCell>,
         theirs: impl Fn(MemoryKind) -> Vec<TableCell>,
     ) -> Vec<RowGroup> {
-        let is_elsewhere = self.log.manifest.settings.own_world().is_some();
         let group = |&memory: &MemoryKind| {
             let ours = TableRow::new(OURS, ours(memory));
-            let theirs = memory.built_in().filter(|_| !is_elsewhere).map(|_| TableRow {
+            let theirs = self.is_published(memory).then(|| TableRow {
                 label: THEIRS.to_owned(),
                 published: true,
                 cells: theirs(memory),
@@ -104,7 +122,7 @@ impl ScoredRun<'_> {
 
 /// The label of a row with a run's figures.
 pub(super) const OURS: &str = "this run";
-/// The label of a row with the paper's figures.
+/// The label of a row with published figures.
 pub(super) const THEIRS: &str = "published";
 
 /// The headings of the two label columns of paired rows.
@@ -118,12 +136,14 @@ pub(super) fn name(memory: MemoryKind, rest: &str, demonstrations: &str) -> Stri
     format!("{memory}/{rest}/{demonstrations}")
 }
 
+const NOT_IN_THE_FILE: &str = "the publication does not have this figure";
+
 /// Why the paper prints no figure of the condition called `name`.
-fn unpublished(name: &str) -> TableCell {
+fn not_in_the_paper(name: &str) -> &'static str {
     let has = |part: &str| name.split('/').any(|word| word == part);
     let memory = name.split('/').next().and_then(|memory| memory.parse().ok());
     let is_external = memory.is_some_and(|memory: MemoryKind| memory.external().is_some());
-    TableCell::Missing(Missing::NotReported(if is_external {
+    if is_external {
         "the paper has no such memory"
     } else if has("hybrid") && (has("4") || has("blocked")) {
         "Hybrid with four demonstrations was not evaluated (serving constraints, section Limitations)"
@@ -134,7 +154,7 @@ fn unpublished(name: &str) -> TableCell {
         "of the run without the hint it says only that Full-context changed by two percentage points"
     } else {
         "this figure is not printed"
-    }))
+    }
 }
 
 /// A figure with its interval below, if it has one.
@@ -177,12 +197,13 @@ pub(super) fn interval_text(Interval { low, high }: Interval, digits: usize) -> 
     format!("[{low:.digits$}, {high:.digits$}]").replace('-', "−")
 }
 
-/// A published figure as the paper prints it.
-pub(super) fn published_text(spread: PublishedSpread) -> String {
-    match spread.std {
-        Some(std) => format!("{:.1} ± {std:.1}", spread.mean),
-        None => format!("{:.1}", spread.mean),
-    }
+/// A published figure with its standard deviation, if it has one.
+pub(super) fn published_text(
+    PublishedFigure { mean, std }: PublishedFigure,
+    digits: usize,
+) -> String {
+    let deviation = std.map(|std| format!(" ± {std:.digits$}")).unwrap_or_default();
+    format!("{mean:.digits$}{deviation}").replace('-', "−")
 }
 
 /// A typographic minus before negative numbers, a plus before others.
@@ -219,8 +240,8 @@ pub(super) fn our_rates(view: &ScoredRun<'_>, name: &str) -> [TableCell; 2] {
 /// The published cells under those columns.
 pub(super) fn their_rates(view: &ScoredRun<'_>, name: &str) -> [TableCell; 2] {
     [
-        view.theirs(name, |published| published.sr.map(published_text)),
-        view.theirs(name, |published| published.spl.map(|spl| format!("{spl:.3}"))),
+        view.theirs(name, |published| Some(published_text(published.sr?, 1))),
+        view.theirs(name, |published| Some(published_text(published.spl?, 3))),
     ]
 }
 

@@ -41,9 +41,9 @@ pub const REPORT_FOLDER: &str = "report";
 /// The names of tables and figures in a report, as a regular expression. Those of memories' figures end with the memory's name.
 const REPORT_IDS: &str = concat!(
     "(side-by-side|compare-run[0-9]+-run[0-9]+|(run[0-9]+-)?(",
-    "blocked|blocked-others|conditions|conflict|cost|design|design-figure|elsewhere|external-pairs|facts|failures|",
+    "blocked|blocked-others|conditions|configuration|conflict|cost|design|design-figure|elsewhere|external-pairs|facts|failures|",
     "failures-figure|groups|growth|growth-(figure|search|store)|main|main-figure|mixed|mixed-figure|necessity|pairs|",
-    "provenance|ranking-[0-9]+|requests|runs|supplied|time|time-figure|transfer|transfer-figure|worst-cases|",
+    "provenance|ranking-[0-9]+|reproduction|requests|runs|supplied|time|time-figure|transfer|transfer-figure|worst-cases|",
     "stream-(adaptation|cost|cost-figure|differences|matrix|matrix-figure|orders|rounds-[a-z0-9-]+|success|success-figure|transfer)))",
 );
 
@@ -87,10 +87,11 @@ pub(super) fn run_names() -> io::Result<KnownNames> {
 }
 
 /// The names in the folder of a report, each after `folder`.
-fn report_patterns(folder: &str) -> [String; 4] {
+fn report_patterns(folder: &str) -> [String; 5] {
     [
         format!("{folder}report\\.(html|md)"),
         format!("{folder}(conditions|episodes|streams)\\.(csv|parquet)"),
+        format!("{folder}published\\.toml"),
         format!("{folder}figures/({REPORT_IDS}\\.(svg|pdf))?"),
         format!("{folder}tables/({REPORT_IDS}\\.(csv|tex))?"),
     ]

@@ -130,7 +130,7 @@ fn learned_difference(a: &RunLog, b: &RunLog, fact: &str) -> Option<Difference> 
 }
 
 /// Whether cases with the same id are the same in both runs, and each episode stands for itself.
-fn can_be_paired(a: &RunLog, b: &RunLog) -> Result<(), CompareError> {
+pub(super) fn can_be_paired(a: &RunLog, b: &RunLog) -> Result<(), CompareError> {
     if let Some(log) = [a, b].into_iter().find(|log| log.manifest.settings.stream.is_some()) {
         return Err(CompareError::OfStreams { run: log.dir.display().to_string() });
     }

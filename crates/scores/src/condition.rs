@@ -84,7 +84,7 @@ impl Bounds {
 }
 
 /// The cases as units of the mean over runs of each run's mean of `value`, over the episodes that have one.
-fn cases(trials: &Trials<'_>, value: impl Fn(&EpisodeRecord) -> Option<f64>) -> Units {
+pub(super) fn cases(trials: &Trials<'_>, value: impl Fn(&EpisodeRecord) -> Option<f64>) -> Units {
     let mut by_run: BTreeMap<u32, u32> = BTreeMap::new();
     let mut by_case: BTreeMap<&str, Vec<(f64, u32)>> = BTreeMap::new();
     for record in trials.iter() {
@@ -103,7 +103,7 @@ fn cases(trials: &Trials<'_>, value: impl Fn(&EpisodeRecord) -> Option<f64>) -> 
 }
 
 /// The success of an episode in percent.
-fn succeeded(record: &EpisodeRecord) -> f64 {
+pub(super) fn succeeded(record: &EpisodeRecord) -> f64 {
     percent(record.is_success())
 }
 

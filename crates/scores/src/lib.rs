@@ -20,6 +20,7 @@
 //! | time of a step by stage, steps per second | `time.rs` |
 //! | 95 % intervals | `interval.rs`, `student.rs` |
 //! | two configurations on the same cases | `comparison.rs`, by name `compare.rs` |
+//! | what a run is required to show | `gate.rs` |
 //! | banks of different sizes | `growth.rs` |
 //! | demonstrations from before and after an event | `conflict.rs` |
 //! | streams | `streams.rs` |
@@ -35,6 +36,7 @@ mod conflict;
 mod cost;
 mod documents;
 mod failure;
+pub mod gate;
 mod growth;
 mod interval;
 mod mean;

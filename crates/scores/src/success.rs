@@ -4,6 +4,8 @@
 use case_book::{TaskGroupFacts, WorldFacts};
 use serde::Serialize;
 
+use super::condition::{cases, succeeded};
+use super::interval::Interval;
 use super::mean::{mean, percentage};
 use super::spread::Spread;
 use super::trial::{Trials, path_weight};
@@ -35,10 +37,13 @@ pub struct GroupScore {
 /// The groups of `world` that have an episode.
 pub(super) fn groups(trials: &Trials<'_>, world: &WorldFacts) -> Vec<GroupScore> {
     let rate = |group: &str| {
-        trials.over_runs(|run| {
-            let of_group = run.iter().filter(|record| world.group_of(record.task) == Some(group));
+        let is_of = |record: &EpisodeRecord| world.group_of(record.task) == Some(group);
+        let rate = trials.over_runs(|run| {
+            let of_group = run.iter().filter(|record| is_of(record));
             percentage(of_group.map(|record| record.is_success()))
-        })
+        })?;
+        let units = cases(trials, |record| is_of(record).then(|| succeeded(record)));
+        Some(rate.within(units.interval(Interval::PERCENT)))
     };
     let scored = |TaskGroupFacts { name, .. }: &TaskGroupFacts| {
         Some(GroupScore { sr: rate(name)?, group: name.clone() })

@@ -120,6 +120,10 @@ fn task_groups_are_scored_by_themselves_per_run() {
         [("basic", 75.0), ("multi-object", 100.0 / 3.0), ("return loops", 0.0), ("revisit", 100.0)];
     assert_eq!(means, expected);
     near(found.groups[0].sr.std.unwrap(), 25.0 * 2.0_f64.sqrt());
+    // Over the cases of the group: revisit has one.
+    let has_interval: Vec<bool> =
+        found.groups.iter().map(|score| score.sr.interval.is_some()).collect();
+    assert_eq!(has_interval, [true, true, true, false]);
     assert_eq!(found.groups[1].sr.std, None);
 }
 

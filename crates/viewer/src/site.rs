@@ -264,7 +264,7 @@ impl RunPages {
     /// `report.html`.
     pub(crate) fn report(&self) -> Result<File> {
         let logs = std::slice::from_ref(&self.log);
-        let page = report::page(&report::document(logs, &Published::load()?))?;
+        let page = report::page(&report::document(logs, &Published::paper()?))?;
         Ok(File::text("text/html; charset=utf-8", page))
     }
 

@@ -27,6 +27,8 @@ pub const TARGETS: &[Target] = &[
     ("viewer-path", &[folders::viewer_path]),
     // Suites, prices, models.toml, .env, and the words in them.
     ("settings", &[texts::suite, texts::prices, texts::encoders, texts::env_file, texts::names]),
+    // Published figures.
+    ("published", &[texts::published]),
     // layout.toml, catalogue.toml, cases.toml, streams.json and elsewhere.json.
     ("assets", &[worlds::assets, worlds::streams, worlds::elsewhere]),
     // Answers of simulator, memory and policy, as the orchestrator's lanes take them.

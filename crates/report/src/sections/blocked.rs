@@ -30,10 +30,10 @@ pub(super) fn blocked_table(view: &ScoredRun<'_>) -> Option<Table> {
     let theirs = |memory| {
         let name = name_in_paper(memory);
         vec![
-            view.theirs(&name, |p| p.change.map(|change| signed(change, 1))),
-            view.theirs(&name, |p| p.retention.map(|retention| format!("{retention:.2}"))),
-            view.theirs(&name, |p| p.follow.map(published_text)),
-            view.theirs(&name, |p| p.recovery.map(published_text)),
+            view.theirs(&name, |p| Some(signed(p.change?.mean, 1))),
+            view.theirs(&name, |p| Some(published_text(p.retention?, 2))),
+            view.theirs(&name, |p| Some(published_text(p.follow?, 1))),
+            view.theirs(&name, |p| Some(published_text(p.recovery?, 1))),
         ]
     };
     let ours = |memory| cells(view, &name_in_paper(memory));

@@ -6,7 +6,7 @@ use scores::RequestScore;
 
 use super::main_table::{NO_REQUESTS, mega};
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
-use crate::view::{ScoredRun, name, pair_stubs, plain_or};
+use crate::view::{ScoredRun, name, pair_stubs, plain_or, published_text};
 
 const SETTINGS: [(&str, &str, &str); 2] = [
     ("New start, 1 demo", "new/unchanged", "original"),
@@ -45,10 +45,10 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     };
     let theirs = |representation| {
         let original = name(representation, "original/unchanged", "original");
-        let mut cells = vec![view.theirs(&original, |p| p.img.map(|img| format!("{img:.0}")))];
+        let mut cells = vec![view.theirs(&original, |p| Some(published_text(p.img?, 0)))];
         for name in names(representation) {
             cells.push(view.theirs(&name, |_| None));
-            cells.push(view.theirs(&name, |p| p.mtok.map(|mtok| format!("{mtok:.0}"))));
+            cells.push(view.theirs(&name, |p| Some(published_text(p.mtok?, 0))));
             cells.push(view.theirs(&name, |_| None));
         }
         cells

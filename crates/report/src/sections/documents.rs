@@ -48,7 +48,7 @@ pub(super) fn beside_the_paper(view: &ScoredRun<'_>) -> Option<String> {
         .map(|(_, label)| label)
         .collect();
     let labels = Vec::from_iter(of_others).join(", ");
-    let is_shown = !labels.is_empty() && !view.published.conditions.is_empty();
+    let is_shown = !labels.is_empty() && view.published.is_paper;
     is_shown.then(|| {
         format!(
             "The paper's documents were written by its own model, the one that decides; those of {labels} were not, so the \

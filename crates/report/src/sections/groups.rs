@@ -3,7 +3,7 @@
 use case_book::TaskGroupFacts;
 
 use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
-use crate::view::{ScoredRun, name, pair_stubs, plain_or};
+use crate::view::{ScoredRun, name, pair_stubs, plain_or, published_text};
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let groups = &view.log.world.groups;
@@ -30,7 +30,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     };
     let theirs = |representation| {
         each(representation, &|group, name| {
-            view.theirs(name, |published| published.group(group).map(|rate| format!("{rate:.0}")))
+            view.theirs(name, |published| Some(published_text(published.group(group)?, 0)))
         })
     };
     let table = Table {

@@ -5,7 +5,9 @@ use scores::{ConditionScore, Interval};
 
 use crate::document::{Missing, ReportBlock, Table, TableCell, TableColumn};
 use crate::plot::{Dot, DotRow, dots};
-use crate::view::{ScoredRun, name, our_rates, pair_stubs, plain_or, rate_columns, their_rates};
+use crate::view::{
+    ScoredRun, name, our_rates, pair_stubs, plain_or, published_text, rate_columns, their_rates,
+};
 
 /// A heading, start and route, demonstrations.
 pub(super) type Setting = (&'static str, &'static str, &'static str);
@@ -39,8 +41,8 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let theirs = |memory| {
         let names = names(memory, SETTINGS);
         let [original, one, four, _] = &names;
-        let mut cells = vec![view.theirs(original, |p| p.img.map(|img| format!("{img:.0}")))];
-        let mega = |name: &String| view.theirs(name, |p| p.mtok.map(|mtok| format!("{mtok:.0}")));
+        let mut cells = vec![view.theirs(original, |p| Some(published_text(p.img?, 0)))];
+        let mega = |name: &String| view.theirs(name, |p| Some(published_text(p.mtok?, 0)));
         cells.extend([one, four].map(mega));
         cells.extend(names.iter().flat_map(|name| their_rates(view, name)));
         cells
@@ -50,7 +52,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         caption: "Memory performance across the three questions (the paper's table “Memory performance across the three RQs”). SR: success rate \
                   in percent, mean ± sample standard deviation over runs, and its 95 % interval in brackets. SPL: \
                   success weighted by path length, mean. Img: images per request; this run's is the mean over all \
-                  requests at the new start, where an episode's first steps have a shorter window, and the paper's the \
+                  requests at the new start, where an episode's first steps have a shorter window; the paper's is the \
                   number at full window. Mtok: million prompt and completion tokens per 100 new-start cases. Working \
                   memory uses no demonstrations, so its new-start figures stand in both columns."
             .to_owned(),

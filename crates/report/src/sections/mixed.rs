@@ -46,11 +46,13 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     };
     let theirs = |memory: MemoryKind| {
         let names = names(memory);
-        let mut cells: Vec<TableCell> =
-            names.iter().map(|name| view.theirs(name, |p| p.sr.map(published_text))).collect();
+        let mut cells: Vec<TableCell> = names
+            .iter()
+            .map(|name| view.theirs(name, |p| Some(published_text(p.sr?, 1))))
+            .collect();
         cells.extend(names[1..].iter().map(|name| match memory.retrieves() {
             false => TableCell::Missing(NO_RETRIEVAL),
-            true => view.theirs(name, |p| p.from_others.map(published_text)),
+            true => view.theirs(name, |p| Some(published_text(p.from_others?, 1))),
         }));
         cells
     };

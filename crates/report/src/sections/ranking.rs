@@ -262,7 +262,7 @@ mod tests {
 
     /// The labels of each table's rows, and the notices.
     fn ranked(logs: &[RunLog]) -> (Vec<Vec<String>>, Vec<String>) {
-        let published = Published::load().unwrap();
+        let published = Published::paper().unwrap();
         let section = ranking(&views(logs, &published));
         let rows = |table: &Table| {
             let rows = table.groups.iter().flat_map(|group| &group.rows);

@@ -11,10 +11,13 @@ use domain::events::Visit;
 use domain::{Action, ExternalName, MemoryKind, Pose};
 use memory_proc::manifest::EncoderManifest;
 use orchestrator::plan::plan;
+use report::Published;
+use rigs::records::{log, record, under};
 use settings::{Layer, resolve};
 use shm_types::description::DESCRIPTION_FILE;
 use shm_types::{Attach, MemoryDescription};
 
+use super::folders::is_harmless;
 use crate::files::{with_files, with_folder};
 
 /// What is read is valid, and is written and read back equal.
@@ -78,6 +81,22 @@ pub(crate) fn suite(input: &[u8]) {
             plan(&runs, &[0], &["t01-01"], again.seed).take(100).count() > 0,
             !runs.is_empty()
         );
+    });
+}
+
+/// Published figures that are read are shown beside a run's.
+pub(crate) fn published(input: &[u8]) {
+    with_folder(|folder| {
+        let file = folder.join("figures.toml");
+        fs::write(&file, input).unwrap();
+        let Ok(published) = Published::read(&file) else { return };
+        let conditions = ["working/new/unchanged/none", "episodic/new/unchanged/4"];
+        let episode = |name: &str, case| under(name.parse().unwrap(), record(case, true));
+        let episodes = conditions.map(|name| ["t01-01", "t03-02"].map(|case| episode(name, case)));
+        let logs = [log(episodes.into_iter().flatten().collect())];
+        let page = report::write(&logs, &folder.join("report"), Some(&published)).unwrap();
+        is_harmless(&fs::read_to_string(page).unwrap());
+        Published::read(&folder.join("report/published.toml")).unwrap();
     });
 }
 
