@@ -1,7 +1,7 @@
 //! Prints how often the 95 % intervals of scores hold the true figure, and how often the sign test finds a difference
 //! where there is none.
 //!
-//!     cargo run --release -p results --example intervals [DRAWS [SEED]]
+//!     cargo run --release -p scores --example intervals [DRAWS [SEED]]
 //!
 //! Runs are drawn whose figures are known, and scored as any run. A table has a row for each number of cases and a column for each
 //! success rate: the percentage of drawn runs whose interval holds the true figure.
@@ -16,7 +16,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rigs::records::{log, record, sequence, stream_log, under};
 use run_log::{Ending, EpisodeRecord, RunLog};
-use scores::{Comparison, Derived, Interval, Trials, compare, score};
+use scores::{Derived, Interval, Pairing, Side, score};
 
 /// True success rates.
 const RATES: [f64; 9] = [0.02, 0.05, 0.1, 0.2, 0.5, 0.8, 0.9, 0.95, 0.98];
@@ -303,10 +303,9 @@ impl Sampling {
             }
             Self::Two(design, sides) => {
                 draw_sides(log, rate, sides, design, random);
-                let found = compared(log);
                 let difference = rate - sides.second(rate);
-                let (sr, spl) =
-                    found.map_or((None, None), |found| (found.sr.interval, found.spl.interval));
+                let found = paired(log).map(|found| found.differences());
+                let [sr, spl] = found.map_or([None; 2], |found| found.map(|one| one.interval));
                 [(100.0 * difference, sr), (difference * mean_ratio(design), spl)]
             }
             Self::Blocked(design) => {
@@ -341,10 +340,10 @@ fn mean_ratio(design: Design) -> f64 {
     0.5 * (design.shortest + 1.0)
 }
 
-fn compared(log: &RunLog) -> Option<Comparison> {
-    let trials = Trials::by_condition(log);
-    let of = |name| trials.get(&condition(name));
-    compare(("A", of(FOUR[0])?), ("B", of(FOUR[2])?))
+/// The first condition of [`FOUR`] and its third, paired.
+fn paired(log: &RunLog) -> Option<Pairing<'_>> {
+    let side = |name: &str| Side { name: name.to_owned(), log, condition: condition(name) };
+    Pairing::of(side(FOUR[0]), side(FOUR[2]))
 }
 
 /// Draws the conditions of every case, each at its rate.
@@ -408,7 +407,7 @@ fn levels(random: &mut Random, draws: u32) -> String {
         for decided in [0.0, 0.3] {
             for rate in [0.1, 0.5] {
                 let found = (0..draws).filter(|_| {
-                    differ(&mut log, rate, decided, random).is_some_and(|found| found.p < 0.05)
+                    differ(&mut log, rate, decided, random).is_some_and(|p| p < 0.05)
                 });
                 cells.push(format!("{:.1}", 100.0 * found.count() as f64 / f64::from(draws)));
             }
@@ -424,13 +423,13 @@ fn two([a, b]: [u32; 2]) -> RunLog {
     empty(100, &[(FOUR[0], a), (FOUR[2], b)])
 }
 
-/// Draws a comparison of two conditions with the same success rate in every case.
-fn differ(log: &mut RunLog, rate: f64, decided: f64, random: &mut Random) -> Option<Comparison> {
+/// Draws two conditions with the same success rate in every case. Returns p of their comparison.
+fn differ(log: &mut RunLog, rate: f64, decided: f64, random: &mut Random) -> Option<f64> {
     for records in log.episodes.chunk_by_mut(|a, b| a.case == b.case) {
         // What decides a case decides it on both sides.
         draw(records, rate, Design { decided, ..ONE }, random);
     }
-    compared(log)
+    paired(log).map(|found| found.p())
 }
 
 #[cfg(test)]
@@ -455,7 +454,7 @@ mod tests {
         for repetitions in [[3, 3], [3, 1], [3, 5]] {
             let mut log = two(repetitions);
             let found = (0..200).filter(|_| {
-                differ(&mut log, 0.1, 0.0, &mut random).is_some_and(|found| found.p < 0.05)
+                differ(&mut log, 0.1, 0.0, &mut random).is_some_and(|p| p < 0.05)
             });
             assert!(found.count() <= 20, "{repetitions:?}");
         }

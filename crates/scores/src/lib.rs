@@ -19,7 +19,8 @@
 //! | kinds of failure, the cases that fail most | `failure.rs`, `worst.rs` |
 //! | time of a step by stage, steps per second | `time.rs` |
 //! | 95 % intervals | `interval.rs`, `student.rs` |
-//! | two configurations on the same cases | `comparison.rs`, by name `compare.rs` |
+//! | two configurations on the same cases | `comparison.rs`, by name `compare.rs`, what is left out `unpaired.rs` |
+//! | what a comparison shows, and could have shown | `conclusion.rs`, `sign_test.rs`, `holm.rs` |
 //! | banks of different sizes | `growth.rs` |
 //! | demonstrations from before and after an event | `conflict.rs` |
 //! | streams | `streams.rs` |
@@ -30,34 +31,41 @@
 mod blocked;
 pub mod compare;
 mod comparison;
+mod conclusion;
 mod condition;
 mod conflict;
 mod cost;
 mod documents;
 mod failure;
 mod growth;
+mod holm;
 mod interval;
 mod mean;
 mod memory;
 mod requests;
+mod sign_test;
 mod spread;
 mod streams;
 mod student;
 mod success;
 mod time;
 mod trial;
+mod unpaired;
 mod worst;
 
 pub use blocked::{BlockedScore, Derived};
-pub use comparison::{Comparison, FigureDifference, compare};
+pub use comparison::{Comparison, FigureDifference, Pairing, Side, conclude};
+pub use conclusion::{ChangedVerdict, Conclusion, LeftOut, Robustness, Verdict};
 pub use condition::{Bounds, ConditionScore};
 pub use conflict::HISTORIES;
 pub use documents::DocumentScore;
 pub use failure::{Failures, failure_of};
 pub use growth::GrowthScore;
+pub use holm::holm;
 pub use interval::Interval;
 pub use memory::MemoryScore;
 pub use requests::RequestScore;
+pub use sign_test::{LEVEL, MOST_CASES, POWER};
 pub use spread::Spread;
 pub use streams::{
     Estimate, Necessity, NecessitySuccess, OrderScore, RoundScore, StreamCost, StreamDifference,
@@ -66,6 +74,7 @@ pub use streams::{
 pub use success::GroupScore;
 pub use time::StageTimes;
 pub use trial::{Trials, path_weight};
+pub use unpaired::{Absence, ComparedSide, Unpaired};
 pub use worst::{CaseScore, worst_cases};
 
 use std::collections::BTreeMap;

@@ -313,12 +313,11 @@ fn time_is_a_mean_over_steps() {
 /// The comparison of episodic memory with working memory.
 fn compared(records: Vec<EpisodeRecord>) -> Option<Comparison> {
     let log = log(records);
-    let trials = Trials::by_condition(&log);
     let of = |memory: Representation| {
-        let condition = trials.keys().find(|condition| condition.memory == memory);
-        condition.map(|condition| &trials[condition])
+        let own = log.episodes.iter().find(|record| record.memory == memory)?;
+        Some(Side { name: memory.to_string(), log: &log, condition: own.condition() })
     };
-    compare(("A", of(Representation::Episodic)?), ("B", of(Representation::Working)?))
+    Pairing::of(of(Representation::Episodic)?, of(Representation::Working)?).map(Pairing::alone)
 }
 
 #[test]

@@ -27,6 +27,22 @@ impl<'a> Trials<'a> {
         trials
     }
 
+    /// The episodes of `condition` in `log`, of the cases that are selected.
+    pub(super) fn of(
+        log: &'a RunLog,
+        condition: &Condition,
+        is_selected: impl Fn(&str) -> bool,
+    ) -> Self {
+        let is_own = |record: &&EpisodeRecord| {
+            record.stream.is_none()
+                && record.condition() == *condition
+                && is_selected(&record.case)
+        };
+        let mut list: Vec<&EpisodeRecord> = log.episodes.iter().filter(is_own).collect();
+        list.sort_by_key(|record| (&record.case, record.run));
+        Self { list }
+    }
+
     /// The episodes of these cases.
     pub fn of_cases(&self, cases: &BTreeSet<&str>) -> Self {
         let is_of = |record: &&EpisodeRecord| cases.contains(record.case.as_str());
