@@ -11,13 +11,14 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::Serialize;
 
+use super::compare::in_short;
 use super::conclusion::{Conclusion, LeftOut, Robustness, Tested};
 use super::holm::{factors, holm};
 use super::interval::{Interval, Units};
 use super::mean::mean;
 use super::sign_test::{CorrectedSignTest, sign_test};
 use super::trial::{Trials, path_weight};
-use super::unpaired::{ComparedSide, PlannedEpisodes, Unpaired};
+use super::unpaired::{Absence, ComparedSide, PlannedEpisodes, Unpaired};
 use conditions::Condition;
 use run_log::{EpisodeRecord, RunLog};
 
@@ -58,6 +59,27 @@ pub struct Comparison {
     pub conclusion: Conclusion,
     /// The unpaired episodes, those of A first, by case and repetition.
     pub unpaired: Vec<Unpaired>,
+}
+
+impl Comparison {
+    /// The unpaired episodes in words, where the sides are called by `names`: case and repetition of the first of each side and
+    /// reason, of the others how many. Empty where there are none.
+    pub fn unpaired_in_words(&self, names: [&str; 2]) -> String {
+        let mut by_reason: BTreeMap<(ComparedSide, Absence), Vec<String>> = BTreeMap::new();
+        for Unpaired { case, repetition, finished_in, absence } in &self.unpaired {
+            let reason = (*finished_in, *absence);
+            by_reason.entry(reason).or_default().push(format!("{case}/run{repetition}"));
+        }
+        let told = |((side, absence), episodes): ((ComparedSide, Absence), Vec<String>)| {
+            let [own, other] = match side {
+                ComparedSide::A => names,
+                ComparedSide::B => [names[1], names[0]],
+            };
+            let (count, listed) = (episodes.len(), in_short(&episodes));
+            format!("{count} of {own}, {} in {other} ({listed})", absence.words())
+        };
+        by_reason.into_iter().map(told).collect::<Vec<_>>().join("; ")
+    }
 }
 
 /// A figure of both configurations, and the mean difference.

@@ -130,17 +130,15 @@ impl Conclusion {
             return found;
         }
         let could_be_seen = match (self.detectable, least_cases) {
-            (Some(points), _) => format!("{points:.1} points could have been seen"),
+            (Some(points), _) => format!("A difference of {points:.1} points would be shown with a probability of 80 %"),
             (None, Some(least)) if cases < least as usize => {
-                format!("At least {least} cases are needed to show any difference")
+                format!("Fewer than {least} cases can show no difference")
             }
-            (None, _) => "No difference could have been seen".to_owned(),
+            (None, _) => "No difference would be shown with a probability of 80 %".to_owned(),
         };
         let needed = match self.more_cases {
-            Some(more) => format!("this one would take some {more} more cases"),
-            None if better == worse => {
-                "no number of cases shows a difference of none".to_owned()
-            }
+            Some(more) => format!("this one would take about {more} more cases"),
+            None if better == worse => "as many cases are better as worse".to_owned(),
             None => format!("this one would take more than {MOST_CASES} cases"),
         };
         format!("{found} {could_be_seen}; {needed}.")

@@ -20,6 +20,7 @@
 //! | time of a step by stage, steps per second | `time.rs` |
 //! | 95 % intervals | `interval.rs`, `student.rs` |
 //! | two configurations on the same cases | `comparison.rs`, by name `compare.rs`, what is left out `unpaired.rs` |
+//! | comparisons that conditions ask for | `asked.rs` |
 //! | what a comparison shows, and could have shown | `conclusion.rs`, `sign_test.rs`, `holm.rs` |
 //! | banks of different sizes | `growth.rs` |
 //! | demonstrations from before and after an event | `conflict.rs` |
@@ -28,6 +29,7 @@
 //! Episodes of streams enter the figures of their streams, and those of requests, memories and time. All other figures
 //! are of the other episodes.
 
+mod asked;
 mod blocked;
 pub mod compare;
 mod comparison;
@@ -53,6 +55,7 @@ mod trial;
 mod unpaired;
 mod worst;
 
+pub use asked::{AskedComparison, AskedComparisons, Question};
 pub use blocked::{BlockedScore, Derived};
 pub use comparison::{Comparison, FigureDifference, Pairing, Side, conclude};
 pub use conclusion::{ChangedVerdict, Conclusion, LeftOut, Robustness, Verdict};
@@ -69,7 +72,7 @@ pub use sign_test::{LEVEL, MOST_CASES, POWER};
 pub use spread::Spread;
 pub use streams::{
     Estimate, Necessity, NecessitySuccess, OrderScore, RoundScore, StreamCost, StreamDifference,
-    StreamScore, StreamScores,
+    StreamScore, StreamScores, TestedDifference,
 };
 pub use success::GroupScore;
 pub use time::StageTimes;
@@ -110,6 +113,9 @@ pub struct Scores {
     /// demonstration that invalidates; absent when there is no demonstration from after it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub conflicts: Vec<ConditionScore>,
+    /// The comparisons that the run's conditions ask for, by the question that they answer; absent when there are none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub comparisons: Vec<AskedComparisons>,
     /// The conditions with banks, by memory and size; absent without banks.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub growth: Vec<GrowthScore>,
@@ -147,6 +153,7 @@ pub fn score(log: &RunLog) -> Scores {
         policy: log.manifest.policy_label(),
         growth: growth::growth(log, &trials, &planned, &timings),
         conflicts: conflict::conflicts(log, &trials, &planned, &timings),
+        comparisons: asked::comparisons(log, &trials),
         conditions,
         planned: log.manifest.episodes as usize,
         finished: log.episodes.len(),
