@@ -1,0 +1,164 @@
+//! Tables of comparisons that are made together: their figures, what they show, and what is not paired.
+
+use conditions::{Condition, Route, Start};
+use domain::Arm;
+use scores::{AskedComparison, Comparison, FigureDifference, Question};
+
+use crate::document::{ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
+use crate::view::{ScoredRun, p_value, signed, with_interval};
+
+/// A comparison as a row.
+#[derive(Debug, Clone)]
+pub(crate) struct ComparedRow<'a> {
+    /// What it shares with its neighbours, if rows are grouped.
+    pub(crate) group: Option<String>,
+    /// Its own label.
+    pub(crate) label: String,
+    pub(crate) comparison: &'a Comparison,
+}
+
+/// Rows of comparisons, and the headings of their label columns.
+#[derive(Debug)]
+pub(crate) struct ComparedRows<'a> {
+    pub(crate) stubs: &'static [&'static str],
+    pub(crate) rows: Vec<ComparedRow<'a>>,
+}
+
+/// What every table of conclusions says about them.
+pub(crate) const CONCLUSIONS: &str = "Better or worse where p, corrected for all comparisons that were made together, is below 5 %: of \
+     all such families at most 5 % find a difference where there is none (Holm 1979). Otherwise: the difference that would have \
+     been shown with a probability of 80 %, and about how many more cases it would take to show the one observed. Holds: what \
+     the conclusion does not depend on when it is left out, one at a time: a group of tasks, a task, a repetition, a case.";
+
+impl ComparedRows<'_> {
+    fn table(
+        &self,
+        (id, caption): (String, String),
+        columns: Vec<TableColumn>,
+        cells: impl Fn(&Comparison) -> Option<Vec<TableCell>>,
+    ) -> Option<Table> {
+        let groups = self.rows.chunk_by(|a, b| a.group == b.group).map(|rows| RowGroup {
+            label: rows.first().and_then(|row| row.group.clone()),
+            rows: rows
+                .iter()
+                .filter_map(|row| Some(TableRow::new(row.label.clone(), cells(row.comparison)?)))
+                .collect(),
+        });
+        let stubs = self.stubs.iter().map(|stub| (*stub).to_owned()).collect();
+        let groups = groups.filter(|group: &RowGroup| !group.rows.is_empty()).collect();
+        Table { id, caption, stubs, columns, groups }.pruned()
+    }
+
+    /// The figures of both sides, and their differences.
+    pub(crate) fn figures(&self, id: String, caption: String) -> Option<Table> {
+        let mut columns = vec![TableColumn::new("Cases")];
+        columns.extend(
+            ["first", "second", "paired"].map(|name| TableColumn::under("Episodes", name)),
+        );
+        for over in ["SR %", "SPL"] {
+            columns.extend(
+                ["first", "second", "difference"].map(|name| TableColumn::under(over, name)),
+            );
+        }
+        columns.extend(["Better", "Worse", "p", "Corrected p"].map(TableColumn::new));
+        self.table((id, caption), columns, |compared| Some(figures(compared)))
+    }
+
+    /// What the comparisons show.
+    pub(crate) fn conclusions(&self, id: String) -> Option<Table> {
+        let family = self.rows.first()?.comparison.conclusion.family;
+        let made = match family {
+            1 => "One comparison was made.".to_owned(),
+            family => format!("{family} comparisons were made together."),
+        };
+        let columns = vec![TableColumn::new("Conclusion"), TableColumn::new("Holds")];
+        let cells = |compared: &Comparison| {
+            let conclusion = &compared.conclusion;
+            let texts = [conclusion.sentence.clone(), conclusion.robustness.in_words()];
+            Some(texts.map(TableCell::Value).to_vec())
+        };
+        let table = self.table((id, format!("{made} {CONCLUSIONS}")), columns, cells)?;
+        Some(table.with_text(&["Conclusion", "Holds"]))
+    }
+
+    /// What is not paired, and why; `None` where everything is.
+    pub(crate) fn unpaired(&self, id: String) -> Option<Table> {
+        let caption = "Episodes that one side has finished and the other has not: they enter no figure of the comparison. The \
+                       first of each kind are named; `memtransfer score --json` lists all."
+            .to_owned();
+        let cells = |compared: &Comparison| {
+            let text = compared.unpaired_in_words(["the first", "the second"]);
+            (!text.is_empty()).then(|| vec![TableCell::Value(text)])
+        };
+        let table = self.table((id, caption), vec![TableColumn::new("Not paired")], cells)?;
+        Some(table.with_text(&["Not paired"]))
+    }
+
+    /// All three tables; the ids of the others follow from that of the first.
+    pub(crate) fn blocks(&self, id: &str, caption: String) -> Vec<ReportBlock> {
+        ReportBlock::tables([
+            self.figures(id.to_owned(), caption),
+            self.conclusions(format!("{id}-conclusions")),
+            self.unpaired(format!("{id}-unpaired")),
+        ])
+    }
+}
+
+/// The tables of the comparisons of the run that answer `question`; none without any.
+pub(super) fn asked_blocks(
+    view: &ScoredRun<'_>,
+    question: Question,
+    id: &str,
+    caption: &str,
+) -> Vec<ReportBlock> {
+    asked_rows(view, question)
+        .map_or_else(Vec::new, |rows| rows.blocks(&view.id(id), caption.to_owned()))
+}
+
+/// The comparisons of the run that answer `question`, by memory.
+pub(crate) fn asked_rows<'a>(
+    view: &'a ScoredRun<'_>,
+    question: Question,
+) -> Option<ComparedRows<'a>> {
+    let asked = view.scores.comparisons.iter().find(|asked| asked.question == question)?;
+    let row = |asked: &'a AskedComparison| ComparedRow {
+        group: Some(view.label(asked.memory) + &aside(&asked.condition)),
+        label: asked.label.clone(),
+        comparison: &asked.comparison,
+    };
+    let rows = asked.comparisons.iter().map(row).collect();
+    Some(ComparedRows { stubs: &["Memory", "Comparison"], rows })
+}
+
+/// What distinguishes a condition beside its memory and demonstrations, where it is not the usual one.
+fn aside(condition: &Condition) -> String {
+    let Condition { start, route, variation, arm, .. } = condition;
+    let start = (*start != Start::New).then(|| format!(", {start} start"));
+    let route = (*route != Route::Unchanged).then(|| format!(", {route}"));
+    let arm = (*arm != Arm::Frozen).then(|| format!(", {}", arm.word()));
+    let variation = variation.to_string().replace('/', ", ");
+    [start, route, Some(variation), arm].into_iter().flatten().collect()
+}
+
+fn figures(compared: &Comparison) -> Vec<TableCell> {
+    let Comparison { cases, episodes_a, episodes_b, pairs, sr, spl, .. } = compared;
+    let three = |FigureDifference { a, b, mean, interval }: &FigureDifference, digits: usize| {
+        [
+            TableCell::Value(format!("{a:.digits$}")),
+            TableCell::Value(format!("{b:.digits$}")),
+            with_interval(signed(*mean, digits), *interval, digits),
+        ]
+    };
+    let counts = [cases, episodes_a, episodes_b, pairs];
+    let mut cells = counts.map(|count| TableCell::Value(count.to_string())).to_vec();
+    cells.extend(three(sr, 1).into_iter().chain(three(spl, 3)));
+    let Comparison { more_under_a, more_under_b, p, conclusion, .. } = compared;
+    let tested = [
+        more_under_a.to_string(),
+        more_under_b.to_string(),
+        p_value(*p),
+        p_value(conclusion.corrected_p),
+    ];
+    cells.extend(tested.map(TableCell::Value));
+    cells
+}
