@@ -9,7 +9,7 @@
 //! so figures that vary less than a coin have narrower intervals, and repetitions count as far as they tell more.
 //!
 //! One unit at each end and t with as many degrees of freedom as there are units, added ones included, less one, were chosen
-//! by simulation: `cargo run --release -p results --example intervals` prints how often the intervals hold the true figure.
+//! by simulation: `cargo run --release -p scores --example intervals` prints how often the intervals hold the true figure.
 //!
 //! Units may weigh differently, where a figure is a mean over runs with different numbers of episodes. With weights
 //! `W_c` of 1 in all, means `m_c` and the figure `p = sum W_c m_c`, the variance of `p` is the linearized one,

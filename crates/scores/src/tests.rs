@@ -477,6 +477,19 @@ fn where_no_difference_is_shown_the_conclusion_says_what_could_have_been() {
     ");
 }
 
+#[test]
+fn p_decides_where_it_and_the_interval_disagree() {
+    // Of 100 cases 11 are better and 3 worse: 2 (1 + 14 + 91 + 364) / 2^14.
+    let mut records = repeated(Representation::Episodic, 100, 1, |case, _| case < 11);
+    let is_worse = |case: usize| (11..14).contains(&case);
+    records.extend(repeated(Representation::Working, 100, 1, |case, _| is_worse(case)));
+    let found = compared(records).unwrap();
+    near(found.p, 940.0 / 16_384.0);
+    let Interval { low, high } = found.sr.interval.unwrap();
+    assert_eq!([low, high].map(|end| format!("{end:.1}")), ["0.2", "15.5"]);
+    assert_eq!(found.conclusion.verdict, Verdict::NoDifferenceShown);
+}
+
 /// The conditions of the first and of the 21st episode, paired.
 fn first_and_21st(log: &RunLog) -> Pairing<'_> {
     let side = |index: usize| {
@@ -554,10 +567,10 @@ fn runs_without_a_common_condition_or_case_are_refused_with_what_each_has() {
     };
     let episodic = of("a", Representation::Episodic, "c01");
     let refused = |other: &RunLog| compare::compare_runs(&episodic, other).unwrap_err().to_string();
-    insta::assert_snapshot!(refused(&of("b", Representation::Working, "c01")), @"");
-    insta::assert_snapshot!(refused(&of("b", Representation::Episodic, "c02")), @"");
+    insta::assert_snapshot!(refused(&of("b", Representation::Working, "c01")), @"a and b have no condition in common: a has episodic/new/unchanged/original, b has working/new/unchanged/none. `--compare A B` compares a condition A of a with a condition B of b");
+    insta::assert_snapshot!(refused(&of("b", Representation::Episodic, "c02")), @"a and b have finished no case in the same repetition: a has c01 in repetition 1, b has c02 in repetition 1; run one of them with the other's --cases, --limit and --runs");
     let mut both = of("b", Representation::Working, "c01");
     both.episodes.extend(of("b", Representation::Episodic, "c01").episodes);
     let paired = compare::pair_runs(&episodic, &both).unwrap();
-    insta::assert_snapshot!(paired.left_out.sentences("a", "b").join("\n"), @"");
+    insta::assert_snapshot!(paired.left_out.sentences("a", "b").join("\n"), @"Not compared, only b has an episode of them: working/new/unchanged/none.");
 }

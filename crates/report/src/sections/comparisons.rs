@@ -27,8 +27,8 @@ pub(crate) struct ComparedRows<'a> {
 /// What every table of conclusions says about them.
 pub(crate) const CONCLUSIONS: &str = "Better or worse where p, corrected for all comparisons that were made together, is below 5 %: of \
      all such families at most 5 % find a difference where there is none (Holm 1979). Otherwise: the difference that would have \
-     been shown with a probability of 80 %, and about how many more cases it would take to show the one observed. Holds: what \
-     the conclusion does not depend on when it is left out, one at a time: a group of tasks, a task, a repetition, a case.";
+     been shown with a probability of 80 %, and about how many more cases it would take to show the one observed. Holds: whether \
+     the conclusion stays when a part is left out, one at a time: a group of tasks, a task, a repetition, a case.";
 
 impl ComparedRows<'_> {
     fn table(

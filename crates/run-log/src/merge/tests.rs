@@ -229,7 +229,7 @@ fn prompts_are_merged_with_what_they_name_whatever_the_sessions_are_numbered() {
 
 /// Prints time and memory of a merge of as many records as `MEMTRANSFER_TEST_RECORDS` says, in units of 100.
 #[test]
-#[ignore = "a measurement: cargo test --release -p results --lib merge_in_constant_memory -- --ignored --nocapture"]
+#[ignore = "a measurement: cargo test --release -p run-log --lib merge_in_constant_memory -- --ignored --nocapture"]
 fn merge_in_constant_memory() {
     let records = std::env::var("MEMTRANSFER_TEST_RECORDS");
     let records: u32 = records.map_or(1_000_000, |text| text.parse().unwrap());

@@ -136,7 +136,7 @@ pub(crate) fn differences_table(view: &ScoredRun<'_>) -> Option<Table> {
         let FigureDifference { mean, interval, .. } = difference;
         let p = match p.zip(corrected_p) {
             Some((p, corrected)) => {
-                TableCell::Value(format!("{} ({})", p_value(p), p_value(corrected)))
+                TableCell::Sure { figure: p_value(p), interval: format!("({})", p_value(corrected)) }
             }
             None => TableCell::Missing(NO_TEST),
         };
@@ -149,14 +149,14 @@ pub(crate) fn differences_table(view: &ScoredRun<'_>) -> Option<Table> {
         TableRow::new(format!("{} − {}", short(&found.a), short(&found.b)), cells)
     });
     let mut columns = vec![TableColumn::new("Streams")];
-    for over in ["Before events", "After events", "ACC"] {
+    for over in ["Before", "After", "ACC"] {
         columns.extend(["difference", "p"].map(|name| TableColumn::under(over, name)));
     }
     let table = Table {
         id: view.id("stream-differences"),
         caption: format!(
             "First minus second on the sequences that both have, in percentage points, with 95 % intervals over streams: success \
-             of the learning episodes before and after events, and average success over all blocks after the last (ACC). p: Student's \
+             of the learning episodes before and after events; average success over all blocks after the last (ACC). p: Student's \
              t test over streams, and in parentheses corrected for the {} differences of this table that have one (Holm 1979). No \
              interval and no p: one stream, or all streams alike.",
             scores.tested_differences
