@@ -35,7 +35,7 @@ use super::document::{ReportBlock, ReportSection};
 use super::view::ScoredRun;
 
 pub(super) use blocked::all_blocked_table;
-pub(super) use comparisons::{CONCLUSIONS, asked_rows};
+pub(super) use comparisons::{VERDICTS, asked_rows, verdict};
 pub(super) use conditions::conditions_table;
 pub(super) use conflict::conflict_table;
 pub(super) use cost::requests_table;

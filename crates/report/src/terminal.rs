@@ -10,10 +10,10 @@ use scores::{Comparison, FigureDifference, Question, score};
 use super::document::{Table, TableCell};
 use super::published::Published;
 use super::sections::{
-    CONCLUSIONS, adaptation_table, all_blocked_table, asked_rows, conditions_table, conflict_table, differences_table,
-    failures_table, growth_table, incomplete, left_out, necessity_table, notices, orders_table,
-    requests_table, steps_per_second, success_table, supplied_table, time_table, transfer_table,
-    worst_table,
+    VERDICTS, adaptation_table, all_blocked_table, asked_rows, conditions_table, conflict_table,
+    differences_table, failures_table, growth_table, incomplete, left_out, necessity_table,
+    notices, orders_table, requests_table, steps_per_second, success_table, supplied_table,
+    time_table, transfer_table, verdict, worst_table,
 };
 use super::view::{ScoredRun, interval_text, p_value, pair_stubs, signed};
 use crate::table::{TextTable, table};
@@ -31,9 +31,17 @@ pub fn summary(log: &RunLog) -> String {
     for group in time.iter_mut().flat_map(|table| &mut table.groups) {
         group.rows.retain(|row| TIMES.contains(&row.label.as_str()));
     }
-    let asked = |question| asked_rows(&view, question)?.conclusions(String::new());
-    let (conflict, elsewhere) = (asked(Question::Conflict), asked(Question::Elsewhere));
-    let has_conclusions = conflict.is_some() || elsewhere.is_some();
+    let asked = |question| asked_rows(&view, question)?.verdicts();
+    let elsewhere = asked(Question::Elsewhere);
+    let verdicts = view.scores.comparisons.iter().map(|asked| {
+        let count = asked.comparisons.len();
+        let about = match asked.question {
+            Question::Conflict => "from before and after",
+            Question::Elsewhere => "here and elsewhere",
+        };
+        format!("{count} comparisons of demonstrations {about} were made together. {VERDICTS}")
+    });
+    let verdicts: Vec<String> = verdicts.collect();
     let left_out = elsewhere.as_ref().and_then(|_| left_out(log.manifest.settings.policy));
     let mut text = String::new();
     for (title, table) in [
@@ -58,8 +66,8 @@ pub fn summary(log: &RunLog) -> String {
             "Blocked routes: demonstrations from before and after the way was blocked",
             conflict_table(&view),
         ),
-        ("What demonstrations from before and after are worth, paired", conflict),
-        ("What demonstrations here and elsewhere are worth, paired", elsewhere),
+        ("Demonstrations from before and after, compared", asked(Question::Conflict)),
+        ("Demonstrations here and elsewhere, compared", elsewhere),
         ("Banks of different sizes", growth_table(&view)),
         ("Failed episodes by kind", failures_table(&view)),
         ("Cases that fail most", worst_table(&view, WORST)),
@@ -73,9 +81,8 @@ pub fn summary(log: &RunLog) -> String {
             let _ = writeln!(text, "{title}{}\n", in_text(&table));
         }
     }
-    let conclusions = has_conclusions.then(|| CONCLUSIONS.to_owned());
     let notes = notices(&view).into_iter().chain(incomplete(&view)).chain(left_out);
-    for line in notes.chain(conclusions).chain(closing(&view)) {
+    for line in notes.chain(verdicts).chain(closing(&view)) {
         text += &wrapped(&line);
     }
     text
@@ -89,7 +96,14 @@ fn closing(view: &ScoredRun<'_>) -> Vec<String> {
                 .to_owned(),
         );
     }
-    if view.scores.streams.is_some() {
+    if let Some(streams) = &view.scores.streams {
+        if streams.tested_differences > 0 {
+            lines.push(format!(
+                "Differences of streams: p of Student's t test over streams, and in parentheses corrected for the {} differences \
+                 that have one (Holm 1979).",
+                streams.tested_differences
+            ));
+        }
         lines.push(
             "Streams: means over the sequences of a stream, then over streams; brackets: 95 % intervals over streams. \
              docs/streams.md defines the figures."
@@ -200,7 +214,9 @@ fn compared_conditions(compared: &[Comparison]) -> String {
         ],
         1,
     );
-    let mut conclusions = table(&["condition", "conclusion", "holds"], 3);
+    let mut verdicts =
+        table(&["condition", "verdict", "A−B", "p", "shown", "more", "changes without"], 2);
+    verdicts.set_text(6);
     let mut unpaired = Vec::new();
     for one in compared {
         let Comparison { cases, pairs, sr, spl, more_under_a, more_under_b, p, conclusion, .. } =
@@ -226,11 +242,7 @@ fn compared_conditions(compared: &[Comparison]) -> String {
             signed(spl.mean, 3),
             interval(spl, 3),
         ]);
-        conclusions.add_row([
-            label(one),
-            conclusion.sentence.clone(),
-            conclusion.robustness.in_words(),
-        ]);
+        verdicts.add_row([label(one)].into_iter().chain(verdict(one)));
         let alone = one.unpaired_in_words(["A", "B"]);
         if !alone.is_empty() {
             let of = if compared.len() > 1 { format!(", {}", label(one)) } else { String::new() };
@@ -240,23 +252,27 @@ fn compared_conditions(compared: &[Comparison]) -> String {
     let more = unpaired.len().saturating_sub(UNPAIRED);
     unpaired.truncate(UNPAIRED);
     if more > 0 {
-        unpaired.push(format!("Not paired: episodes of {more} more comparisons; --json lists all."));
+        unpaired
+            .push(format!("Not paired: episodes of {more} more comparisons; --json lists all."));
     }
     let unpaired: String = unpaired.iter().map(|line| wrapped(line)).collect();
     let notes = "Pairs: episodes of the same case and repetition, finished on both sides; all figures are of these. Means \
                  over cases, SR in percent. CI: 95 % interval over cases. A:B: cases that succeed more often under A and \
                  under B; p: exact two-sided sign test on these counts (McNemar's exact test where every case has one \
                  pair).";
-    let notes = [&sides, &*made_together(compared), CONCLUSIONS, notes].map(wrapped).concat();
-    format!("{rates}\n\n{lengths}\n\n{conclusions}\n\n{unpaired}{notes}")
+    let (answer, made) = match compared {
+        [one] => (sentence(one), "One comparison was made.".to_owned()),
+        _ => (String::new(), format!("{} comparisons were made together.", compared.len())),
+    };
+    let notes = [&*sides, &made, VERDICTS, notes].map(wrapped).concat();
+    format!("{rates}\n\n{lengths}\n\n{verdicts}\n\n{answer}{unpaired}{notes}")
 }
 
-/// How many comparisons p is corrected for.
-fn made_together(compared: &[Comparison]) -> String {
-    match compared.len() {
-        1 => "One comparison was made.".to_owned(),
-        count => format!("{count} comparisons were made together."),
-    }
+/// What a comparison shows, as a paragraph.
+fn sentence(compared: &Comparison) -> String {
+    let conclusion = &compared.conclusion;
+    let holds = format!("This holds {}.", conclusion.robustness.in_words());
+    wrapped(&format!("{} {holds}", conclusion.sentence)) + "\n"
 }
 
 /// The names of two runs and the condition under which they are compared, if it is one.

@@ -407,9 +407,8 @@ fn levels(random: &mut Random, draws: u32) -> String {
         let mut cells = Vec::new();
         for decided in [0.0, 0.3] {
             for rate in [0.1, 0.5] {
-                let found = (0..draws).filter(|_| {
-                    differ(&mut log, rate, decided, random).is_some_and(|p| p < 0.05)
-                });
+                let found = (0..draws)
+                    .filter(|_| differ(&mut log, rate, decided, random).is_some_and(|p| p < 0.05));
                 cells.push(format!("{:.1}", 100.0 * found.count() as f64 / f64::from(draws)));
             }
         }
@@ -579,8 +578,7 @@ mod tests {
 
     #[test]
     fn corrected_families_find_differences_where_there_are_none_in_few_draws() {
-        let family =
-            Family { memories: 5, different: 0.0, cases: 50, repetitions: 1, rate: 0.5 };
+        let family = Family { memories: 5, different: 0.0, cases: 50, repetitions: 1, rate: 0.5 };
         let tests = sign_tests(family.cases);
         let mut random = Random::new(1);
         let found: Vec<[bool; 2]> = (0..400).map(|_| family.finds(&tests, &mut random)).collect();
@@ -592,7 +590,10 @@ mod tests {
     #[test]
     fn the_table_of_sign_tests_is_that_of_comparisons() {
         let tests = sign_tests(10);
-        assert_eq!((tests[0][0], tests[6][0], tests[5][1], tests[10][2]), (1.0, 0.03125, 0.375, 0.109_375));
+        assert_eq!(
+            (tests[0][0], tests[6][0], tests[5][1], tests[10][2]),
+            (1.0, 0.03125, 0.375, 0.109_375)
+        );
         // None of 59: 1 - 0.05^(1/59).
         assert!((upper_limit(0, 59) - (1.0 - 0.05_f64.powf(1.0 / 59.0))).abs() < 1e-9);
     }
@@ -614,9 +615,8 @@ mod tests {
         // 7 of 200 on average; more than 20 are as good as impossible. Means of 3 and of 1 repetitions would differ in 130.
         for repetitions in [[3, 3], [3, 1], [3, 5]] {
             let mut log = two(repetitions);
-            let found = (0..200).filter(|_| {
-                differ(&mut log, 0.1, 0.0, &mut random).is_some_and(|p| p < 0.05)
-            });
+            let found = (0..200)
+                .filter(|_| differ(&mut log, 0.1, 0.0, &mut random).is_some_and(|p| p < 0.05));
             assert!(found.count() <= 20, "{repetitions:?}");
         }
     }

@@ -51,11 +51,7 @@ type Contrast = (Demonstrations, Demonstrations, &'static str);
 const CONFLICT: [Contrast; 3] = [
     (Demonstrations::AFTER, Demonstrations::ORIGINAL, "after − before"),
     (Demonstrations::BEFORE_AFTER, Demonstrations::AFTER, "before, after − after"),
-    (
-        Demonstrations::BEFORE_AFTER,
-        Demonstrations::AFTER_BEFORE,
-        "before, after − after, before",
-    ),
+    (Demonstrations::BEFORE_AFTER, Demonstrations::AFTER_BEFORE, "before, after − after, before"),
 ];
 
 const ELSEWHERE: [Contrast; 3] = [
@@ -71,10 +67,7 @@ pub(super) fn comparisons(
 ) -> Vec<AskedComparisons> {
     let of_cases = invalidated(log);
     let found = [
-        (
-            Question::Conflict,
-            contrasts(log, trials, &CONFLICT, |case| of_cases.contains(case)),
-        ),
+        (Question::Conflict, contrasts(log, trials, &CONFLICT, |case| of_cases.contains(case))),
         (Question::Elsewhere, contrasts(log, trials, &ELSEWHERE, |_| true)),
     ];
     let found = found.into_iter().filter(|(_, comparisons)| !comparisons.is_empty());
@@ -88,9 +81,8 @@ fn contrasts(
     contrasts: &[Contrast],
     is_selected: impl Fn(&str) -> bool,
 ) -> Vec<AskedComparison> {
-    let is_asked = |condition: &Condition| {
-        contrasts.iter().any(|(a, _, _)| condition.demonstrations == *a)
-    };
+    let is_asked =
+        |condition: &Condition| contrasts.iter().any(|(a, _, _)| condition.demonstrations == *a);
     // Conditions that differ in their demonstrations alone, once.
     let settings: BTreeSet<Condition> = trials
         .keys()

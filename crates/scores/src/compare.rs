@@ -114,8 +114,7 @@ pub fn pair_conditions<'a>(
             let known = conditions.iter().map(ToString::to_string);
             UnknownName::new("condition of the run", name, known)
         })?;
-        let name =
-            if is_same_run { name.to_owned() } else { format!("{}: {name}", log.name) };
+        let name = if is_same_run { name.to_owned() } else { format!("{}: {name}", log.name) };
         Ok(Side { name, log, condition })
     };
     let (a, b) = (side(a)?, side(b)?);

@@ -320,12 +320,10 @@ impl<'a> Pairing<'a> {
         &self,
         part: impl Fn(&'a EpisodeRecord) -> Option<T>,
     ) -> Vec<(String, Option<Counts>)> {
-        let parts: BTreeSet<T> =
-            self.pairs.iter().filter_map(|[record, _]| part(record)).collect();
+        let parts: BTreeSet<T> = self.pairs.iter().filter_map(|[record, _]| part(record)).collect();
         let without = |left_out: T| {
-            let is_kept = |[record, _]: &[&'a EpisodeRecord; 2]| {
-                part(record).as_ref() != Some(&left_out)
-            };
+            let is_kept =
+                |[record, _]: &[&'a EpisodeRecord; 2]| part(record).as_ref() != Some(&left_out);
             let rest = by_case(self.pairs.iter().copied().filter(is_kept));
             (left_out.to_string(), (!rest.is_empty()).then(|| Counts::of(&rest)))
         };

@@ -114,7 +114,10 @@ impl Conclusion {
             Verdict::Worse => "Worse",
             Verdict::NoDifferenceShown => "No difference shown",
         };
-        let difference = format!("{points:+.1}").replace('-', "−");
+        let difference = match format!("{points:+.1}").replace('-', "−") {
+            none if none.ends_with("0.0") && none.chars().count() == 4 => "0.0".to_owned(),
+            some => some,
+        };
         let p = match self.corrected_p {
             p if p < 0.001 => "p < 0.001".to_owned(),
             p => format!("p = {p:.3}"),
@@ -130,7 +133,9 @@ impl Conclusion {
             return found;
         }
         let could_be_seen = match (self.detectable, least_cases) {
-            (Some(points), _) => format!("A difference of {points:.1} points would be shown with a probability of 80 %"),
+            (Some(points), _) => format!(
+                "A difference of {points:.1} points would be shown with a probability of 80 %"
+            ),
             (None, Some(least)) if cases < least as usize => {
                 format!("Fewer than {least} cases can show no difference")
             }
@@ -195,8 +200,9 @@ impl LeftOut {
 }
 
 impl Robustness {
-    /// What the verdict rests on, in words: `not without return loops, task 9, 12 of 100 cases`.
-    pub fn in_words(&self) -> String {
+    /// The parts without which the verdict is another, in words: `return loops, task 9, any of 12 of 100 cases`. Empty where
+    /// there are none.
+    pub fn changing(&self) -> String {
         let named = |left_out: &LeftOut, kind: &str| {
             left_out.names().map(|name| format!("{kind}{name}")).collect::<Vec<_>>()
         };
@@ -207,8 +213,14 @@ impl Robustness {
         if !changes.is_empty() {
             changing.push(format!("any of {} of {parts} cases", changes.len()));
         }
+        changing.join(", ")
+    }
+
+    /// What the verdict rests on, in words: `except without return loops, task 9`, `without any one group, task or case`.
+    pub fn in_words(&self) -> String {
+        let changing = self.changing();
         if !changing.is_empty() {
-            return format!("not without {}", changing.join(", "));
+            return format!("except without {changing}");
         }
         let kinds = [
             (&self.groups, "group"),
@@ -222,7 +234,7 @@ impl Robustness {
             .map(|(_, kind)| kind)
             .collect();
         match tried.split_last() {
-            None => "one case only".to_owned(),
+            None => "as there is one case only".to_owned(),
             Some((last, [])) => format!("without any one {last}"),
             Some((last, others)) => format!("without any one {} or {last}", others.join(", ")),
         }

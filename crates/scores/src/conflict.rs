@@ -18,9 +18,8 @@ pub const HISTORIES: [Demonstrations; 4] = [
 
 /// The cases whose original demonstration the closed passage invalidates, as far as a finished episode tells of them.
 pub(super) fn invalidated(log: &RunLog) -> BTreeSet<&str> {
-    let is_invalidated = |record: &&EpisodeRecord| {
-        record.blocked.is_some_and(|blocked| blocked.invalidated)
-    };
+    let is_invalidated =
+        |record: &&EpisodeRecord| record.blocked.is_some_and(|blocked| blocked.invalidated);
     log.episodes.iter().filter(is_invalidated).map(|record| record.case.as_str()).collect()
 }
 

@@ -44,7 +44,10 @@ mod tests {
         // In order 0.01, 0.02, 0.03, 0.04: 4 x 0.01, 3 x 0.02, then 2 x 0.03 and 1 x 0.04, which may not fall below.
         let found = holm(&[0.04, 0.01, 0.03, 0.02]);
         let expected = [0.06, 0.04, 0.06, 0.06];
-        assert!(found.iter().zip(expected).all(|(found, p)| (found - p).abs() < 1e-12), "{found:?}");
+        assert!(
+            found.iter().zip(expected).all(|(found, p)| (found - p).abs() < 1e-12),
+            "{found:?}"
+        );
         assert_eq!(holm(&[0.4, 0.9]), [0.8, 0.9]);
         assert_eq!((holm(&[0.03]), holm(&[])), (vec![0.03], vec![]));
         // 0.01 is shown at 4 p; without it none is, and it leaves 3 for the others.

@@ -76,7 +76,7 @@ pub use streams::{
 };
 pub use success::GroupScore;
 pub use time::StageTimes;
-pub use trial::{Trials, path_weight};
+pub use trial::path_weight;
 pub use unpaired::{Absence, ComparedSide, Unpaired};
 pub use worst::{CaseScore, worst_cases};
 

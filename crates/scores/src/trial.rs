@@ -34,9 +34,7 @@ impl<'a> Trials<'a> {
         is_selected: impl Fn(&str) -> bool,
     ) -> Self {
         let is_own = |record: &&EpisodeRecord| {
-            record.stream.is_none()
-                && record.condition() == *condition
-                && is_selected(&record.case)
+            record.stream.is_none() && record.condition() == *condition && is_selected(&record.case)
         };
         let mut list: Vec<&EpisodeRecord> = log.episodes.iter().filter(is_own).collect();
         list.sort_by_key(|record| (&record.case, record.run));

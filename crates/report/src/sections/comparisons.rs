@@ -2,7 +2,7 @@
 
 use conditions::{Condition, Route, Start};
 use domain::Arm;
-use scores::{AskedComparison, Comparison, FigureDifference, Question};
+use scores::{AskedComparison, Comparison, FigureDifference, Question, Verdict};
 
 use crate::document::{ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, p_value, signed, with_interval};
@@ -25,7 +25,8 @@ pub(crate) struct ComparedRows<'a> {
 }
 
 /// What every table of conclusions says about them.
-pub(crate) const CONCLUSIONS: &str = "Better or worse where p, corrected for all comparisons that were made together, is below 5 %: of \
+const CONCLUSIONS: &str = "Cases that succeed more often (better) or less often (worse) under the first; p: exact two-sided \
+     sign test on these two counts, McNemar's exact test where every case has one pair. Better or worse where p, corrected for all comparisons that were made together, is below 5 %: of \
      all such families at most 5 % find a difference where there is none (Holm 1979). Otherwise: the difference that would have \
      been shown with a probability of 80 %, and about how many more cases it would take to show the one observed. Holds: whether \
      the conclusion stays when a part is left out, one at a time: a group of tasks, a task, a repetition, a case.";
@@ -51,16 +52,13 @@ impl ComparedRows<'_> {
 
     /// The figures of both sides, and their differences.
     pub(crate) fn figures(&self, id: String, caption: String) -> Option<Table> {
-        let mut columns = vec![TableColumn::new("Cases")];
-        columns.extend(
-            ["first", "second", "paired"].map(|name| TableColumn::under("Episodes", name)),
-        );
+        let mut columns =
+            ["first", "second", "paired"].map(|name| TableColumn::under("Episodes", name)).to_vec();
         for over in ["SR %", "SPL"] {
             columns.extend(
                 ["first", "second", "difference"].map(|name| TableColumn::under(over, name)),
             );
         }
-        columns.extend(["Better", "Worse", "p", "Corrected p"].map(TableColumn::new));
         self.table((id, caption), columns, |compared| Some(figures(compared)))
     }
 
@@ -71,14 +69,32 @@ impl ComparedRows<'_> {
             1 => "One comparison was made.".to_owned(),
             family => format!("{family} comparisons were made together."),
         };
-        let columns = vec![TableColumn::new("Conclusion"), TableColumn::new("Holds")];
+        let columns = ["Cases", "Better", "Worse", "p", "Corrected p", "Conclusion", "Holds"];
+        let columns = columns.map(TableColumn::new).to_vec();
         let cells = |compared: &Comparison| {
-            let conclusion = &compared.conclusion;
-            let texts = [conclusion.sentence.clone(), conclusion.robustness.in_words()];
-            Some(texts.map(TableCell::Value).to_vec())
+            let Comparison { cases, more_under_a, more_under_b, p, conclusion, .. } = compared;
+            let cells = [
+                cases.to_string(),
+                more_under_a.to_string(),
+                more_under_b.to_string(),
+                p_value(*p),
+                p_value(conclusion.corrected_p),
+                conclusion.sentence.clone(),
+                conclusion.robustness.in_words(),
+            ];
+            Some(cells.map(TableCell::Value).to_vec())
         };
         let table = self.table((id, format!("{made} {CONCLUSIONS}")), columns, cells)?;
         Some(table.with_text(&["Conclusion", "Holds"]))
+    }
+
+    /// What the comparisons show, in columns that are narrow enough for a terminal.
+    pub(crate) fn verdicts(&self) -> Option<Table> {
+        let columns = ["Verdict", "Points", "p", "Shown", "More", "Changes without"];
+        let columns = columns.map(TableColumn::new).to_vec();
+        let cells = |compared: &Comparison| Some(verdict(compared).map(TableCell::Value).to_vec());
+        let table = self.table((String::new(), String::new()), columns, cells)?;
+        Some(table.with_text(&["Verdict", "Changes without"]))
     }
 
     /// What is not paired, and why; `None` where everything is.
@@ -140,8 +156,32 @@ fn aside(condition: &Condition) -> String {
     [start, route, Some(variation), arm].into_iter().flatten().collect()
 }
 
+/// Verdict, difference, corrected p, the difference that would be shown, more cases, and without what the verdict is another.
+pub(crate) fn verdict(compared: &Comparison) -> [String; 6] {
+    let Comparison { sr, conclusion, .. } = compared;
+    let none = || "-".to_owned();
+    let changing = conclusion.robustness.changing();
+    [
+        match conclusion.verdict {
+            Verdict::NoDifferenceShown => "not shown".to_owned(),
+            shown => shown.words().to_owned(),
+        },
+        signed(sr.mean, 1),
+        p_value(conclusion.corrected_p),
+        conclusion.detectable.map_or_else(none, |points| format!("{points:.1}")),
+        conclusion.more_cases.map_or_else(none, |cases| cases.to_string()),
+        if changing.is_empty() { none() } else { changing },
+    ]
+}
+
+/// What a table of [`verdict`]s says about them.
+pub(crate) const VERDICTS: &str = "Better or worse where p, corrected for all comparisons that were made together, is below 5 % (Holm \
+     1979); otherwise no difference is shown. Points: the difference of SR. Shown: the smallest difference that would be shown with \
+     a probability of 80 % in as many cases; more: about how many more cases it would take to show this one. Changes without: the \
+     verdict is another when this is left out, of each group of tasks, task, repetition and case by itself. A dash: none.";
+
 fn figures(compared: &Comparison) -> Vec<TableCell> {
-    let Comparison { cases, episodes_a, episodes_b, pairs, sr, spl, .. } = compared;
+    let Comparison { episodes_a, episodes_b, pairs, sr, spl, .. } = compared;
     let three = |FigureDifference { a, b, mean, interval }: &FigureDifference, digits: usize| {
         [
             TableCell::Value(format!("{a:.digits$}")),
@@ -149,16 +189,8 @@ fn figures(compared: &Comparison) -> Vec<TableCell> {
             with_interval(signed(*mean, digits), *interval, digits),
         ]
     };
-    let counts = [cases, episodes_a, episodes_b, pairs];
+    let counts = [episodes_a, episodes_b, pairs];
     let mut cells = counts.map(|count| TableCell::Value(count.to_string())).to_vec();
     cells.extend(three(sr, 1).into_iter().chain(three(spl, 3)));
-    let Comparison { more_under_a, more_under_b, p, conclusion, .. } = compared;
-    let tested = [
-        more_under_a.to_string(),
-        more_under_b.to_string(),
-        p_value(*p),
-        p_value(conclusion.corrected_p),
-    ];
-    cells.extend(tested.map(TableCell::Value));
     cells
 }

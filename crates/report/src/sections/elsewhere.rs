@@ -24,7 +24,9 @@ pub(super) fn section(view: &ScoredRun<'_>) -> Option<ReportSection> {
 /// What a policy that does not use memories of another warehouse makes of the comparisons.
 pub(crate) fn left_out(policy: PolicyKind) -> Option<String> {
     let why = match policy {
-        PolicyKind::Grounded => "leaves memories of another warehouse out: it takes positions and routes from memory, and none of them is of this one",
+        PolicyKind::Grounded => {
+            "leaves memories of another warehouse out: it takes positions and routes from memory, and none of them is of this one"
+        }
         PolicyKind::Random | PolicyKind::Expert => "uses no memory",
         PolicyKind::Imitate | PolicyKind::Openai | PolicyKind::External => return None,
     };

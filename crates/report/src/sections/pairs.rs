@@ -35,12 +35,7 @@ struct LabelledPair<'a> {
 
 impl<'a> LabelledPair<'a> {
     /// `None` where one of them was not run, or they have no pair.
-    fn of(
-        view: &ScoredRun<'a>,
-        group: &str,
-        label: &str,
-        [a, b]: [&str; 2],
-    ) -> Option<Self> {
+    fn of(view: &ScoredRun<'a>, group: &str, label: &str, [a, b]: [&str; 2]) -> Option<Self> {
         let pairing = pair_conditions((view.log, a), (view.log, b)).ok()?;
         Some(Self { group: group.to_owned(), label: label.to_owned(), pairing })
     }
@@ -69,9 +64,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         ComparedRows { stubs: &["Representation", "Comparison"], rows: first }.figures(
             view.id("pairs"),
             "Pairs of conditions on the same cases and repetitions, and first minus second, SR in percent, with 95 % intervals over \
-             cases. Episodes: finished under each of both, and those of the same case and repetition, of which alone the figures \
-             are. Better, worse: cases that succeed more often, or less often, under the first. p: exact two-sided sign test on \
-             these two counts (McNemar's exact test where every case has one pair); corrected: for all comparisons of the section."
+             cases. Episodes: finished under each of both, and those of the same case and repetition, of which alone the figures are."
                 .to_owned(),
         ),
         ComparedRows { stubs, rows: others }.figures(
@@ -124,7 +117,12 @@ fn against_others<'a>(view: &ScoredRun<'a>) -> Vec<LabelledPair<'a>> {
                 pairs.extend(other.and_then(|other| {
                     let label = format!("{name} − {} ({})", other.memory, setting(&condition));
                     let names = [condition.to_string(), other.to_string()];
-                    LabelledPair::of(view, name.as_str(), &label, names.each_ref().map(|name| &**name))
+                    LabelledPair::of(
+                        view,
+                        name.as_str(),
+                        &label,
+                        names.each_ref().map(|name| &**name),
+                    )
                 }));
             }
         }

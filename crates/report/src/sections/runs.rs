@@ -144,9 +144,7 @@ fn compared_runs(
     let rows = ComparedRows { stubs: &["Condition"], rows: labelled.collect() };
     let caption = format!(
         "{a} minus {b}, on the conditions, cases and repetitions that both have. SR in percentage points. Episodes: finished in \
-         {a} (first) and in {b} (second), and those of the same case and repetition. Better, worse: cases that succeed more often, \
-         or less often, in {a}. p: exact two-sided sign test on these two counts; corrected: for all comparisons of runs on this \
-         page."
+         {a} (first) and in {b} (second), and those of the same case and repetition."
     );
     let id = format!("compare-{}{}", first.prefix, second.prefix.trim_end_matches('-'));
     blocks.extend(rows.blocks(&id, caption));

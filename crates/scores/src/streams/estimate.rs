@@ -93,9 +93,7 @@ pub(super) fn difference<'a>(
 }
 
 /// Corrects the p of differences that are made together, and sets their verdicts. Returns the number of those with a p.
-pub(super) fn correct<'a>(
-    differences: impl Iterator<Item = &'a mut TestedDifference>,
-) -> usize {
+pub(super) fn correct<'a>(differences: impl Iterator<Item = &'a mut TestedDifference>) -> usize {
     let tested: Vec<(f64, &mut TestedDifference)> =
         differences.filter_map(|found| Some((found.p?, found))).collect();
     let p: Vec<f64> = tested.iter().map(|(p, _)| *p).collect();

@@ -135,9 +135,10 @@ pub(crate) fn differences_table(view: &ScoredRun<'_>) -> Option<Table> {
         };
         let FigureDifference { mean, interval, .. } = difference;
         let p = match p.zip(corrected_p) {
-            Some((p, corrected)) => {
-                TableCell::Sure { figure: p_value(p), interval: format!("({})", p_value(corrected)) }
-            }
+            Some((p, corrected)) => TableCell::Sure {
+                figure: p_value(p),
+                interval: format!("({})", p_value(corrected)),
+            },
             None => TableCell::Missing(NO_TEST),
         };
         [with_interval(signed(mean, 1), interval, 1), p]
