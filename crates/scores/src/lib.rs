@@ -87,6 +87,7 @@ use serde::Serialize;
 use conditions::Condition;
 use run_log::policy::PolicyLabel;
 use run_log::{Manifest, RunLog};
+use trial::Trials;
 
 /// The scores of a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
