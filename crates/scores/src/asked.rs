@@ -128,7 +128,7 @@ mod tests {
     use run_log::{BlockedRecord, EpisodeRecord};
 
     use super::*;
-    use crate::{Verdict, score};
+    use crate::{ComparisonVerdict, score};
 
     fn episodes(condition: &str, success: impl Fn(usize) -> bool) -> Vec<EpisodeRecord> {
         let condition: Condition = condition.parse().unwrap();
@@ -156,9 +156,10 @@ mod tests {
             .map(|one| (one.label.as_str(), one.comparison.cases, one.comparison.sr.mean))
             .collect();
         assert_eq!(shown, [("after − before", 8, 100.0), ("before, after − after", 8, -50.0)]);
-        for (one, p, verdict) in
-            [(0, 4.0 / 256.0, Verdict::Better), (1, 2.0 / 16.0, Verdict::NoDifferenceShown)]
-        {
+        for (one, p, verdict) in [
+            (0, 4.0 / 256.0, ComparisonVerdict::Better),
+            (1, 2.0 / 16.0, ComparisonVerdict::NoDifferenceShown),
+        ] {
             let found = &comparisons[one].comparison.conclusion;
             assert_eq!((found.family, found.verdict), (2, verdict));
             assert!((found.corrected_p - p).abs() < 1e-12, "{found:?}");

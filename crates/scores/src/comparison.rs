@@ -243,7 +243,7 @@ impl<'a> Pairing<'a> {
     }
 
     /// Cases of which there is a pair.
-    fn cases(&self) -> usize {
+    pub fn cases(&self) -> usize {
         self.pairs.chunk_by(|[a, _], [b, _]| a.case == b.case).count()
     }
 

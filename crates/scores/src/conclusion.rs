@@ -8,7 +8,7 @@ use super::sign_test::{CorrectedSignTest, MOST_CASES, is_shown};
 /// What a comparison shows of the first configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Verdict {
+pub enum ComparisonVerdict {
     /// It succeeds in more cases.
     Better,
     /// It succeeds in fewer cases.
@@ -17,7 +17,7 @@ pub enum Verdict {
     NoDifferenceShown,
 }
 
-impl Verdict {
+impl ComparisonVerdict {
     /// The verdict in words.
     pub const fn words(self) -> &'static str {
         match self {
@@ -48,7 +48,7 @@ pub struct Conclusion {
     /// this one.
     pub factor: usize,
     /// Whether the first is better or worse: the corrected p is below 5 %.
-    pub verdict: Verdict,
+    pub verdict: ComparisonVerdict,
     /// The smallest difference of the success rates, in percentage points, that would have been shown with a probability of
     /// 80 % with as many cases, of which as large a share is unequal, in the same family. `None` where none would.
     pub detectable: Option<f64>,
@@ -82,7 +82,7 @@ impl Conclusion {
     ) -> Self {
         let Tested { counts, cases, .. } = *tested;
         let factor = test.factor;
-        let verdict = Verdict::of(counts, factor);
+        let verdict = ComparisonVerdict::of(counts, factor);
         let count = u32::try_from(cases).unwrap_or(u32::MAX);
         let unequal = counts.unequal() as f64 / cases as f64;
         let needed = || {
@@ -90,7 +90,7 @@ impl Conclusion {
                 [counts.more_under_a, counts.more_under_b].map(|count| count as u32);
             test.cases_needed(count, better, worse)
         };
-        let needed = (verdict == Verdict::NoDifferenceShown).then(needed).flatten();
+        let needed = (verdict == ComparisonVerdict::NoDifferenceShown).then(needed).flatten();
         let detectable = test.detectable(count, unequal);
         let mut conclusion = Self {
             family,
@@ -108,45 +108,41 @@ impl Conclusion {
 
     fn in_words(&self, tested: &Tested, least_cases: Option<u32>) -> String {
         let Tested { counts, cases, points, .. } = *tested;
-        let (better, worse) = (counts.more_under_a, counts.more_under_b);
         let found = match self.verdict {
-            Verdict::Better => "Better",
-            Verdict::Worse => "Worse",
-            Verdict::NoDifferenceShown => "No difference shown",
+            ComparisonVerdict::Better => "Better",
+            ComparisonVerdict::Worse => "Worse",
+            ComparisonVerdict::NoDifferenceShown => "No difference shown",
         };
-        let difference = match format!("{points:+.1}").replace('-', "−") {
-            none if none.ends_with("0.0") && none.chars().count() == 4 => "0.0".to_owned(),
-            some => some,
+        let difference = match format!("{points:+.1}") {
+            none if ["+0.0", "-0.0"].contains(&none.as_str()) => "0.0".to_owned(),
+            some => some.replace('-', "−"),
         };
         let p = match self.corrected_p {
             p if p < 0.001 => "p < 0.001".to_owned(),
             p => format!("p = {p:.3}"),
         };
-        let corrected = match self.family {
-            1 => p,
-            family => format!("{p} corrected for {family} comparisons"),
-        };
-        let found = format!(
-            "{found}: {difference} points, {better} of {cases} cases better and {worse} worse, {corrected}."
-        );
-        if self.verdict != Verdict::NoDifferenceShown {
+        let corrected = if self.family > 1 { "corrected " } else { "" };
+        let found = format!("{found}: {difference} points, {corrected}{p}.");
+        if self.verdict != ComparisonVerdict::NoDifferenceShown {
             return found;
         }
-        let could_be_seen = match (self.detectable, least_cases) {
-            (Some(points), _) => format!(
-                "A difference of {points:.1} points would be shown with a probability of 80 %"
-            ),
+        let would_be_shown = match (self.detectable, least_cases) {
+            (Some(points), _) => {
+                format!("With a probability of 80 %, {points:.1} points would be shown")
+            }
             (None, Some(least)) if cases < least as usize => {
                 format!("Fewer than {least} cases can show no difference")
             }
             (None, _) => "No difference would be shown with a probability of 80 %".to_owned(),
         };
         let needed = match self.more_cases {
-            Some(more) => format!("this one would take about {more} more cases"),
-            None if better == worse => "as many cases are better as worse".to_owned(),
-            None => format!("this one would take more than {MOST_CASES} cases"),
+            Some(more) => format!("this difference would take about {more} more cases"),
+            None if counts.more_under_a == counts.more_under_b => {
+                "as many cases are better as worse".to_owned()
+            }
+            None => format!("this difference would take more than {MOST_CASES} cases"),
         };
-        format!("{found} {could_be_seen}; {needed}.")
+        format!("{found} {would_be_shown}; {needed}.")
     }
 }
 
@@ -178,16 +174,16 @@ pub struct ChangedVerdict {
     /// The name of the part.
     pub without: String,
     /// The verdict without it.
-    pub verdict: Verdict,
+    pub verdict: ComparisonVerdict,
 }
 
 impl LeftOut {
     /// For the counts of all pairs, and those that remain without each part, if any do.
     pub(super) fn of(all: Counts, parts: Vec<(String, Option<Counts>)>, factor: usize) -> Self {
-        let verdict = Verdict::of(all, factor);
+        let verdict = ComparisonVerdict::of(all, factor);
         let tried = || parts.iter().filter_map(|(name, rest)| Some((name, (*rest)?)));
         let change = |(without, rest): (&String, Counts)| {
-            let changed = Verdict::of(rest, factor);
+            let changed = ComparisonVerdict::of(rest, factor);
             let without = without.clone();
             (changed != verdict).then_some(ChangedVerdict { without, verdict: changed })
         };

@@ -58,7 +58,7 @@ mod worst;
 pub use asked::{AskedComparison, AskedComparisons, Question};
 pub use blocked::{BlockedScore, Derived};
 pub use comparison::{Comparison, FigureDifference, Pairing, Side, conclude};
-pub use conclusion::{ChangedVerdict, Conclusion, LeftOut, Robustness, Verdict};
+pub use conclusion::{ChangedVerdict, ComparisonVerdict, Conclusion, LeftOut, Robustness};
 pub use condition::{Bounds, ConditionScore};
 pub use conflict::HISTORIES;
 pub use documents::DocumentScore;

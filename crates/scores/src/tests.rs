@@ -427,7 +427,7 @@ fn robust_pair(better: usize) -> Vec<EpisodeRecord> {
 fn a_conclusion_says_what_it_rests_on() {
     // 6 cases better: p = 2 / 2^6 = 0.03. With one of them less, 2 / 2^5 = 0.06.
     let found = compared(robust_pair(6)).unwrap().conclusion;
-    assert_eq!(found.verdict, Verdict::Better);
+    assert_eq!(found.verdict, ComparisonVerdict::Better);
     near(found.corrected_p, 0.03125);
     let Robustness { groups, tasks, repetitions, cases } = &found.robustness;
     let changed = |left_out: &LeftOut| {
@@ -438,7 +438,7 @@ fn a_conclusion_says_what_it_rests_on() {
     assert_eq!((repetitions.parts, changed(repetitions)), (2, vec![]));
     assert_eq!((cases.parts, changed(cases).len()), (20, 6));
     insta::assert_snapshot!(found.robustness.in_words(), @"except without basic, task 1, any of 6 of 20 cases");
-    insta::assert_snapshot!(found.sentence, @"Better: +30.0 points, 6 of 20 cases better and 0 worse, p = 0.031.");
+    insta::assert_snapshot!(found.sentence, @"Better: +30.0 points, p = 0.031.");
 
     // 7 better: one case less is enough still.
     let found = compared(robust_pair(7)).unwrap().conclusion;
@@ -460,19 +460,19 @@ fn where_no_difference_is_shown_the_conclusion_says_what_could_have_been() {
         format!("{sentence}\n    {}", robustness.in_words())
     });
     insta::assert_snapshot!(shown.join("\n"), @"
-    No difference shown: +6.0 points, 12 of 100 cases better and 6 worse, p = 0.238. A difference of 12.1 points would be shown with a probability of 80 %; this one would take about 315 more cases.
+    No difference shown: +6.0 points, p = 0.238. With a probability of 80 %, 12.1 points would be shown; this difference would take about 315 more cases.
         without any one case
-    No difference shown: 0.0 points, 3 of 100 cases better and 3 worse, p = 1.000. A difference of 7.8 points would be shown with a probability of 80 %; as many cases are better as worse.
+    No difference shown: 0.0 points, p = 1.000. With a probability of 80 %, 7.8 points would be shown; as many cases are better as worse.
         without any one case
-    No difference shown: +0.3 points, 51 of 300 cases better and 50 worse, p = 1.000. A difference of 9.6 points would be shown with a probability of 80 %; this one would take more than 10000 cases.
+    No difference shown: +0.3 points, p = 1.000. With a probability of 80 %, 9.6 points would be shown; this difference would take more than 10000 cases.
         without any one case
-    No difference shown: +40.0 points, 2 of 5 cases better and 0 worse, p = 0.500. Fewer than 6 cases can show no difference; this one would take about 14 more cases.
+    No difference shown: +40.0 points, p = 0.500. Fewer than 6 cases can show no difference; this difference would take about 14 more cases.
         without any one case
-    No difference shown: 0.0 points, 0 of 6 cases better and 0 worse, p = 1.000. A difference of 96.3 points would be shown with a probability of 80 %; as many cases are better as worse.
+    No difference shown: 0.0 points, p = 1.000. With a probability of 80 %, 96.3 points would be shown; as many cases are better as worse.
         without any one case
-    Worse: −100.0 points, 0 of 9 cases better and 9 worse, p = 0.004.
+    Worse: −100.0 points, p = 0.004.
         without any one case
-    No difference shown: +100.0 points, 1 of 1 cases better and 0 worse, p = 1.000. Fewer than 6 cases can show no difference; this one would take about 5 more cases.
+    No difference shown: +100.0 points, p = 1.000. Fewer than 6 cases can show no difference; this difference would take about 5 more cases.
         as there is one case only
     ");
 }
@@ -487,7 +487,7 @@ fn p_decides_where_it_and_the_interval_disagree() {
     near(found.p, 940.0 / 16_384.0);
     let Interval { low, high } = found.sr.interval.unwrap();
     assert_eq!([low, high].map(|end| format!("{end:.1}")), ["0.2", "15.5"]);
-    assert_eq!(found.conclusion.verdict, Verdict::NoDifferenceShown);
+    assert_eq!(found.conclusion.verdict, ComparisonVerdict::NoDifferenceShown);
 }
 
 /// The conditions of the first and of the 21st episode, paired.

@@ -2,7 +2,9 @@
 
 use conditions::{Condition, Route, Start};
 use domain::Arm;
-use scores::{AskedComparison, Comparison, FigureDifference, Question, Verdict};
+use scores::{
+    AskedComparison, Comparison, ComparisonVerdict, FigureDifference, Question, Robustness,
+};
 
 use crate::document::{ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, p_value, signed, with_interval};
@@ -80,7 +82,7 @@ impl ComparedRows<'_> {
                 p_value(*p),
                 p_value(conclusion.corrected_p),
                 conclusion.sentence.clone(),
-                conclusion.robustness.in_words(),
+                holds(&conclusion.robustness),
             ];
             Some(cells.map(TableCell::Value).to_vec())
         };
@@ -156,6 +158,16 @@ fn aside(condition: &Condition) -> String {
     [start, route, Some(variation), arm].into_iter().flatten().collect()
 }
 
+/// Whether the conclusion stays when a part is left out.
+fn holds(robustness: &Robustness) -> String {
+    let changing = robustness.changing();
+    match (changing.is_empty(), robustness.cases.parts) {
+        (false, _) => format!("except without {changing}"),
+        (true, 0) => "-".to_owned(),
+        (true, _) => "yes".to_owned(),
+    }
+}
+
 /// Verdict, difference, corrected p, the difference that would be shown, more cases, and without what the verdict is another.
 pub(crate) fn verdict(compared: &Comparison) -> [String; 6] {
     let Comparison { sr, conclusion, .. } = compared;
@@ -163,7 +175,7 @@ pub(crate) fn verdict(compared: &Comparison) -> [String; 6] {
     let changing = conclusion.robustness.changing();
     [
         match conclusion.verdict {
-            Verdict::NoDifferenceShown => "not shown".to_owned(),
+            ComparisonVerdict::NoDifferenceShown => "not shown".to_owned(),
             shown => shown.words().to_owned(),
         },
         signed(sr.mean, 1),

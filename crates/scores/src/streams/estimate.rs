@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::sequence::{CompleteSequences, Sequence, SequenceId};
 use crate::comparison::FigureDifference;
-use crate::conclusion::Verdict;
+use crate::conclusion::ComparisonVerdict;
 use crate::holm::holm;
 use crate::interval::{Interval, Units};
 use crate::mean::mean;
@@ -49,7 +49,7 @@ pub struct TestedDifference {
     /// p after the correction for all differences of the run's streams that have one (Holm).
     pub corrected_p: Option<f64>,
     /// Whether the first is better or worse: the corrected p is below 5 %.
-    pub verdict: Verdict,
+    pub verdict: ComparisonVerdict,
 }
 
 /// The mean of `figure` over the sequences of each stream in which it is defined.
@@ -88,7 +88,7 @@ pub(super) fn difference<'a>(
         interval,
     };
     let p = Units::alike(differences.into_values().collect()).p_of_means();
-    let verdict = Verdict::NoDifferenceShown;
+    let verdict = ComparisonVerdict::NoDifferenceShown;
     Some(TestedDifference { difference, p, corrected_p: p, verdict })
 }
 
@@ -100,9 +100,9 @@ pub(super) fn correct<'a>(differences: impl Iterator<Item = &'a mut TestedDiffer
     for ((_, found), corrected) in tested.into_iter().zip(holm(&p)) {
         found.corrected_p = Some(corrected);
         found.verdict = match corrected < LEVEL {
-            true if found.difference.mean > 0.0 => Verdict::Better,
-            true => Verdict::Worse,
-            false => Verdict::NoDifferenceShown,
+            true if found.difference.mean > 0.0 => ComparisonVerdict::Better,
+            true => ComparisonVerdict::Worse,
+            false => ComparisonVerdict::NoDifferenceShown,
         };
     }
     p.len()

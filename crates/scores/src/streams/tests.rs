@@ -1,7 +1,7 @@
 //! Every figure of streams, computed by hand for small logs.
 
 use super::*;
-use crate::{Interval, Scores, Verdict, score};
+use crate::{ComparisonVerdict, Interval, Scores, score};
 use conditions::Start;
 use domain::StreamOrder;
 use rigs::records::{log, sequence, stream_log};
@@ -268,7 +268,7 @@ fn differences_of_streams_are_corrected_together_and_have_a_verdict() {
     let after = found.after.unwrap();
     assert_eq!((scores.tested_differences, after.corrected_p), (1, after.p));
     assert!(after.p.unwrap() < 0.001, "{after:?}");
-    assert_eq!(after.verdict, Verdict::Better);
+    assert_eq!(after.verdict, ComparisonVerdict::Better);
 }
 
 #[test]
@@ -302,7 +302,7 @@ fn differences_are_paired_by_stream_and_all_orders_stay_together() {
     let TestedDifference { difference: before, p, corrected_p, verdict } = found.before.unwrap();
     near_p(p, cauchy(1.0));
     near_p(corrected_p, 0.5);
-    assert_eq!(verdict, Verdict::NoDifferenceShown);
+    assert_eq!(verdict, ComparisonVerdict::NoDifferenceShown);
     assert_eq!((before.a, before.b, before.mean), (100.0, 50.0, 50.0));
     let average = found.average.unwrap();
     assert_eq!((average.difference.interval, average.p), (None, None), "all streams alike");
