@@ -5,6 +5,7 @@
 MEMTRANSFER is the program, MANIFEST the manifest of any run; the runs are written into FOLDER.
 """
 
+import functools
 import json
 import math
 import pathlib
@@ -154,6 +155,7 @@ def comparison(first, second):
 LEVEL, POWER, MOST_CASES = 0.05, 0.8, 10_000
 
 
+@functools.cache
 def least_better(unequal, factor):
     """The smallest number of better cases among `unequal` that shows a difference; one more than `unequal` if none does."""
     if 2 * 0.5**unequal * factor >= LEVEL:
@@ -211,10 +213,12 @@ def left_out_agrees(found, cases, factor):
         return ("better" if better > worse else "worse") if p * factor < LEVEL else "no-difference-shown"
 
     pairs = [pair for of_case in cases.values() for pair in of_case]
+    of_all = verdict(pairs)
     for kind, part in [("tasks", "task"), ("repetitions", "run"), ("cases", "case")]:
         parts = {a[part] for a, _ in pairs}
         rest = {one: [pair for pair in pairs if pair[0][part] != one] for one in parts}
-        changed = {str(one): verdict(left) for one, left in rest.items() if left and verdict(left) != verdict(pairs)}
+        found_without = {str(one): verdict(left) for one, left in rest.items() if left}
+        changed = {one: other for one, other in found_without.items() if other != of_all}
         told = found["robustness"][kind]
         assert told["parts"] == (len(parts) if len(parts) > 1 else 0), (kind, told)
         assert {one["without"]: one["verdict"] for one in told["changes"]} == changed, (kind, told)
@@ -328,9 +332,11 @@ def main(program, manifest, folder):
     for index, (condition, expected) in enumerate(compared.items()):
         near(found[condition]["corrected_p"], float(corrected[index]), f"{condition}, corrected p")
         assert found[condition]["family"] == len(values)
-        # What the correction multiplies p by: without this one, so many of the others are shown.
-        others = multipletests(np.where(np.arange(len(values)) == index, 1.0, values), method="holm")[1]
-        factor = len(values) - int(np.sum(np.delete(others, index) < LEVEL))
+        # What the correction multiplies p by: the number of comparisons less those of the others that are shown without this one,
+        # which the step-down procedure finds from the smallest p on.
+        others = np.sort(np.delete(values, index))
+        is_shown = others * (len(values) - np.arange(len(others))) < LEVEL
+        factor = len(values) - int(np.sum(np.logical_and.accumulate(is_shown)))
         checked += conclusion_agrees(found[condition], expected, factor, checked < 20)
         left_out_agrees(found[condition], expected["pairs of cases"], factor)
     print(f"{len(compared)} conclusions agree, {checked} of them about more cases")

@@ -301,8 +301,9 @@ fn wrapped(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use conditions::Route;
     use rigs::records::{keyed, log, record, under};
-    use run_log::EpisodeRecord;
+    use run_log::{BlockedRecord, EpisodeRecord};
 
     use super::*;
     use crate::testing::{made_up, paper_conditions};
@@ -334,6 +335,34 @@ mod tests {
         let text = compared_runs(&log, &other, &compared, &LeftOutConditions::default());
         assert!(text.contains("max-steps differs: 200 in made-up, 60 in made-up"), "{text}");
         is_narrow(&text);
+    }
+
+    #[test]
+    fn what_a_suite_asks_is_compared_in_tables_that_fit() {
+        let conditions = [
+            "full-context/new/blocked/original",
+            "full-context/new/blocked/after",
+            "full-context/new/blocked/before-after",
+            "full-context/new/blocked/after-before",
+            "full-context/new/unchanged/elsewhere",
+            "full-context/new/unchanged/4",
+            "working/new/unchanged/none",
+        ];
+        let conditions = conditions.map(|name| (name.parse().unwrap(), 2));
+        let mut log = made_up(&conditions, &[1, 2, 9]);
+        for record in log.episodes.iter_mut().filter(|record| record.route == Route::Blocked) {
+            record.blocked = Some(BlockedRecord { invalidated: true, ..BlockedRecord::default() });
+        }
+        let text = summary(&log);
+        is_narrow(&text);
+        for expected in [
+            "3 comparisons of demonstrations from before and after were made together.",
+            "2 comparisons of demonstrations here and elsewhere were made together.",
+            "The policy grounded leaves memories of another warehouse out",
+            "4 demos here − elsewhere",
+        ] {
+            assert!(text.contains(expected), "{expected}: {text}");
+        }
     }
 
     #[test]
