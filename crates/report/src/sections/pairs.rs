@@ -91,7 +91,7 @@ fn asked<'a>(view: &ScoredRun<'a>) -> Vec<LabelledPair<'a>> {
             .collect();
         if representation.uses_demonstrations() {
             let baseline = name(Representation::Working.into(), "new/unchanged", "none");
-            let label = "memory − working memory (new start, 4 demos)";
+            let label = "memory − working memory (4 demos)";
             pairs.push((label, of(("new/unchanged", "4")), baseline));
         }
         let labelled = move |(label, a, b): (&str, String, String)| {
