@@ -30,7 +30,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict
 
 from memtransfer import _objects, _program
 from memtransfer._relay import ATTACH
@@ -365,6 +365,20 @@ def _served(world: _WorldCommand | None) -> Iterator[dict[str, str]]:
 
 
 @dataclass(frozen=True)
+class Unpaired:
+    """An episode that one side of a comparison has finished and the other has not."""
+
+    case: str
+    """The case."""
+    repetition: int
+    """The repetition, from 1."""
+    finished_in: Literal["a", "b"]
+    """The side that has it."""
+    absence: Literal["given-up", "not-finished", "not-run"]
+    """Why the other side has not."""
+
+
+@dataclass(frozen=True)
 class Comparison:
     """The difference of two conditions, over the cases and repetitions that both have: A minus B."""
 
@@ -398,6 +412,22 @@ class Comparison:
     """SPL of A, from 0 to 1."""
     spl_b: float
     """SPL of B, from 0 to 1."""
+    verdict: Literal["better", "worse", "no-difference-shown"]
+    """Whether A succeeds in more cases than B, or in fewer: p is below 5 %."""
+    sentence: str
+    """The verdict in words, with what it follows from; where no difference is shown, with the one that would be shown with a probability
+    of 80 %, and the number of cases that it would take to show this one."""
+    detectable: float | None
+    """The smallest difference of the success rates, in percentage points, that would be shown with a probability of 80 % in as many cases;
+    `None` where none would."""
+    more_cases: int | None
+    """About how many more cases it would take to show this difference with a probability of 80 %; `None` where one is shown, where as many
+    cases are better as worse, and where it would take more than 10,000."""
+    unpaired: list[Unpaired]
+    """The episodes of either side without one of the same case and repetition in the other. They enter no figure."""
+    changed_without: list[str]
+    """The parts of the pairs without which the verdict is another, each left out by itself: `group basic`, `task 9`, `repetition 2`,
+    `case t03-07`."""
 
 
 class Result:
@@ -468,6 +498,16 @@ class Result:
             spl_interval=_interval(spl),
             spl_a=spl["a"],
             spl_b=spl["b"],
+            verdict=compared["verdict"],
+            sentence=compared["sentence"],
+            detectable=compared["detectable"],
+            more_cases=compared["more_cases"],
+            unpaired=[Unpaired(**episode) for episode in compared["unpaired"]],
+            changed_without=[
+                f"{kind} {change['without']}"
+                for kind in ("group", "task", "repetition", "case")
+                for change in compared["robustness"][f"{kind}s"]["changes"]
+            ],
         )
 
     def report(self, out: File | None = None) -> Path:

@@ -127,6 +127,9 @@ def test_objects_of_this_process_are_evaluated(tmp_path: Path) -> None:
     compared = result.compare(conditions[1], conditions[0])
     assert (compared.a, compared.b, compared.pairs, compared.cases) == (conditions[1], conditions[0], 3, 3)
     assert compared.difference == compared.success_a - compared.success_b and compared.interval is not None
+    assert compared.verdict == "no-difference-shown" and compared.sentence.startswith("No difference shown: ")
+    # Three cases show none.
+    assert (compared.detectable, compared.unpaired, compared.changed_without) == (None, [], [])
     with pytest.raises(RunError, match="did you mean `top-3/original/unchanged/original`"):
         result.compare("top-3/original/unchanged/orignal", conditions[0])
     assert conditions[0] in repr(result) and conditions[0] in result._repr_html_()

@@ -5,6 +5,7 @@
 MEMTRANSFER is the program, MANIFEST the manifest of any run; the runs are written into FOLDER.
 """
 
+import functools
 import json
 import math
 import pathlib
@@ -14,6 +15,8 @@ import sys
 import numpy as np
 from blake3 import blake3
 from scipy import stats
+from statsmodels.stats.descriptivestats import sign_test
+from statsmodels.stats.multitest import multipletests
 
 PAIRS = 200
 SEED = 20_260_101
@@ -139,7 +142,86 @@ def comparison(first, second):
     expected["more_under_a"] = better = sum(one > 0 for one in more)
     expected["more_under_b"] = worse = sum(one < 0 for one in more)
     expected["p"] = float(stats.binomtest(better, better + worse, 0.5).pvalue) if better + worse else 1.0
+    assert not better + worse or abs(sign_test(more, 0)[1] - expected["p"]) < 1e-9
+    expected["episodes_a"], expected["episodes_b"] = len(first), len(second)
+    distances = [abs(np.mean([success(a) - success(b) for a, b in of_case])) for of_case in cases.values()]
+    expected["points"] = np.sum(distances) / (better + worse) if better + worse else 100.0
+    expected["pairs of cases"] = cases
     return expected
+
+
+# What the comparisons of a command show together: Holm's correction from statsmodels, power from SciPy's binomial distribution.
+
+LEVEL, POWER, MOST_CASES = 0.05, 0.8, 10_000
+
+
+@functools.cache
+def least_better(unequal, factor):
+    """The smallest number of better cases among `unequal` that shows a difference; one more than `unequal` if none does."""
+    if 2 * 0.5**unequal * factor >= LEVEL:
+        return unequal + 1
+    better = int(stats.binom.isf(LEVEL / 2 / factor, unequal, 0.5)) + 1
+    # `isf` finds the largest tail of at most the level, and the level itself is never reached.
+    assert 2 * stats.binom.sf(better - 1, unequal, 0.5) * factor < LEVEL <= 2 * stats.binom.sf(better - 2, unequal, 0.5) * factor
+    return better
+
+
+def power(cases, better, worse, factor):
+    """The probability that A is shown to be better in so many cases, each better and worse with these probabilities."""
+    unequal = np.arange(cases + 1)
+    least = np.array([least_better(int(count), factor) for count in unequal])
+    shown = stats.binom.sf(least - 1, unequal, better / (better + worse))
+    return float(np.sum(stats.binom.pmf(unequal, cases, min(better + worse, 1.0)) * shown))
+
+
+def power_at(excess, cases, unequal, factor):
+    unequal = max(unequal, excess)
+    return power(cases, (unequal + excess) / 2, (unequal - excess) / 2, factor)
+
+
+def conclusion_agrees(found, expected, factor, checks_cases):
+    """Checks the conclusion of a comparison. Power at thousands of cases takes long, so `checks_cases` says whether it is checked."""
+    cases, better, worse = (expected[name] for name in ("cases", "more_under_a", "more_under_b"))
+    shown = found["corrected_p"] < LEVEL
+    verdict = ("better" if better > worse else "worse") if shown else "no-difference-shown"
+    assert (found["verdict"], found["factor"]) == (verdict, factor), (found, factor)
+    unequal = (better + worse) / cases
+    if found["detectable"] is None:
+        assert power_at(1.0, cases, unequal, factor) < POWER
+    else:
+        excess = found["detectable"] / expected["points"]
+        assert abs(power_at(excess, cases, unequal, factor) - POWER) < 1e-6, found
+    more = found["more_cases"]
+    if shown or better == worse:
+        assert more is None
+    elif checks_cases and more is not None and cases + more < 300:
+        at = lambda count: power(count, max(better, worse) / cases, min(better, worse) / cases, factor)
+        assert at(cases + more) >= POWER and (more == 1 or at(cases + more - 1) < POWER), found
+        return 1
+    return 0
+
+
+def left_out_agrees(found, cases, factor):
+    """Checks which verdicts change without a task, a repetition and a case."""
+
+    def verdict(pairs):
+        by_case = {}
+        for a, b in pairs:
+            by_case[a["case"]] = by_case.get(a["case"], 0) + (success(a) > success(b)) - (success(a) < success(b))
+        better, worse = (sum(sign * more > 0 for more in by_case.values()) for sign in (1, -1))
+        p = stats.binomtest(better, better + worse, 0.5).pvalue if better + worse else 1.0
+        return ("better" if better > worse else "worse") if p * factor < LEVEL else "no-difference-shown"
+
+    pairs = [pair for of_case in cases.values() for pair in of_case]
+    of_all = verdict(pairs)
+    for kind, part in [("tasks", "task"), ("repetitions", "run"), ("cases", "case")]:
+        parts = {a[part] for a, _ in pairs}
+        rest = {one: [pair for pair in pairs if pair[0][part] != one] for one in parts}
+        found_without = {str(one): verdict(left) for one, left in rest.items() if left}
+        changed = {one: other for one, other in found_without.items() if other != of_all}
+        told = found["robustness"][kind]
+        assert told["parts"] == (len(parts) if len(parts) > 1 else 0), (kind, told)
+        assert {one["without"]: one["verdict"] for one in told["changes"]} == changed, (kind, told)
 
 
 def of_cases(records, figure):
@@ -234,12 +316,35 @@ def main(program, manifest, folder):
     for run, side in zip(runs, sides):
         write_run(run, manifest, [record for records in side.values() for record in records])
     found = {one["a"].removeprefix("a: "): one for one in score(program, *map(str, runs))["comparisons"]}
+    compared = {}
     for condition, first in sides[0].items():
         expected = comparison(first, sides[1][condition])
         assert (expected is None) == (condition not in found), condition
         if expected is not None:
-            near(found[condition], expected, condition)
+            compared[condition] = expected
+            figures = {name: value for name, value in expected.items() if name not in ("points", "pairs of cases")}
+            near(found[condition], figures, condition)
     print(f"{len(found)} comparisons agree")
+
+    values = np.array([compared[condition]["p"] for condition in compared])
+    corrected = multipletests(values, method="holm")[1]
+    checked = 0
+    for index, (condition, expected) in enumerate(compared.items()):
+        near(found[condition]["corrected_p"], float(corrected[index]), f"{condition}, corrected p")
+        assert found[condition]["family"] == len(values)
+        # What the correction multiplies p by: the number of comparisons less those of the others that are shown without this one,
+        # which the step-down procedure finds from the smallest p on.
+        others = np.sort(np.delete(values, index))
+        is_shown = others * (len(values) - np.arange(len(others))) < LEVEL
+        factor = len(values) - int(np.sum(np.logical_and.accumulate(is_shown)))
+        checked += conclusion_agrees(found[condition], expected, factor, checked < 20)
+        left_out_agrees(found[condition], expected["pairs of cases"], factor)
+    print(f"{len(compared)} conclusions agree, {checked} of them about more cases")
+    alone = next(iter(sorted(compared, key=lambda name: -compared[name]["cases"])))
+    (one,) = score(program, *map(str, runs), "--compare", alone, alone)["comparisons"]
+    near(one["corrected_p"], compared[alone]["p"], f"{alone}, alone")
+    conclusion_agrees(one, compared[alone], 1, True)
+    left_out_agrees(one, compared[alone]["pairs of cases"], 1)
 
     names = ["episodic/new/blocked/4", "episodic/new/unchanged/4", "working/new/blocked/none", "working/new/unchanged/none"]
     groups = []

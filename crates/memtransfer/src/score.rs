@@ -8,9 +8,9 @@ use clap::Args;
 use require::RequireArgs;
 use run_log::policy::PolicyLabel;
 use run_log::{Difference, RunLog, tell_apart};
-use scores::compare::{compare_conditions, compare_runs, differing_settings};
+use scores::compare::{LeftOutConditions, compare_conditions, differing_settings, pair_runs};
 use scores::gate::{GateResult, Verdict};
-use scores::{Comparison, Scores, score};
+use scores::{Comparison, Scores, conclude, score};
 use serde::Serialize;
 
 use super::{Exit, print, print_json, warn_of_damage};
@@ -19,7 +19,9 @@ use super::{Exit, print, print_json, warn_of_damage};
 #[command(after_help = "\
 Reads the runs' folders and nothing else; a run in progress can be scored, too.
 A comparison is paired: it takes the cases and repetitions that both sides have, prints the figures
-of both and their difference, and names the settings in which two runs differ.
+of both and their difference, says what is not paired, and names the settings in which two runs
+differ. It answers better, worse or no difference shown, with p corrected for all comparisons of the
+command, and with the difference that as many cases would show.
 
 With --require or --require-no-worse-than the tables end with a line for each gate. A gate is passed
 where the whole 95 % interval of the figure satisfies it, failed where none of the interval does,
@@ -85,14 +87,17 @@ pub(super) fn run(args: &ScoreArgs) -> anyhow::Result<Exit> {
             })?;
         }
         (None, Some(other)) => {
-            args.show_runs(&log, other, &compare_runs(&log, other)?)?;
+            let paired = pair_runs(&log, other)?;
+            args.show_runs(&log, other, &conclude(paired.pairings), &paired.left_out)?;
         }
         (Some(conditions), other) => {
             let [a, b] = [0, 1].map(|side| conditions[side].as_str());
             let second = other.as_ref().unwrap_or(&log);
             let compared = [compare_conditions((&log, a), (second, b))?];
             match other {
-                Some(other) => args.show_runs(&log, other, &compared)?,
+                Some(other) => {
+                    args.show_runs(&log, other, &compared, &LeftOutConditions::default())?;
+                }
                 None => {
                     let policy = log.manifest.policy_label();
                     let labelled = compared.each_ref().map(|comparison| ComparedConditions {
@@ -139,14 +144,22 @@ struct ComparedRuns<'a> {
     policies: [PolicyLabel; 2],
     differing_settings: Vec<Difference>,
     comparisons: &'a [Comparison],
+    /// The conditions of one run, or without a pair.
+    left_out: &'a LeftOutConditions,
 }
 
 impl ScoreArgs {
-    fn show_runs(&self, a: &RunLog, b: &RunLog, comparisons: &[Comparison]) -> anyhow::Result<()> {
+    fn show_runs(
+        &self,
+        a: &RunLog,
+        b: &RunLog,
+        comparisons: &[Comparison],
+        left_out: &LeftOutConditions,
+    ) -> anyhow::Result<()> {
         let policies = [a, b].map(|log| log.manifest.policy_label());
         let differing_settings = differing_settings(a, b);
-        let shown = ComparedRuns { policies, differing_settings, comparisons };
-        self.show(&shown, || report::compared_runs(a, b, comparisons))
+        let shown = ComparedRuns { policies, differing_settings, comparisons, left_out };
+        self.show(&shown, || report::compared_runs(a, b, comparisons, left_out))
     }
 
     fn show(&self, value: &impl Serialize, text: impl Fn() -> String) -> anyhow::Result<()> {

@@ -1,6 +1,7 @@
 //! The sections of a report about one run: a file for each of the paper's tables, and for what the paper leaves out.
 
 mod blocked;
+mod comparisons;
 mod conditions;
 mod conflict;
 mod cost;
@@ -36,9 +37,11 @@ use super::document::{ReportBlock, ReportSection};
 use super::view::ScoredRun;
 
 pub(super) use blocked::all_blocked_table;
+pub(super) use comparisons::{VERDICTS, asked_rows, verdict};
 pub(super) use conditions::conditions_table;
 pub(super) use conflict::conflict_table;
 pub(super) use cost::requests_table;
+pub(super) use elsewhere::left_out;
 pub(super) use failures::{failures_table, worst_table};
 pub(super) use growth::growth_table;
 pub(super) use overview::{notices, steps_per_second};
@@ -61,9 +64,7 @@ const PARTS: [SectionEntry; 15] = [
         ReportBlock::tables([blocked_table(view), other_blocked_table(view)])
     }),
     ("mixed", "RQ3: histories of other tasks", mixed::blocks),
-    ("conflict", "Demonstrations from before and after an event", |view| {
-        ReportBlock::tables([conflict_table(view)])
-    }),
+    ("conflict", "Demonstrations from before and after an event", conflict::blocks),
     ("growth", "Banks of different sizes", growth::blocks),
     ("groups", "Task groups", groups::blocks),
     ("design", "Design choices", design::blocks),

@@ -4,16 +4,16 @@ use std::fmt::Write;
 
 use domain::shell_word;
 use run_log::RunLog;
-use scores::compare::differing_settings;
-use scores::{Comparison, FigureDifference, score};
+use scores::compare::{LeftOutConditions, differing_settings};
+use scores::{Comparison, FigureDifference, Question, score};
 
 use super::document::{Table, TableCell};
 use super::published::Published;
 use super::sections::{
-    adaptation_table, all_blocked_table, conditions_table, conflict_table, differences_table,
-    failures_table, growth_table, incomplete, necessity_table, notices, orders_table,
-    requests_table, steps_per_second, success_table, supplied_table, time_table, transfer_table,
-    worst_table,
+    VERDICTS, adaptation_table, all_blocked_table, asked_rows, conditions_table, conflict_table,
+    differences_table, failures_table, growth_table, incomplete, left_out, necessity_table,
+    notices, orders_table, requests_table, steps_per_second, success_table, supplied_table,
+    time_table, transfer_table, verdict, worst_table,
 };
 use super::view::{ScoredRun, interval_text, p_value, pair_stubs, signed};
 use crate::table::{TextTable, table};
@@ -31,6 +31,18 @@ pub fn summary(log: &RunLog) -> String {
     for group in time.iter_mut().flat_map(|table| &mut table.groups) {
         group.rows.retain(|row| TIMES.contains(&row.label.as_str()));
     }
+    let asked = |question| asked_rows(&view, question)?.verdicts();
+    let elsewhere = asked(Question::Elsewhere);
+    let verdicts = view.scores.comparisons.iter().map(|asked| {
+        let count = asked.comparisons.len();
+        let about = match asked.question {
+            Question::Conflict => "from before and after",
+            Question::Elsewhere => "here and elsewhere",
+        };
+        format!("{count} comparisons of demonstrations {about} were made together. {VERDICTS}")
+    });
+    let verdicts: Vec<String> = verdicts.collect();
+    let left_out = elsewhere.as_ref().and_then(|_| left_out(log.manifest.settings.policy));
     let mut text = String::new();
     for (title, table) in [
         ("", conditions_table(&view).pruned()),
@@ -54,6 +66,8 @@ pub fn summary(log: &RunLog) -> String {
             "Blocked routes: demonstrations from before and after the way was blocked",
             conflict_table(&view),
         ),
+        ("Demonstrations from before and after, compared", asked(Question::Conflict)),
+        ("Demonstrations here and elsewhere, compared", elsewhere),
         ("Banks of different sizes", growth_table(&view)),
         ("Failed episodes by kind", failures_table(&view)),
         ("Cases that fail most", worst_table(&view, WORST)),
@@ -67,7 +81,8 @@ pub fn summary(log: &RunLog) -> String {
             let _ = writeln!(text, "{title}{}\n", in_text(&table));
         }
     }
-    for line in notices(&view).into_iter().chain(incomplete(&view)).chain(closing(&view)) {
+    let notes = notices(&view).into_iter().chain(incomplete(&view)).chain(left_out);
+    for line in notes.chain(verdicts).chain(closing(&view)) {
         text += &wrapped(&line);
     }
     text
@@ -81,7 +96,14 @@ fn closing(view: &ScoredRun<'_>) -> Vec<String> {
                 .to_owned(),
         );
     }
-    if view.scores.streams.is_some() {
+    if let Some(streams) = &view.scores.streams {
+        if streams.tested_differences > 0 {
+            lines.push(format!(
+                "Differences of streams: p of Student's t test over streams, and in parentheses corrected for the {} differences \
+                 that have one (Holm 1979).",
+                streams.tested_differences
+            ));
+        }
         lines.push(
             "Streams: means over the sequences of a stream, then over streams; brackets: 95 % intervals over streams. \
              docs/streams.md defines the figures."
@@ -126,8 +148,13 @@ fn in_text(from: &Table) -> TextTable {
     to
 }
 
-/// Two runs compared: settings that differ, then the conditions that both have.
-pub fn compared_runs(a: &RunLog, b: &RunLog, compared: &[Comparison]) -> String {
+/// Two runs compared: settings that differ, then the conditions that both have, then those that were left out.
+pub fn compared_runs(
+    a: &RunLog,
+    b: &RunLog,
+    compared: &[Comparison],
+    left_out: &LeftOutConditions,
+) -> String {
     let mut text = String::new();
     for one in differing_settings(a, b) {
         text += &wrapped(&format!(
@@ -139,6 +166,9 @@ pub fn compared_runs(a: &RunLog, b: &RunLog, compared: &[Comparison]) -> String 
         text += "The differences below may come from that.\n\n";
     }
     text += &compared_conditions(compared);
+    for sentence in left_out.sentences(&a.name, &b.name) {
+        text += &wrapped(&sentence);
+    }
     for log in [a, b] {
         let subject = format!("Policy of {}", log.name);
         text += &wrapped(&log.manifest.policy_label().sentence(&subject));
@@ -150,6 +180,9 @@ pub fn compared_runs(a: &RunLog, b: &RunLog, compared: &[Comparison]) -> String 
 pub fn comparison(log: &RunLog, compared: &[Comparison]) -> String {
     compared_conditions(compared) + &wrapped(&log.manifest.policy_label().sentence("Policy"))
 }
+
+/// The number of comparisons whose unpaired episodes are named.
+const UNPAIRED: usize = 5;
 
 fn compared_conditions(compared: &[Comparison]) -> String {
     let shared: Option<Vec<_>> = compared.iter().map(shared_condition).collect();
@@ -164,45 +197,82 @@ fn compared_conditions(compared: &[Comparison]) -> String {
     let interval = |one: &FigureDifference, digits| {
         one.interval.map_or("-".to_owned(), |interval| interval_text(interval, digits))
     };
-    let mut rates =
-        table(&["condition", "cases", "pairs", "A SR", "B SR", "A−B", "95 % CI", "A:B", "p"], 1);
-    let mut lengths =
-        table(&["condition", "cases", "pairs", "A SPL", "B SPL", "A−B", "95 % CI"], 1);
+    let mut rates = table(
+        &["condition", "cases", "A SR", "B SR", "A−B", "95 % CI", "A:B", "p", "corrected\np"],
+        1,
+    );
+    let mut lengths = table(
+        &[
+            "condition",
+            "episodes\nof A",
+            "episodes\nof B",
+            "pairs",
+            "A SPL",
+            "B SPL",
+            "A−B",
+            "95 % CI",
+        ],
+        1,
+    );
+    let mut verdicts =
+        table(&["condition", "verdict", "A−B", "p", "shown", "more", "changes without"], 2);
+    verdicts.set_text(6);
+    let mut unpaired = Vec::new();
     for one in compared {
-        let Comparison { cases, pairs, sr, spl, more_under_a, more_under_b, p, .. } = one;
+        let Comparison { cases, pairs, sr, spl, more_under_a, more_under_b, p, conclusion, .. } =
+            one;
         rates.add_row([
             label(one),
             cases.to_string(),
-            pairs.to_string(),
             format!("{:.1}", sr.a),
             format!("{:.1}", sr.b),
             signed(sr.mean, 1),
             interval(sr, 1),
             format!("{more_under_a}:{more_under_b}"),
             p_value(*p),
+            p_value(conclusion.corrected_p),
         ]);
         lengths.add_row([
             label(one),
-            cases.to_string(),
+            one.episodes_a.to_string(),
+            one.episodes_b.to_string(),
             pairs.to_string(),
             format!("{:.3}", spl.a),
             format!("{:.3}", spl.b),
             signed(spl.mean, 3),
             interval(spl, 3),
         ]);
+        verdicts.add_row([label(one)].into_iter().chain(verdict(one)));
+        let alone = one.unpaired_in_words(["A", "B"]);
+        if !alone.is_empty() {
+            let of = if compared.len() > 1 { format!(", {}", label(one)) } else { String::new() };
+            unpaired.push(format!("Not paired{of}: {alone}."));
+        }
     }
-    let unpaired = |count: fn(&Comparison) -> usize| compared.iter().map(count).sum::<usize>();
-    let left_out = match (unpaired(|one| one.unpaired_a), unpaired(|one| one.unpaired_b)) {
-        (0, 0) => String::new(),
-        (a, b) => format!(
-            "Left out, because the other side lacks the case or repetition: episodes of A {a}, of B {b}."
-        ),
-    };
+    let more = unpaired.len().saturating_sub(UNPAIRED);
+    unpaired.truncate(UNPAIRED);
+    if more > 0 {
+        unpaired
+            .push(format!("Not paired: episodes of {more} more comparisons; --json lists all."));
+    }
+    let unpaired: String = unpaired.iter().map(|line| wrapped(line)).collect();
     let notes = "Pairs: episodes of the same case and repetition, finished on both sides; all figures are of these. Means \
                  over cases, SR in percent. CI: 95 % interval over cases. A:B: cases that succeed more often under A and \
                  under B; p: exact two-sided sign test on these counts (McNemar's exact test where every case has one \
-                 pair), not corrected for the number of rows.";
-    format!("{rates}\n\n{lengths}\n\n{}{}{}", wrapped(&sides), wrapped(&left_out), wrapped(notes))
+                 pair).";
+    let (answer, made) = match compared {
+        [one] => (sentence(one), "One comparison was made.".to_owned()),
+        _ => (String::new(), format!("{} comparisons were made together.", compared.len())),
+    };
+    let notes = [&*sides, &made, VERDICTS, notes].map(wrapped).concat();
+    format!("{rates}\n\n{lengths}\n\n{verdicts}\n\n{answer}{unpaired}{notes}")
+}
+
+/// What a comparison shows, as a paragraph.
+fn sentence(compared: &Comparison) -> String {
+    let conclusion = &compared.conclusion;
+    let holds = format!("This holds {}.", conclusion.robustness.in_words());
+    wrapped(&format!("{} {holds}", conclusion.sentence)) + "\n"
 }
 
 /// The names of two runs and the condition under which they are compared, if it is one.
@@ -231,12 +301,12 @@ fn wrapped(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use rigs::records::{log, record, under};
-    use run_log::EpisodeRecord;
+    use conditions::Route;
+    use rigs::records::{keyed, log, record, under};
+    use run_log::{BlockedRecord, EpisodeRecord};
 
     use super::*;
     use crate::testing::{made_up, paper_conditions};
-    use scores::Interval;
 
     fn is_narrow(text: &str) {
         let wide = text.lines().find(|line| line.chars().count() > 100 && !line.contains("Run:"));
@@ -261,38 +331,58 @@ mod tests {
         is_narrow(&text);
         let mut other = log.clone();
         other.manifest.settings.max_steps = 60;
-        let text =
-            compared_runs(&log, &other, &scores::compare::compare_runs(&log, &other).unwrap());
+        let compared = scores::compare::compare_runs(&log, &other).unwrap();
+        let text = compared_runs(&log, &other, &compared, &LeftOutConditions::default());
         assert!(text.contains("max-steps differs: 200 in made-up, 60 in made-up"), "{text}");
         is_narrow(&text);
     }
 
     #[test]
+    fn what_a_suite_asks_is_compared_in_tables_that_fit() {
+        let conditions = [
+            "full-context/new/blocked/original",
+            "full-context/new/blocked/after",
+            "full-context/new/blocked/before-after",
+            "full-context/new/blocked/after-before",
+            "full-context/new/unchanged/elsewhere",
+            "full-context/new/unchanged/4",
+            "working/new/unchanged/none",
+        ];
+        let conditions = conditions.map(|name| (name.parse().unwrap(), 2));
+        let mut log = made_up(&conditions, &[1, 2, 9]);
+        for record in log.episodes.iter_mut().filter(|record| record.route == Route::Blocked) {
+            record.blocked = Some(BlockedRecord { invalidated: true, ..BlockedRecord::default() });
+        }
+        let text = summary(&log);
+        is_narrow(&text);
+        for expected in [
+            "3 comparisons of demonstrations from before and after were made together.",
+            "2 comparisons of demonstrations here and elsewhere were made together.",
+            "The policy grounded leaves memories of another warehouse out",
+            "4 demos here − elsewhere",
+        ] {
+            assert!(text.contains(expected), "{expected}: {text}");
+        }
+    }
+
+    #[test]
     fn two_runs_are_named_once_and_two_conditions_in_each_row() {
-        let of = |a: &str, b: &str| Comparison {
-            a: a.to_owned(),
-            b: b.to_owned(),
-            cases: 3,
-            pairs: 9,
-            unpaired_a: 0,
-            unpaired_b: 6,
-            sr: FigureDifference {
-                a: 50.0,
-                b: 100.0,
-                mean: -50.0,
-                interval: Some(Interval { low: -90.0, high: 0.0 }),
-            },
-            spl: FigureDifference { a: 0.5, b: 0.5, mean: 0.0, interval: None },
-            more_under_a: 0,
-            more_under_b: 9,
-            p: 0.0004,
+        // Three cases in three repetitions; the second run has two more repetitions of each.
+        let cases = ["t01-01", "t01-02", "t01-03"];
+        let run = |repetitions, success: fn(&str, u32) -> bool| {
+            let episode = |run| {
+                move |case: &&str| keyed(EpisodeRecord { run, ..record(case, success(case, run)) })
+            };
+            log((1..=repetitions).flat_map(|run| cases.iter().map(episode(run))).collect())
         };
-        let pair = "working/new/unchanged/none";
-        insta::assert_snapshot!(compared_conditions(&[of(
-            &format!("r1: {pair}"),
-            &format!("r2: {pair}")
-        )]));
-        let text = comparison(&log(vec![]), &[of("one", "two")]);
+        let mut a = run(3, |case, run| case == "t01-01" && run > 1);
+        let mut b = run(5, |_, _| true);
+        (a.name, b.name) = ("r1".to_owned(), "r2".to_owned());
+        let compared = scores::compare::compare_runs(&a, &b).unwrap();
+        insta::assert_snapshot!(compared_conditions(&compared));
+        let mut one = compared[0].clone();
+        (one.a, one.b) = ("one".to_owned(), "two".to_owned());
+        let text = comparison(&log(vec![]), &[one]);
         assert!(text.contains("A: one") && text.contains("B: two"), "{text}");
         assert!(text.contains("Policy: grounded, scripted stand-in."), "{text}");
     }

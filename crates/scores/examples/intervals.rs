@@ -1,5 +1,5 @@
 //! Prints how often the 95 % intervals of scores hold the true figure, and how often the sign test finds a difference
-//! where there is none.
+//! where there is none: in a single comparison, and in a family of them before and after the correction.
 //!
 //!     cargo run --release -p scores --example intervals [DRAWS [SEED]]
 //!
@@ -16,7 +16,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rigs::records::{log, record, sequence, stream_log, under};
 use run_log::{Ending, EpisodeRecord, RunLog};
-use scores::{Comparison, Derived, Interval, Trials, compare, score};
+use scores::{Derived, Interval, LEVEL, Pairing, Side, holm, score};
 
 /// True success rates.
 const RATES: [f64; 9] = [0.02, 0.05, 0.1, 0.2, 0.5, 0.8, 0.9, 0.95, 0.98];
@@ -36,6 +36,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let seed = arguments.next().map_or(Ok(1), |text| text.parse())?;
     println!("{draws} draws, seed {seed}.\n");
     println!("{}", levels(&mut Random::new(seed), draws));
+    println!("{}", families(seed, draws));
     for simulation in SIMULATIONS {
         println!("{}", simulation.text(seed, draws, simulation.sizes));
     }
@@ -303,10 +304,9 @@ impl Sampling {
             }
             Self::Two(design, sides) => {
                 draw_sides(log, rate, sides, design, random);
-                let found = compared(log);
                 let difference = rate - sides.second(rate);
-                let (sr, spl) =
-                    found.map_or((None, None), |found| (found.sr.interval, found.spl.interval));
+                let found = paired(log).map(|found| found.differences());
+                let [sr, spl] = found.map_or([None; 2], |found| found.map(|one| one.interval));
                 [(100.0 * difference, sr), (difference * mean_ratio(design), spl)]
             }
             Self::Blocked(design) => {
@@ -341,10 +341,10 @@ fn mean_ratio(design: Design) -> f64 {
     0.5 * (design.shortest + 1.0)
 }
 
-fn compared(log: &RunLog) -> Option<Comparison> {
-    let trials = Trials::by_condition(log);
-    let of = |name| trials.get(&condition(name));
-    compare(("A", of(FOUR[0])?), ("B", of(FOUR[2])?))
+/// The first condition of [`FOUR`] and its third, paired.
+fn paired(log: &RunLog) -> Option<Pairing<'_>> {
+    let side = |name: &str| Side { name: name.to_owned(), log, condition: condition(name) };
+    Pairing::of(side(FOUR[0]), side(FOUR[2]))
 }
 
 /// Draws the conditions of every case, each at its rate.
@@ -407,9 +407,8 @@ fn levels(random: &mut Random, draws: u32) -> String {
         let mut cells = Vec::new();
         for decided in [0.0, 0.3] {
             for rate in [0.1, 0.5] {
-                let found = (0..draws).filter(|_| {
-                    differ(&mut log, rate, decided, random).is_some_and(|found| found.p < 0.05)
-                });
+                let found = (0..draws)
+                    .filter(|_| differ(&mut log, rate, decided, random).is_some_and(|p| p < 0.05));
                 cells.push(format!("{:.1}", 100.0 * found.count() as f64 / f64::from(draws)));
             }
         }
@@ -424,18 +423,180 @@ fn two([a, b]: [u32; 2]) -> RunLog {
     empty(100, &[(FOUR[0], a), (FOUR[2], b)])
 }
 
-/// Draws a comparison of two conditions with the same success rate in every case.
-fn differ(log: &mut RunLog, rate: f64, decided: f64, random: &mut Random) -> Option<Comparison> {
+/// Draws two conditions with the same success rate in every case. Returns p of their comparison.
+fn differ(log: &mut RunLog, rate: f64, decided: f64, random: &mut Random) -> Option<f64> {
     for records in log.episodes.chunk_by_mut(|a, b| a.case == b.case) {
         // What decides a case decides it on both sides.
         draw(records, rate, Design { decided, ..ONE }, random);
     }
-    compared(log)
+    paired(log).map(|found| found.p())
+}
+
+/// How a family of comparisons is drawn: external memories against four built-in ones, in two settings, so that comparisons
+/// share sides.
+#[derive(Clone, Copy)]
+struct Family {
+    /// External memories; there are 8 comparisons of each.
+    memories: usize,
+    /// The share of them that succeed in 30 points more, or less, of their cases; only the others can be found different where they
+    /// are not.
+    different: f64,
+    cases: usize,
+    repetitions: u32,
+    rate: f64,
+}
+
+/// Built-in memories, and settings.
+const BUILT_IN: usize = 4;
+const SETTINGS: usize = 2;
+
+impl Family {
+    /// Draws the success of each case: how often in its repetitions. Some cases are easier than others on all sides.
+    fn side(self, rate: f64, ease: &[f64], random: &mut Random) -> Vec<u32> {
+        let draw = |ease: &f64| {
+            let share = (rate + ease).clamp(0.0, 1.0);
+            (0..self.repetitions).map(|_| u32::from(random.is_below(share))).sum()
+        };
+        ease.iter().map(draw).collect()
+    }
+
+    /// Draws a family. Returns whether a comparison without a difference has p below 5 %, before and after the correction.
+    fn finds(self, tests: &[Vec<f64>], random: &mut Random) -> [bool; 2] {
+        let spread = 0.5 * self.rate.min(1.0 - self.rate);
+        let mut p = Vec::new();
+        let mut is_null = Vec::new();
+        for _ in 0..SETTINGS {
+            let ease: Vec<f64> =
+                (0..self.cases).map(|_| spread * (2.0 * random.share() - 1.0)).collect();
+            let built_in: Vec<Vec<u32>> =
+                (0..BUILT_IN).map(|_| self.side(self.rate, &ease, random)).collect();
+            for memory in 0..self.memories {
+                let differs = (memory as f64) < self.different * self.memories as f64;
+                let rate = if differs { (self.rate - 0.3).abs() } else { self.rate };
+                let own = self.side(rate, &ease, random);
+                for other in &built_in {
+                    let count = |is_more: fn(&u32, &u32) -> bool| {
+                        own.iter().zip(other).filter(|(own, other)| is_more(own, other)).count()
+                    };
+                    let (better, worse) = (count(|a, b| a > b), count(|a, b| a < b));
+                    p.push(tests[better + worse][better.min(worse)]);
+                    is_null.push(!differs);
+                }
+            }
+        }
+        let finds = |p: &[f64]| p.iter().zip(&is_null).any(|(p, is_null)| *is_null && *p < LEVEL);
+        [finds(&p), finds(&holm(&p))]
+    }
+}
+
+/// p of the sign test for each number of unequal cases and each smaller count among them.
+fn sign_tests(cases: usize) -> Vec<Vec<f64>> {
+    let of = |unequal: usize| {
+        // Pascal's rule, halved in each row: the probabilities of so many heads.
+        let mut heads = vec![1.0];
+        for _ in 0..unequal {
+            let shifted = [0.0].into_iter().chain(heads.iter().copied());
+            let same = heads.iter().copied().chain([0.0]);
+            heads = shifted.zip(same).map(|(fewer, same)| 0.5 * (fewer + same)).collect();
+        }
+        let mut tail = 0.0;
+        let two_sided = |probability: &f64| {
+            tail += probability;
+            (2.0 * tail).min(1.0)
+        };
+        heads.iter().map(two_sided).collect()
+    };
+    (0..=cases).map(of).collect()
+}
+
+/// How often families of comparisons find a difference where there is none.
+fn families(seed: u64, draws: u32) -> String {
+    let mut text = format!(
+        "Families of comparisons of external memories with {BUILT_IN} built-in ones in {SETTINGS} settings: percentage in which a \
+         difference is found where there is none, before and after the correction (Holm), and below which the latter is with a \
+         confidence of 95 %\n\n\
+         | comparisons | memories that differ | cases | repetitions | success | before | after | below |\n\
+         |---:|---:|---:|---:|---:|---:|---:|---:|\n"
+    );
+    let mut all = Vec::new();
+    for (memories, different) in [(1, 0.0), (5, 0.0), (5, 0.4), (20, 0.0)] {
+        for (cases, repetitions) in [(20, 1), (100, 1), (100, 3)] {
+            for rate in [0.1, 0.5] {
+                all.push(Family { memories, different, cases, repetitions, rate });
+            }
+        }
+    }
+    for (number, family) in (0_u64..).zip(all) {
+        let tests = sign_tests(family.cases);
+        let mut random = Random::new(seed ^ (number << 32));
+        let mut found = [0; 2];
+        for _ in 0..draws {
+            for (count, finds) in found.iter_mut().zip(family.finds(&tests, &mut random)) {
+                *count += u32::from(finds);
+            }
+        }
+        let percent = |count: u32| 100.0 * f64::from(count) / f64::from(draws);
+        let Family { memories, different, cases, repetitions, rate } = family;
+        let _ = writeln!(
+            text,
+            "| {} | {:.0} % | {cases} | {repetitions} | {:.0} % | {:.1} | {:.1} | {:.1} |",
+            memories * BUILT_IN * SETTINGS,
+            100.0 * different,
+            100.0 * rate,
+            percent(found[0]),
+            percent(found[1]),
+            100.0 * upper_limit(found[1], draws),
+        );
+    }
+    text
+}
+
+/// The one-sided upper limit of a share with a confidence of 95 % (C. J. Clopper and E. S. Pearson, Biometrika 26, 1934): the
+/// share with which at most `found` of `draws` are found in 5 % of such simulations.
+fn upper_limit(found: u32, draws: u32) -> f64 {
+    let at_most = |share: f64| {
+        let mut log_probability = f64::from(draws) * (1.0 - share).ln();
+        let mut sum = log_probability.exp();
+        for count in 1..=found {
+            let ways = f64::from(draws - count + 1) / f64::from(count);
+            log_probability += (ways * share / (1.0 - share)).ln();
+            sum += log_probability.exp();
+        }
+        sum
+    };
+    let (mut low, mut high) = (f64::from(found) / f64::from(draws), 1.0);
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if at_most(middle) > 0.05 { low = middle } else { high = middle }
+    }
+    high
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn corrected_families_find_differences_where_there_are_none_in_few_draws() {
+        let family = Family { memories: 5, different: 0.0, cases: 50, repetitions: 1, rate: 0.5 };
+        let tests = sign_tests(family.cases);
+        let mut random = Random::new(1);
+        let found: Vec<[bool; 2]> = (0..400).map(|_| family.finds(&tests, &mut random)).collect();
+        let count = |which: usize| found.iter().filter(|finds| finds[which]).count();
+        // At most 20 on average; more than 35 are as good as impossible. Uncorrected, they are more than 100.
+        assert!(count(0) > 100 && count(1) <= 35, "{} and {}", count(0), count(1));
+    }
+
+    #[test]
+    fn the_table_of_sign_tests_is_that_of_comparisons() {
+        let tests = sign_tests(10);
+        assert_eq!(
+            (tests[0][0], tests[6][0], tests[5][1], tests[10][2]),
+            (1.0, 0.03125, 0.375, 0.109_375)
+        );
+        // None of 59: 1 - 0.05^(1/59).
+        assert!((upper_limit(0, 59) - (1.0 - 0.05_f64.powf(1.0 / 59.0))).abs() < 1e-9);
+    }
 
     #[test]
     fn tables_have_a_row_for_each_size_and_are_the_same_each_time() {
@@ -454,9 +615,8 @@ mod tests {
         // 7 of 200 on average; more than 20 are as good as impossible. Means of 3 and of 1 repetitions would differ in 130.
         for repetitions in [[3, 3], [3, 1], [3, 5]] {
             let mut log = two(repetitions);
-            let found = (0..200).filter(|_| {
-                differ(&mut log, 0.1, 0.0, &mut random).is_some_and(|found| found.p < 0.05)
-            });
+            let found = (0..200)
+                .filter(|_| differ(&mut log, 0.1, 0.0, &mut random).is_some_and(|p| p < 0.05));
             assert!(found.count() <= 20, "{repetitions:?}");
         }
     }

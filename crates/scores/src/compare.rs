@@ -1,13 +1,17 @@
 //! Comparisons of conditions and runs by name.
 //!
-//! The statistics are [`compare()`](crate::compare())'s.
+//! The statistics are those of [`Pairing`] and [`conclude()`].
 
+use std::collections::BTreeSet;
+
+use conditions::Condition;
 use domain::names::UnknownName;
 use domain::shell_word;
+use serde::Serialize;
 
-use crate::comparison::{Comparison, compare};
+use crate::comparison::{Comparison, Pairing, Side, conclude};
 use crate::trial::Trials;
-use run_log::{Difference, LEARNED_FACTS, Manifest, RunLog};
+use run_log::{Difference, EpisodeRecord, LEARNED_FACTS, Manifest, RunLog};
 
 /// Why two configurations cannot be compared.
 #[derive(Debug, thiserror::Error)]
@@ -15,13 +19,36 @@ pub enum CompareError {
     /// No condition of the run has the name.
     #[error(transparent)]
     Unknown(#[from] UnknownName),
+    /// The runs have no condition in common.
+    #[error(
+        "{a} and {b} have no condition in common: {a} has {of_a}, {b} has {of_b}. `--compare A B` compares a condition A of \
+         {a} with a condition B of {b}"
+    )]
+    NoCommonCondition {
+        /// One run.
+        a: String,
+        /// The other.
+        b: String,
+        /// Its conditions.
+        of_a: String,
+        /// Those of the other.
+        of_b: String,
+    },
     /// There is nothing to compare.
-    #[error("{a} and {b} have no finished case in common")]
+    #[error(
+        "{a} and {b} have finished no case in the same repetition: {a} has {of_a}, {b} has {of_b}{hint}"
+    )]
     NoCommonCase {
         /// One side.
         a: String,
         /// The other.
         b: String,
+        /// Its cases and repetitions.
+        of_a: String,
+        /// Those of the other.
+        of_b: String,
+        /// What can be done, after a semicolon; empty for two conditions of one run.
+        hint: &'static str,
     },
     /// Episodes of streams are not independent of each other, so their cases are no pairs.
     #[error(
@@ -48,49 +75,160 @@ pub enum CompareError {
     },
 }
 
-/// Compares two conditions, each by its name in the log, of one run or of two.
+/// The number of names in a message; of more, the rest is a count.
+const NAMED: usize = 4;
+
+/// Names in a sentence: `a, b, c, d and 8 more`.
+pub fn in_short(names: &[String]) -> String {
+    match names.len().checked_sub(NAMED) {
+        None | Some(0) => names.join(", "),
+        Some(more) => format!("{} and {more} more", names[..NAMED].join(", ")),
+    }
+}
+
+/// Compares two conditions, each by its name in the log, of one run or of two. No other comparison is made with it.
 ///
 /// # Errors
-/// When a name is not a condition of its run, or the two have no case in common.
+/// As [`pair_conditions`].
 pub fn compare_conditions(
     a: (&RunLog, &str),
     b: (&RunLog, &str),
 ) -> Result<Comparison, CompareError> {
-    can_be_paired(a.0, b.0)?;
-    let (first, second) = (trials(a)?, trials(b)?);
-    let same_run = std::ptr::eq(a.0, b.0);
-    let name = |(log, name): (&RunLog, &str)| {
-        if same_run { name.to_owned() } else { format!("{}: {name}", log.name) }
-    };
-    let (a, b) = (name(a), name(b));
-    compare((&a, &first), (&b, &second)).ok_or(CompareError::NoCommonCase { a, b })
+    pair_conditions(a, b).map(Pairing::alone)
 }
 
-fn trials<'a>((log, name): (&'a RunLog, &str)) -> Result<Trials<'a>, UnknownName> {
-    let mut trials = Trials::by_condition(log);
-    let condition = trials.keys().find(|condition| condition.to_string() == name).copied();
-    condition.and_then(|condition| trials.remove(&condition)).ok_or_else(|| {
-        UnknownName::new("condition of the run", name, trials.keys().map(ToString::to_string))
+/// Pairs two conditions, each by its name in the log, of one run or of two.
+///
+/// # Errors
+/// When a name is not a condition of its run, or the two have no case in common.
+pub fn pair_conditions<'a>(
+    a: (&'a RunLog, &str),
+    b: (&'a RunLog, &str),
+) -> Result<Pairing<'a>, CompareError> {
+    can_be_paired(a.0, b.0)?;
+    let is_same_run = std::ptr::eq(a.0, b.0);
+    let side = |(log, name): (&'a RunLog, &str)| -> Result<Side<'a>, UnknownName> {
+        let conditions = finished_conditions(log);
+        let found = conditions.iter().find(|condition| condition.to_string() == name);
+        let condition = *found.ok_or_else(|| {
+            let known = conditions.iter().map(ToString::to_string);
+            UnknownName::new("condition of the run", name, known)
+        })?;
+        let name = if is_same_run { name.to_owned() } else { format!("{}: {name}", log.name) };
+        Ok(Side { name, log, condition })
+    };
+    let (a, b) = (side(a)?, side(b)?);
+    Pairing::of(a.clone(), b.clone()).ok_or_else(|| CompareError::NoCommonCase {
+        of_a: places(Trials::of(a.log, &a.condition, |_| true).iter()),
+        of_b: places(Trials::of(b.log, &b.condition, |_| true).iter()),
+        hint: if is_same_run { "" } else { OTHER_CASES },
+        a: a.name,
+        b: b.name,
     })
 }
 
-/// Compares every condition that both runs have, in the order of the first.
+/// What can be done about runs of different cases.
+const OTHER_CASES: &str = "; run one of them with the other's --cases, --limit and --runs";
+
+/// The conditions of which two runs have episodes, paired.
+#[derive(Debug)]
+pub struct PairedRuns<'a> {
+    /// Those with a pair, in the order of the first run: at least one.
+    pub pairings: Vec<Pairing<'a>>,
+    /// The others.
+    pub left_out: LeftOutConditions,
+}
+
+/// Conditions of two runs that are not compared, by name.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+pub struct LeftOutConditions {
+    /// The first run alone has a finished episode.
+    pub only_a: Vec<String>,
+    /// The second run alone has one.
+    pub only_b: Vec<String>,
+    /// Both have one, but none of the same case and repetition.
+    pub without_pair: Vec<String>,
+}
+
+impl LeftOutConditions {
+    /// A sentence for each kind, with the names of the runs; of many conditions the first are named.
+    pub fn sentences(&self, a: &str, b: &str) -> Vec<String> {
+        let told = |names: &[String], what: String| {
+            (!names.is_empty()).then(|| format!("Not compared, {what}: {}.", in_short(names)))
+        };
+        let found = [
+            told(&self.only_a, format!("only {a} has an episode of them")),
+            told(&self.only_b, format!("only {b} has an episode of them")),
+            told(&self.without_pair, "no case in the same repetition in both runs".to_owned()),
+        ];
+        found.into_iter().flatten().collect()
+    }
+}
+
+/// Pairs every condition that both runs have.
 ///
 /// # Errors
-/// When they have none in common.
-pub fn compare_runs(a: &RunLog, b: &RunLog) -> Result<Vec<Comparison>, CompareError> {
+/// When they have none in common, or no case of one.
+pub fn pair_runs<'a>(a: &'a RunLog, b: &'a RunLog) -> Result<PairedRuns<'a>, CompareError> {
     can_be_paired(a, b)?;
-    let (name_a, name_b) = (a.name.clone(), b.name.clone());
-    let (trials_a, trials_b) = (Trials::by_condition(a), Trials::by_condition(b));
-    let compared = trials_a.iter().filter_map(|(condition, first)| {
-        let names = [&name_a, &name_b].map(|run| format!("{run}: {condition}"));
-        compare((&names[0], first), (&names[1], trials_b.get(condition)?))
-    });
-    let compared: Vec<Comparison> = compared.collect();
-    if compared.is_empty() {
-        return Err(CompareError::NoCommonCase { a: name_a, b: name_b });
+    let (of_a, of_b) = (finished_conditions(a), finished_conditions(b));
+    let names = |conditions: &BTreeSet<Condition>| -> Vec<String> {
+        conditions.iter().map(ToString::to_string).collect()
+    };
+    let common = &of_a & &of_b;
+    if common.is_empty() {
+        return Err(CompareError::NoCommonCondition {
+            a: a.name.clone(),
+            b: b.name.clone(),
+            of_a: in_short(&names(&of_a)),
+            of_b: in_short(&names(&of_b)),
+        });
     }
-    Ok(compared)
+    let side = |log: &'a RunLog, condition: Condition| {
+        let name = format!("{}: {condition}", log.name);
+        Side { name, log, condition }
+    };
+    let (mut pairings, mut without_pair) = (Vec::new(), Vec::new());
+    for condition in &common {
+        match Pairing::of(side(a, *condition), side(b, *condition)) {
+            Some(pairing) => pairings.push(pairing),
+            None => without_pair.push(condition.to_string()),
+        }
+    }
+    if pairings.is_empty() {
+        return Err(CompareError::NoCommonCase {
+            a: a.name.clone(),
+            b: b.name.clone(),
+            of_a: places(a.episodes.iter()),
+            of_b: places(b.episodes.iter()),
+            hint: OTHER_CASES,
+        });
+    }
+    let (only_a, only_b) = (names(&(&of_a - &common)), names(&(&of_b - &common)));
+    Ok(PairedRuns { pairings, left_out: LeftOutConditions { only_a, only_b, without_pair } })
+}
+
+/// Compares every condition that both runs have, in the order of the first. All are made together.
+///
+/// # Errors
+/// As [`pair_runs`].
+pub fn compare_runs(a: &RunLog, b: &RunLog) -> Result<Vec<Comparison>, CompareError> {
+    pair_runs(a, b).map(|paired| conclude(paired.pairings))
+}
+
+/// The conditions of `log` that have a finished episode.
+fn finished_conditions(log: &RunLog) -> BTreeSet<Condition> {
+    log.episodes.iter().map(EpisodeRecord::condition).collect()
+}
+
+/// The cases and repetitions of episodes in words.
+fn places<'a>(records: impl Iterator<Item = &'a EpisodeRecord> + Clone) -> String {
+    let cases: BTreeSet<&str> = records.clone().map(|record| record.case.as_str()).collect();
+    let repetitions: BTreeSet<u32> = records.map(|record| record.run).collect();
+    let cases: Vec<String> = cases.into_iter().map(str::to_owned).collect();
+    let repetitions: Vec<String> = repetitions.iter().map(ToString::to_string).collect();
+    let repetition = if repetitions.len() == 1 { "repetition" } else { "repetitions" };
+    format!("{} in {repetition} {}", in_short(&cases), in_short(&repetitions))
 }
 
 /// The settings, contents and versions in which two runs differ beside their policies and their lists of episodes.

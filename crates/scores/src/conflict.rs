@@ -6,7 +6,7 @@ use super::Planned;
 use super::condition::{ConditionScore, relate, score_condition};
 use super::trial::Trials;
 use conditions::{Condition, Demonstrations};
-use run_log::{EpisodeTimings, RunLog};
+use run_log::{EpisodeRecord, EpisodeTimings, RunLog};
 
 /// The demonstrations that are compared.
 pub const HISTORIES: [Demonstrations; 4] = [
@@ -16,8 +16,15 @@ pub const HISTORIES: [Demonstrations; 4] = [
     Demonstrations::AFTER_BEFORE,
 ];
 
+/// The cases whose original demonstration the closed passage invalidates, as far as a finished episode tells of them.
+pub(super) fn invalidated(log: &RunLog) -> BTreeSet<&str> {
+    let is_invalidated =
+        |record: &&EpisodeRecord| record.blocked.is_some_and(|blocked| blocked.invalidated);
+    log.episodes.iter().filter(is_invalidated).map(|record| record.case.as_str()).collect()
+}
+
 /// The scores of the conditions with [`HISTORIES`], and of working memory, over the cases whose original demonstration the
-/// closed passage invalidates, as far as a finished episode tells of them. Empty unless there is a demonstration from after the event.
+/// closed passage invalidates. Empty unless there is a demonstration from after the event.
 pub(super) fn conflicts(
     log: &RunLog,
     trials: &BTreeMap<Condition, Trials<'_>>,
@@ -27,11 +34,7 @@ pub(super) fn conflicts(
     if !trials.keys().any(|condition| condition.demonstrations.take_place_after()) {
         return Vec::new();
     }
-    let is_invalidated = |record: &&run_log::EpisodeRecord| {
-        record.blocked.is_some_and(|blocked| blocked.invalidated)
-    };
-    let invalidated: BTreeSet<&str> =
-        log.episodes.iter().filter(is_invalidated).map(|record| record.case.as_str()).collect();
+    let invalidated = invalidated(log);
     let is_compared = |condition: &Condition| {
         let set = condition.demonstrations;
         HISTORIES.contains(&set) || set == Demonstrations::NONE

@@ -17,10 +17,9 @@ use run_log::RunLog;
 use serde::Serialize;
 
 use super::compare::{CompareError, can_be_paired};
-use super::comparison::{Comparison, compare};
+use super::comparison::{Pairing, Side};
 use super::condition::ConditionScore;
 use super::interval::Interval;
-use super::trial::Trials;
 use super::{Derived, Scores, Spread};
 
 named! {
@@ -357,7 +356,6 @@ pub fn no_worse_than(
     if required.is_empty() {
         return Err(GateError::NoCondition { run: base.dir.display().to_string() });
     }
-    let (trials, base_trials) = (Trials::by_condition(log), Trials::by_condition(base));
     let known = conditions(log, scores);
     let measured = |condition: &Condition| {
         if !known.contains(condition) {
@@ -371,13 +369,14 @@ pub fn no_worse_than(
             };
             problem.map(|problem| format!("{problem} in {}", log.name))
         });
-        let pair = trials.get(condition).zip(base_trials.get(condition));
-        let compared = pair.and_then(|(own, other)| compare(("", own), ("", other)));
-        match compared {
+        let side = |log| Side { name: String::new(), log, condition: *condition };
+        match Pairing::of(side(log), side(base)) {
             None => Measured::not(
                 problem.unwrap_or_else(|| "no case and repetition in common".to_owned()),
             ),
-            Some(Comparison { cases, sr, .. }) => {
+            Some(pairing) => {
+                let [sr, _] = pairing.differences();
+                let cases = pairing.cases();
                 Measured { value: Some(sr.mean), interval: sr.interval, cases, problem }
             }
         }

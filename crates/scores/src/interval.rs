@@ -119,18 +119,28 @@ impl Units {
         Some(Interval::around(middle, half, figure, range))
     }
 
-    /// The interval of the mean without added units, for units that are themselves means over many episodes, so that no unit
-    /// comes near the ends of `range`. `None` for fewer than two units, and where all have the same value.
-    pub(super) fn interval_of_means(&self, range: Interval) -> Option<Interval> {
+    /// The mean and its standard error without added units. `None` for fewer than two units, and where all have the same value.
+    fn standard_error(&self) -> Option<(f64, f64)> {
         let (figure, n) = (self.figure()?, self.effective);
         let first = *self.values.first()?;
         // Values that are the same on paper differ by rounding, figures of different episodes by far more than this.
         let differs = |value: &f64| (value - first).abs() > 1e-9;
-        if !self.values.iter().any(differs) {
-            return None;
-        }
         let squares = self.squares(figure, self, figure, n);
-        let half = student::quantile(n - 1.0) * (squares / (n * (n - 1.0))).sqrt();
+        self.values.iter().any(differs).then(|| (figure, (squares / (n * (n - 1.0))).sqrt()))
+    }
+
+    /// Two-sided p of Student's t test of a mean of 0, without added units: below 5 % where [`Self::interval_of_means`] without
+    /// a range does not hold 0. `None` where there is no such interval.
+    pub(super) fn p_of_means(&self) -> Option<f64> {
+        let (figure, error) = self.standard_error()?;
+        Some(student::two_sided(figure / error, self.effective - 1.0))
+    }
+
+    /// The interval of the mean without added units, for units that are themselves means over many episodes, so that no unit
+    /// comes near the ends of `range`. `None` for fewer than two units, and where all have the same value.
+    pub(super) fn interval_of_means(&self, range: Interval) -> Option<Interval> {
+        let (figure, error) = self.standard_error()?;
+        let half = student::quantile(self.effective - 1.0) * error;
         Some(Interval::around(figure, half, figure, range))
     }
 
@@ -237,6 +247,10 @@ mod tests {
         let alike = |values: &[f64]| Units::alike(values.to_vec()).interval_of_means(Interval::ANY);
         assert_eq!(alike(&[100.0, 100.0 * (1.0 - f64::EPSILON)]), None);
         assert_eq!((alike(&[0.0, 0.0]), alike(&[5.0])), (None, None));
+        // `scipy.stats.ttest_1samp([8.0, -1.0, 5.0, 6.0], 0.0).pvalue`
+        let p = Units::alike(vec![8.0, -1.0, 5.0, 6.0]).p_of_means().unwrap();
+        assert!((p - 0.10272807885839899).abs() < 1e-12, "{p}");
+        assert_eq!(Units::alike(vec![3.0, 3.0]).p_of_means(), None);
     }
 
     #[test]

@@ -19,7 +19,9 @@
 //! | kinds of failure, the cases that fail most | `failure.rs`, `worst.rs` |
 //! | time of a step by stage, steps per second | `time.rs` |
 //! | 95 % intervals | `interval.rs`, `student.rs` |
-//! | two configurations on the same cases | `comparison.rs`, by name `compare.rs` |
+//! | two configurations on the same cases | `comparison.rs`, by name `compare.rs`, what is left out `unpaired.rs` |
+//! | comparisons that conditions ask for | `asked.rs` |
+//! | what a comparison shows, and could have shown | `conclusion.rs`, `sign_test.rs`, `holm.rs` |
 //! | what a run is required to show | `gate.rs` |
 //! | banks of different sizes | `growth.rs` |
 //! | demonstrations from before and after an event | `conflict.rs` |
@@ -28,9 +30,11 @@
 //! Episodes of streams enter the figures of their streams, and those of requests, memories and time. All other figures
 //! are of the other episodes.
 
+mod asked;
 mod blocked;
 pub mod compare;
 mod comparison;
+mod conclusion;
 mod condition;
 mod conflict;
 mod cost;
@@ -38,36 +42,44 @@ mod documents;
 mod failure;
 pub mod gate;
 mod growth;
+mod holm;
 mod interval;
 mod mean;
 mod memory;
 mod requests;
+mod sign_test;
 mod spread;
 mod streams;
 mod student;
 mod success;
 mod time;
 mod trial;
+mod unpaired;
 mod worst;
 
+pub use asked::{AskedComparison, AskedComparisons, Question};
 pub use blocked::{BlockedScore, Derived};
-pub use comparison::{Comparison, FigureDifference, compare};
+pub use comparison::{Comparison, FigureDifference, Pairing, Side, conclude};
+pub use conclusion::{ChangedVerdict, ComparisonVerdict, Conclusion, LeftOut, Robustness};
 pub use condition::{Bounds, ConditionScore};
 pub use conflict::HISTORIES;
 pub use documents::DocumentScore;
 pub use failure::{Failures, failure_of};
 pub use growth::GrowthScore;
+pub use holm::holm;
 pub use interval::Interval;
 pub use memory::MemoryScore;
 pub use requests::RequestScore;
+pub use sign_test::{LEVEL, MOST_CASES, POWER};
 pub use spread::Spread;
 pub use streams::{
     Estimate, Necessity, NecessitySuccess, OrderScore, RoundScore, StreamCost, StreamDifference,
-    StreamScore, StreamScores,
+    StreamScore, StreamScores, TestedDifference,
 };
 pub use success::GroupScore;
 pub use time::StageTimes;
-pub use trial::{Trials, path_weight};
+pub use trial::path_weight;
+pub use unpaired::{Absence, ComparedSide, Unpaired};
 pub use worst::{CaseScore, worst_cases};
 
 use std::collections::BTreeMap;
@@ -77,6 +89,7 @@ use serde::Serialize;
 use conditions::Condition;
 use run_log::policy::PolicyLabel;
 use run_log::{Manifest, RunLog};
+use trial::Trials;
 
 /// The scores of a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -103,6 +116,9 @@ pub struct Scores {
     /// demonstration that invalidates; absent when there is no demonstration from after it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub conflicts: Vec<ConditionScore>,
+    /// The comparisons that the run's conditions ask for, by the question that they answer; absent when there are none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub comparisons: Vec<AskedComparisons>,
     /// The conditions with banks, by memory and size; absent without banks.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub growth: Vec<GrowthScore>,
@@ -140,6 +156,7 @@ pub fn score(log: &RunLog) -> Scores {
         policy: log.manifest.policy_label(),
         growth: growth::growth(log, &trials, &planned, &timings),
         conflicts: conflict::conflicts(log, &trials, &planned, &timings),
+        comparisons: asked::comparisons(log, &trials),
         conditions,
         planned: log.manifest.episodes as usize,
         finished: log.episodes.len(),

@@ -25,7 +25,7 @@ mod sequence;
 mod tests;
 
 pub use cost::StreamCost;
-pub use estimate::Estimate;
+pub use estimate::{Estimate, TestedDifference};
 pub use necessity::{Necessity, NecessitySuccess};
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -33,11 +33,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use domain::{Arm, FeedbackLevel, Representation, StreamOrder};
 use serde::Serialize;
 
-use super::comparison::FigureDifference;
 use super::interval::Interval;
 use super::mean::mean;
 use conditions::{Condition, Demonstrations};
-use estimate::{by_stream, difference};
+use estimate::{by_stream, correct, difference};
 use matrix::ResultMatrix;
 use online::part;
 use run_log::{EpisodeTimings, RunLog};
@@ -58,6 +57,8 @@ pub struct StreamScores {
     pub conditions: Vec<StreamScore>,
     /// Pairs of conditions on the same sequences.
     pub differences: Vec<StreamDifference>,
+    /// Differences that have a p: so many tests are corrected for.
+    pub tested_differences: usize,
     /// Which cases need memory, for each memory that was run with an oracle.
     pub necessity: Vec<Necessity>,
 }
@@ -148,11 +149,11 @@ pub struct StreamDifference {
     /// Streams that both have.
     pub streams: usize,
     /// Success of learning episodes before events.
-    pub before: Option<FigureDifference>,
+    pub before: Option<TestedDifference>,
     /// Success of learning episodes after events.
-    pub after: Option<FigureDifference>,
+    pub after: Option<TestedDifference>,
     /// Average success, ACC.
-    pub average: Option<FigureDifference>,
+    pub average: Option<TestedDifference>,
 }
 
 /// The condition without memory that `condition` is compared with; None if there is none.
@@ -182,15 +183,23 @@ pub(super) fn score(
         .iter()
         .filter(|(_, sequences)| !sequences.complete.is_empty())
         .map(|(condition, _)| score_condition(*condition, &by_condition, timings));
-    let differences =
-        pairs(&by_condition).into_iter().filter_map(|(a, b)| compare(&by_condition, a, b));
+    let mut differences: Vec<StreamDifference> = pairs(&by_condition)
+        .into_iter()
+        .filter_map(|(a, b)| compare(&by_condition, a, b))
+        .collect();
+    let tested = differences
+        .iter_mut()
+        .flat_map(|found| [&mut found.before, &mut found.after, &mut found.average])
+        .flatten();
+    let tested_differences = correct(tested);
     Some(StreamScores {
         streams: streams.len(),
         sequences: complete.len(),
         planned: planned(log),
         feedback: feedback.into_iter().collect(),
         conditions: conditions.collect(),
-        differences: differences.collect(),
+        differences,
+        tested_differences,
         necessity: necessity::necessity(&by_condition),
     })
 }

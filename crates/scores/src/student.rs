@@ -1,4 +1,4 @@
-//! Quantiles of Student's t distribution.
+//! Student's t distribution: its 97.5th percentile, and the probability of values further from 0.
 
 /// The 97.5th percentile of the standard normal distribution.
 const NORMAL: f64 = 1.959_963_984_540_054;
@@ -23,6 +23,17 @@ pub(super) fn quantile(freedom: f64) -> f64 {
     t
 }
 
+/// Returns the probability of a value further from 0 than `t`, on either side, with `freedom` degrees of freedom.
+pub(super) fn two_sided(t: f64, freedom: f64) -> f64 {
+    let (t, scale) = (t.abs(), density_scale(freedom));
+    if t >= NORMAL {
+        return outside(t, freedom, scale);
+    }
+    // The same function of the rest, where its fraction converges faster.
+    let x = t * t / (freedom + t * t);
+    1.0 - incomplete_beta(0.5, 0.5 * freedom, x, scale * freedom.sqrt())
+}
+
 /// The density at 0: `Gamma((v + 1) / 2) / (Gamma(v / 2) sqrt(pi v))`.
 ///
 /// The quotient of gamma functions by its asymptotic expansion (F. G. Tricomi and A. Erdelyi, "The asymptotic expansion of a
@@ -43,13 +54,18 @@ fn density_scale(freedom: f64) -> f64 {
 }
 
 /// The probability of a value further from 0 than `t`: the regularized incomplete beta function at `v / (v + t^2)` with
-/// parameters `v / 2` and 1/2.
+/// parameters `v / 2` and 1/2. For `t` from the normal quantile on its fraction converges within some dozens of terms.
+fn outside(t: f64, freedom: f64, density_scale: f64) -> f64 {
+    // 1 / B(v / 2, 1/2) is the density's scale times the root of v.
+    let x = freedom / (freedom + t * t);
+    incomplete_beta(0.5 * freedom, 0.5, x, density_scale * freedom.sqrt())
+}
+
+/// The regularized incomplete beta function at `x` with parameters `a` and `b`, of which `scale` is `1 / B(a, b)`.
 ///
 /// By its continued fraction (M. Abramowitz and I. A. Stegun, "Handbook of Mathematical Functions", 1964, 26.5.8), evaluated
-/// with W. J. Lentz's method. For `t` from the normal quantile on it converges within some dozens of terms.
-fn outside(t: f64, freedom: f64, density_scale: f64) -> f64 {
-    let (a, b) = (0.5 * freedom, 0.5);
-    let x = freedom / (freedom + t * t);
+/// with W. J. Lentz's method.
+fn incomplete_beta(a: f64, b: f64, x: f64, scale: f64) -> f64 {
     let mut numerator = 1.0;
     let mut denominator = 1.0 / (1.0 - (a + b) * x / (a + 1.0));
     let mut fraction = denominator;
@@ -68,9 +84,8 @@ fn outside(t: f64, freedom: f64, density_scale: f64) -> f64 {
             break;
         }
     }
-    // x^a (1 - x)^b / (a B(a, b)), where 1 / B(a, 1/2) is the density's scale times the root of v.
-    let beta = density_scale * freedom.sqrt();
-    x.powf(a) * (1.0 - x).sqrt() * beta / a * fraction
+    // x^a (1 - x)^b / (a B(a, b))
+    x.powf(a) * (1.0 - x).powf(b) * scale / a * fraction
 }
 
 #[cfg(test)]
@@ -85,6 +100,31 @@ mod tests {
             assert!((found / expected - 1.0).abs() < 1e-12, "{freedom}: {found}, not {expected}");
         }
     }
+
+    /// Values of `2 * scipy.stats.t.sf(t, df)`.
+    #[test]
+    fn probabilities_are_those_of_scipy() {
+        for (t, freedom, expected) in TAILS {
+            let found = two_sided(-t, freedom);
+            assert!((found - expected).abs() < 1e-12, "{t}, {freedom}: {found}, not {expected}");
+        }
+        assert_eq!(two_sided(0.0, 4.0), 1.0);
+    }
+
+    const TAILS: [(f64, f64, f64); 12] = [
+        (0.1, 1.0, 0.936548965138893),
+        (1.0, 1.0, 0.5000000000000001),
+        (1.9, 1.0, 0.30842822890066696),
+        (12.7, 1.0, 0.050024327689344165),
+        (0.5, 2.0, 0.6666666666666667),
+        (1.5, 2.0, 0.2723931248910011),
+        (1.95, 3.0, 0.1462737773972678),
+        (1.96, 3.0, 0.14485220856485365),
+        (0.7, 9.0, 0.501619039216145),
+        (2.5, 9.0, 0.033861827682985735),
+        (1.9, 250.0, 0.05858375448348646),
+        (4.0, 250.0, 8.34702014587015e-05),
+    ];
 
     const SCIPY: [(f64, f64); 14] = [
         (1.0, 12.706204736174694),

@@ -317,12 +317,11 @@ fn time_is_a_mean_over_steps() {
 /// The comparison of episodic memory with working memory.
 fn compared(records: Vec<EpisodeRecord>) -> Option<Comparison> {
     let log = log(records);
-    let trials = Trials::by_condition(&log);
     let of = |memory: Representation| {
-        let condition = trials.keys().find(|condition| condition.memory == memory);
-        condition.map(|condition| &trials[condition])
+        let own = log.episodes.iter().find(|record| record.memory == memory)?;
+        Some(Side { name: memory.to_string(), log: &log, condition: own.condition() })
     };
-    compare(("A", of(Representation::Episodic)?), ("B", of(Representation::Working)?))
+    Pairing::of(of(Representation::Episodic)?, of(Representation::Working)?).map(Pairing::alone)
 }
 
 #[test]
@@ -416,4 +415,166 @@ fn cases_weigh_the_same_in_a_comparison_however_many_pairs_they_have() {
         let Interval { low, high } = figure.interval.unwrap();
         assert!(low * scale > 75.0 && low * scale < 97.5 && high * scale > 97.0, "{figure:?}");
     }
+}
+
+/// 20 cases, ten of task 1 and ten of task 9, in two repetitions: better in `better` cases of task 1, equal in the others.
+fn robust_pair(better: usize) -> Vec<EpisodeRecord> {
+    let mut records = repeated(Representation::Episodic, 20, 2, |case, _| case < better);
+    records.extend(repeated(Representation::Working, 20, 2, |_, _| false));
+    for record in &mut records {
+        record.task = if record.case.as_str() < "c10" { 1 } else { 9 };
+    }
+    records
+}
+
+#[test]
+fn a_conclusion_says_what_it_rests_on() {
+    // 6 cases better: p = 2 / 2^6 = 0.03. With one of them less, 2 / 2^5 = 0.06.
+    let found = compared(robust_pair(6)).unwrap().conclusion;
+    assert_eq!(found.verdict, ComparisonVerdict::Better);
+    near(found.corrected_p, 0.03125);
+    let Robustness { groups, tasks, repetitions, cases } = &found.robustness;
+    let changed = |left_out: &LeftOut| {
+        left_out.changes.iter().map(|one| one.without.clone()).collect::<Vec<_>>()
+    };
+    assert_eq!((groups.parts, changed(groups)), (2, vec!["basic".to_owned()]));
+    assert_eq!((tasks.parts, changed(tasks)), (2, vec!["1".to_owned()]));
+    assert_eq!((repetitions.parts, changed(repetitions)), (2, vec![]));
+    assert_eq!((cases.parts, changed(cases).len()), (20, 6));
+    insta::assert_snapshot!(found.robustness.in_words(), @"except without basic, task 1, any of 6 of 20 cases");
+    insta::assert_snapshot!(found.sentence, @"Better: +30.0 points, p = 0.031.");
+
+    // 7 better: one case less is enough still.
+    let found = compared(robust_pair(7)).unwrap().conclusion;
+    insta::assert_snapshot!(found.robustness.in_words(), @"except without basic, task 1");
+}
+
+#[test]
+fn where_no_difference_is_shown_the_conclusion_says_what_could_have_been() {
+    let conclusion = |better, worse, cases| {
+        let mut records = repeated(Representation::Episodic, cases, 1, |case, _| case < better);
+        let is_worse = |case: usize| (better..better + worse).contains(&case);
+        records.extend(repeated(Representation::Working, cases, 1, |case, _| is_worse(case)));
+        compared(records).unwrap().conclusion
+    };
+    let conclusions =
+        [(12, 6, 100), (3, 3, 100), (51, 50, 300), (2, 0, 5), (0, 0, 6), (0, 9, 9), (1, 0, 1)];
+    let shown = conclusions.map(|(better, worse, cases)| {
+        let Conclusion { sentence, robustness, .. } = conclusion(better, worse, cases);
+        format!("{sentence}\n    {}", robustness.in_words())
+    });
+    insta::assert_snapshot!(shown.join("\n"), @"
+    No difference shown: +6.0 points, p = 0.238. With a probability of 80 %, 12.1 points would be shown; this difference would take about 315 more cases.
+        without any one case
+    No difference shown: 0.0 points, p = 1.000. With a probability of 80 %, 7.8 points would be shown; as many cases are better as worse.
+        without any one case
+    No difference shown: +0.3 points, p = 1.000. With a probability of 80 %, 9.6 points would be shown; this difference would take more than 10000 cases.
+        without any one case
+    No difference shown: +40.0 points, p = 0.500. Fewer than 6 cases can show no difference; this difference would take about 14 more cases.
+        without any one case
+    No difference shown: 0.0 points, p = 1.000. With a probability of 80 %, 96.3 points would be shown; as many cases are better as worse.
+        without any one case
+    Worse: −100.0 points, p = 0.004.
+        without any one case
+    No difference shown: +100.0 points, p = 1.000. Fewer than 6 cases can show no difference; this difference would take about 5 more cases.
+        as there is one case only
+    ");
+}
+
+#[test]
+fn p_decides_where_it_and_the_interval_disagree() {
+    // Of 100 cases 11 are better and 3 worse: 2 (1 + 14 + 91 + 364) / 2^14.
+    let mut records = repeated(Representation::Episodic, 100, 1, |case, _| case < 11);
+    let is_worse = |case: usize| (11..14).contains(&case);
+    records.extend(repeated(Representation::Working, 100, 1, |case, _| is_worse(case)));
+    let found = compared(records).unwrap();
+    near(found.p, 940.0 / 16_384.0);
+    let Interval { low, high } = found.sr.interval.unwrap();
+    assert_eq!([low, high].map(|end| format!("{end:.1}")), ["0.2", "15.5"]);
+    assert_eq!(found.conclusion.verdict, ComparisonVerdict::NoDifferenceShown);
+}
+
+/// The conditions of the first and of the 21st episode, paired.
+fn first_and_21st(log: &RunLog) -> Pairing<'_> {
+    let side = |index: usize| {
+        let condition = log.episodes[index].condition();
+        Side { name: condition.to_string(), log, condition }
+    };
+    Pairing::of(side(0), side(20)).unwrap()
+}
+
+#[test]
+fn a_family_is_corrected_together() {
+    // p of 2 / 2^6 and of 2 / 2^10, of two and of one comparison.
+    let cases = |better: usize| {
+        let mut records = repeated(Representation::Episodic, 20, 1, |case, _| case < better);
+        records.extend(repeated(Representation::Working, 20, 1, |_, _| false));
+        log(records)
+    };
+    let logs = [cases(6), cases(10)];
+    let both = conclude(logs.iter().map(first_and_21st).collect());
+    // The second is shown at 2 p, so the first is not multiplied.
+    for (found, p, corrected, factor) in
+        [(&both[0], 1.0 / 32.0, 1.0 / 32.0, 1), (&both[1], 1.0 / 512.0, 1.0 / 256.0, 2)]
+    {
+        near(found.p, p);
+        near(found.conclusion.corrected_p, corrected);
+        assert_eq!((found.conclusion.factor, found.conclusion.family), (factor, 2));
+    }
+}
+
+#[test]
+fn what_is_not_paired_is_listed_with_the_reason() {
+    let mut a = log(repeated(Representation::Episodic, 3, 2, |_, _| true));
+    let mut b = log(repeated(Representation::Episodic, 2, 1, |_, _| false));
+    // The second run has three cases in one repetition: c02 was given up. The first has a fourth that is not finished.
+    for (log, runs, planned) in [(&mut a, 2, 8), (&mut b, 1, 3)] {
+        let group = &mut log.manifest.settings.groups[0];
+        group.memory = vec![Representation::Episodic.into()];
+        (group.starts, group.runs) = (vec![log.episodes[0].start], runs);
+        (group.routes, group.demos) = (vec![log.episodes[0].route], vec![Demonstrations::ORIGINAL]);
+        log.manifest.episodes = planned;
+    }
+    let condition = a.episodes[0].condition();
+    let error = |case: &str, run| {
+        let key = format!("{condition}/run{run}/{case}");
+        EpisodeError { key, session: 1, error: "overdue".into() }
+    };
+    b.errors = vec![error("c02", 1)];
+    b.episodes.push(episode(Representation::Episodic, "c03", 1, true, None));
+    b.manifest.episodes = 5;
+    let [found] = &compare::compare_runs(&a, &b).unwrap()[..] else { panic!("one condition") };
+    assert_eq!((found.episodes_a, found.episodes_b, found.pairs), (6, 3, 2));
+    let shown: Vec<_> = found
+        .unpaired
+        .iter()
+        .map(|one| (one.finished_in, one.case.as_str(), one.repetition, one.absence))
+        .collect();
+    assert_eq!(
+        shown,
+        [
+            (ComparedSide::A, "c00", 2, Absence::NotRun),
+            (ComparedSide::A, "c01", 2, Absence::NotRun),
+            (ComparedSide::A, "c02", 1, Absence::GivenUp),
+            (ComparedSide::A, "c02", 2, Absence::NotRun),
+            (ComparedSide::B, "c03", 1, Absence::NotFinished),
+        ]
+    );
+    insta::assert_snapshot!(found.unpaired_in_words(["A", "B"]), @"1 of A, given up in B (c02/run1); 3 of A, not run in B (c00/run2, c01/run2, c02/run2); 1 of B, not finished in A (c03/run1)");
+}
+
+#[test]
+fn runs_without_a_common_condition_or_case_are_refused_with_what_each_has() {
+    let of = |name: &str, memory, case: &str| {
+        let log = log(vec![episode(memory, case, 1, true, None)]);
+        RunLog { name: name.to_owned(), ..log }
+    };
+    let episodic = of("a", Representation::Episodic, "c01");
+    let refused = |other: &RunLog| compare::compare_runs(&episodic, other).unwrap_err().to_string();
+    insta::assert_snapshot!(refused(&of("b", Representation::Working, "c01")), @"a and b have no condition in common: a has episodic/new/unchanged/original, b has working/new/unchanged/none. `--compare A B` compares a condition A of a with a condition B of b");
+    insta::assert_snapshot!(refused(&of("b", Representation::Episodic, "c02")), @"a and b have finished no case in the same repetition: a has c01 in repetition 1, b has c02 in repetition 1; run one of them with the other's --cases, --limit and --runs");
+    let mut both = of("b", Representation::Working, "c01");
+    both.episodes.extend(of("b", Representation::Episodic, "c01").episodes);
+    let paired = compare::pair_runs(&episodic, &both).unwrap();
+    insta::assert_snapshot!(paired.left_out.sentences("a", "b").join("\n"), @"Not compared, only b has an episode of them: working/new/unchanged/none.");
 }

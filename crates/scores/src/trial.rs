@@ -10,13 +10,13 @@ use run_log::{EpisodeRecord, RunLog};
 
 /// All finished episodes of one condition outside of streams, ordered by case and run.
 #[derive(Debug, Clone, Default)]
-pub struct Trials<'a> {
+pub(super) struct Trials<'a> {
     list: Vec<&'a EpisodeRecord>,
 }
 
 impl<'a> Trials<'a> {
     /// The episodes of each condition that has one in `log`.
-    pub fn by_condition(log: &'a RunLog) -> BTreeMap<Condition, Self> {
+    pub(super) fn by_condition(log: &'a RunLog) -> BTreeMap<Condition, Self> {
         let mut trials: BTreeMap<Condition, Self> = BTreeMap::new();
         for record in log.episodes.iter().filter(|record| record.stream.is_none()) {
             trials.entry(record.condition()).or_default().list.push(record);
@@ -27,24 +27,38 @@ impl<'a> Trials<'a> {
         trials
     }
 
+    /// The episodes of `condition` in `log`, of the cases that are selected.
+    pub(super) fn of(
+        log: &'a RunLog,
+        condition: &Condition,
+        is_selected: impl Fn(&str) -> bool,
+    ) -> Self {
+        let is_own = |record: &&EpisodeRecord| {
+            record.stream.is_none() && record.condition() == *condition && is_selected(&record.case)
+        };
+        let mut list: Vec<&EpisodeRecord> = log.episodes.iter().filter(is_own).collect();
+        list.sort_by_key(|record| (&record.case, record.run));
+        Self { list }
+    }
+
     /// The episodes of these cases.
-    pub fn of_cases(&self, cases: &BTreeSet<&str>) -> Self {
+    pub(super) fn of_cases(&self, cases: &BTreeSet<&str>) -> Self {
         let is_of = |record: &&EpisodeRecord| cases.contains(record.case.as_str());
         Self { list: self.iter().filter(is_of).collect() }
     }
 
     /// All episodes, by case and run.
-    pub fn iter(&self) -> impl Iterator<Item = &'a EpisodeRecord> + Clone {
+    pub(super) fn iter(&self) -> impl Iterator<Item = &'a EpisodeRecord> + Clone {
         self.list.iter().copied()
     }
 
     /// The number of episodes.
-    pub fn count(&self) -> usize {
+    pub(super) fn count(&self) -> usize {
         self.list.len()
     }
 
     /// The episodes of each run.
-    pub fn runs(&self) -> BTreeMap<u32, Vec<&'a EpisodeRecord>> {
+    pub(super) fn runs(&self) -> BTreeMap<u32, Vec<&'a EpisodeRecord>> {
         let mut runs: BTreeMap<u32, Vec<&EpisodeRecord>> = BTreeMap::new();
         for record in &self.list {
             runs.entry(record.run).or_default().push(record);
@@ -53,7 +67,7 @@ impl<'a> Trials<'a> {
     }
 
     /// The repetitions of each case.
-    pub fn cases(&self) -> BTreeMap<&'a str, Vec<&'a EpisodeRecord>> {
+    pub(super) fn cases(&self) -> BTreeMap<&'a str, Vec<&'a EpisodeRecord>> {
         let mut cases: BTreeMap<&str, Vec<&EpisodeRecord>> = BTreeMap::new();
         for record in &self.list {
             cases.entry(&record.case).or_default().push(record);
@@ -62,7 +76,10 @@ impl<'a> Trials<'a> {
     }
 
     /// A figure computed for each run by itself, over the runs in which it is defined; `None` when it is in none.
-    pub fn over_runs(&self, figure: impl Fn(&[&EpisodeRecord]) -> Option<f64>) -> Option<Spread> {
+    pub(super) fn over_runs(
+        &self,
+        figure: impl Fn(&[&EpisodeRecord]) -> Option<f64>,
+    ) -> Option<Spread> {
         let values: Vec<f64> = self.runs().values().filter_map(|records| figure(records)).collect();
         Spread::of(&values)
     }

@@ -4,13 +4,24 @@ use std::collections::BTreeSet;
 
 use conditions::{Condition, Demonstrations, Route, Start, Variation};
 use domain::{Arm, MemoryKind};
-use scores::{ConditionScore, HISTORIES};
+use scores::{ConditionScore, HISTORIES, Question};
 
 use super::blocked::NONE_TRIED;
+use super::comparisons::asked_blocks;
 use super::missing::NOTHING_RETRIEVED;
 use super::mixed::NO_RETRIEVAL;
-use crate::document::{Missing, RowGroup, Table, TableCell, TableColumn, TableRow};
+use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::view::{ScoredRun, sure, sure_or};
+
+/// The figures, and the comparisons that the sets of demonstrations are run for.
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
+    let caption = "Pairs of sets of demonstrations on the same cases, those whose original demonstration the blocked way invalidates: \
+                   first minus second, on each route. What a demonstration from after the event is worth against one from before it, \
+                   what the outdated one costs beside the newer, and whether their order matters.";
+    let mut blocks = ReportBlock::tables([conflict_table(view)]);
+    blocks.extend(asked_blocks(view, Question::Conflict, "conflict-pairs", caption));
+    blocks
+}
 
 /// Success on both routes and use of outdated demonstrations from the new start, the only one with blocked routes, by memory,
 /// variation and demonstrations; `None` where there is no demonstration from after the event.

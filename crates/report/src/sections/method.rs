@@ -57,7 +57,11 @@ pub(crate) fn method() -> ReportSection {
                      that are all alike, and a retention that may be arbitrarily large because little or nothing succeeds on the \
                      unchanged route. The specification, section 7, has the formulas.";
     let pairs = "Comparisons pair the episodes of the same case and repetition; others do not enter. Better and worse count cases with \
-                 more successes under the first, or the second; p is the exact two-sided sign test on these counts.";
+                 more successes under the first, or the second; p is the exact two-sided sign test on these counts. A section's \
+                 comparisons are corrected together (Holm 1979), and the corrected p decides: it says better or worse below 5 %, and \
+                 else that no difference is shown, which is not to say that there is none. The interval is of the size of the \
+                 difference, the test of whether one of them succeeds in more cases, and the interval is not corrected; so it may \
+                 exclude 0 where no difference is shown.";
     let missing = "Figures are over finished episodes. An episode that was given up because of a fault is not scored. \
                    Where episodes are missing the report says so, with the success rate and SPL if all of them failed \
                    and if all succeeded.";

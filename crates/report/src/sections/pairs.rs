@@ -1,13 +1,14 @@
 //! The comparisons that the paper's questions ask for, paired by case and repetition.
 
 use conditions::Condition;
-use domain::{ExternalName, MemoryKind, Representation};
-use scores::compare::compare_conditions;
-use scores::{Comparison, FigureDifference};
+use domain::{MemoryKind, Representation};
+use scores::compare::pair_conditions;
+use scores::{Pairing, conclude};
 
-use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
+use super::comparisons::{ComparedRow, ComparedRows};
+use crate::document::ReportBlock;
 use crate::sections::conditions::setting;
-use crate::view::{ScoredRun, name, p_value, signed, with_interval};
+use crate::view::{ScoredRun, name};
 
 /// A condition without its memory: start and route, demonstrations.
 type Setting = (&'static str, &'static str);
@@ -25,102 +26,106 @@ const COMPARED: [(&str, Setting, Setting); 5] = [
     ("confusable − 4 relevant", ("new/unchanged", "confusable"), ("new/unchanged", "4")),
 ];
 
+/// A pair of conditions that were both run, with the labels of its row.
+struct LabelledPair<'a> {
+    group: String,
+    label: String,
+    pairing: Pairing<'a>,
+}
+
+impl<'a> LabelledPair<'a> {
+    /// `None` where one of them was not run, or they have no pair.
+    fn of(view: &ScoredRun<'a>, group: &str, label: &str, [a, b]: [&str; 2]) -> Option<Self> {
+        let pairing = pair_conditions((view.log, a), (view.log, b)).ok()?;
+        Some(Self { group: group.to_owned(), label: label.to_owned(), pairing })
+    }
+}
+
+/// The comparisons of the section are made together.
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
-    let group = |&representation: &MemoryKind| {
-        let of = |(rest, demonstrations): (&str, &str)| name(representation, rest, demonstrations);
-        let mut rows: Vec<TableRow> = COMPARED
+    let mut labels = Vec::new();
+    let mut pairings = Vec::new();
+    let asked = asked(view);
+    let count_asked = asked.len();
+    for LabelledPair { group, label, pairing } in asked.into_iter().chain(against_others(view)) {
+        labels.push((group, label));
+        pairings.push(pairing);
+    }
+    let compared = conclude(pairings);
+    let labelled = labels.into_iter().zip(&compared);
+    let rows: Vec<ComparedRow<'_>> = labelled
+        .map(|((group, label), comparison)| ComparedRow { group: Some(group), label, comparison })
+        .collect();
+    let (first, others) = rows.split_at(count_asked);
+    let [first, others] = [first, others].map(<[ComparedRow<'_>]>::to_vec);
+    let stubs = &["Memory", "Comparison"];
+    let all = ComparedRows { stubs, rows };
+    ReportBlock::tables([
+        ComparedRows { stubs: &["Representation", "Comparison"], rows: first }.figures(
+            view.id("pairs"),
+            "Pairs of conditions on the same cases and repetitions, and first minus second, SR in percent, with 95 % intervals over \
+             cases. Episodes: finished under each of both, and those of the same case and repetition, of which alone the figures are."
+                .to_owned(),
+        ),
+        ComparedRows { stubs, rows: others }.figures(
+            view.id("external-pairs"),
+            "Each external memory against the other memories of the run, in the same setting and on the same cases and \
+             repetitions: first minus second, as above."
+                .to_owned(),
+        ),
+        all.conclusions(view.id("pairs-conclusions")),
+        all.unpaired(view.id("pairs-unpaired")),
+    ])
+}
+
+/// Those that the paper's questions ask for.
+fn asked<'a>(view: &ScoredRun<'a>) -> Vec<LabelledPair<'a>> {
+    let of_memory = |representation: MemoryKind| {
+        let of = |(rest, demonstrations): Setting| name(representation, rest, demonstrations);
+        let group = view.label(representation);
+        let mut pairs: Vec<_> = COMPARED
             .iter()
             .map(|&(label, a, b)| (label, of(a), of(b)))
             // Working memory has no demonstrations, so some of these are the same condition twice.
             .filter(|(_, a, b)| a != b)
-            .map(|(label, a, b)| row(view, label, &a, &b))
             .collect();
         if representation.uses_demonstrations() {
             let baseline = name(Representation::Working.into(), "new/unchanged", "none");
-            let label = "memory − working memory (new start, 4 demos)";
-            rows.push(row(view, label, &of(("new/unchanged", "4")), &baseline));
+            let label = "memory − working memory (4 demos)";
+            pairs.push((label, of(("new/unchanged", "4")), baseline));
         }
-        RowGroup { label: Some(view.label(representation)), rows }
+        let labelled = move |(label, a, b): (&str, String, String)| {
+            LabelledPair::of(view, &group, label, [&a, &b])
+        };
+        pairs.into_iter().filter_map(labelled).collect::<Vec<_>>()
     };
-    let table = Table {
-        id: view.id("pairs"),
-        caption: "Pairs of conditions on the same cases and repetitions, and first minus second, SR in percent, with 95 % \
-                  intervals over cases. Pairs: episodes of the same case and repetition; where one condition has more \
-                  repetitions, the others do not enter. Better, worse: cases that succeed more often, or less often, under \
-                  the first. p: exact two-sided sign test on these two counts (McNemar's exact test where every case has \
-                  one pair), not corrected for the number of rows."
-            .to_owned(),
-        stubs: vec!["Representation".to_owned(), "Comparison".to_owned()],
-        columns: columns(),
-        groups: view.memories().iter().map(group).collect(),
-    };
-    ReportBlock::tables([table.pruned(), against_others(view)])
+    view.memories().into_iter().flat_map(of_memory).collect()
 }
 
-/// Each external memory against every other memory of the run, in each setting that both have; `None` without external
-/// memories.
-fn against_others(view: &ScoredRun<'_>) -> Option<Table> {
+/// Each external memory against every other memory of the run, in each setting that both have.
+fn against_others<'a>(view: &ScoredRun<'a>) -> Vec<LabelledPair<'a>> {
     let memories = view.memories();
-    let group = |name: ExternalName| {
+    let mut pairs = Vec::new();
+    for name in view.external_memories() {
         let memory = MemoryKind::External(name);
         let own = view.scores.conditions.iter().map(|score| score.condition);
-        let own = own.filter(|condition| condition.memory == memory);
-        // Two external memories are compared once.
-        let others = memories.iter().filter(|other| **other < memory);
-        let rows = own.flat_map(|condition| {
-            others.clone().filter_map(move |&other| {
+        for condition in own.filter(|condition| condition.memory == memory) {
+            // Two external memories are compared once.
+            for &other in memories.iter().filter(|other| **other < memory) {
                 let Condition { start, route, demonstrations, variation, .. } = condition;
-                let other = Condition::new(other, start, route, demonstrations, variation)?;
-                view.scores.of(&other)?;
-                let label = format!("{name} − {} ({})", other.memory, setting(&condition));
-                Some(row(view, &label, &condition.to_string(), &other.to_string()))
-            })
-        });
-        RowGroup { label: Some(name.to_string()), rows: rows.collect() }
-    };
-    let groups = view.external_memories().into_iter().map(group);
-    let table = Table {
-        id: view.id("external-pairs"),
-        caption: "Each external memory against the other memories of the run, in the same setting and on the same cases \
-                  and repetitions: first minus second, as above."
-            .to_owned(),
-        stubs: vec!["Memory".to_owned(), "Comparison".to_owned()],
-        columns: columns(),
-        groups: groups.filter(|group| !group.rows.is_empty()).collect(),
-    };
-    table.pruned()
-}
-
-pub(super) fn columns() -> Vec<TableColumn> {
-    let mut columns = vec![TableColumn::new("Cases"), TableColumn::new("Pairs")];
-    for over in ["SR %", "SPL"] {
-        columns
-            .extend(["first", "second", "difference"].map(|name| TableColumn::under(over, name)));
+                let other = Condition::new(other, start, route, demonstrations, variation);
+                pairs.extend(other.and_then(|other| {
+                    let label = format!("{name} − {} ({})", other.memory, setting(&condition));
+                    let names = [condition.to_string(), other.to_string()];
+                    LabelledPair::of(
+                        view,
+                        name.as_str(),
+                        &label,
+                        names.each_ref().map(|name| &**name),
+                    )
+                }));
+            }
+        }
     }
-    columns.extend(["Better", "Worse", "p"].map(TableColumn::new));
-    columns
-}
-
-pub(super) fn row(view: &ScoredRun<'_>, label: &str, a: &str, b: &str) -> TableRow {
-    let compared = compare_conditions((view.log, a), (view.log, b));
-    let not_run = |_| vec![TableCell::Missing(Missing::NotRun); columns().len()];
-    TableRow::new(label, compared.as_ref().map_or_else(not_run, cells))
-}
-
-/// The cells of a comparison under [`columns`].
-pub(super) fn cells(compared: &Comparison) -> Vec<TableCell> {
-    let Comparison { cases, pairs, sr, spl, more_under_a, more_under_b, p, .. } = compared;
-    let three = |FigureDifference { a, b, mean, interval }: &FigureDifference, digits: usize| {
-        [
-            TableCell::Value(format!("{a:.digits$}")),
-            TableCell::Value(format!("{b:.digits$}")),
-            with_interval(signed(*mean, digits), *interval, digits),
-        ]
-    };
-    let mut cells = [cases, pairs].map(|count| TableCell::Value(count.to_string())).to_vec();
-    cells.extend(three(sr, 1).into_iter().chain(three(spl, 3)));
-    cells.extend(
-        [more_under_a.to_string(), more_under_b.to_string(), p_value(*p)].map(TableCell::Value),
-    );
-    cells
+    pairs
 }

@@ -5,10 +5,11 @@ use std::collections::BTreeSet;
 use conditions::Condition;
 use domain::MemoryKind;
 use run_log::memory_label::memory_title;
-use scores::compare::{compare_runs, differing_settings};
+use scores::compare::{LeftOutConditions, differing_settings, pair_runs};
+use scores::{Comparison, conclude};
 
+use super::comparisons::{ComparedRow, ComparedRows};
 use super::overview::notices;
-use super::pairs::{cells, columns};
 use crate::document::{
     Missing, ReportBlock, ReportSection, RowGroup, Table, TableCell, TableColumn, TableRow,
 };
@@ -25,11 +26,7 @@ pub(crate) fn runs(views: &[ScoredRun<'_>]) -> ReportSection {
     }
     blocks.push(ReportBlock::Table(overview(views)));
     blocks.push(ReportBlock::Table(side_by_side(views)));
-    for (later, second) in views.iter().enumerate() {
-        for first in &views[..later] {
-            blocks.extend(compared(first, second));
-        }
-    }
+    blocks.extend(compared_pairs(views));
     ReportSection::new("s-runs", "The runs side by side", blocks)
 }
 
@@ -94,31 +91,62 @@ fn shared_label(views: &[ScoredRun<'_>], memory: MemoryKind) -> String {
     if labels.all(|label| label == first) { first } else { memory_title(memory) }
 }
 
-fn compared(first: &ScoredRun<'_>, second: &ScoredRun<'_>) -> Vec<ReportBlock> {
+/// Every two runs compared. All comparisons are made together.
+fn compared_pairs(views: &[ScoredRun<'_>]) -> Vec<ReportBlock> {
+    let pairs: Vec<(&ScoredRun<'_>, &ScoredRun<'_>)> = views
+        .iter()
+        .enumerate()
+        .flat_map(|(later, second)| views[..later].iter().map(move |first| (first, second)))
+        .collect();
+    let (mut pairings, mut counts) = (Vec::new(), Vec::new());
+    for (first, second) in &pairs {
+        let paired = pair_runs(first.log, second.log).map(|paired| {
+            let count = paired.pairings.len();
+            pairings.extend(paired.pairings);
+            (count, paired.left_out)
+        });
+        counts.push(paired);
+    }
+    let compared = conclude(pairings);
+    let mut rest = &compared[..];
+    let mut blocks = Vec::new();
+    for ((first, second), paired) in pairs.into_iter().zip(counts) {
+        match paired {
+            Err(error) => blocks.push(ReportBlock::Notice(format!("No comparison: {error}."))),
+            Ok((count, left_out)) => {
+                let (own, others) = rest.split_at(count);
+                rest = others;
+                blocks.extend(compared_runs((first, second), own, &left_out));
+            }
+        }
+    }
+    blocks
+}
+
+fn compared_runs(
+    (first, second): (&ScoredRun<'_>, &ScoredRun<'_>),
+    compared: &[Comparison],
+    left_out: &LeftOutConditions,
+) -> Vec<ReportBlock> {
     let (a, b) = (first.log.name.clone(), second.log.name.clone());
-    let compared = match compare_runs(first.log, second.log) {
-        Ok(compared) => compared,
-        Err(error) => return vec![ReportBlock::Notice(format!("No comparison: {error}."))],
-    };
     let differing = differing_settings(first.log, second.log).into_iter().map(|one| {
         let (key, there, here) = (one.key, one.there, one.here);
         ReportBlock::Notice(format!("{key} differs: {there} in {a}, {here} in {b}."))
     });
     let mut blocks: Vec<ReportBlock> = differing.collect();
+    blocks.extend(left_out.sentences(&a, &b).into_iter().map(ReportBlock::Notice));
     let own = format!("{a}: ");
-    let rows = compared
-        .iter()
-        .map(|compared| TableRow::new(compared.a.trim_start_matches(&own), cells(compared)));
-    blocks.push(ReportBlock::Table(Table {
-        id: format!("compare-{}{}", first.prefix, second.prefix.trim_end_matches('-')),
-        caption: format!(
-            "{a} minus {b}, on the conditions, cases and repetitions that both have. SR in percentage points. Better, worse: cases \
-             that succeed more often, or less often, in {a}. p: exact two-sided sign test on these two counts, not \
-             corrected for the number of rows."
-        ),
-        stubs: vec!["Condition".to_owned()],
-        columns: columns(),
-        groups: vec![RowGroup { label: None, rows: rows.collect() }],
-    }));
+    let labelled = compared.iter().map(|comparison| ComparedRow {
+        group: None,
+        label: comparison.a.trim_start_matches(&own).to_owned(),
+        comparison,
+    });
+    let rows = ComparedRows { stubs: &["Condition"], rows: labelled.collect() };
+    let caption = format!(
+        "{a} minus {b}, on the conditions, cases and repetitions that both have. SR in percentage points. Episodes: finished in \
+         {a} (first) and in {b} (second), and those of the same case and repetition."
+    );
+    let id = format!("compare-{}{}", first.prefix, second.prefix.trim_end_matches('-'));
+    blocks.extend(rows.blocks(&id, caption));
     blocks
 }

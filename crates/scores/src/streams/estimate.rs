@@ -10,8 +10,11 @@ use serde::Serialize;
 
 use super::sequence::{CompleteSequences, Sequence, SequenceId};
 use crate::comparison::FigureDifference;
+use crate::conclusion::ComparisonVerdict;
+use crate::holm::holm;
 use crate::interval::{Interval, Units};
 use crate::mean::mean;
+use crate::sign_test::LEVEL;
 
 /// A figure over streams.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -32,6 +35,21 @@ impl Estimate {
         let interval = Units::alike(values).interval_of_means(range);
         Some(Self { mean: found, interval, streams })
     }
+}
+
+/// A difference over streams, tested.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct TestedDifference {
+    /// The figures, their difference and its interval.
+    #[serde(flatten)]
+    pub difference: FigureDifference,
+    /// Two-sided p of Student's t test over streams, which is below 5 % where the interval does not hold 0. `None` where there
+    /// is no interval. Not corrected for the number of differences.
+    pub p: Option<f64>,
+    /// p after the correction for all differences of the run's streams that have one (Holm).
+    pub corrected_p: Option<f64>,
+    /// Whether the first is better or worse: the corrected p is below 5 %.
+    pub verdict: ComparisonVerdict,
 }
 
 /// The mean of `figure` over the sequences of each stream in which it is defined.
@@ -55,7 +73,7 @@ pub(super) fn difference<'a>(
     a: &CompleteSequences<'a>,
     b: &CompleteSequences<'a>,
     figure: impl Fn(&Sequence<'a>) -> Option<f64>,
-) -> Option<FigureDifference> {
+) -> Option<TestedDifference> {
     let both = |id: SequenceId, sequence: &Sequence<'a>| {
         Some((figure(sequence)?, figure(b.complete.get(&id)?)?))
     };
@@ -63,10 +81,29 @@ pub(super) fn difference<'a>(
         |value: fn((f64, f64)) -> f64| by_stream(a, |id, sequence| both(id, sequence).map(value));
     let [first, second, differences] = [|(a, _)| a, |(_, b)| b, |(a, b)| a - b].map(side);
     let Estimate { mean: difference, interval, .. } = Estimate::of(&differences, Interval::POINTS)?;
-    Some(FigureDifference {
+    let difference = FigureDifference {
         a: mean(first.into_values())?,
         b: mean(second.into_values())?,
         mean: difference,
         interval,
-    })
+    };
+    let p = Units::alike(differences.into_values().collect()).p_of_means();
+    let verdict = ComparisonVerdict::NoDifferenceShown;
+    Some(TestedDifference { difference, p, corrected_p: p, verdict })
+}
+
+/// Corrects the p of differences that are made together, and sets their verdicts. Returns the number of those with a p.
+pub(super) fn correct<'a>(differences: impl Iterator<Item = &'a mut TestedDifference>) -> usize {
+    let tested: Vec<(f64, &mut TestedDifference)> =
+        differences.filter_map(|found| Some((found.p?, found))).collect();
+    let p: Vec<f64> = tested.iter().map(|(p, _)| *p).collect();
+    for ((_, found), corrected) in tested.into_iter().zip(holm(&p)) {
+        found.corrected_p = Some(corrected);
+        found.verdict = match corrected < LEVEL {
+            true if found.difference.mean > 0.0 => ComparisonVerdict::Better,
+            true => ComparisonVerdict::Worse,
+            false => ComparisonVerdict::NoDifferenceShown,
+        };
+    }
+    p.len()
 }

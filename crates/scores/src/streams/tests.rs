@@ -1,7 +1,7 @@
 //! Every figure of streams, computed by hand for small logs.
 
 use super::*;
-use crate::{Interval, Scores, score};
+use crate::{ComparisonVerdict, Interval, Scores, score};
 use conditions::Start;
 use domain::StreamOrder;
 use rigs::records::{log, sequence, stream_log};
@@ -248,6 +248,29 @@ fn order_robustness_needs_three_orders() {
     assert_eq!(streams(all[..2].to_vec()).conditions[0].order_spread, None);
 }
 
+#[track_caller]
+fn near_p(found: Option<f64>, expected: f64) {
+    assert!((found.unwrap() - expected).abs() < 1e-12, "{found:?}, expected {expected}");
+}
+
+#[test]
+fn differences_of_streams_are_corrected_together_and_have_a_verdict() {
+    // Of 4 streams what learns has 6, 6, 5 and 6 successes of 6, the frozen arm none.
+    let successes = [6, 6, 5, 6].into_iter().zip(0..);
+    let episodes = successes.flat_map(|(count, stream)| {
+        let of = |arm, count| first(arm, (stream, StreamOrder::Drawn), count);
+        [of(Arm::Learning, count), of(Arm::Frozen, 0)]
+    });
+    let scores = streams(episodes);
+    // Before: 100 in all streams, which has no p. After: 100, 100, 75 and 100.
+    let found = &scores.differences[0];
+    assert_eq!(found.before.unwrap().p, None);
+    let after = found.after.unwrap();
+    assert_eq!((scores.tested_differences, after.corrected_p), (1, after.p));
+    assert!(after.p.unwrap() < 0.001, "{after:?}");
+    assert_eq!(after.verdict, ComparisonVerdict::Better);
+}
+
 #[test]
 fn differences_are_paired_by_stream_and_all_orders_stay_together() {
     // Stream 0: 6 and 2 more successes of 6 in its two orders; stream 1: 1 more; stream 2 has no pair.
@@ -266,13 +289,23 @@ fn differences_are_paired_by_stream_and_all_orders_stay_together() {
     assert_eq!((scores.differences.len(), found.streams), (1, 2));
     // After events: stream 0 as drawn 4 of 4 against 0, reversed 4 of 4 against 4 of 4: 50 points. Stream 1: 1 of 4 against
     // none: 25. The standard error of two values is half their distance, 12.5; t with one degree of freedom 12.7.
-    let after = found.after.unwrap();
+    let TestedDifference { difference: after, p, corrected_p, .. } = found.after.unwrap();
+    // t = 37.5 / 12.5 = 3 with one degree of freedom, where the distribution is Cauchy's.
+    let cauchy = |t: f64| 1.0 - t.atan() / std::f64::consts::FRAC_PI_2;
+    near_p(p, cauchy(3.0));
+    // Two differences have a p: this one and 50 +- 50, t = 1.
+    assert_eq!(scores.tested_differences, 2);
+    near_p(corrected_p, 2.0 * cauchy(3.0));
     assert_eq!((after.a, after.b, after.mean), (62.5, 25.0, 37.5));
     assert_eq!(after.interval, Some(Interval { low: -100.0, high: 100.0 }));
     // Before: 100 against 0 and 100 against 0 in stream 0; 100 against 100 in stream 1.
-    let before = found.before.unwrap();
+    let TestedDifference { difference: before, p, corrected_p, verdict } = found.before.unwrap();
+    near_p(p, cauchy(1.0));
+    near_p(corrected_p, 0.5);
+    assert_eq!(verdict, ComparisonVerdict::NoDifferenceShown);
     assert_eq!((before.a, before.b, before.mean), (100.0, 50.0, 50.0));
-    assert_eq!(found.average.unwrap().interval, None, "all streams alike");
+    let average = found.average.unwrap();
+    assert_eq!((average.difference.interval, average.p), (None, None), "all streams alike");
     // Stream 2 enters the figures of its own condition: (100 + 50 + 100) / 3, where stream 0 succeeds in both orders.
     near(of(&scores, episodic(Arm::Learning)).success, 250.0 / 3.0);
 }

@@ -2,14 +2,15 @@
 
 use conditions::Condition;
 use domain::{Arm, MemoryKind, Representation};
-use scores::{Estimate, FigureDifference, RoundScore, StreamScore, StreamScores};
+use scores::{Estimate, FigureDifference, RoundScore, StreamScore, StreamScores, TestedDifference};
 
 use super::{by_condition, is_tested, memory_and_arm, short, sure};
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::plot::{Course, CourseCurve, CoursePoint, course};
-use crate::view::{ScoredRun, signed, with_interval};
+use crate::view::{ScoredRun, p_value, signed, with_interval};
 
 const NO_BLOCK: Missing = Missing::Undefined("the streams have no such block");
+const NO_TEST: Missing = Missing::Undefined("one stream, or all streams alike");
 const NO_ORACLE: Missing = Missing::NotApplicable(
     "regret is against the oracle arm of the same memory, where that was run",
 );
@@ -133,24 +134,41 @@ pub(crate) fn success_table(view: &ScoredRun<'_>) -> Option<Table> {
 /// Pairs of conditions on the same sequences.
 pub(crate) fn differences_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = view.scores.streams.as_ref()?;
-    let cell = |found: Option<FigureDifference>| {
-        found.map_or(TableCell::Missing(NO_BLOCK), |FigureDifference { mean, interval, .. }| {
-            with_interval(signed(mean, 1), interval, 1)
-        })
+    let cells = |found: Option<TestedDifference>| {
+        let Some(TestedDifference { difference, p, corrected_p, .. }) = found else {
+            return [TableCell::Missing(NO_BLOCK), TableCell::Missing(NO_BLOCK)];
+        };
+        let FigureDifference { mean, interval, .. } = difference;
+        let p = match p.zip(corrected_p) {
+            Some((p, corrected)) => TableCell::Sure {
+                figure: p_value(p),
+                interval: format!("({})", p_value(corrected)),
+            },
+            None => TableCell::Missing(NO_TEST),
+        };
+        [with_interval(signed(mean, 1), interval, 1), p]
     };
     let rows = scores.differences.iter().map(|found| {
         let streams = TableCell::Value(found.streams.to_string());
-        let cells = vec![streams, cell(found.before), cell(found.after), cell(found.average)];
+        let figures = [found.before, found.after, found.average].into_iter().flat_map(cells);
+        let cells = [streams].into_iter().chain(figures).collect();
         TableRow::new(format!("{} − {}", short(&found.a), short(&found.b)), cells)
     });
+    let mut columns = vec![TableColumn::new("Streams")];
+    for over in ["Before", "After", "ACC"] {
+        columns.extend(["difference", "p"].map(|name| TableColumn::under(over, name)));
+    }
     let table = Table {
         id: view.id("stream-differences"),
-        caption: "First minus second on the sequences that both have, in percentage points, with 95 % intervals over \
-                  streams: success of the learning episodes before and after events, and average success over all blocks \
-                  after the last (ACC). No interval: one stream, or all streams alike."
-            .to_owned(),
+        caption: format!(
+            "First minus second on the sequences that both have, in percentage points, with 95 % intervals over streams: success \
+             of the learning episodes before and after events; average success over all blocks after the last (ACC). p: Student's \
+             t test over streams, and in parentheses corrected for the {} differences of this table that have one (Holm 1979). No \
+             interval and no p: one stream, or all streams alike.",
+            scores.tested_differences
+        ),
         stubs: vec!["First − second".to_owned()],
-        columns: ["Streams", "Before events", "After events", "ACC"].map(TableColumn::new).to_vec(),
+        columns,
         groups: vec![RowGroup { label: None, rows: rows.collect() }],
     };
     table.pruned()
