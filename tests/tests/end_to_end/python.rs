@@ -2,6 +2,7 @@
 
 mod examples;
 mod other_programs;
+mod pages;
 mod wheel;
 
 use std::fs;
