@@ -6,7 +6,7 @@
 
 Needs root. The stages become /tmp/image/0 and /tmp/image/1. Of the images that stages start from, `debian` is debootstrap's
 minimal system, and `rust` is that with a C compiler and the toolchain of this machine. Understands what our Containerfile uses:
-FROM, RUN, COPY, ENV, WORKDIR, CMD. CMD is executed at the end, with --shm-size of shared memory.
+FROM, RUN, COPY, WORKDIR, CMD. CMD is executed at the end, with --shm-size of shared memory.
 
 If apt, pip or cargo need settings to reach their registries, --file copies a file or folder of this machine into every
 root, and --pass hands on an environment variable.
@@ -130,9 +130,6 @@ def main():
             if words[0].startswith("--from="):
                 source_root = names[words.pop(0).removeprefix("--from=")]
             stages[-1].copy(words[:-1], words[-1], source_root)
-        elif instruction == "ENV":
-            name, _, value = rest.partition("=")
-            stages[-1].environment[name] = value
         elif instruction == "WORKDIR":
             stages[-1].folder = rest
         elif instruction == "CMD":

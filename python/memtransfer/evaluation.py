@@ -455,9 +455,8 @@ class Result:
         `conditions.csv` that have a value.
 
         Raises:
-            ModuleNotFoundError: pandas is missing.
+            ModuleNotFoundError: pandas is missing; the message names the extra that brings it.
         """
-        _need_pandas()
         from memtransfer.results import read_scores
 
         return read_scores(self.path)
@@ -467,9 +466,8 @@ class Result:
         """One row an episode, with the columns of `memtransfer.results.Results.episodes`.
 
         Raises:
-            ModuleNotFoundError: pandas is missing.
+            ModuleNotFoundError: pandas is missing; the message names the extra that brings it.
         """
-        _need_pandas()
         from memtransfer.results import read
 
         return read(self.path).episodes
@@ -569,11 +567,6 @@ class Result:
 def _interval(spread: Mapping[str, Any]) -> tuple[float, float] | None:
     interval = spread["interval"]
     return None if interval is None else (interval["low"], interval["high"])
-
-
-def _need_pandas() -> None:
-    if find_spec("pandas") is None:
-        raise ModuleNotFoundError("data frames need pandas: `pip install pandas`", name="pandas")
 
 
 def _open(address: str) -> str:

@@ -20,19 +20,24 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, TypeAlias
 
-import gymnasium
 import numpy as np
-from gymnasium import spaces
-from gymnasium.envs.registration import register
-from gymnasium.error import DependencyNotInstalled, ResetNeeded
-from gymnasium.utils import seeding
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from memtransfer._extras import missing
 from memtransfer._native import Lanes
 from memtransfer.codes import Action, Feedback, Heading
 from memtransfer.trajectories import sides
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+    from gymnasium.envs.registration import register
+    from gymnasium.error import DependencyNotInstalled, ResetNeeded
+    from gymnasium.utils import seeding
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
+except ModuleNotFoundError as error:
+    raise missing(error, "gym") from None
 
 Observation: TypeAlias = dict[str, Any]
 Pixels: TypeAlias = NDArray[np.uint8]
@@ -325,7 +330,7 @@ class _Window:
             import pygame
         except ModuleNotFoundError as error:
             raise DependencyNotInstalled(
-                'render_mode="human" needs pygame: pip install pygame'
+                'render_mode="human" needs pygame: run pip install \'memtransfer[gym]\''
             ) from error
         self._pygame = pygame
         self._fps = fps

@@ -22,12 +22,17 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from memtransfer._extras import missing
 from memtransfer.errors import WorldError
 from memtransfer.world import DONE, NO_EFFECT, START, Episode, Observation, World
+
+try:
+    import gymnasium
+except ModuleNotFoundError as error:
+    raise missing(error, "gym") from None
 
 _Env: TypeAlias = gymnasium.Env[Any, Any]
 

@@ -16,28 +16,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import anyio
-import anyio.abc
-import anyio.from_thread
-import anyio.to_thread
-from inspect_ai import Task, task
-from inspect_ai.dataset import Sample
-from inspect_ai.model import (
-    ChatMessage,
-    ChatMessageSystem,
-    ChatMessageUser,
-    Content,
-    ContentImage,
-    ContentText,
-    GenerateConfig,
-    Model,
-    ModelOutput,
-    get_model,
-)
-from inspect_ai.scorer import Score, Scorer, Target, grouped, mean, scorer, stderr
-from inspect_ai.solver import Generate, Solver, TaskState, solver
-
 from memtransfer import _native
+from memtransfer._extras import missing
 from memtransfer.codes import Outcome
 from memtransfer.errors import MemTransferError
 from memtransfer.policy import Policy
@@ -45,6 +25,30 @@ from memtransfer.programs import program
 from memtransfer.prompt import IMAGE_BUDGET, SETTINGS, VERSION, Prompt, data_url, read_answer, render
 from memtransfer.request import Answer, Decision, Failed, Request, Usage
 from memtransfer.serving import serve
+
+try:
+    import anyio
+    import anyio.abc
+    import anyio.from_thread
+    import anyio.to_thread
+    from inspect_ai import Task, task
+    from inspect_ai.dataset import Sample
+    from inspect_ai.model import (
+        ChatMessage,
+        ChatMessageSystem,
+        ChatMessageUser,
+        Content,
+        ContentImage,
+        ContentText,
+        GenerateConfig,
+        Model,
+        ModelOutput,
+        get_model,
+    )
+    from inspect_ai.scorer import Score, Scorer, Target, grouped, mean, scorer, stderr
+    from inspect_ai.solver import Generate, Solver, TaskState, solver
+except ModuleNotFoundError as error:
+    raise missing(error, "inspect") from None
 
 _FLAGS = ("memory", "starts", "routes", "demos", "segment", "hint", "window")
 """The flags of `memtransfer run` that make a condition."""

@@ -26,7 +26,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import ray
+from memtransfer._extras import missing
+
+try:
+    import ray
+except ModuleNotFoundError as error:
+    raise missing(error, "ray") from None
 
 _ERROR_LINES = 20
 """The last lines of a worker's messages that an error shows."""

@@ -20,10 +20,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from memtransfer import _native
+from memtransfer._extras import missing
 from memtransfer._program import output_of
+
+try:
+    import pandas as pd
+except ModuleNotFoundError as error:
+    raise missing(error, "results") from None
 
 _DTYPES = {"text": "string", "whole": "Int64", "real": "Float64", "flag": "boolean"}
 

@@ -239,5 +239,5 @@ def test_a_person_sees_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_without_pygame_there_is_no_window(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(DependencyNotInstalled, match="pip install pygame"):
+    with pytest.raises(DependencyNotInstalled, match=r"pip install 'memtransfer\[gym\]'"):
         MemTransferEnv(render_mode="human", **SMALL)

@@ -26,15 +26,19 @@ pub(super) static WHEEL: LazyLock<PathBuf> = LazyLock::new(|| {
     args.extend(["--no-index", "--no-deps", "--no-build-isolation"]);
     let root = repository("");
     args.extend(["--wheel-dir", place.to_str().unwrap(), root.to_str().unwrap()]);
-    let scripts = "import sysconfig; print(sysconfig.get_path('scripts'))";
-    let scripts = python(&["-c", scripts], &[]).expect(0).stdout;
-    let path = format!("{}:{}", scripts.trim(), std::env::var("PATH").unwrap());
-    python(&args, &[("PATH", &path)]).expect(0);
+    python(&args, &[("PATH", &path_with_maturin())]).expect(0);
     let built: Vec<PathBuf> =
         fs::read_dir(&place).unwrap().map(|file| file.unwrap().path()).collect();
     let [wheel] = &built[..] else { panic!("{built:?}") };
     wheel.clone()
 });
+
+/// The variable `PATH` with the programs of the tests' packages.
+fn path_with_maturin() -> String {
+    let scripts = "import sysconfig; print(sysconfig.get_path('scripts'))";
+    let scripts = python(&["-c", scripts], &[]).expect(0).stdout;
+    format!("{}:{}", scripts.trim(), std::env::var("PATH").unwrap())
+}
 
 #[test]
 fn the_wheel_has_programs_licences_and_types() {
@@ -56,6 +60,38 @@ fn the_wheel_has_programs_licences_and_types() {
     ] {
         assert!(has(end), "{end} is missing: {names}");
     }
+}
+
+/// A fresh clone is enough to build the wheel, so all files of the repository are.
+#[test]
+fn the_source_distribution_has_every_file_of_the_repository() {
+    // Building the wheel empties the folder of programs, which the backend needs for the source distribution, too.
+    LazyLock::force(&WHEEL);
+    let bench = Bench::new();
+    let script = "\
+import os, sys, tarfile
+os.chdir(sys.argv[1])
+sys.path.insert(0, 'python/backend')
+import wheel_backend
+archive = tarfile.open(os.path.join(sys.argv[2], wheel_backend.build_sdist(sys.argv[2])))
+print('files:', *(member.name.partition('/')[2] for member in archive if not member.isdir()), sep='\\n')";
+    let root = repository("");
+    let folder = bench.folder.path();
+    let built = python(
+        &["-c", script, root.to_str().unwrap(), folder.to_str().unwrap()],
+        &[("PATH", &path_with_maturin())],
+    );
+    let printed = built.expect(0).stdout;
+    let (_, files) = printed.split_once("files:\n").expect("the list follows");
+    let mut files: Vec<&str> = files.lines().filter(|file| *file != "PKG-INFO").collect();
+    files.sort_unstable();
+
+    let mut list = Command::new("git");
+    list.arg("-C").arg(&root).args(["ls-files", "--cached"]);
+    let listed = Ended::run(&mut list).expect(0).stdout;
+    let mut tracked: Vec<&str> = listed.lines().filter(|file| root.join(file).exists()).collect();
+    tracked.sort_unstable();
+    assert_eq!(files, tracked);
 }
 
 /// Nothing is at hand but the environment: no checkout, no cargo, no cache folder.
