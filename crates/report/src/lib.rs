@@ -43,7 +43,7 @@ use std::sync::LazyLock;
 
 use durable::{FolderDraft, KnownNames};
 use run_log::{REPORT_FOLDER, RunLog, report_names};
-use scores::score;
+use scores::{Successes, score};
 use view::ScoredRun;
 
 /// The page.
@@ -204,8 +204,10 @@ fn write_files(logs: &[RunLog], dir: &Path) -> Result<(), ReportError> {
             })?;
         }
     }
+    let successes: Vec<Successes> = logs.iter().map(|log| log.episodes.iter().collect()).collect();
+    let runs: Vec<(&RunLog, &Successes)> = logs.iter().zip(&successes).collect();
     let mut frames =
-        vec![("conditions", data::conditions(&views)), ("episodes", data::episodes_frame(logs))];
+        vec![("conditions", data::conditions(&views)), ("episodes", data::episodes_frame(&runs))];
     if views.iter().any(|view| view.scores.streams.is_some()) {
         frames.push(("streams", data::streams(&views)));
     }

@@ -11,7 +11,7 @@ use super::document::{Table, TableCell};
 use super::published::Published;
 use super::sections::{
     adaptation_table, all_blocked_table, conditions_table, conflict_table, differences_table,
-    failures_table, growth_table, incomplete, necessity_table, notices, orders_table,
+    failures_table, growth_table, incomplete, necessity_table, notices, orders_table, points_table,
     requests_table, steps_per_second, success_table, supplied_table, time_table, transfer_table,
     worst_table,
 };
@@ -56,6 +56,7 @@ pub fn summary(log: &RunLog) -> String {
         ),
         ("Banks of different sizes", growth_table(&view)),
         ("Failed episodes by kind", failures_table(&view)),
+        ("Since when they failed", points_table(&view)),
         ("Cases that fail most", worst_table(&view, WORST)),
         ("Requests to the model, those of repeated episodes included", requests_table(&view)),
         ("What memory supplied, means of an answer", supplied_table(&view)),
