@@ -74,7 +74,7 @@ pub fn looped_at<S: Ord>(states: &[S]) -> Option<u32> {
     None
 }
 
-/// A stretch of an episode in which the agent repeats what it did before.
+/// A stretch of an episode in which the agent is only in situations in which it was before: see [`loops`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LoopFact {

@@ -133,7 +133,7 @@ memtransfer.EpisodeView = class {
     const sentences = [met > 0 ? ["Last progress: sub-goal ", `${met} of ${episode.required} at `, step(lastProgress), "."] : ["Last progress: none."]];
     if (loops === null) sentences.push(["Loop: not recorded in this log."]);
     else if (loops.length === 0) sentences.push(["Loop: none of 20 steps or more."]);
-    else sentences.push(["Loop: from ", step(loops[0][0]), ` to step ${loops[0][1]} it repeats what it did before`,
+    else sentences.push(["Loop: from ", step(loops[0][0]), ` to step ${loops[0][1]} it is only in states in which it was before`,
       loops.slice(1).map(([from, to]) => [", again from ", step(from), ` to step ${to}`]), "."]);
     const later = (at) => (lastProgress > at ? " It completed a sub-goal after that, so the reason is later." : "");
     if (unlikeSuccess) {

@@ -38,11 +38,11 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     })));
     blocks.push(ReportBlock::Table(table));
     if let Some(table) = points_table(view) {
-        let text = "Since when an episode failed: its last progress is the last sub-goal that it completed. In a loop it \
-                    repeats what it did before, for at least 20 steps, and makes no progress after. It is compared with \
-                    the success of the same case, start and route, under any memory, with which it has most actions in \
-                    common; until the step where they part it did nothing that a success did not do. Where it completed \
-                    a sub-goal after that, another way was taken, and the reason is later.";
+        let text = "Since when an episode failed: its last progress is the last sub-goal that it completed. In a loop it is, \
+                    for at least 20 steps, only in states in which it was before, and makes no progress after. It is compared \
+                    with the success of the same case, start and route, under any memory, with which it has most actions in \
+                    common; until the step where they part it did nothing that a success did not do. Where it completed a \
+                    sub-goal after that, it took another way, and the reason is later.";
         blocks.push(ReportBlock::Text(text.to_owned()));
         blocks.push(ReportBlock::Table(table));
     }
