@@ -41,9 +41,10 @@ pub const REPORT_FOLDER: &str = "report";
 /// The names of tables and figures in a report, as a regular expression. Those of memories' figures end with the memory's name.
 const REPORT_IDS: &str = concat!(
     "(side-by-side|compare-run[0-9]+-run[0-9]+|(run[0-9]+-)?(",
-    "blocked|blocked-others|conditions|conflict|cost|design|design-figure|elsewhere|external-pairs|facts|failures|",
-    "failures-figure|groups|growth|growth-(figure|search|store)|main|main-figure|mixed|mixed-figure|necessity|pairs|",
-    "provenance|ranking-[0-9]+|requests|runs|supplied|time|time-figure|transfer|transfer-figure|worst-cases|",
+    "blocked|blocked-others|conditions|conflict|cost|design|design-figure|elsewhere|external-pairs|facts|",
+    "failures|failures-figure|failure-points|groups|growth|growth-(figure|search|store)|main|main-figure|mixed|",
+    "mixed-figure|necessity|pairs|provenance|ranking-[0-9]+|requests|runs|supplied|time|time-figure|transfer|",
+    "transfer-figure|worst-cases|",
     "stream-(adaptation|cost|cost-figure|differences|matrix|orders|rounds-[a-z0-9-]+|success|success-figure|transfer)))",
 );
 

@@ -338,3 +338,19 @@ fn remembered(book: &DemonstrationBook, number: u32) -> Option<(StageBegin, &[Ac
         Some((begin, of.actions.get(..step)?))
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_facts_of_an_episode_tell_its_loops_in_states_and_sub_goals() {
+        // Two states in turn; a sub-goal is completed at step 24.
+        let states: Vec<State> =
+            (0..50_u8).map(|step| State::new(&[f32::from(step % 2)]).unwrap()).collect();
+        let completed: Vec<u32> = (0..50).map(|step| u32::from(step >= 24)).collect();
+        let told = facts(&states, &completed, Map::new());
+        assert_eq!(told["loops"], json!([{"from": 2, "to": 23}, {"from": 26, "to": 49}]));
+        assert_eq!(facts(&states[..9], &completed[..9], Map::new())["loops"], json!([]));
+    }
+}
