@@ -170,7 +170,7 @@ memtransfer.EpisodeView = class {
       sentences.push(h("p", {}, `The agent ${this.conflict} at `, step(episode.conflictAt), this.hasMap ? "; what memory supplied for that step does not lead into it." : "."));
     }
     if (episode.failure) {
-      sentences.push(h("p", {}, h("b", {}, `Failed, ${episode.failure.kind}: `), `${episode.failure.meaning} (`, step(episode.failure.step), ")."), h("ul", { class: "points" }, this.sinceWhen(step)));
+      sentences.push(h("p", {}, h("b", {}, `Failed, ${episode.failure.kind}: `), `${episode.failure.meaning}, `, step(episode.failure.step), "."), h("ul", { class: "points" }, this.sinceWhen(step)));
     }
     if (episode.changes.length) {
       const since = episode.firstBlock ? "since the demonstrations" : "since the block before in this sequence";
