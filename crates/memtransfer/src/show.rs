@@ -26,8 +26,8 @@ const MOST_NAMED: usize = 8;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Without a step, this prints what happened in the episode, where a failed one got into a loop and where
-it first acts unlike a success of the same case, and for each step the pose, the feedback, the action
+Without a step, this prints what happened in the episode, where a failed one got into a loop and
+first acts unlike a success of the same case, and for each step the pose, the feedback, the action
 and what was retrieved. Of a step in a run with --log-prompts, it prints the prompt, its
 images and the answer. `memtransfer view` shows the same as pages.
 
