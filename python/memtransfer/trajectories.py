@@ -56,7 +56,7 @@ class Trajectory:
     success: bool
     """Whether the last action completed the task."""
     failure: tuple[str, int] | None
-    """The kind of failure, and the step after which it was decided."""
+    """The kind of failure, and the step of the event that its rule is about; the end where it is about none."""
     closed: tuple[tuple[int, int], ...]
     """The closed cells, as column and row."""
     targets: tuple[tuple[str, str, tuple[int, int]], ...]

@@ -185,7 +185,7 @@ impl RecordedRun {
 impl RecordedRun {
     fn episode<'a>(&'a self, record: &'a EpisodeRecord) -> anyhow::Result<TrajectoryData<'a>> {
         let parts = EpisodeParts { reference: true, scenery: true, ..EpisodeParts::default() };
-        let timeline = EpisodeTimeline::new(&self.run.world, record, parts)?;
+        let timeline = EpisodeTimeline::new(&self.run.world, record, &self.run.successes, parts)?;
         let EpisodeTimeline { instruction, variant, steps, reference, scenery, failure, .. } =
             timeline;
         let scenery = scenery.context("an episode without scenery")?;

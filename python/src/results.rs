@@ -28,9 +28,10 @@ pub(crate) fn read_run(py: Python<'_>, folder: PathBuf) -> PyResult<Run<'_>> {
     let manifest = json(serde_json::to_string(&log.manifest))?;
     let sessions = json(serde_json::to_string(&log.sessions))?;
     let damaged = log.damaged.iter().map(ToString::to_string).collect();
-    let log = std::slice::from_ref(&log);
-    let episodes = columns(py, episodes_frame(log))?;
-    Ok((manifest, sessions, episodes, columns(py, timings_frame(log))?, damaged))
+    let successes = log.episodes.iter().collect();
+    let episodes = columns(py, episodes_frame(&[(&log, &successes)]))?;
+    let timings = columns(py, timings_frame(std::slice::from_ref(&log)))?;
+    Ok((manifest, sessions, episodes, timings, damaged))
 }
 
 fn columns(py: Python<'_>, table: DataFrame) -> PyResult<Vec<DataColumn<'_>>> {

@@ -101,5 +101,5 @@ def test_steps_without_an_action_are_no_decisions() -> None:
         "2 sub-goal 1 of 2 completed",
         "3 move forward: blocked",
         "3 tried to enter the closed passage",
-        "3 failure decided here: out-of-steps",
+        "3 failed: out-of-steps",
     ]

@@ -15,6 +15,8 @@ pub struct SharedFacts {
     pub failure: Option<FailureFact>,
     /// See [`looped_at`].
     pub looped_at: Option<u32>,
+    /// See [`loops`]. `None`: not recorded; empty: there was none.
+    pub loops: Option<Vec<LoopFact>>,
     /// For an episode of a stream: how closely its path follows the reference.
     pub path: Option<PathFact>,
     /// For an episode that is learned from: the variants of the run's streams in which its actions complete its task.
@@ -37,7 +39,8 @@ impl SharedFacts {
 pub struct FailureFact {
     /// The name of its [kind](crate::FailureKind).
     pub kind: String,
-    /// The number of steps after which it was decided.
+    /// The step of the event that the rule of its kind is about, such as an arrival or a sight; the end of the episode where it is
+    /// about none.
     pub step: u32,
 }
 
@@ -71,6 +74,47 @@ pub fn looped_at<S: Ord>(states: &[S]) -> Option<u32> {
     None
 }
 
+/// A stretch of an episode in which the agent is only in situations in which it was before: see [`loops`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LoopFact {
+    /// The step of the first repetition.
+    pub from: u32,
+    /// The last step before the agent comes into a situation that is new to it: the end of the episode if it never does.
+    pub to: u32,
+}
+
+/// Fewest steps that a loop goes on for after its first repetition.
+pub const LOOP_LEAST: usize = 20;
+
+/// The loops of an episode, in order. `situations` are those after each step, the begin first: the agent's state and the number of
+/// sub-goals completed.
+///
+/// A situation is *known* at a step if the agent was in it before. A loop begins at the first step whose situation is known and
+/// comes again before the agent is in one that is not known. It goes on until then, and for at least [`LOOP_LEAST`] steps. So a
+/// place that is passed again on the way to another is none, and neither is a way back that completes a sub-goal.
+pub fn loops<S: Ord>(situations: &[S]) -> Vec<LoopFact> {
+    let mut before = BTreeSet::new();
+    let known: Vec<bool> = situations.iter().map(|situation| !before.insert(situation)).collect();
+    let mut found = Vec::new();
+    let mut end = 0;
+    for run in known.chunk_by(|one, next| one == next) {
+        let steps = end..end + run.len();
+        end = steps.end;
+        if !run[0] {
+            continue;
+        }
+        let last_visits: BTreeMap<&S, usize> =
+            steps.clone().map(|step| (&situations[step], step)).collect();
+        let to = steps.end - 1;
+        let repeated = steps.clone().find(|&step| last_visits[&situations[step]] > step);
+        if let Some(from) = repeated.filter(|from| to - from >= LOOP_LEAST) {
+            found.push(LoopFact { from: from as u32, to: to as u32 });
+        }
+    }
+    found
+}
+
 /// The facts of an episode that only the world knows: of ours, a warehouse.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -91,6 +135,9 @@ pub struct EpisodeFacts {
     /// As in [`SharedFacts`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub looped_at: Option<u32>,
+    /// As in [`SharedFacts`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub loops: Option<Vec<LoopFact>>,
     /// As in [`SharedFacts`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path: Option<PathFact>,
@@ -133,6 +180,36 @@ mod tests {
         assert_eq!((found(13), found(12), found(20)), (Some(192), None, Some(192)));
         let early: Vec<u32> = (0..20).map(|_| 0).chain(1..=60).collect();
         assert_eq!((looped_at(&early), looped_at::<u32>(&[])), (None, None));
+    }
+
+    /// The loops of an episode whose situations are letters, as `from-to`.
+    fn looped(situations: &str) -> String {
+        let letters: Vec<char> = situations.chars().collect();
+        let found = loops(&letters);
+        let found = found.iter().map(|LoopFact { from, to }| format!("{from}-{to}"));
+        found.collect::<Vec<_>>().join(" ")
+    }
+
+    #[test]
+    fn a_loop_begins_with_the_first_repetition_of_what_is_then_repeated() {
+        // 15 steps, then seven situations over and over: the first of them comes again at step 22.
+        let seven = "abcdefghijklmno".to_owned() + &"pqrstuv".repeat(5);
+        assert_eq!(looped(&seven), "22-49");
+        // It has to go on for 20 steps: two situations in turn; and a step that changes nothing, again and again.
+        assert_eq!(looped(&("x".to_owned() + &"ab".repeat(12))), "3-24");
+        assert_eq!(looped(&("x".to_owned() + &"ab".repeat(11))), "");
+        assert_eq!(
+            (looped(&"a".repeat(22)).as_str(), looped(&"a".repeat(21)).as_str()),
+            ("1-21", "")
+        );
+        // A long way that is gone twice, and then leads to something new. Gone a third time it is a loop.
+        let way = "abcdefghijklmnopqrstuvwxyz";
+        assert_eq!(looped(&format!("{way}{way}A{way}B")), "");
+        assert_eq!(looped(&way.repeat(3)), "26-77");
+        // A known way into a loop in no strict order, which the agent leaves; then another, until the end.
+        let left = format!("uvabcXuv{}Y", "abcab".repeat(5));
+        assert_eq!(looped(&format!("{left}{}", "uv".repeat(12))), "8-32 34-57");
+        assert_eq!(looped(""), "");
     }
 
     #[test]

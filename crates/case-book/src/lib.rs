@@ -38,8 +38,8 @@ pub use demonstrations::{
     CaseDemonstrations, Demonstration, DemonstrationBook, StreamDemonstrations, ViewPlace,
 };
 pub use episodes::{
-    EpisodeFacts, FailureFact, LEARNED_FILE, LOOP_STEPS, LOOP_VISITS, LearnedEpisode, PathFact,
-    SharedFacts, looped_at,
+    EpisodeFacts, FailureFact, LEARNED_FILE, LOOP_LEAST, LOOP_STEPS, LOOP_VISITS, LearnedEpisode,
+    LoopFact, PathFact, SharedFacts, looped_at, loops,
 };
 pub use file::{BookError, BookFile, CASE_BOOK_FILE, DEMONSTRATIONS_FILE, WORLD_FILE};
 pub use keyframes::{Moment, keyframes};

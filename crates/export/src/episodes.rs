@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use case_book::act::EpisodeParts;
 use run_log::RunLog;
+use scores::Successes;
 use world_client::frames::{ViewFormat, ViewKey, ViewRenderer, view_arguments};
 use world_client::{EpisodeTimeline, RecordedRun, RunWorld, WorldProgram};
 
@@ -39,6 +40,7 @@ impl EpisodeFormat {
 #[derive(Debug)]
 pub struct Episodes {
     log: RunLog,
+    successes: Successes,
     world: RunWorld,
     timing: Timing,
     renderer: ViewRenderer,
@@ -50,10 +52,10 @@ impl Episodes {
     /// # Errors
     /// When the renderer does not start.
     pub fn new(run: RecordedRun, program: &WorldProgram, timing: Timing) -> Result<Self> {
-        let RecordedRun { log, world, .. } = run;
+        let RecordedRun { log, successes, world, .. } = run;
         let format = ViewFormat { edge: timing.edge, quality: QUALITY };
         let renderer = ViewRenderer::start(&program.of_run(&log)?, &view_arguments(&log), format)?;
-        Ok(Self { log, world, timing, renderer })
+        Ok(Self { log, successes, world, timing, renderer })
     }
 
     /// Writes the episodes, one after the other in one file if `out` has the extension of `format`, otherwise each into a
@@ -103,7 +105,8 @@ impl Episodes {
 
     fn moments(&mut self, index: usize) -> Result<Moments<'_>> {
         let record = &self.log.episodes[index];
-        let timeline = EpisodeTimeline::new(&self.world, record, EpisodeParts::default())?;
+        let parts = EpisodeParts::default();
+        let timeline = EpisodeTimeline::new(&self.world, record, &self.successes, parts)?;
         let views: BTreeSet<ViewKey> =
             timeline.steps.iter().map(|step| step.view.clone()).collect();
         let distinct: Vec<ViewKey> = views.into_iter().collect();

@@ -89,7 +89,7 @@ struct McapEpisode<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     failure: Option<&'a str>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    decided_at: Option<u32>,
+    failure_step: Option<u32>,
     steps: u32,
     reference: u32,
 }
@@ -175,7 +175,7 @@ fn episode_schema() -> Value {
         "Episode",
         &[
             ("string", &["key", "instruction", "condition", "case", "failure"]),
-            ("integer", &["run", "decided_at", "steps", "reference"]),
+            ("integer", &["run", "failure_step", "steps", "reference"]),
             ("boolean", &["success"]),
         ],
     )
@@ -194,7 +194,7 @@ impl EpisodeSink for McapRecording {
             run: record.run,
             success: record.is_success(),
             failure: failure.map(|failure| failure.kind.as_str()),
-            decided_at: failure.map(|failure| failure.step),
+            failure_step: failure.map(|failure| failure.step),
             steps: record.steps,
             reference: record.reference,
         };

@@ -28,11 +28,11 @@ pub fn write_tables(run: &RecordedRun, format: TableFormat, dir: &Path) -> Resul
         TableFormat::Csv => "csv",
         TableFormat::Parquet => "parquet",
     };
-    let RecordedRun { log, world, .. } = run;
-    let timeline = |record| EpisodeTimeline::new(world, record, EpisodeParts::default());
+    let RecordedRun { log, successes, world, .. } = run;
+    let timeline = |record| EpisodeTimeline::new(world, record, successes, EpisodeParts::default());
     let episodes: Vec<_> = log.episodes.iter().map(timeline).collect::<Result<_>>()?;
     let frames = [
-        ("episodes", episodes_frame(std::slice::from_ref(log))),
+        ("episodes", episodes_frame(&[(log, successes)])),
         ("steps", steps_frame(log, world.declaration(), &episodes)),
     ];
     let mut files = Vec::new();
@@ -57,6 +57,7 @@ pub fn write_tables(run: &RecordedRun, format: TableFormat, dir: &Path) -> Resul
 #[cfg(test)]
 mod tests {
     use rigs::records::{log, record};
+    use scores::Successes;
 
     use super::*;
 
@@ -65,7 +66,7 @@ mod tests {
         let page = include_str!("../../../docs/exports.md");
         let log = log(vec![record("t01-01", true)]);
         for frame in [
-            episodes_frame(std::slice::from_ref(&log)),
+            episodes_frame(&[(&log, &Successes::default())]),
             steps_frame(&log, &warehouse::declaration(), &[]),
         ] {
             for column in &frame.columns {

@@ -13,6 +13,7 @@ use domain::prompt_log::RecordedItem;
 use run_log::policy::PolicyLabel;
 use run_log::step_view::{RecordedPrompt, look_up};
 use run_log::{EpisodeRecord, RunLog};
+use scores::FailurePoints;
 use serde::Serialize;
 use settings::select_cases;
 use viewer::logged_image;
@@ -25,8 +26,9 @@ const MOST_NAMED: usize = 8;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Without a step, this prints what happened in the episode, and for each step the pose, the feedback,
-the action and what was retrieved. Of a step in a run with --log-prompts, it prints the prompt, its
+Without a step, this prints what happened in the episode, where a failed one got into a loop and
+first acts unlike a success of the same case, and for each step the pose, the feedback, the action
+and what was retrieved. Of a step in a run with --log-prompts, it prints the prompt, its
 images and the answer. `memtransfer view` shows the same as pages.
 
 Examples:
@@ -64,13 +66,15 @@ pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
     let log = RunLog::read(&args.run)?;
     let record = args.episode(&log)?;
     let world = RunWorld::new(&log, &args.world.program()?.access())?;
-    let timeline = EpisodeTimeline::new(&world, record, EpisodeParts::default())?;
+    let parts = EpisodeParts { reference: true, ..EpisodeParts::default() };
+    let timeline = EpisodeTimeline::new(&world, record, &log.episodes.iter().collect(), parts)?;
     let Some(step) = args.step else {
         let shown = ShownEpisode {
             key: &record.key,
             policy: log.manifest.policy_label(),
             reference: record.reference,
             events: &timeline.events,
+            points: timeline.points.as_ref(),
             steps: timeline.decisions(),
         };
         match args.json {
@@ -106,6 +110,9 @@ struct ShownEpisode<'a> {
     policy: PolicyLabel,
     reference: u32,
     events: &'a [EpisodeEvent],
+    /// Since when it failed; absent for a success.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    points: Option<&'a FailurePoints>,
     steps: &'a [TimelineStep<'a>],
 }
 

@@ -6,7 +6,10 @@ use case_book::WorldFacts;
 use conditions::Condition;
 use conditions::key::EpisodeKey;
 use run_log::{EpisodeRecord, EpisodeTimings, RecallTotals, RunLog, Stages, StreamRecord};
-use scores::{ConditionScore, Derived, Estimate, Spread, StreamScore, failure_of, path_weight};
+use scores::{
+    ConditionScore, Derived, Estimate, FailurePoints, Spread, StreamScore, Successes, failure_of,
+    path_weight,
+};
 
 use serde_json::Value;
 
@@ -22,14 +25,16 @@ struct EpisodeRow<'a> {
     parts: Option<EpisodeKey>,
     record: Option<&'a EpisodeRecord>,
     timings: Option<&'a EpisodeTimings>,
+    /// Since when it failed; `None` for a success.
+    points: Option<FailurePoints>,
     error: Option<&'a str>,
 }
 
-/// A row for each episode of the runs. An episode that was given up has the ending `given-up`, its key, its condition
-/// and its error, and no other figure.
-pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
+/// A row for each episode of the runs, whose failures are compared with the successes beside them. An episode that was given up has
+/// the ending `given-up`, its key, its condition and its error, and no other figure.
+pub fn episodes_frame(runs: &[(&RunLog, &Successes)]) -> DataFrame {
     let mut rows = Vec::new();
-    for log in logs {
+    for &(log, successes) in runs {
         let timings = log.timings_by_key();
         rows.extend(log.episodes.iter().map(|record| EpisodeRow {
             log,
@@ -37,6 +42,7 @@ pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
             parts: Some(record.own_key()),
             record: Some(record),
             timings: timings.get(record.key.as_str()).copied(),
+            points: FailurePoints::of(record, successes),
             error: None,
         }));
         rows.extend(log.errors.iter().map(|error| EpisodeRow {
@@ -45,6 +51,7 @@ pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
             parts: EpisodeKey::read(&error.key),
             record: None,
             timings: None,
+            points: None,
             error: Some(&error.error),
         }));
     }
@@ -64,6 +71,11 @@ pub fn episodes_frame(logs: &[RunLog]) -> DataFrame {
     frame.real("spl", |row| Some(path_weight(row.record?)));
     frame.text("error", |row| row.error.map(str::to_owned));
     frame.text("failure", |row| Some(failure_of(row.record?, &row.log.world)?.kind));
+    frame.whole("last_progress", |row| Some(row.points.as_ref()?.last_progress));
+    frame.whole("first_repetition", |row| row.points.as_ref()?.first_repetition());
+    let divergence = |row: &EpisodeRow<'_>| row.points.as_ref()?.divergence.clone();
+    frame.whole("unlike_success_at", |row| Some(divergence(row)?.step));
+    frame.text("unlike_success", |row| Some(divergence(row)?.success));
     frame.whole("steps", |row| Some(row.record?.steps));
     frame.whole("reference", |row| Some(row.record?.reference));
     frame.whole("sub_goals_met", |row| Some(row.record?.sub_goals.len()));

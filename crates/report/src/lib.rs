@@ -46,7 +46,7 @@ use std::sync::LazyLock;
 
 use durable::{FolderDraft, KnownNames};
 use run_log::{REPORT_FOLDER, RunLog, report_names};
-use scores::score;
+use scores::{Successes, score};
 use view::ScoredRun;
 
 /// The page.
@@ -238,8 +238,10 @@ fn write_files(logs: &[RunLog], dir: &Path, options: Options<'_>) -> Result<(), 
             }
         }
     }
+    let successes: Vec<Successes> = logs.iter().map(|log| log.episodes.iter().collect()).collect();
+    let runs: Vec<(&RunLog, &Successes)> = logs.iter().zip(&successes).collect();
     let mut frames =
-        vec![("conditions", data::conditions(&views)), ("episodes", data::episodes_frame(logs))];
+        vec![("conditions", data::conditions(&views)), ("episodes", data::episodes_frame(&runs))];
     if views.iter().any(|view| view.scores.streams.is_some()) {
         frames.push(("streams", data::streams(&views)));
     }

@@ -42,7 +42,7 @@ pub(super) use conditions::conditions_table;
 pub(super) use conflict::conflict_table;
 pub(super) use cost::requests_table;
 pub(super) use elsewhere::left_out;
-pub(super) use failures::{failures_table, worst_table};
+pub(super) use failures::{failures_table, points_table, worst_table};
 pub(super) use growth::growth_table;
 pub(super) use overview::{notices, steps_per_second};
 pub(super) use streams::{

@@ -156,6 +156,8 @@ mod tests {
             steps: steps.collect(),
             events: Vec::new(),
             failure: None,
+            points: None,
+            unlike_reference_at: None,
             reference: None,
             scenery: None,
         };

@@ -12,8 +12,8 @@ use super::published::Published;
 use super::sections::{
     VERDICTS, adaptation_table, all_blocked_table, asked_rows, conditions_table, conflict_table,
     differences_table, failures_table, growth_table, incomplete, left_out, necessity_table,
-    notices, orders_table, requests_table, steps_per_second, success_table, supplied_table,
-    time_table, transfer_table, verdict, worst_table,
+    notices, orders_table, points_table, requests_table, steps_per_second, success_table,
+    supplied_table, time_table, transfer_table, verdict, worst_table,
 };
 use super::view::{ScoredRun, interval_text, p_value, pair_stubs, signed};
 use crate::table::{TextTable, table};
@@ -70,6 +70,7 @@ pub fn summary(log: &RunLog) -> String {
         ("Demonstrations here and elsewhere, compared", elsewhere),
         ("Banks of different sizes", growth_table(&view)),
         ("Failed episodes by kind", failures_table(&view)),
+        ("Since when they failed", points_table(&view)),
         ("Cases that fail most", worst_table(&view, WORST)),
         ("Requests to the model, those of repeated episodes included", requests_table(&view)),
         ("What memory supplied, means of an answer", supplied_table(&view)),

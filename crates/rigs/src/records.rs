@@ -150,7 +150,7 @@ pub fn record(case: &str, success: bool) -> EpisodeRecord {
     record
 }
 
-/// Sets the fact that an episode failed in this way, which was decided after `step` steps.
+/// Sets the fact that an episode failed in this way, by an event at step `step`.
 pub fn tell_failure(record: &mut EpisodeRecord, kind: &str, step: u32) {
     tell(record, "failure", json!({"kind": kind, "step": step}));
 }

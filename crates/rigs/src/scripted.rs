@@ -100,6 +100,7 @@ impl ScriptedSim {
             blocked_moves: blocked_moves.clone(),
             failure: None,
             looped_at: None,
+            loops: None,
             path: None,
             completes_in: (config.learns == 1).then(BTreeSet::new),
         });

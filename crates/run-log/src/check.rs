@@ -58,9 +58,12 @@ impl EpisodeRecord {
     pub fn check_world(&self) -> Result<(), String> {
         let facts = SharedFacts::of(&self.world).map_err(|error| format!("\"world\": {error}"))?;
         let told = [facts.failure.map(|failure| failure.step), facts.looped_at];
-        ensure(told.into_iter().flatten().all(|at| at <= self.steps), || {
-            "\"world\" has a step after the end".to_owned()
-        })
+        let loops = facts.loops.unwrap_or_default();
+        ensure(loops.iter().all(|one| one.from <= one.to), || {
+            "\"world\" has a loop that ends before it begins".to_owned()
+        })?;
+        let mut told = told.into_iter().flatten().chain(loops.iter().map(|one| one.to));
+        ensure(told.all(|at| at <= self.steps), || "\"world\" has a step after the end".to_owned())
     }
 
     fn check_key(&self) -> Result<(), String> {
@@ -169,16 +172,17 @@ fn ensure(holds: bool, problem: impl FnOnce() -> String) -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use domain::StreamOrder;
+    use serde_json::json;
 
     use super::*;
-    use crate::records::{keyed, record, stream_record};
+    use crate::records::{keyed, record, stream_record, tell};
 
     #[test]
     fn a_valid_record_passes_and_every_edit_is_noticed() {
         for success in [true, false] {
             assert_eq!(record("t01-01", success).check(200), Ok(()));
         }
-        let edits: [fn(&mut EpisodeRecord); 11] = [
+        let edits: [fn(&mut EpisodeRecord); 13] = [
             |record| record.steps = 931,
             |record| record.case = "t01-02".to_owned(),
             |record| record.run = 2,
@@ -187,6 +191,8 @@ mod tests {
             |record| record.actions = "fffffffff?".to_owned(),
             |record| record.conflict_at = Some(3),
             |record| drop(record.world.insert("looped_at".to_owned(), 11.into())),
+            |record| tell(record, "loops", json!([{"from": 3, "to": 11}])),
+            |record| tell(record, "loops", json!([{"from": 6, "to": 5}])),
             |record| drop(record.world.insert("failure".to_owned(), "fell".into())),
             |record| record.requests = Some(9),
             |record| {

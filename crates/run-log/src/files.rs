@@ -42,9 +42,10 @@ pub const REPORT_FOLDER: &str = "report";
 const REPORT_IDS: &str = concat!(
     "(side-by-side|compare-run[0-9]+-run[0-9]+(-conclusions|-unpaired)?|(run[0-9]+-)?(",
     "(conflict-pairs|elsewhere|pairs)(-conclusions|-unpaired)?|",
-    "blocked|blocked-others|conditions|configuration|conflict|cost|design|design-figure|external-pairs|facts|failures|",
-    "failures-figure|groups|growth|growth-(figure|search|store)|main|main-figure|mixed|mixed-figure|necessity|",
-    "provenance|ranking-[0-9]+|reproduction|requests|runs|supplied|time|time-figure|transfer|transfer-figure|worst-cases|",
+    "blocked|blocked-others|conditions|configuration|conflict|cost|design|design-figure|external-pairs|facts|",
+    "failures|failures-figure|failure-points|groups|growth|growth-(figure|search|store)|main|main-figure|mixed|",
+    "mixed-figure|necessity|provenance|ranking-[0-9]+|reproduction|requests|runs|supplied|time|time-figure|transfer|",
+    "transfer-figure|worst-cases|",
     "stream-(adaptation|cost|cost-figure|differences|matrix|matrix-figure|orders|rounds-[a-z0-9-]+|success|success-figure|transfer)))",
 );
 

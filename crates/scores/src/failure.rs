@@ -8,7 +8,8 @@ use case_book::{FailureFact, LOOPED, OUT_OF_STEPS, UNREADABLE, WorldFacts};
 use run_log::EpisodeRecord;
 use serde::Serialize;
 
-/// The failure of `record` in the words of `world`, and the number of steps after which it was decided; `None` for a success.
+/// The failure of `record` in the words of `world`, and the step of the event that the rule of its kind is about; `None` for a
+/// success. Since when it failed: [`FailurePoints`](crate::FailurePoints).
 pub fn failure_of(record: &EpisodeRecord, world: &WorldFacts) -> Option<FailureFact> {
     if record.is_success() {
         return None;

@@ -17,6 +17,7 @@
 //! | what writing the documents took | `documents.rs` |
 //! | what memories supplied and what that took | `memory.rs` |
 //! | kinds of failure, the cases that fail most | `failure.rs`, `worst.rs` |
+//! | since when an episode failed | `points.rs` |
 //! | time of a step by stage, steps per second | `time.rs` |
 //! | 95 % intervals | `interval.rs`, `student.rs` |
 //! | two configurations on the same cases | `comparison.rs`, by name `compare.rs`, what is left out `unpaired.rs` |
@@ -46,6 +47,7 @@ mod holm;
 mod interval;
 mod mean;
 mod memory;
+mod points;
 mod requests;
 mod sign_test;
 mod spread;
@@ -69,6 +71,10 @@ pub use growth::GrowthScore;
 pub use holm::holm;
 pub use interval::Interval;
 pub use memory::MemoryScore;
+pub use points::{
+    Divergence, DivergenceScore, FailurePoints, LoopScore, PointScore, Successes, point_scores,
+    steps_alike,
+};
 pub use requests::RequestScore;
 pub use sign_test::{LEVEL, MOST_CASES, POWER};
 pub use spread::Spread;

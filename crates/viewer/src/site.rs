@@ -33,6 +33,7 @@ use run_log::{
     EPISODES_FILE, EpisodeRecord, EpisodeTimings, JournalTail, PROMPTS_FOLDER, REQUESTS_FILE,
     RequestRecord, RunLog, STATUS_FILE, TIMINGS_FILE,
 };
+use scores::Successes;
 use serde_json::{Value, json};
 use world_client::frames::{ViewKey, ViewRenderer, jpeg, view_arguments};
 use world_client::{RecordedRun, RunWorld, WorldAccess, WorldProgram};
@@ -121,6 +122,8 @@ pub(crate) struct RunPages {
     requests: BTreeMap<String, Vec<usize>>,
     /// Episodes of streams, by sequence and position.
     sequences: BTreeMap<(String, u32), usize>,
+    /// With which failures are compared.
+    successes: Successes,
     growth: Option<Growth>,
     prompt_log: PromptLog,
     renderer: LazyRenderer,
@@ -167,7 +170,7 @@ impl LazyRenderer {
 
 impl RunPages {
     fn new(run: RecordedRun, program: &WorldProgram, is_served: bool) -> Result<Self> {
-        let RecordedRun { log, world, access, notices } = run;
+        let RecordedRun { log, world, access, notices, .. } = run;
         let program_of_run = program.of_run(&log)?;
         let settings = &log.manifest.settings;
         let arguments = view_arguments(&log);
@@ -189,6 +192,7 @@ impl RunPages {
             timings: BTreeMap::new(),
             requests: BTreeMap::new(),
             sequences: BTreeMap::new(),
+            successes: Successes::default(),
             growth,
             prompt_log,
             renderer,
@@ -204,6 +208,7 @@ impl RunPages {
             let position = record.stream.as_ref()?.position;
             Some(((EpisodeKey::read(&record.key)?.sequence()?, position), index))
         }));
+        self.successes.extend(self.log.episodes.iter().skip(from.0));
         let timings = self.log.timings.iter().enumerate().skip(from.1);
         self.timings.extend(timings.map(|(index, timings)| (timings.key.clone(), index)));
         for (index, request) in self.log.requests.iter().enumerate().skip(from.2) {
@@ -285,7 +290,7 @@ impl RunPages {
             let index = self.sequences.get(&(sequence.clone()?, position))?;
             self.log.episodes.get(*index)
         };
-        EpisodeData::new(&self.world, &episode, experience)
+        EpisodeData::new(&self.world, &episode, &self.successes, experience)
             .with_context(|| format!("cannot show {}", record.key))
     }
 

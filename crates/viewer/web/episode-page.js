@@ -30,7 +30,8 @@ memtransfer.EpisodeView = class {
     const visit = episode.visits.find((one) => one.step === step);
     return [before, visit && `Stands before ${visit.letter}.`, met > 0 && "A sub-goal is complete.",
       episode.conflictAt === step && `The agent ${this.conflict}.`,
-      episode.failure && episode.failure.step === step && `The failure is decided: ${episode.failure.kind}.`,
+      episode.failure && episode.failure.step === step && `Failed, ${episode.failure.kind}.`,
+      ...this.points().filter(([at]) => at === step).map(([, , , words]) => `From here ${words}.`),
       this.hasMap ? `Column ${x}, row ${y}, facing ${memtransfer.HEADINGS[heading]}.` : `State: ${episode.states[step]}.`].filter(Boolean).join(" ");
   }
 
@@ -75,6 +76,15 @@ memtransfer.EpisodeView = class {
     });
   }
 
+  /** Since when it failed: step, class, sign, words. */
+  points() {
+    const { loops, unlikeSuccess, unlikeReference } = this.episode.points || {};
+    const points = (loops || []).map(([from, to]) => [from, "loop", "↻", `in a loop until step ${to}`]);
+    if (unlikeSuccess) points.push([unlikeSuccess[0], "unlike", "≠", "unlike a success of the same case"]);
+    else if (typeof unlikeReference === "number") points.push([unlikeReference, "unlike", "≠", "unlike the reference"]);
+    return points;
+  }
+
   /** The moments worth a mark on the time line: step, class, sign, words. */
   moments() {
     const { episode } = this;
@@ -85,7 +95,8 @@ memtransfer.EpisodeView = class {
       ...[...episode.actions].flatMap((letter, at) => (letter === "?" ? [[at + 1, "unread", "?", "answer not readable"]] : [])),
     ];
     if (episode.conflictAt !== null) moments.push([episode.conflictAt, "closed", "■", this.conflict]);
-    if (episode.failure) moments.push([episode.failure.step, "failed", "⚑", `failure decided: ${episode.failure.kind}`]);
+    if (episode.failure) moments.push([episode.failure.step, "failed", "⚑", `failed: ${episode.failure.kind}`]);
+    moments.push(...this.points());
     return moments.sort((a, b) => a[0] - b[0]);
   }
 
@@ -113,6 +124,33 @@ memtransfer.EpisodeView = class {
       level === "h1" && h("p", { class: "soft" }, `${run.cases[row.case].id}, ${run.cases[row.case].task}; ${condition.name}; ${row.place || `run ${row.repetition}`}; policy: ${run.policy}`));
   }
 
+  /** Since when it failed, in a sentence for each point; `step` makes a link to a step. */
+  sinceWhen(step) {
+    const { h, runs, episodes, episodeAddress } = memtransfer;
+    const { run, row, episode } = this;
+    const { lastProgress, loops, unlikeSuccess, unlikeReference } = episode.points;
+    const met = episode.subGoals.length;
+    const sentences = [met > 0 ? ["Last progress: sub-goal ", `${met} of ${episode.required} at `, step(lastProgress), "."] : ["Last progress: none."]];
+    if (loops === null) sentences.push(["Loop: not recorded in this log."]);
+    else if (loops.length === 0) sentences.push(["Loop: none of 20 steps or more."]);
+    else sentences.push(["Loop: from ", step(loops[0][0]), ` to step ${loops[0][1]} it is only in states in which it was before`,
+      loops.slice(1).map(([from, to]) => [", again from ", step(from), ` to step ${to}`]), "."]);
+    const later = (at) => (lastProgress > at ? " It completed a sub-goal after that, so the reason is later." : "");
+    if (unlikeSuccess) {
+      const [at, key] = unlikeSuccess;
+      const number = runs.indexOf(run) + 1;
+      const other = episodes(run).find((one) => one.key === key);
+      const name = other ? `${run.conditions[other.condition].name}, ${other.place || `run ${other.repetition}`}` : key;
+      sentences.push(["First unlike a success: ", step(at), ".", later(at), " ",
+        h("a", { href: episodeAddress(number, row, { run2: number, key2: key, step: at }) }, `Compare with ${name}, which parts from here at step ${at}`), "."]);
+    } else if (unlikeReference === null) {
+      sentences.push(["No episode of this case, start and route succeeded."]);
+    } else {
+      sentences.push(["No episode of this case, start and route succeeded. First unlike the reference: ", step(unlikeReference), ".", later(unlikeReference)]);
+    }
+    return sentences.map((sentence) => h("li", {}, sentence));
+  }
+
   /** Why it failed, in a sentence with links to the steps. */
   story(go) {
     const { h } = memtransfer;
@@ -132,7 +170,7 @@ memtransfer.EpisodeView = class {
       sentences.push(h("p", {}, `The agent ${this.conflict} at `, step(episode.conflictAt), this.hasMap ? "; what memory supplied for that step does not lead into it." : "."));
     }
     if (episode.failure) {
-      sentences.push(h("p", {}, h("b", {}, `Failed, ${episode.failure.kind}: `), `${episode.failure.meaning}. Decided at `, step(episode.failure.step), "."));
+      sentences.push(h("p", {}, h("b", {}, `Failed, ${episode.failure.kind}: `), `${episode.failure.meaning}, `, step(episode.failure.step), "."), h("ul", { class: "points" }, this.sinceWhen(step)));
     }
     if (episode.changes.length) {
       const since = episode.firstBlock ? "since the demonstrations" : "since the block before in this sequence";
@@ -160,7 +198,8 @@ memtransfer.episodePage = (current, episodes) => {
   const isPair = views.length === 2;
   const [main] = views;
   const last = Math.max(...views.map((view) => view.last));
-  const divergence = isPair ? firstDifference(...views) : null;
+  const divergence = isPair ? firstDifference(...views) : pointOf("unlike");
+  const firstLoop = pointOf("loop");
   const asked = current.step === undefined ? null : Number(current.step);
   let step = Math.min(Math.max(asked ?? (isPair ? divergence ?? 0 : 0), 0), last) || 0;
   let timer = null;
@@ -276,8 +315,8 @@ memtransfer.episodePage = (current, episodes) => {
     play, button("Step on (right arrow)", "▸", () => step + 1), button("Next mark (n)", "▸▸", nextMoment), button("Last step (End)", "▸|", () => last), label);
   const back = h("nav", { "aria-label": "Path" }, h("a", { href: memtransfer.grids[current.run || 1] || address({ run: runs.length > 1 ? current.run || 1 : "" }) }, `← ${main.run.name}`));
   const title = `${main.run.cases[main.row.case].id}, ${main.run.conditions[main.row.condition].name}`;
-  const signs = h("p", { class: "signs" }, main.hasMap ? "▲ sub-goal  △ arrival before an item  × blocked  ■ closed passage  ? unreadable  ⚑ failure decided"
-    : "▲ sub-goal  ■ ran into what blocks the way  ? unreadable  ⚑ failure decided");
+  const signs = h("p", { class: "signs" }, main.hasMap ? "▲ sub-goal  △ arrival before an item  × blocked  ■ closed passage  ? unreadable  ↻ loop  ≠ unlike a success  ⚑ failed"
+    : "▲ sub-goal  ■ ran into what blocks the way  ? unreadable  ↻ loop  ≠ unlike a success  ⚑ failed");
   const transport = [views.map((view) => h("div", { class: "line" }, isPair && h("span", { class: "hidden" }, view.run.name), view.timeLine(last))), slider, controls, signs, spoken];
 
   if (isPair) {
@@ -313,12 +352,19 @@ memtransfer.episodePage = (current, episodes) => {
     if (event.key === " ") toggle();
     else if (event.key === "f" && main.episode.failure) go(main.episode.failure.step);
     else if (event.key === "d" && divergence !== null) go(divergence);
+    else if (event.key === "l" && firstLoop !== null) go(firstLoop);
     else if (steps[event.key]) go(steps[event.key]());
     else return;
     event.preventDefault();
   }
   document.addEventListener("keydown", keys);
   return () => { document.removeEventListener("keydown", keys); clearInterval(timer); };
+
+  /** The first step of this class since which the episode failed; `null` if there is none. */
+  function pointOf(style) {
+    const point = main.points().find((one) => one[1] === style);
+    return point ? point[0] : null;
+  }
 
   /** The first step after which the two do not do the same; `null` if there is none. */
   function firstDifference(a, b) {

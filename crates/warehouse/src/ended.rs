@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use case_book::{EpisodeFacts, looped_at};
+use case_book::{EpisodeFacts, looped_at, loops};
 use domain::Pose;
 
 use crate::event_recorder::EventRecorder;
@@ -47,6 +47,9 @@ impl EndedEpisode<'_> {
             first_seen: &first_seen,
             conflict_at,
         };
+        let completed = |step: u32| sub_goals.partition_point(|&met| met <= step);
+        let situations: Vec<(usize, Pose)> =
+            (0..).zip(poses).map(|(step, pose)| (completed(step), *pose)).collect();
         let is_complete = sub_goals.len() == required as usize;
         let failure = if is_complete { None } else { failed.failure() };
         Some(EpisodeFacts {
@@ -57,6 +60,7 @@ impl EndedEpisode<'_> {
             blocked_moves: self.blocked_moves,
             failure,
             looped_at: looped_at(poses),
+            loops: Some(loops(&situations)),
             path: path_fact(poses, self.reference),
             completes_in: self.completes_in,
         })

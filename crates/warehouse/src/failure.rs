@@ -87,17 +87,17 @@ impl Failure {
 }
 
 impl FailedEpisode<'_> {
-    /// The kind of its failure, and the number of steps after which that was decided: that of the try to enter the closed cell,
-    /// of the arrival or sight after which the agent came no further, or the end of the episode. `None` where no rule applies.
+    /// The kind of its failure, and the step of the event that its rule is about: the try to enter the closed cell, the arrival or
+    /// sight after which the agent came no further, or the end of the episode. `None` where no rule applies.
     pub(crate) fn failure(&self) -> Option<FailureFact> {
-        let mut decided = Failure::ALL.iter().map(|kind| (kind, self.decided_at(*kind)));
-        decided.find_map(|(kind, step)| {
+        let mut steps = Failure::ALL.iter().map(|kind| (kind, self.step_of(*kind)));
+        steps.find_map(|(kind, step)| {
             Some(FailureFact { kind: kind.name().to_owned(), step: step? })
         })
     }
 
-    /// The number of steps after which it failed in this way; `None` where the rule of this kind does not apply.
-    fn decided_at(&self, kind: Failure) -> Option<u32> {
+    /// The step of the event that the rule of this kind is about; `None` where the rule does not apply.
+    fn step_of(&self, kind: Failure) -> Option<u32> {
         let done = self.sub_goals.len();
         let lacks_one = self.required.saturating_sub(done as u32) == 1;
         let last_progress = self.sub_goals.last().copied();
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn one_episode_of_each_kind_says_after_which_step_it_was_decided() {
+    fn one_episode_of_each_kind_has_the_step_of_its_event() {
         use Requirement::{A, B, C};
         for (number, (expected, episode)) in [
             ((Failure::Blocked, 5), at_barricade(9)),

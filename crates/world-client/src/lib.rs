@@ -24,6 +24,7 @@ use std::path::Path;
 use anyhow::Result;
 use conditions::Frames;
 use run_log::RunLog;
+use scores::Successes;
 
 /// What a reader of views must know about a run whose frames were a control.
 pub fn control_notice(frames: Frames) -> Option<String> {
@@ -42,6 +43,8 @@ pub fn control_notice(frames: Frames) -> Option<String> {
 pub struct RecordedRun {
     /// The run's log.
     pub log: RunLog,
+    /// The run's successes, with which failures are compared, also of those episodes that are then left out of the log.
+    pub successes: Successes,
     /// The worlds of its episodes.
     pub world: RunWorld,
     /// How they were found.
@@ -59,7 +62,8 @@ impl RecordedRun {
         let log = RunLog::read(dir)?;
         let world = RunWorld::new(&log, access)?;
         let notices = control_notice(log.manifest.settings.frames).into_iter().collect();
-        let mut run = Self { log, world, access: access.clone(), notices };
+        let successes = log.episodes.iter().collect();
+        let mut run = Self { log, successes, world, access: access.clone(), notices };
         let changed = run.changed_assets().join(", another ");
         if !changed.is_empty() {
             run.notices.push(format!(

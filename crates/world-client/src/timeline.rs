@@ -5,7 +5,7 @@ use case_book::act::{ActedEpisode, ActedReference, EpisodeParts, EpisodeScenery}
 use case_book::{FailureFact, WorldFacts};
 use domain::{FeedbackCode, State};
 use run_log::EpisodeRecord;
-use scores::failure_of;
+use scores::{FailurePoints, Successes, failure_of, steps_alike};
 use serde::Serialize;
 
 use crate::frames::ViewKey;
@@ -26,6 +26,10 @@ pub struct EpisodeTimeline<'a> {
     pub events: Vec<EpisodeEvent>,
     /// Why it failed; `None` for a success.
     pub failure: Option<FailureFact>,
+    /// Since when it failed; `None` for a success.
+    pub points: Option<FailurePoints>,
+    /// Where it first acts unlike the reference: for a failure without a success to compare with, if the reference was asked for.
+    pub unlike_reference_at: Option<u32>,
     /// What the expert does, if it was asked for and there is something.
     pub reference: Option<ActedReference>,
     /// What a map shows, if it was asked for.
@@ -64,22 +68,28 @@ pub struct TimelineStep<'a> {
 }
 
 impl<'a> EpisodeTimeline<'a> {
-    /// The episode of `record`, which took place in `world`, with these parts.
+    /// The episode of `record`, which took place in `world`, with these parts. A failure is compared with `successes` of its run.
     ///
     /// # Errors
     /// When it does not fit the world.
-    pub fn new(world: &RunWorld, record: &'a EpisodeRecord, parts: EpisodeParts) -> Result<Self> {
+    pub fn new(
+        world: &RunWorld,
+        record: &'a EpisodeRecord,
+        successes: &Successes,
+        parts: EpisodeParts,
+    ) -> Result<Self> {
         let variant = world.variant(record)?;
         let acted = world.act(record, parts)?;
         let views = world.seen_in(record, variant, &acted.states)?;
-        Ok(Self::of(record, &world.description().world, variant, acted, views))
+        let points = FailurePoints::of(record, successes);
+        Ok(Self::of(record, &world.description().world, variant, (acted, points), views))
     }
 
     fn of(
         record: &'a EpisodeRecord,
         world: &WorldFacts,
         variant: u32,
-        acted: ActedEpisode,
+        (acted, points): (ActedEpisode, Option<FailurePoints>),
         views: Vec<ViewKey>,
     ) -> Self {
         let words =
@@ -87,8 +97,17 @@ impl<'a> EpisodeTimeline<'a> {
         let (mut retrieved, mut distances) = (words(&record.retrieved), words(&record.distances));
         let mut actions = record.actions.chars();
         let failure = failure_of(record, world);
-        let events = events(record, world, failure.as_ref(), &acted);
         let declaration = &world.declaration;
+        let is_alone = points.as_ref().is_some_and(|points| points.divergence.is_none());
+        let unlike_reference_at = acted.reference.as_ref().filter(|_| is_alone).map(|reference| {
+            let actions = reference.actions.iter().copied().map(Some);
+            steps_alike(&record.actions, &declaration.letters(actions))
+        });
+        let mut events = events(record, world, failure.as_ref(), &acted);
+        if let Some(points) = &points {
+            events.extend(point_events(points, unlike_reference_at));
+            events.sort_by_key(|event| event.step);
+        }
         let in_words = |action| declaration.action_words(action).to_owned();
         let moments = (0..).zip(acted.states).zip(acted.feedback).zip(views);
         let steps = moments.map(|(((step, state), feedback), view)| TimelineStep {
@@ -109,6 +128,8 @@ impl<'a> EpisodeTimeline<'a> {
             steps: steps.collect(),
             events,
             failure,
+            points,
+            unlike_reference_at,
             instruction: acted.instruction,
             reference: acted.reference,
             scenery: acted.scenery,
@@ -184,9 +205,31 @@ fn events(
     events
 }
 
+/// The points since when an episode failed, as events. Its last progress is the last sub-goal that is met.
+fn point_events(points: &FailurePoints, unlike_reference_at: Option<u32>) -> Vec<EpisodeEvent> {
+    let warning = |step, words| EpisodeEvent { step, level: EventLevel::Warning, words };
+    let loops = points.loops.iter().flatten().map(|found| {
+        let until = found.to;
+        warning(found.from, format!("in a loop from here until step {until}"))
+    });
+    let unlike_success = points.divergence.iter().map(|found| {
+        let success = &found.success;
+        warning(found.step, format!("acts from here unlike {success}, which succeeded"))
+    });
+    let unlike_reference = unlike_reference_at.into_iter().map(|step| {
+        warning(
+            step,
+            "acts from here unlike the reference; no episode like it succeeded".to_owned(),
+        )
+    });
+    unlike_success.chain(unlike_reference).chain(loops).collect()
+}
+
 #[cfg(test)]
 mod tests {
+    use case_book::LoopFact;
     use rigs::records::{record, tell_failure, world};
+    use scores::Divergence;
 
     use super::*;
 
@@ -230,6 +273,19 @@ mod tests {
         3 Warning Something blocks the way: you did not move.
         3 Warning ran into what blocks the way
         3 Error failed: blocked (tried to enter a closed cell, then met no requirement and hardly went anywhere new)
+        ");
+        let points = FailurePoints {
+            last_progress: 1,
+            loops: Some(vec![LoopFact { from: 22, to: 80 }]),
+            divergence: Some(Divergence { step: 4, success: "KEY".to_owned() }),
+        };
+        let lone = FailurePoints { loops: None, divergence: None, ..points.clone() };
+        let shown = point_events(&points, None).into_iter().chain(point_events(&lone, Some(0)));
+        let shown: Vec<String> = shown.map(|one| format!("{} {}", one.step, one.words)).collect();
+        insta::assert_snapshot!(shown.join("\n"), @"
+        4 acts from here unlike KEY, which succeeded
+        22 in a loop from here until step 80
+        0 acts from here unlike the reference; no episode like it succeeded
         ");
         let last = EpisodeEvent {
             step: 10,

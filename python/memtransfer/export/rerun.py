@@ -142,7 +142,7 @@ def events(trajectory: Trajectory, policy: str) -> list[tuple[int, str, str]]:
         found.append((len(trajectory.actions), "INFO", "task complete"))
     if trajectory.failure is not None:
         kind, step = trajectory.failure
-        found.append((step, "ERROR", f"failure decided here: {kind}"))
+        found.append((step, "ERROR", f"failed: {kind}"))
     return sorted(found, key=lambda event: event[0])
 
 

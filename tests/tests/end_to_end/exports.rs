@@ -125,12 +125,13 @@ fn shown_and_exported(bench: &Bench, frames: &str) -> Vec<(RecordedPrompt, RgbaI
         variable: ("MEMTRANSFER_TEST", "views"),
     };
     let run = RecordedRun::read(&bench.out(frames), &program.access()).unwrap();
-    let RecordedRun { log, world, .. } = run;
+    let RecordedRun { log, successes, world, .. } = run;
     let format = ViewFormat { edge: 64, quality: 90 };
     let mut renderer = ViewRenderer::start(&program, &view_arguments(&log), format).unwrap();
     let mut steps = Vec::new();
     for record in &log.episodes {
-        let timeline = EpisodeTimeline::new(&world, record, EpisodeParts::default()).unwrap();
+        let parts = EpisodeParts::default();
+        let timeline = EpisodeTimeline::new(&world, record, &successes, parts).unwrap();
         for step in timeline.decisions() {
             let prompt = look_up(&log, record, step.step).unwrap().unwrap();
             let seen = RgbaImage::read(&prompt.images[&prompt.entry.request.frame]).unwrap();

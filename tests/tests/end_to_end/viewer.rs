@@ -126,6 +126,43 @@ fn five_clicks_lead_from_a_run_to_the_step_that_decided_a_failure() {
 }
 
 #[test]
+fn a_failure_is_compared_with_the_success_that_it_follows_longest() {
+    let bench = Bench::new();
+    let mut args = vec!["run", "--policy", "grounded", "--cases", "t02-02", "--starts", "new"];
+    args.extend(["--memory", "working,semantic", "--out", "run"]);
+    bench.run(&args).expect(0);
+    let run = bench.out("run");
+    let log = RunLog::read(&run).unwrap();
+    let (failed, success) = (
+        log.episodes.iter().find(|record| !record.is_success()).unwrap(),
+        log.episodes.iter().find(|record| record.is_success()).unwrap(),
+    );
+    let shown = bench.run(&["show", run.to_str().unwrap(), &failed.key, "--json"]).expect(0);
+    let points = serde_json::from_str::<Value>(&shown.stdout).unwrap()["points"].take();
+    assert!(points["loops"].is_array(), "{points}");
+    assert_eq!(points["divergence"]["success"], success.key.as_str());
+    let step = points["divergence"]["step"].as_u64().unwrap();
+
+    let url = bundle(&bench, &[&run], &["--episodes", "all"]);
+    let mut browser = Browser::start(1300, 1000);
+    browser.open(&url);
+    browser.click("td a.mark:not(.success)");
+    browser.wait_for(EPISODE);
+    let story = browser.text(".story");
+    assert!(story.contains(&format!("First unlike a success: step {step}.")), "{story}");
+    assert!(story.contains("Last progress: none."), "{story}");
+    browser.value("document.getElementById('main').focus()");
+    browser.press("d");
+    assert!(browser.text(STEP).starts_with(&format!("Step {step} of")));
+    assert!(browser.text(".happening").contains("From here unlike a success of the same case."));
+    browser.click(".story .points a");
+    browser.wait_for("document.querySelectorAll('.pair > section').length === 2");
+    assert!(browser.text(STEP).starts_with(&format!("Step {step} of")));
+    assert!(browser.text(".divergence").contains(&format!("until step {step}.")));
+    assert_no_problem(&mut browser);
+}
+
+#[test]
 fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address() {
     let bench = Bench::new();
     let run = blocked(&bench, "a", MEMORIES, &["--limit", "20", "--max-steps", "20"]);

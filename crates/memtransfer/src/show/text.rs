@@ -18,11 +18,14 @@ const DIGITS: usize = 8;
 
 /// Renders the episode.
 pub(super) fn episode(shown: &ShownEpisode) -> String {
-    let ShownEpisode { key, policy, reference, events, steps } = shown;
+    let ShownEpisode { key, policy, reference, events, points, steps } = shown;
     let mut text = format!("{key}: {} steps; the reference has {reference}\n", steps.len());
     let _ = writeln!(text, "{}", policy.sentence("Policy"));
     for event in *events {
         let _ = writeln!(text, "  after {:>3}  {}", event.step, event.words);
+    }
+    if points.is_some_and(|points| points.loops.is_none()) {
+        let _ = writeln!(text, "  Loops are not recorded in this log.");
     }
     let mut rows = table(&["Step", "State", "Feedback", "Action", "Retrieved", "Distances"], 0);
     (1..6).for_each(|column| rows.set_text(column));
@@ -173,6 +176,7 @@ fn indented(text: &mut String, content: &str) {
 mod tests {
     use domain::{FeedbackCode, State};
     use rigs::records::{manifest, world};
+    use scores::FailurePoints;
     use world_client::frames::ViewKey;
     use world_client::{EpisodeEvent, EventLevel};
 
@@ -206,6 +210,7 @@ mod tests {
             policy: manifest().policy_label(),
             reference: 8,
             events: &[event(1, "sub-goal 1 of 2 is met"), event(3, "failed: never-saw")],
+            points: Some(&FailurePoints { last_progress: 1, loops: None, divergence: None }),
             steps: &[
                 step(0, 2.0, FeedbackCode::START, Some("move forward"), Some("o12")),
                 step(1, 3.0, FeedbackCode(1), None, Some("-")),
@@ -217,6 +222,7 @@ mod tests {
         Policy: grounded, scripted stand-in. It tests the harness; its figures are no claim about any model.
           after   1  sub-goal 1 of 2 is met
           after   3  failed: never-saw
+          Loops are not recorded in this log.
         ────────────────────────────────────────────────────────────────────────────────────────────────────
         Step  State      Feedback                                         Action        Retrieved  Distances
         ────────────────────────────────────────────────────────────────────────────────────────────────────

@@ -66,7 +66,11 @@ impl ActingSimulator {
         let acted = self.act(begin, request.actions.iter().copied())?;
         let states: Vec<State> = acted.moments.iter().map(|moment| moment.state).collect();
         let told = match request.parts.facts {
-            true => Some(facts(&states, self.stage.facts()?)),
+            true => {
+                let completed: Vec<u32> =
+                    acted.moments.iter().map(|moment| moment.sub_goals).collect();
+                Some(facts(&states, &completed, self.stage.facts()?))
+            }
             false => None,
         };
         let reference = match request.parts.reference {

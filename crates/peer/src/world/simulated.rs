@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use case_book::{DemonstrationBook, WorldDeclaration, looped_at};
+use case_book::{DemonstrationBook, WorldDeclaration, looped_at, loops};
 use domain::{ActionCode, Start, State};
 use serde_json::{Map, Value, json};
 use shm_types::Attach;
@@ -64,6 +64,8 @@ struct RunningEpisode {
     step: u32,
     /// The states, the begin first.
     states: Vec<State>,
+    /// The sub-goals completed in each of them.
+    completed: Vec<u32>,
     now: Observed,
 }
 
@@ -113,7 +115,7 @@ impl<'s, S: Simulator + ?Sized> SimulatedWorld<'s, S> {
         let Lane { environment: Some(environment), episode: Some(episode) } = lane else {
             return Err("the lane is in no episode".to_owned().into());
         };
-        let RunningEpisode { config, step, states, now } = episode;
+        let RunningEpisode { config, step, states, completed, now } = episode;
         check(&self.declaration, now).map_err(Refusal::Episode)?;
         let ended = if is_complete(now) {
             EpisodeEnd::Complete
@@ -143,7 +145,7 @@ impl<'s, S: Simulator + ?Sized> SimulatedWorld<'s, S> {
             ended,
             facts: if has_ended {
                 let own = environment.facts().map_err(Refusal::of)?;
-                Some(Value::Object(facts(states, own)).to_string())
+                Some(Value::Object(facts(states, completed, own)).to_string())
             } else {
                 None
             },
@@ -165,14 +167,22 @@ pub(super) fn state_hash(observed: &Observed) -> u64 {
     })
 }
 
-/// The facts of an episode: those of the environment, with the states of begin and end, and whether it went in a loop.
-pub(super) fn facts(states: &[State], own: Map<String, Value>) -> Map<String, Value> {
+/// The facts of an episode: those of the environment, with the states of begin and end, and its loops. `completed` has the number of
+/// sub-goals completed in each of `states`.
+pub(super) fn facts(
+    states: &[State],
+    completed: &[u32],
+    own: Map<String, Value>,
+) -> Map<String, Value> {
     let mut facts = Map::new();
     facts.insert("start_state".to_owned(), json!(states.first()));
     facts.insert("final_state".to_owned(), json!(states.last()));
     if let Some(step) = looped_at(states) {
         facts.insert("looped_at".to_owned(), json!(step));
     }
+    let situations: Vec<(u32, State)> =
+        completed.iter().copied().zip(states.iter().copied()).collect();
+    facts.insert("loops".to_owned(), json!(loops(&situations)));
     facts.extend(own);
     facts
 }
@@ -211,8 +221,13 @@ impl<S: Simulator + ?Sized> World for SimulatedWorld<'_, S> {
         };
         let begin = EpisodeBegin { case: named, start, is_blocked, seed };
         let now = environment.reset(&begin).map_err(Refusal::of)?;
-        lane.episode =
-            Some(RunningEpisode { config: *config, step: 0, states: vec![now.state], now });
+        lane.episode = Some(RunningEpisode {
+            config: *config,
+            step: 0,
+            states: vec![now.state],
+            completed: vec![now.sub_goals],
+            now,
+        });
         self.moment(lane, None)
     }
 
@@ -254,6 +269,7 @@ impl<S: Simulator + ?Sized> World for SimulatedWorld<'_, S> {
         };
         episode.step = step;
         episode.states.push(episode.now.state);
+        episode.completed.push(episode.now.sub_goals);
         self.moment(lane, action).map(Some)
     }
 
@@ -321,4 +337,20 @@ fn remembered(book: &DemonstrationBook, number: u32) -> Option<(StageBegin, &[Ac
             StageBegin { case: of.case, start: name.start(), is_blocked: name.is_blocked() };
         Some((begin, of.actions.get(..step)?))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_facts_of_an_episode_tell_its_loops_in_states_and_sub_goals() {
+        // Two states in turn; a sub-goal is completed at step 24.
+        let states: Vec<State> =
+            (0..50_u8).map(|step| State::new(&[f32::from(step % 2)]).unwrap()).collect();
+        let completed: Vec<u32> = (0..50).map(|step| u32::from(step >= 24)).collect();
+        let told = facts(&states, &completed, Map::new());
+        assert_eq!(told["loops"], json!([{"from": 2, "to": 23}, {"from": 26, "to": 49}]));
+        assert_eq!(facts(&states[..9], &completed[..9], Map::new())["loops"], json!([]));
+    }
 }

@@ -1,11 +1,11 @@
-//! Failures by kind, and the cases that fail most.
+//! Failures by kind, since when episodes failed, and the cases that fail most.
 
 use std::collections::BTreeSet;
 
 use domain::MemoryKind;
-use scores::{ConditionScore, worst_cases};
+use scores::{ConditionScore, DivergenceScore, LoopScore, PointScore, point_scores, worst_cases};
 
-use crate::document::{ReportBlock, Table};
+use crate::document::{Missing, ReportBlock, Table, TableCell, TableRow};
 use crate::plot::{Stack, StackRow, stack};
 use crate::sections::conditions::setting;
 use crate::view::ScoredRun;
@@ -37,6 +37,15 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         rows: bars.collect(),
     })));
     blocks.push(ReportBlock::Table(table));
+    if let Some(table) = points_table(view) {
+        let text = "Since when an episode failed: its last progress is the last sub-goal that it completed. In a loop it is, \
+                    for at least 20 steps, only in states in which it was before, and makes no progress after. It is compared \
+                    with the success of the same case, start and route, under any memory, with which it has most actions in \
+                    common; until the step where they part it did nothing that a success did not do. Where it completed a \
+                    sub-goal after that, it took another way, and the reason is later.";
+        blocks.push(ReportBlock::Text(text.to_owned()));
+        blocks.push(ReportBlock::Table(table));
+    }
     blocks.extend(worst_table(view, WORST).map(ReportBlock::Table));
     blocks
 }
@@ -76,6 +85,74 @@ pub(crate) fn failures_table(view: &ScoredRun<'_>) -> Option<Table> {
         (&["Kind"], &columns),
         rows,
     ))
+}
+
+/// What a row of the table of points has of the failures of a memory.
+type PointFigure = fn(&PointScore) -> TableCell;
+
+/// The rows of the table of points.
+const POINTS: [(&str, PointFigure); 9] = [
+    ("failed", |score| TableCell::Value(score.failed.to_string())),
+    ("last progress, median step", |score| step(Some(score.last_progress), "")),
+    ("in a loop", |score| of_loops(score, |loops| share(loops.looped, loops.recorded))),
+    ("first repetition, median step", |score| {
+        of_loops(score, |loops| step(loops.first_repetition, "no failed episode is in a loop"))
+    }),
+    ("undecided until the steps ran out", |score| TableCell::Value(score.undecided.to_string())),
+    ("of these in a loop", |score| {
+        of_loops(score, |loops| TableCell::Value(loops.undecided.to_string()))
+    }),
+    ("compared with a success", |score| {
+        share(score.divergence.map_or(0, |divergence| divergence.compared), score.failed)
+    }),
+    ("first unlike it, median step", |score| {
+        step(score.divergence.map(|divergence| divergence.step), NO_SUCCESS)
+    }),
+    ("no progress after that", |score| {
+        let of =
+            |divergence: DivergenceScore| share(divergence.without_progress, divergence.compared);
+        score.divergence.map_or(TableCell::Missing(Missing::NotApplicable(NO_SUCCESS)), of)
+    }),
+];
+
+const NO_SUCCESS: &str = "no episode of the same case, start and route succeeded";
+
+fn step(median: Option<f64>, why_not: &'static str) -> TableCell {
+    let missing = TableCell::Missing(Missing::NotApplicable(why_not));
+    median.map_or(missing, |step| TableCell::Value(step.to_string()))
+}
+
+fn share(part: usize, of: usize) -> TableCell {
+    TableCell::Value(format!("{part} of {of}"))
+}
+
+fn of_loops(score: &PointScore, figure: impl Fn(LoopScore) -> TableCell) -> TableCell {
+    let missing = Missing::NotMeasured("the records tell no loops");
+    score.loops.map_or(TableCell::Missing(missing), figure)
+}
+
+/// Since when episodes failed, by memory; `None` when nothing failed.
+pub(crate) fn points_table(view: &ScoredRun<'_>) -> Option<Table> {
+    let scores = point_scores(view.log);
+    let titles: Vec<String> = scores
+        .iter()
+        .map(|score| score.memory.map_or_else(|| "All".to_owned(), |memory| view.label(memory)))
+        .collect();
+    let columns: Vec<&str> = titles.iter().map(String::as_str).collect();
+    let mut table = Table::of_text(
+        view.id("failure-points"),
+        "Since when episodes failed, by memory, over all conditions and runs. Undecided: the rule of its kind names no event \
+         after the last progress.",
+        (&["Point"], &columns),
+        [],
+    );
+    let rows = POINTS
+        .iter()
+        .map(|(label, figure)| TableRow::new(*label, scores.iter().map(figure).collect()));
+    let is_measured =
+        |row: &TableRow| row.cells.iter().any(|cell| !matches!(cell, TableCell::Missing(_)));
+    table.groups[0].rows = rows.filter(is_measured).collect();
+    (!scores.is_empty()).then_some(table)
 }
 
 /// The cases that fail most; `None` when nothing failed.

@@ -4,15 +4,16 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::iter::{repeat, repeat_with};
 
 use anyhow::Result;
-use case_book::FailureFact;
 use case_book::act::{
     ActedDemonstration, DemonstrationsRequest, EpisodeParts, EpisodeScenery, Target,
 };
+use case_book::{FailureFact, LoopFact};
 use conditions::key::EpisodeKey;
 use domain::events::Requirement;
 use domain::{Arm, Cell, DemonstrationKind, Demonstrations, Pose, State};
 use run_log::source::{SourceStep, distances, sources};
 use run_log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
+use scores::{FailurePoints, Successes};
 use serde::Serialize;
 use world_client::frames::ViewKey;
 use world_client::{EpisodeTimeline, RunWorld, begin_of, facts_of};
@@ -46,6 +47,8 @@ pub struct EpisodeData {
     steps: u32,
     reference: u32,
     failure: Option<FailureData>,
+    /// Since when it failed; `None` for a success.
+    points: Option<PointData>,
     /// By step.
     poses: Vec<PoseData>,
     /// By step, in words.
@@ -100,8 +103,35 @@ type Supplied = (usize, u32, Option<f64>);
 pub struct FailureData {
     kind: String,
     meaning: String,
-    /// The step after which it was decided.
+    /// The step of the event that the rule of the kind is about.
     step: u32,
+}
+
+/// Since when the episode failed.
+#[derive(Debug, Serialize)]
+#[serde(rename_all = "camelCase")]
+struct PointData {
+    /// The step at which the last sub-goal was completed; 0 if none was.
+    last_progress: u32,
+    /// First repetition and end of each loop after it. `None`: not recorded.
+    loops: Option<Vec<(u32, u32)>>,
+    /// The step from which it acts unlike the success with this key.
+    unlike_success: Option<(u32, String)>,
+    /// Without such a success: the step from which it acts unlike the reference.
+    unlike_reference: Option<u32>,
+}
+
+impl PointData {
+    fn new(points: FailurePoints, unlike_reference: Option<u32>) -> Self {
+        let FailurePoints { last_progress, loops, divergence } = points;
+        let steps = |found: LoopFact| (found.from, found.to);
+        Self {
+            last_progress,
+            loops: loops.map(|loops| loops.into_iter().map(steps).collect()),
+            unlike_success: divergence.map(|found| (found.step, found.success)),
+            unlike_reference,
+        }
+    }
 }
 
 #[derive(Debug, Serialize)]
@@ -172,20 +202,24 @@ enum DemonstrationOrigin {
 }
 
 impl EpisodeData {
-    /// The data of `episode`. `experience` finds the record at a position of its sequence.
+    /// The data of `episode`, which is compared with `successes` if it failed. `experience` finds the record at a position of its
+    /// sequence.
     ///
     /// # Errors
     /// When the episode does not fit the world.
     pub fn new<'r>(
         world: &RunWorld,
         episode: &LoggedEpisode<'_>,
+        successes: &Successes,
         experience: impl Fn(u32) -> Option<&'r EpisodeRecord>,
     ) -> Result<Self> {
         let &LoggedEpisode { record, timings, horizon, prompts, .. } = episode;
         let parts = EpisodeParts { reference: true, scenery: true, ..EpisodeParts::default() };
-        let timeline = EpisodeTimeline::new(world, record, parts)?;
+        let timeline = EpisodeTimeline::new(world, record, successes, parts)?;
         let EpisodeTimeline { instruction, variant, steps, reference, scenery, failure, .. } =
             timeline;
+        let points =
+            timeline.points.map(|points| PointData::new(points, timeline.unlike_reference_at));
         // A world that draws no map has no scenery.
         let has_map = world.has_map();
         let EpisodeScenery { came_into_view, closed, targets, changes } =
@@ -216,6 +250,7 @@ impl EpisodeData {
                 kind,
                 step,
             }),
+            points,
             poses: steps.iter().map(|step| pose_data(&step.state)).collect(),
             feedback: steps.iter().map(|step| step.feedback_code.0).collect(),
             actions: record.actions.clone(),

@@ -1,5 +1,6 @@
 use conditions::Route;
 use rigs::records::{log, record, tell, tell_failure};
+use run_log::Ending;
 use serde_json::Value;
 use warehouse::{CaseSet, TrajectoryKind, Variant, Warehouse};
 
@@ -10,6 +11,16 @@ use crate::testing::built_in;
 fn episode(
     actions: &str,
     retrieved: Option<&str>,
+    changes: impl FnOnce(&mut EpisodeRecord),
+) -> EpisodeData {
+    compared(actions, retrieved, &Successes::default(), changes)
+}
+
+/// The same, compared with `successes`.
+fn compared(
+    actions: &str,
+    retrieved: Option<&str>,
+    successes: &Successes,
     changes: impl FnOnce(&mut EpisodeRecord),
 ) -> EpisodeData {
     let cases = CaseSet::shipped();
@@ -29,7 +40,7 @@ fn episode(
         horizon: 6,
         prompts: false,
     };
-    EpisodeData::new(&world, &episode, |_| None).unwrap()
+    EpisodeData::new(&world, &episode, successes, |_| None).unwrap()
 }
 
 /// An episode on the blocked route that tries to enter the closed passage at step 2.
@@ -102,6 +113,42 @@ fn every_step_has_a_pose_a_view_of_its_world_and_what_came_into_view() {
     let again: Vec<u64> = serde_json::from_value(shown["seen"][2].clone()).unwrap();
     assert!(!seen.is_empty() && again.is_empty());
     assert_eq!(shown["failure"]["step"], 2);
+}
+
+#[test]
+fn a_failure_has_the_points_since_when_it_failed() {
+    let points = |actions: &str, successes: &[EpisodeRecord], told: bool| -> Value {
+        let data = compared(actions, None, &successes.iter().collect(), |record| {
+            if told {
+                tell(record, "loops", serde_json::json!([{"from": 1, "to": 3}]));
+            }
+        });
+        serde_json::to_value(data).unwrap()["points"].take()
+    };
+    let cases = CaseSet::shipped();
+    let mut success = record(&cases.cases[0].id, true);
+    success.actions = "LLR".to_owned();
+    let successes = [success.clone()];
+    assert_eq!(
+        points("LLLL", &successes, true),
+        serde_json::json!({
+            "lastProgress": 0,
+            "loops": [[1, 3]],
+            "unlikeSuccess": [2, success.key],
+            "unlikeReference": null,
+        })
+    );
+    // Without a success the reference, of which it takes two steps, and then another than the third.
+    let reference = &cases.cases[0].trajectory(TrajectoryKind::Original).actions;
+    let mut letters: Vec<char> = reference.iter().map(|action| action.letter()).collect();
+    letters[2] = if letters[2] == 'L' { 'R' } else { 'L' };
+    let alone = points(&letters.iter().collect::<String>(), &[], false);
+    assert_eq!(
+        (&alone["loops"], &alone["unlikeSuccess"], &alone["unlikeReference"]),
+        (&Value::Null, &Value::Null, &2.into())
+    );
+    let success = episode("LLR", None, |record| record.ending = Ending::Complete);
+    assert_eq!(serde_json::to_value(success).unwrap()["points"], Value::Null);
 }
 
 #[test]
