@@ -6,6 +6,7 @@ use super::Planned;
 use super::condition::{ConditionScore, relate, score_condition};
 use super::trial::Trials;
 use conditions::{Condition, Demonstrations};
+use domain::Arm;
 use run_log::{EpisodeTimings, RunLog};
 
 /// The demonstrations that are compared.
@@ -34,7 +35,7 @@ pub(super) fn conflicts(
         log.episodes.iter().filter(is_invalidated).map(|record| record.case.as_str()).collect();
     let is_compared = |condition: &Condition| {
         let set = condition.demonstrations;
-        HISTORIES.contains(&set) || set == Demonstrations::NONE
+        condition.arm == Arm::Frozen && (HISTORIES.contains(&set) || set == Demonstrations::NONE)
     };
     let of_cases: BTreeMap<Condition, Trials<'_>> = trials
         .iter()

@@ -22,16 +22,19 @@
 //! | two configurations on the same cases | `comparison.rs`, by name `compare.rs` |
 //! | banks of different sizes | `growth.rs` |
 //! | demonstrations from before and after an event | `conflict.rs` |
+//! | memories beside right and wrong content, cases that need memory | `controls.rs`, `certify.rs` |
 //! | streams | `streams.rs` |
 //!
 //! Episodes of streams enter the figures of their streams, and those of requests, memories and time. All other figures
 //! are of the other episodes.
 
 mod blocked;
+mod certify;
 pub mod compare;
 mod comparison;
 mod condition;
 mod conflict;
+mod controls;
 mod cost;
 mod documents;
 mod failure;
@@ -52,6 +55,7 @@ pub use blocked::{BlockedScore, Derived};
 pub use comparison::{Comparison, FigureDifference, compare};
 pub use condition::{Bounds, ConditionScore};
 pub use conflict::HISTORIES;
+pub use controls::{CertifiedSuccess, ControlCondition, ControlNecessity, ControlScore};
 pub use documents::DocumentScore;
 pub use failure::{Failures, failure_of};
 pub use growth::GrowthScore;
@@ -104,6 +108,9 @@ pub struct Scores {
     /// The conditions with banks, by memory and size; absent without banks.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub growth: Vec<GrowthScore>,
+    /// The memories beside their controls; absent in a run without the arms `oracle` and `wrong`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub controls: Vec<ControlScore>,
     /// The run's streams; absent when there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub streams: Option<StreamScores>,
@@ -138,6 +145,7 @@ pub fn score(log: &RunLog) -> Scores {
         policy: log.manifest.policy_label(),
         growth: growth::growth(log, &trials, &planned, &timings),
         conflicts: conflict::conflicts(log, &trials, &planned, &timings),
+        controls: controls::controls(&trials),
         conditions,
         planned: log.manifest.episodes as usize,
         finished: log.episodes.len(),
