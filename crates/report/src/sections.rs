@@ -3,6 +3,7 @@
 mod blocked;
 mod conditions;
 mod conflict;
+mod controls;
 mod cost;
 mod design;
 mod documents;
@@ -36,6 +37,7 @@ use super::view::ScoredRun;
 pub(super) use blocked::all_blocked_table;
 pub(super) use conditions::conditions_table;
 pub(super) use conflict::conflict_table;
+pub(super) use controls::{certified_table, controls_table};
 pub(super) use cost::requests_table;
 pub(super) use failures::{failures_table, worst_table};
 pub(super) use growth::growth_table;
@@ -50,7 +52,7 @@ pub(super) use time::time_table;
 /// A section's name in links, its heading, and the function that makes its content.
 type SectionEntry = (&'static str, &'static str, fn(&ScoredRun<'_>) -> Vec<ReportBlock>);
 
-const PARTS: [SectionEntry; 15] = [
+const PARTS: [SectionEntry; 16] = [
     ("overview", "What was run", overview::blocks),
     ("conditions", "All conditions", conditions::blocks),
     ("main", "Success across the three questions", main_table::blocks),
@@ -59,6 +61,7 @@ const PARTS: [SectionEntry; 15] = [
         ReportBlock::tables([blocked_table(view), other_blocked_table(view)])
     }),
     ("mixed", "RQ3: histories of other tasks", mixed::blocks),
+    ("controls", "Controls: right and wrong content", controls::blocks),
     ("conflict", "Demonstrations from before and after an event", |view| {
         ReportBlock::tables([conflict_table(view)])
     }),
@@ -76,7 +79,7 @@ const PARTS: [SectionEntry; 15] = [
 const BESIDE_PUBLISHED: [&str; 6] = ["main", "transfer", "blocked", "mixed", "groups", "design"];
 
 /// Parts that the paper does not have: they are not named where they were not run.
-const BEYOND_THE_PAPER: [&str; 2] = ["conflict", "growth"];
+const BEYOND_THE_PAPER: [&str; 3] = ["controls", "conflict", "growth"];
 
 /// All sections about the run. Those of the paper without any figure of the run are named in one line of the first section,
 /// except where all its episodes are of streams.

@@ -69,8 +69,9 @@ fn against_others(view: &ScoredRun<'_>) -> Option<Table> {
         let others = memories.iter().filter(|other| **other < memory);
         let rows = own.flat_map(|condition| {
             others.clone().filter_map(move |&other| {
-                let Condition { start, route, demonstrations, variation, .. } = condition;
+                let Condition { start, route, demonstrations, variation, arm, .. } = condition;
                 let other = Condition::new(other, start, route, demonstrations, variation)?;
+                let other = other.with_arm(arm);
                 view.scores.of(&other)?;
                 let label = format!("{name} − {} ({})", other.memory, setting(&condition));
                 Some(row(view, &label, &condition.to_string(), &other.to_string()))
