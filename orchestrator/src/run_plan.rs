@@ -297,3 +297,27 @@ fn start_memories(
     check_wrong(settings, started.as_ref().map_or(&[], |started| &started.memories))?;
     Ok(started)
 }
+
+#[cfg(test)]
+mod tests {
+    use settings::{Layer, resolve};
+    use shm_types::MemoryDescription;
+
+    use super::*;
+
+    #[test]
+    fn a_memory_of_all_cases_has_no_wrong_content() {
+        let refused = |arms, scope| {
+            let flags = [("memory", "none"), ("memory-cmd", "m"), ("arms", arms)];
+            let mut settings = resolve([Layer::flags(flags).unwrap()]).unwrap().settings;
+            let name: ExternalName = "mine".parse().unwrap();
+            settings.add_external_memories(&[(name, false)]);
+            let description = MemoryDescription { scope, ..MemoryDescription::default() };
+            let memory = ExternalMemory { index: 0, name, description, command: None };
+            check_wrong(&settings, &[memory]).err().map(|error| error.to_string())
+        };
+        assert_eq!(refused("frozen,oracle,wrong", Scope::Case), None);
+        assert_eq!(refused("frozen,oracle", Scope::All), None);
+        insta::assert_snapshot!(refused("wrong", Scope::All).unwrap(), @"memory mine is one memory of the demonstrations of all cases (its scope is `all`), and no history is wrong for all of them: leave `wrong` out of --arms, or run it in a [[group]] without that arm");
+    }
+}

@@ -161,3 +161,51 @@ fn check_banks(sets: &[Demonstrations], most: usize) -> Result<()> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use case_book::BookFile;
+    use settings::{Layer, resolve};
+    use warehouse::case_book::write_books;
+
+    use super::*;
+    use crate::testing::selected;
+
+    /// The references among the demonstrations of the first case.
+    fn references(selected: &SelectedCases) -> [bool; 2] {
+        let case = &selected.books.demonstrations.book.cases[0];
+        [Route::Unchanged, Route::Blocked].map(|route| case.reference(route).is_some())
+    }
+
+    #[test]
+    fn test_references_are_demonstrations_where_a_memory_holds_them_only() {
+        let of = |arms, routes, starts| {
+            let flags = [("arms", arms), ("routes", routes), ("starts", starts), ("limit", "1")];
+            references(&selected(&[&[("memory", "working,episodic")], &flags[..]].concat()))
+        };
+        let both = "unchanged,blocked";
+        assert_eq!(of("frozen,wrong", both, "original,new"), [false, false]);
+        assert_eq!(of("frozen,oracle", both, "original,new"), [true, true]);
+        assert_eq!(of("oracle", "unchanged", "new"), [true, false]);
+        // From there the original demonstration is the reference.
+        assert_eq!(of("oracle", "unchanged", "original"), [false, false]);
+        // The name of an external memory is told after the case book is written.
+        let external = [("memory", "none"), ("memory-cmd", "m"), ("arms", "oracle")];
+        assert_eq!(references(&selected(&external)), [true, false]);
+    }
+
+    #[test]
+    fn a_world_that_gives_references_away_is_refused() {
+        let generous = |request: &BookRequest| {
+            let demonstrations = vec![Demonstrations::NEW_REFERENCE];
+            let books = write_books(&BookRequest { demonstrations, ..request.clone() })?;
+            let (cases, demonstrations) = (books.cases, books.demonstrations);
+            let (cases, demonstrations) = (BookFile::new(cases)?, BookFile::new(demonstrations)?);
+            Ok(Books { cases, demonstrations, streams: None, elsewhere: None })
+        };
+        let flags = Layer::flags([("memory", "episodic"), ("starts", "new")]).unwrap();
+        let settings = resolve([flags]).unwrap().settings;
+        let refused = SelectedCases::written_by(generous, &settings).unwrap_err();
+        insta::assert_snapshot!(refused, @"demonstrations.json of the world warehouse has test references of the unchanged route, which only memories of the arm `oracle` may hold, and the run has none there: have the case book written without them");
+    }
+}

@@ -86,7 +86,7 @@ fn closing(view: &ScoredRun<'_>) -> Vec<String> {
     if !view.scores.controls.is_empty() {
         lines.push(
             "Controls: oracle holds the test reference, wrong holds demonstrations of other tasks. Content: memory − wrong; 0 \
-             where the policy leaves the memory out. Headroom: oracle − memory. Certified: fails with working memory, \
+             but for chance where the policy leaves the memory out. Headroom: oracle − memory. Certified: fails with working memory, \
              succeeds with the oracle."
                 .to_owned(),
         );

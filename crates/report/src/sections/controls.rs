@@ -19,9 +19,10 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     if !blocks.is_empty() {
         let text = "The arm oracle holds the test reference of the case and route in place of demonstrations, the arm wrong holds \
                     demonstrations of other tasks, and of documents those of another warehouse. Both are supplied like the \
-                    memory itself. Content is what the memory gains over wrong content, and so not from having any. Where it is \
-                    0, the policy may leave the memory out: whatever it holds, the policy does the same. Headroom is what is \
-                    left to gain by this form of memory.";
+                    memory itself. Content is what the memory gains over wrong content, and so not from having any; wrong \
+                    content may mislead, which the difference of wrong and working shows. A policy that leaves the memory \
+                    out does the same whatever it holds: its content is 0 but for chance. Headroom is what is left to gain by this \
+                    form of memory.";
         blocks.insert(0, ReportBlock::Text(text.to_owned()));
     }
     blocks
