@@ -93,9 +93,10 @@ pub(crate) fn certified_table(view: &ScoredRun<'_>) -> Option<Table> {
         columns.extend(["memory", "wrong"].map(|name| TableColumn::under(over, name)));
     }
     let caption = "Cases of which most episodes fail with working memory and most succeed with the oracle: those certify that memory \
-                   matters to this policy. Success rate in percent on all cases that have both, and on certified ones, of the memory and of the \
-                   memory with wrong content, with 95 % intervals over cases. Working memory and the oracle decide which cases \
-                   are certified, so their success on those is so by selection and is not shown.";
+                   matters to this policy. Cases: certified ones, of all that have both. Success rate in percent on all of these, and \
+                   on certified ones, of the memory and of the memory with wrong content, with 95 % intervals over cases. Working \
+                   memory and the oracle decide which cases are certified, so their success on those is so by selection and is not \
+                   shown.";
     table(view, ("controls-necessity", caption, columns), |one| {
         let found = one.necessity.as_ref()?;
         let share = 100.0 * found.certified as f64 / found.cases as f64;
