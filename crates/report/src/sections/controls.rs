@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use domain::MemoryKind;
-use scores::{Comparison, ControlCondition, ControlScore, Spread};
+use scores::{CertifiedSuccess, Comparison, ControlCondition, ControlScore, Spread};
 
 use super::conditions::setting;
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
@@ -58,7 +58,7 @@ pub(crate) fn controls_table(view: &ScoredRun<'_>) -> Option<Table> {
     let names = ["memory", "oracle", "wrong", "working"];
     let mut columns = names.map(|name| TableColumn::under("SR %", name)).to_vec();
     columns.extend(["Content", "Headroom"].map(TableColumn::new));
-    let caption = "Each memory beside its controls. SR %: success rate, mean over runs, of the memory, of its oracle, of the memory \
+    let caption = "Each memory beside its controls. Setting: start, route and demonstrations. SR %: success rate, mean over runs, of the memory, of its oracle, of the memory \
                    with wrong content, and of working memory. Content: the memory minus wrong content; headroom: the oracle \
                    minus the memory; in percentage points, on pairs of episodes of the same case and repetition, with 95 % intervals \
                    over cases.";
@@ -94,7 +94,7 @@ pub(crate) fn certified_table(view: &ScoredRun<'_>) -> Option<Table> {
     }
     let caption = "Cases of which most episodes fail with working memory and most succeed with the oracle: those certify that memory \
                    matters to this policy. Cases: certified ones, of all that have both. Success rate in percent on all of these, and \
-                   on certified ones, of the memory and of the memory with wrong content, with 95 % intervals over cases. Working \
+                   on certified ones, of the memory, with its 95 % interval over cases, and of the memory with wrong content. Working \
                    memory and the oracle decide which cases are certified, so their success on those is so by selection and is not \
                    shown.";
     table(view, ("controls-necessity", caption, columns), |one| {
@@ -103,15 +103,18 @@ pub(crate) fn certified_table(view: &ScoredRun<'_>) -> Option<Table> {
         let of =
             |condition| found.success.iter().find(|success| Some(success.condition) == condition);
         let both = [of(Some(one.condition)), of(one.wrong.map(|wrong| wrong.condition))];
-        let rate = |spread: Option<Spread>, missing| sure_or(spread, 1, missing);
-        let all = both.map(|success| match success {
-            Some(success) => rate(success.all, Missing::NotRun),
-            None => TableCell::Missing(Missing::NotRun),
-        });
-        let certified = both.map(|success| match success {
-            Some(success) => rate(success.certified, NO_CERTIFIED),
-            None => TableCell::Missing(Missing::NotRun),
-        });
+        // Only the memory's figures have room for intervals in a terminal.
+        let rates = |figure: fn(&CertifiedSuccess) -> Option<Spread>, missing: Missing| {
+            let of = |success: Option<&CertifiedSuccess>| success.map(figure);
+            let [memory, wrong] = both.map(of);
+            let wrong = match wrong {
+                Some(wrong) => plain_or(wrong.map(|spread| spread.mean), 1, missing.clone()),
+                None => TableCell::Missing(Missing::NotRun),
+            };
+            [sure_or(memory.flatten(), 1, missing), wrong]
+        };
+        let all = rates(|success| success.all, Missing::NotRun);
+        let certified = rates(|success| success.certified, NO_CERTIFIED);
         let mut cells = vec![
             TableCell::Value(format!("{} of {}", found.certified, found.cases)),
             TableCell::Value(format!("{share:.1}")),
