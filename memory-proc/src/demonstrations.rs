@@ -1,7 +1,7 @@
 //! Demonstrations: the expert's views, actions and progress, step by step (specification, section 4).
 //!
 //! They come from the demonstration book, which the world has written for the run ([`DemonstrationBook`]). Memories are built
-//! from them only: the book holds no test reference. A memory that learns also has the episodes that it learned from, in the
+//! from them only: the book holds no test reference, except in a run with the arm `oracle`. A memory that learns also has the episodes that it learned from, in the
 //! form of demonstrations.
 
 use std::collections::{HashMap, HashSet};

@@ -112,12 +112,12 @@ impl Books {
         let mut has_blocked = false;
         for (number, case) in cases.filter(|(_, case)| request.cases.contains(&case.id)) {
             let id = &case.id;
-            if let Some(set) =
-                books.demonstrations.book.missing_set(number, &request.demonstrations)
-            {
-                bail!("case {id} of the world {world} has no demonstrations `{set}`");
+            let is_blocked = case.reference(Start::New, Route::Blocked).is_some();
+            let book = &books.demonstrations.book;
+            if let Some(set) = book.missing_set(number, &request.demonstrations, is_blocked) {
+                bail!("case {id} of the world {world} has no {}", set.in_words());
             }
-            has_blocked |= case.reference(Start::New, Route::Blocked).is_some();
+            has_blocked |= is_blocked;
         }
         ensure!(
             has_blocked || !request.blocked || request.cases.is_empty(),

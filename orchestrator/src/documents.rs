@@ -14,6 +14,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use case_book::CaseBook;
 use conditions::Condition;
+use conditions::settings::RunSettings;
 use documents::{
     BuildAccount, DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, Sources,
     StoredDocument,
@@ -28,12 +29,16 @@ const LOCK_FILE: &str = "lock";
 /// How often a lock is tried that another process holds.
 const LOCK_INTERVAL: Duration = Duration::from_millis(200);
 
-/// The documents that `conditions` supply, each once.
-pub fn needed<'a>(conditions: impl IntoIterator<Item = &'a Condition>) -> Vec<DocumentName> {
+/// The documents that `conditions` of a run with `settings` supply, each once.
+pub fn needed<'a>(
+    settings: &RunSettings,
+    conditions: impl IntoIterator<Item = &'a Condition>,
+) -> Vec<DocumentName> {
     let mut names: Vec<DocumentName> = conditions
         .into_iter()
-        .flat_map(|&Condition { memory, demonstrations, .. }| {
-            let kinds = memory.describe().map_or(&[][..], |info| info.documents).iter();
+        .flat_map(|condition| {
+            let demonstrations = settings.demonstrations_of(condition);
+            let kinds = condition.memory.describe().map_or(&[][..], |info| info.documents).iter();
             kinds.map(move |&kind| DocumentName { kind, demonstrations })
         })
         .collect();
@@ -370,6 +375,8 @@ mod tests {
 
     #[test]
     fn each_condition_s_documents_are_needed_once() {
+        let flags = settings::Layer::flags([("policy", "grounded")]).unwrap();
+        let settings = settings::resolve([flags]).unwrap().settings;
         let demonstrations = [Demonstrations::NONE, Demonstrations::ORIGINAL, Demonstrations::ALL];
         let needed_by = |memory: &[Representation]| {
             let conditions: Vec<Condition> = memory
@@ -379,7 +386,7 @@ mod tests {
                     Condition::new(memory, Start::New, Route::Unchanged, set, Variation::STANDARD)
                 })
                 .collect();
-            needed(&conditions).iter().map(DocumentName::to_string).collect::<Vec<_>>()
+            needed(&settings, &conditions).iter().map(DocumentName::to_string).collect::<Vec<_>>()
         };
         use Representation::{Episodic, FullContext, Hybrid, Semantic, Summary, Working};
         assert_eq!(needed_by(&[Working, FullContext, Episodic]), Vec::<String>::new());
@@ -387,6 +394,13 @@ mod tests {
         let all = ["summary/original", "summary/4", "semantic/original", "semantic/4"];
         assert_eq!(needed_by(&[Hybrid]), all);
         assert_eq!(needed_by(&[Summary, Hybrid, Semantic]), all);
+        let of = |condition: &str| {
+            let condition = condition.parse().unwrap();
+            needed(&settings, [&condition]).iter().map(DocumentName::to_string).collect::<Vec<_>>()
+        };
+        assert_eq!(of("summary/new/unchanged/original/oracle"), ["summary/new-reference"]);
+        assert_eq!(of("summary/new/blocked/original/oracle"), ["summary/blocked-reference"]);
+        assert_eq!(of("semantic/new/unchanged/original/wrong"), ["semantic/elsewhere"]);
     }
 
     /// A request for documents of the shipped warehouse in `folder`.

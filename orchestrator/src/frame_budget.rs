@@ -51,8 +51,8 @@ impl Demand {
             let condition = episode.key.condition;
             let mut views = || {
                 let stream = episode.key.place.map(|place| place.stream);
-                let set =
-                    (stream, stream.map_or(episode.case_index, |_| 0), condition.demonstrations);
+                let case = stream.map_or(episode.case_index, |_| 0);
+                let set = (stream, case, episode.demonstrations());
                 *views_of.entry(set).or_insert_with(|| {
                     let of_stream =
                         stream.and_then(|stream| demonstrations.streams.get(stream as usize));
@@ -68,7 +68,7 @@ impl Demand {
                 })
             };
             // A bank is not pinned as a whole, but what each lane recalls is.
-            let is_bank = condition.demonstrations.bank_size().is_some();
+            let is_bank = episode.demonstrations().bank_size().is_some();
             let recalled = (BANK_VIEWS + attach.lanes * images).min(book.world.views);
             match condition.memory.describe().map(|info| info.trajectories) {
                 Some(Trajectories::Nothing) => 0,
@@ -87,7 +87,7 @@ impl Demand {
         let states: BTreeSet<u32> =
             episodes.iter().filter_map(|episode| Some(episode.part?.world)).collect();
         let is_elsewhere =
-            |episode: &PlannedEpisode| episode.key.condition.demonstrations.take_place_elsewhere();
+            |episode: &PlannedEpisode| episode.demonstrations().take_place_elsewhere();
         let elsewhere =
             if episodes.iter().any(is_elsewhere) { book.world.elsewhere_views } else { 0 };
         let worlds = (1 + blocked.len() + states.len()) as u32;

@@ -8,7 +8,7 @@ use case_book::{CaseBook, StreamFacts, StreamsFacts};
 use conditions::key::{EpisodeKey, StreamPlace};
 use conditions::settings::StreamSettings;
 use conditions::{Condition, Route};
-use domain::{ActionCode, Arm, FeedbackLevel, State, StreamOrder};
+use domain::{ActionCode, Arm, Demonstrations, FeedbackLevel, State, StreamOrder};
 use shm_types::message::SnapshotId;
 
 /// One episode of a run.
@@ -65,6 +65,13 @@ impl PlannedEpisode {
         let Condition { start, route, .. } = self.key.condition;
         let found = book.cases.get(self.case_index)?.reference(start, route)?;
         Some(Expert { begin: found.begin, actions: &found.actions, length: found.length })
+    }
+
+    /// The demonstrations that its memory holds; in a stream, those that the arm's memory is built from.
+    pub fn demonstrations(&self) -> Demonstrations {
+        let condition = self.key.condition;
+        let control = condition.control_set().filter(|_| self.part.is_none());
+        control.unwrap_or(condition.demonstrations)
     }
 
     /// The number of the variant that it takes place in.

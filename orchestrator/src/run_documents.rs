@@ -80,7 +80,7 @@ impl RunDocuments {
         let own = (!fresh && RunFolder::has_episodes(&settings.out))
             .then(|| DocumentFolder::new(settings.out.join(DOCUMENTS_FOLDER)));
         Self {
-            needed: if uses_memory { needed(&settings.conditions()) } else { Vec::new() },
+            needed: if uses_memory { needed(settings, &settings.conditions()) } else { Vec::new() },
             request,
             own,
         }

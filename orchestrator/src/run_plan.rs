@@ -12,6 +12,7 @@ use domain::ExternalName;
 use domain::representation::Trajectories;
 use prompt::Template;
 use run_log::{FORMAT, LOGS_FOLDER, Manifest, PROMPT_FILE, PROMPT_HASH, RunFolder, UnitId};
+use shm_types::description::Scope;
 use shm_types::message::{MAX_SOURCES, WIRE_VERSION};
 
 use crate::books::Books;
@@ -222,6 +223,24 @@ fn check_banks(settings: &RunSettings) -> Result<()> {
     Ok(())
 }
 
+/// Checks that the memories of the arm `wrong` are of one case each.
+fn check_wrong(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<()> {
+    let conditions = settings.conditions();
+    let wrong = conditions
+        .iter()
+        .filter(|condition| settings.demonstrations_of(condition).wrong().is_some());
+    for memory in wrong.filter_map(|condition| condition.memory.external()) {
+        let is_of_all =
+            |of: &&ExternalMemory| of.name == memory && of.description.scope == Scope::All;
+        ensure!(
+            !memories.iter().any(|of| is_of_all(&of)),
+            "memory {memory} is one memory of the demonstrations of all cases (its scope is `all`), and no history is wrong for \
+             all of them: leave `wrong` out of --arms, or run it in a [[group]] without that arm"
+        );
+    }
+    Ok(())
+}
+
 /// Adds the names of the external memories of a dry run to the settings, as far as the run's folder has them: their programs, which
 /// would tell them, are not started.
 fn name_memories_of_folder(settings: &mut RunSettings) -> Result<()> {
@@ -275,5 +294,30 @@ fn start_memories(
     }
     // With the names all conditions are known.
     settings::check(settings)?;
+    check_wrong(settings, started.as_ref().map_or(&[], |started| &started.memories))?;
     Ok(started)
+}
+
+#[cfg(test)]
+mod tests {
+    use settings::{Layer, resolve};
+    use shm_types::MemoryDescription;
+
+    use super::*;
+
+    #[test]
+    fn a_memory_of_all_cases_has_no_wrong_content() {
+        let refused = |arms, scope| {
+            let flags = [("memory", "none"), ("memory-cmd", "m"), ("arms", arms)];
+            let mut settings = resolve([Layer::flags(flags).unwrap()]).unwrap().settings;
+            let name: ExternalName = "mine".parse().unwrap();
+            settings.add_external_memories(&[(name, false)]);
+            let description = MemoryDescription { scope, ..MemoryDescription::default() };
+            let memory = ExternalMemory { index: 0, name, description, command: None };
+            check_wrong(&settings, &[memory]).err().map(|error| error.to_string())
+        };
+        assert_eq!(refused("frozen,oracle,wrong", Scope::Case), None);
+        assert_eq!(refused("frozen,oracle", Scope::All), None);
+        insta::assert_snapshot!(refused("wrong", Scope::All).unwrap(), @"memory mine is one memory of the demonstrations of all cases (its scope is `all`), and no history is wrong for all of them: leave `wrong` out of --arms, or run it in a [[group]] without that arm");
+    }
 }

@@ -3,7 +3,9 @@
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
-use case_book::{BookRequest, CaseBook, ElsewhereRequest, StreamsRequest};
+use case_book::{
+    BookRequest, CaseBook, DEMONSTRATIONS_FILE, DemonstrationBook, ElsewhereRequest, StreamsRequest,
+};
 use conditions::settings::RunSettings;
 use conditions::{Condition, Route};
 use domain::{Arm, Demonstrations, Start};
@@ -52,12 +54,12 @@ impl SelectedCases {
         let every = write(&BookRequest { assets: assets.clone(), ..BookRequest::default() })?;
         let ids = every.cases.book.ids();
         let cases = select_cases(&ids, &settings.cases, settings.limit)?;
-        let demonstrations = demonstrations(settings);
+        let demonstrations = demonstrations(settings)?;
         check_banks(&demonstrations, every.demonstrations.book.largest_bank())?;
         let books = write(&BookRequest {
             assets,
             cases: cases.iter().map(|&case| ids[case].to_owned()).collect(),
-            demonstrations,
+            demonstrations: demonstrations.clone(),
             blocked: settings.groups.iter().any(|group| group.routes.contains(&Route::Blocked)),
             elsewhere: settings.demonstrates_elsewhere().then(|| ElsewhereRequest {
                 assets: settings.elsewhere.clone(),
@@ -69,6 +71,7 @@ impl SelectedCases {
                 planned: settings.groups.iter().any(|group| group.arms.contains(&Arm::Oracle)),
             }),
         })?;
+        check_references(&demonstrations, &books.demonstrations.book)?;
         Ok(Self { books, cases })
     }
 
@@ -114,15 +117,37 @@ impl SelectedCases {
     }
 }
 
-/// The sets of demonstrations that the groups name, each once.
-fn demonstrations(settings: &RunSettings) -> Vec<Demonstrations> {
+/// The sets of demonstrations that the groups name, and those that memories of control arms hold, each once.
+fn demonstrations(settings: &RunSettings) -> Result<Vec<Demonstrations>> {
+    let mut settings = settings.clone();
+    if settings.has_external_memories() && settings.external_names().is_empty() {
+        // Their names are not known yet, and do not matter here.
+        settings.add_external_memories(&[("any".parse()?, false)]);
+    }
+    let conditions = settings.conditions();
+    let remembering = conditions.iter().filter(|condition| condition.memory.uses_demonstrations());
+    let held = remembering.map(|condition| settings.demonstrations_of(condition));
     let mut found = Vec::new();
-    for &set in settings.groups.iter().flat_map(|group| &group.demos) {
+    for set in settings.groups.iter().flat_map(|group| &group.demos).copied().chain(held) {
         if !found.contains(&set) {
             found.push(set);
         }
     }
-    found
+    Ok(found)
+}
+
+/// Checks that a world has test references among its demonstrations only where memories of the arm `oracle` hold them.
+fn check_references(sets: &[Demonstrations], book: &DemonstrationBook) -> Result<()> {
+    for route in [Route::Unchanged, Route::Blocked] {
+        let is_held = sets.iter().any(|set| set.reference() == Some(route));
+        ensure!(
+            is_held || book.cases.iter().all(|case| case.reference(route).is_none()),
+            "{DEMONSTRATIONS_FILE} of the world {} has test references of the {route} route, which only memories of the arm \
+             `oracle` may hold, and the run has none there: have the case book written without them",
+            book.world.name
+        );
+    }
+    Ok(())
 }
 
 /// Checks that the cases have as many demonstrations as each bank holds.
@@ -135,4 +160,52 @@ fn check_banks(sets: &[Demonstrations], most: usize) -> Result<()> {
         );
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use case_book::BookFile;
+    use settings::{Layer, resolve};
+    use warehouse::case_book::write_books;
+
+    use super::*;
+    use crate::testing::selected;
+
+    /// The references among the demonstrations of the first case.
+    fn references(selected: &SelectedCases) -> [bool; 2] {
+        let case = &selected.books.demonstrations.book.cases[0];
+        [Route::Unchanged, Route::Blocked].map(|route| case.reference(route).is_some())
+    }
+
+    #[test]
+    fn test_references_are_demonstrations_where_a_memory_holds_them_only() {
+        let of = |arms, routes, starts| {
+            let flags = [("arms", arms), ("routes", routes), ("starts", starts), ("limit", "1")];
+            references(&selected(&[&[("memory", "working,episodic")], &flags[..]].concat()))
+        };
+        let both = "unchanged,blocked";
+        assert_eq!(of("frozen,wrong", both, "original,new"), [false, false]);
+        assert_eq!(of("frozen,oracle", both, "original,new"), [true, true]);
+        assert_eq!(of("oracle", "unchanged", "new"), [true, false]);
+        // From there the original demonstration is the reference.
+        assert_eq!(of("oracle", "unchanged", "original"), [false, false]);
+        // The name of an external memory is told after the case book is written.
+        let external = [("memory", "none"), ("memory-cmd", "m"), ("arms", "oracle")];
+        assert_eq!(references(&selected(&external)), [true, false]);
+    }
+
+    #[test]
+    fn a_world_that_gives_references_away_is_refused() {
+        let generous = |request: &BookRequest| {
+            let demonstrations = vec![Demonstrations::NEW_REFERENCE];
+            let books = write_books(&BookRequest { demonstrations, ..request.clone() })?;
+            let (cases, demonstrations) = (books.cases, books.demonstrations);
+            let (cases, demonstrations) = (BookFile::new(cases)?, BookFile::new(demonstrations)?);
+            Ok(Books { cases, demonstrations, streams: None, elsewhere: None })
+        };
+        let flags = Layer::flags([("memory", "episodic"), ("starts", "new")]).unwrap();
+        let settings = resolve([flags]).unwrap().settings;
+        let refused = SelectedCases::written_by(generous, &settings).unwrap_err();
+        insta::assert_snapshot!(refused, @"demonstrations.json of the world warehouse has test references of the unchanged route, which only memories of the arm `oracle` may hold, and the run has none there: have the case book written without them");
+    }
 }

@@ -250,8 +250,9 @@ macro_rules! message_table {
         case: u32,
         /// The demonstrations in memory. Bits 0 to 3: the case's own (original, opposite, nearby, distant). Bit 4: its
         /// irrelevant histories. Bit 5: its confusable ones. Bit 6: the one after the case's passage has closed. Bit 7:
-        /// that one comes first. Bit 8: the one of another warehouse. Bits 16 to 31: the size of a bank of the case's
-        /// own and others.
+        /// that one comes first. Bit 8: the one of another warehouse. In control arms, bit 9: the test reference on the
+        /// unchanged route, bit 10: on the blocked route, bit 11: its first irrelevant history alone, bit 12: its two
+        /// irrelevant histories alone. Bits 16 to 31: the size of a bank of the case's own and others.
         demonstrations: u32,
         /// Code of the [`Representation`](domain::Representation), or [`EXTERNAL`].
         representation: u8,

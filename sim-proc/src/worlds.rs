@@ -357,6 +357,16 @@ mod tests {
                 bit(Demonstrations::ELSEWHERE, Demonstrations::NONE)
             ),
             format!(
+                "bit {}: the test reference on the unchanged route",
+                bit(Demonstrations::NEW_REFERENCE, Demonstrations::NONE)
+            ),
+            format!(
+                "bit {}: on the blocked",
+                bit(Demonstrations::BLOCKED_REFERENCE, Demonstrations::NONE)
+            ),
+            format!("bit {}: its first", bit(Demonstrations::WRONG_1, Demonstrations::NONE)),
+            format!("bit {}: its two", bit(Demonstrations::WRONG_2, Demonstrations::NONE)),
+            format!(
                 "Bits {} to 31: the size of a bank",
                 Demonstrations::bank(1).bits().trailing_zeros()
             ),

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, HashSet};
 
-use domain::{ActionCode, DemonstrationKind, Demonstrations, FeedbackCode, Mixture, State};
+use domain::{ActionCode, DemonstrationKind, Demonstrations, FeedbackCode, Mixture, Route, State};
 use serde::{Deserialize, Serialize};
 
 use crate::WorldDeclaration;
@@ -68,6 +68,12 @@ pub struct CaseDemonstrations {
     /// The one in another world, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub elsewhere: Option<u32>,
+    /// The test reference from the new start, in a run with the arm `oracle` only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub new: Option<u32>,
+    /// The test reference from there on the blocked route, in a run with the arm `oracle` only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub blocked: Option<u32>,
 }
 
 /// What the memories of a stream are built from.
@@ -109,6 +115,12 @@ impl DemonstrationBook {
         if demonstrations.take_place_elsewhere() {
             return Some(vec![listed.elsewhere?]);
         }
+        if let Some(route) = demonstrations.reference() {
+            return listed.reference(route).map(|of| vec![of]);
+        }
+        if let Some(count) = demonstrations.wrong() {
+            return listed.irrelevant.get(..count).map(<[u32]>::to_vec);
+        }
         let own_kinds = demonstrations.own();
         let mut indices: Vec<u32> =
             own_kinds.map(|kind| listed.own.get(kind as usize).copied()).collect::<Option<_>>()?;
@@ -125,21 +137,31 @@ impl DemonstrationBook {
         Some(indices)
     }
 
-    /// The first of `sets` of which case number `case` has no demonstrations.
-    pub fn missing_set(&self, case: u32, sets: &[Demonstrations]) -> Option<Demonstrations> {
+    /// The first of `sets` of which case number `case` has no demonstrations. One without a blocked route (`has_blocked`) has no
+    /// episode there, and needs no reference of it.
+    pub fn missing_set(
+        &self,
+        case: u32,
+        sets: &[Demonstrations],
+        has_blocked: bool,
+    ) -> Option<Demonstrations> {
         let is_missing = |set: &Demonstrations| {
             let held = self.of_case(case, *set);
-            held.is_none_or(|held| held.is_empty() && set.mixture().is_some())
+            let is_needed = has_blocked || *set != Demonstrations::BLOCKED_REFERENCE;
+            is_needed && held.is_none_or(|held| held.is_empty() && set.mixture().is_some())
         };
         sets.iter().copied().find(is_missing)
     }
 
-    /// The `demonstrations` of all cases, each once, in the order of the cases. `None` as for [`of_case`](Self::of_case).
+    /// The `demonstrations` of all cases, each once, in the order of the cases; references on the blocked route of the cases that
+    /// have one. `None` as for [`of_case`](Self::of_case).
     pub fn of_all_cases(&self, demonstrations: Demonstrations) -> Option<Vec<u32>> {
         let mut listed = HashSet::new();
         let mut indices = Vec::new();
+        let can_lack = demonstrations == Demonstrations::BLOCKED_REFERENCE;
         for case in 0..self.cases.len() as u32 {
-            let of_case = self.of_case(case, demonstrations)?;
+            let of_case = self.of_case(case, demonstrations);
+            let of_case = if can_lack { of_case.unwrap_or_default() } else { of_case? };
             indices.extend(of_case.into_iter().filter(|index| listed.insert(*index)));
         }
         Some(indices)
@@ -161,6 +183,16 @@ impl DemonstrationBook {
         let found =
             self.demonstrations.iter().position(|of| (of.case, of.kind, of.variant) == wanted);
         found.map(|index| index as u32)
+    }
+}
+
+impl CaseDemonstrations {
+    /// The test reference from the new start on `route`.
+    pub fn reference(&self, route: Route) -> Option<u32> {
+        match route {
+            Route::Unchanged => self.new,
+            Route::Blocked => self.blocked,
+        }
     }
 }
 

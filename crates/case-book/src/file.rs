@@ -129,7 +129,8 @@ impl Check for DemonstrationBook {
         let count = self.demonstrations.len() as u32;
         let named = self.cases.iter().flat_map(|case| {
             let lists = [&case.own, &case.irrelevant, &case.confusable];
-            let single = [case.after, case.elsewhere].into_iter().flatten();
+            let single = [case.after, case.elsewhere, case.new, case.blocked];
+            let single = single.into_iter().flatten();
             lists.into_iter().flatten().copied().chain(single)
         });
         let planned = self.streams.iter().flat_map(|stream| stream.planned.iter().flatten());

@@ -5,7 +5,8 @@
 //!
 //! - [`CaseBook`], for the orchestrator, scores and pages: instructions, references, streams, and which demonstrations are
 //!   stale in which variant;
-//! - [`DemonstrationBook`], for memory: demonstrations only. No test reference, no rule of a variant, no goal.
+//! - [`DemonstrationBook`], for memory: demonstrations only. No rule of a variant, no goal, and no test reference, except in a run
+//!   with the arm `oracle`, whose memories hold them.
 //!
 //! Both are identified by their content ([`BookFile`]).
 //!

@@ -17,7 +17,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use domain::names::{UnknownName, named};
-use domain::representation::{RepresentationInfo, Trajectories};
+use domain::representation::{BuiltFrom, RepresentationInfo, Trajectories};
 use domain::{Arm, MemoryKind, Representation};
 use serde::{Deserialize, Serialize};
 
@@ -83,7 +83,7 @@ impl PolicyKind {
 
 /// One cell of a table of results. Written `memory/start/route/demonstrations`, followed by the deviations from the
 /// standard [`Variation`] and by the arm where it is not `frozen`: `working/original/unchanged/none/h20`,
-/// `episodic/new/unchanged/original/learning`.
+/// `episodic/new/unchanged/original/oracle`.
 ///
 /// Always in its normal form, see [`Condition::new`] and [`Condition::with_arm`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -99,7 +99,7 @@ pub struct Condition {
     /// The changes to the prompt.
     #[serde(flatten)]
     pub variation: Variation,
-    /// What the memory is built from, and whether it changes. Only streams have another arm than `frozen`.
+    /// What the memory is built from, and whether it changes. Only streams have the arm `learning`.
     #[serde(skip_serializing_if = "is_default", default)]
     pub arm: Arm,
 }
@@ -116,7 +116,8 @@ impl Condition {
     /// Returns the condition, in the arm `frozen`, in its normal form: settings without effect have their standard values, so that two
     /// conditions differ only if their episodes can. `None` if there is no such condition.
     ///
-    /// - A memory that needs no demonstration has none; the others need at least one.
+    /// - A memory that needs no demonstration has none; the others need at least one. Sets of [control
+    ///   arms](Demonstrations::is_control) belong to no condition by themselves.
     /// - A blocked route is defined for the new start only (specification, section 4).
     /// - The content of a segment varies only for memories that retrieve one.
     /// - The hint applies where it is true and of use: at the original start, with the original demonstration alone,
@@ -132,6 +133,7 @@ impl Condition {
         let demonstrations =
             if memory.uses_demonstrations() { demonstrations } else { Demonstrations::NONE };
         let exists = (start, route) != (Start::Original, Route::Blocked)
+            && !demonstrations.is_control()
             && (memory.uses_demonstrations() != (demonstrations == Demonstrations::NONE));
         let arm = Arm::Frozen;
         let mut condition = Self { memory, start, route, demonstrations, variation, arm };
@@ -145,15 +147,61 @@ impl Condition {
         exists.then_some(condition)
     }
 
-    /// The condition in `arm`. A memory that needs no demonstration is always `frozen`: no arm changes it.
+    /// The condition in `arm`, in its normal form.
+    ///
+    /// - A memory that needs no demonstration is always `frozen`: no arm changes it.
+    /// - The arm `oracle` has the test reference in place of any set, and is written with `original`. From the original start the
+    ///   reference is the original demonstration: that is the arm `frozen` with it.
+    /// - The arm `wrong` has one wrong demonstration in place of one, and is written with `original`; two in place of more, and is
+    ///   written with `4`. What is consolidated over all cases has one of each case.
+    /// - A wrong demonstration does not start where the episode does: no hint says so.
+    ///
+    /// [`Self::control_set`] has what that means for the memory.
     pub fn with_arm(self, arm: Arm) -> Self {
-        let arm = if self.memory.uses_demonstrations() { arm } else { Arm::Frozen };
-        Self { arm, ..self }
+        let frozen = Self { arm: Arm::Frozen, ..self };
+        let demonstrations = match arm {
+            _ if !self.memory.uses_demonstrations() => return frozen,
+            Arm::Frozen | Arm::Learning => self.demonstrations,
+            Arm::Oracle => Demonstrations::ORIGINAL,
+            Arm::Wrong if self.is_of_all_cases() || self.demonstrations.count() == 1 => {
+                Demonstrations::ORIGINAL
+            }
+            Arm::Wrong => Demonstrations::ALL,
+        };
+        let is_original = self.start == Start::Original && arm == Arm::Oracle;
+        let arm = if is_original { Arm::Frozen } else { arm };
+        let mut condition = Self { demonstrations, arm, ..self };
+        if !condition.can_be_hinted() {
+            condition.variation.hint = Hint::default();
+        }
+        condition
+    }
+
+    /// The demonstrations that the memory holds outside of streams in place of those of the condition, in a control arm.
+    ///
+    /// - `oracle`: the test reference of the condition's route alone.
+    /// - `wrong`: irrelevant histories of the case; for what is consolidated over all cases, as no history of this warehouse is
+    ///   wrong for all of them, the demonstrations of another warehouse.
+    pub fn control_set(&self) -> Option<Demonstrations> {
+        match (self.arm, self.route) {
+            (Arm::Frozen | Arm::Learning, _) => None,
+            (Arm::Oracle, Route::Unchanged) => Some(Demonstrations::NEW_REFERENCE),
+            (Arm::Oracle, Route::Blocked) => Some(Demonstrations::BLOCKED_REFERENCE),
+            (Arm::Wrong, _) if self.is_of_all_cases() => Some(Demonstrations::ELSEWHERE),
+            (Arm::Wrong, _) if self.demonstrations.count() == 1 => Some(Demonstrations::WRONG_1),
+            (Arm::Wrong, _) => Some(Demonstrations::WRONG_2),
+        }
+    }
+
+    /// Whether what the memory supplies is consolidated over all cases.
+    fn is_of_all_cases(&self) -> bool {
+        self.memory.describe().is_some_and(|info| info.built_from == BuiltFrom::AllCases)
     }
 
     /// Whether the demonstration starts where the episode does, and is supplied to the policy.
     fn can_be_hinted(&self) -> bool {
         self.start == Start::Original
+            && self.arm != Arm::Wrong
             && self.demonstrations == Demonstrations::ORIGINAL
             && self.memory.supplies_trajectories()
     }
@@ -315,6 +363,93 @@ mod tests {
         );
         let json = serde_json::to_value(standard.unwrap()).unwrap();
         assert_eq!(json.as_object().unwrap().len(), 4, "the standard is left out: {json}");
+    }
+
+    /// Conditions in control arms, with what their memories hold.
+    #[test]
+    fn arms_that_hold_the_same_are_one_condition() {
+        let in_arm = |condition: &str, arm: Arm| {
+            let condition: Condition = Condition::logged(condition).unwrap();
+            let found = condition.with_arm(arm);
+            assert_eq!(Condition::logged(&found.to_string()), Ok(found), "it is its normal form");
+            assert_eq!(found.with_arm(found.arm), found);
+            let held = found.control_set().map_or("as named".to_owned(), |set| set.to_string());
+            format!("{found}: {held}")
+        };
+        for (condition, arm, expected) in [
+            (
+                "episodic/new/unchanged/4",
+                Arm::Oracle,
+                "episodic/new/unchanged/original/oracle: new-reference",
+            ),
+            (
+                "episodic/new/unchanged/original",
+                Arm::Oracle,
+                "episodic/new/unchanged/original/oracle: new-reference",
+            ),
+            (
+                "episodic/new/blocked/4",
+                Arm::Oracle,
+                "episodic/new/blocked/original/oracle: blocked-reference",
+            ),
+            (
+                "summary/new/blocked/4",
+                Arm::Oracle,
+                "summary/new/blocked/original/oracle: blocked-reference",
+            ),
+            (
+                "episodic/original/unchanged/distant",
+                Arm::Oracle,
+                "episodic/original/unchanged/original: as named",
+            ),
+            (
+                "episodic/original/unchanged/original/no-hint",
+                Arm::Oracle,
+                "episodic/original/unchanged/original/no-hint: as named",
+            ),
+            (
+                "mine/new/unchanged/bank-16",
+                Arm::Oracle,
+                "mine/new/unchanged/original/oracle: new-reference",
+            ),
+            ("working/new/unchanged/none", Arm::Oracle, "working/new/unchanged/none: as named"),
+            ("working/new/unchanged/none", Arm::Wrong, "working/new/unchanged/none: as named"),
+            ("episodic/new/unchanged/4", Arm::Wrong, "episodic/new/unchanged/4/wrong: wrong-2"),
+            (
+                "episodic/new/unchanged/confusable",
+                Arm::Wrong,
+                "episodic/new/unchanged/4/wrong: wrong-2",
+            ),
+            (
+                "episodic/new/unchanged/bank-1",
+                Arm::Wrong,
+                "episodic/new/unchanged/original/wrong: wrong-1",
+            ),
+            (
+                "episodic/original/unchanged/original/no-hint",
+                Arm::Wrong,
+                "episodic/original/unchanged/original/wrong: wrong-1",
+            ),
+            (
+                "summary/new/unchanged/4",
+                Arm::Wrong,
+                "summary/new/unchanged/original/wrong: elsewhere",
+            ),
+            (
+                "summary/new/unchanged/elsewhere",
+                Arm::Wrong,
+                "summary/new/unchanged/original/wrong: elsewhere",
+            ),
+            ("mine/new/blocked/4", Arm::Wrong, "mine/new/blocked/4/wrong: wrong-2"),
+        ] {
+            assert_eq!(in_arm(condition, arm), expected);
+        }
+        let error = "episodic/new/unchanged/4/oracle".parse::<Condition>().unwrap_err().to_string();
+        insta::assert_snapshot!(error, @"there is no condition `episodic/new/unchanged/4/oracle`; its episodes are those of `episodic/new/unchanged/original/oracle`");
+        let control = "episodic/new/unchanged/new-reference".parse::<Condition>();
+        assert!(control.is_err(), "only an arm holds it");
+        let wrong: Condition = "episodic/original/unchanged/original/wrong".parse().unwrap();
+        assert!(!wrong.is_hinted() && wrong.with_arm(Arm::Oracle).is_hinted());
     }
 
     #[test]

@@ -23,7 +23,7 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use domain::names::named;
-use domain::{Appearance, ExternalName, MemoryKind};
+use domain::{Appearance, Demonstrations, ExternalName, MemoryKind};
 use serde::{Deserialize, Serialize};
 
 use crate::{Condition, Frames, PolicyKind};
@@ -251,10 +251,19 @@ impl RunSettings {
         }
     }
 
+    /// The demonstrations that the memory of `condition` holds, of those that the run has. In a suite of streams an arm's memory is
+    /// built from demonstrations of the stream.
+    pub fn demonstrations_of(&self, condition: &Condition) -> Demonstrations {
+        let control = condition.control_set().filter(|_| self.stream.is_none());
+        control.unwrap_or(condition.demonstrations)
+    }
+
     /// Whether tasks are demonstrated in another warehouse.
     pub fn demonstrates_elsewhere(&self) -> bool {
-        let mut sets = self.groups.iter().flat_map(|group| &group.demos);
-        sets.any(|set| set.take_place_elsewhere())
+        let named = self.groups.iter().flat_map(|group| &group.demos).copied();
+        let conditions = self.conditions();
+        let held = conditions.iter().map(|condition| self.demonstrations_of(condition));
+        named.chain(held).any(Demonstrations::take_place_elsewhere)
     }
 
     /// The flag with which another world takes the place of the warehouse.

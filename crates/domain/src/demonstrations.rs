@@ -5,6 +5,8 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use crate::Route;
+
 /// A demonstration of a case (specification, section 4). Its number is its code on the wire.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -21,6 +23,10 @@ pub enum DemonstrationKind {
     After = 6,
     /// The same task in another warehouse.
     Elsewhere = 7,
+    /// The test reference from the new start, which only the arm `oracle` holds.
+    New = 8,
+    /// The test reference from there on the blocked route, which only the arm `oracle` holds.
+    Blocked = 9,
 }
 
 impl DemonstrationKind {
@@ -28,8 +34,29 @@ impl DemonstrationKind {
     pub const OWN: [Self; 4] = [Self::Original, Self::Opposite, Self::Nearby, Self::Distant];
 
     /// All of them.
-    pub const ALL: [Self; 6] =
-        [Self::Original, Self::Opposite, Self::Nearby, Self::Distant, Self::After, Self::Elsewhere];
+    pub const ALL: [Self; 8] = [
+        Self::Original,
+        Self::Opposite,
+        Self::Nearby,
+        Self::Distant,
+        Self::After,
+        Self::Elsewhere,
+        Self::New,
+        Self::Blocked,
+    ];
+
+    /// Whether it is a test reference, which is a demonstration in the arm `oracle` only.
+    pub const fn is_reference(self) -> bool {
+        matches!(self, Self::New | Self::Blocked)
+    }
+
+    /// The test reference from the new start on `route`.
+    pub const fn reference(route: Route) -> Self {
+        match route {
+            Route::Unchanged => Self::New,
+            Route::Blocked => Self::Blocked,
+        }
+    }
 
     /// The kind with this code on the wire, if there is one.
     pub fn from_code(code: u16) -> Option<Self> {
@@ -45,6 +72,8 @@ impl DemonstrationKind {
             Self::Distant => "distant",
             Self::After => "after",
             Self::Elsewhere => "elsewhere",
+            Self::New => "new",
+            Self::Blocked => "blocked",
         }
     }
 
@@ -57,6 +86,8 @@ impl DemonstrationKind {
             Self::Distant => 'd',
             Self::After => 'a',
             Self::Elsewhere => 'w',
+            Self::New => 't',
+            Self::Blocked => 'b',
         }
     }
 }
@@ -93,6 +124,9 @@ impl Mixture {
 ///   that one, in this order;
 /// - `elsewhere`: the case's task demonstrated in another warehouse;
 /// - `bank-N`: N demonstrations of the case and of others, of which each bank holds those of the smaller ones.
+///
+/// Memories of the control arms hold [other sets](Self::is_control), which no condition names: `new-reference` and
+/// `blocked-reference`, a test reference of the case; `wrong-1` and `wrong-2`, so many of its irrelevant histories.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Demonstrations(Selection);
@@ -112,8 +146,19 @@ enum Selection {
     AfterBefore,
     /// The one of another warehouse.
     Elsewhere,
+    /// The test reference from the new start on this route.
+    Reference(Route),
+    /// So many of the case's irrelevant histories.
+    Wrong(WrongCount),
     /// A bank with so many, at least one.
     Bank(u16),
+}
+
+/// How many irrelevant histories a memory of the arm `wrong` holds: a case has two.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+enum WrongCount {
+    One,
+    Two,
 }
 
 /// A text that names no [`Demonstrations`].
@@ -134,7 +179,7 @@ pub struct UnknownDemonstrations {
 const OWN: [DemonstrationKind; 4] = DemonstrationKind::OWN;
 
 /// Sets with a name. A set is displayed with the first name that fits.
-const WORDS: [(&str, Demonstrations); 13] = [
+const WORDS: [(&str, Demonstrations); 17] = [
     ("none", Demonstrations::NONE),
     ("original", Demonstrations::ORIGINAL),
     ("1", Demonstrations::ORIGINAL),
@@ -148,6 +193,10 @@ const WORDS: [(&str, Demonstrations); 13] = [
     ("before-after", Demonstrations::BEFORE_AFTER),
     ("after-before", Demonstrations::AFTER_BEFORE),
     ("elsewhere", Demonstrations::ELSEWHERE),
+    ("new-reference", Demonstrations::NEW_REFERENCE),
+    ("blocked-reference", Demonstrations::BLOCKED_REFERENCE),
+    ("wrong-1", Demonstrations::WRONG_1),
+    ("wrong-2", Demonstrations::WRONG_2),
 ];
 
 impl Demonstrations {
@@ -170,6 +219,15 @@ impl Demonstrations {
     /// The case's task demonstrated in another warehouse.
     pub const ELSEWHERE: Self = Self(Selection::Elsewhere);
 
+    /// The test reference from the new start, on the unchanged route.
+    pub const NEW_REFERENCE: Self = Self(Selection::Reference(Route::Unchanged));
+    /// The test reference from the new start, on the blocked route.
+    pub const BLOCKED_REFERENCE: Self = Self(Selection::Reference(Route::Blocked));
+    /// The first of the case's irrelevant histories.
+    pub const WRONG_1: Self = Self(Selection::Wrong(WrongCount::One));
+    /// Both of the case's irrelevant histories.
+    pub const WRONG_2: Self = Self(Selection::Wrong(WrongCount::Two));
+
     /// A bank of `size` demonstrations; none if that is 0.
     pub const fn bank(size: u16) -> Self {
         if size == 0 { Self::NONE } else { Self(Selection::Bank(size)) }
@@ -185,7 +243,8 @@ impl Demonstrations {
 
     /// The set on the wire. Bits 0 to 3 stand for the case's own demonstrations, bit 4 for its irrelevant histories, bit 5 for its
     /// confusable ones, bit 6 for the one after the event and bit 7 for that one being first, bit 8 for the one of another
-    /// warehouse, bits 16 to 31 for the size of a bank.
+    /// warehouse, bit 9 for the test reference on the unchanged and bit 10 on the blocked route, bit 11 for one of the irrelevant
+    /// histories alone and bit 12 for both alone, bits 16 to 31 for the size of a bank.
     pub const fn bits(self) -> u32 {
         match self.0 {
             Selection::Own(bits) => bits as u32,
@@ -194,7 +253,11 @@ impl Demonstrations {
             Selection::After => 0b100_0000,
             Selection::BeforeAfter => 0b100_0001,
             Selection::AfterBefore => 0b1100_0001,
-            Selection::Elsewhere => 0b1_0000_0000,
+            Selection::Elsewhere => 1 << 8,
+            Selection::Reference(Route::Unchanged) => 1 << 9,
+            Selection::Reference(Route::Blocked) => 1 << 10,
+            Selection::Wrong(WrongCount::One) => 1 << 11,
+            Selection::Wrong(WrongCount::Two) => 1 << 12,
             Selection::Bank(size) => (size as u32) << 16,
         }
     }
@@ -214,7 +277,11 @@ impl Demonstrations {
             Selection::Own(bits) => bits,
             Selection::Mixed(_) => 0b11,
             Selection::BeforeAfter | Selection::AfterBefore => 0b1,
-            Selection::After | Selection::Elsewhere | Selection::Bank(_) => 0,
+            Selection::After
+            | Selection::Elsewhere
+            | Selection::Reference(_)
+            | Selection::Wrong(_)
+            | Selection::Bank(_) => 0,
         };
         OWN.into_iter().filter(move |&kind| bits & (1 << kind as u8) != 0)
     }
@@ -227,6 +294,56 @@ impl Demonstrations {
     /// Whether the set takes place in another warehouse.
     pub const fn take_place_elsewhere(self) -> bool {
         matches!(self.0, Selection::Elsewhere)
+    }
+
+    /// The route of the test reference that the set holds, if it is one.
+    pub const fn reference(self) -> Option<Route> {
+        match self.0 {
+            Selection::Reference(route) => Some(route),
+            _ => None,
+        }
+    }
+
+    /// How many of the case's irrelevant histories the set consists of; `None` for a set that has others, too.
+    pub const fn wrong(self) -> Option<usize> {
+        match self.0 {
+            Selection::Wrong(WrongCount::One) => Some(1),
+            Selection::Wrong(WrongCount::Two) => Some(2),
+            _ => None,
+        }
+    }
+
+    /// Whether only the memories of the control arms `oracle` and `wrong` hold it.
+    pub const fn is_control(self) -> bool {
+        self.reference().is_some() || self.wrong().is_some()
+    }
+
+    /// The number of demonstrations in the set.
+    pub fn count(self) -> usize {
+        match self.0 {
+            Selection::Own(_) => self.own().count(),
+            Selection::Mixed(_) => 4,
+            Selection::BeforeAfter | Selection::AfterBefore => 2,
+            Selection::After | Selection::Elsewhere | Selection::Reference(_) => 1,
+            Selection::Wrong(WrongCount::One) => 1,
+            Selection::Wrong(WrongCount::Two) => 2,
+            Selection::Bank(size) => size.into(),
+        }
+    }
+
+    /// The set in words, as what a case lacks.
+    pub fn in_words(self) -> String {
+        match self.0 {
+            Selection::Reference(Route::Unchanged) => {
+                "test reference among its demonstrations, which the arm `oracle` holds".to_owned()
+            }
+            Selection::Reference(Route::Blocked) => {
+                "test reference of the blocked route among its demonstrations, which the arm `oracle` holds"
+                    .to_owned()
+            }
+            Selection::Wrong(_) => "`irrelevant` histories, which the arm `wrong` holds".to_owned(),
+            _ => format!("demonstrations `{self}`"),
+        }
     }
 
     /// The kind of histories of other cases in the set, if any.
@@ -277,7 +394,8 @@ impl UnknownDemonstrations {
     fn new(given: &str) -> Self {
         let distance = |&(word, _): &(&'static str, _)| strsim::levenshtein(word, given);
         // `min_by_key` keeps the first of equals.
-        let nearest = WORDS.iter().min_by_key(|entry| distance(entry));
+        let named = WORDS.iter().filter(|(_, set)| !set.is_control());
+        let nearest = named.min_by_key(|entry| distance(entry));
         Self { given: given.to_owned(), nearest: nearest.map_or("none", |(word, _)| word) }
     }
 }
@@ -316,6 +434,10 @@ mod tests {
             ("before-after", 0b0100_0001, "before-after"),
             ("after-before", 0b1100_0001, "after-before"),
             ("elsewhere", 1 << 8, "elsewhere"),
+            ("new-reference", 1 << 9, "new-reference"),
+            ("blocked-reference", 1 << 10, "blocked-reference"),
+            ("wrong-1", 1 << 11, "wrong-1"),
+            ("wrong-2", 1 << 12, "wrong-2"),
             ("bank-1", 1 << 16, "bank-1"),
             ("bank-10000", 10_000 << 16, "bank-10000"),
         ] {
@@ -325,7 +447,7 @@ mod tests {
         }
         let sets: Vec<Demonstrations> =
             (0..2 << 16).filter_map(Demonstrations::from_bits).collect();
-        assert_eq!(sets.len(), 16 + 2 + 4 + 1);
+        assert_eq!(sets.len(), 16 + 2 + 4 + 4 + 1);
         for &set in &sets {
             assert_eq!(set.to_string().parse(), Ok(set));
             assert_eq!(Demonstrations::from_bits(set.bits()), Some(set));

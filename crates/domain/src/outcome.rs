@@ -43,7 +43,7 @@ code_sets! {
         Frozen = 0 "frozen",
         /// Built once, and changed by the episodes of its stream.
         Learning = 1 "learning",
-        /// Built anew for every block, from demonstrations in the world as it is: a control.
+        /// Built from the right content, a control: in a stream anew for every block, from demonstrations in the world as it is.
         Oracle = 2 "oracle",
         /// Built once from demonstrations of other tasks: a control.
         Wrong = 3 "wrong",

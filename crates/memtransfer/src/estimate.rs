@@ -133,7 +133,7 @@ impl Basis<'_> {
             Some(Trajectories::Nothing) => 0,
             Some(Trajectories::Segment) => {
                 let (mut count, mut instructions) = (0, 0);
-                for of in missing.iter().flat_map(|of| self.demonstrated(condition, of)) {
+                for of in missing.iter().flat_map(|of| self.demonstrated(of)) {
                     count += 1;
                     instructions += of.instruction.chars().count() as u64;
                 }
@@ -144,7 +144,7 @@ impl Basis<'_> {
             // At most, as everything about an external memory: what it supplies is not known in advance.
             None => u64::from(self.settings.memory_text_budget()),
             Some(Trajectories::Whole) => {
-                let all = missing.iter().flat_map(|of| self.demonstrated(condition, of));
+                let all = missing.iter().flat_map(|of| self.demonstrated(of));
                 let characters: u64 = all
                     .map(|of| {
                         let instruction = of.instruction.chars().count() as u64;
@@ -156,20 +156,16 @@ impl Basis<'_> {
             }
         };
         let mut documents = 0;
-        for name in needed([condition]) {
+        for name in needed(self.settings, [condition]) {
             documents += self.documents.get(&name)?;
         }
         Some(tokens::of_text(characters, documents) + tokens::IMAGE * self.images(condition))
     }
 
     /// The demonstrations that an episode remembers.
-    fn demonstrated(
-        &self,
-        condition: &Condition,
-        episode: &PlannedEpisode,
-    ) -> impl Iterator<Item = &Demonstration> {
+    fn demonstrated(&self, episode: &PlannedEpisode) -> impl Iterator<Item = &Demonstration> {
         let book = &self.books.demonstrations.book;
-        let named = book.of_case(episode.case_index as u32, condition.demonstrations);
+        let named = book.of_case(episode.case_index as u32, episode.demonstrations());
         named.into_iter().flatten().map(|of| &book.demonstrations[of as usize])
     }
 }
@@ -249,7 +245,7 @@ pub(crate) mod tests {
             "the length of the document is not known"
         );
         // A summary of 42,136 characters has 18,700 tokens.
-        let documents = BTreeMap::from([(needed([&summary])[0], 42_136)]);
+        let documents = BTreeMap::from([(needed(&settings, [&summary])[0], 42_136)]);
         let basis =
             Basis { settings: &settings, model, books: &books, documents: &documents, done: &[] };
         let prompt_each = basis.estimate(&summary, &missing).prompt_each.unwrap();

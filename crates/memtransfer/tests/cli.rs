@@ -104,7 +104,7 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
         ),
         ("export r --format csv --out y.YAML", "another format: this one writes .csv files"),
         ("run --suite stream --arms learning --memory episodic", "no memory is left that learns"),
-        ("run --arms learning", "--arms is for a suite of streams"),
+        ("run --arms learning", "--arms learning is for a suite of streams"),
         ("run --provider gpu", "unknown execution provider `gpu`"),
         ("run --limit -1", "--limit: -1 is not a whole number"),
         ("profile --lanes 0", "0 is not in 1..=1024"),

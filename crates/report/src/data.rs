@@ -7,8 +7,8 @@ use conditions::Condition;
 use conditions::key::EpisodeKey;
 use run_log::{EpisodeRecord, EpisodeTimings, RecallTotals, RunLog, Stages, StreamRecord};
 use scores::{
-    ConditionScore, Derived, Estimate, FailurePoints, Spread, StreamScore, Successes, failure_of,
-    path_weight,
+    Comparison, ConditionScore, ControlScore, Derived, Estimate, FailurePoints, Spread,
+    StreamScore, Successes, failure_of, path_weight,
 };
 
 use serde_json::Value;
@@ -202,6 +202,25 @@ pub(super) fn conditions(views: &[ScoredRun<'_>]) -> DataFrame {
         frame.real(name, |(_, score)| Some(derived(score)?.value));
         frame.interval(name, |(_, score)| derived(score)?.interval);
     }
+    let control = |view: &&ScoredRun<'_>, score: &&ConditionScore| {
+        let is_it = |one: &&ControlScore| one.condition == score.condition;
+        view.scores.controls.iter().find(is_it).cloned()
+    };
+    type OfControl = fn(&ControlScore) -> Option<&Comparison>;
+    let differences: [(&str, OfControl); 2] =
+        [("content", |one| one.content.as_ref()), ("headroom", |one| one.headroom.as_ref())];
+    for (name, difference) in differences {
+        frame.real(name, |(view, score)| Some(difference(&control(view, score)?)?.sr.mean));
+        frame.interval(name, |(view, score)| difference(&control(view, score)?)?.sr.interval);
+    }
+    frame.whole("necessity_cases", |(view, score)| Some(control(view, score)?.necessity?.cases));
+    frame.whole("certified", |(view, score)| Some(control(view, score)?.necessity?.certified));
+    frame.real("sr_certified", |(view, score)| {
+        let necessity = control(view, score)?.necessity?;
+        let mut success = necessity.success.iter();
+        let own = success.find(|success| success.condition == score.condition)?;
+        Some(own.certified?.mean)
+    });
     for group in names(views, |world| world.groups.iter().map(|group| &group.name).collect()) {
         let of = |score: &ConditionScore| {
             score.groups.iter().find(|found| found.group == *group).map(|found| found.sr)

@@ -4,6 +4,7 @@ mod blocked;
 mod comparisons;
 mod conditions;
 mod conflict;
+mod controls;
 mod cost;
 mod design;
 mod documents;
@@ -40,6 +41,7 @@ pub(super) use blocked::all_blocked_table;
 pub(super) use comparisons::{VERDICTS, asked_rows, verdict};
 pub(super) use conditions::conditions_table;
 pub(super) use conflict::conflict_table;
+pub(super) use controls::{certified_table, controls_table};
 pub(super) use cost::requests_table;
 pub(super) use elsewhere::left_out;
 pub(super) use failures::{failures_table, points_table, worst_table};
@@ -55,7 +57,7 @@ pub(super) use time::time_table;
 /// A section's name in links, its heading, and the function that makes its content.
 type SectionEntry = (&'static str, &'static str, fn(&ScoredRun<'_>) -> Vec<ReportBlock>);
 
-const PARTS: [SectionEntry; 15] = [
+const PARTS: [SectionEntry; 16] = [
     ("overview", "What was run", overview::blocks),
     ("conditions", "All conditions", conditions::blocks),
     ("main", "Success across the three questions", main_table::blocks),
@@ -64,6 +66,7 @@ const PARTS: [SectionEntry; 15] = [
         ReportBlock::tables([blocked_table(view), other_blocked_table(view)])
     }),
     ("mixed", "RQ3: histories of other tasks", mixed::blocks),
+    ("controls", "Controls: right and wrong content", controls::blocks),
     ("conflict", "Demonstrations from before and after an event", conflict::blocks),
     ("growth", "Banks of different sizes", growth::blocks),
     ("groups", "Task groups", groups::blocks),
@@ -79,7 +82,7 @@ const PARTS: [SectionEntry; 15] = [
 const BESIDE_PUBLISHED: [&str; 6] = ["main", "transfer", "blocked", "mixed", "groups", "design"];
 
 /// Parts that the paper does not have: they are not named where they were not run.
-const BEYOND_THE_PAPER: [&str; 2] = ["conflict", "growth"];
+const BEYOND_THE_PAPER: [&str; 3] = ["controls", "conflict", "growth"];
 
 /// All sections about the run. Those of the paper without any figure of the run are named in one line of the first section,
 /// except where all its episodes are of streams.

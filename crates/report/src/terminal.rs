@@ -10,10 +10,11 @@ use scores::{Comparison, FigureDifference, Question, score};
 use super::document::{Table, TableCell};
 use super::published::Published;
 use super::sections::{
-    VERDICTS, adaptation_table, all_blocked_table, asked_rows, conditions_table, conflict_table,
-    differences_table, failures_table, growth_table, incomplete, left_out, necessity_table,
-    notices, orders_table, points_table, requests_table, steps_per_second, success_table,
-    supplied_table, time_table, transfer_table, verdict, worst_table,
+    VERDICTS, adaptation_table, all_blocked_table, asked_rows, certified_table, conditions_table,
+    conflict_table, controls_table, differences_table, failures_table, growth_table, incomplete,
+    left_out, necessity_table, notices, orders_table, points_table, requests_table,
+    steps_per_second, success_table, supplied_table, time_table, transfer_table, verdict,
+    worst_table,
 };
 use super::view::{ScoredRun, interval_text, p_value, pair_stubs, signed};
 use crate::table::{TextTable, table};
@@ -68,6 +69,8 @@ pub fn summary(log: &RunLog) -> String {
         ),
         ("Demonstrations from before and after, compared", asked(Question::Conflict)),
         ("Demonstrations here and elsewhere, compared", elsewhere),
+        ("Controls: success, and paired differences in percentage points", controls_table(&view)),
+        ("Controls: cases that need memory", certified_table(&view)),
         ("Banks of different sizes", growth_table(&view)),
         ("Failed episodes by kind", failures_table(&view)),
         ("Since when they failed", points_table(&view)),
@@ -94,6 +97,14 @@ fn closing(view: &ScoredRun<'_>) -> Vec<String> {
     if !view.scores.conditions.is_empty() {
         lines.push(
             "N: finished episodes. SR: mean ± sample standard deviation over runs; CI: 95 % interval over cases."
+                .to_owned(),
+        );
+    }
+    if !view.scores.controls.is_empty() {
+        lines.push(
+            "Controls: oracle holds the test reference, wrong holds demonstrations of other tasks. Content: memory − wrong; 0 \
+             but for chance where the policy leaves the memory out. Headroom: oracle − memory. Certified: fails with working memory, \
+             succeeds with the oracle."
                 .to_owned(),
         );
     }

@@ -129,6 +129,11 @@ fn likely(condition: &Condition) -> i64 {
     use Representation::{Adaptive, Episodic, FullContext, Hybrid, Semantic, Summary, Working};
     let original = condition.start == Start::Original;
     let exact = original && condition.demonstrations == Demonstrations::ORIGINAL;
+    match condition.arm {
+        Arm::Oracle => return 90,
+        Arm::Wrong => return 35,
+        Arm::Frozen | Arm::Learning => {}
+    }
     let MemoryKind::BuiltIn(representation) = condition.memory else {
         return 40 + condition.memory.name().len() as i64 * 3;
     };

@@ -57,6 +57,55 @@ fn plain(document: &ReportDocument) -> String {
     document.sections.iter().map(section).collect::<Vec<_>>().join("\n")
 }
 
+#[test]
+fn controls_have_a_section_and_stand_in_no_table_of_the_paper() {
+    let frozen = ["working/new/unchanged/none", "working/new/blocked/none"];
+    let of = |route: &str| {
+        [
+            format!("episodic/new/{route}/4"),
+            format!("episodic/new/{route}/original/oracle"),
+            format!("episodic/new/{route}/4/wrong"),
+            format!("summary/new/{route}/4"),
+            format!("summary/new/{route}/original/wrong"),
+        ]
+    };
+    let names = frozen.map(str::to_owned).into_iter().chain(of("unchanged")).chain(of("blocked"));
+    let conditions: Vec<_> = names.map(|name| (name.parse().unwrap(), 2)).collect();
+    let is_frozen = |(condition, _): &&(Condition, u32)| condition.arm == domain::Arm::Frozen;
+    let without: Vec<_> = conditions.iter().filter(is_frozen).copied().collect();
+    let [with, without] =
+        [&conditions, &without].map(|of| document(&[made_up(of, &[1, 2])], &published()));
+    let title = "Controls: right and wrong content";
+    assert!(titles(&with).contains(&title) && !titles(&without).contains(&title));
+    let section = with.sections.iter().find(|section| section.title == title).unwrap();
+    let shown = ReportDocument { title: String::new(), sections: vec![section.clone()] };
+    insta::assert_snapshot!("controls", plain(&shown));
+    for id in ["main", "blocked", "groups", "pairs", "failures", "worst-cases"] {
+        assert_eq!(table(&with, id), table(&without, id), "{id}: controls are left out");
+    }
+    let labels = |id: &str| -> Vec<String> {
+        let rows = table(&with, id).groups.iter().flat_map(|group| &group.rows);
+        rows.map(|row| row.label.clone()).collect()
+    };
+    let conditions = ["new, 4", "new, oracle", "new, 4, wrong", "new blocked, 4, wrong"];
+    assert!(conditions.iter().all(|label| labels("conditions").contains(&(*label).to_owned())));
+    assert_eq!(labels("blocked-others"), ["original, wrong", "oracle", "4, wrong"]);
+    let text = terminal::summary(&made_up(&conditions_with_arms(), &[1, 2]));
+    let wide = text.lines().find(|line| line.chars().count() > 100);
+    assert_eq!(wide, None);
+    assert!(text.contains("Controls: cases that need memory"), "{text}");
+}
+
+/// All memories in each arm, on both routes.
+fn conditions_with_arms() -> Vec<(Condition, u32)> {
+    let arms = [domain::Arm::Frozen, domain::Arm::Oracle, domain::Arm::Wrong];
+    let all = paper_conditions().into_iter();
+    all.flat_map(|(condition, runs)| arms.map(|arm| (condition.with_arm(arm), runs)))
+        .collect::<std::collections::BTreeMap<_, _>>()
+        .into_iter()
+        .collect()
+}
+
 /// Checks that every row has a cell for each column.
 fn rows_are_whole(document: &ReportDocument) {
     for table in document.tables() {

@@ -134,7 +134,7 @@ impl EpisodeRecord {
 
     fn check_stream(&self) -> Result<(), String> {
         let Some(stream) = &self.stream else {
-            return ensure(self.arm == Arm::Frozen, || {
+            return ensure(self.arm != Arm::Learning, || {
                 format!("the arm {} is of streams, and it has no \"stream\"", self.arm.word())
             });
         };

@@ -76,8 +76,11 @@ impl SourceStep {
         match self {
             Self::Demonstration { case, kind, step } => {
                 let of = case.as_ref().map(|case| format!(" of {case}, another task"));
-                let name = kind.name();
-                format!("view {step} of the demonstration `{name}`{}", of.unwrap_or_default())
+                let shown = match kind.is_reference() {
+                    true => "test reference".to_owned(),
+                    false => format!("demonstration `{}`", kind.name()),
+                };
+                format!("view {step} of the {shown}{}", of.unwrap_or_default())
             }
             Self::Experience { position, step } => {
                 format!("view {step} of the episode at position {position} of this sequence")
@@ -93,13 +96,15 @@ mod tests {
     #[test]
     fn every_source_is_named() {
         let words = |word| sources(word).iter().map(SourceStep::in_words).collect::<Vec<_>>();
-        insta::assert_snapshot!(words("o12+t03-07:n3+e4:0+?").join("\n"), @"
+        insta::assert_snapshot!(words("o12+t03-07:n3+e4:0+?+t3+b0").join("\n"), @"
         view 12 of the demonstration `original`
         view 3 of the demonstration `nearby` of t03-07, another task
         view 0 of the episode at position 4 of this sequence
+        view 3 of the test reference
+        view 0 of the test reference
         ");
         assert!(words("-").is_empty());
-        for text in ["", "o", "x3", "t3", "e4:", "é"] {
+        for text in ["", "o", "x3", "z3", "e4:", "é"] {
             assert_eq!(text.parse::<SourceStep>(), Err(BadSource(text.to_owned())));
         }
     }

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use conditions::{Condition, Demonstrations};
-use domain::{MemoryKind, Representation};
+use domain::{Arm, MemoryKind, Representation};
 use run_log::RunLog;
 use serde::Serialize;
 
@@ -81,8 +81,10 @@ fn contrasts(
     contrasts: &[Contrast],
     is_selected: impl Fn(&str) -> bool,
 ) -> Vec<AskedComparison> {
-    let is_asked =
-        |condition: &Condition| contrasts.iter().any(|(a, _, _)| condition.demonstrations == *a);
+    let is_asked = |condition: &Condition| {
+        let set = condition.demonstrations;
+        condition.arm == Arm::Frozen && contrasts.iter().any(|(a, _, _)| set == *a)
+    };
     // Conditions that differ in their demonstrations alone, once.
     let settings: BTreeSet<Condition> = trials
         .keys()

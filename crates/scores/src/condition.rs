@@ -102,6 +102,12 @@ pub(super) fn cases(trials: &Trials<'_>, value: impl Fn(&EpisodeRecord) -> Optio
     Units::weighted(&by_case.values().filter_map(unit).collect::<Vec<_>>())
 }
 
+/// The success rate in percent, with its interval over cases; `None` without episodes.
+pub(super) fn success_of(trials: &Trials<'_>) -> Option<Spread> {
+    let interval = cases(trials, |record| Some(succeeded(record))).interval(Interval::PERCENT);
+    Some(trials.over_runs(success::success_rate)?.within(interval))
+}
+
 /// The success of an episode in percent.
 pub(super) fn succeeded(record: &EpisodeRecord) -> f64 {
     percent(record.is_success())
@@ -128,9 +134,7 @@ pub(super) fn score_condition(
         bounds: Bounds::of(trials, planned),
         runs: trials.runs().len(),
         cases: trials.cases().len(),
-        sr: trials
-            .over_runs(success::success_rate)?
-            .within(cases(trials, |record| Some(succeeded(record))).interval(Interval::PERCENT)),
+        sr: success_of(trials)?,
         spl: trials
             .over_runs(success::path_weighted)?
             .within(cases(trials, |record| Some(path_weight(record))).interval(Interval::SHARE)),

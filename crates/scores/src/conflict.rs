@@ -6,6 +6,7 @@ use super::Planned;
 use super::condition::{ConditionScore, relate, score_condition};
 use super::trial::Trials;
 use conditions::{Condition, Demonstrations};
+use domain::Arm;
 use run_log::{EpisodeRecord, EpisodeTimings, RunLog};
 
 /// The demonstrations that are compared.
@@ -37,7 +38,7 @@ pub(super) fn conflicts(
     let invalidated = invalidated(log);
     let is_compared = |condition: &Condition| {
         let set = condition.demonstrations;
-        HISTORIES.contains(&set) || set == Demonstrations::NONE
+        condition.arm == Arm::Frozen && (HISTORIES.contains(&set) || set == Demonstrations::NONE)
     };
     let of_cases: BTreeMap<Condition, Trials<'_>> = trials
         .iter()

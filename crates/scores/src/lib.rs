@@ -26,6 +26,7 @@
 //! | what a run is required to show | `gate.rs` |
 //! | banks of different sizes | `growth.rs` |
 //! | demonstrations from before and after an event | `conflict.rs` |
+//! | memories beside right and wrong content, cases that need memory | `controls.rs`, `certify.rs` |
 //! | streams | `streams.rs` |
 //!
 //! Episodes of streams enter the figures of their streams, and those of requests, memories and time. All other figures
@@ -33,11 +34,13 @@
 
 mod asked;
 mod blocked;
+mod certify;
 pub mod compare;
 mod comparison;
 mod conclusion;
 mod condition;
 mod conflict;
+mod controls;
 mod cost;
 mod documents;
 mod failure;
@@ -65,6 +68,7 @@ pub use comparison::{Comparison, FigureDifference, Pairing, Side, conclude};
 pub use conclusion::{ChangedVerdict, ComparisonVerdict, Conclusion, LeftOut, Robustness};
 pub use condition::{Bounds, ConditionScore};
 pub use conflict::HISTORIES;
+pub use controls::{CertifiedSuccess, ControlCondition, ControlNecessity, ControlScore};
 pub use documents::DocumentScore;
 pub use failure::{Failures, failure_of};
 pub use growth::GrowthScore;
@@ -128,6 +132,9 @@ pub struct Scores {
     /// The conditions with banks, by memory and size; absent without banks.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub growth: Vec<GrowthScore>,
+    /// The memories beside their controls; absent in a run without the arms `oracle` and `wrong`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub controls: Vec<ControlScore>,
     /// The run's streams; absent when there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub streams: Option<StreamScores>,
@@ -163,6 +170,7 @@ pub fn score(log: &RunLog) -> Scores {
         growth: growth::growth(log, &trials, &planned, &timings),
         conflicts: conflict::conflicts(log, &trials, &planned, &timings),
         comparisons: asked::comparisons(log, &trials),
+        controls: controls::controls(log, &trials),
         conditions,
         planned: log.manifest.episodes as usize,
         finished: log.episodes.len(),

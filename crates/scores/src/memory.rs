@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use domain::MemoryKind;
+use domain::{Arm, MemoryKind};
 use serde::Serialize;
 
 use run_log::{EpisodeRecord, EpisodeTimings, RecallTotals, RunLog};
@@ -37,13 +37,17 @@ pub struct MemoryScore {
 }
 
 impl MemoryScore {
-    /// The figures of each memory that answered a request.
+    /// The figures of each memory that answered a request, outside of streams in the arm `frozen`.
     pub fn by_memory(log: &RunLog) -> Vec<(MemoryKind, Self)> {
         let timings = log.timings_by_key();
         let memories: BTreeSet<MemoryKind> =
             log.episodes.iter().map(|record| record.memory).collect();
         let of = |memory| {
+            // Controls supply something else.
+            let is_control =
+                |record: &EpisodeRecord| record.stream.is_none() && record.arm != Arm::Frozen;
             let of_memory = log.episodes.iter().filter(|record| record.memory == memory);
+            let of_memory = of_memory.filter(|record| !is_control(record));
             Some((memory, Self::of(&of_memory.collect::<Vec<_>>(), &timings)?))
         };
         memories.into_iter().filter_map(of).collect()

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use case_book::{LoopFact, WorldFacts};
 use conditions::{Condition, Route, Start};
-use domain::MemoryKind;
+use domain::{Arm, MemoryKind};
 use run_log::{Ending, EpisodeRecord, RunLog};
 use serde::Serialize;
 
@@ -180,7 +180,9 @@ pub struct DivergenceScore {
 pub fn point_scores(log: &RunLog) -> Vec<PointScore> {
     let successes: Successes = log.episodes.iter().collect();
     let mut by_memory: BTreeMap<MemoryKind, Vec<FailedEpisode>> = BTreeMap::new();
-    for record in log.episodes.iter().filter(|record| record.stream.is_none()) {
+    // What control arms remember is no memory that is tested.
+    let is_tested = |record: &&EpisodeRecord| record.stream.is_none() && record.arm == Arm::Frozen;
+    for record in log.episodes.iter().filter(is_tested) {
         if let Some(points) = FailurePoints::of(record, &successes) {
             let is_undecided = is_undecided(record, &log.world, points.last_progress);
             let failed = FailedEpisode { points, is_undecided };

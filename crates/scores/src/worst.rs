@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 
 use case_book::WorldFacts;
+use domain::Arm;
 use serde::Serialize;
 
 use super::failure::{Failures, failure_of};
 use run_log::{EpisodeRecord, RunLog};
 
-/// A case over all conditions and runs.
+/// A case over all conditions and runs, those of control arms left out.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CaseScore {
     /// The case's id.
@@ -28,7 +29,10 @@ pub struct CaseScore {
 /// The cases with a failed episode outside of streams, those with the largest share of failures first, at most `most`.
 pub fn worst_cases(log: &RunLog, most: usize) -> Vec<CaseScore> {
     let mut by_case: BTreeMap<&str, Vec<&EpisodeRecord>> = BTreeMap::new();
-    for record in log.episodes.iter().filter(|record| record.stream.is_none()) {
+    // A control arm fails for its own reasons.
+    let is_of_memory =
+        |record: &&EpisodeRecord| record.stream.is_none() && record.arm == Arm::Frozen;
+    for record in log.episodes.iter().filter(is_of_memory) {
         by_case.entry(&record.case).or_default().push(record);
     }
     let mut cases: Vec<CaseScore> =

@@ -135,7 +135,7 @@ pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved>
     check(&settings)?;
     ensure!(
         origins.get("elsewhere") != Some(&Origin::CommandLine) || settings.demonstrates_elsewhere(),
-        "--elsewhere is the warehouse of --demos elsewhere, and no condition has these demonstrations"
+        "--elsewhere is the warehouse of --demos elsewhere, and of documents in the arm `wrong`; no condition has either"
     );
     Ok(Resolved { settings, origins, group_origins })
 }
@@ -463,13 +463,13 @@ pub fn check(settings: &RunSettings) -> Result<()> {
     Ok(())
 }
 
-/// Checks that arms are those of a suite of streams, whose episodes all begin alike.
+/// Checks that memories learn in a suite of streams only, whose episodes all begin alike.
 fn check_arms(settings: &RunSettings) -> Result<()> {
     let groups = &settings.groups;
     if settings.stream.is_none() {
         ensure!(
-            groups.iter().all(|group| group.arms == [Arm::Frozen]),
-            "--arms is for a suite of streams, such as --suite stream: outside of streams every memory is frozen"
+            !groups.iter().any(|group| group.arms.contains(&Arm::Learning)),
+            "--arms learning is for a suite of streams, such as --suite stream: outside of streams no memory learns"
         );
         return Ok(());
     }
@@ -505,6 +505,17 @@ fn check_own_world(settings: &RunSettings, flag: &str) -> Result<()> {
         ("adapter", settings.adapter.is_some()),
         ("backend", settings.backend.is_some()),
     ];
+    let conditions = settings.conditions();
+    let is_wrong_document = |condition: &&Condition| {
+        condition.arm == Arm::Wrong && settings.demonstrations_of(condition).take_place_elsewhere()
+    };
+    if let Some(condition) = conditions.iter().find(is_wrong_document) {
+        let memory = condition.memory;
+        bail!(
+            "{condition}: the documents of {memory} memory are of all cases, so wrong ones are those of another warehouse, and \
+             {flag} names a world that has none: leave `wrong` out of --arms, or {memory} out of --memory"
+        );
+    }
     if let Some((setting, _)) = of_warehouse.into_iter().find(|(_, is_given)| *is_given) {
         bail!(
             "--{setting} is about the warehouse, and {flag} names another world: leave one of them out"

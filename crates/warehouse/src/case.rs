@@ -52,7 +52,10 @@ impl TrajectoryKind {
             DemonstrationKind::Opposite => Some(Self::Opposite),
             DemonstrationKind::Nearby => Some(Self::Nearby),
             DemonstrationKind::Distant => Some(Self::Distant),
-            DemonstrationKind::After | DemonstrationKind::Elsewhere => None,
+            DemonstrationKind::After
+            | DemonstrationKind::Elsewhere
+            | DemonstrationKind::New
+            | DemonstrationKind::Blocked => None,
         }
     }
 

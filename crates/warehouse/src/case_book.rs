@@ -378,6 +378,13 @@ impl<'w> Writer<'w> {
             let after = after.and_then(|of| self.add_history(of));
             let elsewhere =
                 self.add_history(History { case: index, kind: DemonstrationKind::Elsewhere });
+            let mut reference = |route| {
+                let is_asked =
+                    request.demonstrations.iter().any(|set| set.reference() == Some(route));
+                let kind = DemonstrationKind::reference(route);
+                is_asked.then(|| self.add_history(History { case: index, kind })).flatten()
+            };
+            let [new, blocked] = [Route::Unchanged, Route::Blocked].map(&mut reference);
             let of = DemonstrationKind::OWN.map(|kind| own(History { case: index, kind }));
             self.book.cases.push(CaseDemonstrations {
                 instruction: case.task.instruction(&warehouse.catalogue),
@@ -386,6 +393,8 @@ impl<'w> Writer<'w> {
                 confusable: case.mixed(Mixture::Confusable).map(own).into(),
                 after,
                 elsewhere,
+                new,
+                blocked,
             });
         }
         self.book.bank_order = cases.bank_order().into_iter().map(own).collect();

@@ -88,6 +88,15 @@ impl CaseSet {
                 let (warehouse, variant) = (elsewhere.warehouse(), ELSEWHERE_VARIANT);
                 Some(Demonstrated { warehouse, variant, closed: &[], task, trajectory })
             }
+            DemonstrationKind::New => {
+                Some(Demonstrated { trajectory: Cow::Borrowed(&case.test), ..unchanged })
+            }
+            DemonstrationKind::Blocked => Some(Demonstrated {
+                variant: 1 + index as u32,
+                closed: &case.barricade,
+                trajectory: Cow::Borrowed(case.trajectory(TrajectoryKind::Blocked)),
+                ..unchanged
+            }),
             DemonstrationKind::After => Some(Demonstrated {
                 variant: 1 + index as u32,
                 closed: &case.barricade,

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use domain::{DemonstrationKind, Demonstrations};
+use domain::{DemonstrationKind, Demonstrations, Mixture};
 
 use crate::case::{CaseSet, History};
 use crate::draw::Draw;
@@ -28,6 +28,12 @@ impl CaseSet {
         let others = demonstrations.mixture().map(|mixture| listed.mixed(mixture));
         if demonstrations.take_place_elsewhere() {
             return vec![History { case, kind: DemonstrationKind::Elsewhere }];
+        }
+        if let Some(route) = demonstrations.reference() {
+            return vec![History { case, kind: DemonstrationKind::reference(route) }];
+        }
+        if let Some(count) = demonstrations.wrong() {
+            return listed.mixed(Mixture::Irrelevant)[..count].to_vec();
         }
         let after = demonstrations
             .take_place_after()

@@ -192,7 +192,7 @@ impl ActiveEpisode {
             seed: episode.seed,
             lane,
             case: episode.case_index as u32,
-            demonstrations: condition.demonstrations.bits(),
+            demonstrations: episode.demonstrations().bits(),
             representation: condition.memory.built_in().map_or(EXTERNAL, |one| one as u8),
             horizon: rules.horizon,
             keyframes: rules.keyframes,

@@ -140,12 +140,14 @@ impl Retrieved {
     }
 }
 
-/// The index of a case's demonstration: one of its own four, or the one after its passage has closed.
+/// The index of a case's demonstration.
 fn demonstration_of(context: &Context<'_>, case: u32, code: u16) -> Option<u32> {
     let listed = context.books.demonstrations.book.cases.get(case as usize)?;
     match DemonstrationKind::from_code(code)? {
         DemonstrationKind::After => listed.after,
         DemonstrationKind::Elsewhere => listed.elsewhere,
+        DemonstrationKind::New => listed.new,
+        DemonstrationKind::Blocked => listed.blocked,
         kind => listed.own.get(kind as usize).copied(),
     }
 }

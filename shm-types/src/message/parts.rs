@@ -65,7 +65,8 @@ wire_struct! {
         case: u32,
         /// Distance between the item and the query; NaN if the memory tells none.
         distance: f32,
-        /// The demonstration (0 original, 1 opposite, 2 nearby, 3 distant, 6 after, 7 elsewhere), or [`EXPERIENCE`].
+        /// The demonstration (0 original, 1 opposite, 2 nearby, 3 distant, 6 after, 7 elsewhere, 8 new, 9 blocked), or
+        /// [`EXPERIENCE`].
         demonstration: u16,
         /// Its first step.
         first: u16,

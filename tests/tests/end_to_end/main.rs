@@ -7,6 +7,7 @@
 mod banks;
 mod cache_folder;
 mod conformance;
+mod controls;
 mod documents;
 mod drill_sim;
 mod engines;

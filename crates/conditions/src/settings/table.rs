@@ -117,6 +117,17 @@ fn is_one_of<const N: usize>(
     }
 }
 
+/// Accepts demonstrations that conditions name.
+fn is_set(text: &str) -> Result<(), String> {
+    parses::<Demonstrations>(text)?;
+    match text.parse().is_ok_and(Demonstrations::is_control) {
+        true => {
+            Err(format!("`{text}` is held in a control arm: give --arms oracle or --arms wrong"))
+        }
+        false => Ok(()),
+    }
+}
+
 fn is_arm(text: &str) -> Result<(), String> {
     is_one_of("arm", text, Arm::ALL.map(Arm::word))
 }
@@ -216,7 +227,7 @@ pub const KEYS: &[Key] = keys! {
         "Starting poses: original (as demonstrated), new (no demonstration starts there)";
     "routes" "LIST" List(parses::<Route>), Group Selection = "unchanged",
         "Routes: unchanged, blocked (a passage of the demonstrations is closed; new starts only)";
-    "demos" "LIST" List(parses::<Demonstrations>), Group Selection = "original",
+    "demos" "LIST" List(is_set), Group Selection = "original",
         "Demonstrations in memory: original, opposite, nearby, distant, several joined by +, or 4 \
          for all; irrelevant or confusable for original, opposite and two of other tasks; after for one \
          by an expert who knows the closed passage, before-after or after-before for original and that one; \
@@ -228,8 +239,9 @@ pub const KEYS: &[Key] = keys! {
         "Run N of the selected cases, balanced over the tasks. A larger N includes the cases of a \
          smaller one";
     "arms" "LIST" List(is_arm), Group Selection = "frozen",
-        "What the memories of a suite of streams are built from: frozen (as demonstrated), learning (and it learns), \
-         oracle (demonstrations in the world as it is), wrong (of other tasks)";
+        "What memories are built from: frozen (as demonstrated); as controls oracle (the test reference; in streams \
+         demonstrations in the world as it is) and wrong (demonstrations of other tasks, documents of another warehouse); in \
+         streams also learning (as frozen, and it learns)";
     "streams" "N" Number(1, 1000, 1), Stream Protocol,
         "Number of streams of a suite of streams (see `memtransfer ls streams`)";
     "rounds" "N" Number(0, 1000, 1), Stream Protocol,

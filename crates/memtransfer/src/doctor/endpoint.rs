@@ -228,7 +228,8 @@ fn size_without(missing: &[DocumentName], are_built: bool) -> Option<DoctorFindi
 /// that no other exceeds in views and in documents.
 fn request_size(settings: &RunSettings, sizes: &BTreeMap<DocumentName, u64>) -> Vec<String> {
     let window = settings.groups.iter().flat_map(|group| &group.window).max();
-    let size = |condition| needed([condition]).iter().filter_map(|name| sizes.get(name)).sum();
+    let size =
+        |condition| needed(settings, [condition]).iter().filter_map(|name| sizes.get(name)).sum();
     let conditions = settings.conditions();
     let mut memories: Vec<(String, u32, u64)> = Vec::new();
     for condition in &conditions {

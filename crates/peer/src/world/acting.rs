@@ -142,15 +142,18 @@ impl ActingSimulator {
         let case = &self.cases[number as usize];
         let of_set: Vec<DemonstrationKind> = request.set.own().collect();
         let own = of_set.into_iter().map(|kind| (case.id.clone(), kind));
+        let reference = request.set.reference().map(DemonstrationKind::reference);
+        let after = request.set.take_place_after().then_some(DemonstrationKind::After);
+        let single = after.or(reference).map(|kind| (case.id.clone(), kind));
+        let wrong = request.set.wrong().unwrap_or(0);
+        let wrong = case.irrelevant.iter().take(wrong).cloned();
         let histories = match request.set.mixture() {
             Some(domain::Mixture::Irrelevant) => case.irrelevant.clone(),
             Some(domain::Mixture::Confusable) => case.confusable.clone(),
             None => Vec::new(),
         };
-        let after = request.set.take_place_after();
-        let after = after.then(|| (case.id.clone(), DemonstrationKind::After));
         let mut asked: Vec<(String, DemonstrationKind)> =
-            own.chain(histories).chain(after).collect();
+            own.chain(histories).chain(wrong).chain(single).collect();
         for more in &request.more {
             if !asked.contains(more) {
                 asked.push(more.clone());

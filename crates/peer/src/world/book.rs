@@ -41,7 +41,10 @@ pub(super) fn write_books(
     let mut of_history = HashMap::new();
     for (number, case) in (0_u32..).zip(&cases) {
         for &name in case.trajectories.keys() {
-            let Some(kind) = name.demonstration() else { continue };
+            let kind = name.demonstration();
+            if kind.is_reference() && !is_asked(kind, request) {
+                continue;
+            }
             of_history.insert((case.id.clone(), kind), book.demonstrations.len() as u32);
             let acted = writer.complete(number, name)?;
             let demonstration = Demonstration {
@@ -79,6 +82,12 @@ pub(super) fn write_books(
     let case_book =
         CaseBook { world: world_facts(simulator)?, cases: facts?, streams: None, stale };
     Ok((case_book, book))
+}
+
+/// Whether a run is to have this test reference as a demonstration.
+fn is_asked(kind: DemonstrationKind, request: &BookRequest) -> bool {
+    let mut references = request.demonstrations.iter().filter_map(|set| set.reference());
+    references.any(|route| DemonstrationKind::reference(route) == kind)
 }
 
 /// What the world is, with the words that figures are named with.
@@ -202,7 +211,7 @@ fn check_case(
         let named = cases.iter().find(|case| case.id == *other);
         let name = TrajectoryName::of(*kind);
         let exists = named.zip(name).is_some_and(|(of, name)| of.trajectories.contains_key(&name));
-        if !exists || *other == case.id {
+        if !exists || kind.is_reference() || *other == case.id {
             let kind = kind.name();
             return Err(format!("its history {other} {kind} is no demonstration of another case"));
         }
@@ -217,8 +226,9 @@ fn check_sets(
     request: &BookRequest,
 ) -> Result<(), WorldFailure> {
     for (number, case) in (0..).zip(cases).filter(|(_, case)| request.cases.contains(&case.id)) {
-        if let Some(set) = book.missing_set(number, &request.demonstrations) {
-            return Err(format!("case {} has no demonstrations `{set}`", case.id).into());
+        let has_blocked = case.trajectories.contains_key(&TrajectoryName::Blocked);
+        if let Some(set) = book.missing_set(number, &request.demonstrations, has_blocked) {
+            return Err(format!("case {} has no {}", case.id, set.in_words()).into());
         }
     }
     Ok(())
@@ -240,6 +250,8 @@ fn demonstrations_of(
         confusable: histories(&case.confusable),
         after: of(&case.id, DemonstrationKind::After),
         elsewhere: None,
+        new: of(&case.id, DemonstrationKind::New),
+        blocked: of(&case.id, DemonstrationKind::Blocked),
     }
 }
 

@@ -94,15 +94,16 @@ impl TrajectoryName {
         matches!(self, Self::Blocked | Self::After)
     }
 
-    /// The demonstration that it is, unless it is a reference.
-    pub const fn demonstration(self) -> Option<DemonstrationKind> {
+    /// What it is as a demonstration. The two references from the new start are such in the arm `oracle` only.
+    pub const fn demonstration(self) -> DemonstrationKind {
         match self {
-            Self::Original => Some(DemonstrationKind::Original),
-            Self::Opposite => Some(DemonstrationKind::Opposite),
-            Self::Nearby => Some(DemonstrationKind::Nearby),
-            Self::Distant => Some(DemonstrationKind::Distant),
-            Self::After => Some(DemonstrationKind::After),
-            Self::New | Self::Blocked => None,
+            Self::Original => DemonstrationKind::Original,
+            Self::Opposite => DemonstrationKind::Opposite,
+            Self::Nearby => DemonstrationKind::Nearby,
+            Self::Distant => DemonstrationKind::Distant,
+            Self::After => DemonstrationKind::After,
+            Self::New => DemonstrationKind::New,
+            Self::Blocked => DemonstrationKind::Blocked,
         }
     }
 
@@ -114,6 +115,8 @@ impl TrajectoryName {
             DemonstrationKind::Nearby => Some(Self::Nearby),
             DemonstrationKind::Distant => Some(Self::Distant),
             DemonstrationKind::After => Some(Self::After),
+            DemonstrationKind::New => Some(Self::New),
+            DemonstrationKind::Blocked => Some(Self::Blocked),
             DemonstrationKind::Elsewhere => None,
         }
     }

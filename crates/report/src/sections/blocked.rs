@@ -5,6 +5,7 @@ use domain::MemoryKind;
 use scores::{BlockedScore, Derived};
 
 use crate::document::{Missing, RowGroup, Table, TableCell, TableColumn, TableRow};
+use crate::sections::conditions::held;
 use crate::view::{ScoredRun, name, pair_stubs, published_text, signed, sure_or, with_interval};
 
 const NEEDS_BOTH: Missing = Missing::NotMeasured(
@@ -72,8 +73,7 @@ fn rows(view: &ScoredRun<'_>, is_shown: impl Fn(&Condition) -> bool) -> Option<T
         .filter(|condition| condition.route == Route::Blocked && is_shown(condition))
         .collect();
     let row = |condition: &Condition| {
-        let Condition { demonstrations, variation, .. } = condition;
-        let label = format!("{demonstrations}{variation}").replace('/', ", ");
+        let label = held(condition) + &condition.variation.to_string().replace('/', ", ");
         TableRow::new(label, cells(view, &condition.to_string()))
     };
     let groups = shown.chunk_by(|a, b| a.memory == b.memory).map(|conditions| RowGroup {

@@ -1,6 +1,7 @@
 //! Every condition that was run.
 
 use conditions::{Condition, Route};
+use domain::Arm;
 use scores::ConditionScore;
 
 use super::main_table::{NO_REQUESTS, NO_TOKENS};
@@ -65,13 +66,23 @@ fn row(score: &ConditionScore) -> TableRow {
 
 /// A condition without its memory: `original, 1 demonstration`.
 pub(super) fn setting(condition: &Condition) -> String {
-    let Condition { start, route, demonstrations, variation, memory, arm: _ } = condition;
-    let mut text = start.to_string();
-    if *route == Route::Blocked {
+    let mut text = condition.start.to_string();
+    if condition.route == Route::Blocked {
         text += " blocked";
     }
-    if memory.uses_demonstrations() {
-        text += &format!(", {demonstrations}");
+    if condition.memory.uses_demonstrations() {
+        text += &format!(", {}", held(condition));
     }
-    text + &variation.to_string().replace('/', ", ")
+    text + &condition.variation.to_string().replace('/', ", ")
+}
+
+/// What the memory of a condition holds: its demonstrations, and the arm if it is not `frozen`. In the arm `oracle` no set of
+/// demonstrations matters.
+pub(super) fn held(condition: &Condition) -> String {
+    let Condition { demonstrations, arm, .. } = condition;
+    match arm {
+        Arm::Frozen => demonstrations.to_string(),
+        Arm::Oracle => arm.word().to_owned(),
+        Arm::Learning | Arm::Wrong => format!("{demonstrations}, {}", arm.word()),
+    }
 }

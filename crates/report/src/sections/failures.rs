@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use domain::MemoryKind;
+use domain::{Arm, MemoryKind};
 use scores::{ConditionScore, DivergenceScore, LoopScore, PointScore, point_scores, worst_cases};
 
 use crate::document::{Missing, ReportBlock, Table, TableCell, TableRow};
@@ -57,7 +57,9 @@ fn shares(score: &ConditionScore) -> Vec<f64> {
 
 /// Counts of each kind that occurs, by memory; `None` when nothing failed.
 pub(crate) fn failures_table(view: &ScoredRun<'_>) -> Option<Table> {
-    let scores = &view.scores.conditions;
+    // A control arm fails for its own reasons.
+    let is_of_memory = |score: &&ConditionScore| score.condition.arm == Arm::Frozen;
+    let scores: Vec<_> = view.scores.conditions.iter().filter(is_of_memory).collect();
     let memories: BTreeSet<MemoryKind> =
         scores.iter().map(|score| score.condition.memory).collect();
     let count = |kind: Option<&str>, memory: Option<MemoryKind>| -> usize {
@@ -81,7 +83,7 @@ pub(crate) fn failures_table(view: &ScoredRun<'_>) -> Option<Table> {
     let columns: Vec<&str> = titles.iter().map(String::as_str).chain(["All"]).collect();
     Some(Table::of_text(
         view.id("failures"),
-        "Failed episodes by kind and memory, counts over all conditions and runs.",
+        "Failed episodes by kind and memory, counts over all conditions and runs but those of control arms.",
         (&["Kind"], &columns),
         rows,
     ))
@@ -167,7 +169,7 @@ pub(crate) fn worst_table(view: &ScoredRun<'_>, most: usize) -> Option<Table> {
     (!rows.is_empty()).then(|| {
         Table::of_text(
             view.id("worst-cases"),
-            "The cases that fail most, over all conditions and runs, with the most frequent kind of failure and an \
+            "The cases that fail most, over all conditions and runs but those of control arms, with the most frequent kind of failure and an \
              episode of it, whose steps are shown by: memtransfer show RUN CASE STEP.",
             (&["Case"], &["Task", "Failed", "Main failure", "Example"]),
             rows,

@@ -112,9 +112,10 @@ fn against_others<'a>(view: &ScoredRun<'a>) -> Vec<LabelledPair<'a>> {
         for condition in own.filter(|condition| condition.memory == memory) {
             // Two external memories are compared once.
             for &other in memories.iter().filter(|other| **other < memory) {
-                let Condition { start, route, demonstrations, variation, .. } = condition;
+                let Condition { start, route, demonstrations, variation, arm, .. } = condition;
                 let other = Condition::new(other, start, route, demonstrations, variation);
                 pairs.extend(other.and_then(|other| {
+                    let other = other.with_arm(arm);
                     let label = format!("{name} − {} ({})", other.memory, setting(&condition));
                     let names = [condition.to_string(), other.to_string()];
                     LabelledPair::of(

@@ -35,7 +35,7 @@ pub(crate) fn supplied_table(view: &ScoredRun<'_>) -> Option<Table> {
         ["Items", "Images", "Text", "Dropped", "Recall us", "Method us", "Wire us", "Store KiB"];
     (!rows.is_empty()).then(|| Table {
         id: view.id("supplied"),
-        caption: "What each memory supplied, over all its conditions. Items, images, bytes of text: means of an answer, \
+        caption: "What each memory supplied, over all its conditions, outside of streams without control arms. Items, images, bytes of text: means of an answer, \
                   beside the current view and the window. Dropped: items that exceeded the memory's budgets. Recall: \
                   mean microseconds from the observation to the recall, embedding included. Of an external memory, \
                   method: what it computed, by its own clock; wire: the messages to it and back, and waiting \

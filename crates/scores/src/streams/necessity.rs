@@ -8,6 +8,7 @@ use serde::Serialize;
 use super::estimate::{Estimate, by_stream};
 use super::sequence::{CompleteSequences, StreamEpisode, success_rate};
 use super::without_memory;
+use crate::certify::CertifiedCases;
 use crate::interval::Interval;
 use conditions::Condition;
 
@@ -50,14 +51,8 @@ pub(super) fn necessity(conditions: &BTreeMap<Condition, CompleteSequences<'_>>)
     let oracles = conditions.iter().filter(|(condition, _)| condition.arm == Arm::Oracle);
     let of = |(oracle, sequences): (&Condition, &CompleteSequences<'_>)| {
         let without = conditions.get(&without_memory(oracle)?)?;
-        let (with, without) = (rates(sequences), rates(without));
-        let both: BTreeSet<BlockCase<'_>> =
-            with.keys().filter(|place| without.contains_key(*place)).copied().collect();
-        let certified: BTreeSet<BlockCase<'_>> = both
-            .iter()
-            .filter(|place| with[*place] > 50.0 && without[*place] < 50.0)
-            .copied()
-            .collect();
+        let CertifiedCases { all: both, certified } =
+            CertifiedCases::of(&rates(without), &rates(sequences));
         let is_shown = |condition: &Condition| {
             let memory = Condition { arm: Arm::Oracle, ..*condition };
             memory == *oracle || Some(*condition) == without_memory(oracle)

@@ -57,7 +57,7 @@ fn settings_that_contradict_each_other_are_refused() {
     insta::assert_snapshot!(error(&[("backend", "cpu"), ("adapter", "x")]), @"--adapter chooses a graphics adapter, and --backend cpu uses none: give one of them");
     insta::assert_snapshot!(error(&[("plates", "off")]), @"--policy grounded sees nothing but plates, so it cannot run with --plates off: leave that out, or choose another --policy");
     insta::assert_snapshot!(error(&[("memory", "none")]), @"no memory is left: `--memory none` is for a memory of your own (--memory-cmd, or `external` in --memory)");
-    insta::assert_snapshot!(error(&[("elsewhere", "w")]), @"--elsewhere is the warehouse of --demos elsewhere, and no condition has these demonstrations");
+    insta::assert_snapshot!(error(&[("elsewhere", "w")]), @"--elsewhere is the warehouse of --demos elsewhere, and of documents in the arm `wrong`; no condition has either");
     assert!(with(&[("labels", "off"), ("appearance-seed", "7")]).is_ok());
     let elsewhere = [("world-cmd", "w"), ("policy", "imitate"), ("memory", "summary,hybrid")];
     assert!(with(&elsewhere).is_ok());
@@ -316,7 +316,7 @@ fn flags_replace_parts_of_the_stream_table() {
     let error = |text: &str, given: &[_]| with(text, given).unwrap_err().to_string();
     for (text, given, expected) in [
         ("", &[("rounds", "2")][..], "--rounds is for a suite of streams"),
-        ("", &[("arms", "wrong")], "--arms is for a suite of streams"),
+        ("", &[("arms", "learning")], "--arms learning is for a suite of streams"),
         (STREAM, &[("starts", "original")], "in a suite of streams every episode begins"),
     ] {
         let error = error(text, given);
@@ -326,6 +326,59 @@ fn flags_replace_parts_of_the_stream_table() {
     assert!(merged([variable]).is_ok(), "it is for other runs");
     let unknown = Layer::suite("my.toml", &STREAM.replace("rounds", "turns")).unwrap_err();
     assert!(unknown.to_string().starts_with("suite my.toml, stream: unknown field `turns`"));
+}
+
+#[test]
+fn arms_outside_of_streams_are_controls_beside_each_memory() {
+    let suite = |name: &str| {
+        let text = std::fs::read_to_string(format!("../../assets/suites/{name}.toml")).unwrap();
+        Layer::suite(name, &text).unwrap()
+    };
+    let conditions = |name, given: &[_]| -> Vec<String> {
+        let settings = merged([suite(name), flags(given)]).unwrap().settings;
+        settings.conditions().iter().map(ToString::to_string).collect()
+    };
+    let arms = ("arms", "frozen,oracle,wrong");
+    insta::assert_snapshot!(conditions("rq2", &[arms, ("memory", "working,summary,episodic")]).join("\n"), @"
+    working/new/unchanged/none
+    working/new/blocked/none
+    summary/new/unchanged/4
+    summary/new/unchanged/original/oracle
+    summary/new/unchanged/original/wrong
+    summary/new/blocked/4
+    summary/new/blocked/original/oracle
+    summary/new/blocked/original/wrong
+    episodic/new/unchanged/4
+    episodic/new/unchanged/original/oracle
+    episodic/new/unchanged/4/wrong
+    episodic/new/blocked/4
+    episodic/new/blocked/original/oracle
+    episodic/new/blocked/4/wrong
+    ");
+    insta::assert_snapshot!(conditions("rq1", &[arms, ("memory", "episodic")]).join("\n"), @"
+    episodic/original/unchanged/original
+    episodic/original/unchanged/original/wrong
+    episodic/new/unchanged/original
+    episodic/new/unchanged/original/oracle
+    episodic/new/unchanged/original/wrong
+    episodic/original/unchanged/opposite
+    episodic/original/unchanged/nearby
+    episodic/original/unchanged/distant
+    ");
+    let frozen = merged([suite("rq1")]).unwrap();
+    assert!(!frozen.settings.demonstrates_elsewhere());
+    assert_eq!(
+        frozen.settings,
+        merged([suite("rq1"), flags(&[("arms", "frozen")])]).unwrap().settings
+    );
+    assert!(!serde_json::to_string(&frozen.settings).unwrap().contains("arms"));
+    let documents = merged([suite("rq1"), flags(&[("arms", "wrong")])]).unwrap();
+    assert!(documents.settings.demonstrates_elsewhere());
+    let of_other_world =
+        [("arms", "wrong"), ("policy", "imitate"), ("world-cmd", "w"), ("memory", "summary")];
+    insta::assert_snapshot!(merged([suite("rq2"), flags(&of_other_world)]).unwrap_err(), @"summary/new/unchanged/original/wrong: the documents of summary memory are of all cases, so wrong ones are those of another warehouse, and --world-cmd names a world that has none: leave `wrong` out of --arms, or summary out of --memory");
+    let set = Layer::flags([("demos", "wrong-1")]).unwrap_err();
+    insta::assert_snapshot!(set, @"--demos: `wrong-1` is held in a control arm: give --arms oracle or --arms wrong");
 }
 
 /// The user has written the command line, and may not have read the suite.

@@ -362,7 +362,8 @@ impl DemonstrationCollector<'_> {
         });
         // Streams have no sets.
         if record.stream.is_none() {
-            for acted in self.act(record.demonstrations, Vec::new())? {
+            let set = record.condition().control_set().unwrap_or(record.demonstrations);
+            for acted in self.act(set, Vec::new())? {
                 self.add(acted);
             }
         }
@@ -414,9 +415,9 @@ impl DemonstrationCollector<'_> {
         })
     }
 
-    /// Whether the oracle's demonstrations take place in the world of the episode.
+    /// Whether the demonstrations are those that the expert of a stream's block acts out in the world of the episode.
     fn is_planned(&self) -> bool {
-        self.record.arm == Arm::Oracle
+        self.record.arm == Arm::Oracle && self.record.stream.is_some()
     }
 
     /// The index of a demonstration that was found.
@@ -430,7 +431,10 @@ impl DemonstrationCollector<'_> {
         let other = if case == self.record.case { String::new() } else { format!(" of {case}") };
         let planned = if self.is_planned() { ", planned in this world" } else { "" };
         let demonstration = DemonstrationData {
-            title: format!("{} demonstration{other}{planned}", kind.name()),
+            title: match kind.is_reference() {
+                true => format!("test reference{other}"),
+                false => format!("{} demonstration{other}{planned}", kind.name()),
+            },
             episode: None,
             stale: acted.is_stale,
             elsewhere: kind == DemonstrationKind::Elsewhere,

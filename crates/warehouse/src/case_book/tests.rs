@@ -3,7 +3,7 @@
 use std::fs;
 
 use case_book::BookFile;
-use domain::{EventKind, StreamRules};
+use domain::{ActionCode, EventKind, StreamRules};
 
 use super::*;
 
@@ -36,6 +36,63 @@ fn named_sets() -> Vec<Demonstrations> {
     own.chain(named).chain([1, 16, 400].map(Demonstrations::bank)).collect()
 }
 
+/// The sets of control arms.
+const CONTROLS: [Demonstrations; 4] = [
+    Demonstrations::NEW_REFERENCE,
+    Demonstrations::BLOCKED_REFERENCE,
+    Demonstrations::WRONG_1,
+    Demonstrations::WRONG_2,
+];
+
+fn all_sets() -> Vec<Demonstrations> {
+    named_sets().into_iter().chain(CONTROLS).collect()
+}
+
+#[test]
+fn demonstrations_hold_test_references_only_for_the_arm_oracle() {
+    let (warehouse, set) = (Warehouse::shipped(), CaseSet::shipped());
+    let references = |sets: &[Demonstrations]| {
+        let request = BookRequest { elsewhere: elsewhere(), blocked: true, ..request(sets) };
+        let Books { cases, demonstrations: book, .. } = write_books(&request).unwrap();
+        let mut found = Vec::new();
+        for (number, case) in (0..).zip(&set.cases) {
+            for (route, kind) in [
+                (Route::Unchanged, TrajectoryKind::Test),
+                (Route::Blocked, TrajectoryKind::Blocked),
+            ] {
+                let test = case.trajectory(kind);
+                let begin = State::from(test.start);
+                // Whatever it is called.
+                let is_it = |of: &&Demonstration| {
+                    of.case == number
+                        && of.states[0] == begin
+                        && of.actions == converted::<_, ActionCode>(&test.actions)
+                };
+                let held = book.demonstrations.iter().find(is_it);
+                let named = book.cases[number as usize].reference(route);
+                let named = named.map(|index| &book.demonstrations[index as usize]);
+                assert_eq!(held, named);
+                if let Some(held) = held {
+                    let replay = case.replay(&warehouse, kind);
+                    assert_eq!(held.states, converted(&replay.poses));
+                    assert_eq!(held.variant, if route == Route::Blocked { 1 + number } else { 0 });
+                    let index = book.cases[number as usize].reference(route).unwrap();
+                    assert!(!cases.is_stale(held.variant, index));
+                    found.push(route);
+                }
+            }
+        }
+        [Route::Unchanged, Route::Blocked]
+            .map(|route| found.iter().filter(|of| **of == route).count())
+    };
+    let [new, blocked, wrong, both] = CONTROLS;
+    let count = set.cases.len();
+    assert_eq!(references(&[named_sets(), vec![wrong, both]].concat()), [0, 0]);
+    assert_eq!(references(&[new]), [count, 0]);
+    assert_eq!(references(&[blocked]), [0, count]);
+    assert_eq!(references(&[new, blocked]), [count, count]);
+}
+
 /// What the demonstrations of the set of cases are in the book.
 fn history_of(book: &DemonstrationBook, index: u32) -> History {
     let Demonstration { case, kind, .. } = book.demonstrations[index as usize];
@@ -46,18 +103,18 @@ fn history_of(book: &DemonstrationBook, index: u32) -> History {
 fn sets_name_the_same_demonstrations_as_the_cases() {
     let warehouse = Warehouse::shipped();
     let mut set = CaseSet::shipped();
-    let request = BookRequest { elsewhere: elsewhere(), ..request(&named_sets()) };
+    let request = BookRequest { elsewhere: elsewhere(), ..request(&all_sets()) };
     let Books { demonstrations: book, elsewhere: text, .. } = write_books(&request).unwrap();
     set.elsewhere = Some(Elsewhere::generate(&warehouse, &set, 1).unwrap());
     assert_eq!(text, set.elsewhere.as_ref().map(Elsewhere::to_text));
-    for (case, sets) in (0..set.cases.len()).map(|case| (case, named_sets())) {
+    for (case, sets) in (0..set.cases.len()).map(|case| (case, all_sets())) {
         for demonstrations in sets {
             let of = book.of_case(case as u32, demonstrations).unwrap();
             let of: Vec<History> = of.into_iter().map(|index| history_of(&book, index)).collect();
             assert_eq!(of, set.histories(case, demonstrations), "case {case}, {demonstrations}");
         }
     }
-    for demonstrations in named_sets() {
+    for demonstrations in all_sets() {
         let all = book.of_all_cases(demonstrations).unwrap();
         let all: Vec<History> = all.into_iter().map(|index| history_of(&book, index)).collect();
         assert_eq!(all, set.histories_of_all(demonstrations), "{demonstrations}");
@@ -83,7 +140,7 @@ fn sets_name_the_same_demonstrations_as_the_cases() {
 
 #[test]
 fn views_are_equal_where_variant_and_pose_are() {
-    let request = BookRequest { elsewhere: elsewhere(), ..request(&named_sets()) };
+    let request = BookRequest { elsewhere: elsewhere(), ..request(&all_sets()) };
     let Books { demonstrations: book, .. } = write_books(&request).unwrap();
     let mut number_of = HashMap::new();
     let mut seen_from: HashMap<u32, (bool, State)> = HashMap::new();
