@@ -8,7 +8,9 @@ use conditions::settings::{
     DocumentSource, Drawn, KEYS, Key, MAX_IMAGES, RunSettings, STREAM_TABLE, Scope, SuiteName,
     WorldStart,
 };
-use conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
+use conditions::{
+    Condition, Demonstrations, Frames, Mismatch, PolicyKind, Route, Start, Variation,
+};
 use domain::limits::MAX_EXTERNAL_MEMORIES;
 use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use domain::representation::Trajectories;
@@ -379,6 +381,7 @@ fn irrelevant_to(policy: PolicyKind) -> Vec<(&'static str, Value)> {
         ("window", json!([window])),
         ("segment", json!([segment])),
         ("hint", json!([hint])),
+        ("mismatch", json!([Mismatch::None])),
     ];
     match policy {
         PolicyKind::Grounded | PolicyKind::Imitate | PolicyKind::Openai | PolicyKind::External => {

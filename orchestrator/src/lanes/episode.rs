@@ -73,6 +73,7 @@ impl ActiveEpisode {
             window: condition.variation.window,
             segment: condition.variation.segment,
             hint: condition.variation.hint,
+            mismatch: condition.mismatch,
             arm: condition.arm,
             run: episode.key.run,
             case: episode.key.case.clone(),
