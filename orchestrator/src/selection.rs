@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
-use case_book::{BookRequest, CaseBook, ElsewhereRequest, StreamsRequest};
+use case_book::{BookRequest, CaseBook, ElsewhereRequest, StreamsRequest, WorldFacts};
 use conditions::settings::RunSettings;
 use conditions::{Condition, Route};
 use domain::{Arm, Demonstrations, Start};
@@ -52,6 +52,7 @@ impl SelectedCases {
         let every = write(&BookRequest { assets: assets.clone(), ..BookRequest::default() })?;
         let ids = every.cases.book.ids();
         let cases = select_cases(&ids, &settings.cases, settings.limit)?;
+        check_mismatches(settings, &every.cases.book.world)?;
         let demonstrations = demonstrations(settings);
         check_banks(&demonstrations, every.demonstrations.book.largest_bank())?;
         let books = write(&BookRequest {
@@ -123,6 +124,20 @@ fn demonstrations(settings: &RunSettings) -> Vec<Demonstrations> {
         }
     }
     found
+}
+
+/// Checks that `world` offers the mismatches of `settings`.
+fn check_mismatches(settings: &RunSettings, world: &WorldFacts) -> Result<()> {
+    let (name, offered) = (&world.declaration.name, &world.mismatches);
+    for mismatch in settings.mismatches() {
+        let names: Vec<&str> = offered.iter().map(|one| one.name()).collect();
+        ensure!(
+            offered.contains(&mismatch),
+            "--mismatch {mismatch}: the world {name} offers {}",
+            if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+        );
+    }
+    Ok(())
 }
 
 /// Checks that the cases have as many demonstrations as each bank holds.

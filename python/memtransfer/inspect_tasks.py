@@ -46,7 +46,7 @@ from memtransfer.prompt import IMAGE_BUDGET, SETTINGS, VERSION, Prompt, data_url
 from memtransfer.request import Answer, Decision, Failed, Request, Usage
 from memtransfer.serving import serve
 
-_FLAGS = ("memory", "starts", "routes", "demos", "segment", "hint", "window")
+_FLAGS = ("memory", "starts", "routes", "demos", "segment", "hint", "mismatch", "window")
 """The flags of `memtransfer run` that make a condition."""
 
 _PATIENCE_SECONDS = 86400
@@ -105,6 +105,7 @@ def _sample(case: dict[str, Any], condition: dict[str, Any]) -> Sample:
     parts = [condition[name] for name in ("memory", "starts", "routes", "demos")]
     standard = {"segment": "actions", "hint": "on", "window": 6}
     parts += [f"{name}-{condition[name]}" for name in standard if condition[name] != standard[name]]
+    parts += [condition["mismatch"]] if condition["mismatch"] != "none" else []
     return Sample(
         id=".".join([case["case"], *parts]),
         input=case["instruction"],

@@ -160,6 +160,15 @@ impl Condition {
         Self { arm, ..self }
     }
 
+    /// Its deviations from the standard, as they are written in its name: `/h20/light`.
+    pub fn deviations(&self) -> String {
+        let variation = self.variation.to_string();
+        match self.mismatch {
+            Mismatch::None => variation,
+            mismatch => format!("{variation}/{mismatch}"),
+        }
+    }
+
     /// Whether the demonstration starts where the episode does, and is supplied to the policy.
     fn can_be_hinted(&self) -> bool {
         self.start == Start::Original
@@ -175,11 +184,8 @@ impl Condition {
 
 impl fmt::Display for Condition {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { memory, start, route, demonstrations, variation, mismatch, arm } = self;
-        write!(f, "{memory}/{start}/{route}/{demonstrations}{variation}")?;
-        if !is_default(mismatch) {
-            write!(f, "/{mismatch}")?;
-        }
+        let Self { memory, start, route, demonstrations, arm, .. } = self;
+        write!(f, "{memory}/{start}/{route}/{demonstrations}{}", self.deviations())?;
         if is_default(arm) { Ok(()) } else { write!(f, "/{}", arm.word()) }
     }
 }

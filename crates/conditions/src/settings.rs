@@ -23,7 +23,7 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use domain::names::named;
-use domain::{Appearance, ExternalName, MemoryKind};
+use domain::{Appearance, ExternalName, MemoryKind, Mismatch};
 use serde::{Deserialize, Serialize};
 
 use crate::{Condition, Frames, PolicyKind};
@@ -249,6 +249,13 @@ impl RunSettings {
             labels: self.labels == Drawn::On,
             seed: self.appearance_seed,
         }
+    }
+
+    /// In what episodes differ from the demonstrations, beside start and route: each once, without [`Mismatch::None`].
+    pub fn mismatches(&self) -> impl Iterator<Item = Mismatch> + '_ {
+        let listed =
+            |mismatch: &Mismatch| self.groups.iter().any(|group| group.mismatch.contains(mismatch));
+        Mismatch::ALL.iter().copied().filter(|one| *one != Mismatch::None).filter(listed)
     }
 
     /// Whether tasks are demonstrated in another warehouse.

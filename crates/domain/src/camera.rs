@@ -1,10 +1,13 @@
 //! The agent's camera (specification, section 2). Policies may know it.
 
-/// Height of the camera above the floor, in metres.
-pub const CAMERA_HEIGHT_M: f32 = 1.2;
+/// Height of the camera above the floor, in centimetres.
+pub const CAMERA_HEIGHT_CM: u16 = 120;
 
-/// Horizontal field of view, in degrees.
-pub const FIELD_OF_VIEW_DEG: f32 = 90.0;
+/// Height of the camera above the floor, in metres.
+pub const CAMERA_HEIGHT_M: f32 = CAMERA_HEIGHT_CM as f32 / 100.0;
+
+/// The tangent of half the horizontal field of view, in percent: 90 degrees.
+pub const HALF_WIDTH_PERCENT: u8 = 100;
 
 /// Focal length in pixels of an image `width_px` wide; square pixels, so it serves both axes.
 ///

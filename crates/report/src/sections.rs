@@ -19,6 +19,7 @@ mod pairs;
 mod provenance;
 mod ranking;
 mod runs;
+mod sensitivity;
 mod streams;
 mod supplied;
 mod time;
@@ -40,6 +41,7 @@ pub(super) use cost::requests_table;
 pub(super) use failures::{failures_table, worst_table};
 pub(super) use growth::growth_table;
 pub(super) use overview::{notices, steps_per_second};
+pub(super) use sensitivity::sensitivity_table;
 pub(super) use streams::{
     adaptation_table, differences_table, incomplete, necessity_table, orders_table, success_table,
     transfer_table,
@@ -50,7 +52,7 @@ pub(super) use time::time_table;
 /// A section's name in links, its heading, and the function that makes its content.
 type SectionEntry = (&'static str, &'static str, fn(&ScoredRun<'_>) -> Vec<ReportBlock>);
 
-const PARTS: [SectionEntry; 15] = [
+const PARTS: [SectionEntry; 16] = [
     ("overview", "What was run", overview::blocks),
     ("conditions", "All conditions", conditions::blocks),
     ("main", "Success across the three questions", main_table::blocks),
@@ -63,6 +65,9 @@ const PARTS: [SectionEntry; 15] = [
         ReportBlock::tables([conflict_table(view)])
     }),
     ("growth", "Banks of different sizes", growth::blocks),
+    ("sensitivity", "Mismatch of demonstration and test", |view| {
+        ReportBlock::tables([sensitivity_table(view)])
+    }),
     ("groups", "Task groups", groups::blocks),
     ("design", "Design choices", design::blocks),
     ("failures", "Why episodes failed", failures::blocks),
@@ -76,7 +81,7 @@ const PARTS: [SectionEntry; 15] = [
 const BESIDE_PUBLISHED: [&str; 6] = ["main", "transfer", "blocked", "mixed", "groups", "design"];
 
 /// Parts that the paper does not have: they are not named where they were not run.
-const BEYOND_THE_PAPER: [&str; 2] = ["conflict", "growth"];
+const BEYOND_THE_PAPER: [&str; 3] = ["conflict", "growth", "sensitivity"];
 
 /// All sections about the run. Those of the paper without any figure of the run are named in one line of the first section,
 /// except where all its episodes are of streams.

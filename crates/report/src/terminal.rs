@@ -12,8 +12,8 @@ use super::published::Published;
 use super::sections::{
     adaptation_table, all_blocked_table, conditions_table, conflict_table, differences_table,
     failures_table, growth_table, incomplete, necessity_table, notices, orders_table,
-    requests_table, steps_per_second, success_table, supplied_table, time_table, transfer_table,
-    worst_table,
+    requests_table, sensitivity_table, steps_per_second, success_table, supplied_table, time_table,
+    transfer_table, worst_table,
 };
 use super::view::{ScoredRun, interval_text, p_value, pair_stubs, signed};
 use crate::table::{TextTable, table};
@@ -55,6 +55,7 @@ pub fn summary(log: &RunLog) -> String {
             conflict_table(&view),
         ),
         ("Banks of different sizes", growth_table(&view)),
+        ("What a mismatch of demonstration and test costs", sensitivity_table(&view)),
         ("Failed episodes by kind", failures_table(&view)),
         ("Cases that fail most", worst_table(&view, WORST)),
         ("Requests to the model, those of repeated episodes included", requests_table(&view)),

@@ -190,10 +190,10 @@ pub(super) fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition,
             let value = blocked::retention(found.rates[0], found.rates[1])?;
             Some(Derived { value, interval: after.interval_of_ratio(before, 100.0) })
         });
-        let baseline = own.map(|Condition { start, route, variation, arm, .. }| {
+        let baseline = own.map(|Condition { start, route, variation, mismatch, arm, .. }| {
             let none = Demonstrations::NONE;
             let working = Condition::new(Representation::Working, start, route, none, variation);
-            working.map(|condition| condition.with_arm(arm))
+            working.map(|condition| condition.with_mismatch(mismatch).with_arm(arm))
         });
         let [Some(baseline_after), Some(baseline_before)] =
             baseline.map(|condition| trials.get(&condition?))

@@ -21,6 +21,7 @@
 //! | 95 % intervals | `interval.rs`, `student.rs` |
 //! | two configurations on the same cases | `comparison.rs`, by name `compare.rs` |
 //! | banks of different sizes | `growth.rs` |
+//! | mismatches between demonstrations and test | `sensitivity.rs` |
 //! | demonstrations from before and after an event | `conflict.rs` |
 //! | streams | `streams.rs` |
 //!
@@ -40,6 +41,7 @@ mod interval;
 mod mean;
 mod memory;
 mod requests;
+mod sensitivity;
 mod spread;
 mod streams;
 mod student;
@@ -58,6 +60,7 @@ pub use growth::GrowthScore;
 pub use interval::Interval;
 pub use memory::MemoryScore;
 pub use requests::RequestScore;
+pub use sensitivity::Sensitivity;
 pub use spread::Spread;
 pub use streams::{
     Estimate, Necessity, NecessitySuccess, OrderScore, RoundScore, StreamCost, StreamDifference,
@@ -104,6 +107,9 @@ pub struct Scores {
     /// The conditions with banks, by memory and size; absent without banks.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub growth: Vec<GrowthScore>,
+    /// What mismatches between demonstrations and test cost; absent without any.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub sensitivity: Vec<Sensitivity>,
     /// The run's streams; absent when there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub streams: Option<StreamScores>,
@@ -137,6 +143,7 @@ pub fn score(log: &RunLog) -> Scores {
     Scores {
         policy: log.manifest.policy_label(),
         growth: growth::growth(log, &trials, &planned, &timings),
+        sensitivity: sensitivity::sensitivity(log),
         conflicts: conflict::conflicts(log, &trials, &planned, &timings),
         conditions,
         planned: log.manifest.episodes as usize,

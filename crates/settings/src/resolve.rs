@@ -410,6 +410,7 @@ pub fn check(settings: &RunSettings) -> Result<()> {
         "--adapter chooses a graphics adapter, and --backend cpu uses none: give one of them"
     );
     check_arms(settings)?;
+    check_mismatches(settings)?;
     let conditions = settings.conditions();
     if let Some(flag) = settings.own_world() {
         check_own_world(settings, flag)?;
@@ -487,6 +488,21 @@ fn check_arms(settings: &RunSettings) -> Result<()> {
              original demonstrations: starts = [\"new\"], routes = [\"unchanged\"], demos = [\"original\"]"
         );
     }
+    Ok(())
+}
+
+/// Checks that every mismatch can be one.
+fn check_mismatches(settings: &RunSettings) -> Result<()> {
+    let Some(first) = settings.mismatches().next() else { return Ok(()) };
+    ensure!(
+        settings.stream.is_none(),
+        "--mismatch {first}, and this is a suite of streams, whose worlds change on their own: leave one of them out"
+    );
+    ensure!(
+        settings.labels == Drawn::On || !settings.mismatches().any(|one| one == Mismatch::Labels),
+        "--mismatch labels leaves out labels in the test, and with --labels off demonstrations have none: leave one of \
+         them out"
+    );
     Ok(())
 }
 

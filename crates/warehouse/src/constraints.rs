@@ -5,6 +5,7 @@
 use domain::{Cell, Feedback, MAX_STEPS, Pose};
 
 use crate::layout::{Axis, Layout};
+use crate::mismatch::CameraSetup;
 use crate::sight::sees;
 use crate::task::Task;
 use crate::trajectory::Replay;
@@ -89,7 +90,7 @@ pub(crate) fn target_in_view<'i>(
     pose: Pose,
     targets: &[&'i Item],
 ) -> Option<&'i Item> {
-    targets.iter().copied().find(|item| sees(warehouse, pose, item))
+    targets.iter().copied().find(|item| sees(warehouse, CameraSetup::STANDARD, pose, item))
 }
 
 /// The first of `targets` whose standpoint is among `cells`.

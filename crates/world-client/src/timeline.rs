@@ -72,6 +72,11 @@ impl<'a> EpisodeTimeline<'a> {
         let variant = world.variant(record)?;
         let acted = world.act(record, parts)?;
         let views = world.seen_in(record, variant, &acted.states)?;
+        let (_, case) = world.case(record)?;
+        let acted = ActedEpisode {
+            instruction: case.instruction_with(record.mismatch).to_owned(),
+            ..acted
+        };
         Ok(Self::of(record, &world.description().world, variant, acted, views))
     }
 

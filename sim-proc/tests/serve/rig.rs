@@ -50,7 +50,7 @@ impl RenderWorker<WarehousePicture> for CodeWorker {
         tasks: &mut [RenderTask<'_, WarehousePicture>],
     ) -> Result<u64, WorldFailure> {
         for RenderTask { picture, slot, .. } in &mut *tasks {
-            let WarehousePicture { stock, variant, pose } = picture;
+            let WarehousePicture { stock, variant, pose, .. } = picture;
             let code = code_with(*stock, variant, *pose);
             slot.pixels_mut().chunks_exact_mut(4).for_each(|pixel| pixel.copy_from_slice(&code));
         }
@@ -74,7 +74,7 @@ pub(crate) fn setup_with(workers: Vec<Worker>) -> WarehouseRendering {
             renderers: Renderers::Threads { workers, batch: 3 },
             facts: vec![("backend", "test".to_owned())],
         },
-        find_changes: Box::new(|ViewSpec { pose, variant, stock }| VisibleChanges {
+        find_changes: Box::new(|_, ViewSpec { pose, variant, stock }| VisibleChanges {
             stock: stock != 0 && shows_stock(pose),
             barricades: is_near(variant, pose),
         }),
@@ -106,7 +106,7 @@ pub(crate) fn states() -> Vec<WorldState> {
 pub(crate) fn worlds() -> Worlds {
     let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
     cases.elsewhere = Some(elsewhere());
-    let worlds = Worlds::new(&warehouse, &cases, states());
+    let worlds = Worlds::new(&warehouse, &cases, states(), &[]);
     // Its task takes two items, so that no episode ends where it begins.
     let first = cases.case("t06-01").unwrap().clone();
     let at = |pose| {

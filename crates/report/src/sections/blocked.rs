@@ -72,8 +72,8 @@ fn rows(view: &ScoredRun<'_>, is_shown: impl Fn(&Condition) -> bool) -> Option<T
         .filter(|condition| condition.route == Route::Blocked && is_shown(condition))
         .collect();
     let row = |condition: &Condition| {
-        let Condition { demonstrations, variation, .. } = condition;
-        let label = format!("{demonstrations}{variation}").replace('/', ", ");
+        let label = format!("{}{}", condition.demonstrations, condition.deviations());
+        let label = label.replace('/', ", ");
         TableRow::new(label, cells(view, &condition.to_string()))
     };
     let groups = shown.chunk_by(|a, b| a.memory == b.memory).map(|conditions| RowGroup {

@@ -65,7 +65,7 @@ fn row(score: &ConditionScore) -> TableRow {
 
 /// A condition without its memory: `original, 1 demonstration`.
 pub(super) fn setting(condition: &Condition) -> String {
-    let Condition { start, route, demonstrations, variation, memory, arm: _ } = condition;
+    let Condition { start, route, demonstrations, memory, .. } = condition;
     let mut text = start.to_string();
     if *route == Route::Blocked {
         text += " blocked";
@@ -73,5 +73,5 @@ pub(super) fn setting(condition: &Condition) -> String {
     if memory.uses_demonstrations() {
         text += &format!(", {demonstrations}");
     }
-    text + &variation.to_string().replace('/', ", ")
+    text + &condition.deviations().replace('/', ", ")
 }

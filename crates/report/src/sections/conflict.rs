@@ -2,8 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use conditions::{Condition, Demonstrations, Route, Start, Variation};
-use domain::{Arm, MemoryKind};
+use conditions::{Condition, Demonstrations, Mismatch, Route, Start, Variation};
+use domain::MemoryKind;
 use scores::{ConditionScore, HISTORIES};
 
 use super::blocked::NONE_TRIED;
@@ -16,12 +16,14 @@ use crate::view::{ScoredRun, sure, sure_or};
 /// variation and demonstrations; `None` where there is no demonstration from after the event.
 pub(crate) fn conflict_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = view.scores.conflicts.iter();
-    let scores: Vec<_> = scores.filter(|score| score.condition.start == Start::New).collect();
+    let is_shown = |condition: &Condition| {
+        (condition.start, condition.mismatch) == (Start::New, Mismatch::None)
+    };
+    let scores: Vec<_> = scores.filter(|score| is_shown(&score.condition)).collect();
     let cases = scores.iter().map(|score| score.cases).max().filter(|cases| *cases > 0)?;
     let row = |memory: MemoryKind, variation, set: Demonstrations| {
         let on = |route| {
-            let (start, arm) = (Start::New, Arm::Frozen);
-            let condition = Condition { memory, start, route, demonstrations: set, variation, arm };
+            let condition = Condition::new(memory, Start::New, route, set, variation)?;
             scores.iter().copied().find(|score| score.condition == condition)
         };
         let (unchanged, blocked) = (on(Route::Unchanged), on(Route::Blocked));

@@ -71,6 +71,7 @@ fn against_others(view: &ScoredRun<'_>) -> Option<Table> {
             others.clone().filter_map(move |&other| {
                 let Condition { start, route, demonstrations, variation, .. } = condition;
                 let other = Condition::new(other, start, route, demonstrations, variation)?;
+                let other = other.with_mismatch(condition.mismatch);
                 view.scores.of(&other)?;
                 let label = format!("{name} − {} ({})", other.memory, setting(&condition));
                 Some(row(view, &label, &condition.to_string(), &other.to_string()))
