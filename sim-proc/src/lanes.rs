@@ -4,9 +4,10 @@ use std::collections::HashMap;
 use std::hash::{Hash, Hasher};
 
 use case_book::{CaseVariant, EpisodeFacts};
+use domain::camera::CameraSetup;
 use domain::{Action, Cell, Feedback, Pose, Start, UnknownCode};
 use shm_types::message::{EpisodeEnd, StepCommand, StepKind, WorldEpisodeConfig, read_flag};
-use warehouse::{CameraSetup, EndedEpisode, EventRecorder, Progress, step};
+use warehouse::{EndedEpisode, EventRecorder, Progress, step};
 
 use crate::lived::LivedEpisodes;
 use crate::worlds::{WorldParts, Worlds};

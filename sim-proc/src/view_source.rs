@@ -80,11 +80,46 @@ impl ViewSource {
 
 #[cfg(test)]
 mod tests {
+    use case_book::CaseVariant;
     use domain::Heading;
     use warehouse::{CaseSet, Warehouse};
 
     use super::*;
     use crate::renderer::Backend;
+
+    #[test]
+    fn every_mismatch_is_visible_and_its_own() {
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let settings = RenderSettings {
+            width_px: 128,
+            height_px: 128,
+            backend: Some(Backend::Cpu),
+            ..RenderSettings::default()
+        };
+        let seen: Vec<Mismatch> =
+            Mismatch::ALL.iter().copied().filter(|mismatch| mismatch.changes_world()).collect();
+        let worlds = Worlds::new(&warehouse, &cases, Vec::new(), &seen);
+        let mut views = ViewSource::new(worlds, settings).unwrap();
+        // Beside a rack with items that no task of the first case is about.
+        let of_task = cases.cases[0].task.targets(&warehouse);
+        let other = warehouse.items.iter().find(|item| {
+            let category = warehouse.category_of(item);
+            of_task.iter().all(|target| warehouse.category_of(target) != category)
+        });
+        let other = other.unwrap();
+        let pose = Pose { cell: other.standpoint, heading: other.face.opposite() };
+        let of = |mismatch| CaseVariant { case: 0, is_blocked: false, mismatch }.number();
+        let mut image = |variant| views.render(variant, pose).unwrap().clone();
+        let usual = image(0);
+        let mut known = vec![usual.clone()];
+        for &mismatch in &seen {
+            let found = image(of(mismatch));
+            assert!(!known.contains(&found), "{mismatch}");
+            assert_eq!(image(0), usual, "after {mismatch}");
+            known.push(found);
+        }
+        assert!(views.render(of(Mismatch::None) + 7000, pose).is_err());
+    }
 
     #[test]
     fn a_view_does_not_depend_on_the_one_before() {

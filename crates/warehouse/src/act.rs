@@ -8,6 +8,7 @@ use case_book::act::{
     ActAnswer, ActRequest, ActedDemonstration, ActedEpisode, ActedReference, DemonstrationsRequest,
     EpisodeRequest, EpisodeScenery, Scene, StreamBlockPlace, Target, WorldDescription,
 };
+use domain::camera::CameraSetup;
 use domain::{Action, ActionCode, Cell, DemonstrationKind, Feedback, Pose, Route, State};
 use serde_json::{Map, Value};
 
@@ -17,7 +18,6 @@ use crate::dynamics::{Variant, step};
 use crate::ended::EndedEpisode;
 use crate::event_recorder::EventRecorder;
 use crate::map;
-use crate::mismatch::CameraSetup;
 use crate::progress::Progress;
 use crate::sight::cells;
 use crate::state::WorldState;

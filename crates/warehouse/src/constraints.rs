@@ -2,10 +2,10 @@
 //!
 //! The generator searches for cases that satisfy them, and the validator reports cases that do not.
 
+use domain::camera::CameraSetup;
 use domain::{Cell, Feedback, MAX_STEPS, Pose};
 
 use crate::layout::{Axis, Layout};
-use crate::mismatch::CameraSetup;
 use crate::sight::sees;
 use crate::task::Task;
 use crate::trajectory::Replay;

@@ -6,10 +6,10 @@
 
 use std::collections::BTreeMap;
 
+use domain::camera::CameraSetup;
 use domain::events::{Requirement, Visit};
 use domain::{Cell, Pose};
 
-use crate::mismatch::CameraSetup;
 use crate::sight::sees;
 use crate::task::Task;
 use crate::world::{Item, Warehouse};

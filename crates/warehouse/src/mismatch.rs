@@ -1,6 +1,5 @@
 //! What each mismatch between demonstrations and test is in a warehouse (specification, section 6).
 
-use domain::camera::{CAMERA_HEIGHT_CM, HALF_WIDTH_PERCENT};
 use domain::{Appearance, Cell, Mismatch};
 
 use crate::draw::Draw;
@@ -10,42 +9,6 @@ use crate::world::{Item, Warehouse};
 
 /// Marks the draws of the pairs of items that change places.
 const STOCK_STREAM: u64 = 5 << 56;
-
-/// The height of a camera with another height than that of the demonstrations, in centimetres.
-const OTHER_HEIGHT_CM: u16 = 170;
-
-/// How far a camera with another field of view sees to either side at a distance of a metre, in centimetres: 70 degrees.
-const OTHER_HALF_WIDTH_PERCENT: u8 = 70;
-
-/// The agent's camera.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct CameraSetup {
-    /// Its height above the floor, in centimetres.
-    pub height_cm: u16,
-    /// The tangent of half its horizontal field of view, in percent.
-    pub half_width_percent: u8,
-}
-
-impl CameraSetup {
-    /// That of the specification, section 2.
-    pub const STANDARD: Self =
-        Self { height_cm: CAMERA_HEIGHT_CM, half_width_percent: HALF_WIDTH_PERCENT };
-
-    /// That of an episode with this mismatch.
-    pub const fn of(mismatch: Mismatch) -> Self {
-        match mismatch {
-            Mismatch::CameraHeight => Self { height_cm: OTHER_HEIGHT_CM, ..Self::STANDARD },
-            Mismatch::FieldOfView => {
-                Self { half_width_percent: OTHER_HALF_WIDTH_PERCENT, ..Self::STANDARD }
-            }
-            Mismatch::None
-            | Mismatch::Light
-            | Mismatch::Labels
-            | Mismatch::Wording
-            | Mismatch::Stock => Self::STANDARD,
-        }
-    }
-}
 
 /// How the world looks in an episode with this mismatch, where demonstrations look like `standard`: other light has the next
 /// seed.
@@ -98,6 +61,8 @@ impl ExchangedItems {
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
+
+    use domain::camera::CameraSetup;
 
     use super::*;
     use crate::{CaseSet, WorldState};

@@ -9,10 +9,10 @@
 
 use std::cmp::Ordering;
 
+use domain::camera::CameraSetup;
 use domain::{Cell, Heading, Pose};
 
 use crate::layout::Layout;
-use crate::mismatch::CameraSetup;
 use crate::racks::FaceKind;
 use crate::world::{Item, Warehouse};
 

@@ -2,10 +2,10 @@
 //!
 //! Three spaces: world (x east, y north, z up), camera (x right, y up, z ahead) and clip.
 
+use domain::camera::CameraSetup;
 use domain::{Heading, Pose};
 use nalgebra::{Matrix4, Point3, Vector3};
 use raster::NEAR_M;
-use warehouse::CameraSetup;
 
 /// A camera in the world.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -4,8 +4,9 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use domain::Pose;
+use domain::camera::CameraSetup;
 use raster::Placement;
-use warehouse::{CameraSetup, Layout, Variant};
+use warehouse::{Layout, Variant};
 
 use super::camera::Camera;
 use super::job::ViewSpec;

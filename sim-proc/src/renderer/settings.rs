@@ -4,9 +4,9 @@ use std::fmt;
 use std::str::FromStr;
 
 use anyhow::{Result, ensure};
+use domain::camera::CameraSetup;
 use domain::{Appearance, Mismatch};
 pub use raster::Samples;
-use warehouse::CameraSetup;
 
 /// Longest side of a frame, in pixels.
 const MAX_SIDE_PX: u32 = 4096;

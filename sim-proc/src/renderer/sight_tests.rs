@@ -1,7 +1,8 @@
 //! Whether the rule of [`warehouse::sight`] agrees with what is drawn.
 
+use domain::camera::CameraSetup;
 use domain::{Appearance, Cell, Heading, Mismatch, Pose};
-use warehouse::{CameraSetup, CaseSet, Elsewhere, GeneratedWorld, Item, Shape, Warehouse, sight};
+use warehouse::{CaseSet, Elsewhere, GeneratedWorld, Item, Shape, Warehouse, sight};
 
 use super::mesh::builder::Detail;
 use super::mesh::items::item;

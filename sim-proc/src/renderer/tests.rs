@@ -3,10 +3,10 @@
 
 use std::path::Path;
 
-use domain::camera::{CAMERA_HEIGHT_M, focal_length_px};
+use domain::camera::{CAMERA_HEIGHT_M, CameraSetup, focal_length_px};
 use domain::{Appearance, Cell, Heading, Pose};
 use plates::Plate;
-use warehouse::{CameraSetup, CaseSet, StockChange, Variant, WorldChange, WorldState, every_pose};
+use warehouse::{CaseSet, StockChange, Variant, WorldChange, WorldState, every_pose};
 
 use super::camera::Camera;
 use super::visibility::{VisibleSet, nearest_first};
