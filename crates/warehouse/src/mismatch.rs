@@ -105,6 +105,14 @@ mod tests {
             let look = appearance(standard, mismatch);
             format!("{mismatch}: {look}, {height_cm} cm, {half_width_percent} %")
         });
-        insta::assert_snapshot!(described.collect::<Vec<_>>().join("\n"), @"");
+        insta::assert_snapshot!(described.collect::<Vec<_>>().join("\n"), @"
+        none: plates, seed 18446744073709551615, 120 cm, 100 %
+        light: plates, 120 cm, 100 %
+        labels: plates, no labels, seed 18446744073709551615, 120 cm, 100 %
+        camera-height: plates, seed 18446744073709551615, 170 cm, 100 %
+        field-of-view: plates, seed 18446744073709551615, 120 cm, 70 %
+        wording: plates, seed 18446744073709551615, 120 cm, 100 %
+        stock: plates, seed 18446744073709551615, 120 cm, 100 %
+        ");
     }
 }

@@ -98,7 +98,38 @@ mod tests {
             let form = |form| case.task.paraphrase(&warehouse.catalogue, form);
             [case.task.instruction(&warehouse.catalogue), form(0), form(1)]
         });
-        insta::assert_snapshot!(lines.collect::<Vec<_>>().join("\n"), @"");
+        insta::assert_snapshot!(lines.collect::<Vec<_>>().join("\n"), @"
+        Find a yellow fire extinguisher.
+        Go to a yellow fire extinguisher.
+        Look for a yellow fire extinguisher and go up to it.
+        Find any item of the category toolboxes.
+        Go to one item of the category toolboxes, whichever you like.
+        Look for an item of the category toolboxes and go up to it.
+        Visit every red barrel in the warehouse.
+        Go to each red barrel in the warehouse.
+        Go round the warehouse until you have been at every red barrel.
+        Visit every item of the category buckets in the warehouse.
+        Go to each item of the category buckets in the warehouse.
+        Go round the warehouse until you have been at every item of the category buckets.
+        Visit a white helmet and a black tyre, in any order.
+        Go to a white helmet and to a black tyre; the order is up to you.
+        In whichever order you like, go to a white helmet and to a black tyre.
+        Visit a red cable reel, then a turquoise gas cylinder.
+        First go to a red cable reel, and after that to a turquoise gas cylinder.
+        Go to a red cable reel, and only then to a turquoise gas cylinder.
+        Find a yellow toolbox, then return to the cell where you started.
+        Go to a yellow toolbox, and after that come back to the cell where you began.
+        Look for a yellow toolbox, and end in the cell where you began.
+        Visit every red fire extinguisher in the warehouse, then return to the cell where you started.
+        Go to each red fire extinguisher in the warehouse, and after that come back to the cell where you began.
+        Go round the warehouse until you have been at every red fire extinguisher, and after that end in the cell where you began.
+        Find an orange cone, then visit a yellow fire extinguisher, then go back to the same orange cone.
+        Go to an orange cone, after that to a yellow fire extinguisher, and end again at the same orange cone.
+        First look for an orange cone, after that for a yellow fire extinguisher, and come back to the same orange cone.
+        Visit a black tyre, then a red crate, then return to the cell where you started.
+        First go to a black tyre, after that to a red crate, and come back to the cell where you began.
+        Go to a black tyre, only then to a red crate, and end in the cell where you began.
+        ");
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use conditions::{Condition, Demonstrations, Mismatch, Route, Start, Variation};
-use domain::MemoryKind;
+use domain::{Arm, MemoryKind};
 use scores::{ConditionScore, HISTORIES};
 
 use super::blocked::NONE_TRIED;
@@ -23,7 +23,10 @@ pub(crate) fn conflict_table(view: &ScoredRun<'_>) -> Option<Table> {
     let cases = scores.iter().map(|score| score.cases).max().filter(|cases| *cases > 0)?;
     let row = |memory: MemoryKind, variation, set: Demonstrations| {
         let on = |route| {
-            let condition = Condition::new(memory, Start::New, route, set, variation)?;
+            let (start, mismatch, arm) = (Start::New, Mismatch::None, Arm::Frozen);
+            let demonstrations = set;
+            let condition =
+                Condition { memory, start, route, demonstrations, variation, mismatch, arm };
             scores.iter().copied().find(|score| score.condition == condition)
         };
         let (unchanged, blocked) = (on(Route::Unchanged), on(Route::Blocked));
