@@ -148,9 +148,10 @@ impl DemonstrationLibrary {
         self.book.cases.len()
     }
 
-    /// The instruction that an episode of a case carries out; `None` if there is no such case.
-    pub(crate) fn instruction(&self, case: u32) -> Option<&str> {
-        self.book.cases.get(case as usize).map(|case| case.instruction.as_str())
+    /// The instruction that an episode of a case carries out, or its paraphrase; `None` if there is no such case or paraphrase.
+    pub(crate) fn instruction(&self, case: u32, is_paraphrased: bool) -> Option<&str> {
+        let case = self.book.cases.get(case as usize)?;
+        if is_paraphrased { case.paraphrase.as_deref() } else { Some(&case.instruction) }
     }
 
     /// Whether episodes of the run can take place in this world variant as part of a stream.
@@ -290,7 +291,7 @@ mod tests {
         let all = library.of_all_cases(set).unwrap();
         assert_eq!(all.len(), library.case_count());
         for (index, demonstration) in (0..).zip(&all) {
-            assert_eq!(Some(&*demonstration.instruction), library.instruction(index));
+            assert_eq!(Some(&*demonstration.instruction), library.instruction(index, false));
             assert_eq!(demonstration.number, DemonstrationKind::Elsewhere as u16);
             assert_eq!(demonstration.views.len(), demonstration.states.len());
             assert_eq!(library.of_case(index, set), Some(vec![demonstration.clone()]));

@@ -13,7 +13,7 @@ use peer::memory::{Episode, MemoryItem, Query, Step};
 use search::{ContentHash, Embedding};
 use shm_types::message::{
     EXPERIENCE, EXTERNAL, EpisodeEnd, FrameId, MAX_ITEMS, MAX_SEGMENT, MemoryEpisodeConfig,
-    NO_FRAME, Observation, Recall, RecallTrace, SnapshotId, StepReport, read_action,
+    NO_FRAME, Observation, Recall, RecallTrace, SnapshotId, StepReport, read_action, read_flag,
 };
 
 use crate::bank::MemoryBank;
@@ -205,7 +205,11 @@ impl MemoryEpisode {
         };
         let set = Demonstrations::from_bits(demonstrations).ok_or_else(unknown)?;
         let chosen = library.of_case(case, set).ok_or_else(unknown)?;
-        let instruction = library.instruction(case).ok_or_else(unknown)?;
+        let is_paraphrased =
+            read_flag(config.paraphrased).map_err(|unknown| unknown.to_string())?;
+        let instruction = library
+            .instruction(case, is_paraphrased)
+            .ok_or_else(|| format!("case {case} has no instruction, or no paraphrase of it"))?;
         // A memory of no demonstrations has nothing that could persist or be shared.
         let has_demonstrations = !chosen.is_empty();
         let is_in_sequence = has_demonstrations && config.sequence != 0;

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::{Result, ensure};
 use case_book::{CaseBook, DemonstrationBook};
-use conditions::{Condition, Route};
+use conditions::{Condition, Mismatch, Route};
 use domain::representation::Trajectories;
 use shm_types::attach::MAX_FRAMES;
 use shm_types::{Attach, FrameSize};
@@ -90,11 +90,14 @@ impl Demand {
             |episode: &PlannedEpisode| episode.demonstrations().take_place_elsewhere();
         let elsewhere =
             if episodes.iter().any(is_elsewhere) { book.world.elsewhere_views } else { 0 };
-        let worlds = (1 + blocked.len() + states.len()) as u32;
+        let mismatches = episodes.iter().map(|episode| episode.key.condition.mismatch);
+        let mismatches: BTreeSet<Mismatch> =
+            mismatches.filter(|mismatch| mismatch.changes_world()).collect();
+        let worlds = ((1 + blocked.len() + states.len()) * (1 + mismatches.len())) as u32;
         Self {
             per_lane: attach.window + 2,
             remembered: remembered.max().unwrap_or(0),
-            all_views: worlds * book.world.views + elsewhere,
+            all_views: worlds.saturating_mul(book.world.views).saturating_add(elsewhere),
         }
     }
 

@@ -221,14 +221,16 @@ impl<'w> Lanes<'w> {
 
     /// Begins `episode` in the free lane `lane`.
     pub fn begin(&mut self, lane: usize, episode: PlannedEpisode) -> EpisodeOpening {
-        let id = self.unused_id(episode.seed);
+        // Episodes that differ in their mismatch alone have the same seed.
+        let mismatch = episode.key.condition.mismatch as u64;
+        let id = self.unused_id(episode.seed.wrapping_add(mismatch));
         let mut active = ActiveEpisode::new(&self.context, id, lane as u32, episode);
         let opening = active.opening(&self.context);
         self.lanes[lane] = Some(active);
         opening
     }
 
-    /// The id of the next attempt at the episode with this seed. No other attempt of the session has it.
+    /// The id of the next attempt at the episode with this seed and mismatch. No other attempt of the session has it.
     fn unused_id(&mut self, seed: u64) -> EpisodeId {
         let mut attempt = 1;
         loop {
@@ -371,8 +373,8 @@ impl<'w> Lanes<'w> {
 }
 
 /// The id on the wire of an attempt at an episode: the first 8 bytes, as a little-endian number, of the BLAKE3 hash of
-/// `memtransfer episode id v1`, a zero byte, the [seed](conditions::key::EpisodeKey::seed) of the episode and the number of the
-/// attempt, both as 8 little-endian bytes.
+/// `memtransfer episode id v1`, a zero byte, the [seed](conditions::key::EpisodeKey::seed) of the episode plus the code of its
+/// mismatch, and the number of the attempt, both as 8 little-endian bytes.
 ///
 /// So ids are the same whatever the lanes and whatever was executed before, and tell no more than the seed.
 fn episode_id(seed: u64, attempt: u64) -> EpisodeId {

@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use case_book::DEMONSTRATIONS_FILE;
 use conditions::settings::{ModelSettings, RunSettings};
 use conditions::{Condition, Frames, PolicyKind};
-use domain::{MemoryKind, SecretHeader};
+use domain::{MemoryKind, Mismatch, SecretHeader};
 use run_log::{DOCUMENTS_FOLDER, ELSEWHERE_FILE, PROMPT_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE};
 use shm_types::message::Role;
 use shm_types::process::shared_memory_space;
@@ -172,10 +172,14 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     let elsewhere = ("--elsewhere", path(&elsewhere));
     let demonstrations = settings.out.join(DEMONSTRATIONS_FILE).display().to_string();
     let demonstrations = ("--demonstrations", Some(demonstrations));
+    let mismatches: Vec<&str> =
+        settings.mismatches().filter(|one| one.changes_world()).map(Mismatch::name).collect();
+    let mismatches = (!mismatches.is_empty()).then(|| mismatches.join(","));
     let mut renderer = vec![
         assets,
         streams,
         elsewhere,
+        ("--mismatch", mismatches),
         demonstrations.clone(),
         ("--backend", settings.backend.clone()),
         ("--adapter", settings.adapter.clone()),

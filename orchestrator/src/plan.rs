@@ -4,7 +4,7 @@
 //! Pure: the same settings and cases give the same list on every machine. Which of them are finished is in the
 //! run folder ([`run_log`]).
 
-use case_book::{CaseBook, StreamFacts, StreamsFacts};
+use case_book::{CaseBook, CaseVariant, StreamFacts, StreamsFacts};
 use conditions::key::{EpisodeKey, StreamPlace};
 use conditions::settings::StreamSettings;
 use conditions::{Condition, Route};
@@ -78,8 +78,11 @@ impl PlannedEpisode {
     pub fn variant(&self, book: &CaseBook) -> u32 {
         match self.part {
             Some(part) => book.streams.as_ref().and_then(|of| of.variant(part.world)).unwrap_or(0),
-            None if self.key.condition.route == Route::Blocked => 1 + self.case_index as u32,
-            None => 0,
+            None => {
+                let Condition { route, mismatch, .. } = self.key.condition;
+                let (case, is_blocked) = (self.case_index as u32, route == Route::Blocked);
+                CaseVariant { case, is_blocked, mismatch }.number()
+            }
         }
     }
 

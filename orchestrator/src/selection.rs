@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use case_book::{
-    BookRequest, CaseBook, DEMONSTRATIONS_FILE, DemonstrationBook, ElsewhereRequest, StreamsRequest,
+    BookRequest, CaseBook, DEMONSTRATIONS_FILE, DemonstrationBook, ElsewhereRequest,
+    StreamsRequest, WorldFacts,
 };
 use conditions::settings::RunSettings;
 use conditions::{Condition, Route};
@@ -54,6 +55,7 @@ impl SelectedCases {
         let every = write(&BookRequest { assets: assets.clone(), ..BookRequest::default() })?;
         let ids = every.cases.book.ids();
         let cases = select_cases(&ids, &settings.cases, settings.limit)?;
+        check_mismatches(settings, &every.cases.book.world)?;
         let demonstrations = demonstrations(settings)?;
         check_banks(&demonstrations, every.demonstrations.book.largest_bank())?;
         let books = write(&BookRequest {
@@ -145,6 +147,20 @@ fn check_references(sets: &[Demonstrations], book: &DemonstrationBook) -> Result
             "{DEMONSTRATIONS_FILE} of the world {} has test references of the {route} route, which only memories of the arm \
              `oracle` may hold, and the run has none there: have the case book written without them",
             book.world.name
+        );
+    }
+    Ok(())
+}
+
+/// Checks that `world` offers the mismatches of `settings`.
+fn check_mismatches(settings: &RunSettings, world: &WorldFacts) -> Result<()> {
+    let (name, offered) = (&world.declaration.name, &world.mismatches);
+    for mismatch in settings.mismatches() {
+        let names: Vec<&str> = offered.iter().map(|one| one.name()).collect();
+        ensure!(
+            offered.contains(&mismatch),
+            "--mismatch {mismatch}: the world {name} offers {}",
+            if names.is_empty() { "none".to_owned() } else { names.join(", ") }
         );
     }
     Ok(())

@@ -102,6 +102,8 @@ class Settings(TypedDict, total=False):
     memory_images: int
     memory_text_bytes: int
     hint: Switch | Sequence[str]
+    mismatch: Words
+    """In what episodes differ from the demonstrations: each of these by itself."""
     documents: File
     frame_size: int
     """Width and height of a frame in pixels, a multiple of 64."""

@@ -50,7 +50,7 @@ try:
 except ModuleNotFoundError as error:
     raise missing(error, "inspect") from None
 
-_FLAGS = ("memory", "starts", "routes", "demos", "segment", "hint", "window")
+_FLAGS = ("memory", "starts", "routes", "demos", "segment", "hint", "mismatch", "window")
 """The flags of `memtransfer run` that make a condition."""
 
 _PATIENCE_SECONDS = 86400
@@ -109,6 +109,7 @@ def _sample(case: dict[str, Any], condition: dict[str, Any]) -> Sample:
     parts = [condition[name] for name in ("memory", "starts", "routes", "demos")]
     standard = {"segment": "actions", "hint": "on", "window": 6}
     parts += [f"{name}-{condition[name]}" for name in standard if condition[name] != standard[name]]
+    parts += [condition["mismatch"]] if condition["mismatch"] != "none" else []
     return Sample(
         id=".".join([case["case"], *parts]),
         input=case["instruction"],

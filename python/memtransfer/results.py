@@ -32,7 +32,7 @@ except ModuleNotFoundError as error:
 _DTYPES = {"text": "string", "whole": "Int64", "real": "Float64", "flag": "boolean"}
 
 _CATEGORIES = frozenset(
-    ("memory", "start", "route", "demonstrations", "segment", "hint", "group", "ending", "failure")
+    ("memory", "start", "route", "demonstrations", "segment", "hint", "mismatch", "group", "ending", "failure")
 )
 
 

@@ -42,6 +42,7 @@ from memtransfer.errors import WorldError
 
 __all__ = [
     "DONE",
+    "MISMATCHES",
     "NO_EFFECT",
     "START",
     "TRAJECTORIES",
@@ -61,6 +62,10 @@ START, DONE, NO_EFFECT = 0, 1, 2
 TRAJECTORIES = ("original", "opposite", "nearby", "distant", "new", "blocked", "after")
 """The names of an expert's trajectories: demonstrations from four starts; references from the start at which a case is tested,
 where the way is free and where it is blocked; and a demonstration where it is blocked."""
+
+MISMATCHES = ("light", "labels", "camera-height", "field-of-view", "wording", "stock")
+"""What a test can differ in from demonstrations, beside start and way: other light, nothing written, the camera elsewhere above the
+floor or with another field of view, the instruction in other words, other things where the task is not about them."""
 
 _DEMONSTRATIONS = ("original", "opposite", "nearby", "distant", "after")
 
@@ -83,6 +88,8 @@ class Case:
     """Two demonstrations of other cases that are like this one and lead elsewhere."""
     data: Any = field(default=None, compare=False)
     """Whatever the world needs to begin an episode."""
+    paraphrase: str | None = None
+    """The instruction in other words that mean the same, for the mismatch `wording`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +103,8 @@ class Episode:
     """Whether the way is blocked."""
     seed: int
     """For random choices of a world that is not deterministic."""
+    mismatch: str = "none"
+    """In what the world has to differ from demonstrations, beside start and way: `none`, or one of `World.mismatches`."""
 
 
 @dataclass(slots=True)
@@ -148,6 +157,8 @@ class World(ABC):
     """The names of the kinds of tasks, and the groups that they are in."""
     failures: Mapping[str, str] = {}
     """Kinds of failure that the world has words for, and what they mean. `facts` can name one."""
+    mismatches: Sequence[str] = ()
+    """What `Episode.mismatch` may be, of `MISMATCHES`. `wording` is no business of `reset`: each case has a paraphrase then."""
     deterministic: bool = True
     """Whether the same actions lead from the same start to the same states and pictures, always and everywhere."""
     _cases: Mapping[str, Case] | None = None
@@ -175,10 +186,10 @@ class World(ABC):
         says in one of the words of `failures` why it failed."""
         return {}
 
-    def _reset(self, case: str, start: str, blocked: bool, seed: int) -> tuple[Any, ...]:
+    def _reset(self, case: str, start: str, blocked: bool, mismatch: str, seed: int) -> tuple[Any, ...]:
         if self._cases is None:
             self._cases = {listed.id: listed for listed in self.cases()}
-        observation = self.reset(Episode(self._cases[case], start, blocked, seed))
+        observation = self.reset(Episode(self._cases[case], start, blocked, seed, mismatch))
         return self._told("reset", observation, START)
 
     def _step(self, action: int) -> tuple[Any, ...]:
@@ -291,6 +302,7 @@ def _case(world: World, case: Case) -> dict[str, Any]:
         "id": case.id,
         "task": 1 + tasks.index(task),
         "instruction": case.instruction,
+        "paraphrase": case.paraphrase,
         "trajectories": {
             name: [_number(f"{of}: an action of `{name}`", action, len(world.actions)) for action in taken]
             for name, taken in case.trajectories.items()
@@ -305,10 +317,18 @@ def _tasks(world: World, cases: Sequence[Case]) -> dict[str, Any]:
         raise WorldError(f"the world {world.name} has no tasks")
     if not isinstance(world.tasks, Mapping):
         raise WorldError(f"the tasks of the world {world.name} are {world.tasks!r}, not a dict of tasks and their groups")
+    for mismatch in world.mismatches:
+        if mismatch not in MISMATCHES:
+            raise WorldError(f"the mismatch {mismatch!r} of the world {world.name} is none of {', '.join(MISMATCHES)}")
+    if "wording" in world.mismatches:
+        for case in cases:
+            if not case.paraphrase:
+                raise WorldError(f"case {case.id} of the world {world.name} has no paraphrase, and `mismatches` has `wording`")
     numbered = enumerate(world.tasks.items(), start=1)
     return {
         "tasks": [{"number": number, "name": name, "group": group} for number, (name, group) in numbered],
         "failures": [{"name": name, "words": words} for name, words in world.failures.items()],
+        "mismatches": list(world.mismatches),
         "cases": [_case(world, case) for case in cases],
     }
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, bail, ensure};
 use case_book::act::{ActedDemonstration, DemonstrationsRequest, EpisodeParts, Target};
-use domain::{Action, Cell, Heading, Pose, State};
+use domain::{Action, Cell, Heading, Mismatch, Pose, State};
 use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -243,7 +243,8 @@ impl RecordedRun {
             Some(views) => views,
             none => {
                 let RunWorlds { warehouse, cases, states, .. } = worlds(&WorldFiles::of(&run.log))?;
-                let worlds = Worlds::new(&warehouse, &cases, states);
+                let mismatches: Vec<Mismatch> = run.log.manifest.settings.mismatches().collect();
+                let worlds = Worlds::new(&warehouse, &cases, states, &mismatches);
                 none.insert(ViewSource::new(worlds, settings.clone())?)
             }
         };

@@ -1,7 +1,7 @@
 //! Serving a run with a Python world.
 
 use case_book::{FailureKind, TaskFacts, WorldDeclaration};
-use domain::{ActionCode, FeedbackCode, State};
+use domain::{ActionCode, FeedbackCode, Mismatch, State};
 use peer::world::{
     CaseDeclaration, Environment, EpisodeBegin, Observed, Simulator, WorldFailure, program,
 };
@@ -21,6 +21,7 @@ const WORLD_ERROR: &str = "WorldError";
 struct Tasks {
     tasks: Vec<TaskFacts>,
     failures: Vec<FailureKind>,
+    mismatches: Vec<Mismatch>,
     cases: Vec<CaseDeclaration>,
 }
 
@@ -74,6 +75,10 @@ impl Simulator for PythonSimulator {
         self.tasks.failures.clone()
     }
 
+    fn mismatches(&self) -> Vec<Mismatch> {
+        self.tasks.mismatches.clone()
+    }
+
     fn environment(&self) -> Result<Box<dyn Environment>, WorldFailure> {
         Python::attach(|py| {
             let world = self.create.call0(py).map_err(|raised| failure(py, &raised))?;
@@ -118,9 +123,9 @@ fn failure(py: Python<'_>, raised: &PyErr) -> WorldFailure {
 
 impl Environment for PythonEnvironment {
     fn reset(&mut self, begin: &EpisodeBegin<'_>) -> Result<Observed, WorldFailure> {
-        let EpisodeBegin { case, start, is_blocked, seed } = begin;
+        let EpisodeBegin { case, start, is_blocked, mismatch, seed } = begin;
         Python::attach(|py| {
-            let begin = (&case.id, start.name(), *is_blocked, *seed);
+            let begin = (&case.id, start.name(), *is_blocked, mismatch.name(), *seed);
             observed(py, self.0.call_method1(py, "_reset", begin))
         })
     }

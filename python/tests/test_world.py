@@ -109,6 +109,69 @@ def test_a_world_does_not_serve_the_case_book_of_another_version(tmp_path: Path)
     assert done.returncode == 1 and "corridor 1 with another declaration than this program's corridor 2" in done.stderr
 
 
+DIM_CORRIDOR = f"""
+import sys
+sys.path.insert(0, {str(EXAMPLES)!r})
+from dataclasses import replace
+from corridor_world import Corridor
+from memtransfer.world import main
+
+class DimCorridor(Corridor):
+    mismatches = ["light", "wording"]
+
+    def cases(self):
+        for case in super().cases():
+            yield replace(case, paraphrase=case.instruction.replace("Walk", "Go"))
+
+    def reset(self, episode):
+        self.dim = episode.mismatch == "light"
+        return super().reset(episode)
+
+    def render(self, pixels):
+        super().render(pixels)
+        if self.dim:
+            pixels[..., :3] //= 2
+
+main(DimCorridor)
+"""
+
+
+def test_a_world_that_offers_mismatches(tmp_path: Path) -> None:
+    script = tmp_path / "dim.py"
+    script.write_text(DIM_CORRIDOR)
+    assert book(script, tmp_path).returncode == 0
+    cases = json.loads((tmp_path / "out/case-book.json").read_text())
+    assert cases["world"]["mismatches"] == ["light", "wording"]
+    assert cases["cases"][0]["paraphrase"] == "Go to cell 7."
+    demonstrations = json.loads((tmp_path / "out/demonstrations.json").read_text())
+    assert demonstrations["cases"][0]["paraphrase"] == "Go to cell 7."
+    # Light is mismatch 1, of case 0 where the way is free.
+    dim = episode([0])
+    dim["episode"]["variant"] = 1 << 24
+    usual, other = act(script, episode([0]), dim)
+    assert usual == other
+    lines = b"reach-7.new.\nreach-7.new-light.\nreach-7.new.\n"
+    command = [sys.executable, str(script), "views", "--size", "64x64"]
+    pixels = subprocess.run(command, input=lines, capture_output=True, timeout=100, check=True).stdout
+    first, second, third = np.frombuffer(pixels, dtype=np.uint8).reshape(3, 64, 64, 4)
+    assert (first == third).all() and (second[..., :3] == first[..., :3] // 2).all() and (first != second).any()
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ('"light", "dark"', "the mismatch 'dark' of the world corridor is none of light, "),
+        ('"wording"', "case reach-7 of the world corridor has no paraphrase, and `mismatches` has `wording`"),
+    ],
+)
+def test_a_mismatch_that_a_world_cannot_offer(changed: str, message: str, tmp_path: Path) -> None:
+    script = tmp_path / "dim.py"
+    text = DIM_CORRIDOR.replace('"light", "wording"', changed).replace('case.instruction.replace("Walk", "Go")', "None")
+    script.write_text(text)
+    done = book(script, tmp_path)
+    assert done.returncode != 0 and message in done.stderr
+
+
 def test_a_program_that_is_called_otherwise_says_how_it_is_used() -> None:
     done = program(CORRIDOR)
     assert done.returncode == 1 and done.stderr.startswith("memtransfer: usage: WORLD VERB")

@@ -141,7 +141,9 @@ macro_rules! message_table {
         /// Index of the case.
         case: u32,
         /// World variant: 0 is the unchanged world; in `1 + case index` that case's passage is closed; after these come the
-        /// states of the run's streams.
+        /// states of the run's streams. Where the world differs from the demonstrations beside that, and the case book offers
+        /// it: `mismatch << 24 | case index << 1 | closed`, with `closed` 1 if the case's passage is, and `mismatch` 1 for other
+        /// light, 2 without labels, 3 for another height of the camera, 4 for another field of view, 6 for other stock.
         variant: u32,
         /// Steps after which the episode ends.
         max_steps: u32,
@@ -272,7 +274,7 @@ macro_rules! message_table {
         external: u8,
         /// The repetition of the run, from 1.
         repeat: u32,
-        /// World variant of the episode, as in [`WorldEpisodeConfig`].
+        /// World variant of the episode, as in [`WorldEpisodeConfig`], without its mismatch.
         variant: u32,
         /// Identifies the memory that persists from episode to episode of a stream; 0 outside of streams, where every
         /// episode has a memory of its own.
@@ -291,8 +293,8 @@ macro_rules! message_table {
         learns: u8,
         /// Code of the [`FeedbackLevel`](domain::FeedbackLevel): what a memory that learns is told at the end.
         feedback: u8,
-        /// Zero.
-        reserved: u8,
+        /// 1 if the instruction is the case's paraphrase.
+        paraphrased: u8,
     }
 
     /// Orchestrator to policy, before an episode begins: the episode.

@@ -3,7 +3,8 @@
 use std::collections::HashMap;
 use std::hash::{Hash, Hasher};
 
-use case_book::EpisodeFacts;
+use case_book::{CaseVariant, EpisodeFacts};
+use domain::camera::CameraSetup;
 use domain::{Action, Cell, Feedback, Pose, Start, UnknownCode};
 use shm_types::message::{EpisodeEnd, StepCommand, StepKind, WorldEpisodeConfig, read_flag};
 use warehouse::{EndedEpisode, EventRecorder, Progress, step};
@@ -122,10 +123,15 @@ impl SimulatedLanes {
         let is_new = read_flag(start).map_err(|unknown| unknown.to_string())?;
         let start = if is_new { Start::New } else { Start::Original };
         let case = self.worlds.case(case).ok_or_else(|| format!("there is no case {case}"))?;
-        let pose = case.start(start, variant == 1 + config.case);
+        let of_other = |of: CaseVariant| of.case != config.case;
+        if CaseVariant::with_mismatch(variant).is_some_and(of_other) {
+            return Err(format!("variant {variant} is not one of case {}", config.case));
+        }
+        let is_blocked = CaseVariant::without_mismatch(variant) == 1 + config.case;
+        let pose = case.start(start, is_blocked);
         let world = self.standing(variant, pose)?;
         let warehouse = self.worlds.warehouse(world);
-        let mut events = EventRecorder::new(warehouse, &case.task);
+        let mut events = EventRecorder::new(warehouse, &case.task, CameraSetup::of(world.look));
         events.stands(0, pose);
         events.looks(warehouse, 0, pose);
         let progress = Progress::new(warehouse, &case.task, pose.cell);
@@ -269,7 +275,9 @@ impl SimulatedEpisode {
             required: progress.total(),
             events: self.events,
             blocked_moves: self.blocked_moves,
-            conflict_at: self.conflict_at.filter(|_| variant == 1 + number),
+            conflict_at: self
+                .conflict_at
+                .filter(|_| CaseVariant::without_mismatch(variant) == 1 + number),
             reference,
             completes_in: (learns != 0).then(|| worlds.completed_in(number, begin, self.actions)),
         };
@@ -329,7 +337,7 @@ mod tests {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
         SimulatedLanes::new(
             LivedEpisodes::default(),
-            Worlds::new(&warehouse, &cases, Vec::new()),
+            Worlds::new(&warehouse, &cases, Vec::new(), &[]),
             2,
         )
     }
@@ -371,7 +379,7 @@ mod tests {
     fn a_failure_a_loop_and_in_streams_the_path_are_told() {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
         let spin = |states: Vec<WorldState>, variant: u32| {
-            let worlds = Worlds::new(&warehouse, &cases, states);
+            let worlds = Worlds::new(&warehouse, &cases, states, &[]);
             let mut lanes = SimulatedLanes::new(LivedEpisodes::default(), worlds, 1);
             let config = WorldEpisodeConfig { max_steps: 20, start: 1, variant, ..config(0, 7) };
             lanes.begin(&config).unwrap();

@@ -94,7 +94,7 @@ mod tests {
     #[test]
     fn an_episode_of_an_earlier_session_is_acted_out_again() {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-        let worlds = Worlds::new(&warehouse, &cases, Vec::new());
+        let worlds = Worlds::new(&warehouse, &cases, Vec::new(), &[]);
         let replay = cases.cases[4].replay(&warehouse, TrajectoryKind::Original);
         let taken = cases.cases[4].original.actions.iter();
         let mut actions: Vec<_> = taken.map(|action| Some((*action).into())).collect();

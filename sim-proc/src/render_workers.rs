@@ -1,15 +1,18 @@
 //! Renderers as render workers: one per core with the CPU backend, two with a Vulkan device.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::thread;
 
 use anyhow::Result;
+use domain::Mismatch;
 use peer::world::{RenderSetup, RenderTask, RenderWorker, Renderers, WorldFailure};
 use warehouse::Warehouse;
 
 use crate::renderer::{
-    Backend, Destination, RenderJob, RenderSettings, Renderer, ViewSpec, VisibleChanges,
+    Backend, Destination, RenderJob, RenderSettings, Renderer, SceneVisibility, ViewSpec,
+    VisibleChanges,
 };
 use crate::view_folder::{KeepingWorker, ViewFolder};
 use crate::world::{WarehousePicture, WarehouseRendering};
@@ -29,6 +32,8 @@ struct HallRenderers {
     tested: Renderer,
     /// Of the hall in which tasks are only demonstrated. Its stock has the number after those of the hall that is tested.
     elsewhere: Option<Renderer>,
+    /// Of the hall that is tested, as episodes with a mismatch see it.
+    looks: BTreeMap<Mismatch, Renderer>,
     /// Number of stocks of the hall that is tested.
     stocks: u32,
 }
@@ -39,19 +44,29 @@ impl RenderWorker<WarehousePicture> for HallRenderers {
         tasks: &mut [RenderTask<'_, WarehousePicture>],
     ) -> Result<u64, WorldFailure> {
         let (mut here, mut there) = (Vec::new(), Vec::new());
+        let mut otherwise: BTreeMap<Mismatch, Vec<RenderJob<'_>>> = BTreeMap::new();
         for RenderTask { picture, slot, .. } in tasks {
-            let WarehousePicture { stock, variant, pose } = picture;
+            let WarehousePicture { stock, look, variant, pose } = picture;
             let is_here = *stock < self.stocks;
             let stock = if is_here { *stock } else { 0 };
             let job = RenderJob {
                 view: ViewSpec { pose: *pose, variant, stock },
                 destination: Destination::Slot(bytemuck::cast_slice_mut(slot.pages_mut())),
             };
-            if is_here { here.push(job) } else { there.push(job) }
+            match (is_here, *look) {
+                (false, _) => there.push(job),
+                (true, Mismatch::None) => here.push(job),
+                (true, look) => otherwise.entry(look).or_default().push(job),
+            }
         }
         let mut copied = rendered(&mut self.tested, &mut here)?;
         if let Some(elsewhere) = &mut self.elsewhere {
             copied += rendered(elsewhere, &mut there)?;
+        }
+        for (look, mut jobs) in otherwise {
+            let renderer = self.looks.get_mut(&look);
+            let renderer = renderer.ok_or_else(|| format!("there is no renderer for {look}"))?;
+            copied += rendered(renderer, &mut jobs)?;
         }
         Ok(copied)
     }
@@ -104,6 +119,14 @@ impl WarehouseRendering {
             let scene = mebibytes(&renderers[0]);
             facts.push(("scene", format!("{} stocks, {scene:.1} MiB", stocks.len())));
         }
+        let of_look = |look: Mismatch| {
+            Renderer::new(&stocks[0], settings.with_mismatch(look)).map(|renderer| (look, renderer))
+        };
+        let looks: BTreeMap<Mismatch, Renderer> =
+            worlds.looks().map(of_look).collect::<Result<_>>()?;
+        for (look, renderer) in &looks {
+            facts.push((look.name(), format!("{:.1} MiB", mebibytes(renderer))));
+        }
         let mut elsewhere = Vec::new();
         if let Some(other) = other {
             elsewhere.push(Renderer::new(other, settings)?);
@@ -112,27 +135,29 @@ impl WarehouseRendering {
             }
             facts.push(("other warehouse", format!("{:.1} MiB", mebibytes(&elsewhere[0]))));
         }
-        let mut visibility = renderers[0].visibility();
+        let mut visibility: BTreeMap<Mismatch, SceneVisibility> =
+            looks.iter().map(|(look, renderer)| (*look, renderer.visibility())).collect();
+        visibility.insert(Mismatch::None, renderers[0].visibility());
         let stocks = stocks.len() as u32;
         let mut elsewhere = elsewhere.into_iter();
-        let worker = |(number, tested)| -> Box<dyn RenderWorker<WarehousePicture> + Send> {
-            let renderers = Box::new(HallRenderers { tested, elsewhere: elsewhere.next(), stocks });
-            match &views {
+        let worker = |(number, tested)| -> Result<Box<dyn RenderWorker<WarehousePicture> + Send>> {
+            let clones = looks.iter().map(|(look, renderer)| Ok((*look, renderer.try_clone()?)));
+            let looks = clones.collect::<Result<_>>()?;
+            let elsewhere = elsewhere.next();
+            let renderers = Box::new(HallRenderers { tested, elsewhere, looks, stocks });
+            Ok(match &views {
                 None => renderers,
                 Some(views) => Box::new(KeepingWorker::new(renderers, views.clone(), number)),
-            }
+            })
         };
         let batch = if report.backend == Backend::Cpu { 1 } else { GPU_BATCH_VIEWS };
-        let workers = renderers.into_iter().enumerate().map(worker).collect();
+        let workers = renderers.into_iter().enumerate().map(worker).collect::<Result<_>>()?;
         let setup = RenderSetup { renderers: Renderers::Threads { workers, batch }, facts };
         Ok(Self {
             setup,
-            find_changes: Box::new(move |view| {
-                if view.stock < stocks {
-                    visibility.changes(view)
-                } else {
-                    VisibleChanges { stock: true, barricades: false }
-                }
+            find_changes: Box::new(move |look, view| match visibility.get_mut(&look) {
+                Some(visibility) if view.stock < stocks => visibility.changes(view),
+                Some(_) | None => VisibleChanges { stock: true, barricades: false },
             }),
         })
     }

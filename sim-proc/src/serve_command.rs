@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use case_book::{BookFile, DemonstrationBook};
+use domain::Mismatch;
 use peer::world::serve_world;
 use shm_types::{ATTACH_VARIABLE, Attach};
 
@@ -26,6 +27,10 @@ pub struct ServeArgs {
     #[command(flatten)]
     worlds: WorldsArgs,
 
+    /// The mismatches that episodes of the run have.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    mismatch: Vec<Mismatch>,
+
     #[command(flatten)]
     renderer: RendererArgs,
 
@@ -44,10 +49,10 @@ pub struct ServeArgs {
 /// A run that cannot be joined or does not fit into shared memory, assets that cannot be read, an adapter that does not
 /// exist; later a broken transport, a failed device, or more views in use than fit.
 pub fn run(args: ServeArgs) -> Result<()> {
-    let ServeArgs { attach, demonstrations, worlds, renderer, warm_views, views } = args;
+    let ServeArgs { attach, demonstrations, worlds, mismatch, renderer, warm_views, views } = args;
     let make = |attach: &Attach| {
         let demonstrations = BookFile::<DemonstrationBook>::read(&demonstrations)?.book;
-        Ok(WarehouseWorld::new(attach, worlds.load()?, demonstrations)?)
+        Ok(WarehouseWorld::new(attach, worlds.load(&mismatch)?, demonstrations)?)
     };
     let open = |world: &mut WarehouseWorld, attach: &Attach| {
         let settings = renderer.apply(RenderSettings {

@@ -2,7 +2,7 @@
 //!
 //! The units of a run execute in processes of their own and need many of the same views. Only views of the CPU backend are
 //! kept, whose pixels are the same on every machine. A folder belongs to one renderer: this program's bytes, the settings and
-//! the halls. A file belongs to one view of it: what stands on the shelves, the closed passages and the pose.
+//! the halls. A file belongs to one view of it: what stands on the shelves, the look, the closed passages and the pose.
 //!
 //! A file that is missing, damaged or cannot be written costs time only: the view is rendered.
 
@@ -59,8 +59,8 @@ impl ViewFolder {
     }
 
     fn file(&self, task: &RenderTask<'_, WarehousePicture>) -> PathBuf {
-        let WarehousePicture { stock, variant, pose } = task.picture;
-        let view = format!("{stock} {:?} {pose:?}", variant.closed());
+        let WarehousePicture { stock, look, variant, pose } = task.picture;
+        let view = format!("{stock} {look} {:?} {pose:?}", variant.closed());
         self.folder.join(&blake3::hash(view.as_bytes()).to_hex()[..2 * HASH])
     }
 

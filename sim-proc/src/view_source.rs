@@ -1,7 +1,10 @@
 //! Views of any world of a run, one at a time.
 
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
+
 use anyhow::{Context, Result, ensure};
-use domain::Pose;
+use domain::{Mismatch, Pose};
 use png_file::RgbaImage;
 use warehouse::GREY_VARIANT;
 
@@ -15,6 +18,9 @@ pub struct ViewSource {
     worlds: Worlds,
     renderer: Renderer,
     elsewhere: Option<Renderer>,
+    settings: RenderSettings,
+    /// The renderers of other looks of the tested hall, opened by the first view.
+    looks: BTreeMap<Mismatch, Renderer>,
     /// The last image, and what it shows.
     last: Option<(WorldParts, Pose, RgbaImage)>,
     grey: RgbaImage,
@@ -29,8 +35,9 @@ impl ViewSource {
         let (stocks, other) = worlds.halls();
         let grey = RgbaImage::filled(settings.width_px, settings.height_px, GREY);
         let renderer = Renderer::with_stocks(stocks, settings.clone())?;
-        let elsewhere = other.map(|other| Renderer::new(other, settings)).transpose()?;
-        Ok(Self { worlds, renderer, elsewhere, last: None, grey })
+        let elsewhere = other.map(|other| Renderer::new(other, settings.clone())).transpose()?;
+        let looks = BTreeMap::new();
+        Ok(Self { worlds, renderer, elsewhere, settings, looks, last: None, grey })
     }
 
     /// Renders the view from `pose` in world variant `variant`; uniform grey for [`GREY_VARIANT`]. Variants that look the same from a pose are rendered once
@@ -39,7 +46,7 @@ impl ViewSource {
     /// # Errors
     /// When there is no such variant, the pose is not on free floor, or the device failed.
     pub fn render(&mut self, variant: u32, pose: Pose) -> Result<&RgbaImage> {
-        let Self { worlds, renderer, elsewhere, last, grey } = self;
+        let Self { worlds, renderer, elsewhere, settings, looks, last, grey } = self;
         if variant == GREY_VARIANT {
             return Ok(grey);
         }
@@ -50,6 +57,14 @@ impl ViewSource {
         let view = |world, stock| ViewSpec { pose, variant: worlds.closed(world), stock };
         let elsewhere =
             elsewhere.as_mut().filter(|_| world.stock as usize == worlds.halls().0.len());
+        let renderer = match looks.entry(world.look) {
+            _ if world.look == Mismatch::None => renderer,
+            Entry::Occupied(open) => open.into_mut(),
+            Entry::Vacant(missing) => {
+                let (stocks, settings) = (worlds.halls().0, settings.with_mismatch(world.look));
+                missing.insert(Renderer::new(&stocks[0], settings)?)
+            }
+        };
         if elsewhere.is_none() {
             world = world.as_seen(renderer.changes(view(world, world.stock)));
         }
@@ -65,11 +80,46 @@ impl ViewSource {
 
 #[cfg(test)]
 mod tests {
+    use case_book::CaseVariant;
     use domain::Heading;
     use warehouse::{CaseSet, Warehouse};
 
     use super::*;
     use crate::renderer::Backend;
+
+    #[test]
+    fn every_mismatch_is_visible_and_its_own() {
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let settings = RenderSettings {
+            width_px: 128,
+            height_px: 128,
+            backend: Some(Backend::Cpu),
+            ..RenderSettings::default()
+        };
+        let seen: Vec<Mismatch> =
+            Mismatch::ALL.iter().copied().filter(|mismatch| mismatch.changes_world()).collect();
+        let worlds = Worlds::new(&warehouse, &cases, Vec::new(), &seen);
+        let mut views = ViewSource::new(worlds, settings).unwrap();
+        // Beside a rack with items that no task of the first case is about.
+        let of_task = cases.cases[0].task.targets(&warehouse);
+        let other = warehouse.items.iter().find(|item| {
+            let category = warehouse.category_of(item);
+            of_task.iter().all(|target| warehouse.category_of(target) != category)
+        });
+        let other = other.unwrap();
+        let pose = Pose { cell: other.standpoint, heading: other.face.opposite() };
+        let of = |mismatch| CaseVariant { case: 0, is_blocked: false, mismatch }.number();
+        let mut image = |variant| views.render(variant, pose).unwrap().clone();
+        let usual = image(0);
+        let mut known = vec![usual.clone()];
+        for &mismatch in &seen {
+            let found = image(of(mismatch));
+            assert!(!known.contains(&found), "{mismatch}");
+            assert_eq!(image(0), usual, "after {mismatch}");
+            known.push(found);
+        }
+        assert!(views.render(of(Mismatch::None) + 7000, pose).is_err());
+    }
 
     #[test]
     fn a_view_does_not_depend_on_the_one_before() {
@@ -80,7 +130,7 @@ mod tests {
             backend: Some(Backend::Cpu),
             ..RenderSettings::default()
         };
-        let worlds = Worlds::new(&warehouse, &cases, Vec::new());
+        let worlds = Worlds::new(&warehouse, &cases, Vec::new(), &[]);
         let mut views = ViewSource::new(worlds, settings).unwrap();
         let case = &cases.cases[0];
         let closed = case.barricade[0];

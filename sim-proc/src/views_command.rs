@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use case_book::{BookFile, DemonstrationBook};
-use domain::{Pose, State};
+use domain::{Mismatch, Pose, State};
 
 use crate::renderer::RenderSettings;
 use crate::renderer_args::RendererArgs;
@@ -27,6 +27,10 @@ pub struct ViewsArgs {
 
     #[command(flatten)]
     worlds: WorldsArgs,
+
+    /// The mismatches in whose variants there are views.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    mismatch: Vec<Mismatch>,
 
     #[command(flatten)]
     renderer: RendererArgs,
@@ -53,7 +57,7 @@ pub fn run(args: &ViewsArgs) -> Result<()> {
         height_px: args.size.1,
         ..RenderSettings::default()
     });
-    let mut views = ViewSource::new(args.worlds.load()?, settings)?;
+    let mut views = ViewSource::new(args.worlds.load(&args.mismatch)?, settings)?;
     let book = args.demonstrations.as_deref().map(BookFile::<DemonstrationBook>::read);
     let book = book.transpose()?.map(|file| file.book);
     let named = |line: &str| {

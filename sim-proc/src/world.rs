@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use case_book::DemonstrationBook;
-use domain::{ActionCode, Feedback, Pose};
+use domain::{ActionCode, Feedback, Mismatch, Pose};
 use peer::world::{Moment, Refusal, RenderSetup, World};
 use rustc_hash::FxHashMap;
 use shm_types::message::{NO_ACTION, StepCommand, ViewRequest, WorldEpisodeConfig};
@@ -28,6 +28,8 @@ pub struct WarehouseView {
 pub struct WarehousePicture {
     /// The index of what stands on the shelves.
     pub stock: u32,
+    /// In what light, with what labels and through which camera: that of episodes with this mismatch.
+    pub look: Mismatch,
     /// Which passages are closed.
     pub variant: Variant,
     /// The camera's pose.
@@ -35,7 +37,7 @@ pub struct WarehousePicture {
 }
 
 /// Which changes of a world may be visible in a view. The frame of the world without the others is used instead.
-pub type FindChanges = Box<dyn FnMut(ViewSpec<'_>) -> VisibleChanges>;
+pub type FindChanges = Box<dyn FnMut(Mismatch, ViewSpec<'_>) -> VisibleChanges>;
 
 /// All lanes of a run in the worlds of its warehouse.
 pub struct WarehouseWorld {
@@ -61,7 +63,7 @@ impl WarehouseWorld {
             lanes: SimulatedLanes::new(lived, worlds, attach.lanes as usize),
             demonstrations,
             swapped,
-            find_changes: Box::new(|_| VisibleChanges { stock: true, barricades: true }),
+            find_changes: Box::new(|_, _| VisibleChanges { stock: true, barricades: true }),
             same_as: FxHashMap::default(),
         })
     }
@@ -82,7 +84,7 @@ impl WarehouseWorld {
         let Self { lanes, find_changes, same_as, .. } = self;
         *same_as.entry(view).or_insert_with(|| {
             let (variant, stock) = (lanes.worlds().closed(world), world.stock);
-            let world = world.as_seen(find_changes(ViewSpec { pose, variant, stock }));
+            let world = world.as_seen(find_changes(world.look, ViewSpec { pose, variant, stock }));
             WarehouseView { world, pose }
         })
     }
@@ -152,7 +154,7 @@ impl World for WarehouseWorld {
 
     fn picture(&self, WarehouseView { world, pose }: WarehouseView) -> WarehousePicture {
         let variant = self.lanes.worlds().closed(world).clone();
-        WarehousePicture { stock: world.stock, variant, pose }
+        WarehousePicture { stock: world.stock, look: world.look, variant, pose }
     }
 
     fn first_views(&self) -> Vec<WarehouseView> {

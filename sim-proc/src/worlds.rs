@@ -5,10 +5,11 @@ use std::hash::Hash;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use domain::{Action, Pose, Start};
+use case_book::CaseVariant;
+use domain::{Action, Mismatch, Pose, Start};
 use warehouse::{
-    Case, CaseSet, ELSEWHERE_VARIANT, Layout, RunWorlds, Task, Trajectory, Variant, Warehouse,
-    WorldState,
+    Case, CaseSet, ELSEWHERE_VARIANT, ExchangedItems, Layout, RunWorlds, Task, Trajectory, Variant,
+    Warehouse, WorldState,
 };
 
 use crate::renderer::VisibleChanges;
@@ -39,13 +40,13 @@ impl WorldsArgs {
         Ok(RunWorlds::read(assets.as_deref(), streams.as_deref(), elsewhere.as_deref())?)
     }
 
-    /// As [`read`](Self::read), for those who render.
+    /// As [`read`](Self::read), for those who render, with the variants of these mismatches.
     ///
     /// # Errors
     /// Likewise.
-    pub fn load(&self) -> Result<Worlds> {
+    pub fn load(&self, mismatches: &[Mismatch]) -> Result<Worlds> {
         let RunWorlds { warehouse, cases, states, .. } = self.read()?;
-        Ok(Worlds::new(&warehouse, &cases, states))
+        Ok(Worlds::new(&warehouse, &cases, states, mismatches))
     }
 }
 
@@ -56,11 +57,14 @@ pub struct WorldParts {
     pub stock: u32,
     /// Which passages are closed.
     pub closing: u32,
+    /// In what light, with what labels and through which camera it is seen: that of episodes with this mismatch. `None` for any
+    /// other.
+    pub look: Mismatch,
 }
 
 impl WorldParts {
     /// The unchanged world.
-    pub const UNCHANGED: Self = Self { stock: 0, closing: 0 };
+    pub const UNCHANGED: Self = Self { stock: 0, closing: 0, look: Mismatch::None };
 
     /// The world that looks the same: where no changed bay is visible the stock looks unchanged, and where no barricade is
     /// visible no passage looks closed.
@@ -69,6 +73,7 @@ impl WorldParts {
         Self {
             stock: if visible.stock { self.stock } else { 0 },
             closing: if visible.barricades { self.closing } else { 0 },
+            look: self.look,
         }
     }
 }
@@ -121,12 +126,21 @@ pub struct Worlds {
     cases: Vec<EpisodeCase>,
     /// The numbers of the variants that streams take place in; none without streams.
     of_streams: Vec<u32>,
+    /// The mismatches that episodes can have.
+    mismatches: Vec<Mismatch>,
+    /// By case, the stock of its episodes with other stock; empty if there are none.
+    other_stocks: Vec<u32>,
 }
 
 impl Worlds {
-    /// The unchanged warehouse, the warehouse with the barricade of each case, `states` of it, and the other warehouse of the
-    /// cases.
-    pub fn new(warehouse: &Warehouse, cases: &CaseSet, states: Vec<WorldState>) -> Self {
+    /// The unchanged warehouse, the warehouse with the barricade of each case, `states` of it, each with those of `mismatches`, and
+    /// the other warehouse of the cases.
+    pub fn new(
+        warehouse: &Warehouse,
+        cases: &CaseSet,
+        states: Vec<WorldState>,
+        mismatches: &[Mismatch],
+    ) -> Self {
         let closing = |cells: &[domain::Cell]| Variant::closing(cells.iter().copied());
         let first = 1 + cases.cases.len() as u32;
         // A state without a change has the number of the unchanged world.
@@ -137,21 +151,31 @@ impl Worlds {
         let mut parts = vec![(warehouse.clone(), Variant::UNCHANGED)];
         parts.extend(cases.cases.iter().map(|c| (warehouse.clone(), closing(&c.barricade))));
         parts.extend(states.into_iter().map(|state| (state.warehouse, state.variant)));
-        let (stocks, closings): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
+        let (mut stocks, closings): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
+        if mismatches.contains(&Mismatch::Stock) {
+            stocks.extend(other_stocks(warehouse, cases));
+        }
         let stock_key = |warehouse: &Warehouse| {
             let items = warehouse.items.iter().map(|item| (item.standpoint, item.item_type));
             items.collect::<Vec<_>>()
         };
         let (mut stocks, stock_of) = distinct(stocks, stock_key);
         let (closings, closing_of) = distinct(closings, Variant::clone);
-        let variants = stock_of.into_iter().zip(closing_of);
-        let variants = variants.map(|(stock, closing)| WorldParts { stock, closing }).collect();
+        let (stock_of, other_stocks) = stock_of.split_at(closing_of.len());
+        let variants = stock_of.iter().zip(closing_of);
+        let variants = variants.map(|(&stock, closing)| WorldParts {
+            stock,
+            closing,
+            ..WorldParts::UNCHANGED
+        });
+        let (variants, other_stocks) = (variants.collect(), other_stocks.to_vec());
         let elsewhere = cases.elsewhere.as_ref().map(|elsewhere| {
             stocks.push(elsewhere.warehouse().clone());
-            WorldParts { stock: stocks.len() as u32 - 1, closing: 0 }
+            WorldParts { stock: stocks.len() as u32 - 1, ..WorldParts::UNCHANGED }
         });
         let cases = cases.cases.iter().map(EpisodeCase::new).collect();
-        Self { stocks, closings, variants, elsewhere, cases, of_streams }
+        let mismatches = mismatches.to_vec();
+        Self { stocks, closings, variants, elsewhere, cases, of_streams, mismatches, other_stocks }
     }
 
     /// The floor plan of the warehouse that is tested.
@@ -188,7 +212,32 @@ impl Worlds {
         if number == ELSEWHERE_VARIANT {
             return self.elsewhere;
         }
-        self.variants.get(number as usize).copied()
+        match CaseVariant::with_mismatch(number) {
+            Some(of) => self.with_mismatch(of),
+            None => self.variants.get(number as usize).copied(),
+        }
+    }
+
+    /// The variant with a mismatch, if there is one.
+    fn with_mismatch(&self, of: CaseVariant) -> Option<WorldParts> {
+        let CaseVariant { case, mismatch, .. } = of;
+        if case as usize >= self.cases.len() || !self.mismatches.contains(&mismatch) {
+            return None;
+        }
+        let without = self.variant(CaseVariant { mismatch: Mismatch::None, ..of }.number())?;
+        Some(match mismatch {
+            Mismatch::Stock => {
+                WorldParts { stock: *self.other_stocks.get(case as usize)?, ..without }
+            }
+            look => WorldParts { look, ..without },
+        })
+    }
+
+    /// The mismatches of which each is a way of looking at the world, which a renderer of its own draws.
+    pub fn looks(&self) -> impl Iterator<Item = Mismatch> + '_ {
+        let is_look =
+            |mismatch: &Mismatch| mismatch.changes_world() && *mismatch != Mismatch::Stock;
+        self.mismatches.iter().copied().filter(is_look)
     }
 
     /// The hall of `world`, and what stands on its shelves.
@@ -246,6 +295,17 @@ impl Worlds {
     }
 }
 
+/// By case, the warehouse with the stock of its episodes with other stock.
+fn other_stocks(warehouse: &Warehouse, cases: &CaseSet) -> Vec<Warehouse> {
+    let items = ExchangedItems::draw(warehouse, cases.seed);
+    let of_case = |case: &Case| {
+        let state = WorldState::new(warehouse, &items.change(warehouse, &case.task));
+        // Items that have changed places always fit.
+        state.map_or_else(|_| warehouse.clone(), |state| state.warehouse)
+    };
+    cases.cases.iter().map(of_case).collect()
+}
+
 /// The distinct values of `all` in the order of their first occurrence, and the index among them of each of `all`.
 fn distinct<T, K: Eq + Hash>(all: Vec<T>, key: impl Fn(&T) -> K) -> (Vec<T>, Vec<u32>) {
     let (mut kept, mut known) = (Vec::new(), HashMap::new());
@@ -271,7 +331,7 @@ mod tests {
     #[test]
     fn every_case_has_its_barricade_and_equal_worlds_are_one() {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-        let worlds = Worlds::new(&warehouse, &cases, Vec::new());
+        let worlds = Worlds::new(&warehouse, &cases, Vec::new(), &[]);
         assert_eq!(worlds.variant(0), Some(WorldParts::UNCHANGED));
         assert_eq!(worlds.closed(WorldParts::UNCHANGED), &Variant::UNCHANGED);
         for (case, number) in cases.cases.iter().zip(1..) {
@@ -289,7 +349,7 @@ mod tests {
     fn the_other_warehouse_has_a_floor_plan_of_its_own() {
         let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
         cases.elsewhere = Elsewhere::generate(&warehouse, &cases, 1).ok();
-        let worlds = Worlds::new(&warehouse, &cases, Vec::new());
+        let worlds = Worlds::new(&warehouse, &cases, Vec::new(), &[]);
         let world = worlds.variant(ELSEWHERE_VARIANT).unwrap();
         assert_eq!(worlds.variant_count(), cases.cases.len() + 1);
         assert_ne!(worlds.layout_of(world), worlds.layout());
@@ -312,12 +372,15 @@ mod tests {
             WorldChange { closed: Vec::new(), stock: emptied(3) },
         ];
         let states = changes.iter().map(|change| WorldState::new(&warehouse, change).unwrap());
-        let worlds = Worlds::new(&warehouse, &cases, states.collect());
+        let worlds = Worlds::new(&warehouse, &cases, states.collect(), &[]);
         let first = cases.cases.len() as u32 + 1;
         let closing = worlds.variant(1).unwrap().closing;
         let expected = [(0, closing), (1, closing), (2, 0), (1, 0)];
         for (number, (stock, closing)) in (first..).zip(expected) {
-            assert_eq!(worlds.variant(number), Some(WorldParts { stock, closing }));
+            assert_eq!(
+                worlds.variant(number),
+                Some(WorldParts { stock, closing, ..WorldParts::UNCHANGED })
+            );
         }
         assert_eq!(worlds.variant(first + 4), None);
         let standpoint = warehouse.items[3].standpoint;

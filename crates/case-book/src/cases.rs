@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use domain::{ActionCode, Route, Start, State, StreamOrder};
+use domain::{ActionCode, Mismatch, Route, Start, State, StreamOrder};
 use serde::{Deserialize, Serialize};
 
 use crate::WorldDeclaration;
@@ -42,6 +42,9 @@ pub struct WorldFacts {
     pub tasks: Vec<TaskFacts>,
     /// Every kind of failure, those of [`HARNESS_FAILURES`] among them. An episode has the first that applies.
     pub failures: Vec<FailureKind>,
+    /// In what its episodes can differ from the demonstrations, beside start and route. Without [`Mismatch::None`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub mismatches: Vec<Mismatch>,
 }
 
 /// A group of tasks.
@@ -129,6 +132,9 @@ pub struct CaseFacts {
     pub task: u8,
     /// The instruction for the policy.
     pub instruction: String,
+    /// The same in other words, for [`Mismatch::Wording`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub paraphrase: Option<String>,
     /// What the expert does, from each start in each variant in which the case is tested.
     pub references: Vec<Reference>,
     /// Whether the blocked variant invalidates the case's original demonstration: acted out there, it does not complete the
@@ -218,6 +224,12 @@ impl CaseBook {
 }
 
 impl CaseFacts {
+    /// The instruction of an episode with this mismatch. A world that offers wording has a paraphrase of every case.
+    pub fn instruction_with(&self, mismatch: Mismatch) -> &str {
+        let paraphrase = self.paraphrase.as_deref().filter(|_| mismatch == Mismatch::Wording);
+        paraphrase.unwrap_or(&self.instruction)
+    }
+
     /// The reference of an episode from `start` on `route`. On a blocked route an episode always begins at the new start.
     pub fn reference(&self, start: Start, route: Route) -> Option<&Reference> {
         let start = match route {

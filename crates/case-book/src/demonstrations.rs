@@ -56,6 +56,9 @@ pub struct Demonstration {
 pub struct CaseDemonstrations {
     /// The instruction that an episode of the case carries out.
     pub instruction: String,
+    /// The same in other words.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub paraphrase: Option<String>,
     /// Original, opposite, nearby, distant.
     pub own: Vec<u32>,
     /// Its two irrelevant histories.

@@ -5,11 +5,12 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use domain::limits::MAX_INSTRUCTION;
-use domain::{ActionCode, State};
+use domain::{ActionCode, Mismatch, State};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::{CaseBook, DemonstrationBook, HARNESS_FAILURES, WorldFacts};
+use crate::case_variant::MAX_VARIANTS;
+use crate::{CaseBook, CaseFacts, DemonstrationBook, HARNESS_FAILURES, WorldFacts};
 
 /// The file of the [`CaseBook`] in a run folder.
 pub const CASE_BOOK_FILE: &str = "case-book.json";
@@ -84,12 +85,21 @@ impl Check for CaseBook {
         if let Some(case) = self.cases.iter().find(|case| !ids.insert(&case.id)) {
             return Some(format!("it has case {} twice", case.id));
         }
-        if let Some(case) = self.cases.iter().find(|case| case.instruction.len() > MAX_INSTRUCTION)
-        {
+        for case in &self.cases {
+            let texts = [Some(&case.instruction), case.paraphrase.as_ref()].into_iter().flatten();
+            if let Some(bytes) = texts.map(String::len).find(|bytes| *bytes > MAX_INSTRUCTION) {
+                return Some(format!(
+                    "the instruction of case {} has {bytes} bytes, and at most {MAX_INSTRUCTION} fit",
+                    case.id,
+                ));
+            }
+        }
+        let has_paraphrases = self.world.mismatches.contains(&Mismatch::Wording);
+        let lacks = |case: &&CaseFacts| has_paraphrases && case.paraphrase.is_none();
+        if let Some(case) = self.cases.iter().find(lacks) {
             return Some(format!(
-                "the instruction of case {} has {} bytes, and at most {MAX_INSTRUCTION} fit",
-                case.id,
-                case.instruction.len()
+                "it offers the mismatch wording, and case {} has no paraphrase",
+                case.id
             ));
         }
         if let Some(problem) = self.world.problem() {
@@ -110,6 +120,9 @@ impl Check for CaseBook {
         let streams = self.streams.iter().flat_map(|streams| &streams.streams);
         let blocks = streams.flat_map(|stream| &stream.blocks);
         let states = self.streams.as_ref().map_or(0, |streams| streams.states.len()) as u32;
+        if self.cases.len() + states as usize >= MAX_VARIANTS {
+            return Some(format!("cases and world states are {MAX_VARIANTS} or more"));
+        }
         for block in blocks {
             if block.world >= states || block.cases.iter().any(|case| *case >= count) {
                 return Some(

@@ -17,6 +17,7 @@
 //! who show episodes [`act`].
 
 pub mod act;
+mod case_variant;
 mod cases;
 mod declaration;
 mod demonstrations;
@@ -27,6 +28,7 @@ mod request;
 #[cfg(test)]
 mod tests;
 
+pub use case_variant::CaseVariant;
 pub use cases::{
     CaseBook, CaseFacts, CaseInState, FailureKind, HARNESS_FAILURES, LOOPED, OUT_OF_STEPS,
     Reference, StreamBlock, StreamFacts, StreamsFacts, TaskFacts, TaskGroupFacts, UNREADABLE,

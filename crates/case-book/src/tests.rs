@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use domain::{ActionCode, DemonstrationKind, Demonstrations, FeedbackCode, State, StreamOrder};
+use domain::{
+    ActionCode, DemonstrationKind, Demonstrations, FeedbackCode, Mismatch, State, StreamOrder,
+};
 
 use super::*;
 use crate::declaration::tests::doors;
@@ -135,6 +137,7 @@ fn an_instruction_that_does_not_fit_is_refused() {
             id: "a".to_owned(),
             task: 1,
             instruction: "x".repeat(bytes),
+            paraphrase: None,
             references: Vec::new(),
             invalidated_when_blocked: false,
         };
@@ -146,4 +149,35 @@ fn an_instruction_that_does_not_fit_is_refused() {
     let refused = "the instruction of case a has 233 bytes, and at most 232 fit";
     assert!(parsed_with(233).unwrap_err().ends_with(refused));
     assert!(!parsed_with(232).is_err_and(|error| error.contains("instruction")));
+}
+
+#[test]
+fn other_words_are_offered_for_every_case_or_not() {
+    let parsed_with = |paraphrase: Option<String>| {
+        let case = CaseFacts {
+            id: "a".to_owned(),
+            task: 1,
+            instruction: "x".to_owned(),
+            paraphrase,
+            references: Vec::new(),
+            invalidated_when_blocked: false,
+        };
+        let world = WorldFacts {
+            declaration: doors(),
+            failures: crate::HARNESS_FAILURES.map(crate::FailureKind::new).into(),
+            mismatches: vec![Mismatch::Wording],
+            ..WorldFacts::default()
+        };
+        let (streams, stale) = (None, BTreeMap::new());
+        let book = BookFile::new(CaseBook { world, cases: vec![case], streams, stale }).unwrap();
+        BookFile::<CaseBook>::parse(book.text, "here").map(drop).map_err(|error| error.to_string())
+    };
+    assert_eq!(parsed_with(Some("y".to_owned())), Ok(()));
+    for (paraphrase, expected) in [
+        (None, "it offers the mismatch wording, and case a has no paraphrase"),
+        (Some("y".repeat(300)), "the instruction of case a has 300 bytes, and at most 232 fit"),
+    ] {
+        let error = parsed_with(paraphrase).unwrap_err();
+        assert_eq!(error, format!("here is not part of a case book: {expected}"));
+    }
 }

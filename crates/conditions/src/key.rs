@@ -4,7 +4,7 @@ use std::fmt;
 
 use domain::StreamOrder;
 
-use crate::Condition;
+use crate::{Condition, Mismatch};
 
 /// Where an episode stands in a stream. Written `s2-reversed-017`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -76,7 +76,7 @@ impl EpisodeKey {
 
     /// The seed of the episode in a run with this master seed: the first 8 bytes, as a little-endian number, of the BLAKE3
     /// hash of `memtransfer episode seed v1`, a zero byte, the master seed as 8 little-endian bytes, and the key as it is
-    /// written.
+    /// written, without its mismatch: with it and without it an episode draws the same.
     ///
     /// It depends on nothing but these, so neither the number of lanes nor which other episodes are run changes what an
     /// episode draws.
@@ -84,7 +84,8 @@ impl EpisodeKey {
         let mut hasher = blake3::Hasher::new();
         hasher.update(b"memtransfer episode seed v1\0");
         hasher.update(&master_seed.to_le_bytes());
-        hasher.update(self.to_string().as_bytes());
+        let condition = self.condition.with_mismatch(Mismatch::None);
+        hasher.update(Self { condition, ..self.clone() }.to_string().as_bytes());
         let hash = hasher.finalize();
         let first = hash.as_bytes().first_chunk::<8>();
         first.copied().map_or(0, u64::from_le_bytes)
@@ -128,6 +129,15 @@ mod tests {
         ] {
             assert_eq!(EpisodeKey::read(text), None, "{text}");
         }
+    }
+
+    #[test]
+    fn an_episode_draws_the_same_with_a_mismatch() {
+        let seed = |text: &str| EpisodeKey::read(text).unwrap().seed(7);
+        let standard = seed("episodic/new/unchanged/4/run1/t03-07");
+        assert_eq!(seed("episodic/new/unchanged/4/light/run1/t03-07"), standard);
+        assert_eq!(seed("episodic/new/unchanged/4/stock/run1/t03-07"), standard);
+        assert_ne!(seed("episodic/new/unchanged/4/light/run2/t03-07"), standard);
     }
 
     #[test]

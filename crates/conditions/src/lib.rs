@@ -1,4 +1,4 @@
-//! Conditions of episodes (memory, start, route, demonstrations and variations of the prompt), the names of episodes, and
+//! Conditions of episodes (memory, start, route, demonstrations, variations of the prompt, and mismatch), the names of episodes, and
 //! the settings of a run as its manifest records them.
 //!
 //! Which conditions a run has is in its [`settings`]; where those come from is the crate `settings`'s.
@@ -8,7 +8,7 @@ pub mod key;
 pub mod settings;
 mod variation;
 
-pub use domain::{Demonstrations, Route, Start, UnknownDemonstrations};
+pub use domain::{Demonstrations, Mismatch, Route, Start, UnknownDemonstrations};
 pub use variation::{
     Hint, MAX_WINDOW, SegmentContent, Variation, is_default, is_standard_window, standard_window,
 };
@@ -82,7 +82,8 @@ impl PolicyKind {
 }
 
 /// One cell of a table of results. Written `memory/start/route/demonstrations`, followed by the deviations from the
-/// standard [`Variation`] and by the arm where it is not `frozen`: `working/original/unchanged/none/h20`,
+/// standard [`Variation`], by the mismatch where there is one, and by the arm where it is not `frozen`:
+/// `working/original/unchanged/none/h20`, `episodic/new/unchanged/original/light`,
 /// `episodic/new/unchanged/original/oracle`.
 ///
 /// Always in its normal form, see [`Condition::new`] and [`Condition::with_arm`].
@@ -99,6 +100,9 @@ pub struct Condition {
     /// The changes to the prompt.
     #[serde(flatten)]
     pub variation: Variation,
+    /// What the episode differs in from the demonstrations, beside start and route.
+    #[serde(skip_serializing_if = "is_default", default)]
+    pub mismatch: Mismatch,
     /// What the memory is built from, and whether it changes. Only streams have the arm `learning`.
     #[serde(skip_serializing_if = "is_default", default)]
     pub arm: Arm,
@@ -113,7 +117,7 @@ impl Condition {
         words.split([',', '/']).all(|word| own.contains(&word.trim()))
     }
 
-    /// Returns the condition, in the arm `frozen`, in its normal form: settings without effect have their standard values, so that two
+    /// Returns the condition, in the arm `frozen` and without a mismatch, in its normal form: settings without effect have their standard values, so that two
     /// conditions differ only if their episodes can. `None` if there is no such condition.
     ///
     /// - A memory that needs no demonstration has none; the others need at least one. Sets of [control
@@ -135,8 +139,8 @@ impl Condition {
         let exists = (start, route) != (Start::Original, Route::Blocked)
             && !demonstrations.is_control()
             && (memory.uses_demonstrations() != (demonstrations == Demonstrations::NONE));
-        let arm = Arm::Frozen;
-        let mut condition = Self { memory, start, route, demonstrations, variation, arm };
+        let (mismatch, arm) = (Mismatch::None, Arm::Frozen);
+        let mut condition = Self { memory, start, route, demonstrations, variation, mismatch, arm };
         let varies = |info: RepresentationInfo| info.trajectories == Trajectories::Segment;
         if !memory.describe().is_some_and(varies) {
             condition.variation.segment = SegmentContent::default();
@@ -145,6 +149,19 @@ impl Condition {
             condition.variation.hint = Hint::default();
         }
         exists.then_some(condition)
+    }
+
+    /// The condition in which it has working memory alone; `None` where there is none.
+    pub fn without_memory(&self) -> Option<Self> {
+        let Self { start, route, variation, mismatch, .. } = *self;
+        let working = Representation::Working;
+        let condition = Self::new(working, start, route, Demonstrations::NONE, variation);
+        condition.map(|condition| condition.with_mismatch(mismatch))
+    }
+
+    /// The condition with this mismatch.
+    pub fn with_mismatch(self, mismatch: Mismatch) -> Self {
+        Self { mismatch, ..self }
     }
 
     /// The condition in `arm`, in its normal form.
@@ -198,6 +215,15 @@ impl Condition {
         self.memory.describe().is_some_and(|info| info.built_from == BuiltFrom::AllCases)
     }
 
+    /// Its deviations from the standard, as they are written in its name: `/h20/light`.
+    pub fn deviations(&self) -> String {
+        let variation = self.variation.to_string();
+        match self.mismatch {
+            Mismatch::None => variation,
+            mismatch => format!("{variation}/{mismatch}"),
+        }
+    }
+
     /// Whether the demonstration starts where the episode does, and is supplied to the policy.
     fn can_be_hinted(&self) -> bool {
         self.start == Start::Original
@@ -214,8 +240,8 @@ impl Condition {
 
 impl fmt::Display for Condition {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { memory, start, route, demonstrations, variation, arm } = self;
-        write!(f, "{memory}/{start}/{route}/{demonstrations}{variation}")?;
+        let Self { memory, start, route, demonstrations, arm, .. } = self;
+        write!(f, "{memory}/{start}/{route}/{demonstrations}{}", self.deviations())?;
         if is_default(arm) { Ok(()) } else { write!(f, "/{}", arm.word()) }
     }
 }
@@ -232,7 +258,7 @@ pub enum BadCondition {
     /// A part is missing, or there is one too many.
     #[error(
         "`{0}` is not a condition: write memory/start/route/demonstrations, then any deviation from the \
-         standard (/h20, /images, /no-hint) and the arm (/learning, /oracle, /wrong)"
+         standard (/h20, /images, /no-hint), the mismatch (/light) and the arm (/learning, /oracle, /wrong)"
     )]
     Parts(String),
     /// Not in its normal form, or there is no such condition.
@@ -275,16 +301,18 @@ impl Condition {
         let memory = memory(next()?)?;
         let (start, route) = (next()?.parse()?, next()?.parse()?);
         let demonstrations = next()?.parse()?;
-        let (mut variation, mut arm) = (Variation::STANDARD, Arm::Frozen);
+        let (mut variation, mut mismatch, mut arm) = Default::default();
         for part in parts {
-            match Arm::ALL.iter().find(|arm| arm.word() == part) {
-                Some(found) => arm = *found,
-                None if variation.read(part) => {}
-                None => return Err(bad()),
+            if let Some(found) = Arm::ALL.iter().find(|arm| arm.word() == part) {
+                arm = *found;
+            } else if let Ok(found) = part.parse() {
+                mismatch = found;
+            } else if !Variation::read(&mut variation, part) {
+                return Err(bad());
             }
         }
         let normal = Self::new(memory, start, route, demonstrations, variation);
-        let normal = normal.map(|condition| condition.with_arm(arm));
+        let normal = normal.map(|condition| condition.with_mismatch(mismatch).with_arm(arm));
         match normal {
             Some(condition) if condition.to_string() == text => Ok(condition),
             _ => Err(BadCondition::NotNormal { given: text.to_owned(), normal }),
@@ -453,6 +481,27 @@ mod tests {
     }
 
     #[test]
+    fn a_mismatch_is_a_part_of_the_name_before_the_arm() {
+        let standard: Condition = "episodic/new/unchanged/original/h20".parse().unwrap();
+        for &mismatch in Mismatch::ALL {
+            let condition = standard.with_mismatch(mismatch);
+            let text = condition.to_string();
+            assert_eq!(text.parse(), Ok(condition));
+            assert_eq!(text == standard.to_string(), mismatch == Mismatch::None, "{text}");
+            let json = serde_json::to_string(&condition).unwrap();
+            assert_eq!(json.contains("mismatch"), mismatch != Mismatch::None, "{json}");
+            assert_eq!(serde_json::from_str::<Condition>(&json).unwrap(), condition);
+        }
+        let light = standard.with_mismatch(Mismatch::Light);
+        assert_eq!(light.to_string(), "episodic/new/unchanged/original/h20/light");
+        assert!(light.has_words("episodic,light") && !standard.has_words("light"));
+        let oracle = light.with_arm(Arm::Oracle).to_string();
+        assert_eq!(oracle, "episodic/new/unchanged/original/h20/light/oracle");
+        let error = |text: &str| text.parse::<Condition>().unwrap_err().to_string();
+        insta::assert_snapshot!(error("working/new/unchanged/none/none"), @"there is no condition `working/new/unchanged/none/none`; its episodes are those of `working/new/unchanged/none`");
+    }
+
+    #[test]
     fn an_external_memory_is_known_by_name_in_a_log_only() {
         let memory: MemoryKind = "top-3".parse().unwrap();
         let all = Variation { window: 6, segment: SegmentContent::Images, hint: Hint::Off };
@@ -471,8 +520,8 @@ mod tests {
     #[test]
     fn errors_name_the_condition_that_was_probably_meant() {
         let error = |text: &str| text.parse::<Condition>().unwrap_err().to_string();
-        insta::assert_snapshot!(error("episodic/new/unchanged"), @"`episodic/new/unchanged` is not a condition: write memory/start/route/demonstrations, then any deviation from the standard (/h20, /images, /no-hint) and the arm (/learning, /oracle, /wrong)");
-        insta::assert_snapshot!(error("working/new/unchanged/none/h200"), @"`working/new/unchanged/none/h200` is not a condition: write memory/start/route/demonstrations, then any deviation from the standard (/h20, /images, /no-hint) and the arm (/learning, /oracle, /wrong)");
+        insta::assert_snapshot!(error("episodic/new/unchanged"), @"`episodic/new/unchanged` is not a condition: write memory/start/route/demonstrations, then any deviation from the standard (/h20, /images, /no-hint), the mismatch (/light) and the arm (/learning, /oracle, /wrong)");
+        insta::assert_snapshot!(error("working/new/unchanged/none/h200"), @"`working/new/unchanged/none/h200` is not a condition: write memory/start/route/demonstrations, then any deviation from the standard (/h20, /images, /no-hint), the mismatch (/light) and the arm (/learning, /oracle, /wrong)");
         insta::assert_snapshot!(error("working/new/unchanged/4/h6"), @"there is no condition `working/new/unchanged/4/h6`; its episodes are those of `working/new/unchanged/none`");
         insta::assert_snapshot!(error("episodic/original/blocked/4"), @"there is no condition `episodic/original/blocked/4`");
         insta::assert_snapshot!(error("episodic/newer/blocked/4"), @"unknown start `newer`: did you mean `new`? (known: original, new)");

@@ -23,7 +23,7 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use domain::names::named;
-use domain::{Appearance, Demonstrations, ExternalName, MemoryKind};
+use domain::{Appearance, Demonstrations, ExternalName, MemoryKind, Mismatch};
 use serde::{Deserialize, Serialize};
 
 use crate::{Condition, Frames, PolicyKind};
@@ -256,6 +256,13 @@ impl RunSettings {
     pub fn demonstrations_of(&self, condition: &Condition) -> Demonstrations {
         let control = condition.control_set().filter(|_| self.stream.is_none());
         control.unwrap_or(condition.demonstrations)
+    }
+
+    /// In what episodes differ from the demonstrations, beside start and route: each once, without [`Mismatch::None`].
+    pub fn mismatches(&self) -> impl Iterator<Item = Mismatch> + '_ {
+        let listed =
+            |mismatch: &Mismatch| self.groups.iter().any(|group| group.mismatch.contains(mismatch));
+        Mismatch::ALL.iter().copied().filter(|one| *one != Mismatch::None).filter(listed)
     }
 
     /// Whether tasks are demonstrated in another warehouse.

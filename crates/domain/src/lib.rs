@@ -14,6 +14,7 @@ mod hex;
 mod labels;
 pub mod limits;
 pub mod memory_kind;
+mod mismatch;
 pub mod names;
 pub mod outcome;
 pub mod pose;
@@ -39,6 +40,7 @@ pub use demonstrations::{DemonstrationKind, Demonstrations, Mixture, UnknownDemo
 pub use hex::hex;
 pub use labels::{Route, Start};
 pub use memory_kind::{ExternalName, MemoryKind};
+pub use mismatch::Mismatch;
 pub use outcome::{
     Arm, DocumentKind, FeedbackLevel, Outcome, Reasoning, SEQUENCE_ENDED, SegmentContent,
 };

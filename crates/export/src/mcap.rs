@@ -22,6 +22,7 @@ use std::io::BufWriter;
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use domain::camera::CameraSetup;
 use domain::{Cell, Pose};
 use run_log::RunLog;
 use run_log::source::{SourceStep, sources};
@@ -201,7 +202,8 @@ impl EpisodeSink for McapRecording {
         let begins = self.instant(0);
         self.file.message(self.channels.episode, begins, &serde_json::to_vec(&about)?);
         if self.has_poses {
-            self.file.message(self.channels.transforms, begins, &foxglove::camera_mount(begins));
+            let mount = foxglove::camera_mount(begins, CameraSetup::of(record.mismatch));
+            self.file.message(self.channels.transforms, begins, &mount);
         }
         let mut events = timeline.events.iter().peekable();
         for moment in &timeline.steps {

@@ -331,7 +331,8 @@ fn conditions(suite: &str) -> anyhow::Result<Listing> {
         );
     }
     let rows = settings.runs().into_iter().map(|(condition, runs)| {
-        let Condition { memory, start, route, demonstrations, variation, arm } = condition;
+        let Condition { memory, start, route, demonstrations, variation, mismatch, arm } =
+            condition;
         vec![
             json!(memory.to_string()),
             json!(start.to_string()),
@@ -339,14 +340,17 @@ fn conditions(suite: &str) -> anyhow::Result<Listing> {
             json!(demonstrations.to_string()),
             json!(variation.segment.to_string()),
             json!(variation.hint.to_string()),
+            json!(mismatch.to_string()),
             json!(arm.word()),
             json!(variation.window),
             json!(runs),
         ]
     });
-    let header =
-        vec!["memory", "starts", "routes", "demos", "segment", "hint", "arms", "window", "runs"];
-    Ok(Listing { header, numbers: 7, rows: rows.collect() })
+    let header = vec![
+        "memory", "starts", "routes", "demos", "segment", "hint", "mismatch", "arms", "window",
+        "runs",
+    ];
+    Ok(Listing { header, numbers: 8, rows: rows.collect() })
 }
 
 /// The blocks of a suite's streams; a row for each event, or one for a block without.

@@ -5,10 +5,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
+use case_book::CaseVariant;
 use case_book::act::DemonstrationsRequest;
 use clap::Args;
 use conditions::Frames;
-use domain::{Appearance, DemonstrationKind, Demonstrations, Pose, Route, Start};
+use domain::{Appearance, DemonstrationKind, Demonstrations, Mismatch, Pose, Route, Start};
 use png_file::{Channels, encode};
 use program::AppearanceArgs;
 use world_client::RunWorld;
@@ -22,13 +23,17 @@ use super::{Exit, WorldArgs, print};
 Examples:
   memtransfer render --pose 3,12,N                         one view, as view-3-12-N.png
   memtransfer render --case t01-01 --trajectory blocked    a folder of numbered views
-  memtransfer render --pose 3,12,N --backend cpu --size 256 --out view.png")]
+  memtransfer render --pose 3,12,N --backend cpu --size 256 --out view.png
+  memtransfer render --case t01-01 --trajectory new --mismatch stock")]
 pub(super) struct RenderArgs {
     #[command(flatten)]
     subject: RenderSubject,
     /// Which of the case's trajectories: original, opposite, nearby, distant, new or blocked
     #[arg(long, value_name = "NAME", default_value = "original", requires = "case", value_parser = CaseTrajectory::parse)]
     trajectory: CaseTrajectory,
+    /// Render as an episode with this mismatch sees it (see `run --mismatch`): a pose, or the trajectory new or blocked
+    #[arg(long, value_name = "WORD", default_value_t = Mismatch::None)]
+    mismatch: Mismatch,
     /// The PNG file, or for a trajectory the folder of its numbered PNG files
     #[arg(long, value_name = "PATH")]
     out: Option<PathBuf>,
@@ -88,13 +93,17 @@ impl CaseTrajectory {
         found.ok_or_else(|| format!("expected one of {}", Self::ALL.map(Self::name).join(", ")))
     }
 
-    /// Its views.
-    fn act(self, world: &RunWorld, case: &str) -> Result<Vec<ViewKey>> {
+    /// Its views, as an episode with `mismatch` sees them.
+    fn act(self, world: &RunWorld, case: &str, mismatch: Mismatch) -> Result<Vec<ViewKey>> {
         let Some(index) = world.index(case) else {
             bail!("there is no case {case:?}; `memtransfer ls cases` lists the cases");
         };
-        let (route, variant) = match self {
+        let route = match self {
             Self::Demonstration(kind) => {
+                ensure!(
+                    mismatch == Mismatch::None,
+                    "demonstrations are always seen as they were recorded: give --trajectory new or blocked with --mismatch"
+                );
                 let acted = world.demonstrations(DemonstrationsRequest {
                     case: case.to_owned(),
                     set: Demonstrations::NONE,
@@ -105,15 +114,21 @@ impl CaseTrajectory {
                 let acted = acted.into_iter().next().context("there is no such demonstration")?;
                 return Ok(world.supplied_of(&acted));
             }
-            Self::New => (Route::Unchanged, 0),
-            Self::Blocked => (Route::Blocked, world.description().blocked[index]),
+            Self::New => Route::Unchanged,
+            Self::Blocked => Route::Blocked,
         };
+        let is_blocked = route == Route::Blocked;
+        let variant = CaseVariant { case: index as u32, is_blocked, mismatch }.number();
         let reference = world.reference(case, variant, (Start::New, route))?;
         Ok(match world.has_map() {
             true => world.supplied(variant, &reference.states),
             false => {
-                let begin = if variant == 0 { Start::New.name() } else { route.name() };
-                world.views_after(case, begin, reference.actions.into_iter().map(Some))
+                let begin = if is_blocked { route.name() } else { Start::New.name() };
+                let begin = match mismatch.changes_world() {
+                    true => format!("{begin}-{mismatch}"),
+                    false => begin.to_owned(),
+                };
+                world.views_after(case, &begin, reference.actions.into_iter().map(Some))
             }
         })
     }
@@ -121,6 +136,13 @@ impl CaseTrajectory {
 
 pub(super) fn run(args: &RenderArgs) -> Result<Exit> {
     let world = RunWorld::of(args.world.program()?.asker(&args.world.flags())?, Frames::Rendered)?;
+    let offered = &world.description().world.mismatches;
+    ensure!(
+        args.mismatch == Mismatch::None || offered.contains(&args.mismatch),
+        "the world {} does not offer the mismatch {}",
+        world.declaration().name,
+        args.mismatch
+    );
     let (views, files) = match (args.subject.pose, &args.subject.case) {
         (Some(pose), _) => {
             ensure!(
@@ -132,14 +154,19 @@ pub(super) fn run(args: &RenderArgs) -> Result<Exit> {
                 world.scene(0)?.is_floor(pose.cell),
                 "the cell of pose {pose} is not free floor; `memtransfer map` shows the floor plan"
             );
+            ensure!(
+                args.mismatch != Mismatch::Stock,
+                "each case has other stock of its own: give --case with --mismatch stock"
+            );
+            let of = CaseVariant { case: 0, is_blocked: false, mismatch: args.mismatch };
             let name = format!("view-{}-{}-{}.png", pose.cell.x, pose.cell.y, pose.heading);
             (
-                vec![ViewKey::State(0, pose.into())],
+                vec![ViewKey::State(of.number(), pose.into())],
                 vec![args.out.clone().unwrap_or_else(|| name.into())],
             )
         }
         (None, Some(id)) => {
-            let views = args.trajectory.act(&world, id)?;
+            let views = args.trajectory.act(&world, id, args.mismatch)?;
             let folder = args.out.clone().unwrap_or_else(|| args.trajectory_folder(id));
             fs::create_dir_all(&folder)
                 .with_context(|| format!("cannot create the folder {}", folder.display()))?;
@@ -155,7 +182,11 @@ pub(super) fn run(args: &RenderArgs) -> Result<Exit> {
 
 impl RenderArgs {
     fn trajectory_folder(&self, id: &str) -> PathBuf {
-        format!("{id}-{}", self.trajectory.name()).into()
+        let name = format!("{id}-{}", self.trajectory.name());
+        match self.mismatch {
+            Mismatch::None => name.into(),
+            mismatch => format!("{name}-{mismatch}").into(),
+        }
     }
 
     /// Writes each of `views` to the file of the same place in `files`, and prints the paths.
@@ -179,6 +210,9 @@ impl RenderArgs {
         let mut flags = self.world.flags();
         if self.world.other.command().is_some() {
             return flags;
+        }
+        if self.mismatch.changes_world() {
+            flags.extend(["--mismatch".into(), self.mismatch.name().into()]);
         }
         let mut flag = |name: &str, value: OsString| flags.extend([name.into(), value]);
         if let Some(backend) = &self.backend {

@@ -48,6 +48,6 @@ pub use run::Until;
 // The vocabulary of requests and decisions, so that a policy needs no other crate.
 pub use case_book::{ActionDeclaration, StateField, WorldDeclaration};
 pub use domain::{
-    Action, ActionCode, Cell, DocumentKind, Feedback, FeedbackCode, Heading, Pose, State,
+    Action, ActionCode, Cell, DocumentKind, Feedback, FeedbackCode, Heading, Mismatch, Pose, State,
 };
 pub use shm_types::message::{FrameId, RequestId};

@@ -1,12 +1,12 @@
 //! What instructions call items.
 //!
 //! An instruction names types in the singular ("a blue barrel", "every blue barrel", "the same blue barrel") and
-//! categories in the plural ("of the category barrels"). This module knows only this wording.
+//! categories in the plural ("of the category barrels"), in all forms of a task. This module knows only this wording.
 
 use crate::{Plate, code};
 
 /// Words in front of a type's name.
-const DETERMINERS: [&str; 4] = ["a ", "an ", "every ", "same "];
+const DETERMINERS: [&str; 5] = ["a ", "an ", "every ", "each ", "same "];
 
 /// Words in front of a category's name.
 const CATEGORY: &str = "of the category ";
@@ -38,7 +38,7 @@ impl ItemName<'_> {
 /// The kinds of items that `instruction` names, in its order.
 pub fn item_names(instruction: &str) -> impl Iterator<Item = ItemName<'_>> {
     let text = instruction.trim().trim_end_matches('.');
-    text.split(',').flat_map(|part| part.split(" and ")).filter_map(|clause| {
+    text.split([',', ';']).flat_map(|part| part.split(" and ")).filter_map(|clause| {
         let clause = clause.trim();
         let clause = clause.strip_suffix(EVERYWHERE).unwrap_or(clause);
         let category = name_after(CATEGORY, clause).map(ItemName::Category);
@@ -71,6 +71,14 @@ mod tests {
             (
                 "Find an orange cone, then return to the cell where you started.",
                 &[Type("orange cone")],
+            ),
+            (
+                "Go to each blue barrel in the warehouse, and after that come back to the cell where you began.",
+                &[Type("blue barrel")],
+            ),
+            (
+                "Go to a blue barrel and to an orange cone; the order is up to you.",
+                &[Type("blue barrel"), Type("orange cone")],
             ),
             ("Find a .", &[]),
             ("Do nothing.", &[]),

@@ -284,6 +284,7 @@ fn add_condition<T>(frame: &mut FrameBuilder<'_, T>, of: impl Fn(&T) -> Option<C
     frame.whole("window", |row| Some(of(row)?.variation.window));
     frame.text("segment", |row| Some(of(row)?.variation.segment.to_string()));
     frame.text("hint", |row| Some(of(row)?.variation.hint.to_string()));
+    frame.text("mismatch", |row| Some(of(row)?.mismatch.to_string()));
     frame.text("arm", |row| Some(of(row)?.arm.word().to_owned()));
 }
 

@@ -22,6 +22,7 @@ mod provenance;
 mod ranking;
 mod reproduction;
 mod runs;
+mod sensitivity;
 mod streams;
 mod supplied;
 mod time;
@@ -47,6 +48,7 @@ pub(super) use elsewhere::left_out;
 pub(super) use failures::{failures_table, points_table, worst_table};
 pub(super) use growth::growth_table;
 pub(super) use overview::{notices, steps_per_second};
+pub(super) use sensitivity::sensitivity_table;
 pub(super) use streams::{
     adaptation_table, differences_table, incomplete, necessity_table, orders_table, success_table,
     transfer_table,
@@ -57,7 +59,7 @@ pub(super) use time::time_table;
 /// A section's name in links, its heading, and the function that makes its content.
 type SectionEntry = (&'static str, &'static str, fn(&ScoredRun<'_>) -> Vec<ReportBlock>);
 
-const PARTS: [SectionEntry; 16] = [
+const PARTS: [SectionEntry; 17] = [
     ("overview", "What was run", overview::blocks),
     ("conditions", "All conditions", conditions::blocks),
     ("main", "Success across the three questions", main_table::blocks),
@@ -69,6 +71,9 @@ const PARTS: [SectionEntry; 16] = [
     ("controls", "Controls: right and wrong content", controls::blocks),
     ("conflict", "Demonstrations from before and after an event", conflict::blocks),
     ("growth", "Banks of different sizes", growth::blocks),
+    ("sensitivity", "Mismatch of demonstration and test", |view| {
+        ReportBlock::tables([sensitivity_table(view)])
+    }),
     ("groups", "Task groups", groups::blocks),
     ("design", "Design choices", design::blocks),
     ("failures", "Why episodes failed", failures::blocks),
@@ -82,7 +87,7 @@ const PARTS: [SectionEntry; 16] = [
 const BESIDE_PUBLISHED: [&str; 6] = ["main", "transfer", "blocked", "mixed", "groups", "design"];
 
 /// Parts that the paper does not have: they are not named where they were not run.
-const BEYOND_THE_PAPER: [&str; 3] = ["controls", "conflict", "growth"];
+const BEYOND_THE_PAPER: [&str; 4] = ["controls", "conflict", "growth", "sensitivity"];
 
 /// All sections about the run. Those of the paper without any figure of the run are named in one line of the first section,
 /// except where all its episodes are of streams.

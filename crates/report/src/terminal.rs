@@ -13,8 +13,8 @@ use super::sections::{
     VERDICTS, adaptation_table, all_blocked_table, asked_rows, certified_table, conditions_table,
     conflict_table, controls_table, differences_table, failures_table, growth_table, incomplete,
     left_out, necessity_table, notices, orders_table, points_table, requests_table,
-    steps_per_second, success_table, supplied_table, time_table, transfer_table, verdict,
-    worst_table,
+    sensitivity_table, steps_per_second, success_table, supplied_table, time_table, transfer_table,
+    verdict, worst_table,
 };
 use super::view::{ScoredRun, interval_text, p_value, pair_stubs, signed};
 use crate::table::{TextTable, table};
@@ -72,6 +72,7 @@ pub fn summary(log: &RunLog) -> String {
         ("Controls: success, and paired differences in percentage points", controls_table(&view)),
         ("Controls: cases that need memory", certified_table(&view)),
         ("Banks of different sizes", growth_table(&view)),
+        ("What a mismatch of demonstration and test costs", sensitivity_table(&view)),
         ("Failed episodes by kind", failures_table(&view)),
         ("Since when they failed", points_table(&view)),
         ("Cases that fail most", worst_table(&view, WORST)),

@@ -234,7 +234,7 @@ pub fn keyed(record: EpisodeRecord) -> EpisodeRecord {
 
 /// The record, of an episode under `condition`.
 pub fn under(condition: Condition, record: EpisodeRecord) -> EpisodeRecord {
-    let Condition { memory, start, route, demonstrations, variation, arm } = condition;
+    let Condition { memory, start, route, demonstrations, variation, mismatch, arm } = condition;
     let Variation { window, segment, hint } = variation;
     keyed(EpisodeRecord {
         memory,
@@ -244,6 +244,7 @@ pub fn under(condition: Condition, record: EpisodeRecord) -> EpisodeRecord {
         window,
         segment,
         hint,
+        mismatch,
         arm,
         ..record
     })

@@ -68,10 +68,11 @@ impl EpisodeRecord {
 
     fn check_key(&self) -> Result<(), String> {
         ensure(self.run > 0, || "\"run\" is counted from 1".to_owned())?;
-        let Condition { memory, start, route, demonstrations, variation, arm } = self.condition();
+        let own = self.condition();
+        let Condition { memory, start, route, demonstrations, variation, mismatch, arm } = own;
         let condition = Condition::new(memory, start, route, demonstrations, variation);
-        let condition = condition.map(|condition| condition.with_arm(arm));
-        let condition = condition.filter(|condition| *condition == self.condition());
+        let condition = condition.map(|condition| condition.with_mismatch(mismatch).with_arm(arm));
+        let condition = condition.filter(|condition| *condition == own);
         let key = condition.map(|_| self.own_key().to_string());
         ensure(key.as_ref() == Some(&self.key), || {
             format!("its fields make the key {}", key.as_deref().unwrap_or("of no condition"))

@@ -81,6 +81,7 @@ mod tests {
             id: "t01-01".to_owned(),
             task: 1,
             instruction: String::new(),
+            paraphrase: None,
             references: vec![reference],
             invalidated_when_blocked: false,
         };

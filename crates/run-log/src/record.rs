@@ -14,7 +14,7 @@ use serde_json::{Map, Value};
 
 use conditions::key::{EpisodeKey, StreamPlace};
 use conditions::{
-    Condition, Demonstrations, Hint, Route, SegmentContent, Start, Variation, is_default,
+    Condition, Demonstrations, Hint, Mismatch, Route, SegmentContent, Start, Variation, is_default,
     is_standard_window, standard_window,
 };
 
@@ -53,6 +53,9 @@ pub struct EpisodeRecord {
     /// Whether the original-start hint was given where it is true. Absent where it is the standard, `on`.
     #[serde(skip_serializing_if = "is_default", default)]
     pub hint: Hint,
+    /// What the episode differs in from the demonstrations, beside start and route. Absent where it is nothing, `none`.
+    #[serde(skip_serializing_if = "is_default", default)]
+    pub mismatch: Mismatch,
     /// What the memory was built from, and whether it changed. Absent where it is the standard, `frozen`.
     #[serde(skip_serializing_if = "is_default", default)]
     pub arm: Arm,
@@ -215,6 +218,7 @@ impl EpisodeRecord {
             route: self.route,
             demonstrations: self.demonstrations,
             variation: Variation { window: self.window, segment: self.segment, hint: self.hint },
+            mismatch: self.mismatch,
             arm: self.arm,
         }
     }

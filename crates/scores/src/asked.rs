@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use conditions::{Condition, Demonstrations};
-use domain::{Arm, MemoryKind, Representation};
+use domain::{Arm, MemoryKind};
 use run_log::RunLog;
 use serde::Serialize;
 
@@ -93,11 +93,7 @@ fn contrasts(
         .collect();
     let side = |setting: Condition, demonstrations: Demonstrations| {
         let condition = match demonstrations {
-            Demonstrations::NONE => {
-                let memory = Representation::Working;
-                let Condition { start, route, variation, .. } = setting;
-                Condition::new(memory, start, route, demonstrations, variation)?
-            }
+            Demonstrations::NONE => setting.without_memory()?,
             _ => Condition { demonstrations, ..setting },
         };
         let is_run = trials.contains_key(&condition);

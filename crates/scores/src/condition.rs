@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use case_book::WorldFacts;
-use domain::Representation;
 use serde::Serialize;
 
 use super::blocked::{self, BlockedScore, Derived};
@@ -15,7 +14,7 @@ use super::spread::Spread;
 use super::success::{self, GroupScore};
 use super::time::{StageTimes, exists};
 use super::trial::{Trials, path_weight};
-use conditions::{Condition, Demonstrations, Route};
+use conditions::{Condition, Route};
 use run_log::{EpisodeRecord, EpisodeTimings};
 
 /// The scores of one condition. What was not measured, or is not defined, is `None`, never zero.
@@ -194,11 +193,7 @@ pub(super) fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition,
             let value = blocked::retention(found.rates[0], found.rates[1])?;
             Some(Derived { value, interval: after.interval_of_ratio(before, 100.0) })
         });
-        let baseline = own.map(|Condition { start, route, variation, arm, .. }| {
-            let none = Demonstrations::NONE;
-            let working = Condition::new(Representation::Working, start, route, none, variation);
-            working.map(|condition| condition.with_arm(arm))
-        });
+        let baseline = own.map(|condition| condition.without_memory());
         let [Some(baseline_after), Some(baseline_before)] =
             baseline.map(|condition| trials.get(&condition?))
         else {

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use domain::{Arm, Representation};
+use domain::Arm;
 use run_log::RunLog;
 use serde::Serialize;
 
@@ -12,7 +12,7 @@ use super::condition::success_of;
 use super::mean::mean;
 use super::spread::Spread;
 use super::trial::Trials;
-use conditions::{Condition, Demonstrations};
+use conditions::Condition;
 
 /// A memory in one setting beside its controls. A control that was not run has no figure.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -97,10 +97,8 @@ fn of_condition<'a>(
     log: &'a RunLog,
     trials: &BTreeMap<Condition, Trials<'a>>,
 ) -> Option<(ControlScore, [Option<Pairing<'a>>; 2])> {
-    let Condition { start, route, variation, .. } = condition;
     let [oracle, wrong] = [Arm::Oracle, Arm::Wrong].map(|arm| condition.with_arm(arm));
-    let none = Demonstrations::NONE;
-    let working = Condition::new(Representation::Working, start, route, none, variation);
+    let working = condition.without_memory();
     let control = |condition: Condition| {
         let sr = success_of(trials.get(&condition)?)?;
         Some(ControlCondition { condition, sr })

@@ -64,8 +64,8 @@ pub(super) fn growth(
         })
         .collect();
     found.sort_by_key(|one| {
-        let Condition { memory, start, route, variation, .. } = one.score.condition;
-        (memory, start, route, variation, one.size)
+        let Condition { memory, start, route, variation, mismatch, .. } = one.score.condition;
+        (memory, start, route, variation, mismatch, one.size)
     });
     found
 }

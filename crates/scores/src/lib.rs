@@ -25,6 +25,7 @@
 //! | what a comparison shows, and could have shown | `conclusion.rs`, `sign_test.rs`, `holm.rs` |
 //! | what a run is required to show | `gate.rs` |
 //! | banks of different sizes | `growth.rs` |
+//! | mismatches between demonstrations and test | `sensitivity.rs` |
 //! | demonstrations from before and after an event | `conflict.rs` |
 //! | memories beside right and wrong content, cases that need memory | `controls.rs`, `certify.rs` |
 //! | streams | `streams.rs` |
@@ -52,6 +53,7 @@ mod mean;
 mod memory;
 mod points;
 mod requests;
+mod sensitivity;
 mod sign_test;
 mod spread;
 mod streams;
@@ -80,6 +82,7 @@ pub use points::{
     steps_alike,
 };
 pub use requests::RequestScore;
+pub use sensitivity::Sensitivity;
 pub use sign_test::{LEVEL, MOST_CASES, POWER};
 pub use spread::Spread;
 pub use streams::{
@@ -135,6 +138,9 @@ pub struct Scores {
     /// The memories beside their controls; absent in a run without the arms `oracle` and `wrong`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub controls: Vec<ControlScore>,
+    /// What mismatches between demonstrations and test cost; absent without any.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub sensitivity: Vec<Sensitivity>,
     /// The run's streams; absent when there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub streams: Option<StreamScores>,
@@ -168,6 +174,7 @@ pub fn score(log: &RunLog) -> Scores {
     Scores {
         policy: log.manifest.policy_label(),
         growth: growth::growth(log, &trials, &planned, &timings),
+        sensitivity: sensitivity::sensitivity(log),
         conflicts: conflict::conflicts(log, &trials, &planned, &timings),
         comparisons: asked::comparisons(log, &trials),
         controls: controls::controls(log, &trials),

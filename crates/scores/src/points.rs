@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use case_book::{LoopFact, WorldFacts};
 use conditions::{Condition, Route, Start};
-use domain::{Arm, MemoryKind};
+use domain::{Arm, MemoryKind, Mismatch};
 use run_log::{Ending, EpisodeRecord, RunLog};
 use serde::Serialize;
 
@@ -66,9 +66,9 @@ pub struct Successes {
     by_test: BTreeMap<Test, Vec<Success>>,
 }
 
-/// What is the same for episodes that can be compared action by action: the id of the case, start and route, and in a stream the
-/// state of the world.
-type Test = (String, Start, Route, Option<u32>);
+/// What is the same for episodes that can be compared action by action: the id of the case, start and route, in a stream the state
+/// of the world, and a mismatch that changes the world.
+type Test = (String, Start, Route, Option<u32>, Option<Mismatch>);
 
 #[derive(Debug)]
 struct Success {
@@ -81,7 +81,8 @@ struct Success {
 
 fn test_of(record: &EpisodeRecord) -> Test {
     let world = record.stream.as_ref().map(|stream| stream.world);
-    (record.case.clone(), record.start, record.route, world)
+    let mismatch = Some(record.mismatch).filter(|mismatch| mismatch.changes_world());
+    (record.case.clone(), record.start, record.route, world, mismatch)
 }
 
 fn begin_of(record: &EpisodeRecord) -> Option<&String> {

@@ -35,7 +35,7 @@ use serde::Serialize;
 
 use super::interval::Interval;
 use super::mean::mean;
-use conditions::{Condition, Demonstrations};
+use conditions::Condition;
 use estimate::{by_stream, correct, difference};
 use matrix::ResultMatrix;
 use online::part;
@@ -156,12 +156,6 @@ pub struct StreamDifference {
     pub average: Option<TestedDifference>,
 }
 
-/// The condition without memory that `condition` is compared with; None if there is none.
-fn without_memory(condition: &Condition) -> Option<Condition> {
-    let Condition { start, route, variation, .. } = *condition;
-    Condition::new(Representation::Working, start, route, Demonstrations::NONE, variation)
-}
-
 /// The complete sequences of a run, by condition.
 type SequencesByCondition<'a> = BTreeMap<Condition, CompleteSequences<'a>>;
 
@@ -250,7 +244,7 @@ fn score_condition(
         after: estimate(percent, &|sequence| success_rate(part(sequence, true))),
         average: of_matrix(percent, ResultMatrix::average),
         backward: of_matrix(points, ResultMatrix::backward),
-        forward: against(without_memory(&condition), points, forward),
+        forward: against(condition.without_memory(), points, forward),
         forgetting: of_matrix(points, ResultMatrix::forgetting),
         t_ndtw: estimate(Interval::SHARE, &path::t_ndtw),
         regret: against(Some(condition.with_arm(Arm::Oracle)), Interval::ANY, online::regret),
@@ -354,7 +348,7 @@ fn pairs(by_condition: &SequencesByCondition<'_>) -> Vec<(Condition, Condition)>
                 pairs.push((arm(Arm::Oracle), *condition));
             }
             Arm::Frozen => {
-                pairs.extend(without_memory(condition).map(|without| (*condition, without)));
+                pairs.extend(condition.without_memory().map(|without| (*condition, without)));
                 pairs.push((*condition, arm(Arm::Wrong)));
             }
             Arm::Oracle | Arm::Wrong => {}

@@ -249,7 +249,7 @@ mod tests {
         insta::assert_snapshot!(error("memry = []"), @"suite my.toml: unknown key `memry`: did you mean `memory`?");
         insta::assert_snapshot!(error("runs = 1\nmemory = [\"episodik\"]"), @"suite my.toml: memory: unknown memory `episodik`: did you mean `episodic`? (known: working, full-context, summary, semantic, hybrid, episodic, adaptive)");
         insta::assert_snapshot!(error("[[group]]\nname = \"a\"\n[[group]]\nstart = []"), @"suite my.toml, group 2: unknown key `start`: did you mean `starts`?");
-        insta::assert_snapshot!(error("[[group]]\nname = \"a\"\nlanes = 3"), @"suite my.toml, group 1: unknown key `lanes` (known: name, memory, starts, routes, demos, arms, runs, window, segment, hint)");
+        insta::assert_snapshot!(error("[[group]]\nname = \"a\"\nlanes = 3"), @"suite my.toml, group 1: unknown key `lanes` (known: name, memory, starts, routes, demos, arms, runs, window, segment, hint, mismatch)");
         insta::assert_snapshot!(error("[[group]]\nname = \"a\"\nruns = 0"), @"suite my.toml, group 1: runs: 0 is not a whole number from 1 to 1000");
         for nameless in ["[[group]]\nruns = 3", "[[group]]\nname = \"a\"\n[[group]]\nname = \"a\""]
         {

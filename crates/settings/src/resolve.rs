@@ -8,7 +8,9 @@ use conditions::settings::{
     DocumentSource, Drawn, KEYS, Key, MAX_IMAGES, RunSettings, STREAM_TABLE, Scope, SuiteName,
     WorldStart,
 };
-use conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
+use conditions::{
+    Condition, Demonstrations, Frames, Mismatch, PolicyKind, Route, Start, Variation,
+};
 use domain::limits::MAX_EXTERNAL_MEMORIES;
 use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use domain::representation::Trajectories;
@@ -379,6 +381,7 @@ fn irrelevant_to(policy: PolicyKind) -> Vec<(&'static str, Value)> {
         ("window", json!([window])),
         ("segment", json!([segment])),
         ("hint", json!([hint])),
+        ("mismatch", json!([Mismatch::None])),
     ];
     match policy {
         PolicyKind::Grounded | PolicyKind::Imitate | PolicyKind::Openai | PolicyKind::External => {
@@ -407,6 +410,7 @@ pub fn check(settings: &RunSettings) -> Result<()> {
         "--adapter chooses a graphics adapter, and --backend cpu uses none: give one of them"
     );
     check_arms(settings)?;
+    check_mismatches(settings)?;
     let conditions = settings.conditions();
     if let Some(flag) = settings.own_world() {
         check_own_world(settings, flag)?;
@@ -484,6 +488,21 @@ fn check_arms(settings: &RunSettings) -> Result<()> {
              original demonstrations: starts = [\"new\"], routes = [\"unchanged\"], demos = [\"original\"]"
         );
     }
+    Ok(())
+}
+
+/// Checks that every mismatch can be one.
+fn check_mismatches(settings: &RunSettings) -> Result<()> {
+    let Some(first) = settings.mismatches().next() else { return Ok(()) };
+    ensure!(
+        settings.stream.is_none(),
+        "--mismatch {first}, and this is a suite of streams, whose worlds change on their own: leave one of them out"
+    );
+    ensure!(
+        settings.labels == Drawn::On || !settings.mismatches().any(|one| one == Mismatch::Labels),
+        "--mismatch labels leaves out labels in the test, and with --labels off demonstrations have none: leave one of \
+         them out"
+    );
     Ok(())
 }
 

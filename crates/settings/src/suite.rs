@@ -15,8 +15,7 @@ macro_rules! shipped {
 }
 
 /// The shipped suites by name, each with its text, in the order in which they are listed.
-pub const SHIPPED_SUITES: &[(&str, &str)] =
-    shipped!("quick" "rq1" "rq2" "rq3" "design" "paper" "stream" "growth" "conflict" "transfer");
+pub const SHIPPED_SUITES: &[(&str, &str)] = shipped!("quick" "rq1" "rq2" "rq3" "design" "paper" "stream" "growth" "conflict" "transfer" "mismatch");
 
 /// Reads a suite: a file by its path, else a shipped one, else `suites/<name>.toml` in `assets`. Assets do not replace a shipped
 /// suite: another one of the same name is read only by its path.

@@ -7,7 +7,7 @@
 //! | `run1/run.js` | the data of the run page |
 //! | `run1/report.html` | the report |
 //! | `run1/episodes/N.js`, `run1/prompts/N.js` | episode number N, and its prompts |
-//! | `run1/maps/N.svg` | the floor with the items of world state N |
+//! | `run1/maps/N.svg` | the floor with the items of world state N of streams, or of variant N with other stock |
 //! | `run1/views/V-X-Y-H.jpg`, `V-X-Y-H-small.jpg` | the view of a pose in world variant V, and its thumbnail |
 //! | `run1/images/HASH.jpg` | an image of a prompt |
 //! | `run1/new.json?from=N` | what has happened since N episodes, only from a server |
@@ -21,7 +21,7 @@ use std::io::ErrorKind;
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
-use case_book::GREY_VARIANT;
+use case_book::{CaseVariant, GREY_VARIANT};
 use conditions::Condition;
 use conditions::key::EpisodeKey;
 use domain::Pose;
@@ -324,15 +324,16 @@ impl RunPages {
         self.world.has_map()
     }
 
-    /// The drawing of the floor of world state `ground`; `None` in a world that draws none.
+    /// The drawing of the floor of world state `ground` of streams, or of the variant with this number and other stock; `None` in a world that draws none.
     pub(crate) fn map(&self, ground: u32) -> Result<Option<File>> {
         if !self.has_map() {
             return Ok(None);
         }
         let states = &self.world.description().states;
         let variant = match states.get(ground as usize) {
-            None if ground > 0 => return Ok(None),
-            variant => variant.copied().unwrap_or(0),
+            Some(variant) => *variant,
+            None if ground == 0 || CaseVariant::with_mismatch(ground).is_some() => ground,
+            None => return Ok(None),
         };
         let scene = self.world.scene(variant)?;
         Ok(Some(File::text("image/svg+xml", scene.svg.clone())))

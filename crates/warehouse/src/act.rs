@@ -3,10 +3,12 @@
 use std::collections::{HashMap, HashSet};
 use std::rc::Rc;
 
+use case_book::CaseVariant;
 use case_book::act::{
     ActAnswer, ActRequest, ActedDemonstration, ActedEpisode, ActedReference, DemonstrationsRequest,
     EpisodeRequest, EpisodeScenery, Scene, StreamBlockPlace, Target, WorldDescription,
 };
+use domain::camera::CameraSetup;
 use domain::{Action, ActionCode, Cell, DemonstrationKind, Feedback, Pose, Route, State};
 use serde_json::{Map, Value};
 
@@ -70,7 +72,7 @@ impl Stage {
         let of_state = |world| streams.as_ref().map_or(0, |set| set.variant(world, count));
         WorldDescription {
             world: facts.clone(),
-            cases: cases.iter().map(|case| case_facts(warehouse, case)).collect(),
+            cases: case_facts(warehouse, cases),
             blocked: (1..=count as u32).collect(),
             states: states.map(of_state).collect(),
         }
@@ -115,10 +117,12 @@ impl Stage {
         if !warehouse.layout.is_free(begin.cell) {
             return Err(format!("the cell of pose {begin} is not free floor"));
         }
+        let mismatched = CaseVariant::with_mismatch(request.variant);
+        let camera = mismatched.map_or(CameraSetup::STANDARD, |of| CameraSetup::of(of.mismatch));
         let parts = request.parts;
         let steps = Steps::take(&state, &task, begin, actions);
         let scenery = parts.scenery.then(|| EpisodeScenery {
-            came_into_view: came_into_view(warehouse, &steps.poses),
+            came_into_view: came_into_view(warehouse, camera, &steps.poses),
             closed: variant.closed().to_vec(),
             targets: targets(&task, warehouse),
             changes: request.stream.map_or(Vec::new(), |place| self.changes(place)),
@@ -139,7 +143,7 @@ impl Stage {
             poses: &steps.poses,
             sub_goals: &steps.sub_goals,
             required: steps.required,
-            events: events(warehouse, &task, &steps.poses),
+            events: events(warehouse, (&task, camera), &steps.poses),
             blocked_moves: blocked_moves(&steps),
             conflict_at,
             reference: &of_stream,
@@ -329,8 +333,12 @@ fn as_object(ended: EndedEpisode<'_>) -> Option<Map<String, Value>> {
 }
 
 /// Whether or not a visit counted, and what was in view, the last step excepted.
-fn events(warehouse: &Warehouse, task: &Task, poses: &[Pose]) -> EventRecorder {
-    let mut recorder = EventRecorder::new(warehouse, task);
+fn events(
+    warehouse: &Warehouse,
+    (task, camera): (&Task, CameraSetup),
+    poses: &[Pose],
+) -> EventRecorder {
+    let mut recorder = EventRecorder::new(warehouse, task, camera);
     for (taken, pose) in (0_u32..).zip(poses) {
         recorder.stands(taken, *pose);
         if taken == 0 || (taken as usize) + 1 < poses.len() {
@@ -358,10 +366,11 @@ fn conflict_at(variant: &Variant, actions: &[Option<Action>], steps: &Steps) -> 
 }
 
 /// By step, the cells that came into view for the first time.
-fn came_into_view(warehouse: &Warehouse, poses: &[Pose]) -> Vec<Vec<Cell>> {
+fn came_into_view(warehouse: &Warehouse, camera: CameraSetup, poses: &[Pose]) -> Vec<Vec<Cell>> {
     let mut known = HashSet::new();
-    let new =
-        |pose: &Pose| cells(&warehouse.layout, *pose).filter(|cell| known.insert(*cell)).collect();
+    let new = |pose: &Pose| {
+        cells(&warehouse.layout, camera, *pose).filter(|cell| known.insert(*cell)).collect()
+    };
     poses.iter().map(new).collect()
 }
 

@@ -10,7 +10,7 @@ use case_book::{
 };
 use domain::names::UnknownName;
 use domain::{
-    Action, Cell, DemonstrationKind, Demonstrations, Mixture, Pose, Route, Start, State,
+    Action, Cell, DemonstrationKind, Demonstrations, Mismatch, Mixture, Pose, Route, Start, State,
     StreamOrder,
 };
 
@@ -122,7 +122,7 @@ pub fn write_books(request: &BookRequest) -> Result<Books, CaseBookError> {
     let elsewhere = cases.elsewhere.as_ref();
     let book = CaseBook {
         world: world_facts(assets, &warehouse, &cases)?,
-        cases: cases.cases.iter().map(|case| case_facts(&warehouse, case)).collect(),
+        cases: case_facts(&warehouse, &cases.cases),
         streams,
         stale: stale(&worlds, &demonstrations, request, &among),
     };
@@ -167,6 +167,7 @@ pub(crate) fn world_facts(
         groups: TaskGroup::ALL.map(group_facts).into(),
         tasks: TaskType::ALL.map(task_facts).into(),
         failures: failure_kinds(),
+        mismatches: Mismatch::ALL.iter().copied().filter(|one| *one != Mismatch::None).collect(),
     })
 }
 
@@ -211,7 +212,11 @@ fn view_count(warehouse: &Warehouse) -> u32 {
     4 * warehouse.layout.free_cells().count() as u32
 }
 
-pub(crate) fn case_facts(warehouse: &Warehouse, case: &Case) -> CaseFacts {
+pub(crate) fn case_facts(warehouse: &Warehouse, cases: &[Case]) -> Vec<CaseFacts> {
+    cases.iter().enumerate().map(|(number, case)| facts_of_case(warehouse, number, case)).collect()
+}
+
+fn facts_of_case(warehouse: &Warehouse, number: usize, case: &Case) -> CaseFacts {
     let tested = [
         (Start::Original, Route::Unchanged),
         (Start::New, Route::Unchanged),
@@ -233,6 +238,7 @@ pub(crate) fn case_facts(warehouse: &Warehouse, case: &Case) -> CaseFacts {
         id: case.id.clone(),
         task: case.task.task_type().number(),
         instruction: case.task.instruction(&warehouse.catalogue),
+        paraphrase: Some(case.task.paraphrase(&warehouse.catalogue, number)),
         references: references.into(),
         invalidated_when_blocked: case
             .original
@@ -388,6 +394,7 @@ impl<'w> Writer<'w> {
             let of = DemonstrationKind::OWN.map(|kind| own(History { case: index, kind }));
             self.book.cases.push(CaseDemonstrations {
                 instruction: case.task.instruction(&warehouse.catalogue),
+                paraphrase: Some(case.task.paraphrase(&warehouse.catalogue, index)),
                 own: of.into(),
                 irrelevant: case.mixed(Mixture::Irrelevant).map(own).into(),
                 confusable: case.mixed(Mixture::Confusable).map(own).into(),

@@ -2,6 +2,7 @@
 //!
 //! The generator searches for cases that satisfy them, and the validator reports cases that do not.
 
+use domain::camera::CameraSetup;
 use domain::{Cell, Feedback, MAX_STEPS, Pose};
 
 use crate::layout::{Axis, Layout};
@@ -89,7 +90,7 @@ pub(crate) fn target_in_view<'i>(
     pose: Pose,
     targets: &[&'i Item],
 ) -> Option<&'i Item> {
-    targets.iter().copied().find(|item| sees(warehouse, pose, item))
+    targets.iter().copied().find(|item| sees(warehouse, CameraSetup::STANDARD, pose, item))
 }
 
 /// The first of `targets` whose standpoint is among `cells`.

@@ -6,6 +6,7 @@
 
 use std::collections::BTreeMap;
 
+use domain::camera::CameraSetup;
 use domain::events::{Requirement, Visit};
 use domain::{Cell, Pose};
 
@@ -17,6 +18,7 @@ use crate::world::{Item, Warehouse};
 #[derive(Debug, Clone)]
 pub struct EventRecorder {
     items: Vec<(Requirement, Item)>,
+    camera: CameraSetup,
     at: Option<Cell>,
     /// Every arrival before an item of the task, whether or not it counted.
     pub visits: Vec<Visit>,
@@ -25,11 +27,17 @@ pub struct EventRecorder {
 }
 
 impl EventRecorder {
-    /// Starts recording an episode of `task`.
-    pub fn new(warehouse: &Warehouse, task: &Task) -> Self {
+    /// Starts recording an episode of `task` whose agent sees through `camera`.
+    pub fn new(warehouse: &Warehouse, task: &Task, camera: CameraSetup) -> Self {
         let items = task.targets(warehouse).into_iter();
         let items = items.map(|item| (requirement(task, item), *item));
-        Self { items: items.collect(), at: None, visits: Vec::new(), first_seen: BTreeMap::new() }
+        Self {
+            items: items.collect(),
+            camera,
+            at: None,
+            visits: Vec::new(),
+            first_seen: BTreeMap::new(),
+        }
     }
 
     /// Records that the agent is at `pose` after `step` steps.
@@ -45,7 +53,8 @@ impl EventRecorder {
     /// Records that the agent is shown the view from `pose` of this warehouse after `step` steps.
     pub fn looks(&mut self, warehouse: &Warehouse, step: u32, pose: Pose) {
         for (requirement, item) in &self.items {
-            if !self.first_seen.contains_key(requirement) && sees(warehouse, pose, item) {
+            let is_first = !self.first_seen.contains_key(requirement);
+            if is_first && sees(warehouse, self.camera, pose, item) {
                 self.first_seen.insert(*requirement, step);
             }
         }
@@ -82,7 +91,7 @@ mod tests {
     fn recorded(id: &str) -> (String, String) {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
         let case = cases.case(id).unwrap();
-        let mut recorder = EventRecorder::new(&warehouse, &case.task);
+        let mut recorder = EventRecorder::new(&warehouse, &case.task, CameraSetup::STANDARD);
         for (step, pose) in (0..).zip(case.replay(&warehouse, TrajectoryKind::Original).poses) {
             recorder.stands(step, pose);
             recorder.looks(&warehouse, step, pose);
@@ -114,7 +123,8 @@ mod tests {
     fn standing_still_is_one_visit_and_coming_back_another() {
         let warehouse = Warehouse::shipped();
         let item = warehouse.items[0];
-        let mut recorder = EventRecorder::new(&warehouse, &Task::FindType { a: item.item_type });
+        let task = Task::FindType { a: item.item_type };
+        let mut recorder = EventRecorder::new(&warehouse, &task, CameraSetup::STANDARD);
         let there = Pose { cell: item.standpoint, heading: item.face };
         let away = Pose { cell: Cell::new(0, 15), ..there };
         for (step, pose) in [(0, there), (1, there), (2, away), (3, there)] {

@@ -7,6 +7,7 @@
 //! - [`History`]: a demonstration of a case; [`Demonstrated`]: it in its world; [`mixed`]: histories of other tasks.
 //! - [`Elsewhere`]: another warehouse, in which the tasks of cases are demonstrated.
 //! - [`WorldState`]: a warehouse after changes; [`stream`]: blocks of cases with events between them.
+//! - [`appearance()`], [`ExchangedItems`]: what a mismatch between demonstrations and test is.
 //! - [`EndedEpisode`]: the facts of an episode, with the kind of its failure.
 //! - [`plan`]: expert trajectories and the fewest steps; [`sight`]: which items are in view, computed on the floor plan.
 //! - [`case_book`]: what a run knows about the cases, as data; [`act`]: episodes and demonstrations, acted out for others.
@@ -36,8 +37,10 @@ mod generate;
 mod generate_world;
 pub mod layout;
 pub mod map;
+mod mismatch;
 pub mod mixed;
 mod order;
+mod paraphrase;
 mod path;
 pub mod plan;
 pub mod progress;
@@ -71,6 +74,7 @@ pub use event_recorder::EventRecorder;
 pub use generate::{GenerateError, MAX_CASES, SHIPPED_COUNT, SHIPPED_SEED};
 pub use generate_world::{GeneratedWorld, MIN_SIDE, corridors};
 pub use layout::{Aisle, Axis, Layout, MAX_SIDE, Square};
+pub use mismatch::{ExchangedItems, appearance};
 pub use mixed::Overlap;
 pub use progress::Progress;
 pub use racks::FaceKind;

@@ -1,7 +1,7 @@
 //! Whether an item is in view, computed on the floor plan in integers.
 //!
 //! An item is in view from a pose if some point of its outline on the shelf, or of its label, which is wider than its plate,
-//! lies within the camera's 90 degrees and nothing solid is in between, at any distance. Racks are open shelves:
+//! lies within the camera's field of view and nothing solid is in between, at any distance. Racks are open shelves:
 //! behind the faces of a row of bays there is one space, in which an item is visible from the side, past what stands in the
 //! bays between. Walls, closed faces, and backs and ends of rows hide everything behind them; items, the posts between two
 //! bays and barricades hide nothing. This is conservative: such an item may cover three pixels at the far end of an aisle,
@@ -9,6 +9,7 @@
 
 use std::cmp::Ordering;
 
+use domain::camera::CameraSetup;
 use domain::{Cell, Heading, Pose};
 
 use crate::layout::Layout;
@@ -31,9 +32,9 @@ const PLATE_CM: i32 = 2;
 /// is smaller and nearer.
 const SHELF_CM: [i32; 2] = [1, 29];
 
-/// Whether `item`, its plate or its label may be in view from `pose`.
-pub fn sees(warehouse: &Warehouse, pose: Pose, item: &Item) -> bool {
-    let Some(front) = Front::new(&warehouse.layout, pose, item) else { return false };
+/// Whether `item`, its plate or its label may be in view of `camera` from `pose`.
+pub fn sees(warehouse: &Warehouse, camera: CameraSetup, pose: Pose, item: &Item) -> bool {
+    let Some(front) = Front::new(&warehouse.layout, (camera, pose), item) else { return false };
     let half = LABEL_HALF_WIDTH_CM;
     let face = front.towards([[half, -PLATE_CM], [half, 0]]).and_then(|fan| front.in_frustum(fan));
     if face.is_some_and(|face| front.is_clear(0, face)) {
@@ -107,6 +108,8 @@ impl Fan {
 struct Front<'w> {
     layout: &'w Layout,
     camera: Pose,
+    /// The tangent of half the camera's field of view, in percent.
+    half_width_percent: i32,
     /// The direction in which one faces the rack.
     ahead: Heading,
     /// Row and column of the item's standpoint.
@@ -118,7 +121,7 @@ struct Front<'w> {
 
 impl<'w> Front<'w> {
     /// `None` if the camera is behind the plane of the item's face or looks away from it.
-    fn new(layout: &'w Layout, camera: Pose, item: &Item) -> Option<Self> {
+    fn new(layout: &'w Layout, (setup, camera): (CameraSetup, Pose), item: &Item) -> Option<Self> {
         let ahead = item.viewing_heading();
         let along = |heading: Heading| {
             let (x, y) = heading.vector();
@@ -131,6 +134,7 @@ impl<'w> Front<'w> {
         (rows >= 0 && camera.heading != item.face).then_some(Self {
             layout,
             camera,
+            half_width_percent: setup.half_width_percent.into(),
             ahead,
             rows,
             columns,
@@ -148,16 +152,16 @@ impl<'w> Front<'w> {
         points.into_iter().map(fan).reduce(Fan::around)
     }
 
-    /// The part of `fan` within 45 degrees of the camera's heading to either side.
+    /// The part of `fan` within the camera's field of view.
     fn in_frustum(&self, fan: Fan) -> Option<Fan> {
-        let half_left = Direction { right: -1, nearer: 1 };
-        let half_right = Direction { right: 1, nearer: 1 };
+        let aside = self.half_width_percent;
+        let towards = |right, nearer| Direction { right, nearer };
         fan.and(if self.camera.heading == self.ahead {
-            Fan { from: half_left, to: half_right }
+            Fan { from: towards(-aside, 100), to: towards(aside, 100) }
         } else if self.camera.heading == self.ahead.right() {
-            Fan { from: half_right, to: Direction { right: 1, nearer: 0 } }
+            Fan { from: towards(100, aside), to: towards(1, 0) }
         } else {
-            Fan { from: Direction { right: -1, nearer: 0 }, to: half_left }
+            Fan { from: towards(-1, 0), to: towards(-100, aside) }
         })
     }
 
@@ -254,17 +258,17 @@ pub fn shows_face(layout: &Layout, pose: Pose, item: &Item) -> bool {
     in_front
         && SAMPLES.iter().any(|offset| {
             let point = (middle.0 + face_y * offset, middle.1 + face_x * offset);
-            in_frustum(camera, pose.heading, point)
+            in_frustum(CameraSetup::STANDARD, camera, pose.heading, point)
                 && is_clear(layout, pose.cell, point, item.standpoint)
         })
 }
 
-/// The free cells whose middle is in view from `pose`, its own first.
-pub fn cells(layout: &Layout, pose: Pose) -> impl Iterator<Item = Cell> + '_ {
+/// The free cells whose middle is in view of a camera from `pose`, its own first.
+pub fn cells(layout: &Layout, setup: CameraSetup, pose: Pose) -> impl Iterator<Item = Cell> + '_ {
     let camera = centre(pose.cell);
     let in_view = move |cell: &Cell| {
         let point = centre(*cell);
-        in_frustum(camera, pose.heading, point) && is_clear(layout, pose.cell, point, *cell)
+        in_frustum(setup, camera, pose.heading, point) && is_clear(layout, pose.cell, point, *cell)
     };
     [pose.cell].into_iter().chain(layout.free_cells().filter(in_view))
 }
@@ -278,12 +282,12 @@ fn vector(heading: Heading) -> FacePoint {
     (i32::from(x), i32::from(y))
 }
 
-/// Within 45 degrees of the heading to either side.
-fn in_frustum(camera: FacePoint, heading: Heading, point: FacePoint) -> bool {
+/// Whether a point is in the field of view of a camera, as far as nothing hides it.
+fn in_frustum(setup: CameraSetup, camera: FacePoint, heading: Heading, point: FacePoint) -> bool {
     let (x, y) = vector(heading);
     let (dx, dy) = (point.0 - camera.0, point.1 - camera.1);
     let (ahead, aside) = (dx * x + dy * y, dx * y - dy * x);
-    ahead > 0 && aside.abs() <= ahead
+    ahead > 0 && aside.abs() * 100 <= ahead * i32::from(setup.half_width_percent)
 }
 
 /// Whether the line from the centre of `from` to `point`, on the border of `last`, crosses free cells only.
@@ -352,7 +356,8 @@ mod tests {
     #[test]
     fn cells_in_view_are_ahead_and_not_behind_racks() {
         let warehouse = tiny();
-        let seen: Vec<Cell> = cells(&warehouse.layout, Pose::new(3, 1, N)).collect();
+        let seen: Vec<Cell> =
+            cells(&warehouse.layout, CameraSetup::STANDARD, Pose::new(3, 1, N)).collect();
         assert_eq!(seen[0], Cell::new(3, 1));
         assert!(seen.contains(&Cell::new(3, 3)), "{seen:?}");
         assert!(!seen.contains(&Cell::new(0, 3)) && !seen.contains(&Cell::new(2, 1)), "{seen:?}");
@@ -369,10 +374,33 @@ mod tests {
             (Pose::new(13, 26, W), (12, 25), true, "its face, ahead and beside"),
         ] {
             let item = warehouse.item_at(Cell::new(standpoint.0, standpoint.1)).unwrap();
-            assert_eq!(sees(&warehouse, pose, item), expected, "{pose}: {why}");
+            let standard = CameraSetup::STANDARD;
+            assert_eq!(sees(&warehouse, standard, pose, item), expected, "{pose}: {why}");
         }
         let item = warehouse.item_at(Cell::new(12, 25)).unwrap();
         assert!(!shows_face(&warehouse.layout, Pose::new(12, 26, W), item));
+    }
+
+    #[test]
+    fn a_narrower_camera_sees_less_and_nothing_else() {
+        let warehouse = Warehouse::shipped();
+        let narrow = CameraSetup { half_width_percent: 70, ..CameraSetup::STANDARD };
+        let (mut wide, mut seen) = (0, 0);
+        for cell in warehouse.layout.free_cells() {
+            for pose in Heading::ALL.map(|heading| Pose { cell, heading }) {
+                for item in &warehouse.items {
+                    let [of_standard, of_narrow] = [CameraSetup::STANDARD, narrow]
+                        .map(|camera| sees(&warehouse, camera, pose, item));
+                    assert!(of_standard || !of_narrow, "{pose}: item {}", item.id);
+                    (wide, seen) = (wide + u32::from(of_standard), seen + u32::from(of_narrow));
+                }
+            }
+        }
+        assert!(seen < wide, "{seen} of {wide}");
+        // Two metres ahead and two to the side is 45 degrees.
+        let (layout, pose) = (&warehouse.layout, Pose::new(12, 26, W));
+        let cells_of = |camera| cells(layout, camera, pose).collect::<Vec<_>>();
+        assert!(cells_of(narrow).len() < cells_of(CameraSetup::STANDARD).len());
     }
 
     #[test]
@@ -383,7 +411,7 @@ mod tests {
                 for pose in Heading::ALL.map(|heading| Pose { cell, heading }) {
                     for item in &warehouse.items {
                         let shows_face = shows_face(&warehouse.layout, pose, item);
-                        let sees = sees(&warehouse, pose, item);
+                        let sees = sees(&warehouse, CameraSetup::STANDARD, pose, item);
                         assert!(sees || !shows_face, "{pose}: item {}", item.id);
                         (faces, seen) = (faces + u32::from(shows_face), seen + u32::from(sees));
                     }

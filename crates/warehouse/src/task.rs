@@ -238,7 +238,7 @@ fn ids<'a>(items: impl Iterator<Item = &'a Item>) -> Vec<u16> {
     items.map(|item| item.id).collect()
 }
 
-fn with_article(noun: &str) -> String {
+pub(crate) fn with_article(noun: &str) -> String {
     let article = if noun.starts_with(['a', 'e', 'i', 'o', 'u']) { "an" } else { "a" };
     format!("{article} {noun}")
 }

@@ -3,7 +3,8 @@
 use std::io;
 use std::path::Path;
 
-use case_book::WorldFacts;
+use case_book::{CaseVariant, WorldFacts};
+use domain::Mismatch;
 
 use crate::asset::AssetError;
 use crate::case::{CaseSet, TrajectoryKind};
@@ -11,6 +12,7 @@ use crate::case_book::world_facts;
 use crate::dynamics::Variant;
 use crate::elsewhere::{ELSEWHERE_VARIANT, Elsewhere};
 use crate::elsewhere_source::ElsewhereError;
+use crate::mismatch::ExchangedItems;
 use crate::state::WorldState;
 use crate::stream::{StreamError, StreamSet};
 use crate::world::Warehouse;
@@ -94,6 +96,9 @@ impl RunWorlds {
             let other = self.cases.elsewhere.as_ref()?;
             return Some(state(other.warehouse(), Variant::UNCHANGED));
         }
+        if let Some(of) = CaseVariant::with_mismatch(number) {
+            return self.with_mismatch(of);
+        }
         let Some(index) = (number as usize).checked_sub(1) else {
             return Some(state(&self.warehouse, Variant::UNCHANGED));
         };
@@ -101,5 +106,26 @@ impl RunWorlds {
             Some(case) => Some(state(&self.warehouse, case.variant(TrajectoryKind::Blocked))),
             None => self.states.get(index - self.cases.cases.len()).cloned(),
         }
+    }
+
+    /// The variant with a mismatch; `None` if there is no such case.
+    fn with_mismatch(&self, of: CaseVariant) -> Option<WorldState> {
+        let case = self.cases.cases.get(of.case as usize)?;
+        let kind = if of.is_blocked { TrajectoryKind::Blocked } else { TrajectoryKind::Test };
+        let variant = case.variant(kind);
+        let warehouse = match of.mismatch {
+            Mismatch::Stock => {
+                let items = ExchangedItems::draw(&self.warehouse, self.cases.seed);
+                let change = items.change(&self.warehouse, &case.task);
+                WorldState::new(&self.warehouse, &change).ok()?.warehouse
+            }
+            Mismatch::None
+            | Mismatch::Light
+            | Mismatch::Labels
+            | Mismatch::CameraHeight
+            | Mismatch::FieldOfView
+            | Mismatch::Wording => self.warehouse.clone(),
+        };
+        Some(WorldState { warehouse, variant })
     }
 }

@@ -57,8 +57,12 @@ pub fn view_arguments(log: &RunLog) -> Vec<OsString> {
     if log.manifest.settings.own_world().is_some() {
         return Vec::new();
     }
+    let settings = &log.manifest.settings;
     let mut arguments = WorldFiles::of(log).arguments();
-    for (name, value) in log.manifest.settings.appearance().flags() {
+    for mismatch in settings.mismatches().filter(|one| one.changes_world()) {
+        arguments.extend(["--mismatch".into(), mismatch.name().into()]);
+    }
+    for (name, value) in settings.appearance().flags() {
         arguments.extend([name.into(), value.into()]);
     }
     arguments

@@ -82,6 +82,11 @@ impl<'a> EpisodeTimeline<'a> {
         let acted = world.act(record, parts)?;
         let views = world.seen_in(record, variant, &acted.states)?;
         let points = FailurePoints::of(record, successes);
+        let (_, case) = world.case(record)?;
+        let acted = ActedEpisode {
+            instruction: case.instruction_with(record.mismatch).to_owned(),
+            ..acted
+        };
         Ok(Self::of(record, &world.description().world, variant, (acted, points), views))
     }
 

@@ -9,8 +9,8 @@ use case_book::act::{
     ActAnswer, ActRequest, ActedDemonstration, ActedEpisode, ActedReference, DemonstrationsRequest,
     EpisodeParts, EpisodeRequest, Scene, StreamBlockPlace, WorldDescription,
 };
-use case_book::{CaseFacts, EpisodeFacts, GREY_VARIANT, WorldDeclaration};
-use conditions::Frames;
+use case_book::{CaseFacts, CaseVariant, EpisodeFacts, GREY_VARIANT, WorldDeclaration};
+use conditions::{Frames, Mismatch};
 use domain::{ActionCode, Pose, Route, Start, State};
 use run_log::{EpisodeRecord, RunLog};
 use serde::Deserialize;
@@ -103,9 +103,11 @@ impl RunWorld {
             let variant = self.description.states.get(stream.world as usize);
             return variant.copied().with_context(|| format!("there is no world {}", stream.world));
         }
-        Ok(match record.route {
-            Route::Blocked => self.description.blocked[index],
-            Route::Unchanged => 0,
+        let is_blocked = record.route == Route::Blocked;
+        let variant = CaseVariant { case: index as u32, is_blocked, mismatch: record.mismatch };
+        Ok(match (record.mismatch.changes_world(), is_blocked) {
+            (false, true) => self.description.blocked[index],
+            (true, _) | (false, false) => variant.number(),
         })
     }
 
@@ -126,8 +128,12 @@ impl RunWorld {
             Route::Blocked => record.route.name(),
             Route::Unchanged => record.start.name(),
         };
+        let begin = match record.mismatch {
+            mismatch if mismatch.changes_world() => format!("{begin}-{mismatch}"),
+            _ => begin.to_owned(),
+        };
         let actions = record.actions.chars().map(|letter| self.declaration().action_of(letter));
-        Ok(self.views_after(&record.case, begin, actions))
+        Ok(self.views_after(&record.case, &begin, actions))
     }
 
     /// The views that the policy was shown in `states` in the world variant `variant`: others than the true ones where frames
@@ -268,11 +274,15 @@ impl RunWorld {
         }
     }
 
-    /// The world variant with this number from above.
+    /// The world variant with this number from above, whence only another stock differs.
     ///
     /// # Errors
     /// When there is no such variant.
     pub fn scene(&self, variant: u32) -> Result<Rc<Scene>> {
+        let variant = match CaseVariant::with_mismatch(variant) {
+            Some(CaseVariant { mismatch: Mismatch::Stock, .. }) => variant,
+            _ => CaseVariant::without_mismatch(variant),
+        };
         if let Some(known) = self.scenes.borrow().get(&variant) {
             return Ok(Rc::clone(known));
         }

@@ -1,8 +1,8 @@
 //! One episode in a lane, from its first command to its record.
 
 use bytemuck::Zeroable;
-use case_book::NO_LETTER;
-use conditions::Route;
+use case_book::{CaseVariant, NO_LETTER};
+use conditions::{Mismatch, Route};
 use domain::{ActionCode, MemoryKind, Outcome, Start, UnknownCode, hex};
 use run_log::{BlockedRecord, Ending, EpisodeRecord, RecallTotals, Stages, StreamRecord, Unread};
 use serde_json::Map;
@@ -73,6 +73,7 @@ impl ActiveEpisode {
             window: condition.variation.window,
             segment: condition.variation.segment,
             hint: condition.variation.hint,
+            mismatch: condition.mismatch,
             arm: condition.arm,
             run: episode.key.run,
             case: episode.key.case.clone(),
@@ -183,7 +184,8 @@ impl ActiveEpisode {
             window: condition.variation.window as u8,
             ..Zeroable::zeroed()
         };
-        let instruction = &context.book().cases[episode.case_index].instruction;
+        let case = &context.book().cases[episode.case_index];
+        let instruction = case.instruction_with(condition.mismatch);
         policy.instruction_len = write_text(&mut policy.instruction, instruction);
         let rules = &context.rules;
         let external = condition.memory.external().and_then(|name| rules.external_index(name));
@@ -202,7 +204,8 @@ impl ActiveEpisode {
             hits: rules.hits,
             external: external.unwrap_or_default(),
             repeat: episode.key.run,
-            variant: self.variant,
+            variant: CaseVariant::without_mismatch(self.variant),
+            paraphrased: (condition.mismatch == Mismatch::Wording).into(),
             ..Zeroable::zeroed()
         };
         // Working memory has nothing that could persist.
@@ -340,7 +343,9 @@ impl ActiveEpisode {
         let sources = sources.ok_or_else(|| invalid(format!("{} sources", trace.sources_len)))?;
         if self.stamps.memory.retrieves() {
             let FinishedEpisode { episode, record, .. } = &mut self.result;
-            let noted = self.retrieved.add(context, episode, record, self.variant, sources);
+            // What differs beside the route makes no demonstration stale.
+            let variant = CaseVariant::without_mismatch(self.variant);
+            let noted = self.retrieved.add(context, episode, record, variant, sources);
             noted.map_err(invalid)?;
         }
         self.count_recall(trace);

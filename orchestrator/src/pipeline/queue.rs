@@ -234,7 +234,7 @@ mod tests {
 
     use super::*;
     use crate::plan::StreamPart;
-    use conditions::{Condition, Demonstrations, Route, Start, Variation};
+    use conditions::{Condition, Demonstrations, Mismatch, Route, Start, Variation};
 
     const LANES: usize = 16;
 
@@ -245,6 +245,7 @@ mod tests {
             route: Route::Unchanged,
             demonstrations: Demonstrations::NONE,
             variation: Variation::STANDARD,
+            mismatch: Mismatch::None,
             arm: Arm::Frozen,
         };
         let of = |case_index| {

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use bytemuck::Zeroable;
 use case_book::{CaseInState, StreamBlock, StreamFacts, StreamsFacts};
 use conditions::key::{EpisodeKey, StreamPlace};
-use conditions::{Condition, Demonstrations, Route, Start, Variation};
+use conditions::{Condition, Demonstrations, Mismatch, Route, Start, Variation};
 use conformance::messages::{self, recall_trace};
 use domain::events::{Requirement, Visit};
 use domain::{Action, Arm, Cell, FeedbackLevel, Mixture, Outcome, Representation, StreamOrder};
@@ -31,7 +31,8 @@ fn episode(books: &Books, case_index: usize, start: Start, route: Route) -> Plan
     let demonstrations = Demonstrations::ORIGINAL;
     let variation = Variation::STANDARD;
     let memory = Representation::Episodic.into();
-    let condition = Condition { memory, start, route, demonstrations, variation, arm: Arm::Frozen };
+    let (mismatch, arm) = (Mismatch::None, Arm::Frozen);
+    let condition = Condition { memory, start, route, demonstrations, variation, mismatch, arm };
     let case = books.cases.book.cases[case_index].id.clone();
     PlannedEpisode {
         key: EpisodeKey { condition, run: 1, place: None, case },

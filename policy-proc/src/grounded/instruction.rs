@@ -1,4 +1,4 @@
-//! Reads instructions: the ten task templates of the specification, section 3.
+//! Reads instructions: the ten task templates of the specification, section 3, and their paraphrases, section 6.
 
 use plates::{ItemName, item_names};
 
@@ -46,15 +46,15 @@ impl<'a> NavigationGoal<'a> {
         }
         let says = |words: &str| instruction.contains(words);
         let visit = match targets.len() {
-            1 if says(" every ") => VisitOrder::Every,
+            1 if says(" every ") || says(" each ") => VisitOrder::Every,
             1 => VisitOrder::One,
-            2 if says("in any order") => VisitOrder::AnyOrder,
+            2 if says(" order") => VisitOrder::AnyOrder,
             2 => VisitOrder::InOrder,
             _ => return None,
         };
-        let ending = if says("go back to the same") {
+        let ending = if says(" the same ") {
             FinalCell::FirstItem
-        } else if says("return to the cell where you started") {
+        } else if says("to the cell where you") || says("in the cell where you") {
             FinalCell::Origin
         } else {
             FinalCell::LastItem
@@ -112,6 +112,20 @@ mod tests {
         InOrder: [Type("blue barrel"), Type("orange cone")] -> FirstItem
         InOrder: [Type("blue barrel"), Type("orange cone")] -> Origin
         "#);
+    }
+
+    #[test]
+    fn the_paraphrase_of_every_case_is_read_as_its_instruction() {
+        let book = warehouse::case_book::write_books(&case_book::BookRequest::default()).unwrap();
+        let mut read = 0;
+        for case in &book.cases.cases {
+            let paraphrase = case.paraphrase.as_deref().unwrap();
+            assert_ne!(paraphrase, case.instruction);
+            let goal = NavigationGoal::read(&case.instruction).expect(&case.instruction);
+            assert_eq!(NavigationGoal::read(paraphrase), Some(goal), "{paraphrase}");
+            read += 1;
+        }
+        assert_eq!(read, 100);
     }
 
     #[test]

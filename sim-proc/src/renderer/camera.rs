@@ -2,7 +2,7 @@
 //!
 //! Three spaces: world (x east, y north, z up), camera (x right, y up, z ahead) and clip.
 
-use domain::camera::{CAMERA_HEIGHT_M, FIELD_OF_VIEW_DEG};
+use domain::camera::CameraSetup;
 use domain::{Heading, Pose};
 use nalgebra::{Matrix4, Point3, Vector3};
 use raster::NEAR_M;
@@ -19,21 +19,17 @@ pub(super) struct Camera {
 }
 
 impl Camera {
-    /// The agent's camera at `pose`, for images of `width_px` x `height_px` with square pixels.
-    pub(super) fn new(pose: Pose, width_px: u32, height_px: u32) -> Self {
+    /// The agent's camera at `pose`, for images of this width and height with square pixels.
+    pub(super) fn new(setup: CameraSetup, pose: Pose, [width_px, height_px]: [u32; 2]) -> Self {
         let (x, y) = pose.cell.centre();
         let vector = |heading: Heading| {
             let (x, y) = heading.vector();
             Vector3::new(f32::from(x), f32::from(y), 0.0)
         };
-        // tan(45 degrees) is not exactly 1 in floating point, but pixels should lie exactly.
-        let across = if FIELD_OF_VIEW_DEG == 90.0 {
-            1.0
-        } else {
-            (FIELD_OF_VIEW_DEG / 2.0).to_radians().tan()
-        };
+        let across = f32::from(setup.half_width_percent) / 100.0;
+        let height_m = f32::from(setup.height_cm) / 100.0;
         Self {
-            position: Point3::new(x, y, CAMERA_HEIGHT_M),
+            position: Point3::new(x, y, height_m),
             right: vector(pose.heading.right()),
             ahead: vector(pose.heading),
             half_extent: [across, across * height_px as f32 / width_px as f32],
@@ -86,7 +82,11 @@ mod tests {
 
     /// The position, from the top left corner of a 448 x 448 image, of a point in the world.
     fn pixel(pose: &str, world: [f32; 3]) -> (f32, f32) {
-        let camera = Camera::new(pose.parse().unwrap(), 448, 448);
+        pixel_of(CameraSetup::STANDARD, pose, world)
+    }
+
+    fn pixel_of(setup: CameraSetup, pose: &str, world: [f32; 3]) -> (f32, f32) {
+        let camera = Camera::new(setup, pose.parse().unwrap(), [448, 448]);
         let clip = camera.clip_from_world() * Point3::from(world).to_homogeneous();
         (224.0 * (1.0 + clip.x / clip.w), 224.0 * (1.0 - clip.y / clip.w))
     }
@@ -106,8 +106,19 @@ mod tests {
     }
 
     #[test]
+    fn other_cameras_are_higher_and_narrower() {
+        let world = [4.5, 14.5, 1.7];
+        let high = CameraSetup { height_cm: 170, ..CameraSetup::STANDARD };
+        let narrow = CameraSetup { half_width_percent: 50, ..CameraSetup::STANDARD };
+        for (setup, expected) in [(high, (336.0, 224.0)), (narrow, (448.0, 112.0))] {
+            let (x, y) = pixel_of(setup, "3,12,N", world);
+            assert!((x - expected.0).abs() < 1e-3 && (y - expected.1).abs() < 1e-3, "{x}, {y}");
+        }
+    }
+
+    #[test]
     fn depth_falls_from_one_to_zero() {
-        let camera = Camera::new(Pose::new(0, 0, Heading::N), 448, 448);
+        let camera = Camera::new(CameraSetup::STANDARD, Pose::new(0, 0, Heading::N), [448, 448]);
         let depth = |ahead: f32| {
             let clip = camera.clip_from_camera() * nalgebra::Vector4::new(0.0, 0.0, ahead, 1.0);
             clip.z / clip.w

@@ -98,7 +98,8 @@ impl Renderer {
         let first = stocks.first().context("a renderer needs a warehouse")?;
         let scene = Scene::new(stocks, settings.appearance);
         let size_px = [settings.width_px, settings.height_px];
-        let visibility = SceneVisibility::new(scene, first.layout.clone(), size_px);
+        let visibility =
+            SceneVisibility::new(scene, first.layout.clone(), settings.camera, size_px);
         Self::with_visibility(visibility, settings)
     }
 

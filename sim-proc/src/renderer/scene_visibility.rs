@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use domain::Pose;
+use domain::camera::CameraSetup;
 use raster::Placement;
 use warehouse::{Layout, Variant};
 
@@ -20,6 +21,7 @@ const KEPT_SETS: usize = 1024;
 pub struct SceneVisibility {
     scene: Arc<Scene>,
     layout: Layout,
+    camera: CameraSetup,
     size_px: [u32; 2],
     sets: HashMap<Pose, VisibleSet>,
     other_sets: HashMap<(u32, Pose), VisibleSet>,
@@ -36,9 +38,14 @@ pub struct VisibleChanges {
 
 impl SceneVisibility {
     /// For frames of this width and height.
-    pub(super) fn new(scene: Scene, layout: Layout, size_px: [u32; 2]) -> Self {
+    pub(super) fn new(
+        scene: Scene,
+        layout: Layout,
+        camera: CameraSetup,
+        size_px: [u32; 2],
+    ) -> Self {
         let (sets, other_sets) = (HashMap::new(), HashMap::new());
-        Self { scene: Arc::new(scene), layout, size_px, sets, other_sets }
+        Self { scene: Arc::new(scene), layout, camera, size_px, sets, other_sets }
     }
 
     pub(super) fn scene(&self) -> &Scene {
@@ -52,8 +59,7 @@ impl SceneVisibility {
 
     /// The scene, the camera at `pose`, and what it sees with stock `stock`.
     pub(super) fn at_pose(&mut self, stock: u32, pose: Pose) -> (&Scene, Camera, &VisibleSet) {
-        let [width_px, height_px] = self.size_px;
-        let camera = Camera::new(pose, width_px, height_px);
+        let camera = Camera::new(self.camera, pose, self.size_px);
         let scene = &*self.scene;
         let new = || VisibleSet::new(scene, &scene.stocks[stock as usize], &camera);
         let set = if stock == 0 {

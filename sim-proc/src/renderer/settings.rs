@@ -4,7 +4,8 @@ use std::fmt;
 use std::str::FromStr;
 
 use anyhow::{Result, ensure};
-use domain::Appearance;
+use domain::camera::CameraSetup;
+use domain::{Appearance, Mismatch};
 pub use raster::Samples;
 
 /// Longest side of a frame, in pixels.
@@ -54,6 +55,8 @@ pub struct RenderSettings {
     pub samples: Samples,
     /// Plates, labels, light and tints.
     pub appearance: Appearance,
+    /// The camera.
+    pub camera: CameraSetup,
     /// Copy frames into slots even where the device can write them itself.
     pub force_copy: bool,
     /// The backend. `None` is wgpu with an adapter that is named or a graphics card, and otherwise the CPU.
@@ -69,6 +72,7 @@ impl Default for RenderSettings {
             height_px: 448,
             samples: Samples::Four,
             appearance: Appearance::STANDARD,
+            camera: CameraSetup::STANDARD,
             force_copy: false,
             backend: None,
             adapter: None,
@@ -77,6 +81,16 @@ impl Default for RenderSettings {
 }
 
 impl RenderSettings {
+    /// Those of views in episodes with this mismatch, where these are those of demonstrations.
+    #[must_use]
+    pub fn with_mismatch(&self, mismatch: Mismatch) -> Self {
+        Self {
+            appearance: warehouse::appearance(self.appearance, mismatch),
+            camera: CameraSetup::of(mismatch),
+            ..self.clone()
+        }
+    }
+
     /// Bytes of a frame: RGBA, 8 bits per channel.
     pub(super) fn frame_bytes(&self) -> usize {
         4 * self.width_px as usize * self.height_px as usize

@@ -1,6 +1,7 @@
 //! Whether the rule of [`warehouse::sight`] agrees with what is drawn.
 
-use domain::{Appearance, Cell, Heading, Pose};
+use domain::camera::CameraSetup;
+use domain::{Appearance, Cell, Heading, Mismatch, Pose};
 use warehouse::{CaseSet, Elsewhere, GeneratedWorld, Item, Shape, Warehouse, sight};
 
 use super::mesh::builder::Detail;
@@ -10,12 +11,15 @@ use crate::first_views::{FirstView, first_views, shown_targets};
 use warehouse::every_pose;
 
 fn renderer(warehouse: &Warehouse) -> Renderer {
-    let settings = RenderSettings {
+    Renderer::new(warehouse, settings()).unwrap()
+}
+
+fn settings() -> RenderSettings {
+    RenderSettings {
         backend: Some(Backend::Cpu),
         appearance: Appearance::WITH_PLATES,
         ..RenderSettings::default()
-    };
-    Renderer::new(warehouse, settings).unwrap()
+    }
 }
 
 #[test]
@@ -32,7 +36,8 @@ fn items_beside_racks_and_behind_their_corners_are_drawn_where_the_rule_says() {
         let item = warehouse.item_at(Cell::new(standpoint.0, standpoint.1)).unwrap();
         let pixels = renderer.pixels_of(pose, &[item]).unwrap();
         assert_eq!(pixels > 0, drawn, "{pose}, {why}: {pixels} pixels");
-        assert_eq!(sight::sees(&warehouse, pose, item), drawn, "{pose}: {why}");
+        let sees = sight::sees(&warehouse, CameraSetup::STANDARD, pose, item);
+        assert_eq!(sees, drawn, "{pose}: {why}");
     }
 }
 
@@ -41,14 +46,23 @@ fn items_beside_racks_and_behind_their_corners_are_drawn_where_the_rule_says() {
 fn an_item_that_is_not_in_view_is_in_no_pixel() {
     let step = std::env::var("POSE_STEP").map_or(13, |step| step.parse().unwrap());
     let drawn = GeneratedWorld::generate(5, 20, 24, None).unwrap().warehouse;
-    for warehouse in [Warehouse::shipped(), drawn] {
-        let mut renderer = renderer(&warehouse);
+    let cameras = [
+        (Warehouse::shipped(), Mismatch::None),
+        (Warehouse::shipped(), Mismatch::CameraHeight),
+        (Warehouse::shipped(), Mismatch::FieldOfView),
+        (drawn, Mismatch::None),
+    ];
+    for (warehouse, mismatch) in cameras {
+        let camera = CameraSetup::of(mismatch);
+        let mut renderer = Renderer::new(&warehouse, settings().with_mismatch(mismatch)).unwrap();
         let (mut in_view, mut drawn, mut fewest) = (0, 0, usize::MAX);
         for pose in every_pose(&warehouse.layout).step_by(step) {
-            let (seen, unseen): (Vec<&Item>, Vec<&Item>) =
-                warehouse.items.iter().partition(|item| sight::sees(&warehouse, pose, item));
+            let (seen, unseen): (Vec<&Item>, Vec<&Item>) = warehouse
+                .items
+                .iter()
+                .partition(|item| sight::sees(&warehouse, camera, pose, item));
             let pixels = renderer.pixels_of(pose, &unseen).unwrap();
-            assert_eq!(pixels, 0, "{pose} shows an item that is not in view");
+            assert_eq!(pixels, 0, "{pose} shows an item that is not in view, {mismatch}");
             for item in seen.into_iter().filter(|_| step == 1) {
                 let pixels = renderer.pixels_of(pose, &[item]).unwrap();
                 (in_view, drawn) = (in_view + 1, drawn + usize::from(pixels > 0));

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use domain::camera::{CAMERA_HEIGHT_M, focal_length_px};
+use domain::camera::{CAMERA_HEIGHT_M, CameraSetup, focal_length_px};
 use domain::{Appearance, Cell, Heading, Pose};
 use plates::Plate;
 use warehouse::{CaseSet, StockChange, Variant, WorldChange, WorldState, every_pose};
@@ -78,7 +78,7 @@ fn culling_changes_no_pixel_and_the_hall_has_no_holes() {
 fn losses(warehouse: &Warehouse, renderer: &mut Renderer, step: usize) -> Vec<String> {
     let mut wrong = Vec::new();
     for pose in every_pose(&warehouse.layout).step_by(step) {
-        let camera = Camera::new(pose, SIDE_PX, SIDE_PX);
+        let camera = Camera::new(CameraSetup::STANDARD, pose, [SIDE_PX; 2]);
         let scene = renderer.visibility.scene();
         let stock = &scene.stocks[0];
         let all = nearest_first(scene, stock, &camera, |_| true);
@@ -297,7 +297,7 @@ fn a_barricade_that_is_hidden_changes_no_byte() {
 
 /// Whether the middle of `cell` lies in the field of view, on an empty floor.
 fn is_ahead(pose: Pose, cell: Cell) -> bool {
-    let camera = Camera::new(pose, SIDE_PX, SIDE_PX);
+    let camera = Camera::new(CameraSetup::STANDARD, pose, [SIDE_PX; 2]);
     let (x, y) = cell.centre();
     let to = nalgebra::Vector3::new(x - camera.position.x, y - camera.position.y, 0.0);
     to.dot(&camera.right).abs() <= to.dot(&camera.ahead)

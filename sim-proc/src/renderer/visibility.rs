@@ -1,6 +1,6 @@
 //! The set of objects that a camera may see. It is conservative: leaving the rest out changes no pixel.
 //!
-//! All cameras are at the same height, below the racks' top, and the racks' panels reach from the floor to that top. So
+//! All cameras are below the racks' top, and the racks' panels reach from the floor to that top. So
 //! whether an object no taller than a rack is hidden is a question about the floor plan. Panels are drawn into a
 //! one-dimensional depth buffer over the image's columns, and an object is left out when it lies behind the buffer in
 //! every column that it could touch. Taller objects are only tested against the edges of the image.

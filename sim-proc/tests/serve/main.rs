@@ -11,9 +11,9 @@ use std::path::PathBuf;
 use std::sync::mpsc::{Receiver as Permissions, channel};
 
 use bytemuck::Zeroable;
-use case_book::EpisodeFacts;
+use case_book::{CaseVariant, EpisodeFacts};
 use conformance::messages;
-use domain::{Action, Feedback, Heading, Pose};
+use domain::{Action, Feedback, Heading, Mismatch, Pose};
 use peer::world::{RenderTask, RenderWorker, WorldFailure};
 use shm_types::FrameControl;
 use shm_types::message::{
@@ -24,9 +24,9 @@ use sim_proc::world::{WarehousePicture, WarehouseRendering};
 use warehouse::{CaseSet, TrajectoryKind, Variant, Warehouse, step};
 
 use rig::{
-    CodeWorker, SMALL, act, code, code_with, elsewhere, elsewhere_demonstration, error_report,
-    fatal_error, is_near, pose_of, poses, reset, setup, setup_with, shown_code, shows_stock,
-    simulator, simulator_with, small, step_at,
+    CodeWorker, LOOKS, SMALL, act, code, code_with, elsewhere, elsewhere_demonstration,
+    error_report, fatal_error, is_near, pose_of, poses, reset, setup, setup_with, shown_code,
+    shows_stock, simulator, simulator_with, small, step_at,
 };
 
 #[test]
@@ -166,6 +166,46 @@ fn lanes_and_memory_see_the_world_state_they_name() {
         assert!(report.contains(said), "{report}");
     }
     assert_eq!(sim.stop().frames_rendered, shown.len() as u64);
+}
+
+#[test]
+fn a_view_with_a_mismatch_is_never_the_one_without() {
+    let mut sim = simulator(|attach| attach.frame_capacity = 2000);
+    let mut shown = BTreeSet::new();
+    for (n, pose) in (0..).zip(poses().into_iter().step_by(31)) {
+        let usual = sim.ask(&reset(0, 5 * n, 0, pose)).frame;
+        let mut frames = vec![usual];
+        for (place, mismatch) in (1..).zip(LOOKS) {
+            let case = reset(0, 0, 0, pose).case;
+            let variant = CaseVariant { case, is_blocked: false, mismatch }.number();
+            let frame = sim.ask(&reset(place % 4, 5 * n + u64::from(place), variant, pose)).frame;
+            let mut expected = code(&Variant::UNCHANGED, pose);
+            expected[3] |= (mismatch as u8) << 4;
+            assert_eq!(shown_code(&mut sim, frame), expected, "{mismatch} at {pose}");
+            frames.push(frame);
+        }
+        // Demonstrations are shown as they were recorded.
+        sim.pin(0, step_at(pose));
+        let view = sim.view();
+        assert_eq!(view.frame, usual);
+        sim.release(usual);
+        shown.extend(frames);
+    }
+    assert_eq!(shown.len(), 5 * poses().into_iter().step_by(31).count());
+    let pose = poses()[0];
+    let case = reset(0, 0, 0, pose).case;
+    for (of, said) in [
+        (
+            CaseVariant { case: 0, is_blocked: false, mismatch: Mismatch::Light },
+            "is not one of case 100",
+        ),
+        (CaseVariant { case, is_blocked: false, mismatch: Mismatch::Stock }, "is not one of"),
+    ] {
+        sim.command(&reset(0, 9000, of.number(), pose));
+        let report = error_report(&mut sim);
+        assert!(report.contains(said), "{report}");
+    }
+    sim.stop();
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use anyhow::Result;
 use case_book::{Demonstration, DemonstrationBook};
 use conformance::messages;
-use domain::{Action, Cell, DemonstrationKind, Heading, Pose, State};
+use domain::{Action, Cell, DemonstrationKind, Heading, Mismatch, Pose, State};
 use peer::world::{
     RenderSetup, RenderTask, RenderWorker, Renderers, WorldFailure, serve_generation,
 };
@@ -20,7 +20,7 @@ use warehouse::{
     WorldChange, WorldState, every_pose,
 };
 
-/// Fills a slot with pixels that encode the pose, the stock and the number of nearby closed cells.
+/// Fills a slot with pixels that encode the pose, the stock, the look and the number of nearby closed cells.
 pub(crate) struct CodeWorker;
 
 pub(crate) fn code(variant: &Variant, pose: Pose) -> [u8; 4] {
@@ -50,8 +50,9 @@ impl RenderWorker<WarehousePicture> for CodeWorker {
         tasks: &mut [RenderTask<'_, WarehousePicture>],
     ) -> Result<u64, WorldFailure> {
         for RenderTask { picture, slot, .. } in &mut *tasks {
-            let WarehousePicture { stock, variant, pose } = picture;
-            let code = code_with(*stock, variant, *pose);
+            let WarehousePicture { stock, look, variant, pose } = picture;
+            let mut code = code_with(*stock, variant, *pose);
+            code[3] |= (*look as u8) << 4;
             slot.pixels_mut().chunks_exact_mut(4).for_each(|pixel| pixel.copy_from_slice(&code));
         }
         // As if one byte had been copied for each.
@@ -74,7 +75,7 @@ pub(crate) fn setup_with(workers: Vec<Worker>) -> WarehouseRendering {
             renderers: Renderers::Threads { workers, batch: 3 },
             facts: vec![("backend", "test".to_owned())],
         },
-        find_changes: Box::new(|ViewSpec { pose, variant, stock }| VisibleChanges {
+        find_changes: Box::new(|_, ViewSpec { pose, variant, stock }| VisibleChanges {
             stock: stock != 0 && shows_stock(pose),
             barricades: is_near(variant, pose),
         }),
@@ -88,6 +89,10 @@ pub(crate) fn simulator(change: impl FnOnce(&mut Attach)) -> SimRig {
     assert_eq!(facts, BTreeMap::from([("backend".into(), "test".into())]));
     rig
 }
+
+/// Mismatches that are other ways of looking at the same world.
+pub(crate) const LOOKS: [Mismatch; 4] =
+    [Mismatch::Light, Mismatch::Labels, Mismatch::CameraHeight, Mismatch::FieldOfView];
 
 /// The states that follow the worlds of the shipped cases: an item is gone; also the passage of the fourth case is closed;
 /// another item is gone.
@@ -106,7 +111,7 @@ pub(crate) fn states() -> Vec<WorldState> {
 pub(crate) fn worlds() -> Worlds {
     let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
     cases.elsewhere = Some(elsewhere());
-    let worlds = Worlds::new(&warehouse, &cases, states());
+    let worlds = Worlds::new(&warehouse, &cases, states(), &LOOKS);
     // Its task takes two items, so that no episode ends where it begins.
     let first = cases.case("t06-01").unwrap().clone();
     let at = |pose| {

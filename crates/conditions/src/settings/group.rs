@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use domain::{Arm, ExternalName, MemoryKind, Representation};
+use domain::{Arm, ExternalName, MemoryKind, Mismatch, Representation};
 use serde::{Deserialize, Serialize};
 
 use crate::{Condition, Demonstrations, Hint, Route, SegmentContent, Start, Variation};
@@ -23,6 +23,8 @@ pub struct Group {
     pub window: Vec<u32>,
     pub segment: Vec<SegmentContent>,
     pub hint: Vec<Hint>,
+    #[serde(default = "no_mismatch", skip_serializing_if = "is_no_mismatch")]
+    pub mismatch: Vec<Mismatch>,
     #[serde(default = "frozen", skip_serializing_if = "is_frozen")]
     pub arms: Vec<Arm>,
     pub runs: u32,
@@ -39,6 +41,7 @@ impl Group {
             self.window.len(),
             self.segment.len(),
             self.hint.len(),
+            self.mismatch.len(),
             self.arms.len(),
         ]
         .into_iter()
@@ -48,7 +51,7 @@ impl Group {
     /// The conditions of the group, each once, in the order of the lists. `learning`: the external memories that learn.
     fn conditions(&self, learning: &BTreeSet<ExternalName>) -> Vec<Condition> {
         let has_arm = |memory, arm| arm != Arm::Learning || learns(memory, learning);
-        let mut conditions = Vec::new();
+        let mut conditions: Vec<Condition> = Vec::new();
         for &memory in &self.memory {
             for &start in &self.starts {
                 for &route in &self.routes {
@@ -57,9 +60,9 @@ impl Group {
                             let condition =
                                 Condition::new(memory, start, route, demonstrations, variation);
                             let Some(condition) = condition else { continue };
-                            for arm in self.arms.iter().filter(|arm| has_arm(memory, **arm)) {
-                                let condition = condition.with_arm(*arm);
-                                if !conditions.contains(&condition) {
+                            for (&mismatch, &arm) in self.mismatches_and_arms() {
+                                let condition = condition.with_mismatch(mismatch).with_arm(arm);
+                                if has_arm(memory, arm) && !conditions.contains(&condition) {
                                     conditions.push(condition);
                                 }
                             }
@@ -69,6 +72,10 @@ impl Group {
             }
         }
         conditions
+    }
+
+    fn mismatches_and_arms(&self) -> impl Iterator<Item = (&Mismatch, &Arm)> {
+        self.mismatch.iter().flat_map(|mismatch| self.arms.iter().map(move |arm| (mismatch, arm)))
     }
 
     fn variations(&self) -> Vec<Variation> {
@@ -81,6 +88,14 @@ impl Group {
         }
         variations
     }
+}
+
+fn no_mismatch() -> Vec<Mismatch> {
+    vec![Mismatch::None]
+}
+
+fn is_no_mismatch(mismatch: &[Mismatch]) -> bool {
+    *mismatch == [Mismatch::None]
 }
 
 fn frozen() -> Vec<Arm> {
@@ -160,6 +175,7 @@ mod tests {
             window: vec![6],
             segment: vec![SegmentContent::Actions],
             hint: vec![Hint::On],
+            mismatch: no_mismatch(),
             arms: frozen(),
             runs: 3,
         }
@@ -239,6 +255,25 @@ mod tests {
                 "fixed/new/unchanged/original x3",
                 "fixed/new/unchanged/original/oracle x3",
                 "fixed/new/unchanged/original/wrong x3",
+            ]
+        );
+    }
+
+    #[test]
+    fn each_mismatch_is_a_condition_of_its_own() {
+        let group = Group {
+            memory: vec![Representation::Working.into()],
+            starts: vec![Start::New],
+            routes: vec![Route::Unchanged],
+            mismatch: vec![Mismatch::None, Mismatch::Light, Mismatch::CameraHeight],
+            ..group()
+        };
+        assert_eq!(
+            shown(&union(&[group], &BTreeSet::new())),
+            [
+                "working/new/unchanged/none x3",
+                "working/new/unchanged/none/light x3",
+                "working/new/unchanged/none/camera-height x3",
             ]
         );
     }

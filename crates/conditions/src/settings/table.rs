@@ -15,7 +15,8 @@ use serde_json::{Map, Value};
 
 use super::{CaseSelector, DocumentSource, Drawn, ResponseCache, WorldStart};
 use crate::{
-    Demonstrations, Frames, Hint, PolicyKind, Route, SegmentContent, Start, representation,
+    Demonstrations, Frames, Hint, Mismatch, PolicyKind, Route, SegmentContent, Start,
+    representation,
 };
 
 /// Maximum number of images in a prompt (paper, Experimental Setup).
@@ -281,6 +282,10 @@ pub const KEYS: &[Key] = keys! {
     "hint" "LIST" List(parses::<Hint>), Group Selection = "on",
         "Whether the prompt says that the demonstration has the same starting pose, where it has: \
          on, off";
+    "mismatch" "LIST" List(parses::<Mismatch>), Group Selection = "none",
+        "What an episode differs in from the demonstrations, one at a time: none, light, labels (without them), \
+         camera-height, field-of-view, wording (of the instruction), stock. Each entry of the list is a condition of \
+         its own";
     "documents" "BUILDER|DIR" Text(parses::<DocumentSource>), Run Outcome,
         "Documents of summary, semantic and hybrid memory: extractive (written by a script), model (by the run's own \
          model, or by any that has written them before), model:NAME (by that one before), or those in the folder DIR \

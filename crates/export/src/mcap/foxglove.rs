@@ -2,13 +2,11 @@
 //! and types are those of <https://github.com/foxglove/foxglove-sdk/tree/main/schemas/proto>; fields that are not written
 //! are left out of the descriptors. Times are in nanoseconds from the beginning of the file.
 
+use domain::camera::CameraSetup;
 use domain::{Heading, Pose};
 use world_client::EventLevel;
 
 use super::protobuf::ProtobufMessage;
-
-/// Height of the camera above the floor, in metres (specification, section 2).
-const CAMERA_HEIGHT: f64 = 1.2;
 
 /// The type of a field, with the name of a message or enum.
 #[derive(Clone, Copy)]
@@ -168,8 +166,9 @@ pub(super) fn agent(at: u64, pose: Pose) -> Vec<u8> {
 }
 
 /// `foxglove.FrameTransform`: where the camera is on the agent. Its z axis points forward, its x axis to the right.
-pub(super) fn camera_mount(at: u64) -> Vec<u8> {
-    transform(at, ["agent", "camera"], [0.0, 0.0, CAMERA_HEIGHT], [-0.5, 0.5, -0.5, 0.5])
+pub(super) fn camera_mount(at: u64, camera: CameraSetup) -> Vec<u8> {
+    let height_m = f64::from(camera.height_cm) / 100.0;
+    transform(at, ["agent", "camera"], [0.0, 0.0, height_m], [-0.5, 0.5, -0.5, 0.5])
 }
 
 fn transform(

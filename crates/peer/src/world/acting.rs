@@ -1,11 +1,11 @@
 //! What a [`Simulator`] answers outside of a run: recorded episodes and demonstrations, acted out.
 
-use case_book::WorldDeclaration;
 use case_book::act::{
     ActAnswer, ActRequest, ActedDemonstration, ActedEpisode, ActedReference, DemonstrationsRequest,
     EpisodeRequest, WorldDescription,
 };
-use domain::{ActionCode, DemonstrationKind, Start, State};
+use case_book::{CaseVariant, WorldDeclaration};
+use domain::{ActionCode, DemonstrationKind, Mismatch, Start, State};
 
 use super::WorldFailure;
 use super::book::{case_facts, world_facts};
@@ -62,7 +62,11 @@ impl ActingSimulator {
         let number = self.number(&request.case)?;
         let (start, route) = request.reference.ok_or("this world has no streams")?;
         let name = TrajectoryName::reference(start, route);
-        let begin = StageBegin { case: number, start: name.start(), is_blocked: name.is_blocked() };
+        let mismatched = CaseVariant::with_mismatch(request.variant);
+        let begin = StageBegin {
+            mismatch: mismatched.map_or(Mismatch::None, |of| of.mismatch),
+            ..StageBegin::of(number, name)
+        };
         let acted = self.act(begin, request.actions.iter().copied())?;
         let states: Vec<State> = acted.moments.iter().map(|moment| moment.state).collect();
         let told = match request.parts.facts {
@@ -74,7 +78,7 @@ impl ActingSimulator {
             false => None,
         };
         let reference = match request.parts.reference {
-            true => self.reference(begin, name)?,
+            true => self.reference(StageBegin::of(number, name), name)?,
             false => None,
         };
         let case = &self.cases[number as usize];
@@ -179,9 +183,10 @@ impl ActingSimulator {
         let Some(name) = TrajectoryName::of(kind) else { return Ok(None) };
         let Some(actions) = case.trajectories.get(&name).cloned() else { return Ok(None) };
         let (instruction, task) = (case.instruction.clone(), case.task);
-        let begin = StageBegin { case: number, start: name.start(), is_blocked: name.is_blocked() };
+        let begin = StageBegin::of(number, name);
         let acted = self.act(begin, actions.iter().copied().map(Some))?;
-        let is_stale = number == judged && variant == 1 + judged && !begin.is_blocked && {
+        let is_judged = CaseVariant::without_mismatch(variant) == 1 + judged;
+        let is_stale = number == judged && is_judged && !begin.is_blocked && {
             let blocked = StageBegin { is_blocked: true, ..begin };
             self.act(blocked, actions.iter().copied().map(Some))?.length().is_none()
         };

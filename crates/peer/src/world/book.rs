@@ -119,6 +119,7 @@ pub(super) fn world_facts(
         groups,
         tasks,
         failures,
+        mismatches: simulator.mismatches(),
     })
 }
 
@@ -245,6 +246,7 @@ fn demonstrations_of(
     };
     CaseDemonstrations {
         instruction: case.instruction.clone(),
+        paraphrase: case.paraphrase.clone(),
         own: DemonstrationKind::OWN.into_iter().filter_map(|kind| of(&case.id, kind)).collect(),
         irrelevant: histories(&case.irrelevant),
         confusable: histories(&case.confusable),
@@ -287,9 +289,7 @@ impl Writer<'_> {
         name: TrajectoryName,
     ) -> Result<&ActedTrajectory, WorldFailure> {
         if !self.acted.contains_key(&(number, name)) {
-            let begin =
-                StageBegin { case: number, start: name.start(), is_blocked: name.is_blocked() };
-            let acted = self.act(begin, name)?;
+            let acted = self.act(StageBegin::of(number, name), name)?;
             if acted.length().is_none() {
                 let (id, steps) = (&self.cases[number as usize].id, acted.moments.len() - 1);
                 return Err(format!(
@@ -342,6 +342,7 @@ impl Writer<'_> {
             id: case.id.clone(),
             task: case.task,
             instruction: case.instruction.clone(),
+            paraphrase: case.paraphrase.clone(),
             references,
             invalidated_when_blocked: is_stale,
         })
@@ -349,7 +350,7 @@ impl Writer<'_> {
 
     /// Whether a demonstration of the case does not complete the task where its way is blocked.
     fn is_stale(&mut self, number: u32, name: TrajectoryName) -> Result<bool, WorldFailure> {
-        let begin = StageBegin { case: number, start: name.start(), is_blocked: true };
+        let begin = StageBegin { is_blocked: true, ..StageBegin::of(number, name) };
         Ok(self.act(begin, name)?.length().is_none())
     }
 

@@ -9,7 +9,7 @@ use case_book::{
     BookFile, BookRequest, CASE_BOOK_FILE, DEMONSTRATIONS_FILE, DemonstrationBook, GREY_VARIANT,
     WorldDeclaration,
 };
-use domain::ActionCode;
+use domain::{ActionCode, Mismatch};
 use shm_types::clock::{Instant, sleep};
 use shm_types::message::Role;
 use shm_types::process::check_shared_memory;
@@ -205,7 +205,7 @@ fn views(simulator: &(impl Simulator + ?Sized), size: &str) -> Result<(), WorldF
     Ok(())
 }
 
-/// The begin and the actions that a line names.
+/// The begin and the actions that a line names: `reach-7.new.aab`, or `reach-7.new-light.aab` with a mismatch.
 fn named_view(
     world: &WorldDeclaration,
     cases: &[CaseDeclaration],
@@ -213,9 +213,13 @@ fn named_view(
 ) -> Option<(StageBegin, Vec<ActionCode>)> {
     let (case, rest) = line.split_once('.')?;
     let (name, letters) = rest.split_once('.')?;
+    let (name, mismatch) = match name.split_once('-') {
+        Some((name, mismatch)) => (name, mismatch.parse().ok()?),
+        None => (name, Mismatch::None),
+    };
     let name: TrajectoryName = name.parse().ok()?;
     let case = cases.iter().position(|known| known.id == case)? as u32;
-    let begin = StageBegin { case, start: name.start(), is_blocked: name.is_blocked() };
+    let begin = StageBegin { mismatch, ..StageBegin::of(case, name) };
     let actions: Option<Vec<_>> = letters.chars().map(|letter| world.action_of(letter)).collect();
     Some((begin, actions?))
 }

@@ -3,8 +3,8 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use case_book::{DemonstrationBook, WorldDeclaration, looped_at, loops};
-use domain::{ActionCode, Start, State};
+use case_book::{CaseVariant, DemonstrationBook, WorldDeclaration, looped_at, loops};
+use domain::{ActionCode, Mismatch, Start, State};
 use serde_json::{Map, Value, json};
 use shm_types::Attach;
 use shm_types::message::{
@@ -22,8 +22,8 @@ use super::{
 /// A picture of an environment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum EnvironmentView {
-    /// What is seen in a state with this hash.
-    State(u64),
+    /// What is seen in a state with this hash, in episodes with this mismatch.
+    State(u64, Mismatch),
     /// What is seen after a step of an episode, of a world that tells no hashes.
     Step {
         /// The lane.
@@ -41,6 +41,7 @@ pub enum EnvironmentView {
 pub struct SimulatedWorld<'s, S: ?Sized> {
     simulator: &'s S,
     declaration: WorldDeclaration,
+    mismatches: Vec<Mismatch>,
     demonstrations: Rc<DemonstrationBook>,
     environments: Rc<RefCell<Environments>>,
 }
@@ -61,6 +62,7 @@ struct Lane {
 
 struct RunningEpisode {
     config: WorldEpisodeConfig,
+    mismatch: Mismatch,
     step: u32,
     /// The states, the begin first.
     states: Vec<State>,
@@ -84,6 +86,7 @@ impl<'s, S: Simulator + ?Sized> SimulatedWorld<'s, S> {
         Ok(Self {
             simulator,
             declaration: simulator.declaration(),
+            mismatches: simulator.mismatches(),
             demonstrations: Rc::new(demonstrations),
             environments: Rc::new(RefCell::new(environments)),
         })
@@ -115,7 +118,7 @@ impl<'s, S: Simulator + ?Sized> SimulatedWorld<'s, S> {
         let Lane { environment: Some(environment), episode: Some(episode) } = lane else {
             return Err("the lane is in no episode".to_owned().into());
         };
-        let RunningEpisode { config, step, states, completed, now } = episode;
+        let RunningEpisode { config, mismatch, step, states, completed, now } = episode;
         check(&self.declaration, now).map_err(Refusal::Episode)?;
         let ended = if is_complete(now) {
             EpisodeEnd::Complete
@@ -132,7 +135,7 @@ impl<'s, S: Simulator + ?Sized> SimulatedWorld<'s, S> {
             action,
             feedback: now.feedback,
             view: match now.state_hash {
-                Some(hash) => EnvironmentView::State(hash),
+                Some(hash) => EnvironmentView::State(hash, *mismatch),
                 None => EnvironmentView::Step {
                     lane: config.lane,
                     episode: config.episode,
@@ -200,13 +203,20 @@ impl<S: Simulator + ?Sized> World for SimulatedWorld<'_, S> {
         let lane = lane.ok_or_else(|| format!("episode config: there are {count} lanes"))?;
         let named = cases.get(case as usize).ok_or_else(|| format!("there is no case {case}"))?;
         let has_blocked = named.trajectories.contains_key(&TrajectoryName::Blocked);
-        let is_blocked = match variant {
+        let mismatch = match CaseVariant::with_mismatch(variant) {
+            Some(of) if of.case != case || !self.mismatches.contains(&of.mismatch) => {
+                return Err(format!("case {case} has no variant {variant}").into());
+            }
+            Some(of) => of.mismatch,
+            None => Mismatch::None,
+        };
+        let is_blocked = match CaseVariant::without_mismatch(variant) {
             0 => false,
-            variant if variant == 1 + case && has_blocked => true,
-            variant if variant == 1 + case => {
+            blocked if blocked == 1 + case && has_blocked => true,
+            blocked if blocked == 1 + case => {
                 return Err(Refusal::Episode(format!("case {} has no blocked route", named.id)));
             }
-            variant => return Err(format!("case {case} has no variant {variant}").into()),
+            _ => return Err(format!("case {case} has no variant {variant}").into()),
         };
         let is_new = read_flag(start).map_err(|unknown| unknown.to_string())?;
         let start = if is_new || is_blocked { Start::New } else { Start::Original };
@@ -219,10 +229,11 @@ impl<S: Simulator + ?Sized> World for SimulatedWorld<'_, S> {
             Some(environment) => environment,
             none => none.insert(self.simulator.environment().map_err(Refusal::of)?),
         };
-        let begin = EpisodeBegin { case: named, start, is_blocked, seed };
+        let begin = EpisodeBegin { case: named, start, is_blocked, mismatch, seed };
         let now = environment.reset(&begin).map_err(Refusal::of)?;
         lane.episode = Some(RunningEpisode {
             config: *config,
+            mismatch,
             step: 0,
             states: vec![now.state],
             completed: vec![now.sub_goals],
@@ -311,9 +322,11 @@ impl RenderWorker<EnvironmentView> for EnvironmentRenderer {
             }
             // The lane that waits for this picture has not taken another step.
             let shows = lanes.iter_mut().find_map(|lane| {
-                let RunningEpisode { config, step, now, .. } = lane.episode.as_ref()?;
+                let RunningEpisode { config, mismatch, step, now, .. } = lane.episode.as_ref()?;
                 let is_seen = match **picture {
-                    EnvironmentView::State(hash) => now.state_hash == Some(hash),
+                    EnvironmentView::State(hash, seen_with) => {
+                        (now.state_hash, *mismatch) == (Some(hash), seen_with)
+                    }
                     EnvironmentView::Step { lane, episode, step: of } => {
                         (config.lane, config.episode, *step) == (lane, episode, of)
                     }
@@ -333,9 +346,7 @@ fn remembered(book: &DemonstrationBook, number: u32) -> Option<(StageBegin, &[Ac
     book.demonstrations.iter().find_map(|of| {
         let step = of.views.iter().position(|view| *view == number)?;
         let name = TrajectoryName::of(of.kind)?;
-        let begin =
-            StageBegin { case: of.case, start: name.start(), is_blocked: name.is_blocked() };
-        Some((begin, of.actions.get(..step)?))
+        Some((StageBegin::of(of.case, name), of.actions.get(..step)?))
     })
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use case_book::{FailureKind, TaskFacts, WorldDeclaration};
 use domain::names::named;
-use domain::{ActionCode, DemonstrationKind, FeedbackCode, Route, Start, State};
+use domain::{ActionCode, DemonstrationKind, FeedbackCode, Mismatch, Route, Start, State};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
@@ -22,6 +22,12 @@ pub trait Simulator {
     /// Kinds of failure that the world has words for, beside those of the harness; [facts](Environment::facts) of an episode can
     /// name one.
     fn failures(&self) -> Vec<FailureKind> {
+        Vec::new()
+    }
+
+    /// In what its episodes can differ from the demonstrations, beside start and route: a mismatch that
+    /// [changes the world](Mismatch::changes_world) is told to environments, for wording all cases have a paraphrase.
+    fn mismatches(&self) -> Vec<Mismatch> {
         Vec::new()
     }
 
@@ -151,6 +157,9 @@ pub struct CaseDeclaration {
     pub task: u8,
     /// The instruction for the policy.
     pub instruction: String,
+    /// The same in other words.
+    #[serde(default)]
+    pub paraphrase: Option<String>,
     /// The expert's trajectories. `original` and `new` have to be there.
     pub trajectories: BTreeMap<TrajectoryName, Vec<ActionCode>>,
     /// Demonstrations of other cases that have nothing to do with this one, two of them: the ids of their cases, and which.
@@ -168,6 +177,8 @@ pub struct EpisodeBegin<'a> {
     pub start: TrajectoryName,
     /// Whether the way is blocked.
     pub is_blocked: bool,
+    /// In what the world differs from the demonstrations, beside that.
+    pub mismatch: Mismatch,
     /// For random choices of a world that is not deterministic.
     pub seed: u64,
 }

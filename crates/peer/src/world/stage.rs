@@ -2,7 +2,7 @@
 //! those who show or check recorded episodes.
 
 use case_book::WorldDeclaration;
-use domain::ActionCode;
+use domain::{ActionCode, Mismatch};
 use serde_json::{Map, Value};
 
 use super::WorldFailure;
@@ -17,6 +17,16 @@ pub(super) struct StageBegin {
     pub(super) start: TrajectoryName,
     /// Whether the way is blocked.
     pub(super) is_blocked: bool,
+    /// In what the world differs from the demonstrations, beside that.
+    pub(super) mismatch: Mismatch,
+}
+
+impl StageBegin {
+    /// That of a trajectory of case number `case`.
+    pub(super) fn of(case: u32, name: TrajectoryName) -> Self {
+        let (start, is_blocked) = (name.start(), name.is_blocked());
+        Self { case, start, is_blocked, mismatch: Mismatch::None }
+    }
 }
 
 /// A trajectory that was acted out. Index 0 is its begin.
@@ -75,10 +85,10 @@ impl Stage {
         cases: &[CaseDeclaration],
         begin: StageBegin,
     ) -> Result<Observed, WorldFailure> {
-        let StageBegin { case, start, is_blocked } = begin;
+        let StageBegin { case, start, is_blocked, mismatch } = begin;
         let case = cases.get(case as usize).ok_or_else(|| format!("there is no case {case}"))?;
         self.at = None;
-        let begun = EpisodeBegin { case, start, is_blocked, seed: 0 };
+        let begun = EpisodeBegin { case, start, is_blocked, mismatch, seed: 0 };
         let observed = self.environment.reset(&begun)?;
         self.at = Some((begin, Vec::new()));
         Ok(observed)

@@ -73,7 +73,7 @@ fn rows(view: &ScoredRun<'_>, is_shown: impl Fn(&Condition) -> bool) -> Option<T
         .filter(|condition| condition.route == Route::Blocked && is_shown(condition))
         .collect();
     let row = |condition: &Condition| {
-        let label = held(condition) + &condition.variation.to_string().replace('/', ", ");
+        let label = held(condition) + &condition.deviations().replace('/', ", ");
         TableRow::new(label, cells(view, &condition.to_string()))
     };
     let groups = shown.chunk_by(|a, b| a.memory == b.memory).map(|conditions| RowGroup {

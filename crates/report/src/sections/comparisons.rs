@@ -150,12 +150,12 @@ pub(crate) fn asked_rows<'a>(
 
 /// What distinguishes a condition beside its memory and demonstrations, where it is not the usual one.
 fn aside(condition: &Condition) -> String {
-    let Condition { start, route, variation, arm, .. } = condition;
+    let Condition { start, route, arm, .. } = condition;
     let start = (*start != Start::New).then(|| format!(", {start} start"));
     let route = (*route != Route::Unchanged).then(|| format!(", {route}"));
     let arm = (*arm != Arm::Frozen).then(|| format!(", {}", arm.word()));
-    let variation = variation.to_string().replace('/', ", ");
-    [start, route, Some(variation), arm].into_iter().flatten().collect()
+    let deviations = condition.deviations().replace('/', ", ");
+    [start, route, Some(deviations), arm].into_iter().flatten().collect()
 }
 
 /// Whether the conclusion stays when a part is left out.

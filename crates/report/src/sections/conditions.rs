@@ -73,7 +73,7 @@ pub(super) fn setting(condition: &Condition) -> String {
     if condition.memory.uses_demonstrations() {
         text += &format!(", {}", held(condition));
     }
-    text + &condition.variation.to_string().replace('/', ", ")
+    text + &condition.deviations().replace('/', ", ")
 }
 
 /// What the memory of a condition holds: its demonstrations, and the arm if it is not `frozen`. In the arm `oracle` no set of

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use conditions::{Condition, Demonstrations, Route, Start, Variation};
+use conditions::{Condition, Demonstrations, Mismatch, Route, Start, Variation};
 use domain::{Arm, MemoryKind};
 use scores::{ConditionScore, HISTORIES, Question};
 
@@ -27,12 +27,17 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
 /// variation and demonstrations; `None` where there is no demonstration from after the event.
 pub(crate) fn conflict_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = view.scores.conflicts.iter();
-    let scores: Vec<_> = scores.filter(|score| score.condition.start == Start::New).collect();
+    let is_shown = |condition: &Condition| {
+        (condition.start, condition.mismatch) == (Start::New, Mismatch::None)
+    };
+    let scores: Vec<_> = scores.filter(|score| is_shown(&score.condition)).collect();
     let cases = scores.iter().map(|score| score.cases).max().filter(|cases| *cases > 0)?;
     let row = |memory: MemoryKind, variation, set: Demonstrations| {
         let on = |route| {
-            let (start, arm) = (Start::New, Arm::Frozen);
-            let condition = Condition { memory, start, route, demonstrations: set, variation, arm };
+            let (start, mismatch, arm) = (Start::New, Mismatch::None, Arm::Frozen);
+            let demonstrations = set;
+            let condition =
+                Condition { memory, start, route, demonstrations, variation, mismatch, arm };
             scores.iter().copied().find(|score| score.condition == condition)
         };
         let (unchanged, blocked) = (on(Route::Unchanged), on(Route::Blocked));

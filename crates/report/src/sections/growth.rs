@@ -62,7 +62,7 @@ fn by_memory<'a>(view: &'a ScoredRun<'_>) -> impl Iterator<Item = &'a [GrowthSco
 
 fn heading_key(view: &ScoredRun<'_>, one: &GrowthScore) -> String {
     let condition = one.score.condition;
-    let rest = format!("{} {}{}", condition.start, condition.route, condition.variation);
+    let rest = format!("{} {}{}", condition.start, condition.route, condition.deviations());
     let usual = "new unchanged";
     let rest = if rest == usual { String::new() } else { format!(", {rest}") };
     view.label(condition.memory) + &rest

@@ -115,7 +115,7 @@ fn against_others<'a>(view: &ScoredRun<'a>) -> Vec<LabelledPair<'a>> {
                 let Condition { start, route, demonstrations, variation, arm, .. } = condition;
                 let other = Condition::new(other, start, route, demonstrations, variation);
                 pairs.extend(other.and_then(|other| {
-                    let other = other.with_arm(arm);
+                    let other = other.with_mismatch(condition.mismatch).with_arm(arm);
                     let label = format!("{name} − {} ({})", other.memory, setting(&condition));
                     let names = [condition.to_string(), other.to_string()];
                     LabelledPair::of(

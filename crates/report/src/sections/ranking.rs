@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 
-use conditions::{Condition, Route};
+use conditions::{Condition, Mismatch, Route};
 use scores::{ConditionScore, Estimate, Spread, StreamScore};
 use serde_json::Value;
 
@@ -136,7 +136,10 @@ fn tables(
                 (score.episodes, score.planned),
                 (condition_cells(score), [Some(score.sr.mean), Some(score.spl.mean)]),
             );
-            let caption = format!("{} start, {} route", condition.start, condition.route);
+            let mut caption = format!("{} start, {} route", condition.start, condition.route);
+            if condition.mismatch != Mismatch::None {
+                caption += &format!(", mismatch {}", condition.mismatch);
+            }
             episodes.entry(caption).or_default().push(ranked);
         }
         for score in view.scores.streams.iter().flat_map(|streams| &streams.conditions) {

@@ -7,7 +7,6 @@ use serde::Serialize;
 
 use super::estimate::{Estimate, by_stream};
 use super::sequence::{CompleteSequences, StreamEpisode, success_rate};
-use super::without_memory;
 use crate::certify::CertifiedCases;
 use crate::interval::Interval;
 use conditions::Condition;
@@ -50,12 +49,12 @@ fn place<'a>(episode: &StreamEpisode<'a>) -> BlockCase<'a> {
 pub(super) fn necessity(conditions: &BTreeMap<Condition, CompleteSequences<'_>>) -> Vec<Necessity> {
     let oracles = conditions.iter().filter(|(condition, _)| condition.arm == Arm::Oracle);
     let of = |(oracle, sequences): (&Condition, &CompleteSequences<'_>)| {
-        let without = conditions.get(&without_memory(oracle)?)?;
+        let without = conditions.get(&oracle.without_memory()?)?;
         let CertifiedCases { all: both, certified } =
             CertifiedCases::of(&rates(without), &rates(sequences));
         let is_shown = |condition: &Condition| {
             let memory = Condition { arm: Arm::Oracle, ..*condition };
-            memory == *oracle || Some(*condition) == without_memory(oracle)
+            memory == *oracle || Some(*condition) == oracle.without_memory()
         };
         let shown = conditions.iter().filter(|(condition, _)| is_shown(condition));
         let success = shown.map(|(condition, sequences)| NecessitySuccess {

@@ -10,7 +10,7 @@ fn shipped_suites_can_be_read() {
         load_suite(&name.parse().unwrap(), None).unwrap();
     }
     let error = load_suite(&"quik".parse().unwrap(), None).unwrap_err();
-    insta::assert_snapshot!(error, @"unknown suite `quik`: did you mean `quick`? (known: quick, rq1, rq2, rq3, design, paper, stream, growth, conflict, transfer); a file is named by its path, for example ./my-suite.toml");
+    insta::assert_snapshot!(error, @"unknown suite `quik`: did you mean `quick`? (known: quick, rq1, rq2, rq3, design, paper, stream, growth, conflict, transfer, mismatch); a file is named by its path, for example ./my-suite.toml");
 }
 
 #[test]

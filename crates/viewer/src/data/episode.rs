@@ -10,7 +10,7 @@ use case_book::act::{
 use case_book::{FailureFact, LoopFact};
 use conditions::key::EpisodeKey;
 use domain::events::Requirement;
-use domain::{Arm, Cell, DemonstrationKind, Demonstrations, Pose, State};
+use domain::{Arm, Cell, DemonstrationKind, Demonstrations, Mismatch, Pose, State};
 use run_log::source::{SourceStep, distances, sources};
 use run_log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
 use scores::{FailurePoints, Successes};
@@ -74,7 +74,7 @@ pub struct EpisodeData {
     changes: Vec<String>,
     /// The items that the task is about.
     targets: Vec<TargetData>,
-    /// The drawing of the floor.
+    /// The drawing of the floor: the number of a world state of streams, or of the variant with other stock.
     pub(crate) ground: u32,
     reference_path: Vec<(u8, u8)>,
     /// By step: the cells that came into view, as row * columns + column.
@@ -273,7 +273,11 @@ impl EpisodeData {
             first_block: record.stream.as_ref().is_some_and(|stream| stream.place == 0),
             changes,
             targets: targets.into_iter().map(target_data).collect(),
-            ground: record.stream.as_ref().map_or(0, |stream| stream.world),
+            ground: match &record.stream {
+                Some(stream) => stream.world,
+                None if record.mismatch == Mismatch::Stock => variant,
+                None => 0,
+            },
             reference_path: reference
                 .iter()
                 .flat_map(|reference| reference.states.iter().filter_map(cell_of))

@@ -94,7 +94,8 @@ pub(crate) fn published(input: &[u8]) {
         let episode = |name: &str, case| under(name.parse().unwrap(), record(case, true));
         let episodes = conditions.map(|name| ["t01-01", "t03-02"].map(|case| episode(name, case)));
         let logs = [log(episodes.into_iter().flatten().collect())];
-        let page = report::write(&logs, &folder.join("report"), Some(&published)).unwrap();
+        let options = report::Options { against: Some(&published), latex: true };
+        let page = report::write(&logs, &folder.join("report"), options).unwrap();
         is_harmless(&fs::read_to_string(page).unwrap());
         Published::read(&folder.join("report/published.toml")).unwrap();
     });

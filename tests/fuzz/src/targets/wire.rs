@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 use bytemuck::Zeroable;
 use case_book::{BookFile, BookRequest, EpisodeFacts};
 use conditions::key::EpisodeKey;
-use conditions::{Condition, Demonstrations, Route, Start, Variation};
+use conditions::{Condition, Demonstrations, Mismatch, Route, Start, Variation};
 use conformance::messages;
 use domain::{
     Action, Arm, DocumentKind, Feedback, Heading, MAX_STATE, Pose, Representation, State,
@@ -82,6 +82,7 @@ fn planned(choice: u8) -> PlannedEpisode {
         route,
         demonstrations,
         variation: Variation::STANDARD,
+        mismatch: Mismatch::None,
         arm: Arm::Frozen,
     };
     let case_index = usize::from(choice / 3) % cases().cases.len();

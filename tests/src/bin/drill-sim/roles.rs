@@ -157,7 +157,7 @@ fn rendering(views: ViewFolder) -> WarehouseRendering {
             renderers: Renderers::Caller(Box::new(worker)),
             facts: vec![("backend", "pattern".to_owned())],
         },
-        find_changes: Box::new(|view| VisibleChanges {
+        find_changes: Box::new(|_, view| VisibleChanges {
             stock: view.stock != 0,
             barricades: !view.variant.closed().is_empty(),
         }),
@@ -173,7 +173,7 @@ impl RenderWorker<WarehousePicture> for PatternWorker {
         tasks: &mut [RenderTask<'_, WarehousePicture>],
     ) -> Result<u64, WorldFailure> {
         for RenderTask { picture, slot, .. } in tasks {
-            let WarehousePicture { stock, variant, pose } = picture;
+            let WarehousePicture { stock, variant, pose, .. } = picture;
             let name = format!("{stock} {pose:?} {:?}", variant.closed());
             let name = *blake3::hash(name.as_bytes()).as_bytes();
             slot.pixels_mut()

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use case_book::{BookFile, BookRequest};
+use conditions::Mismatch;
 use conditions::settings::RunSettings;
 use orchestrator::books::Books;
 use orchestrator::external_memory::ExternalMemory;
@@ -173,7 +174,8 @@ impl Scenario {
             Some(text) => StreamSet::parse(text, &warehouse, &cases)?.states(&warehouse)?,
             None => Vec::new(),
         };
-        let worlds = Worlds::new(&warehouse, &cases, states);
+        let mismatches: Vec<Mismatch> = settings.mismatches().collect();
+        let worlds = Worlds::new(&warehouse, &cases, states, &mismatches);
         let assets = assets.to_owned();
         Ok(Self { name, settings, memories, selected, episodes, worlds, assets })
     }
