@@ -3,7 +3,12 @@
     memtransfer run --world-cmd "python corridor_world.py" --policy random
 """
 
-from memtransfer.world import DONE, NO_EFFECT, Case, Field, Observation, World, main
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from memtransfer.world import DONE, NO_EFFECT, Case, Episode, Field, Observation, World, main
 
 CELLS, EAST, WEST = 10, 0, 1
 
@@ -20,7 +25,7 @@ class Corridor(World):
     feedback = ["The episode has just begun.", "You walked.", "You did not move: there is no way.", "You did not move: say it again."]
     tasks = {"reach": "one place", "visit": "two places"}
 
-    def cases(self):
+    def cases(self) -> Iterator[Case]:
         for goal in (7, 8):
             walks = {"original": [EAST] * (goal - 2), "new": [EAST] * (goal - 3), "blocked": [WEST] * (13 - goal)}
             yield Case(f"reach-{goal}", f"Walk to cell {goal}.", walks, "reach", data=[goal])
@@ -28,13 +33,13 @@ class Corridor(World):
             instruction = f"Walk to cell {goal}, then to cell {goal - 1}."
             yield Case(f"visit-{goal}", instruction, visits, "visit", data=[goal, goal - 1])
 
-    def reset(self, episode):
+    def reset(self, episode: Episode) -> Observation:
         self.cell = {"original": 2, "new": 3}[episode.start]
         self.goals, self.done = episode.case.data, 0
         self.wall = 5 if episode.blocked else None
         return self.observe(DONE)
 
-    def step(self, action):
+    def step(self, action: int) -> Observation:
         there = (self.cell + (1 if action == EAST else -1)) % CELLS
         ran_into_wall = there == self.wall
         if not ran_into_wall:
@@ -42,11 +47,11 @@ class Corridor(World):
             self.done += there == self.goals[self.done]
         return self.observe(NO_EFFECT if ran_into_wall else DONE, ran_into_wall)
 
-    def observe(self, feedback, conflict=False):
+    def observe(self, feedback: int, conflict: bool = False) -> Observation:
         seen = self.cell + CELLS * (0 if self.wall is None else self.wall) + 1000 * self.done
         return Observation([self.cell], feedback, self.done, len(self.goals), conflict=conflict, state_hash=seen)
 
-    def render(self, pixels):
+    def render(self, pixels: NDArray[np.uint8]) -> None:
         width = pixels.shape[1] / CELLS
         for cell in range(CELLS):
             colour = (255, 255, 255) if cell == self.cell else (90, 90, 90) if cell == self.wall else (20, 25 * cell, 120)

@@ -9,38 +9,39 @@ calls. Use `--image-budget 0` for text-only models. Needs `pip install openai`.
 
 import argparse
 import time
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from openai import OpenAI, OpenAIError
 
-from memtransfer import Decision, Exchange, Failed, Outcome, Policy, Usage, run
+from memtransfer import Answer, Decision, Exchange, Failed, Outcome, Policy, Request, Usage, run
 from memtransfer.prompt import IMAGE_BUDGET, SETTINGS, VERSION, read_answer, render
 
 
 class Endpoint(Policy):
     name = "endpoint-python"
 
-    def __init__(self, model, image_budget):
+    def __init__(self, model: str, image_budget: int) -> None:
         self.model = model
         self.image_budget = image_budget
         # Reads OPENAI_BASE_URL and OPENAI_API_KEY, and retries after status 429.
         self.client = OpenAI(timeout=60, max_retries=4)
         self.threads = ThreadPoolExecutor(max_workers=64)
 
-    def facts(self):
+    def facts(self) -> Mapping[str, str]:
         return {"model": self.model, "prompt": VERSION}
 
-    def act(self, batch):
+    def act(self, batch: Sequence[Request]) -> Sequence[Answer]:
         # The requests of all lanes are in flight together.
         return list(self.threads.map(self.ask, batch))
 
-    def ask(self, request):
+    def ask(self, request: Request) -> Answer:
         prompt = render(request, self.image_budget)
         messages = prompt.messages()
         sent_ns = time.monotonic_ns()
         try:
             reply = self.client.chat.completions.create(
-                model=self.model, messages=messages, **SETTINGS
+                model=self.model, messages=messages, stream=False, **SETTINGS
             )
         except OpenAIError as error:
             # Not the model's mistake: the episode is not scored, and the same command runs it again.
@@ -55,15 +56,15 @@ class Endpoint(Policy):
         )
         text = choice.message.content or ""
         answer = read_answer(text, choice.finish_reason == "length", request.world)
-        read = not isinstance(answer, Outcome)
         # Stored with `--log-prompts`, for `memtransfer show`.
-        exchange = Exchange(messages, text, unread=None if read else answer.words)
-        rest = {"images": prompt.images_sent, "usage": usage, "exchange": exchange}
-        return Decision(answer, **rest) if read else Decision(None, answer, **rest)
+        if isinstance(answer, Outcome):
+            exchange = Exchange(messages, text, unread=answer.words)
+            return Decision(None, answer, prompt.images_sent, usage, exchange)
+        return Decision(answer, Outcome.ACTED, prompt.images_sent, usage, Exchange(messages, text))
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("model", help="the model's name on the server")
     parser.add_argument("--image-budget", type=int, default=IMAGE_BUDGET, metavar="N")
     arguments = parser.parse_args()

@@ -11,8 +11,8 @@ import time
 import gymnasium
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--episodes", type=int, default=20, metavar="N")
     parser.add_argument("--frame-size", type=int, default=128, metavar="PIXELS")
     arguments = parser.parse_args()
@@ -21,10 +21,10 @@ def main():
     steps = successes = 0
     began = time.perf_counter()
     for episode in range(arguments.episodes):
-        observation, info = env.reset(seed=episode)
+        _, info = env.reset(seed=episode)
         over = False
         while not over:
-            observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+            _, _, terminated, truncated, info = env.step(env.action_space.sample())
             steps += 1
             over = terminated or truncated
         successes += info["is_success"]

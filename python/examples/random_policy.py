@@ -8,14 +8,15 @@ in Python, or in the shell:
 """
 
 import random
+from collections.abc import Sequence
 
-from memtransfer import Action, Policy, run
+from memtransfer import Action, Policy, Request, run
 
 
 class Random(Policy):
     name = "random-python"
 
-    def act(self, batch):
+    def act(self, batch: Sequence[Request]) -> Sequence[Action]:
         # Drawn from the request alone, so that an episode is the same in every run.
         draws = (random.Random(request.episode_seed * 1000 + request.step) for request in batch)
         return [draw.choice(list(Action)) for draw in draws]

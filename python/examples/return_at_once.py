@@ -3,13 +3,15 @@
     memtransfer run --policy-cmd "python return_at_once.py" --lanes 64 --runs 20
 """
 
-from memtransfer import Action, Policy, run
+from collections.abc import Sequence
+
+from memtransfer import Action, Policy, Request, run
 
 
 class ReturnAtOnce(Policy):
     name = "return-at-once"
 
-    def act(self, batch):
+    def act(self, batch: Sequence[Request]) -> Sequence[Action]:
         return [Action.FORWARD] * len(batch)
 
 

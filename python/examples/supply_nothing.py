@@ -3,14 +3,16 @@
     memtransfer run --memory-cmd "python supply_nothing.py" --lanes 64 --runs 20
 """
 
-from memtransfer import Memory, run
+from collections.abc import Sequence
+
+from memtransfer import Memory, MemoryItem, Query, run
 
 
 class SupplyNothing(Memory):
     name = "supply-nothing"
     embeddings = False
 
-    def recall(self, query):
+    def recall(self, query: Query) -> Sequence[MemoryItem]:
         return []
 
 

@@ -16,7 +16,7 @@ import struct
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
@@ -195,7 +195,7 @@ def _is_for_the_screen(record: logging.LogRecord) -> bool:
 
 
 @contextmanager
-def _prints_of(service: _Service) -> Iterator[None]:
+def _prints_of(service: _Service) -> Generator[None, None, None]:
     """Gives `service` the exceptions and log messages of the native service that this thread runs. They would be printed: the native
     service calls `sys.excepthook` for each exception of an object, and a notebook would be full of them."""
     with _hook_lock:

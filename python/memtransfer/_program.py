@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
@@ -314,7 +314,7 @@ def _send_interrupt(children: Sequence[subprocess.Popen[bytes]]) -> None:
 
 
 @contextmanager
-def _interrupts_go_to(send: Callable[[], None]) -> Iterator[Callable[[], int]]:
+def _interrupts_go_to(send: Callable[[], None]) -> Generator[Callable[[], int], None, None]:
     """Calls `send` for each interrupt, in place of the handler that is there: within `asyncio.run`, for example, it would wait for the
     coroutine. Gives a function that counts them. Does nothing in a thread that is not the main one, and where interrupts are ignored."""
     count = 0

@@ -25,10 +25,11 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
@@ -349,7 +350,7 @@ def _pickled(world: Callable[[], World]) -> bytes:
 
 
 @contextmanager
-def _served(world: _WorldCommand | None) -> Iterator[dict[str, str]]:
+def _served(world: _WorldCommand | None) -> Generator[dict[str, str], None, None]:
     """Gives the variables of the world's process, and removes its file in the end."""
     if world is None or world.pickled is None:
         yield {}
@@ -531,12 +532,8 @@ def _interval(spread: Mapping[str, Any]) -> tuple[float, float] | None:
 
 
 def _need_pandas() -> None:
-    try:
-        import pandas  # noqa: F401
-    except ModuleNotFoundError as error:
-        if error.name != "pandas":
-            raise
-        raise ModuleNotFoundError("data frames need pandas: `pip install pandas`", name="pandas") from None
+    if find_spec("pandas") is None:
+        raise ModuleNotFoundError("data frames need pandas: `pip install pandas`", name="pandas")
 
 
 def _open(address: str) -> str:

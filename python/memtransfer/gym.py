@@ -25,6 +25,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.registration import register
 from gymnasium.error import DependencyNotInstalled, ResetNeeded
+from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -267,7 +268,7 @@ class MemTransferVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
             raise ValueError(f"reset_mask must be an array of {self.num_envs} booleans")
         for lane in np.flatnonzero(chosen).tolist():
             if seeds is not None and seeds[lane] is not None:
-                self._randoms[lane], _ = gymnasium.utils.seeding.np_random(seeds[lane])
+                self._randoms[lane], _ = seeding.np_random(seeds[lane])
             self._begin(lane, options)
         return self._observe(), {}
 

@@ -93,8 +93,9 @@ class Prompt:
         texts = sum(len(part.text or "") for part in self.parts if part.section == section)
         return texts + (len(self.system) if section == "rules" else 0)
 
-    def messages(self, url: Callable[[Frame], str] | None = None) -> list[dict[str, Any]]:
-        """Returns the system message and the user message in the format of OpenAI-compatible servers.
+    def messages(self, url: Callable[[Frame], str] | None = None) -> list[Any]:
+        """Returns the system message and the user message, each a dict in the format of OpenAI-compatible servers. Clients have types of
+        their own for these dicts.
 
         `url` returns the URL of an image; the default is `data_url`. Without an image the user message is one
         plain text, which servers of text-only models accept.

@@ -411,25 +411,6 @@ def test_a_world_of_a_script_is_a_world_of_the_run(tmp_path: Path) -> None:
     assert (ended.returncode, set(ended.stdout.strip("[]\n").split(", "))) == (0, {"100.0"}), ended.stderr
 
 
-def examples(page: str) -> list[str]:
-    """The Python code on a page of the documentation, with shorter episodes."""
-    text = (Path(__file__).parents[2] / page).read_text()
-    blocks = [rest.split("```")[0] for rest in text.split("```python\n")[1:]]
-    return [block.replace("limit=5", "limit=1, max_steps=3, frame_size=64") for block in blocks]
-
-
-def test_the_tutorials_run(tmp_path: Path) -> None:
-    memory, evaluation = examples("docs/memory.md")[:2]
-    (tmp_path / "my_memory.py").write_text(memory)
-    (tmp_path / "evaluation.py").write_text(evaluation)
-    policy = examples("docs/python.md")[0]
-    assert "evaluate(policy=FollowMemory()" in policy
-    (tmp_path / "policy.py").write_text(policy + "print(result)\n")
-    for script, condition in (("evaluation.py", "top-3/new/unchanged/original"), ("policy.py", "episodic/new/unchanged/original")):
-        ended = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True)
-        assert ended.returncode == 0 and condition in ended.stdout, ended.stderr
-
-
 def test_the_example_compares_memories(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import compare_memories
 

@@ -8,17 +8,20 @@ Meta-World has the tables, moves the arm and says when a task is complete. The c
 import atexit
 import json
 import os
+from collections.abc import Iterator, Sequence
 from functools import cache
 from hashlib import blake2b
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("MUJOCO_GL", "egl")  # pictures need no window
 
 import mujoco
 import numpy as np
 from metaworld.env_dict import ALL_V3_ENVIRONMENTS
+from numpy.typing import NDArray
 
-from memtransfer.world import DONE, NO_EFFECT, START, Case, Field, Observation, World, main
+from memtransfer.world import DONE, NO_EFFECT, START, Case, Episode, Field, Observation, World, main
 
 STRIDE, CONTROL_STEPS = 5, 15  # of an action: centimetres, and control steps of Meta-World
 LOW, HIGH = np.array([-30, 40, 5]), np.array([30, 95, 45])  # where the hand may be, in centimetres
@@ -40,7 +43,7 @@ class Table:
     """The table of a task: its model and its renderers, which take long to make. All lanes share it: what is on it, and where, is
     put there before each action, and taken away after it."""
 
-    def __init__(self, name):
+    def __init__(self, name: str) -> None:
         self.env = ALL_V3_ENVIRONMENTS[name]()
         self.env._set_task_called, self.env.max_path_length = True, 10**9  # the run limits the steps
         self.model, self.data = self.env.model, self.env.data
@@ -48,12 +51,12 @@ class Table:
         self.root = self.model.body_rootid[self.model.geom_bodyid]  # of each geom
         # Bricks look like the table: paint them blue.
         self.model.geom_matid[self.root == self.wall], self.model.geom_rgba[self.root == self.wall] = -1, (0.1, 0.2, 0.9, 1)
-        self.renderers = {}
+        self.renderers: dict[tuple[int, int], Any] = {}
         self.view, self.camera = mujoco.MjvOption(), mujoco.MjvCamera()
         self.view.sitegroup[:] = 0  # goals are not shown
         self.camera.lookat[:], self.camera.distance, self.camera.azimuth, self.camera.elevation = (0, 0.68, 0.12), 1.05, 135, -30
 
-    def reset(self, vector, hand, wall):
+    def reset(self, vector: Sequence[float], hand: Sequence[float], wall: Sequence[float] | None) -> None:
         self.env._last_rand_vec, self.env.hand_init_pos = np.array(vector), np.array(hand) / 100
         if self.wall >= 0:
             self.model.body_pos[self.wall] = wall or AWAY
@@ -62,21 +65,21 @@ class Table:
         self.env.reset_model()
         mujoco.mj_forward(self.model, self.data)
 
-    def save(self):
+    def save(self) -> tuple[NDArray[np.float64], NDArray[np.float64], dict[str, Any]]:
         state = np.empty(mujoco.mj_stateSize(self.model, STATE))
         mujoco.mj_getState(self.model, self.data, state, STATE)
         return state, self.model.body_pos.copy(), dict(vars(self.env))
 
-    def load(self, saved):
+    def load(self, saved: tuple[NDArray[np.float64], NDArray[np.float64], dict[str, Any]]) -> None:
         state, self.model.body_pos[:], attributes = saved
         vars(self.env).update(attributes)
         mujoco.mj_setState(self.model, self.data, state, STATE)
         mujoco.mj_forward(self.model, self.data)
 
-    def touches_wall(self):
+    def touches_wall(self) -> bool:
         return self.wall >= 0 and bool((self.root[self.data.contact.geom] == self.wall).any())
 
-    def render(self, height, width):
+    def render(self, height: int, width: int) -> NDArray[np.uint8]:
         if (height, width) not in self.renderers:
             self.model.vis.global_.offheight, self.model.vis.global_.offwidth = height, width
             self.model.vis.quality.offsamples = 0  # as without shadows and reflections below, quicker where no GPU is
@@ -86,11 +89,12 @@ class Table:
         renderer.update_scene(self.data, self.camera, self.view)
         for slow in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             renderer.scene.flags[slow] = 0
-        return renderer.render()
+        pixels: NDArray[np.uint8] = renderer.render()
+        return pixels
 
 
 @cache
-def table(name):
+def table(name: str) -> Table:
     return Table(name)
 
 
@@ -119,21 +123,21 @@ class MetaWorld(World):
     )
     tasks = {name: group for name, (group, _, _) in TASKS.items()}
 
-    def cases(self):
+    def cases(self) -> Iterator[Case]:
         for case in json.loads(Path(__file__).with_name("cases.json").read_text()):
             mixed = {name: [tuple(history) for history in case[name]] for name in ("irrelevant", "confusable")}
             actions = {name: [self.letters.index(letter) for letter in letters] for name, letters in case["trajectories"].items()}
             instruction = TASKS[case["task"]][2].format(case["place"])
             yield Case(case["id"], instruction, actions, case["task"], **mixed, data=case)
 
-    def reset(self, episode):
+    def reset(self, episode: Episode) -> Observation:
         case = episode.case.data
         self.table = table(TASKS[case["task"]][1])
         self.table.reset(case["vector"], case["starts"][episode.start], case["wall"] if episode.blocked else None)
         self.closed, self.complete = False, False
         return self.observe(START)
 
-    def step(self, action):
+    def step(self, action: int) -> Observation:
         self.table.load(self.saved)
         env = self.table.env
         before = self.hand()
@@ -154,11 +158,12 @@ class MetaWorld(World):
         stopped = action < OPEN and np.abs(self.hand() - target).max() > STRIDE / 2
         return self.observe(NO_EFFECT if stopped else DONE, conflict)
 
-    def hand(self):
+    def hand(self) -> NDArray[np.float64]:
         """Where the hand is, in centimetres."""
-        return 100 * self.table.env.get_endeff_pos()
+        metres: NDArray[np.float64] = self.table.env.get_endeff_pos()
+        return 100 * metres
 
-    def observe(self, feedback, conflict=False):
+    def observe(self, feedback: int, conflict: bool = False) -> Observation:
         self.saved = self.table.save()
         state, bodies, _ = self.saved
         # Without the time, which is the first number.
@@ -168,7 +173,7 @@ class MetaWorld(World):
             (*position, self.closed), feedback, self.complete, conflict=conflict, state_hash=int.from_bytes(seen.digest(), "little")
         )
 
-    def render(self, pixels):
+    def render(self, pixels: NDArray[np.uint8]) -> None:
         self.table.load(self.saved)
         pixels[..., :3], pixels[..., 3] = self.table.render(*pixels.shape[:2]), 255
 

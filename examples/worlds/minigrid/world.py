@@ -8,8 +8,10 @@ says when a mission is complete.
 
 import json
 import os
+from collections.abc import Iterator, Mapping, Sequence
 from hashlib import blake2b
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # pygame, which Minigrid imports, greets on standard output
 
@@ -17,8 +19,9 @@ import numpy as np
 from minigrid.core.world_object import Ball, Box, Door, Key, Wall
 from minigrid.envs.babyai.core.roomgrid_level import RoomGridLevel
 from minigrid.envs.babyai.core.verifier import GoToInstr, ObjDesc, OpenInstr, PickupInstr, PutNextInstr
+from numpy.typing import NDArray
 
-from memtransfer.world import DONE, NO_EFFECT, START, Case, Field, Observation, World, main
+from memtransfer.world import DONE, NO_EFFECT, START, Case, Episode, Field, Observation, World, main
 
 COLUMNS, ROWS, ROOM = 3, 2, 6  # rooms, and the side of a room with its walls
 LEFT, RIGHT, FORWARD, PICK_UP, DROP, TOGGLE = range(6)
@@ -32,11 +35,14 @@ INSTRUCTIONS = {"go to": GoToInstr, "pick up": PickupInstr, "put": PutNextInstr,
 class Rooms(RoomGridLevel):
     """A level of BabyAI with the rooms and the mission that it is given."""
 
-    def __init__(self):
-        self.rooms, self.task, self.start, self.wall = None, None, None, None
+    def __init__(self) -> None:
+        self.rooms: Any = None
+        self.task: Any = None
+        self.start: Any = None
+        self.wall: Any = None
         super().__init__(room_size=ROOM, num_rows=ROWS, num_cols=COLUMNS, max_steps=1_000_000)
 
-    def gen_mission(self):
+    def gen_mission(self) -> None:
         for x, y in self.rooms["openings"]:
             self.grid.set(x, y, None)
         for colour, x, y, state in self.rooms["doors"]:
@@ -83,10 +89,10 @@ class Minigrid(World):
     tasks = {"go-to": "go to", "pick-up": "carry", "put-next": "carry", "open": "doors", "unlock": "doors"}
     failures = {"opened-box": "opened the box that the mission was about"}
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.env = Rooms()
 
-    def cases(self):
+    def cases(self) -> Iterator[Case]:
         drawn = json.loads(Path(__file__).with_name("cases.json").read_text())
         for case in drawn["cases"]:
             data = {"rooms": drawn["grids"][case["grid"]], **case}
@@ -94,7 +100,7 @@ class Minigrid(World):
             actions = {name: [self.letters.index(letter) for letter in letters] for name, letters in case["trajectories"].items()}
             yield Case(case["id"], instruction(case["mission"]), actions, case["task"], **mixed, data=data)
 
-    def reset(self, episode):
+    def reset(self, episode: Episode) -> Observation:
         case, env = episode.case.data, self.env
         env.rooms, env.task, env.start = case["rooms"], case["mission"], case["starts"][episode.start]
         env.wall = case["blocked"] if episode.blocked else None
@@ -103,11 +109,12 @@ class Minigrid(World):
         what = {"put-next": case["mission"][1], "unlock": case["mission"][1].replace("door", "key")}
         self.carried = what.get(case["task"])
         self.required = 1 if self.carried is None else 2
-        self.sub_goals, self.steps, self.failed_at = 0, 0, None
+        self.sub_goals, self.steps = 0, 0
+        self.failed_at: int | None = None
         self.seen = self.hash()
         return self.observe(START)
 
-    def step(self, action):
+    def step(self, action: int) -> Observation:
         env = self.env
         front, ahead = tuple(env.front_pos), env.grid.get(*env.front_pos)
         conflict = action in (FORWARD, TOGGLE) and front == tuple(env.wall or ())
@@ -122,41 +129,41 @@ class Minigrid(World):
         before, self.seen = self.seen, self.hash()
         return self.observe(NO_EFFECT if self.seen == before else DONE, conflict)
 
-    def hash(self):
+    def hash(self) -> int:
         """Of all that determines what is seen and what follows, but for the mission."""
         env = self.env
         column, row = env.agent_pos
         text = f"{column} {row} {env.agent_dir} {carrying(env)} {self.sub_goals}"
         return int.from_bytes(blake2b(env.grid.encode().tobytes() + text.encode(), digest_size=8).digest(), "little")
 
-    def observe(self, feedback, conflict=False):
+    def observe(self, feedback: int, conflict: bool = False) -> Observation:
         held = carrying(self.env)
         state = (*self.env.agent_pos, self.env.agent_dir, 0 if held is None else 1 + NAMES.index(held), ahead(self.env))
         failed = self.failed_at is not None
         return Observation(state, feedback, self.sub_goals, self.required, failed, conflict, state_hash=self.seen)
 
-    def render(self, pixels):
+    def render(self, pixels: NDArray[np.uint8]) -> None:
         height, width = pixels.shape[:2]
         view = self.env.get_pov_render(tile_size=-(-height // self.env.agent_view_size))
         nearest = np.ix_(np.arange(height) * view.shape[0] // height, np.arange(width) * view.shape[1] // width)
         pixels[..., :3], pixels[..., 3] = view[nearest], 255
 
-    def facts(self):
+    def facts(self) -> Mapping[str, Any]:
         return {} if self.failed_at is None else {"failure": {"kind": "opened-box", "step": self.failed_at}}
 
 
-def carrying(env):
+def carrying(env: Rooms) -> str | None:
     """The name of what the agent carries."""
     return env.carrying and f"{env.carrying.color} {env.carrying.type}"
 
 
-def ahead(env):
+def ahead(env: Rooms) -> int:
     """The place in `AHEAD` of the door in front of the agent."""
     cell = env.grid.get(*env.front_pos)
     return 1 + cell.encode()[2] if isinstance(cell, Door) else 0  # 0, 1, 2: open, closed, locked
 
 
-def instruction(mission):
+def instruction(mission: Sequence[str]) -> str:
     """A mission in words, as BabyAI has them."""
     verb, *names = mission
     return f"{verb} " + " next to ".join(f"the {name}" for name in names)

@@ -10,8 +10,10 @@ import contextlib
 import functools
 import json
 import math
+from collections.abc import Callable, Iterator, Sequence
 from hashlib import blake2b
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyglet
@@ -24,8 +26,9 @@ from miniworld.miniworld import MiniWorldEnv
 from miniworld.opengl import FrameBuffer
 from miniworld.params import DEFAULT_PARAMS
 from miniworld.utils import get_file_path
+from numpy.typing import NDArray
 
-from memtransfer.world import DONE, NO_EFFECT, START, Case, Field, Observation, World, main
+from memtransfer.world import DONE, NO_EFFECT, START, Case, Episode, Field, Observation, World, main
 
 COLUMNS, ROWS, SIDE = 3, 2, 5  # rooms, and the metres from one to the next: four cells and a wall
 # From the middle of a cell to a wall, and to a side of a doorway. Walls are half a metre thick; what is carried reaches into the next cell.
@@ -47,7 +50,7 @@ INSTRUCTIONS = {
 }
 
 
-def load_texture(path, load=pyglet.image.load):
+def load_texture(path: str, load: Callable[[str], Any] = pyglet.image.load) -> Any:
     """An image with four numbers a pixel. pyglet makes four of three with a regular expression, in seconds for a texture."""
     image = load(path).get_image_data()
     numbers = np.frombuffer(image.get_data(image.format, image.width * len(image.format)), np.uint8)
@@ -66,12 +69,14 @@ miniworld.opengl.get_file_path = miniworld.objmesh.get_file_path = functools.cac
 class Rooms(MiniWorldEnv):
     """Miniworld with the rooms, the objects and the start that it is given. It draws only when it is asked to."""
 
-    drawn = None  # whose walls are in the list of drawing commands, which all instances of a process share
+    drawn: "Rooms | None" = None  # whose walls are in the list of drawing commands, which all instances of a process share
 
-    def __init__(self):
+    def __init__(self) -> None:
         # All shapes are loaded before the first episode, which has to begin within a step's time limit.
         objects = [(kind, colour, 0, 0) for kind in OBJECTS for colour in COLOURS]
-        self.plan, self.start, self.blocked = {"doorways": [], "objects": objects}, (0, 0, 0), (0, 0)
+        self.plan: Any = {"doorways": [], "objects": objects}
+        self.start: Sequence[int] = (0, 0, 0)
+        self.blocked: Sequence[int] | None = (0, 0)
         params = DEFAULT_PARAMS.no_random()
         params.set("forward_step", 1 / STEPS)
         params.set("turn_step", 90)
@@ -80,7 +85,7 @@ class Rooms(MiniWorldEnv):
         with contextlib.redirect_stdout(None):  # how many samples a pixel has
             super().__init__(1_000_000, 8, 8, 8, 8, params)
 
-    def _gen_world(self):
+    def _gen_world(self) -> None:
         rooms = {}
         for number, (j, i) in enumerate(np.ndindex(ROWS, COLUMNS)):
             x, z = i * SIDE - BESIDE_WALL, j * SIDE - BESIDE_WALL
@@ -97,19 +102,20 @@ class Rooms(MiniWorldEnv):
         for kind, colour, x, z in self.plan["objects"]:
             self.named[f"{colour} {kind}"] = self.put(OBJECTS[kind](colour), x, z, math.pi / 5)
         if self.blocked:
-            self.put(MeshEnt("barrel", height=1.0), *self.blocked, 0.0)
+            x, z = self.blocked
+            self.put(MeshEnt("barrel", height=1.0), x, z, 0.0)
         x, z, heading = self.start
         self.put(self.agent, x, z, heading * math.pi / 2)
 
-    def put(self, entity, x, z, direction):
+    def put(self, entity: Any, x: float, z: float, direction: float) -> Any:
         return self.place_entity(entity, pos=np.array([x, 0.0, z]), dir=direction)
 
-    def reset(self, **kwargs):
+    def reset(self, **kwargs: Any) -> Any:
         super().reset(**kwargs)
         Rooms.drawn = self
         return None, {}
 
-    def step(self, action):
+    def step(self, action: int) -> None:
         """A quarter turn, a metre or nothing, or what Miniworld does."""
         for taken in range(STEPS if action == FORWARD else 1):
             before = self.agent.pos
@@ -125,7 +131,7 @@ class Rooms(MiniWorldEnv):
         for entity in self.entities:
             entity.pos = np.round(entity.pos, 6) + 0.0
 
-    def render_obs(self, frame_buffer=None):
+    def render_obs(self, frame_buffer: Any = None) -> Any:
         if frame_buffer is None:
             return None
         if Rooms.drawn is not self:
@@ -152,10 +158,10 @@ class Miniworld(World):
     state_sentence = "You are at x {x}, z {z}, facing {heading}, and carry {carrying}."
     tasks = {"go-to": "go to", "visit": "visit", "pick-up": "carry", "put-next": "carry"}
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.env = Rooms()
 
-    def cases(self):
+    def cases(self) -> Iterator[Case]:
         drawn = json.loads(Path(__file__).with_name("cases.json").read_text())
         for case in drawn["cases"]:
             data = {"plan": drawn["buildings"][case["building"]], **case}
@@ -164,12 +170,12 @@ class Miniworld(World):
             instruction = INSTRUCTIONS[case["task"]].format(*case["objects"])
             yield Case(case["id"], instruction, actions, case["task"], **mixed, data=data)
 
-    def reset(self, episode):
+    def reset(self, episode: Episode) -> Observation:
         case = episode.case.data
         self.begin(case, case["starts"][episode.start], case["blocked"] if episode.blocked else None)
         return self.observe(START)
 
-    def begin(self, case, start, blocked):
+    def begin(self, case: Any, start: Sequence[int], blocked: Sequence[int] | None) -> None:
         env = self.env
         env.plan, env.start, env.blocked = case["plan"], start, blocked
         env.reset(seed=0)
@@ -177,7 +183,7 @@ class Miniworld(World):
         self.sub_goals, self.required = 0, 1 if case["task"] in ("go-to", "pick-up") else 2
         self.seen = self.hash()
 
-    def step(self, action):
+    def step(self, action: int) -> Observation:
         env = self.env
         env.step(ACTIONS[action])
         held = env.agent.carrying
@@ -193,33 +199,33 @@ class Miniworld(World):
         conflict = unchanged and ACTIONS[action] == FORWARD and self.is_barrel_ahead()
         return self.observe(NO_EFFECT if unchanged else DONE, conflict)
 
-    def is_barrel_ahead(self):
+    def is_barrel_ahead(self) -> bool:
         """Whether a barrel is in front of the agent, or of what it carries."""
         x, z, heading = self.pose()
         cells = [[x + AHEAD[heading][0] * far, z + AHEAD[heading][1] * far] for far in (1, 2)]
         return self.env.blocked in (cells if self.env.agent.carrying else cells[:1])
 
-    def pose(self):
+    def pose(self) -> tuple[int, int, int]:
         agent = self.env.agent
         return round(agent.pos[0]), round(agent.pos[2]), round(agent.dir / (math.pi / 2))
 
-    def hash(self):
+    def hash(self) -> int:
         """Of all that determines what is seen and what follows, but for the mission."""
         env = self.env
         said = [self.case["building"], env.blocked, self.carried(), self.sub_goals]
         said += [(entity.pos.tolist(), entity.dir) for entity in env.entities]
         return int.from_bytes(blake2b(json.dumps(said).encode(), digest_size=8).digest(), "little")
 
-    def carried(self):
+    def carried(self) -> int:
         """The number of what the agent carries in the words of the state."""
         held = self.env.agent.carrying
         return 0 if held is None else 1 + NAMES.index(next(name for name, each in self.env.named.items() if each is held))
 
-    def observe(self, feedback, conflict=False):
+    def observe(self, feedback: int, conflict: bool = False) -> Observation:
         state = (*self.pose(), self.carried())
         return Observation(state, feedback, self.sub_goals, self.required, conflict=conflict, state_hash=self.seen)
 
-    def render(self, pixels):
+    def render(self, pixels: NDArray[np.uint8]) -> None:
         height, width = pixels.shape[:2]
         pixels[..., :3], pixels[..., 3] = self.env.render_obs(frame_buffer(width, height, 4)), 255
 

@@ -8,6 +8,7 @@ from nothing needs a curriculum, or demonstrations. The instruction is left out,
 """
 
 import argparse
+from typing import Any
 
 import gymnasium
 from gymnasium.wrappers import FilterObservation
@@ -16,13 +17,13 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 
 
-def make(case, max_steps):
+def make(case: str, max_steps: int) -> gymnasium.Env[Any, Any]:
     env = gymnasium.make("memtransfer.gym:MemTransfer-v0", case=case, frame_size=64, max_steps=max_steps)
     return FilterObservation(env, ["pixels", "pose", "feedback"])
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--case", default="t02-04")
     parser.add_argument("--steps", type=int, default=4096, metavar="N")
     parser.add_argument("--max-steps", type=int, default=64, metavar="N")

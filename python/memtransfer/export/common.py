@@ -6,7 +6,7 @@ import importlib
 import os
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,7 +64,7 @@ def refuse_existing(path: Path) -> None:
 
 
 @contextmanager
-def new(path: Path) -> Iterator[Path]:
+def new(path: Path) -> Generator[Path, None, None]:
     """A temporary path beside `path`, which gets its name when the block has ended without an error."""
     refuse_existing(path)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-//! The example policies in Python: README's, and the one on plain iceoryx2.
+//! The example policies in Python that follow memory: with the package, and on plain iceoryx2.
 
 use memtransfer_tests::{Bench, Ended, needs, records, repository, success_rate};
 
@@ -28,14 +28,7 @@ fn assert_follows_segments(records: &[serde_json::Value]) {
 }
 
 #[test]
-fn the_readme_shows_the_example_policy() {
-    let readme = std::fs::read_to_string(repository("README.md")).unwrap();
-    let example = std::fs::read_to_string(repository("python/examples/follow_memory.py")).unwrap();
-    assert!(readme.contains(&format!("```python\n{example}```")), "README shows another text");
-}
-
-#[test]
-fn the_example_policy_of_the_readme_succeeds_with_episodic_memory() {
+fn the_policy_that_follows_memory_succeeds_with_episodic_memory() {
     let bench = Bench::new();
     let package = repository("python");
     let package = package.to_str().unwrap();

@@ -176,17 +176,3 @@ fn an_exception_in_one_episode_costs_that_episode() {
     assert_eq!(counts(&records), BTreeMap::from([("scripted", 1), ("working", 2)]));
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
-
-#[test]
-fn the_memory_of_the_tutorial_is_short_and_runs() {
-    let bench = Bench::new();
-    let page = fs::read_to_string(repository("docs/memory.md")).unwrap();
-    let (_, code) = page.split_once("```python\n").unwrap();
-    let (code, _) = code.split_once("```").unwrap();
-    assert!(code.lines().count() < 50, "{code}");
-    fs::write(bench.out("my_memory.py"), code).unwrap();
-    let memory = format!("{} my_memory.py", needs::python().display());
-    run(&bench, &words("run --limit 2 --memory working --out out"), &[memory]).expect(0);
-    assert_eq!(counts(&records(&bench.out("out"))), BTreeMap::from([("top-3", 4), ("working", 4)]));
-    assert_eq!(bench.leftovers(), Vec::<String>::new());
-}

@@ -2,6 +2,7 @@
 
 mod examples;
 mod other_programs;
+mod pages;
 mod wheel;
 
 use std::fs;
@@ -12,7 +13,7 @@ use std::sync::LazyLock;
 
 use memtransfer_tests::{
     Bench, Ended, episodes, eventually, kill, needs, process_of_world, program, records,
-    sorted_log, wait_for_episodes, words,
+    repository, sorted_log, wait_for_episodes, words,
 };
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
@@ -119,13 +120,22 @@ fn the_package_evaluates_objects() {
     }
 }
 
+/// As `mypy.ini` and `pyrightconfig.json` say.
 #[test]
-fn the_package_is_typed() {
+fn the_package_and_its_examples_are_typed() {
     let bench = Bench::new();
     let cache = bench.out("mypy");
     let cache = ["--cache-dir", cache.to_str().unwrap()];
-    let typed = ["memtransfer", "examples/compare_memories.py"];
-    python(&[&["-m", "mypy"][..], &cache, &typed].concat(), &[]).expect(0);
+    let mypy = |paths: &[&str]| {
+        python(&[&["-m", "mypy"][..], &cache, paths].concat(), &[]).expect(0);
+    };
+    mypy(&["memtransfer", "examples"]);
+    // Modules of one name, so each alone. pyright's strict rules ask for types that the simulators do not have.
+    for world in ["minigrid", "miniworld", "metaworld"] {
+        mypy(&[repository(&format!("examples/worlds/{world}/world.py")).to_str().unwrap()]);
+    }
+    let packages = needs::python();
+    python(&["-m", "pyright", "--pythonpath", packages.to_str().unwrap()], &[]).expect(0);
 }
 
 /// The package as `pip install` installs it, in a folder. Inspect names the tasks of packages in folders of this name only.
