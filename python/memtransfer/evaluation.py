@@ -30,7 +30,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.util import find_spec
-from pathlib import Path
+from pathlib import Path, PosixPath
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 from urllib.parse import quote
 
@@ -400,40 +400,41 @@ class Comparison:
     Figures are means over cases: first over the pairs of a case, then over the cases. Intervals are of 95 %, over cases. The exact sign
     test asks whether one of the two succeeds in more cases than the other: it counts the cases that succeed more often under A and those
     that succeed more often under B, and leaves out the others. `docs/specification.md`, section 7, has the formulas.
+
+    Attributes:
+        a: The first condition.
+        b: The second condition.
+        difference: Of the success rates, in percentage points.
+        interval: Its 95 % interval over cases, in percentage points; `None` for fewer than two cases.
+        p: Of the exact two-sided sign test, from 0 to 1: the probability of counts as uneven as `more_under_a` and
+            `more_under_b`, or more so, if neither condition were better. Not corrected for several comparisons.
+        pairs: The number of pairs of episodes, each of one case and one repetition that both conditions have finished.
+        cases: The number of cases of which there is a pair.
+        success_a: The success rate of A over the pairs, in percent.
+        success_b: The success rate of B over the pairs, in percent.
+        more_under_a: The number of cases that succeed more often under A.
+        more_under_b: The number of cases that succeed more often under B.
+        spl_difference: Of SPL, the success weighted by path length, from -1 to 1.
+        spl_interval: Its 95 % interval over cases; `None` for fewer than two cases.
+        spl_a: SPL of A, from 0 to 1.
+        spl_b: SPL of B, from 0 to 1.
     """
 
     a: str
-    """The first condition."""
     b: str
-    """The second condition."""
     difference: float
-    """Of the success rates, in percentage points."""
     interval: tuple[float, float] | None
-    """Its 95 % interval over cases, in percentage points; `None` for fewer than two cases."""
     p: float | None
-    """Of the exact two-sided sign test, from 0 to 1: the probability of counts as uneven as `more_under_a` and `more_under_b`, or more so, if
-    neither condition were better. Not corrected for several comparisons."""
     pairs: int
-    """The number of pairs of episodes, each of one case and one repetition that both conditions have finished."""
     cases: int
-    """The number of cases of which there is a pair."""
     success_a: float
-    """The success rate of A over the pairs, in percent."""
     success_b: float
-    """The success rate of B over the pairs, in percent."""
     more_under_a: int
-    """The number of cases that succeed more often under A."""
     more_under_b: int
-    """The number of cases that succeed more often under B."""
     spl_difference: float
-    """Of SPL, the success weighted by path length, from -1 to 1."""
     spl_interval: tuple[float, float] | None
-    """Its 95 % interval over cases; `None` for fewer than two cases."""
     spl_a: float
-    """SPL of A, from 0 to 1."""
     spl_b: float
-    """SPL of B, from 0 to 1."""
-
 
     def __repr__(self) -> str:
         return "\n".join((f"A: {self.a}", f"B: {self.b}", *(f"{name:<12} {text}" for name, text in self._rows())))
@@ -456,7 +457,7 @@ def _in_brackets(interval: tuple[float, float] | None, digits: int) -> str:
     return "" if interval is None else f" [{interval[0]:.{digits}f}, {interval[1]:.{digits}f}]"
 
 
-class _Page(type(Path())):  # type: ignore[misc]
+class _Page(PosixPath):
     """The path of a page, which a notebook shows as a link."""
 
     def _repr_html_(self) -> str:
