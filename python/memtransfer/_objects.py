@@ -15,16 +15,18 @@ import socket
 import struct
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Any, TypeAlias
 
 from memtransfer import _native
+from memtransfer._program import output_of
 from memtransfer._relay import SOCKET
-from memtransfer.errors import AttachError, BusError
+from memtransfer.errors import AttachError, BusError, RunError
 from memtransfer.memory import Memory
 from memtransfer.policy import Policy
 from memtransfer.serving import code_of_object, described, maker_of
@@ -43,7 +45,10 @@ def name_of(served: Served) -> str:
 def command_of(served: Served) -> str:
     """Returns the command that stands for an object in a run."""
     words = " ".join(shlex.quote(word) for word in name_of(served).split(" ", 1))
-    return shlex.join(["sh", "-c", f'exec "${_PYTHON}" -IS "${_RELAY}" {words}'])
+    kind = served if isinstance(served, type) else type(served)
+    # The last word is not used: reports say it in place of the command.
+    object_in_words = f"an object of class {kind.__name__} of the calling program"
+    return shlex.join(["sh", "-c", f'exec "${_PYTHON}" -IS "${_RELAY}" {words}', object_in_words])
 
 
 class Objects:
@@ -92,6 +97,31 @@ class Objects:
         for service in self._services.values():
             service.ended.wait(timeout_s)
 
+    def calls(self, least_s: float) -> list[str]:
+        """Returns which objects have been called for at least so long, and what of them: `memory slow (build)`."""
+        calls = ((name, service.call(least_s)) for name, service in self._services.items())
+        return [f"{name} ({call})" for name, call in calls if call is not None]
+
+    def remove_rest(self) -> None:
+        """Removes what the run could not remove because objects used it, as soon as they have ended: in this thread if they have, or else in
+        another."""
+        if all(service.ended.is_set() for service in self._services.values()):
+            self._remove_rest()
+        else:
+            threading.Thread(target=self._remove_rest, name="memtransfer rest", daemon=True).start()
+
+    def _remove_rest(self) -> None:
+        for service in self._services.values():
+            service.ended.wait()
+        # What cannot be removed here, the next run removes.
+        with suppress(RunError):
+            output_of(["clean"])
+        for folder in {service.folder for service in self._services.values() if service.folder is not None}:
+            # A run that is ended at once removes its folder; an object that goes on makes names again that belong to none.
+            if not folder.exists():
+                for name in Path("/dev/shm").glob(f"mt{folder.name}_*"):
+                    name.unlink(missing_ok=True)
+
     def _accept(self) -> None:
         while True:
             try:
@@ -117,6 +147,8 @@ class _Service:
 
     def __init__(self, served: Served, broken: threading.Event) -> None:
         self.served = served
+        self.folder: Path | None = None
+        """The folder of the run in shared memory, once the service has joined it."""
         self.raised: BaseException | None = None
         self.ended = threading.Event()
         self.ended.set()
@@ -125,17 +157,34 @@ class _Service:
         # The run may start its processes again: the service before ends within a second, unless the object hangs.
         self._turn = threading.Lock()
         self._relay: socket.socket | None = None
+        self._thread: int | None = None
+        self._call: tuple[FrameType | None, float] = (None, 0.0)
+
+    def call(self, least_s: float) -> str | None:
+        """Returns the name of the method of the object that runs now; `None` if none does, or none that an earlier call has seen at least so
+        long ago."""
+        frame = None if self._thread is None else sys._current_frames().get(self._thread)
+        inner = None
+        while frame is not None and frame.f_code is not _Service._serve.__code__:
+            inner, frame = frame, frame.f_back
+        if inner is None or frame is None:
+            self._call = (None, 0.0)
+            return None
+        if self._call[0] is not inner:
+            self._call = (inner, time.monotonic())
+        return inner.f_code.co_name if time.monotonic() - self._call[1] >= least_s else None
 
     def serve(self, folder: str, relay: socket.socket) -> None:
         """Serves the object in this thread, until the run or its processes end."""
         with self._turn, relay:
             self.ended.clear()
             self._relay = relay
+            self._thread, self.folder = threading.get_ident(), Path(folder)
             try:
                 status = self._serve(folder)
                 self.tell(f"\0{status}")
             finally:
-                self._relay = None
+                self._relay, self._thread, self._call = None, None, (None, 0.0)
                 self.ended.set()
 
     def _serve(self, folder: str) -> int:

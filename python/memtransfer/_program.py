@@ -44,6 +44,21 @@ _ADVICE = re.compile(r"\nA (memory writes|policy attaches) .*\n +memtransfer con
 
 _SAME_COMMAND = re.compile(r"\s+(\S*/)?memtransfer run .*")
 
+_LOG = re.compile(r"\d{4}-\d\d-\d\dT\S+ +(?:WARN|ERROR) \S.*")
+"""A line of the program's log. It may follow the progress that it does not erase."""
+
+_ENDING = re.compile(r"a process of run \w+ is still alive|the processes could not be asked to end")
+"""In log lines about services of objects that end later than the run, which `evaluate` waits for itself."""
+
+_FLAGS = re.compile(r"`(?:run )?--([a-z][a-z-]*)(?: ([^`]+))?`|`[^`]*`|^(  (?=\S*:)|(?:memtransfer: |error: )?--)([a-z][a-z-]*)|(?<![\w-])--([a-z][a-z-]*)")
+"""A flag in backticks, with a value or without; other text in backticks, which is left as it is; a flag or a setting at the begin of a
+line; a flag elsewhere."""
+
+_TIME_LEFT = re.compile(r", (\d+ (s|min|h) ?)+left")
+
+_LONG_CALL_S = 3.0
+"""A call of an object that takes longer is shown."""
+
 _TICK_S = 0.1
 
 _LAST_WORDS_S = 10.0
@@ -128,15 +143,48 @@ def style_of_screen(progress: bool) -> Style:
     return Style.TERMINAL if sys.stderr is not None and sys.stderr.isatty() else Style.LINES
 
 
-class _Screen:
+def _in_python(line: str, keywords: Mapping[str, str]) -> str:
+    """Returns a line of the program with the keywords of `evaluate` in place of flags."""
+
+    def keyword(found: re.Match[str]) -> str:
+        quoted, value, begin, first, bare = found.groups()
+        name = keywords.get(quoted or first or bare or "")
+        if name is None:
+            return found[0]
+        if first:
+            return begin.removesuffix("--") + name
+        return f"`{name}={value!r}`" if value else f"`{name}=True`" if name == "fresh" else f"`{name}`"
+
+    return _FLAGS.sub(keyword, line)
+
+
+class Screen:
     """Shows what a run prints to its terminal: progress, which replaces itself, and notes, which stay."""
 
-    def __init__(self, style: Style, words: Mapping[str, str]) -> None:
-        self.notes: list[str] = []
+    notes: list[str]
+    """What the run has printed, without progress and its log."""
+    left_behind: bool
+    """Whether the run could not remove what it has in shared memory, because an object still used it."""
+
+    def __init__(
+        self,
+        style: Style,
+        words: Mapping[str, str],
+        keywords: Mapping[str, str],
+        calls: Callable[[float], Sequence[str]] = lambda _: (),
+    ) -> None:
+        """`words` are replaced in notes; `keywords` are those of `evaluate`, by flag; `calls` names the calls of objects that have
+        taken a number of seconds."""
+        self.notes = []
+        self.left_behind = False
         self._style = style
         self._words = words
+        self._keywords = keywords
+        self._calls = calls
+        self._is_quiet = False
         self._decoder = codecs.getincrementaldecoder("utf-8")(errors="replace")
         self._line = ""
+        self._drawn = ""
         self._is_message = False
         self._shown, self._shown_s = "", float("-inf")
 
@@ -144,16 +192,27 @@ class _Screen:
         """Shows more of what the run prints."""
         *whole, self._line = (self._line + self._decoder.decode(chunk)).split("\n")
         for line in whole:
-            self._note(self._last_drawn(line))
+            # What is printed beside the display does not erase it.
+            self._note(self._last_drawn(line).removeprefix(self._drawn))
+            self._drawn = ""
         if self._line:
-            self._progress(self._last_drawn(self._line))
+            self._drawn = self._last_drawn(self._line)
+            self._progress(self._drawn)
+
+    def interrupted(self) -> None:
+        """Says what an interrupt waits for."""
+        calls = " and ".join(self._calls(0.0))
+        self._stay(f"stopping{calls and f'; waiting for {calls}'} (interrupt again to end at once)")
+
+    def be_quiet(self) -> None:
+        """Shows nothing from now on: what stops the run is raised."""
+        self._is_quiet = True
 
     def close(self, last: str) -> None:
         """Replaces the progress by a last line."""
         if self._style is not Style.NOTES and last:
-            self._show(last)
-            self._write("\n")
-        elif self._shown:
+            self._stay(last)
+        elif self._shown and self._style is not Style.LINES:
             self._show("")
 
     @staticmethod
@@ -161,16 +220,27 @@ class _Screen:
         return _CONTROL.sub("", line.rstrip("\r").rpartition("\r")[2])
 
     def _note(self, line: str) -> None:
-        if _SAME_COMMAND.fullmatch(line):
-            line = "  the same call of `evaluate`"
+        if logged := _LOG.search(line):
+            if not _ENDING.search(line):
+                self._stay(logged[0])
+            self.left_behind = self.left_behind or "is still alive" in line
+            return
         for ours, meaning in self._words.items():
             line = line.replace(ours, meaning)
+        if _SAME_COMMAND.fullmatch(line):
+            line = "  the same call of `evaluate`"
+        else:
+            line = _in_python(line, self._keywords)
         if not line:
             return
         self.notes.append(line)
         self._is_message = self._is_message or _MESSAGE.match(line) is not None
         # A message is raised.
         if not self._is_message:
+            self._stay(line)
+
+    def _stay(self, line: str) -> None:
+        if not self._is_quiet:
             self._show(line)
             self._write("\n")
             self._shown = ""
@@ -178,7 +248,14 @@ class _Screen:
     def _progress(self, line: str) -> None:
         interval_s = _INTERVALS_S.get(self._style)
         now_s = time.monotonic()
-        if interval_s is None or not line or line == self._shown or now_s - self._shown_s < interval_s:
+        if interval_s is None or not line or self._is_quiet or now_s - self._shown_s < interval_s:
+            return
+        if calls := " and ".join(self._calls(_LONG_CALL_S)):
+            line = f"{_TIME_LEFT.sub('', line)}, waiting for {calls}"
+            if self._style is Style.TERMINAL:
+                # A line that wraps cannot be replaced.
+                line = line[: shutil.get_terminal_size().columns - 1]
+        if line == self._shown:
             return
         self._shown_s = now_s
         self._show(line)
@@ -196,10 +273,12 @@ class _Screen:
         self._shown = line
 
     def _write(self, text: str) -> None:
+        # A notebook shows standard error as if it were a failure.
+        screen = sys.stdout if self._style is Style.NOTEBOOK else sys.stderr
         # A closed screen does no harm to a run.
         with suppress(OSError, ValueError, AttributeError):
-            sys.stderr.write(text)
-            sys.stderr.flush()
+            screen.write(text)
+            screen.flush()
 
 
 @dataclass(frozen=True)
@@ -214,17 +293,13 @@ class Ended:
     """Whether SIGINT stopped it."""
 
 
-def attend(
-    command: Sequence[str], variables: Mapping[str, str], stop: threading.Event, screen: tuple[Style, Mapping[str, str], str]
-) -> Ended:
-    """Starts the program, shows its progress, and waits until it ends. It is interrupted once `stop` is set. `screen` says how progress
-    is shown, which words of messages are replaced, and the last line if the program succeeds.
+def attend(command: Sequence[str], variables: Mapping[str, str], stop: threading.Event, screen: Screen, last: str) -> Ended:
+    """Starts the program, shows its progress on `screen`, and waits until it ends. It is interrupted once `stop` is set. `last` is the last
+    line that is shown if the program succeeds.
 
     In the main thread, an interrupt is passed on, and the program stops cleanly; a second one ends it at once. In another thread, which
     gets no interrupts, the program is in the process group of this process, and gets those of the terminal by itself.
     """
-    style, words, last = screen
-    shown = _Screen(style, words)
     in_main = threading.current_thread() is threading.main_thread()
     terminal, end = pty.openpty()
     _copy_size(end)
@@ -251,28 +326,36 @@ def attend(
         reader = threading.Thread(target=_read, args=(terminal, chunks), name="memtransfer progress", daemon=True)
         reader.start()
         try:
-            _show(child, chunks, shown, stop)
+            _show(child, chunks, screen, (stop, count))
         finally:
             if child.poll() is None:
                 child.terminate()
                 child.wait()
         status = child.wait()
         interrupted = bool(count()) or status == 128 + signal.SIGINT
-        shown.close(last if status == 0 else "")
-        return Ended(status, "\n".join(shown.notes), interrupted)
+        screen.close(last if status == 0 else "")
+        return Ended(status, "\n".join(screen.notes), interrupted)
 
 
 def _show(
-    child: subprocess.Popen[bytes], chunks: queue.SimpleQueue[bytes | None], screen: _Screen, stop: threading.Event
+    child: subprocess.Popen[bytes],
+    chunks: queue.SimpleQueue[bytes | None],
+    screen: Screen,
+    stops: tuple[threading.Event, Callable[[], int]],
 ) -> None:
-    """Shows what `child` prints until it ends."""
-    is_stopped, is_read = False, False
+    """Shows what `child` prints until it ends. `stops` are what asks to interrupt it, and the number of interrupts so far."""
+    stop, interrupts = stops
+    is_stopped, is_interrupted, is_read = False, False, False
     give_up_s = float("inf")
     # Interrupts are handled between two looks, so no wait is long.
     while not (is_read and child.poll() is not None) and time.monotonic() < give_up_s:
         if stop.is_set() and not is_stopped:
             is_stopped = True
+            screen.be_quiet()
             _send_interrupt([child])
+        if interrupts() and not is_interrupted:
+            is_interrupted = True
+            screen.interrupted()
         try:
             chunk = chunks.get(timeout=_TICK_S)
         except queue.Empty:

@@ -29,8 +29,9 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PosixPath
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict
+from urllib.parse import quote
 
 from memtransfer import _objects, _program
 from memtransfer._relay import ATTACH
@@ -75,16 +76,24 @@ class Settings(TypedDict, total=False):
     # What is run.
     world_book: File
     starts: Words
+    """`original` (where a demonstration starts), `new` (where none does)."""
     routes: Words
+    """`unchanged`, `blocked` (a passage of the demonstrations is closed; new starts only)."""
     demos: Words
+    """Sets of demonstrations, each a condition of its own: `original`, `opposite`, `nearby`, `distant`, several of these joined by `+`, `4`
+    for all four, `irrelevant`, `confusable`, `after`, `before-after`, `after-before`, `elsewhere`, `bank-N` for N of all cases."""
     cases: Words
+    """By id (`t03-07`), task (`t03`), number (`37`) or range (`1-10`)."""
     limit: int
     """The number of the selected cases that are run, balanced over the tasks."""
     arms: Words
+    """What the memories of a suite of streams are built from: `frozen`, `learning`, `oracle`, `wrong`."""
     streams: int
     rounds: int
     orders: Words
+    """Of the blocks of streams: `drawn`, `reversed`, `shuffled`."""
     feedback: str
+    """What a memory that learns is told at the end of an episode: `none`, `success`, `sub-goals`."""
     runs: int
     """Repetitions of every episode, each with its own seed."""
     seed: int
@@ -98,6 +107,7 @@ class Settings(TypedDict, total=False):
     horizon: int
     hits: int
     segment: Words
+    """What a retrieved segment holds: `actions` (with their views), `images`."""
     keyframes: int
     memory_images: int
     memory_text_bytes: int
@@ -108,6 +118,7 @@ class Settings(TypedDict, total=False):
     frame_size: int
     """Width and height of a frame in pixels, a multiple of 64."""
     frames: str
+    """What frames show: `rendered`, or as a control `blank`, `swapped`, `blank-all`."""
     plates: Switch
     labels: Switch
     appearance_seed: int
@@ -147,6 +158,7 @@ class Settings(TypedDict, total=False):
     provider: str
     frame_budget: int
     backend: str
+    """What renders: `wgpu`, `cpu`."""
     adapter: str
     warm_views: bool
     spin_us: int
@@ -163,6 +175,18 @@ _REPEATED = frozenset(("header",))
 
 _VALUELESS = frozenset(("fresh", "allow_commands", "log_prompts", "warm_views"))
 """Flags without a value."""
+
+_ARGUMENTS = ("policy", "memory", "world", "suite", "out", "progress")
+"""The arguments of `evaluate` that are no settings."""
+
+_KEYWORDS = {
+    **{name.replace("_", "-"): name for name in (*Settings.__annotations__, *_ARGUMENTS)},
+    **{f"{name}-cmd": name for name in ("policy", "memory", "world")},
+}
+"""By flag of `memtransfer run`: the argument of `evaluate` that stands for it."""
+
+_OWN_CODE = {"To run them again:": "To run them again with repaired code: `fresh=True`, or another `out`. With the same code:"}
+"""What messages say where code of the user takes part."""
 
 
 def evaluate(
@@ -189,7 +213,7 @@ def evaluate(
         world: A world of your own in place of the warehouse. A class of a notebook or script is sent to a process of its own with
             cloudpickle, which has to be installed; one of a module is imported there.
         suite: The name of a shipped suite (`memtransfer ls suites`), or a suite file; `quick` if it is left out.
-        progress: Whether progress is shown on standard error.
+        progress: Whether progress is shown: on standard error, or in the output of a notebook's cell. `False` shows notes only.
         **settings: The flags of `memtransfer run`, with underscores: see `Settings`.
 
     Raises:
@@ -217,9 +241,13 @@ def evaluate(
         if served_world is not None:
             command += ["--world-cmd", served_world.command]
         variables = {**services.environment, **world_variables}
-        screen = (_program.style_of_screen(progress), services.words, f"finished: {path}")
-        ended = _program.attend(command, variables, services.broken, screen)
+        is_own = bool({"--policy-cmd", "--memory-cmd", "--world-cmd"} & set(command))
+        words = {**services.words, **(_OWN_CODE if is_own else {})}
+        screen = _program.Screen(_program.style_of_screen(progress), words, _KEYWORDS, services.calls)
+        ended = _program.attend(command, variables, services.broken, screen, f"finished: {path}")
         services.join(_END_S)
+        if screen.left_behind or ended.interrupted:
+            services.remove_rest()
     raised = services.raised
     if services.broken.is_set() and raised is not None:
         message = str(raised) if isinstance(raised, MemTransferError) else f"{type(raised).__name__}: {raised}"
@@ -284,7 +312,7 @@ def _setting_flags(settings: Mapping[str, Any]) -> list[str]:
     flags: list[str] = []
     for name, value in settings.items():
         if name not in Settings.__annotations__:
-            known = [*Settings.__annotations__, "policy", "memory", "world", "suite", "out", "progress"]
+            known = [*Settings.__annotations__, *_ARGUMENTS]
             near = difflib.get_close_matches(name.replace("-", "_").lower(), known, 1)
             raise TypeError(f"there is no setting {name!r}" + (f": did you mean {near[0]!r}?" if near else ""))
         flag = f"--{name.replace('_', '-')}"
@@ -368,79 +396,130 @@ def _served(world: _WorldCommand | None) -> Generator[dict[str, str], None, None
 
 @dataclass(frozen=True)
 class Unpaired:
-    """An episode that one side of a comparison has finished and the other has not."""
+    """An episode that one side of a comparison has finished and the other has not.
+
+    Attributes:
+        case: The case.
+        repetition: The repetition, from 1.
+        finished_in: The side that has it.
+        absence: Why the other side has not.
+    """
 
     case: str
-    """The case."""
     repetition: int
-    """The repetition, from 1."""
     finished_in: Literal["a", "b"]
-    """The side that has it."""
     absence: Literal["given-up", "not-finished", "not-run"]
-    """Why the other side has not."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
-    """The difference of two conditions, over the cases and repetitions that both have: A minus B."""
+    """The difference of two conditions, A minus B, over the pairs of episodes of the same case and repetition.
+
+    Figures are means over cases: first over the pairs of a case, then over the cases. Intervals are of 95 %, over cases. The exact sign
+    test asks whether one of the two succeeds in more cases than the other: it counts the cases that succeed more often under A and those
+    that succeed more often under B, and leaves out the others. `docs/specification.md`, section 7, has the formulas.
+
+    Attributes:
+        a: The first condition.
+        b: The second condition.
+        difference: Of the success rates, in percentage points.
+        interval: Its 95 % interval over cases, in percentage points; `None` for fewer than two cases.
+        p: Of the exact two-sided sign test, from 0 to 1: the probability of counts as uneven as `more_under_a` and
+            `more_under_b`, or more so, if neither condition were better. Not corrected for several comparisons.
+        pairs: The number of pairs of episodes, each of one case and one repetition that both conditions have finished.
+        cases: The number of cases of which there is a pair.
+        success_a: The success rate of A over the pairs, in percent.
+        success_b: The success rate of B over the pairs, in percent.
+        more_under_a: The number of cases that succeed more often under A.
+        more_under_b: The number of cases that succeed more often under B.
+        spl_difference: Of SPL, the success weighted by path length, from -1 to 1.
+        spl_interval: Its 95 % interval over cases; `None` for fewer than two cases.
+        spl_a: SPL of A, from 0 to 1.
+        spl_b: SPL of B, from 0 to 1.
+        verdict: Whether A succeeds in more cases than B, or in fewer: p is below 5 %.
+        sentence: The verdict in words, with what it follows from; where no difference is shown, with the one that would be shown with a
+            probability of 80 %, and the number of cases that it would take to show this one.
+        detectable: The smallest difference of the success rates, in percentage points, that would be shown with a probability of 80 % in as
+            many cases; `None` where none would.
+        more_cases: About how many more cases it would take to show this difference with a probability of 80 %; `None` where one is shown,
+            where as many cases are better as worse, and where it would take more than 10,000.
+        unpaired: The episodes of either side without one of the same case and repetition in the other. They enter no figure.
+        changed_without: The parts of the pairs without which the verdict is another, each left out by itself: `group basic`, `task 9`,
+            `repetition 2`, `case t03-07`.
+    """
 
     a: str
-    """The first condition."""
     b: str
-    """The second condition."""
     difference: float
-    """Of the success rates, in percentage points."""
     interval: tuple[float, float] | None
-    """Its 95 % interval over cases; `None` for fewer than two cases."""
     p: float | None
-    """Of the exact two-sided sign test on the cases that succeed more often under one of them; not corrected for several comparisons."""
     pairs: int
-    """The number of pairs of episodes."""
     cases: int
-    """The number of cases."""
     success_a: float
-    """The success rate of A, in percent."""
     success_b: float
-    """The success rate of B, in percent."""
     more_under_a: int
-    """The number of cases that succeed more often under A."""
     more_under_b: int
-    """The number of cases that succeed more often under B."""
     spl_difference: float
-    """Of the success weighted by path length, from -1 to 1."""
     spl_interval: tuple[float, float] | None
-    """Its 95 % interval over cases; `None` for fewer than two cases."""
     spl_a: float
-    """SPL of A, from 0 to 1."""
     spl_b: float
-    """SPL of B, from 0 to 1."""
     verdict: Literal["better", "worse", "no-difference-shown"]
-    """Whether A succeeds in more cases than B, or in fewer: p is below 5 %."""
     sentence: str
-    """The verdict in words, with what it follows from; where no difference is shown, with the one that would be shown with a probability
-    of 80 %, and the number of cases that it would take to show this one."""
     detectable: float | None
-    """The smallest difference of the success rates, in percentage points, that would be shown with a probability of 80 % in as many cases;
-    `None` where none would."""
     more_cases: int | None
-    """About how many more cases it would take to show this difference with a probability of 80 %; `None` where one is shown, where as many
-    cases are better as worse, and where it would take more than 10,000."""
     unpaired: list[Unpaired]
-    """The episodes of either side without one of the same case and repetition in the other. They enter no figure."""
     changed_without: list[str]
-    """The parts of the pairs without which the verdict is another, each left out by itself: `group basic`, `task 9`, `repetition 2`,
-    `case t03-07`."""
+
+    def __repr__(self) -> str:
+        return "\n".join((f"A: {self.a}", f"B: {self.b}", self.sentence, *(f"{name:<12} {text}" for name, text in self._rows())))
+
+    def _repr_html_(self) -> str:
+        rows = (f"<tr><th>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>" for name, text in self._rows())
+        sides = f"<p>A: <code>{html.escape(self.a)}</code><br>B: <code>{html.escape(self.b)}</code></p>"
+        return f"{sides}\n<p>{html.escape(self.sentence)}</p>\n<table>{''.join(rows)}</table>"
+
+    def _rows(self) -> list[tuple[str, str]]:
+        """What is compared, and the figures in words."""
+        p = "" if self.p is None else f", p = {self.p:.2g}"
+        cases = f"{self.cases} cases: A better in {self.more_under_a}, worse in {self.more_under_b}"
+        success = f"{self.success_a:.1f} % against {self.success_b:.1f} %: {self.difference:+.1f} points{_in_brackets(self.interval, 1)}{p}"
+        spl = f"{self.spl_a:.3f} against {self.spl_b:.3f}: {self.spl_difference:+.3f}{_in_brackets(self.spl_interval, 3)}"
+        rows = [("success", success), ("SPL", spl), ("of", f"{self.pairs} pairs of episodes, {cases}")]
+        if self.unpaired:
+            rows.append(("left out", f"{len(self.unpaired)} episodes that only one of the two has finished"))
+        if self.changed_without:
+            rows.append(("rests on", ", ".join(self.changed_without)))
+        return rows
+
+
+def _in_brackets(interval: tuple[float, float] | None, digits: int) -> str:
+    return "" if interval is None else f" [{interval[0]:.{digits}f}, {interval[1]:.{digits}f}]"
+
+
+class _Page(PosixPath):
+    """The path of a page, which a notebook shows as a link."""
+
+    def _repr_html_(self) -> str:
+        path = os.path.relpath(self)
+        return f'<a href="{html.escape(quote(path))}" target="_blank">{html.escape(path)}</a>'
 
 
 class Result:
     """The result of a run, read from its folder when it is asked for. `Result("runs/mine")` reads a run that is there already, finished or
-    not."""
+    not.
+
+    Raises:
+        RunError: The folder holds no run.
+    """
 
     path: Path
     """The folder of the run."""
 
     def __init__(self, path: File, world: _WorldCommand | None = None) -> None:
         self.path = Path(path).absolute()
+        if not (self.path / "manifest.json").is_file():
+            reason = "which holds no run" if self.path.is_dir() else "which is no folder"
+            raise RunError(f"there is no result in {self.path}, {reason}: give the `out` of a call of `evaluate`")
         self._world = world
 
     @property
@@ -518,7 +597,7 @@ class Result:
         """
         more = [] if out is None else ["--out", os.fspath(out)]
         printed = _program.output_of(["report", str(self.path), *more], accepted=(0, 1))
-        return Path(printed.strip().splitlines()[-1]).absolute()
+        return _Page(os.path.abspath(printed.strip().splitlines()[-1]))
 
     def view(self, browser: bool = False) -> str:
         """Starts the viewer, which shows every episode step by step, and returns its address. The viewer ends with this process. `browser`
@@ -549,15 +628,15 @@ class Result:
         summary = f"Result of {self.path}"
         try:
             return f"{summary}\n{self._main_scores().to_string()}"
-        except (ModuleNotFoundError, RunError):
-            return summary
+        except (ModuleNotFoundError, RunError) as error:
+            return f"{summary}: no table, because {error}"
 
     def _repr_html_(self) -> str:
         summary = f"<p>Result of <code>{html.escape(str(self.path))}</code></p>"
         try:
             return f"{summary}\n{self._main_scores().to_html(border=0)}"
-        except (ModuleNotFoundError, RunError):
-            return summary
+        except (ModuleNotFoundError, RunError) as error:
+            return f"{summary}\n<p>No table, because {html.escape(str(error))}</p>"
 
     def _main_scores(self) -> pd.DataFrame:
         main = ["episodes", "sr", "sr_low", "sr_high", "spl", "spl_low", "spl_high", "mean_steps"]

@@ -39,16 +39,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class DemonstrationStep(InState):
-    """One step of a demonstration."""
+    """One step of a demonstration.
+
+    Attributes:
+        state: The expert's state.
+        action: The expert's action there, an `Action` in the warehouse; `None` at the end of the demonstration.
+        feedback: The result of the action before, a `Feedback` in the warehouse.
+        world: What the world says of itself.
+    """
 
     state: Sequence[float]
-    """The expert's state."""
     action: Action | int | None
-    """The expert's action there, an `Action` in the warehouse; `None` at the end of the demonstration."""
     feedback: Feedback | int
-    """The result of the action before, a `Feedback` in the warehouse."""
     world: WorldDeclaration = field(default=WAREHOUSE, repr=False)
-    """What the world says of itself."""
 
 
 class _NoFrames(tuple[Frame, ...]):
@@ -65,24 +68,28 @@ class Demonstration(Sequence[DemonstrationStep]):
     """An expert's demonstration of a task: a sequence of steps, and the same steps as arrays.
 
     Demonstrations are numbered from 0, in the order of `Memory.build`; steps from 0 within a demonstration.
+
+    Attributes:
+        instruction: The demonstrated task, in English.
+        states: (steps, numbers of a state): the expert's state at each step, whose numbers `world.state` names. In the
+            warehouse column, row, heading.
+        actions: (steps,): the number of the expert's action at each step, an `Action` in the warehouse; -1 at the end,
+            where there is none.
+        feedback: (steps,): the number of the feedback to the action before, a `Feedback` in the warehouse.
+        embeddings: (steps, dimension): the embedding of the view at each step, of length 1. Read-only, and the run's
+            own memory: nothing is copied. It has no columns if `Memory.embeddings` is false.
+        frames: The view at each step, whose `pixels` are (height, width, 4), RGBA in 8 bits. Empty unless
+            `Memory.frames` is true. Pixels are available while `Memory.build` runs: copy what you keep.
+        world: What the world says of itself.
     """
 
     instruction: str
-    """The demonstrated task, in English."""
     states: NDArray[np.float32]
-    """By step: the numbers of the expert's state, which `world.state` names."""
     actions: NDArray[np.int32]
-    """By step: the number of the expert's action; -1 at the end, where there is none."""
     feedback: NDArray[np.int32]
-    """By step: the number of the feedback to the action before."""
     embeddings: NDArray[np.float32]
-    """By step: the embedding of the view, of length 1. Read-only, and the run's own memory: nothing is copied. It has
-    no columns if `Memory.embeddings` is false."""
     frames: Sequence[Frame] = ()
-    """By step: the view. Empty unless `Memory.frames` is true. Pixels are available while `Memory.build` runs: copy
-    what you keep."""
     world: WorldDeclaration = WAREHOUSE
-    """What the world says of itself."""
 
     def __post_init__(self) -> None:
         if not self.frames:
@@ -143,90 +150,107 @@ class Demonstration(Sequence[DemonstrationStep]):
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """An episode that begins."""
+    """An episode that begins.
+
+    Attributes:
+        id: Identifies the episode within the run.
+        lane: The lane the episode runs in. Episodes of several lanes run at the same time.
+        instruction: The agent's task, in English.
+        seed: The seed for memories that draw at random.
+        repeat: The repetition of the run, from 1.
+        image_budget: Maximum number of images in an answer.
+        text_budget: Maximum number of bytes of text in an answer.
+        learns: Whether the memory learns from the episode. If not, the episode must not change what it answers in later
+            ones.
+    """
 
     id: int
-    """Identifies the episode within the run."""
     lane: int
-    """The lane the episode runs in. Episodes of several lanes run at the same time."""
     instruction: str
-    """The agent's task, in English."""
     seed: int
-    """The seed for memories that draw at random."""
     repeat: int
-    """The repetition of the run, from 1."""
     image_budget: int
-    """Maximum number of images in an answer."""
     text_budget: int
-    """Maximum number of bytes of text in an answer."""
     learns: bool = False
-    """Whether the memory learns from the episode. If not, the episode must not change what it answers in later ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class EpisodeEnd:
-    """The end of an episode."""
+    """The end of an episode.
+
+    Attributes:
+        episode: Identifies the episode within the run.
+        lane: The lane.
+        demonstration: The number under which items can name the episode's steps from now on, as those of a
+            demonstration; `None` unless the memory learns from the episode.
+        success: Whether the task was completed; `None` if the memory is not told.
+        sub_goals: The steps at which sub-goals were completed, in order; `None` if the memory is not told.
+    """
 
     episode: int
-    """Identifies the episode within the run."""
     lane: int
-    """The lane."""
     demonstration: int | None = None
-    """The number under which items can name the episode's steps from now on, as those of a demonstration; `None` unless
-    the memory learns from the episode."""
     success: bool | None = None
-    """Whether the task was completed; `None` if the memory is not told."""
     sub_goals: tuple[int, ...] | None = None
-    """The steps at which sub-goals were completed, in order; `None` if the memory is not told."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecentStep(InState):
-    """One of the agent's last steps."""
+    """One of the agent's last steps.
+
+    Attributes:
+        frame: The view before the action.
+        state: The state before the action.
+        action: The action taken, an `Action` in the warehouse; `None` if the policy's answer held none.
+        feedback: The result of the action, a `Feedback` in the warehouse.
+        world: What the world says of itself.
+    """
 
     frame: Frame
-    """The view before the action."""
     state: Sequence[float]
-    """The state before the action."""
     action: Action | int | None
-    """The action taken, an `Action` in the warehouse; `None` if the policy's answer held none."""
     feedback: Feedback | int
-    """The result of the action, a `Feedback` in the warehouse."""
     world: WorldDeclaration = field(default=WAREHOUSE, repr=False)
-    """What the world says of itself."""
 
 
 @dataclass(slots=True, eq=False)
 class Query(InState):
-    """The agent's state at a step of an episode."""
+    """The agent's state at a step of an episode.
+
+    Attributes:
+        episode: Identifies the episode within the run.
+        lane: The lane the episode runs in.
+        step: Number of steps taken so far.
+        instruction: The agent's task, in English.
+        state: The agent's state: the numbers that `world.state` names. In the warehouse it is a pose, column, row and
+            heading: see `pose`.
+        last_action: The action that led here, an `Action` in the warehouse; `None` at the start, and if the policy's
+            answer held none.
+        feedback: The result of the last action: a `Feedback` in the warehouse, elsewhere its number among
+            `world.feedback`.
+        frame: The current view, whose `pixels` are (height, width, 4), RGBA in 8 bits; `None` at the end of an episode,
+            in `Memory.observe`.
+        embedding: (dimension,): the embedding of the current view, of length 1; `None` at the end of an episode, and if
+            `Memory.embeddings` is false.
+        window: The last steps, oldest first; empty in `Memory.observe`.
+        image_budget: Maximum number of images in the answer.
+        text_budget: Maximum number of bytes of text in the answer.
+        world: What the world says of itself.
+    """
 
     episode: int
-    """Identifies the episode within the run."""
     lane: int
-    """The lane the episode runs in."""
     step: int
-    """Number of steps taken so far."""
     instruction: str
-    """The agent's task, in English."""
     state: Sequence[float]
-    """The agent's state: the numbers that `world.state` names. In the warehouse it is a pose: see `pose`."""
     last_action: Action | int | None
-    """The action that led here, an `Action` in the warehouse; `None` at the start, and if the policy's answer held none."""
     feedback: Feedback | int
-    """The result of the last action: a `Feedback` in the warehouse, elsewhere its number among `world.feedback`."""
     frame: Frame | None = None
-    """The current view; `None` at the end of an episode, in `Memory.observe`."""
     embedding: NDArray[np.float32] | None = None
-    """The embedding of the current view, of length 1; `None` at the end of an episode, and if `Memory.embeddings` is
-    false."""
     window: Sequence[RecentStep] = ()
-    """The last steps, oldest first; empty in `Memory.observe`."""
     image_budget: int = 0
-    """Maximum number of images in the answer."""
     text_budget: int = 0
-    """Maximum number of bytes of text in the answer."""
     world: WorldDeclaration = field(default=WAREHOUSE, repr=False)
-    """What the world says of itself."""
 
 
 class ServedQuery(ReadWhenUsed, Query):
@@ -237,23 +261,30 @@ class ServedQuery(ReadWhenUsed, Query):
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Consecutive steps of a demonstration, as the origin of a text."""
+    """Consecutive steps of a demonstration, as the origin of a text.
+
+    Attributes:
+        demonstration: Number of the demonstration.
+        first: The first step.
+        count: Maximum number of steps, which end with the demonstration; `None` for all.
+    """
 
     demonstration: int
-    """Number of the demonstration."""
     first: int = 0
-    """The first step."""
     count: int | None = None
-    """Maximum number of steps, which end with the demonstration; `None` for all."""
 
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """An item: a text."""
+    """An item: a text.
+
+    Attributes:
+        text: The text.
+        sources: The steps that the text is about; none if it is about the memory as a whole.
+    """
 
     text: str
     sources: Sequence[Source] = ()
-    """The steps that the text is about; none if it is about the memory as a whole."""
 
     def __post_init__(self) -> None:
         for source in self.sources:
@@ -263,36 +294,43 @@ class Text:
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """An item: consecutive steps of a demonstration."""
+    """An item: consecutive steps of a demonstration.
+
+    Attributes:
+        demonstration: Number of the demonstration.
+        first: The first step.
+        count: Maximum number of steps, which end with the demonstration; `None` for all. By default 7, as many as
+            episodic memory supplies at the standard settings.
+        views: Whether to supply the steps' views, or the ascending numbers of the steps whose views are supplied. Each
+            view counts against the image budget.
+        actions: Whether to supply the expert's actions. The last step is always supplied without one.
+        distance: The distance between the first step and the query, if there is one. Prompts word it as a cosine
+            distance of views, from 0 to 2: leave out one that means something else.
+    """
 
     demonstration: int
-    """Number of the demonstration."""
     first: int = 0
-    """The first step."""
     count: int | None = 7
-    """Maximum number of steps, which end with the demonstration; `None` for all. By default as many as episodic memory
-    supplies at the standard settings."""
     views: bool | Sequence[int] = True
-    """Whether to supply the steps' views, or the ascending numbers of the steps whose views are supplied. Each view counts
-    against the image budget."""
     actions: bool = True
-    """Whether to supply the expert's actions. The last step is always supplied without one."""
     distance: float | None = None
-    """The distance between the first step and the query, if there is one. Prompts word it as a cosine distance
-    of views, from 0 to 2: leave out one that means something else."""
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """An item: one view of a demonstration, with a caption."""
+    """An item: one view of a demonstration, with a caption.
+
+    Attributes:
+        demonstration: Number of the demonstration.
+        step: The step.
+        caption: What the prompt says of it.
+        distance: The distance between the view and the query, if there is one.
+    """
 
     demonstration: int
-    """Number of the demonstration."""
     step: int
-    """The step."""
     caption: str = ""
     distance: float | None = None
-    """The distance between the view and the query, if there is one."""
 
 
 MemoryItem: TypeAlias = Text | Steps | View | str
@@ -304,23 +342,25 @@ class Memory(ABC):
 
     A run has many banks: each gets a memory of its own, which is a deep copy of the instance, or a new instance of the
     class.
+
+    Attributes:
+        name: The name in conditions, logs and tables: 1 to 24 lower-case letters, digits and hyphens. If empty, the
+            name of the class: `TopThree` is called `top-three`.
+        version: The version, for the run's manifest.
+        scope: What a bank holds: the demonstrations of one `case`, or those of `all` cases.
+        embeddings: Whether the memory uses embeddings of views. If not, none are computed for it, which saves time.
+        frames: Whether the memory looks at pixels of demonstrations. With scope `all` there are none.
+        deterministic: Whether equal episodes get equal answers, whatever else the memory was asked.
+        learns: Whether the memory learns from episodes of streams. If so, override `save` and `load`.
     """
 
     name: str = ""
-    """The name in conditions, logs and tables: 1 to 24 lower-case letters, digits and hyphens. If empty, the name of
-    the class: `TopThree` is called `top-three`."""
     version: str = "1"
-    """The version, for the run's manifest."""
     scope: str = "case"
-    """What a bank holds: the demonstrations of one `case`, or those of `all` cases."""
     embeddings: bool = True
-    """Whether the memory uses embeddings of views."""
     frames: bool = False
-    """Whether the memory looks at pixels of demonstrations. With scope `all` there are none."""
     deterministic: bool = True
-    """Whether equal episodes get equal answers, whatever else the memory was asked."""
     learns: bool = False
-    """Whether the memory learns from episodes of streams. If so, override `save` and `load`."""
 
     def build(self, demonstrations: Sequence[Demonstration]) -> None:
         """Builds the memory, once, before anything else."""

@@ -65,15 +65,13 @@ impl MemoryMethod for PythonMethod {
     }
 
     fn create(&self, world: &Arc<WorldDeclaration>) -> Box<dyn Memory + '_> {
-        let name = &*self.description.name;
         let object = Python::attach(|py| {
             let object = self.create.bind(py).call0();
             object
                 .and_then(|object| Object::new(&object, DeclaredWorld::of(py, world)?))
-                .map_err(|raised| failure(py, name, &raised))
+                .map_err(|raised| failure(py, &raised))
         });
         Box::new(PythonMemory {
-            name,
             object,
             bank: None,
             lengths: Vec::new(),
@@ -84,8 +82,7 @@ impl MemoryMethod for PythonMethod {
 }
 
 /// A memory of one bank.
-struct PythonMemory<'m> {
-    name: &'m str,
+struct PythonMemory {
     /// The Python object, or why it could not be made.
     object: Result<Object, MemoryError>,
     /// Keeps the bank mapped as long as the memory exists.
@@ -131,7 +128,7 @@ impl Object {
     }
 }
 
-impl<'m> PythonMemory<'m> {
+impl PythonMemory {
     /// Calls `work` with the Python object; an exception is printed to the log.
     fn call<T>(
         &self,
@@ -139,8 +136,7 @@ impl<'m> PythonMemory<'m> {
     ) -> Result<T, MemoryError> {
         let object = self.object.as_ref().map_err(Clone::clone)?;
         Python::attach(|py| {
-            work(py, object.memory.bind(py), object)
-                .map_err(|raised| failure(py, self.name, &raised))
+            work(py, object.memory.bind(py), object).map_err(|raised| failure(py, &raised))
         })
     }
 
@@ -226,7 +222,7 @@ impl<'m> PythonMemory<'m> {
     }
 }
 
-impl Memory for PythonMemory<'_> {
+impl Memory for PythonMemory {
     fn build(&mut self, demonstrations: &[Demonstration<'_>]) -> Result<(), MemoryError> {
         self.bank = demonstrations.first().and_then(|of| of.bank).cloned();
         self.lengths = demonstrations.iter().map(|of| of.steps.len() as u32).collect();
@@ -336,7 +332,7 @@ impl Memory for PythonMemory<'_> {
     }
 }
 
-impl Drop for PythonMemory<'_> {
+impl Drop for PythonMemory {
     fn drop(&mut self) {
         Python::attach(|py| {
             self.object = Err(MemoryError::new("the memory is gone"));
@@ -398,12 +394,12 @@ fn number(value: PyResult<Bound<'_, PyAny>>) -> PyResult<u32> {
     })
 }
 
-/// The failure that an exception is to the run. The traceback goes to the log.
-fn failure(py: Python<'_>, name: &str, raised: &PyErr) -> MemoryError {
+/// The failure that an exception is to the run, which adds the memory's name. The traceback goes to the log.
+fn failure(py: Python<'_>, raised: &PyErr) -> MemoryError {
     // To print a SystemExit ends the process, which may be a notebook's.
     match raised.is_instance_of::<PySystemExit>(py) {
         true => raised.display(py),
         false => raised.print(py),
     }
-    MemoryError::new(format_args!("memory {name} raised {raised}"))
+    MemoryError::new(format_args!("raised {raised}"))
 }

@@ -25,7 +25,7 @@ SHORT: dict[str, Any] = {"frame_size": 64, "max_steps": 7, "lanes": 3, "limit": 
 """Short episodes on small frames."""
 
 SCRIPT = """
-    import asyncio, os, sys, time
+    import asyncio, os, sys, threading, time
     from memtransfer import Action, Memory, Policy, evaluate
 
     class Forward(Policy):
@@ -130,11 +130,16 @@ def test_objects_of_this_process_are_evaluated(tmp_path: Path) -> None:
     assert compared.verdict == "no-difference-shown" and compared.sentence.startswith("No difference shown: ")
     # Three cases show none.
     assert (compared.detectable, compared.unpaired, compared.changed_without) == (None, [], [])
+    words = f"0.0 % against 0.0 %: +0.0 points [{compared.interval[0]:.1f}, {compared.interval[1]:.1f}], p = 1"
+    for shown in (repr(compared), compared._repr_html_()):
+        assert words in shown and "3 pairs of episodes, 3 cases: A better in 0, worse in 0" in shown and conditions[1] in shown
+        assert "No difference shown: " in shown
     with pytest.raises(RunError, match="did you mean `top-3/original/unchanged/original`"):
         result.compare("top-3/original/unchanged/orignal", conditions[0])
     assert conditions[0] in repr(result) and conditions[0] in result._repr_html_()
     page = result.report()
     assert page == out / "report/report.html" and "top-3" in page.read_text()
+    assert 'report/report.html" target="_blank">' in page._repr_html_()  # type: ignore[attr-defined]
     # The same call again finds nothing missing, and a larger limit adds episodes.
     before = records(out)
     evaluate(policy=Forward(), memory=memory, out=out, **SHORT)
@@ -190,7 +195,7 @@ def test_what_a_memory_raises_is_the_cause(tmp_path: Path) -> None:
                 raise KeyError("corridor")
             return []
 
-    with pytest.raises(RunError, match="(?s)3 of 6 episodes could not be finished.*memory fails raised KeyError: 'corridor'") as caught:
+    with pytest.raises(RunError, match="(?s)3 of 6 episodes could not be finished.*fails.* raised KeyError: 'corridor'.*repaired code: `fresh=True`, or another `out`") as caught:
         evaluate(policy="random", memory=[Fails(), "working"], out=tmp_path / "run", **SHORT)
     assert caught.value.status == 1
     cause = caught.value.__cause__
@@ -205,11 +210,11 @@ def test_a_memory_that_exits_costs_its_episode_and_not_this_process(tmp_path: Pa
         def recall(self, query):
             sys.exit(3)
 
-    with pytest.raises(RunError, match="memory exits raised SystemExit: 3"):
+    with pytest.raises(RunError, match="exits.* raised SystemExit: 3"):
         evaluate(policy="random", memory=Exits(), out=tmp_path / "run", **SHORT)
 
 
-def test_what_a_policy_raises_is_the_cause(tmp_path: Path) -> None:
+def test_what_a_policy_raises_is_the_cause(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     class Divides(Policy):
         def act(self, batch):
             return [len(batch) // 0]
@@ -231,14 +236,21 @@ def test_what_a_policy_raises_is_the_cause(tmp_path: Path) -> None:
     assert isinstance(caught.value.__cause__, PolicyError)
     with pytest.raises(RunError, match="^ValueError: no lane$"):
         evaluate(policy=Resets(), memory="working", out=tmp_path / "resets", **SHORT)
+    # Nobody has interrupted it.
+    printed = capsys.readouterr()
+    assert "SIGINT" not in printed.err + printed.out and "WARN" not in printed.err + printed.out
 
 
 def test_the_message_of_the_program_is_raised(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="^--lanes: 0 is not a whole number from 1 to 1024$") as caught:
+    with pytest.raises(RunError, match="^lanes: 0 is not a whole number from 1 to 1024$") as caught:
         evaluate(out=tmp_path / "run", lanes=0)
     assert caught.value.status == 2
     with pytest.raises(RunError, match="^unknown suite `rq7`: did you mean `rq1`"):
         evaluate(out=tmp_path / "run", suite="rq7")
+    with pytest.raises(RunError, match="^memory: unknown memory `workin`: did you mean `working`"):
+        evaluate(out=tmp_path / "run", memory="workin")
+    with pytest.raises(RunError, match="^demos: unknown demonstrations `nope`"):
+        evaluate(out=tmp_path / "run", demos="nope")
     with pytest.raises(RunError, match="there is no program `no-such-program` in"):
         evaluate(out=tmp_path / "run", policy="no-such-program --fast")
 
@@ -294,7 +306,15 @@ def test_without_pandas_there_is_a_hint(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.delitem(sys.modules, "memtransfer.results", raising=False)
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'memtransfer\[results\]'"):
         result.scores  # noqa: B018
-    assert str(tmp_path / "run") in repr(result)
+    for shown in (repr(result), result._repr_html_()):
+        assert str(tmp_path / "run") in shown and "pip install" in shown
+
+
+def test_a_result_needs_a_run(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="^there is no result in .*/nothing, which is no folder"):
+        Result(tmp_path / "nothing")
+    with pytest.raises(RunError, match="which holds no run"):
+        Result(tmp_path)
 
 
 def start(folder: Path, call: str, pause_s: float) -> subprocess.Popen[str]:
@@ -325,6 +345,7 @@ def test_an_interrupt_stops_the_run_and_the_same_call_resumes_it(tmp_path: Path,
     printed, problems = script.communicate()
     assert (script.returncode, printed) == (0, "interrupted\n"), problems
     assert "stopped by SIGINT" in problems and "ended at once" not in problems
+    assert "stopping" in problems or caller.startswith("asyncio.run(asyncio.to_thread"), problems
     printed, problems = start(tmp_path, call, 0).communicate()
     assert printed == "8\n", problems
 
@@ -334,6 +355,46 @@ def test_it_runs_beside_an_event_loop(tmp_path: Path, caller: str) -> None:
     call = f"async def coroutine():\n    return run()\nprint(len({caller}.episodes))\n"
     printed, problems = start(tmp_path, call, 0).communicate()
     assert printed == "8\n", problems
+
+
+@pytest.mark.parametrize("interrupts", [1, 2])
+def test_an_interrupt_says_what_it_waits_for_and_leaves_nothing_behind(tmp_path: Path, registry: Path, interrupts: int) -> None:
+    call = """
+class Slow(Nothing):
+    def build(self, demonstrations):
+        open("builds", "w").close()
+        while not os.path.exists("go"):
+            time.sleep(0.05)
+
+try:
+    evaluate(policy=Forward(), memory=Slow(), frame_size=64, max_steps=3, lanes=2, limit=4, starts="original", out="run")
+except KeyboardInterrupt:
+    open("interrupted", "w").close()
+    # The process goes on, as that of a notebook does.
+    for thread in threading.enumerate():
+        if thread.name in ("memtransfer object", "memtransfer rest"):
+            thread.join()
+    print("ended", flush=True)
+    input()
+"""
+    folder, environment = tmp_path, {**os.environ, "PAUSE_S": "0"}
+    folder.joinpath("script.py").write_text(textwrap.dedent(SCRIPT) + call)
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    script = subprocess.Popen([sys.executable, "script.py"], cwd=folder, env=environment, start_new_session=True, **pipes)
+    eventually((folder / "builds").exists)
+    (run,) = os.listdir(registry)
+    script.send_signal(signal.SIGINT)
+    if interrupts == 2:
+        # Signals within half a second are the same request.
+        time.sleep(1)
+        script.send_signal(signal.SIGINT)
+    eventually((folder / "interrupted").exists)
+    (folder / "go").touch()
+    assert script.stdout is not None and script.stdout.readline() == "ended\n"
+    assert not os.listdir(registry) and not [name for name in os.listdir("/dev/shm") if name.startswith(f"mt{run}_")]
+    _, problems = script.communicate("\n")
+    assert script.returncode == 0, problems
+    assert "stopping; waiting for memory slow (build) (interrupt again to end at once)" in problems and "WARN" not in problems
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
@@ -396,6 +457,7 @@ def test_changed_code_is_refused_and_a_changed_call_is_not(tmp_path: Path) -> No
     assert printed(script.replace("limit=2", "limit=3"))[0] == "3\n"
     nothing, problems = printed(script.replace('"turn"', '"go"'))
     assert nothing == "" and "code of memory mine" in problems, problems
+    assert "as `fresh=True` does), or choose another `out`" in problems and "--" not in problems, problems
 
 
 def test_a_world_of_a_module_is_a_world_of_the_run(tmp_path: Path) -> None:
@@ -438,12 +500,54 @@ def test_a_run_does_not_start_another(tmp_path: Path, monkeypatch: pytest.Monkey
     ],
 )
 def test_progress_replaces_itself_and_notes_stay(style: str, shown: str, capsys: pytest.CaptureFixture[str]) -> None:
-    from memtransfer._program import Style, _Screen
+    from memtransfer._program import Screen, Style
 
-    screen = _Screen(Style[style], {"`sh -c relay`": "policy"})
+    screen = Screen(Style[style], {"`sh -c relay`": "policy"}, {})
     printed = "\r\x1b[2K[#.] 1/2|\r\x1b[2Ka note\r\n|\r\x1b[2K[##] 2/2|\r\x1b[2Kmemtransfer: `sh -c relay` ended. To resume:\r\n  /bin/memtransfer run --x\r\n"
     for chunk in printed.split("|"):
         screen.receive(chunk.encode())
     screen.close("finished")
-    assert capsys.readouterr().err == shown
+    printed_by_us = capsys.readouterr()
+    assert (printed_by_us.out, printed_by_us.err) == ((shown, "") if style == "NOTEBOOK" else ("", shown))
     assert screen.notes == ["a note", "memtransfer: policy ended. To resume:", "  the same call of `evaluate`"]
+
+
+def test_logs_and_long_calls_have_lines_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
+    from memtransfer._program import Screen, Style
+
+    calls: list[str] = []
+    screen = Screen(Style.LINES, {}, {"out": "out"}, lambda _: calls)
+    bar, logged = "\r\x1b[2K[#.] 1/2, 3 s left", "2026-01-01T10:00:00.123456Z  WARN"
+    for chunk in (bar, f"{logged} llm: slow\r\n", f"{bar}{logged} shm_types::registry: a process of run 12ab is still alive; when\r\n"):
+        screen.receive(chunk.encode())
+    calls.append("memory slow (build)")
+    screen._shown_s = float("-inf")
+    screen.receive(b"\r\x1b[2K[#.] 1/2, SR 5.0 %, 1 min 03 s left")
+    screen.receive(b"ended at once by a second SIGINT\r\nuse another --out\r\n")
+    screen.close("")
+    assert capsys.readouterr().err.splitlines() == [
+        "[#.] 1/2, 3 s left",
+        f"{logged} llm: slow",
+        "[#.] 1/2, SR 5.0 %, waiting for memory slow (build)",
+        "ended at once by a second SIGINT",
+        "use another `out`",
+    ]
+    assert screen.left_behind and screen.notes == ["ended at once by a second SIGINT", "use another `out`"]
+
+
+@pytest.mark.parametrize(
+    ("line", "shown"),
+    [
+        ("--max-steps: 0 is too small", "max_steps: 0 is too small"),
+        ("remove it (as `run --fresh` does), or choose another --out", "remove it (as `fresh=True` does), or choose another `out`"),
+        ("  max-steps: 5 there, 6 now", "  max_steps: 5 there, 6 now"),
+        ("`--memory none` is for --memory-cmd", "`memory='none'` is for `memory`"),
+        ("no program `x` in `x --out y`; see `memtransfer doctor --policy openai`", None),
+        ("--fast is no flag, and so is an --out-of-date", None),
+    ],
+)
+def test_messages_name_arguments_rather_than_flags(line: str, shown: str | None) -> None:
+    from memtransfer._program import _in_python
+    from memtransfer.evaluation import _KEYWORDS
+
+    assert _in_python(line, _KEYWORDS) == (line if shown is None else shown)

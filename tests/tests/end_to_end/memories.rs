@@ -151,8 +151,8 @@ fn failures(memory_trait: &str) -> (Vec<String>, String) {
 #[test]
 fn a_fault_of_a_memory_costs_its_own_episodes_and_is_named() {
     for (memory_trait, said) in [
-        ("RaisesInBuild", "memory scripted raised RuntimeError: cannot build"),
-        ("Unmakable", "memory scripted raised RuntimeError: cannot be made"),
+        ("RaisesInBuild", "raised RuntimeError: cannot build"),
+        ("Unmakable", "raised RuntimeError: cannot be made"),
         ("ReturnsNone", "recall returned None, but must return a list of items"),
         ("ReturnsNumbers", "recall returned 3, but an item is a Text, Steps, a View or a str"),
         ("Negative", "-1 is not the number of a demonstration or step"),

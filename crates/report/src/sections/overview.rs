@@ -79,6 +79,13 @@ const MOST_BOUNDS: usize = 12;
 /// Maximum number of damaged lines that are named.
 const MOST_DAMAGED: usize = 5;
 
+/// What a command stands for that `evaluate` of the Python package has made: an object of its caller, which the last word describes.
+/// `None` for other commands.
+fn object_in(command: &str) -> Option<&str> {
+    let (start, object) = command.strip_suffix('\'')?.rsplit_once('\'')?;
+    start.contains("$_MEMTRANSFER_RELAY").then_some(object)
+}
+
 /// The policy, and whether the frames were a control.
 fn standing(manifest: &Manifest) -> Vec<String> {
     let settings = &manifest.settings;
@@ -89,7 +96,10 @@ fn standing(manifest: &Manifest) -> Vec<String> {
         (None, None) => {}
     }
     if let Some(command) = &settings.policy_cmd {
-        lines.push(format!("The policy was started with `{command}`."));
+        lines.push(match object_in(command) {
+            Some(object) => format!("The policy is {object}."),
+            None => format!("The policy was started with `{command}`."),
+        });
     }
     match settings.frames {
         Frames::Rendered => {}
@@ -180,7 +190,8 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
     let external = view.log.manifest.memories.iter().map(|(name, facts)| {
         let ExternalMemoryFacts { version, command, scope, .. } = facts;
         let started = match command {
-            Some(command) => format!("started with `{command}`"),
+            Some(command) => object_in(command)
+                .map_or_else(|| format!("started with `{command}`"), str::to_owned),
             None => "started by the user".to_owned(),
         };
         let scope = match scope.as_str() {
@@ -219,5 +230,19 @@ pub(super) fn facts_table(
         stubs: vec!["Fact".to_owned()],
         columns: vec![TableColumn::text("Value")],
         groups: vec![RowGroup { label: None, rows: facts.into_iter().map(row).collect() }],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::object_in;
+
+    #[test]
+    fn the_command_of_an_object_says_what_the_object_is() {
+        let object = r#"sh -c 'exec "$_MEMTRANSFER_PYTHON" -IS "$_MEMTRANSFER_RELAY" memory nearest' 'an object of class Nearest of the calling program'"#;
+        assert_eq!(object_in(object), Some("an object of class Nearest of the calling program"));
+        for other in ["python my_memory.py", "sh -c 'exec program' 'a word'", "'"] {
+            assert_eq!(object_in(other), None, "{other}");
+        }
     }
 }
