@@ -14,7 +14,8 @@ use super::{Exit, print};
 #[command(after_help = "\
 Reads the runs' folders and nothing else. Writes report.html (one page, everything inside),
 its figures as SVG and PDF, every table as CSV, and conditions and episodes as CSV and Parquet;
-prints the path of the page. Every caption names the policy. Exit status 1 when episodes were given up.
+prints the path of the page. Every caption names the policy. Exit status 1 when episodes were given
+up.
 Of several runs the page ranks the conditions, and compares every two runs pair by pair.
 The tables have the paper's figures beside the run's. --against has those of another publication
 there, and a section about all of them: which lie in this run's intervals, and what was configured
