@@ -274,7 +274,7 @@ class Unpainted(Corridor):
 
 
 def begun(world: World, start: str = "original", blocked: bool = False) -> tuple[Any, ...]:
-    return world._reset(next(iter(world.cases())).id, start, blocked, 5)
+    return world._reset(next(iter(world.cases())).id, start, blocked, "none", 5)
 
 
 @pytest.mark.parametrize("keeps", ["array", "view", "copy", "nothing"])

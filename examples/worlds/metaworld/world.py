@@ -125,10 +125,10 @@ class MetaWorld(World):
 
     def cases(self) -> Iterator[Case]:
         for case in json.loads(Path(__file__).with_name("cases.json").read_text()):
-            mixed = {name: [tuple(history) for history in case[name]] for name in ("irrelevant", "confusable")}
+            irrelevant, confusable = ([tuple(history) for history in case[name]] for name in ("irrelevant", "confusable"))
             actions = {name: [self.letters.index(letter) for letter in letters] for name, letters in case["trajectories"].items()}
             instruction = TASKS[case["task"]][2].format(case["place"])
-            yield Case(case["id"], instruction, actions, case["task"], **mixed, data=case)
+            yield Case(case["id"], instruction, actions, case["task"], irrelevant, confusable, data=case)
 
     def reset(self, episode: Episode) -> Observation:
         case = episode.case.data

@@ -96,9 +96,9 @@ class Minigrid(World):
         drawn = json.loads(Path(__file__).with_name("cases.json").read_text())
         for case in drawn["cases"]:
             data = {"rooms": drawn["grids"][case["grid"]], **case}
-            mixed = {name: [tuple(history) for history in case[name]] for name in ("irrelevant", "confusable")}
+            irrelevant, confusable = ([tuple(history) for history in case[name]] for name in ("irrelevant", "confusable"))
             actions = {name: [self.letters.index(letter) for letter in letters] for name, letters in case["trajectories"].items()}
-            yield Case(case["id"], instruction(case["mission"]), actions, case["task"], **mixed, data=data)
+            yield Case(case["id"], instruction(case["mission"]), actions, case["task"], irrelevant, confusable, data=data)
 
     def reset(self, episode: Episode) -> Observation:
         case, env = episode.case.data, self.env

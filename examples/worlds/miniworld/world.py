@@ -165,10 +165,10 @@ class Miniworld(World):
         drawn = json.loads(Path(__file__).with_name("cases.json").read_text())
         for case in drawn["cases"]:
             data = {"plan": drawn["buildings"][case["building"]], **case}
-            mixed = {name: [tuple(history) for history in case[name]] for name in ("irrelevant", "confusable")}
+            irrelevant, confusable = ([tuple(history) for history in case[name]] for name in ("irrelevant", "confusable"))
             actions = {name: [self.letters.index(letter) for letter in letters] for name, letters in case["trajectories"].items()}
             instruction = INSTRUCTIONS[case["task"]].format(*case["objects"])
-            yield Case(case["id"], instruction, actions, case["task"], **mixed, data=data)
+            yield Case(case["id"], instruction, actions, case["task"], irrelevant, confusable, data=data)
 
     def reset(self, episode: Episode) -> Observation:
         case = episode.case.data
