@@ -227,6 +227,41 @@ mod tests {
         assert_eq!(text.matches('x').count(), 200);
     }
 
+    #[test]
+    fn names_stay_in_one_piece() {
+        let name = "full-context/original/unchanged/original/no-hint";
+        let mut labelled = table(&["condition", "a", "b", "c", "example"], 1);
+        labelled.set_text(4);
+        labelled.add_row([
+            name,
+            "12345678",
+            "12345678",
+            "12345678",
+            "t01-01,t01-02,t01-03,t01-04 x",
+        ]);
+        labelled.add_row(["short", "1", "2", "3", "-"]);
+        insta::assert_snapshot!(labelled, @"
+        ────────────────────────────────────────────────────────────────────────────────────────────────────
+        condition                                         a         b         c  example
+        ────────────────────────────────────────────────────────────────────────────────────────────────────
+        full-context/original/unchanged/original/no-hint
+                                                   12345678  12345678  12345678  t01-01,t01-02,t01-03,t01-04
+                                                                                 x
+        short                                             1         2         3  -
+        ────────────────────────────────────────────────────────────────────────────────────────────────────
+        ");
+        // Two columns of names that have no room beside each other.
+        let long = "n/".repeat(40);
+        let mut names = table(&["condition", "example"], 2);
+        names.add_row([name, &long]);
+        let text = names.to_string();
+        assert!(text.contains(name) && text.contains(&long), "{text}");
+        let mut counted = table(&["condition", "example", "n"], 2);
+        counted.add_row([name, &long, "7"]);
+        let text = counted.to_string();
+        assert!(text.contains(name) && text.contains(&format!("{long}  7")), "{text}");
+    }
+
     /// The time grows with the length: if it grew with the square, this would take hours.
     #[test]
     fn a_word_of_millions_of_letters_is_wrapped() {
