@@ -33,10 +33,11 @@ pub(super) fn run(args: DemoArgs) -> Result<Exit> {
     let out = run_args.resolve()?.settings.out;
     let exit = run::run(*run_args)?;
     if exit == Exit::Complete {
-        let program = canonicalize(std::env::current_exe()?)?;
+        // A program that was replaced meanwhile has no path.
+        let program = std::env::current_exe().and_then(canonicalize).ok();
         let path = std::env::var_os("PATH").unwrap_or_default();
-        let hint = hint_of_path(&program, &path).unwrap_or_default();
-        say!("\n{}", next_steps(&out.display().to_string(), &hint));
+        let hint = program.and_then(|program| hint_of_path(&program, &path));
+        say!("\n{}", next_steps(&out.display().to_string(), &hint.unwrap_or_default()));
     }
     Ok(exit)
 }
@@ -58,8 +59,7 @@ fn next_steps(run: &str, hint_of_path: &str) -> String {
 `grounded` is a scripted stand-in for a model: these figures say nothing about language models.
 
 Next:
-{hint_of_path}\
-  memtransfer view {run}
+{hint_of_path}  memtransfer view {run}
       its episodes step by step, in a browser
   memtransfer report {run}
       the paper's tables and figures, as a page
