@@ -333,11 +333,11 @@ memtransfer.episodePage = (current, episodes) => {
     memtransfer.page(`${title} and another`, back,
       h("header", {}, h("h1", {}, main.episode.instruction), h("p", { class: "soft" }, `Case ${main.run.cases[main.row.case].id}. The first is on the left, the second on the right.`), compare(),
         h("p", { class: "divergence" }, words, " ", divergence !== null && h("button", { type: "button", class: "step-link", onclick: () => go(divergence) }, `Go to step ${divergence}`))),
-      h("section", { class: "transport", "aria-label": "Time" }, transport),
+      h("section", { class: "transport", "aria-label": "Time" }, transport), legend,
       h("div", { class: "pair" }, views.map((view) => h("section", { "aria-label": `${view.run.name}, ${view.run.conditions[view.row.condition].name}` },
         view.heading("h2"), view.story(go) || h("div", {}), h("div", { class: "sight" }, view.camera, view.map.element),
         h("div", {}, h("h3", {}, "Memory at this step"), view.memory)))),
-      legend, source);
+      source);
   } else {
     memtransfer.page(title, back, h("header", {}, main.heading("h1"), compare()), main.story(go),
       h("div", { class: "stage" },
