@@ -1,6 +1,6 @@
-//! Shows on stderr how far something is: a bar in a terminal, otherwise a line every few seconds.
+//! Shows on stderr how far something is: a bar in a terminal that can erase it, otherwise a line every few seconds.
 
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::time::{Duration, Instant};
 
 use crate::documents::BuildStage;
@@ -123,7 +123,7 @@ impl ProgressDisplay {
     /// A display that shows nothing yet.
     pub fn new(verbosity: Verbosity) -> Self {
         let target = match verbosity {
-            Verbosity::Progress if std::io::stderr().is_terminal() => ProgressTarget::Bar,
+            Verbosity::Progress if program::is_screen(&std::io::stderr()) => ProgressTarget::Bar,
             Verbosity::Progress => ProgressTarget::Lines,
             Verbosity::Notes => ProgressTarget::Nothing,
             Verbosity::Silent => ProgressTarget::Silence,

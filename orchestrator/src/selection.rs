@@ -10,7 +10,7 @@ use case_book::{
 use conditions::settings::RunSettings;
 use conditions::{Condition, Route};
 use domain::{Arm, Demonstrations, Start};
-use settings::select_cases;
+use settings::cases_of_run;
 
 use crate::books::Books;
 use crate::plan::{PlannedEpisode, plan, plan_streams};
@@ -53,9 +53,9 @@ impl SelectedCases {
         // Which cases there are is known to the world alone.
         let assets = settings.assets.clone();
         let every = write(&BookRequest { assets: assets.clone(), ..BookRequest::default() })?;
-        let ids = every.cases.book.ids();
-        let cases = select_cases(&ids, &settings.cases, settings.limit)?;
-        check_mismatches(settings, &every.cases.book.world)?;
+        let book = &every.cases.book;
+        let (ids, cases) = (book.ids(), cases_of_run(&book.world, &book.cases, settings)?);
+        check_mismatches(settings, &book.world)?;
         let demonstrations = demonstrations(settings)?;
         check_banks(&demonstrations, every.demonstrations.book.largest_bank())?;
         let books = write(&BookRequest {

@@ -140,7 +140,12 @@ def style_of_screen(progress: bool) -> Style:
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     if any(kind.__name__ == "ZMQInteractiveShell" for kind in type(shell).__mro__):
         return Style.NOTEBOOK
-    return Style.TERMINAL if sys.stderr is not None and sys.stderr.isatty() else Style.LINES
+    return Style.TERMINAL if _is_screen() else Style.LINES
+
+
+def _is_screen() -> bool:
+    """Whether standard error is a terminal that erases lines; one with `TERM=dumb` does not."""
+    return sys.stderr is not None and sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
 
 
 def _in_python(line: str, keywords: Mapping[str, str]) -> str:

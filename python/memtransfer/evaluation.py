@@ -85,7 +85,7 @@ class Settings(TypedDict, total=False):
     cases: Words
     """By id (`t03-07`), task (`t03`), number (`37`) or range (`1-10`)."""
     limit: int
-    """The number of the selected cases that are run, balanced over the tasks."""
+    """The number of the selected cases that are run, balanced over the tasks and their groups."""
     arms: Words
     """What the memories of a suite of streams are built from: `frozen`, `learning`, `oracle`, `wrong`."""
     streams: int

@@ -512,6 +512,19 @@ def test_progress_replaces_itself_and_notes_stay(style: str, shown: str, capsys:
     assert screen.notes == ["a note", "memtransfer: policy ended. To resume:", "  the same call of `evaluate`"]
 
 
+@pytest.mark.parametrize(("term", "style"), [("xterm", "TERMINAL"), ("dumb", "LINES"), (None, "LINES")])
+def test_a_terminal_without_a_cursor_gets_lines(term: str | None, style: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    from memtransfer._program import Style, style_of_screen
+
+    monkeypatch.delenv("TERM", raising=False)
+    if term is not None:
+        monkeypatch.setenv("TERM", term)
+    terminal, end = os.openpty()
+    with open(terminal), open(end, "w") as screen:
+        monkeypatch.setattr(sys, "stderr", screen)
+        assert style_of_screen(progress=True) is Style[style]
+
+
 def test_logs_and_long_calls_have_lines_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
     from memtransfer._program import Screen, Style
 

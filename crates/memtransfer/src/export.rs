@@ -191,7 +191,7 @@ impl ExportArgs {
         if !self.cases.is_empty() {
             let ids = world.description().case_ids();
             let chosen: BTreeSet<&str> =
-                select_cases(&ids, &self.cases, None)?.into_iter().map(|case| ids[case]).collect();
+                select_cases(&ids, &self.cases)?.into_iter().map(|case| ids[case]).collect();
             log.episodes.retain(|record| chosen.contains(record.case.as_str()));
             log.errors.retain(|error| {
                 EpisodeKey::read(&error.key).is_some_and(|key| chosen.contains(key.case.as_str()))

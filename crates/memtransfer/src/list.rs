@@ -18,7 +18,7 @@ use run_log::date::date;
 use scores::score;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
-use settings::{Layer, SHIPPED_SUITES, resolve, select_cases};
+use settings::{Layer, SHIPPED_SUITES, cases_of_run, resolve};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -166,7 +166,7 @@ fn selected_cases(
     let WorldArgs { other, .. } = world;
     let world = WorldArgs { assets: settings.assets.clone(), other: other.clone() };
     let world = world.program()?.describe(&world.flags())?;
-    let selected = select_cases(&world.case_ids(), &settings.cases, settings.limit)?;
+    let selected = cases_of_run(&world.world, &world.cases, settings)?;
     let selected = selected.into_iter().map(|index| world.cases[index].clone()).collect();
     Ok((world.world.declaration, selected))
 }
@@ -288,7 +288,7 @@ fn suites() -> anyhow::Result<Listing> {
     let world = WorldArgs::default().program()?.describe(&[])?;
     for (name, text) in SHIPPED_SUITES {
         let settings = resolve([Layer::flags([("suite", *name)])?])?.settings;
-        let cases = select_cases(&world.case_ids(), &settings.cases, settings.limit)?.len();
+        let cases = cases_of_run(&world.world, &world.cases, &settings)?.len();
         let conditions = settings.runs();
         let runs: u32 = conditions.iter().map(|(_, runs)| runs).sum();
         let each = settings.stream.as_ref().map_or(cases, StreamSettings::all_episodes);

@@ -41,7 +41,7 @@ pub(super) fn run(args: &MapArgs) -> anyhow::Result<Exit> {
     if let Some(id) = &args.case {
         let world = program.describe(&args.world.flags())?;
         let (ids, selector) = (world.case_ids(), id.parse::<CaseSelector>().map_err(Error::msg)?);
-        match select_cases(&ids, &[selector], None)?[..] {
+        match select_cases(&ids, &[selector])?[..] {
             [case] => flags.push(ids[case].into()),
             ref several => bail!("{id} stands for {} cases: give one", several.len()),
         }

@@ -15,7 +15,7 @@ use run_log::step_view::{RecordedPrompt, look_up};
 use run_log::{EpisodeRecord, RunLog};
 use scores::FailurePoints;
 use serde::Serialize;
-use settings::select_cases;
+use settings::cases_of_run;
 use viewer::logged_image;
 use world_client::{EpisodeEvent, EpisodeTimeline, RunWorld, TimelineStep};
 
@@ -192,7 +192,8 @@ impl ShowArgs {
         let Ok(world) = program.and_then(|program| RunWorld::new(log, &program.access())) else {
             return anyhow!("{run} has no finished episode of {case}");
         };
-        let ids = world.description().case_ids();
+        let description = world.description();
+        let ids = description.case_ids();
         let Some(index) = ids.iter().position(|id| id == case) else {
             return UnknownName::new("case", case, ids).into();
         };
@@ -201,7 +202,8 @@ impl ShowArgs {
                 "{run} has no finished episode of {case}; `memtransfer ls streams` lists what streams have"
             );
         }
-        let planned = select_cases(&ids, &settings.cases, settings.limit).unwrap_or_default();
+        let planned =
+            cases_of_run(&description.world, &description.cases, settings).unwrap_or_default();
         if planned.contains(&index) {
             anyhow!("no episode of {case} is finished yet in {run}: the run's command resumes it")
         } else {

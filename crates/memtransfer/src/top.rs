@@ -1,7 +1,7 @@
 //! `memtransfer top`: the live status of a run in progress.
 
 use std::collections::BTreeSet;
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::Duration;
@@ -60,7 +60,7 @@ pub(super) fn run(args: &TopArgs) -> Result<Exit> {
         return Ok(Exit::Complete);
     }
     let memory = args.memory.as_deref().map(|name| shown_memory(name, &status)).transpose()?;
-    let is_screen = std::io::stdout().is_terminal() && !args.once;
+    let is_screen = program::is_screen(&std::io::stdout()) && !args.once;
     loop {
         let text = page(&run, &status, memory);
         if !is_screen {

@@ -21,6 +21,9 @@ pub use appearance::AppearanceArgs;
 /// The environment variable that sets log levels: `debug`, or `warn,memory_proc=debug`.
 const LEVELS_VARIABLE: &str = "RUST_LOG";
 
+/// The environment variable that asks for text without colours (<https://no-color.org>).
+const NO_COLOUR_VARIABLE: &str = "NO_COLOR";
+
 /// Sends log messages to stderr, warnings and errors unless `RUST_LOG` says otherwise. An invalid `RUST_LOG` is reported
 /// and ignored. Call it first: it also makes a file that grows beyond `ulimit -f` an error instead of the program's end.
 pub fn log_to_stderr() {
@@ -35,10 +38,19 @@ pub fn log_to_stderr() {
         }),
         _ => default,
     };
-    let format = tracing_subscriber::fmt::layer()
-        .with_ansi(io::stderr().is_terminal())
-        .with_writer(io::stderr);
+    let is_coloured = is_screen(&io::stderr()) && !is_set(NO_COLOUR_VARIABLE);
+    let format = tracing_subscriber::fmt::layer().with_ansi(is_coloured).with_writer(io::stderr);
     tracing_subscriber::registry().with(format).with(levels).init();
+}
+
+/// Whether `stream` is a terminal that moves its cursor and erases lines; one with `TERM=dumb` does not.
+pub fn is_screen(stream: &impl IsTerminal) -> bool {
+    stream.is_terminal() && std::env::var_os("TERM").is_some_and(|term| term != "dumb")
+}
+
+/// Whether an environment variable has a value that is not empty.
+fn is_set(variable: &str) -> bool {
+    std::env::var_os(variable).is_some_and(|value| !value.is_empty())
 }
 
 /// Reads the command line. A variable that stands for a flag counts as not set when it is empty.

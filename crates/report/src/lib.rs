@@ -134,8 +134,8 @@ fn arrange(views: &[ScoredRun<'_>], is_reproduction: bool) -> ReportDocument {
         }
         _ => {
             let policies = views.iter().map(|view| (view.log.name.as_str(), policy(view)));
-            sections.push(sections::runs(views).of_policies(policies.clone()));
-            sections.push(sections::ranking(views).of_policies(policies));
+            sections.push(sections::ranking(views).of_policies(policies.clone()));
+            sections.push(sections::runs(views).of_policies(policies));
         }
     }
     sections.push(sections::method());

@@ -9,8 +9,9 @@ const GAP: usize = 2;
 /// Minimum width of a column of text that wraps.
 const NARROWEST: usize = 8;
 
-/// A table of text. Where it would be wider than [`WIDTH`], columns of text wrap; where that is not enough, the columns are
-/// printed in several parts.
+/// A table of text. Where it would be wider than [`WIDTH`], columns of text wrap between words, so that a name that is passed
+/// to a flag stays in one piece. Where that is not enough, a label of the first column stands on a line of its own, above the
+/// rest of its row; and where that is not enough, the columns are printed in several parts.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TextTable {
     header: Vec<String>,
@@ -53,19 +54,36 @@ impl TextTable {
         widths
     }
 
+    /// The width of each column if every word stays in one piece. Words that no line holds are broken.
+    fn narrowest_widths(&self) -> Vec<usize> {
+        let mut widths = self.natural_widths();
+        for (column, width) in widths.iter_mut().enumerate() {
+            if self.is_text[column] {
+                let cells = self.rows.iter().chain([&self.header]).map(|row| &row[column]);
+                let words = cells.flat_map(|cell| cell.split_whitespace());
+                let lengths = words.map(|word| word.chars().count());
+                let longest = lengths.filter(|length| *length <= WIDTH).max().unwrap_or(0);
+                *width = longest.max(NARROWEST).min(*width);
+            }
+        }
+        widths
+    }
+
     /// The width of each column if columns of text wrap; `None` if the table is still wider than [`WIDTH`].
     fn wrapped_widths(&self) -> Option<Vec<usize>> {
-        let mut widths = self.natural_widths();
-        // The widest column of text shrinks, one character at a time.
+        let (mut widths, narrowest) = (self.natural_widths(), self.narrowest_widths());
+        // The widest column that can shrinks, one character at a time; after them the first one, whose labels can leave it.
         for _ in WIDTH..total_width(&widths) {
-            let text = widths.iter_mut().zip(&self.is_text).filter(|(_, is_text)| **is_text);
-            let widest = text.map(|(width, _)| width).max_by_key(|width| **width);
-            *widest.filter(|width| **width > NARROWEST)? -= 1;
+            let wide = (0..widths.len()).filter(|&column| widths[column] > narrowest[column]);
+            let widest = wide.max_by_key(|&column| widths[column]);
+            let first = (self.is_text.first() == Some(&true) && widths[0] > NARROWEST).then_some(0);
+            widths[widest.or(first)?] -= 1;
         }
         Some(widths)
     }
 
-    /// The table in parts that are not too wide: each has the first columns of text, and some of the others.
+    /// The table in parts that are not too wide: each has the first columns of text, and some of the others. There is none where
+    /// all columns are text.
     fn parts(&self) -> Vec<Self> {
         let widths = self.natural_widths();
         let labels = self.is_text.iter().take_while(|is_text| **is_text).count();
@@ -102,15 +120,22 @@ impl TextTable {
         write!(f, "{rule}")
     }
 
-    /// Writes a row, on as many lines as its longest cell needs.
+    /// Writes a row, on as many lines as its longest cell needs. A label with a word that its column does not hold has lines of its
+    /// own.
     fn write_row(
         &self,
         f: &mut fmt::Formatter<'_>,
         row: &[String],
         widths: &[usize],
     ) -> fmt::Result {
-        let cells: Vec<Vec<String>> =
+        let mut cells: Vec<Vec<String>> =
             row.iter().zip(widths).map(|(cell, width)| wrap(cell, *width)).collect();
+        if self.is_text.first() == Some(&true) && !has_room(&row[0], widths[0]) {
+            cells[0].clear();
+            for line in wrap(&row[0], WIDTH) {
+                writeln!(f, "{line}")?;
+            }
+        }
         let height = cells.iter().map(Vec::len).max().unwrap_or(0).max(1);
         for line in 0..height {
             let mut text = String::new();
@@ -133,11 +158,15 @@ impl fmt::Display for TextTable {
         if let Some(widths) = self.wrapped_widths() {
             return self.write(f, &widths);
         }
-        for (number, part) in self.parts().iter().enumerate() {
+        let parts = self.parts();
+        if parts.is_empty() {
+            return self.write(f, &self.narrowest_widths());
+        }
+        for (number, part) in parts.iter().enumerate() {
             if number > 0 {
                 writeln!(f)?;
             }
-            part.write(f, &part.wrapped_widths().unwrap_or_else(|| part.natural_widths()))?;
+            part.write(f, &part.wrapped_widths().unwrap_or_else(|| part.narrowest_widths()))?;
         }
         Ok(())
     }
@@ -147,8 +176,12 @@ fn total_width(widths: &[usize]) -> usize {
     widths.iter().sum::<usize>() + GAP * widths.len().saturating_sub(1)
 }
 
-/// Breaks `text` into lines of at most `width` characters: after a space, a comma, a slash or a hyphen where there
-/// is one, else anywhere.
+/// Whether every word of `text` fits in a column of this width.
+fn has_room(text: &str, width: usize) -> bool {
+    text.split_whitespace().all(|word| word.chars().count() <= width)
+}
+
+/// Breaks `text` into lines of at most `width` characters: between words; a word that is longer, anywhere.
 pub fn wrap(text: &str, width: usize) -> Vec<String> {
     let mut lines = Vec::new();
     for line in text.lines() {
@@ -157,9 +190,7 @@ pub fn wrap(text: &str, width: usize) -> Vec<String> {
         while rest.len() > width.max(1) {
             let fits = &rest[..=width.max(1)];
             let space = fits.iter().rposition(|c| *c == ' ').filter(|at| *at > 0);
-            let mark = fits[..fits.len() - 1].iter().rposition(|c| ",/-+".contains(*c));
-            let end = space.or(mark.map(|at| at + 1)).unwrap_or(width.max(1));
-            let (part, tail) = rest.split_at(end);
+            let (part, tail) = rest.split_at(space.unwrap_or(width.max(1)));
             lines.push(part.iter().collect::<String>().trim_end().to_owned());
             let spaces = tail.iter().take_while(|c| **c == ' ').count();
             rest = &tail[spaces..];
@@ -194,6 +225,41 @@ mod tests {
         assert!(text.lines().all(|line| line.chars().count() <= WIDTH), "{text}");
         assert_eq!(text.matches("word").count(), 30);
         assert_eq!(text.matches('x').count(), 200);
+    }
+
+    #[test]
+    fn names_stay_in_one_piece() {
+        let name = "full-context/original/unchanged/original/no-hint";
+        let mut labelled = table(&["condition", "a", "b", "c", "example"], 1);
+        labelled.set_text(4);
+        labelled.add_row([
+            name,
+            "12345678",
+            "12345678",
+            "12345678",
+            "t01-01,t01-02,t01-03,t01-04 x",
+        ]);
+        labelled.add_row(["short", "1", "2", "3", "-"]);
+        insta::assert_snapshot!(labelled, @"
+        ────────────────────────────────────────────────────────────────────────────────────────────────────
+        condition                                         a         b         c  example
+        ────────────────────────────────────────────────────────────────────────────────────────────────────
+        full-context/original/unchanged/original/no-hint
+                                                   12345678  12345678  12345678  t01-01,t01-02,t01-03,t01-04
+                                                                                 x
+        short                                             1         2         3  -
+        ────────────────────────────────────────────────────────────────────────────────────────────────────
+        ");
+        // Two columns of names that have no room beside each other.
+        let long = "n/".repeat(40);
+        let mut names = table(&["condition", "example"], 2);
+        names.add_row([name, &long]);
+        let text = names.to_string();
+        assert!(text.contains(name) && text.contains(&long), "{text}");
+        let mut counted = table(&["condition", "example", "n"], 2);
+        counted.add_row([name, &long, "7"]);
+        let text = counted.to_string();
+        assert!(text.contains(name) && text.contains(&format!("{long}  7")), "{text}");
     }
 
     /// The time grows with the length: if it grew with the square, this would take hours.

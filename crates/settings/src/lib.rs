@@ -10,7 +10,7 @@ mod layer;
 mod resolve;
 mod suite;
 
-pub use cases::select_cases;
+pub use cases::{cases_of_run, select_cases};
 pub use conditions::settings::{KEYS, Key, MAX_IMAGES};
 pub use layer::{Layer, Origin, variable};
 pub use resolve::{Resolved, check, check_values, commands, on_this_machine, resolve};

@@ -13,6 +13,7 @@ use anyhow::{Context, Result};
 use http_body_util::Full;
 use hyper::body::{Bytes, Incoming};
 use hyper::header::{self, HeaderName, HeaderValue};
+use hyper::http::uri::Authority;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::{Method, Request, Response, StatusCode};
@@ -162,9 +163,13 @@ impl SiteService {
         let url = request.uri().path_and_query().map_or("", |url| url.as_str());
         let path = url.trim_start_matches('/');
         match &self.token {
-            // Another site's page may reach a loopback server under a name of its own: only ours is answered.
-            None if !is_own_name(self.address, text(request, &header::HOST)) => {
-                return status(StatusCode::FORBIDDEN, "this server is for this machine only");
+            // Another site's page may reach a loopback server under a name of its own.
+            None if !is_loopback(text(request, &header::HOST)) => {
+                return status(
+                    StatusCode::FORBIDDEN,
+                    "this server is for this machine only: it answers under localhost and loopback addresses, under any port; \
+                     `memtransfer view RUN --serve 0.0.0.0:8080` serves other machines",
+                );
             }
             Some(token) => {
                 if path.strip_prefix("?token=").is_some_and(|given| is_same(given, token)) {
@@ -202,10 +207,13 @@ impl SiteService {
     }
 }
 
-/// Whether `host`, as a client writes it, is the server at `address`. Clients leave out port 80.
-fn is_own_name(address: SocketAddr, host: &str) -> bool {
-    let own = [address.to_string(), format!("localhost:{}", address.port())];
-    own.iter().any(|own| own == host || own.strip_suffix(":80") == Some(host))
+/// Whether `host`, as a client writes it, is localhost or an address of the loopback interface. The port may be another one
+/// than the server's: `ssh -L` and `kubectl port-forward` choose it. No other site has such a name.
+fn is_loopback(host: &str) -> bool {
+    let Ok(authority) = host.parse::<Authority>() else { return false };
+    let name = authority.host();
+    let address = name.trim_start_matches('[').trim_end_matches(']').parse::<IpAddr>();
+    name.eq_ignore_ascii_case("localhost") || address.is_ok_and(|address| address.is_loopback())
 }
 
 /// The rules for what a page may load: only from this server. The report has its style inside.
@@ -273,17 +281,32 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_host_has_no_port_where_it_is_80() {
-        for (address, host, is_own) in [
-            ("127.0.0.1:80", "127.0.0.1", true),
-            ("127.0.0.1:80", "localhost", true),
-            ("127.0.0.1:80", "localhost:80", true),
-            ("[::1]:80", "[::1]", true),
-            ("127.0.0.1:8080", "127.0.0.1:8080", true),
-            ("127.0.0.1:8080", "127.0.0.1", false),
-            ("127.0.0.1:80", "elsewhere", false),
+    fn loopback_names_are_answered_under_any_port_and_others_under_none() {
+        for host in [
+            "localhost",
+            "LOCALHOST:9000",
+            "localhost:80",
+            "127.0.0.1",
+            "127.0.0.1:8080",
+            "127.0.0.2:1",
+            "[::1]",
+            "[::1]:9000",
         ] {
-            assert_eq!(is_own_name(address.parse().unwrap(), host), is_own, "{address}: {host}");
+            assert!(is_loopback(host), "{host}");
+        }
+        for host in [
+            "",
+            "example.org",
+            "localhost.example.org:9000",
+            "127.0.0.1.example.org",
+            "localhost@example.org",
+            "127.0.0.1@example.org:8080",
+            "0.0.0.0:8080",
+            "192.168.0.1:8080",
+            "[::]:8080",
+            "localhost, example.org",
+        ] {
+            assert!(!is_loopback(host), "{host}");
         }
     }
 }

@@ -130,6 +130,12 @@ const memtransfer = (() => {
     return { name, mark: CODES[name] || name.slice(0, 2).toUpperCase(), style: `failure-${name}`, meaning };
   }
 
+  /** What a condition is beside its memory: a name and a value for each part. */
+  function conditionParts({ rest }) {
+    const [start, route, demonstrations, ...deviations] = rest.split("/");
+    return [["start", start], ["route", route], ["demonstrations", demonstrations], ["deviations", deviations.join(", ")]].filter(([, value]) => value);
+  }
+
   /** The episodes of `run` as objects. */
   const episodes = (run) => run.episodes.map(([key, condition, kase, repetition, result, steps, reference, views, place], index) =>
     ({ index, key, condition, case: kase, repetition, outcome: result, steps, reference, views, place }));
@@ -141,5 +147,5 @@ const memtransfer = (() => {
   // By the address of a grid: to where it and the window were scrolled when it was left.
   const scrolls = {};
 
-  return { receive, load, h, state, address, note, runs, grids, scrolls, page, outcome, episodes, episodeAddress, isServed: () => served };
+  return { receive, load, h, state, address, note, runs, grids, scrolls, page, outcome, conditionParts, episodes, episodeAddress, isServed: () => served };
 })();

@@ -8,7 +8,7 @@ memtransfer.EpisodeView = class {
     Object.assign(this, { run, row, episode, onSource });
     this.map = new memtransfer.EpisodeMap(run, episode);
     this.image = h("img", { class: "view", width: 320, height: 320, alt: "" });
-    this.noView = h("p", { class: "no-view" }, "This bundle has no views of this episode: write it with --episodes all, or use --serve.");
+    this.noView = h("p", { class: "no-view" }, "This bundle has no views of this episode: write it with ", h("code", {}, "--episodes all"), ", or use ", h("code", {}, "--serve"), ".");
     this.hasMap = run.map[2] > 0;
     this.conflict = this.hasMap ? "tried to enter the closed passage" : "ran into what blocks the way";
     this.happening = h("p", { class: "happening" });
@@ -21,6 +21,12 @@ memtransfer.EpisodeView = class {
 
   action(step) { return this.run.actions[this.episode.actions[step - 1]] || "an answer that could not be read"; }
 
+  /** The item of a visit: its letter and its name. */
+  item({ letter, cell }) {
+    const target = this.episode.targets.find((one) => one.letter === letter && one.cell.join() === cell.join());
+    return target ? `${letter}, ${target.name}` : letter;
+  }
+
   /** What happened in the step before `step` and what is next, in words. */
   words(step) {
     const { episode, run } = this;
@@ -28,7 +34,7 @@ memtransfer.EpisodeView = class {
     const before = step === 0 ? "Start." : `Action ${step}: ${this.action(step)}. ${run.feedback[episode.feedback[step]]}`;
     const met = episode.subGoals.filter((at) => at === step).length;
     const visit = episode.visits.find((one) => one.step === step);
-    return [before, visit && `Stands before ${visit.letter}.`, met > 0 && "A sub-goal is complete.",
+    return [before, visit && `Stands before ${this.item(visit)}.`, met > 0 && "A sub-goal is complete.",
       episode.conflictAt === step && `The agent ${this.conflict}.`,
       episode.failure && episode.failure.step === step && `Failed, ${episode.failure.kind}.`,
       ...this.points().filter(([at]) => at === step).map(([, , , words]) => `From here ${words}.`),
@@ -90,7 +96,7 @@ memtransfer.EpisodeView = class {
     const { episode } = this;
     const moments = [
       ...episode.subGoals.map((step) => [step, "sub-goal", "▲", "sub-goal complete"]),
-      ...episode.visits.filter((visit) => !episode.subGoals.includes(visit.step)).map((visit) => [visit.step, "visit", "△", `stands before ${visit.letter}`]),
+      ...episode.visits.filter((visit) => !episode.subGoals.includes(visit.step)).map((visit) => [visit.step, "visit", "△", `stands before ${this.item(visit)}`]),
       ...episode.blockedMoves.map((step) => [step, "blocked", "×", "move blocked"]),
       ...[...episode.actions].flatMap((letter, at) => (letter === "?" ? [[at + 1, "unread", "?", "answer not readable"]] : [])),
     ];
@@ -121,7 +127,8 @@ memtransfer.EpisodeView = class {
       h(level, {}, level === "h1" ? episode.instruction : `${run.name} (${run.policy}): ${condition.name}`),
       h("p", {}, h("span", { class: `mark ${style}`, "aria-hidden": "true" }, mark), ` ${name}: ${meaning}. `,
         `${episode.steps} steps, the reference takes ${episode.reference}; ${episode.subGoals.length} of ${episode.required} sub-goals.`),
-      level === "h1" && h("p", { class: "soft" }, `${run.cases[row.case].id}, ${run.cases[row.case].task}; ${condition.name}; ${row.place || `run ${row.repetition}`}; policy: ${run.policy}`));
+      level === "h1" && h("p", { class: "soft" }, `${run.cases[row.case].id}, ${run.cases[row.case].task}; ${row.place || `run ${row.repetition}`}; policy: ${run.policy}`),
+      h("p", { class: "soft" }, `Memory: ${condition.label}; ${memtransfer.conditionParts(condition).map(([name, value]) => `${name}: ${value}`).join("; ")} (${condition.name}).`));
   }
 
   /** Since when it failed, in a sentence for each point; `step` makes a link to a step. */
@@ -319,22 +326,24 @@ memtransfer.episodePage = (current, episodes) => {
     : "▲ sub-goal  ■ ran into what blocks the way  ? unreadable  ↻ loop  ≠ unlike a success  ⚑ failed");
   const transport = [views.map((view) => h("div", { class: "line" }, isPair && h("span", { class: "hidden" }, view.run.name), view.timeLine(last))), slider, controls, signs, spoken];
 
+  const legend = main.hasMap && memtransfer.EpisodeMap.legend(episodes.map(({ episode }) => episode));
+
   if (isPair) {
     const words = divergence === null ? "Both act alike to the end." : divergenceWords(views, divergence);
     memtransfer.page(`${title} and another`, back,
       h("header", {}, h("h1", {}, main.episode.instruction), h("p", { class: "soft" }, `Case ${main.run.cases[main.row.case].id}. The first is on the left, the second on the right.`), compare(),
         h("p", { class: "divergence" }, words, " ", divergence !== null && h("button", { type: "button", class: "step-link", onclick: () => go(divergence) }, `Go to step ${divergence}`))),
-      h("section", { class: "transport", "aria-label": "Time" }, transport),
+      h("section", { class: "transport", "aria-label": "Time" }, transport), legend,
       h("div", { class: "pair" }, views.map((view) => h("section", { "aria-label": `${view.run.name}, ${view.run.conditions[view.row.condition].name}` },
         view.heading("h2"), view.story(go) || h("div", {}), h("div", { class: "sight" }, view.camera, view.map.element),
         h("div", {}, h("h3", {}, "Memory at this step"), view.memory)))),
-      main.hasMap && memtransfer.EpisodeMap.legend(main.episode), source);
+      source);
   } else {
     memtransfer.page(title, back, h("header", {}, main.heading("h1"), compare()), main.story(go),
       h("div", { class: "stage" },
         h("div", {}, main.camera, h("section", { class: "transport", "aria-label": "Time" }, transport),
           h("section", { "aria-label": "Memory" }, h("h2", {}, "Memory at this step"), main.memory), perStep),
-        main.hasMap && h("section", { "aria-label": "Map" }, main.map.element, memtransfer.EpisodeMap.legend(main.episode))),
+        main.hasMap && h("section", { "aria-label": "Map" }, legend, main.map.element)),
       source, prompts,
       h("details", {}, h("summary", {}, "Counts and times of the episode"), facts(main.episode.facts),
         main.episode.stages.length > 0 && [h("h3", {}, "Mean time of a step by stage"), facts(main.episode.stages.map(([name, us]) => [name, `${us} µs`]))]));

@@ -85,13 +85,16 @@ memtransfer.EpisodeMap = class {
     return h("path", { class: style, d: "M0 -17L12 14L0 7L-12 14Z", transform: `translate(${this.x(x)} ${this.y(y)}) rotate(${heading * 90})` });
   }
 
-  /** The legend. */
-  static legend(episode) {
+  /** The legend of the maps of `episodes`, which have the same case. */
+  static legend(episodes) {
     const { h } = memtransfer;
-    const entry = (style, text) => h("li", {}, h("span", { class: `swatch ${style}`, "aria-hidden": "true" }), text);
-    return h("ul", { class: "legend" }, entry("path", "walked"), entry("reference", "reference"), entry("seen", "seen so far"),
-      entry("target", "target"), episode.closed.length > 0 && entry("closed", "closed passage"),
-      episode.demonstrations.length > 0 && entry("demonstration", "demonstration"), entry("blocked", "blocked move"));
+    const entry = (style, text, sign) => h("li", {}, h("span", { class: `swatch ${style}`, "aria-hidden": "true" }, sign), text);
+    const names = new Map();
+    for (const { letter, name } of episodes.flatMap((episode) => episode.targets)) names.set(letter, (names.get(letter) || new Set()).add(name));
+    const targets = [...names].sort().map(([letter, ofLetter]) => entry("target", `${letter}: ${[...ofLetter].join(", ")}`, letter));
+    return h("ul", { class: "legend" }, entry("path", "walked"), entry("reference", "reference"), entry("seen", "seen so far"), targets,
+      targets.length > 0 && entry("reached", "reached", "✓"), episodes.some(({ closed }) => closed.length > 0) && entry("closed", "closed passage"),
+      episodes.some(({ demonstrations }) => demonstrations.length > 0) && entry("demonstration", "demonstration"), entry("blocked", "blocked move"));
   }
 };
 

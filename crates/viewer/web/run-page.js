@@ -2,7 +2,7 @@
 "use strict";
 
 memtransfer.runPage = (current) => {
-  const { h, runs, address, outcome, episodeAddress } = memtransfer;
+  const { h, runs, address, outcome, conditionParts, episodeAddress } = memtransfer;
   const number = Math.min(Math.max(Number(current.run) || 1, 1), runs.length);
   const run = runs[number - 1];
   let all = memtransfer.episodes(run);
@@ -36,7 +36,8 @@ memtransfer.runPage = (current) => {
     return outcome(run, episode.outcome).name === filters.outcome;
   }
 
-  function rows() {
+  /** The cases that every filter but that of outcomes leaves, with their episodes under the conditions that are shown. */
+  function scope() {
     const byCase = new Map();
     for (const episode of all) {
       if (!byCase.has(episode.case)) byCase.set(episode.case, []);
@@ -46,7 +47,12 @@ memtransfer.runPage = (current) => {
     let found = [...byCase].map(([index, ofCase]) => ({ index, info: run.cases[index], ofCase, shown: ofCase.filter((episode) => visible.has(episode.condition)) }));
     if (filters.group) found = found.filter(({ info }) => run.groups[info.group] === filters.group);
     if (filters.a && filters.b) found = found.filter(({ ofCase }) => disagree(ofCase));
-    found = found.filter(({ shown }) => shown.some(matches));
+    return found;
+  }
+
+  /** The cases of `inScope` that have an episode of the chosen outcome, in the chosen order. */
+  function rows(inScope) {
+    const found = inScope.filter(({ shown }) => shown.some(matches));
     const failures = ({ shown }) => shown.filter((episode) => episode.outcome > 0).length;
     const steps = ({ shown }) => shown.reduce((sum, episode) => sum + episode.steps, 0) / shown.length;
     if (filters.sort === "failures") found.sort((a, b) => failures(b) - failures(a) || a.index - b.index);
@@ -81,10 +87,10 @@ memtransfer.runPage = (current) => {
   const count = h("p", { class: "count", "aria-live": "polite" });
   const legend = h("ul", { class: "outcomes", "aria-label": "Outcomes; choose one to see its episodes alone" });
 
-  function drawLegend() {
+  function drawLegend(inScope) {
     const focused = [...legend.children].findIndex((item) => item.contains(document.activeElement));
-    const counts = new Map();
-    for (const episode of all) counts.set(episode.outcome, (counts.get(episode.outcome) || 0) + 1);
+    const counts = new Map(all.map((episode) => [episode.outcome, 0]));
+    for (const { outcome: key } of inScope) counts.set(key, counts.get(key) + 1);
     legend.replaceChildren(...[...counts.keys()].sort((a, b) => a - b).map((key) => {
       const { name, mark, style, meaning } = outcome(run, key);
       const pressed = filters.outcome === name;
@@ -96,19 +102,26 @@ memtransfer.runPage = (current) => {
 
   function draw() {
     memtransfer.grids[number] = address(filters);
-    drawLegend();
-    const found = rows();
+    const cases = scope();
+    const inScope = cases.flatMap(({ shown }) => shown);
+    drawLegend(inScope);
+    const found = rows(cases);
     const conditions = shownConditions();
     const shown = found.reduce((sum, row) => sum + row.shown.filter(matches).length, 0);
     const planned = run.planned > all.length ? `, of ${run.planned} planned` : "";
     count.textContent = `${shown} of ${all.length} episodes${planned}, ${found.length} ${found.length === 1 ? "case" : "cases"}.`;
-    const heading = ({ label, rest, index }) => {
-      const ofCondition = all.filter((episode) => episode.condition === index);
-      const successes = ofCondition.filter((episode) => episode.outcome === 0).length;
-      const pause = () => h("span", { class: "hidden" }, ", ");
-      return h("th", { scope: "col" }, h("span", { class: "memory" }, label), pause(), h("span", { class: "rest" }, rest.split("/").join(" ")), pause(),
-        h("span", { class: "rate" }, `${successes}/${ofCondition.length}`));
-    };
+    const columns = [null, ...conditions];
+    const heading = (name, value) => h("tr", {}, columns.map((condition) =>
+      (condition ? h("th", { scope: "col" }, value(condition)) : h("th", { scope: "row" }, name))));
+    const partNames = [...new Set(conditions.flatMap((condition) => conditionParts(condition).map(([name]) => name)))];
+    const headings = [
+      heading("memory", ({ label }) => h("span", { class: "memory" }, label)),
+      ...partNames.map((name) => heading(name, (condition) => new Map(conditionParts(condition)).get(name) || "")),
+      heading("successes", ({ index }) => {
+        const ofCondition = inScope.filter((episode) => episode.condition === index);
+        return `${ofCondition.filter((episode) => episode.outcome === 0).length}/${ofCondition.length}`;
+      }),
+    ];
     const cell = (row, { index }) => h("td", {}, row.shown.filter((episode) => episode.condition === index).map((episode) => {
       const { name, mark, style } = outcome(run, episode.outcome);
       const repetition = episode.place || `run ${episode.repetition}`;
@@ -124,7 +137,7 @@ memtransfer.runPage = (current) => {
       const [a, b] = [of(filters.a), of(filters.b)];
       return a && b && h("a", { class: "pair", href: episodeAddress(number, a, { run2: number, key2: b.key }) }, "side by side");
     };
-    head.replaceChildren(h("tr", {}, h("th", { scope: "col" }, "Case"), conditions.map(heading)));
+    head.replaceChildren(...headings);
     const { memory, outcome: wanted, a, b } = filters;
     const settings = JSON.stringify([memory, wanted, a, b, conditions.map(({ index }) => index)]);
     if (settings !== drawnFor) {

@@ -32,6 +32,7 @@ mod real_server;
 mod run_documents;
 mod statistics;
 mod streams;
+mod terminal;
 mod transfer;
 mod units;
 mod viewer;

@@ -239,7 +239,7 @@ fn plates_in_logged_views(run: &Path) -> usize {
 fn frames_have_plates_for_the_policy_that_needs_them_and_for_no_other() {
     let bench = Bench::new();
     let run = |out, flags: &str| {
-        let line = "run --limit 1 --starts original --max-steps 12 --log-prompts --out";
+        let line = "run --cases t07-08 --starts original --max-steps 12 --log-prompts --out";
         bench.run(&[&words(line)[..], &[out], &words(flags)[..]].concat())
     };
     let Ended { stderr, .. } = run("refused", "--policy grounded --plates off").expect(2);

@@ -62,6 +62,11 @@ fn five_clicks_lead_from_a_run_to_the_step_that_decided_a_failure() {
     assert!(heading.contains("policy: grounded, scripted stand-in"), "{heading}");
     let story = browser.text(".story");
     assert!(story.contains("closed passage") && story.contains("Failed, blocked"), "{story}");
+    // Every letter on the map has the name of its item.
+    let unnamed = "[...document.querySelectorAll('.map-targets text')].map((text) => text.textContent[0]) \
+        .filter((letter) => ![...document.querySelectorAll('.legend li')].some((entry) => entry.textContent.includes(`${letter}: `)))";
+    browser.wait_for("document.querySelector('.map-targets text') !== null");
+    assert_eq!(browser.value(unnamed), json!([]));
     // 3: the step.
     browser.click(".story .step-link");
     let decided: u32 = story
@@ -162,6 +167,16 @@ fn a_failure_is_compared_with_the_success_that_it_follows_longest() {
     assert_no_problem(&mut browser);
 }
 
+/// Whether each entry of the legend has the number of its marks in the grid, and the headings that of the successes.
+const COUNTED: &str = "(() => { \
+    const marks = (kind) => document.querySelectorAll(`td a.mark.${kind}`).length; \
+    const counts = [...document.querySelectorAll('.outcomes button')].map((button) => \
+      [[...button.querySelector('.mark').classList].pop(), Number(button.querySelector('b').textContent)]); \
+    const successes = [...document.querySelectorAll('thead tr:last-child th[scope=col]')] \
+      .reduce((sum, heading) => sum + Number(heading.textContent.split('/')[0]), 0); \
+    return counts.every(([kind, count]) => count === marks(kind)) && successes === marks('success'); \
+  })()";
+
 #[test]
 fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address() {
     let bench = Bench::new();
@@ -172,18 +187,34 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
     let mut browser = Browser::start(1300, 1000);
     browser.open(&url);
     browser.wait_for("document.querySelectorAll('td a.mark').length === 120");
-    // A screen reader passes arrow keys to a grid, and reads its headings with pauses.
+    // A screen reader passes arrow keys to a grid. Each part of a condition has a label.
     assert_eq!(browser.value("document.querySelector('.grid > table').role"), "grid");
-    let heading = browser.value("document.querySelector('thead th:nth-child(2)').textContent");
-    let heading = heading.as_str().unwrap();
-    assert!(heading.starts_with("Working memory, new unchanged none, "), "{heading}");
+    let headings = "[...document.querySelectorAll('thead tr')].map((row) => [row.cells[0].textContent, row.cells[1].textContent])";
+    let log = RunLog::read(&run).unwrap();
+    let is_success = |record: &&EpisodeRecord| {
+        record.key.starts_with("working/new/unchanged/none/") && record.is_success()
+    };
+    let successes = log.episodes.iter().filter(is_success).count();
+    assert_eq!(
+        browser.value(headings),
+        json!([
+            ["memory", "Working memory"],
+            ["start", "new"],
+            ["route", "unchanged"],
+            ["demonstrations", "none"],
+            ["successes", format!("{successes}/20")],
+        ])
+    );
+    assert_eq!(browser.value(COUNTED), true);
+    let wider = "getComputedStyle(document.querySelector('.grid'), '::before').height !== '0px'";
+    assert_eq!(browser.value(wider), false);
     // Tab reaches one episode; arrow keys move among the others.
     assert_eq!(browser.value("document.querySelectorAll('td a.mark[tabindex=\"0\"]').length"), 1);
     browser.value("document.querySelector('td a.mark[tabindex=\"0\"]').focus()");
     browser.press("ArrowRight");
     browser.press("ArrowDown");
-    let focused = "(() => { const c = document.activeElement.closest('td'); return [c.cellIndex, c.parentElement.rowIndex]; })()";
-    assert_eq!(browser.value(focused), serde_json::json!([2, 2]));
+    let focused = "(() => { const c = document.activeElement.closest('td'); return [c.cellIndex, c.parentElement.sectionRowIndex]; })()";
+    assert_eq!(browser.value(focused), json!([2, 1]));
     browser.press("Enter");
     browser.wait_for(EPISODE);
     browser.value("history.back()");
@@ -193,16 +224,17 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
     let scrolled = "[document.querySelector('.grid').scrollTop, window.scrollY]";
     browser.value("document.querySelector('.grid').scrollTo(0, 40)");
     browser.value("window.scrollTo(0, 30)");
-    assert_eq!(browser.value(scrolled), serde_json::json!([40, 30]));
+    assert_eq!(browser.value(scrolled), json!([40, 30]));
     browser.value("document.querySelector('tr:nth-child(9) a.mark').click()");
     browser.wait_for(EPISODE);
     assert_eq!(browser.value("window.scrollY"), 0);
     browser.value("history.back()");
     browser.wait_for("document.querySelectorAll('td a.mark').length === 120");
-    assert_eq!(browser.value(scrolled), serde_json::json!([40, 30]));
+    assert_eq!(browser.value(scrolled), json!([40, 30]));
 
     browser.choose("select[name=memory]", "episodic");
     browser.wait_for("document.querySelectorAll('td a.mark').length === 40");
+    assert_eq!(browser.value(COUNTED), true);
     // What was retrieved for the first step, and how far it was.
     browser.click("td a.mark");
     browser.wait_for(EPISODE);
@@ -221,6 +253,7 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
     browser.choose("select[name=a]", &conditions[0]);
     browser.choose("select[name=b]", &conditions[1]);
     browser.wait_for("document.querySelectorAll('td a.mark').length < 120");
+    assert_eq!(browser.value(COUNTED), true);
     let rows = browser.value("document.querySelectorAll('tbody tr').length");
     assert_eq!(browser.value("document.querySelectorAll('a.pair').length"), rows);
     let address = browser.value("location.href");
@@ -252,6 +285,10 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
         browser.wait_for(shown);
         let overflow = "document.documentElement.scrollWidth <= 390";
         assert_eq!(browser.value(overflow), true, "{state}");
+        if state == "#run=1" {
+            // The grid is, and says so.
+            browser.wait_for(wider);
+        }
     }
     // The words of a report stay whole.
     browser.resize(320, 800);
@@ -262,6 +299,14 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
     let lines = "((cell) => { const range = document.createRange(); range.selectNodeContents(cell); return range.getClientRects().length; })";
     browser.wait_for(&format!("{words}.length > 3"));
     assert_eq!(browser.value(&format!("{words}.filter((cell) => {lines}(cell) > 1).length")), 0);
+    // Tables and figures that are wider than the page say so, and others do not.
+    browser.wait_for(
+        "(() => { const parts = [...document.querySelectorAll('.scroll, .plot')]; \
+           const isWide = (part) => part.scrollWidth > part.clientWidth; \
+           const says = (part) => getComputedStyle(part, '::before').height !== '0px'; \
+           return parts.some(isWide) && !parts.every(isWide) && parts.every((part) => isWide(part) === says(part)); \
+         })()",
+    );
     browser.resize(390, 800);
     // What the old page still does has no effect on a new address.
     browser.open(&format!("{url}#page=episode&run=1&key={key}"));
@@ -272,6 +317,25 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
     // An address of nothing says so.
     browser.open(&format!("{url}#page=episode&run=1&key=nothing"));
     browser.wait_for("document.querySelector('[role=alert]') !== null");
+    assert_no_problem(&mut browser);
+}
+
+#[test]
+fn a_phone_shows_a_result_of_a_ranking_without_scrolling() {
+    let bench = Bench::new();
+    let how = ["--cases", "t02-02", "--max-steps", "20"];
+    let (a, b) = (blocked(&bench, "a", MEMORIES, &how), blocked(&bench, "b", MEMORIES, &how));
+    bench.run(&["report", a.to_str().unwrap(), b.to_str().unwrap(), "--out", "both"]).expect(0);
+    let mut browser = Browser::start(390, 844);
+    browser.open(&format!("file://{}", bench.out("both/report.html").display()));
+    browser.wait_for("document.querySelector('#ranking-1') !== null");
+    let heading = browser.value(
+        "[...document.querySelectorAll('#ranking-1 thead th')].slice(0, 3).map((one) => one.textContent)",
+    );
+    assert_eq!(heading, json!(["Run", "Memory", "SR %"]));
+    let place = "(() => { const { right, bottom } = document.querySelector('#ranking-1 tbody td:nth-child(3)').getBoundingClientRect(); return [right, bottom]; })()";
+    let place = browser.value(place);
+    assert!(place[0].as_f64() <= Some(390.0) && place[1].as_f64() <= Some(844.0), "{place}");
     assert_no_problem(&mut browser);
 }
 

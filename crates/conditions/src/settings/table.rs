@@ -237,7 +237,7 @@ pub const KEYS: &[Key] = keys! {
     "cases" "LIST" List(parses::<CaseSelector>), Run Selection = "all",
         "Cases by id (t03-07), task (t03), number (37) or range (1-10, t03-01..t04-10); `all`";
     "limit" "N" Number(0, 1_000_000, 1), Run Selection,
-        "Run N of the selected cases, balanced over the tasks. A larger N includes the cases of a \
+        "Run N of the selected cases, balanced over the tasks and their groups. A larger N includes the cases of a \
          smaller one";
     "arms" "LIST" List(is_arm), Group Selection = "frozen",
         "What memories are built from: frozen (as demonstrated); as controls oracle (the test reference; in streams \

@@ -22,12 +22,7 @@ type Protocol = BTreeMap<String, Value>;
 
 /// The section that ranks the conditions of all runs.
 pub(crate) fn ranking(views: &[ScoredRun<'_>]) -> ReportSection {
-    let mut blocks = vec![ReportBlock::Text(
-        "Conditions of runs with the same protocol: suite, warehouse, cases, seed, limits, look of frames and version of the \
-         program. Policy and memory are compared. Mean ± sample standard deviation over runs, 95 % interval. Where intervals \
-         overlap, the order may be chance: the paired comparisons of the runs say more."
-            .to_owned(),
-    )];
+    let mut blocks = Vec::new();
     let mut by_protocol: BTreeMap<(String, String), Vec<&ScoredRun<'_>>> = BTreeMap::new();
     for view in views {
         let manifest = &view.log.manifest;
@@ -66,6 +61,13 @@ pub(crate) fn ranking(views: &[ScoredRun<'_>]) -> ReportSection {
             )));
         }
     }
+    // Below the tables: a result is on the first screen, also of a phone.
+    blocks.push(ReportBlock::Text(
+        "Conditions of runs with the same protocol: suite, warehouse, cases, seed, limits, look of frames and version of the \
+         program. Policy and memory are compared. Mean ± sample standard deviation over runs, 95 % interval. Where intervals \
+         overlap, the order may be chance: the paired comparisons of the runs say more."
+            .to_owned(),
+    ));
     ReportSection::new("s-ranking", "The runs ranked", blocks)
 }
 
@@ -178,10 +180,11 @@ fn ranked_row(
         true => format!("{finished} of {planned}"),
         false => finished.to_string(),
     };
-    let facts = [manifest.policy_label().to_string(), memory.clone(), demonstrations, count];
-    let cells = facts.map(TableCell::Value).into_iter().chain(figures).collect();
+    let facts = [count, demonstrations, manifest.policy_label().to_string()];
+    let cells = [TableCell::Value(memory.clone())].into_iter().chain(figures);
+    let cells = cells.chain(facts.map(TableCell::Value));
     RankedRow {
-        row: TableRow::new(view.log.name.clone(), cells),
+        row: TableRow::new(view.log.name.clone(), cells.collect()),
         memory,
         // Means that are the same on paper differ by rounding.
         means: means.map(|mean| mean.map(|mean| (mean * 1e9).round())),
@@ -194,8 +197,9 @@ fn table(id: String, caption: String, figures: &[&'static str], mut rows: Vec<Ra
         let by_means = b.means.partial_cmp(&a.means).unwrap_or(Ordering::Equal);
         by_means.then_with(|| (&a.row.label, &a.memory).cmp(&(&b.row.label, &b.memory)))
     });
-    let mut columns = ["Policy", "Memory", "Demonstrations", "n"].map(TableColumn::new).to_vec();
-    columns.extend(figures.iter().map(|name| TableColumn::new(*name)));
+    // The figures are beside the names, so that a phone shows both.
+    let headings = ["Memory"].iter().chain(figures).chain(&["n", "Demonstrations", "Policy"]);
+    let mut columns: Vec<TableColumn> = headings.map(|name| TableColumn::new(*name)).collect();
     let mut rows: Vec<TableRow> = rows.into_iter().map(|ranked| ranked.row).collect();
     for column in (0..columns.len()).rev() {
         if !rows.iter().any(|row| row.cells[column].is_figure()) {

@@ -88,6 +88,10 @@ fn a_server_shows_every_view_and_gives_nothing_else_away() {
     }
     // A page of another site that reaches this server under its own name.
     assert_eq!(served.ask("GET /", "example.org").0, 403);
+    // `ssh -L` and `kubectl port-forward` choose the port that a browser writes.
+    for forwarded in ["localhost:1", "localhost", "127.0.0.1:1", "[::1]:1"] {
+        assert_eq!(served.ask("GET /run1/run.js", forwarded).0, 200, "{forwarded}");
+    }
 
     let open = Served::start(&bench, &["view", run, "--serve", "0.0.0.0:0"]);
     assert_eq!(open.ask("GET /run1/run.js", open.host()).0, 403);
