@@ -24,6 +24,8 @@ use drawing::{Drawing, GRAY, GRID, INK, Paint, Stroke, THICK_GRAY, TextAnchor, T
 const WIDTH: i32 = 820;
 /// The horizontal position where row labels end and the plot begins.
 const LEFT: i32 = 290;
+/// The height of a heading between rows.
+const HEADING: i32 = 26;
 const RIGHT: i32 = 24;
 /// The height of the labels of a horizontal axis.
 const BOTTOM: i32 = 44;

@@ -2,7 +2,8 @@
 
 use super::drawing::Point;
 use super::{
-    BOTTOM, Drawing, GRAY, INK, LEFT, Paint, ReportFigure, TextAnchor, TextStyle, ValueAxis,
+    BOTTOM, Drawing, GRAY, HEADING, INK, LEFT, Paint, ReportFigure, TextAnchor, TextStyle,
+    ValueAxis,
 };
 use crate::view::{OURS, THEIRS};
 
@@ -25,7 +26,6 @@ pub(crate) struct Dot {
 }
 
 const ROW: i32 = 24;
-const HEADING: i32 = 26;
 const LEGEND: i32 = 34;
 
 /// Draws the plot.
@@ -39,7 +39,7 @@ pub(crate) fn dots(id: &str, caption: &str, rows: &[DotRow]) -> ReportFigure {
     let mut y = LEGEND;
     for row in rows {
         if let Some(heading) = &row.heading {
-            drawing.text(heading, (8, y + HEADING / 2 + 2), TextAnchor::After, TextStyle::BOLD);
+            drawing.heading(heading, y);
             y += HEADING;
         }
         draw_row(&mut drawing, &axis, row, y + ROW / 2);

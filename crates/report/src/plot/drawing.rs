@@ -1,6 +1,6 @@
 //! What a figure consists of: lines, shapes and text, each with its place in pixels from the top left.
 
-use super::{LEFT, WIDTH};
+use super::{HEADING, LEFT, WIDTH};
 
 /// A place: pixels from the left and from the top.
 pub(super) type Point = (i32, i32);
@@ -142,6 +142,11 @@ impl Drawing {
         size: f64,
     ) {
         self.shapes.push(Shape::Text { text: text.to_owned(), at, anchor, size, style });
+    }
+
+    /// The heading of the rows below, with its top at `y`: [`HEADING`] high.
+    pub(super) fn heading(&mut self, text: &str, y: i32) {
+        self.text(text, (8, y + HEADING / 2 + 2), TextAnchor::After, TextStyle::BOLD);
     }
 
     /// The label of a row, left of [`LEFT`]: smaller where it would not fit.

@@ -209,8 +209,11 @@ mod tests {
 
     #[test]
     fn a_file_has_one_page_of_the_figure_s_size_and_its_title() {
-        let row =
-            StackRow { label: "Episodic: new, 4".to_owned(), lengths: Some(vec![40.0, 20.0]) };
+        let row = StackRow {
+            heading: Some("Episodic".to_owned()),
+            label: "new, 4".to_owned(),
+            lengths: Some(vec![40.0, 20.0]),
+        };
         let figure = stack(&Stack {
             id: "failures".to_owned(),
             caption: "Failures (−3 ± 1).".to_owned(),

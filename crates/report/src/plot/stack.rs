@@ -2,7 +2,8 @@
 
 use super::drawing::Point;
 use super::{
-    BOTTOM, Drawing, INK, LEFT, Paint, ReportFigure, Stroke, TextAnchor, TextStyle, Tone, ValueAxis,
+    BOTTOM, Drawing, HEADING, INK, LEFT, Paint, ReportFigure, Stroke, TextAnchor, TextStyle, Tone,
+    ValueAxis,
 };
 
 /// A plot of stacked bars.
@@ -25,6 +26,8 @@ pub struct Stack {
 /// A bar.
 #[derive(Debug)]
 pub struct StackRow {
+    /// A heading above this bar.
+    pub heading: Option<String>,
     /// Its label.
     pub label: String,
     /// A length for each part; `None` when there is no bar.
@@ -45,7 +48,8 @@ pub fn stack(plot: &Stack) -> ReportFigure {
     let to = plot.to.unwrap_or(longest * 1.04);
     let axis = ValueAxis { from: 0.0, to: if to > 0.0 { to } else { 1.0 } };
     let top = 12 + LEGEND_ROW * present.len().div_ceil(LEGEND_COLUMNS) as i32;
-    let bottom = top + plot.rows.len() as i32 * ROW + 6;
+    let headings = plot.rows.iter().filter(|row| row.heading.is_some()).count() as i32;
+    let bottom = top + headings * HEADING + plot.rows.len() as i32 * ROW + 6;
     let mut drawing = Drawing::new(bottom + BOTTOM);
     for (place, &part) in present.iter().enumerate() {
         let x = 12 + 270 * (place % LEGEND_COLUMNS) as i32;
@@ -54,8 +58,14 @@ pub fn stack(plot: &Stack) -> ReportFigure {
         drawing.text(&plot.parts[part], (x + 30, y), TextAnchor::After, TextStyle::PLAIN);
     }
     axis.draw(&mut drawing, plot.axis, top, bottom);
-    for (row, y) in plot.rows.iter().zip((top..).step_by(ROW as usize)) {
+    let mut y = top;
+    for row in &plot.rows {
+        if let Some(heading) = &row.heading {
+            drawing.heading(heading, y);
+            y += HEADING;
+        }
         draw_row(&mut drawing, &axis, row, &present, y);
+        y += ROW;
     }
     let rows = plot.rows.iter().map(|row| in_words(row, &plot.parts));
     ReportFigure::new(drawing, &plot.id, &plot.caption, rows)
@@ -160,7 +170,9 @@ fn hatch(drawing: &mut Drawing, direction: Direction, [(left, top), (right, bott
 }
 
 fn in_words(row: &StackRow, parts: &[String]) -> String {
-    let Some(lengths) = &row.lengths else { return format!("{}: not run", row.label) };
+    let heading = row.heading.as_ref().map_or(String::new(), |heading| format!("{heading}: "));
+    let label = format!("{heading}{}", row.label);
+    let Some(lengths) = &row.lengths else { return format!("{label}: not run") };
     let parts: Vec<String> = parts
         .iter()
         .zip(lengths)
@@ -168,7 +180,7 @@ fn in_words(row: &StackRow, parts: &[String]) -> String {
         .map(|(part, length)| format!("{part} {length:.1}"))
         .collect();
     let parts = if parts.is_empty() { "nothing".to_owned() } else { parts.join(", ") };
-    format!("{}: {parts}", row.label)
+    format!("{label}: {parts}")
 }
 
 #[cfg(test)]
@@ -209,6 +221,7 @@ mod tests {
             to: Some(100.0),
             parts: vec!["loop".to_owned(), "never-saw".to_owned(), "other".to_owned()],
             rows: vec![StackRow {
+                heading: None,
                 label: "episodic".to_owned(),
                 lengths: Some(vec![25.0, 50.0, 0.0]),
             }],

@@ -22,9 +22,12 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         kinds.iter().filter(|kind| table.groups[0].rows.iter().any(|row| row.label == kind.name));
     let terms = present.map(|kind| (kind.name.clone(), kind.words.clone()));
     let mut blocks = vec![ReportBlock::Text(text.to_owned()), ReportBlock::Terms(terms.collect())];
-    let bars = view.scores.conditions.iter().map(|score| StackRow {
-        label: format!("{}: {}", view.label(score.condition.memory), setting(&score.condition)),
-        lengths: Some(shares(score)),
+    let mut last = None;
+    let bars = view.scores.conditions.iter().map(|score| {
+        let memory = score.condition.memory;
+        let is_first = last.replace(memory) != Some(memory);
+        let heading = is_first.then(|| view.label(memory));
+        StackRow { heading, label: setting(&score.condition), lengths: Some(shares(score)) }
     });
     blocks.push(ReportBlock::Figure(stack(&Stack {
         id: view.id("failures-figure"),

@@ -79,15 +79,21 @@ pub(super) fn names<const N: usize>(memory: MemoryKind, settings: [Setting; N]) 
     settings.map(|(_, rest, demonstrations)| name(memory, rest, demonstrations))
 }
 
-/// The rows of a plot of success rates: one for each setting in which a memory was run.
+/// The rows of a plot of success rates: one for each setting in which a memory was run. Working memory has no demonstrations, so that
+/// settings which differ in nothing else are one.
 pub(super) fn rates_by_memory<const N: usize>(
     view: &ScoredRun<'_>,
     memories: &[MemoryKind],
     settings: [Setting; N],
 ) -> Vec<DotRow> {
     let rows = |&memory: &MemoryKind| {
-        let labels = settings.iter().map(|(heading, _, _)| (*heading).to_owned());
-        let conditions: Vec<_> = labels.zip(names(memory, settings)).collect();
+        let label = |(heading, _, _): &Setting| match heading.rsplit_once(", ") {
+            Some((without, _)) if !memory.uses_demonstrations() => without.to_owned(),
+            _ => (*heading).to_owned(),
+        };
+        let mut conditions: Vec<_> =
+            settings.iter().map(label).zip(names(memory, settings)).collect();
+        conditions.dedup();
         rate_rows(view, &view.label(memory), &conditions)
     };
     memories.iter().flat_map(rows).collect()

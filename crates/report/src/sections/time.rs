@@ -19,6 +19,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<ReportBlock> {
         let work = WORK.map(|stage| times.stage(stage).unwrap_or(0.0) / 1000.0);
         let between = times.sum / 1000.0 - work.iter().sum::<f64>();
         StackRow {
+            heading: None,
             label: view.label(memory),
             lengths: Some(work.into_iter().chain([between]).collect()),
         }
