@@ -14,7 +14,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION, EXTERNAL_MEMORY = 15, 4
+WIRE_VERSION, EXTERNAL_MEMORY = 16, 4
 TEXT, STEPS = 0, 1
 SEGMENT = 6
 NOT_MEASURED = 2**32 - 1

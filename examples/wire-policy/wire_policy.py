@@ -13,7 +13,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION = 15
+WIRE_VERSION = 16
 ROLES = ("orchestrator", "sim", "memory", "policy", "external-memory")
 POLICY = ROLES.index("policy")
 NO_ACTION, ACTED = 255, 0

@@ -154,7 +154,7 @@ fn a_fault_of_a_memory_costs_its_own_episodes_and_is_named() {
         ("RaisesInBuild", "raised RuntimeError: cannot build"),
         ("Unmakable", "raised RuntimeError: cannot be made"),
         ("ReturnsNone", "recall returned None, but must return a list of items"),
-        ("ReturnsNumbers", "recall returned 3, but an item is a Text, Steps, a View or a str"),
+        ("ReturnsNumbers", "recall returned 3, but an item is a Text, Steps, a View, a Plan or a str"),
         ("Negative", "-1 is not the number of a demonstration or step"),
         ("TooFar", "99999"),
         ("TooMany", "9 items, and at most 8"),
