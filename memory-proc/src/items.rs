@@ -14,8 +14,8 @@ use peer::memory::{MemoryItem, PlanPart, Source, Views};
 use shm_types::documents::Content;
 use shm_types::message::{
     DocumentId, FrameId, ItemKind, MAX_ITEMS, MAX_PLAN, MAX_SEGMENT, MAX_SOURCES, MAX_STEPS,
-    NO_DOCUMENT, NO_FRAME, RecalledInstruction, RecalledItem, RecalledSource, SegmentStep, TrajectoryStep,
-    action_code,
+    NO_DOCUMENT, NO_FRAME, RecalledInstruction, RecalledItem, RecalledSource, SegmentStep,
+    TrajectoryStep, action_code,
 };
 
 use crate::bank::MemoryBank;

@@ -146,7 +146,11 @@ mod tests {
         assert_eq!(decided(9, &[], &segment), one, "at the first step of what was retrieved");
         assert_eq!(decided(9, &[(9, one)], &segment), explored, "it changed nothing");
         assert_eq!(decided(9, &[], &planned), two, "the first action of the plan");
-        assert_eq!(decided(9, &[(9, two)], &planned), explored, "the plan's action changed nothing");
+        assert_eq!(
+            decided(9, &[(9, two)], &planned),
+            explored,
+            "the plan's action changed nothing"
+        );
         assert_eq!(decided(1, &[], &whole), one, "the picture of the first step");
         assert_eq!(decided(9, &[(1, one)], &whole), two, "a step after it");
         assert_eq!(decided(8, &[(1, one), (9, two)], &whole), three);

@@ -140,11 +140,7 @@ impl PythonMemory {
         })
     }
 
-    fn items(
-        &self,
-        answer: &Bound<'_, PyAny>,
-        world: &DeclaredWorld,
-    ) -> PyResult<Vec<MemoryItem>> {
+    fn items(&self, answer: &Bound<'_, PyAny>, world: &DeclaredWorld) -> PyResult<Vec<MemoryItem>> {
         if answer.is_none() || answer.is_instance_of::<PyString>() {
             let problem = format!(
                 "recall returned {}, but must return a list of items, which may be empty",

@@ -6,8 +6,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use domain::hex;
 use domain::{DocumentKind, FeedbackCode, ImageFormat, State};
 use peer::{
-    ActionCode, CaptionedView, FrameView, Item, PastView, PlanView, PlannedActions, Request, StepView,
-    StepsView, TextView,
+    ActionCode, CaptionedView, FrameView, Item, PastView, PlanView, PlannedActions, Request,
+    StepView, StepsView, TextView,
 };
 use prompt::image::encode;
 use prompt::{PartContent, Prompt, Template};

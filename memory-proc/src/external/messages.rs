@@ -147,9 +147,7 @@ fn read_item(
         Ok(ItemKind::Frame) => {
             Ok(MemoryItem::Frame { demonstration, step: first, caption: text()?, distance })
         }
-        Ok(ItemKind::Plan) => {
-            Ok(MemoryItem::Plan { parts: read_plan(in_note()?, its_sources())? })
-        }
+        Ok(ItemKind::Plan) => Ok(MemoryItem::Plan { parts: read_plan(in_note()?, its_sources())? }),
         Ok(ItemKind::Trajectory) => {
             Err("is a trajectory: steps of any length have the kind of steps".to_owned())
         }

@@ -15,10 +15,10 @@ use shm_types::frames::{FRAME_SERVICE, FrameHeader, Page};
 use shm_types::layout::{Struct, WireLayout};
 use shm_types::message::{
     AnswerItem, AnswerSource, CODE_SETS, Description, EXTERNAL, MAX_EMBEDDING,
-    MAX_EXTERNAL_MEMORIES, MAX_FOLDER, MAX_INSTRUCTION, MAX_ITEMS, MAX_PLAN, MAX_SEGMENT, MAX_SOURCES,
-    MAX_STEPS, MAX_SUB_GOALS, MAX_WINDOW, MAX_WORLDS, MESSAGES, NO_ACTION, NO_DOCUMENT, NO_FRAME,
-    NOT_MEASURED, RecalledInstruction, RecalledItem, RecalledSource, Role, SegmentStep, Traffic,
-    TrajectoryStep, WIRE_VERSION,
+    MAX_EXTERNAL_MEMORIES, MAX_FOLDER, MAX_INSTRUCTION, MAX_ITEMS, MAX_PLAN, MAX_SEGMENT,
+    MAX_SOURCES, MAX_STEPS, MAX_SUB_GOALS, MAX_WINDOW, MAX_WORLDS, MESSAGES, NO_ACTION,
+    NO_DOCUMENT, NO_FRAME, NOT_MEASURED, RecalledInstruction, RecalledItem, RecalledSource, Role,
+    SegmentStep, Traffic, TrajectoryStep, WIRE_VERSION,
 };
 use shm_types::notes::{FACTS_SERVICE, NOTE_SERVICE, NoteHeader};
 

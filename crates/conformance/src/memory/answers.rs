@@ -158,8 +158,7 @@ impl Reader<'_> {
     /// The sources of an item.
     fn sources(&self, number: u32) -> Result<Vec<Steps>, String> {
         let sources = self.sources.iter().filter(|source| source.item == number);
-        let steps =
-            |of: &AnswerSource| self.steps(of.demonstration, of.first_step, of.steps);
+        let steps = |of: &AnswerSource| self.steps(of.demonstration, of.first_step, of.steps);
         sources.map(steps).collect()
     }
 
@@ -167,7 +166,10 @@ impl Reader<'_> {
     fn plan(&self, item: &AnswerItem, sources: &[Steps]) -> Result<Vec<u8>, String> {
         let codes = self.bytes(item)?;
         if codes.len() > MAX_PLAN {
-            return Err(format!("plans {} actions, and at most {MAX_PLAN} are allowed", codes.len()));
+            return Err(format!(
+                "plans {} actions, and at most {MAX_PLAN} are allowed",
+                codes.len()
+            ));
         }
         let (expert, own): (Vec<u8>, Vec<u8>) = codes.iter().partition(|&&code| code == NO_ACTION);
         if let Some(code) = own.iter().find(|&&code| usize::from(code) >= self.actions) {

@@ -406,11 +406,14 @@ fn every_item(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let longest = vec![(of_steps, steps(&views, forward))];
     // A plan may begin within another's document, after its own actions.
     let rest = RecalledItem { first_step: 2, steps: 3, ..plan };
-    let planned = vec![(plan, Vec::new()), (of_steps, steps(&views[..2], forward)), (rest, Vec::new())];
+    let planned =
+        vec![(plan, Vec::new()), (of_steps, steps(&views[..2], forward)), (rest, Vec::new())];
     // One text for all demonstrations of the episode, and more than the instruction of an episode can have.
     let long = "青い樽を探してください 🛢 ".repeat(40);
     let instruction = Some(subject.instruction(id, &long)?);
-    for (items, images) in [(mixed, 10), (repeated, 1), (longest, 1 + MAX_STEPS as u32), (planned, 3)] {
+    for (items, images) in
+        [(mixed, 10), (repeated, 1), (longest, 1 + MAX_STEPS as u32), (planned, 3)]
+    {
         let frame = subject.view(5)?;
         let scene = RequestScene { frame, items, instruction, ..RequestScene::default() };
         let decision = subject.ask_and_wait(id, &scene)?;

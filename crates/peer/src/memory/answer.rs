@@ -5,8 +5,8 @@ use domain::ActionCode;
 use shm_types::NoteTooLong;
 use shm_types::documents::MAX_DOCUMENT_BYTES;
 use shm_types::message::{
-    AnswerItem, AnswerSource, ExternalAnswer, ItemKind, MAX_ACTIONS, MAX_ITEMS, MAX_PLAN, MAX_SOURCES,
-    NO_ACTION, NOT_MEASURED,
+    AnswerItem, AnswerSource, ExternalAnswer, ItemKind, MAX_ACTIONS, MAX_ITEMS, MAX_PLAN,
+    MAX_SOURCES, NO_ACTION, NOT_MEASURED,
 };
 
 use super::{MemoryError, MemoryItem, PlanPart, Source, Views};

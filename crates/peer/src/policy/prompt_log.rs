@@ -6,11 +6,11 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use case_book::WorldDeclaration;
-use domain::{ActionCode, create_private_folder, hex};
 use domain::prompt_log::{
-    Hash, PromptLogEntry, RecordedActions, RecordedItem, RecordedPart, RecordedPast, RecordedRequest,
-    RecordedView, entries_file, image_file, text_file, trajectory_file,
+    Hash, PromptLogEntry, RecordedActions, RecordedItem, RecordedPart, RecordedPast,
+    RecordedRequest, RecordedView, entries_file, image_file, text_file, trajectory_file,
 };
+use domain::{ActionCode, create_private_folder, hex};
 use png_file::{Channels, encode};
 use serde::Serialize;
 use shm_types::Attach;

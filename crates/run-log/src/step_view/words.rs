@@ -25,13 +25,17 @@ pub fn title(item: &RecordedItem, prompt: &RecordedPrompt) -> String {
     }
 }
 
-/// A part of a plan in one line: where its actions are from, and the actions.
+/// A part of a plan in one line: where its actions are from, and the actions; a repeated one is written once.
 pub fn planned(part: &RecordedActions) -> String {
     let from = match &part.instruction {
         Some(instruction) => format!("From the demonstration of: {instruction}"),
         None => "Of the memory's own".to_owned(),
     };
-    format!("{from}: {}", part.actions.join(", "))
+    let runs = part.actions.chunk_by(|a, b| a == b).map(|run| match run.len() {
+        1 => run[0].clone(),
+        times => format!("{} x{times}", run[0]),
+    });
+    format!("{from}: {}", runs.collect::<Vec<_>>().join(", "))
 }
 
 /// What came of the request and what it took.

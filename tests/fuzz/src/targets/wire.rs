@@ -236,7 +236,10 @@ pub(crate) fn memory(input: &[u8]) {
     let note = input.bytes(usize::MAX);
     let Ok(items) = memory_proc::fuzzing::answered_items(&answer, note) else { return };
     assert!(items.len() <= MAX_ITEMS);
-    let Ok(checked) = CheckedAnswer::new(items, bank(), &messages::scripted_world(), BUDGETS) else { return };
+    let Ok(checked) = CheckedAnswer::new(items, bank(), &messages::scripted_world(), BUDGETS)
+    else {
+        return;
+    };
     let supplied = checked.supplied;
     assert!(supplied.images <= BUDGETS.images && supplied.text <= BUDGETS.text);
     let (mut texts, mut documents) = (PublishedTexts::new(), Published::default());

@@ -8,8 +8,8 @@ use anyhow::Result;
 use domain::Action;
 use orchestrator::external_memory::ExternalMemory;
 use peer::memory::{
-    Demonstration, EpisodeEnd, Memory, MemoryDescription, MemoryError, MemoryItem, Method, PlanPart,
-    Query, Source, Step, Views,
+    Demonstration, EpisodeEnd, Memory, MemoryDescription, MemoryError, MemoryItem, Method,
+    PlanPart, Query, Source, Step, Views,
 };
 
 use crate::roles::pixels;
