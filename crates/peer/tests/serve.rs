@@ -215,6 +215,8 @@ fn items_of_every_kind_reach_the_policy() {
     for (instruction, (first_byte, bytes)) in first.instructions.iter_mut().zip(named) {
         *instruction = RecalledInstruction { document: tasks, first_byte, bytes };
     }
+    // Of the demonstrations of the plan, the second has an instruction.
+    first.instructions[8] = RecalledInstruction { document: tasks, first_byte: 0, bytes: 5 };
     rig.step(&observation(id(0, 9, 0), frame), &first);
 
     let decision = rig.decisions(1)[0];
@@ -226,7 +228,8 @@ fn items_of_every_kind_reach_the_policy() {
     Summary "a cone at (1, 2)", whole of "Halt." at None [(Some(40), Some(ActionCode(0))), (None, None)],
     whole of "Zurück!" at None [(Some(10), None)],
     40 "urück" of "Halt.", 10 "" of "", part of "" at None [(None, None)],
-    whole of "" at None [(None, Some(ActionCode(2))), (None, Some(ActionCode(2)))]],
+    whole of "" at None [(None, Some(ActionCode(2))), (None, Some(ActionCode(2)))],
+    plan: None [ActionCode(4), ActionCode(0)]; Some("") [ActionCode(2)]; Some("Halt.") [ActionCode(2)]],
     hinted
     "#);
 
@@ -266,7 +269,11 @@ fn items_of_every_kind_reach_the_policy() {
     recall for lane 0, step 8: item 0 has steps of document 1099511627778, which is of kind note
     recall for lane 0, step 9: item 0 has steps of document 1099511627780: 7 is not an action of this world
     recall for lane 0, step 10: item 0 has 1 instructions, expected 2
-    recall for lane 0, step 11: item 0 has the instructions 7..8 of a message with 7
+    recall for lane 0, step 11: item 0 has the instructions 9..10 of a message with 9
+    recall for lane 0, step 12: item 0 has 3 instructions, expected 2
+    recall for lane 0, step 13: item 0 has no steps
+    recall for lane 0, step 14: item 0 has steps of document 1099511627781: 2 is not a flag (0 no, 1 yes)
+    recall for lane 0, step 15: item 0 is a plan that has a step without action
     ");
     rig.stop();
 }

@@ -177,7 +177,7 @@ fn a_plan_is_the_actions_of_its_parts_and_has_their_sources() {
     let instructions = [whole, first, second].map(|of| (of.first_instruction, of.instructions));
     assert_eq!(instructions, [(0, 1), (1, 2), (3, 0)]);
     let sources = &recall.sources[..recall.sources_len as usize];
-    let sources = sources.iter().map(|of| (of.item, of.case, of.first, of.steps, of.kind));
+    let sources = sources.iter().map(|of| (of.item, of.demonstration, of.first, of.steps, of.kind));
     let planned = ItemKind::Plan as u8;
     assert_eq!(
         sources.collect::<Vec<_>>()[1..],

@@ -591,7 +591,7 @@ mod tests {
         recall for lane 1, step 0: 49 steps, but at most 48 fit
         recall for lane 1, step 0: 77 is not an action (0 to 63)
         recall for lane 1, step 0: 7 is not an action of this world
-        recall for lane 1, step 0: item 1 is invalid: 9 is not an item kind (0 text, 1 steps, 2 trajectory, 3 frame)
+        recall for lane 1, step 0: item 1 is invalid: 9 is not an item kind (0 text, 1 steps, 2 trajectory, 3 frame, 4 plan)
         recall for lane 1, step 0: item 1 has no steps
         recall for lane 1, step 0: item 1 has the steps 2..5 of a message with 4
         recall for lane 1, step 0: item 1 has the steps 4294967295..8589934590 of a message with 4
