@@ -80,9 +80,12 @@ fn a_plan_that_is_stitched_from_demonstrations_reaches_policy_records_and_prompt
     let bench = Bench::new();
     let line =
         "run --cases t01-01,t02-02 --memory working --starts new --frame-size 64 --log-prompts";
-    // Both stand-ins follow it from a start that the case's own demonstration does not lead through.
-    for policy in ["grounded", "imitate"] {
-        let args = [&words(line)[..], &["--policy", policy, "--out", policy]].concat();
+    // The stand-ins and a policy in Python follow it from a start that the case's own demonstration does not lead through.
+    let script = repository("python/tests/policies/planned.py");
+    let own = format!("{} {}", needs::python().display(), script.display());
+    for policy in ["grounded", "imitate", "own"] {
+        let given = if policy == "own" { ["--policy-cmd", &own] } else { ["--policy", policy] };
+        let args = [&words(line)[..], &given, &["--out", policy]].concat();
         run(&bench, &args, &[example("stitch")]).expect(0);
         let records = records(&bench.out(policy));
         let is_stitched = |record: &Value| record["memory"] == "stitch";
