@@ -97,7 +97,8 @@ pub(crate) const CHECKS: &[Check<PolicyRole>] = &[
     Check {
         name: "takes items of every kind",
         expected: "a decision for recalls with eight items: texts of every kind, segments, parts without views or \
-                   actions, demonstrations, captioned views; with 48 steps; and an `images_asked` that counts all views",
+                   actions, demonstrations, captioned views; with plans; with 48 steps; and an `images_asked` that counts \
+                   all views",
         advice: "go through `items` in order; a step may lack its view or its action, a distance may be NaN, a text may \
                  be a part of its document",
         run: every_item,
