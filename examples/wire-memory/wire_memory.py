@@ -14,8 +14,9 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION, EXTERNAL_MEMORY = 15, 4
-TEXT, STEPS = 0, 1
+WIRE_VERSION, EXTERNAL_MEMORY = 16, 4
+TEXT, STEPS, PLAN = 0, 1, 4
+NO_ACTION, MAX_PLAN = 255, 1024
 SEGMENT = 6
 NOT_MEASURED = 2**32 - 1
 PAGE_BYTES = 4096
@@ -193,7 +194,7 @@ class Run:
         answer = ExternalAnswer(
             episode=query.episode, received_ns=time.monotonic_ns(), lane=query.lane, step=query.step, tokens=NOT_MEASURED)
         try:
-            note = self.recall(query, episode, memory, answer).encode()
+            note = self.recall(query, episode, memory, answer)
         except ValueError as error:
             answer.failed, note = 1, str(error).encode()
         if note:
@@ -202,7 +203,7 @@ class Run:
         send(self.answers, answer)
 
     def recall(self, query, episode, memory, answer):
-        """Writes the items into the answer, and returns their text."""
+        """Writes the items into the answer, and returns their note."""
         if memory is None or episode.instruction_len > 232:
             raise ValueError(f"bank {episode.bank} or the instruction of {episode.instruction_len} bytes is unknown")
         now = list(query.state)
@@ -211,7 +212,7 @@ class Run:
         places = ((self.distance(now, state), number, step)
                   for number, (_, states) in enumerate(memory) for step, state in enumerate(states))
         # Equal distances: the first demonstration and step, so that equal queries have equal answers.
-        _, number, first = min(places)
+        distance, number, first = min(places)
         task, states = memory[number]
         steps = min(SEGMENT, len(states) - first)
         # An item that does not fit into a budget would be dropped: without their views, steps always fit.
@@ -219,13 +220,25 @@ class Run:
         answer.items[0] = AnswerItem(kind=STEPS, demonstration=number, first_step=first, steps=steps,
             distance=float("nan"), views=steps <= episode.image_budget, actions=1)
         answer.items_len = 1
-        text = f"From a demonstration of: {task}"
-        if len(text.encode()) > episode.text_budget:
-            return ""
-        answer.items[1] = AnswerItem(kind=TEXT, bytes=len(text.encode()), distance=float("nan"))
-        answer.sources[0] = AnswerSource(item=1, demonstration=number, first_step=first, steps=steps)
-        answer.items_len, answer.sources_len = 2, 1
-        return text
+        note = b""
+        planned = min(len(states) - 1 - first, MAX_PLAN)
+        if distance == 0 and planned > 0:
+            # The agent stands where the expert stood: a plan of what the expert did from there to the end.
+            note = bytes([NO_ACTION]) * planned
+            self.add(answer, AnswerItem(kind=PLAN, bytes=planned), number, first, planned)
+        text = f"From a demonstration of: {task}".encode()
+        if len(text) <= episode.text_budget:
+            self.add(answer, AnswerItem(kind=TEXT, first_byte=len(note), bytes=len(text)), number, first, steps)
+            note += text
+        return note
+
+    def add(self, answer, item, demonstration, first, steps):
+        """Adds an item without a distance that has these steps as its source."""
+        item.distance = float("nan")
+        answer.items[answer.items_len] = item
+        answer.sources[answer.sources_len] = AnswerSource(
+            item=answer.items_len, demonstration=demonstration, first_step=first, steps=steps)
+        answer.items_len, answer.sources_len = answer.items_len + 1, answer.sources_len + 1
 
     def is_state(self, numbers):
         """Whether each number is one that the world's field can have, with zeros after them."""

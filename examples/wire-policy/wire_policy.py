@@ -1,6 +1,6 @@
 """A policy on plain iceoryx2, without the package `memtransfer`. Everything it does is in docs/wire.md.
 
-It follows the expert's action in the retrieved view, if the expert had the same task. Otherwise it walks ahead, and turns where
+It follows a plan of the memory, or the expert's action in the retrieved view, if the expert had the same task. Otherwise it walks ahead, and turns where
 its last move was blocked or where it sees nothing.
 """
 
@@ -13,11 +13,11 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION = 15
+WIRE_VERSION = 16
 ROLES = ("orchestrator", "sim", "memory", "policy", "external-memory")
 POLICY = ROLES.index("policy")
 NO_ACTION, ACTED = 255, 0
-STEPS = 1  # the kind of item that has its steps in the message
+STEPS, PLAN = 1, 4  # the kinds of items that have their steps in the message, and their actions in a document
 NOT_MEASURED = 2**32 - 1
 PAGE_BYTES = 4096
 U8, U32, U64, F32 = ctypes.c_uint8, ctypes.c_uint32, ctypes.c_uint64, ctypes.c_float
@@ -42,6 +42,7 @@ RecalledItem = struct("RecalledItem", 32, """document: u64, distance: f32, first
     bytes: u32, kind: u8, whole: u8, first_instruction: u8, instructions: u8""")
 RecalledInstruction = struct("RecalledInstruction", 16, "document: u64, first_byte: u32, bytes: u32")
 SegmentStep = struct("SegmentStep", 16, "frame: u64, action: u8, reserved: u8 x 7")
+TrajectoryStep = struct("TrajectoryStep", 16, "frame: u64, action: u8, trajectory: u8, own: u8, reserved: u8 x 5")
 FrameHeader = struct("FrameHeader", 32, "id: u64, width: u32, height: u32, content_hash: u8 x 16")
 Page = struct("Page", PAGE_BYTES, "pixels: u8 x 4096")
 DocumentHeader = struct("DocumentHeader", 24, "id: u64, episode: u64, lane: u32, kind: u32")
@@ -153,7 +154,7 @@ class Run:
                     del observations[lane]
                 elif config and recall and config.episode == recall.episode and (recall.episode, recall.step) == step:
                     instruction = bytes(config.instruction[:config.instruction_len])
-                    segment = same_task_segment(recall, instruction, documents)
+                    segment = planned_step(recall, documents) or same_task_segment(recall, instruction, documents)
                     self.answer(observation, segment, frames[observation.frame])
                     del observations[lane], recalls[lane]
                     answered += 1
@@ -187,6 +188,15 @@ class Run:
         horizon = ctypes.string_at(frame.payload_ptr + start, 4 * header.width)
         is_blank = horizon == horizon[:4] * header.width
         return self.turn_left if is_blank or observation.feedback == self.blocked else self.forward
+
+
+def planned_step(recall, documents):
+    """The first step of the first plan, if there is one."""
+    for item in recall.items[:recall.items_len]:
+        _, document = documents.get(item.document, (None, b""))
+        if item.kind == PLAN and ctypes.sizeof(TrajectoryStep) * (item.first_step + item.steps) <= len(document):
+            return TrajectoryStep.from_buffer_copy(document, ctypes.sizeof(TrajectoryStep) * item.first_step)
+    return None
 
 
 def same_task_segment(recall, instruction, documents):

@@ -15,7 +15,7 @@ import iceoryx2 as iox2
 import ring
 from blake3 import blake3
 
-WIRE_VERSION, SIM = 15, 1
+WIRE_VERSION, SIM = 16, 1
 GOES_ON, COMPLETE, STEP_LIMIT = 0, 1, 2
 ACT, STAY = 0, 1
 PIN, RELEASE = 0, 1

@@ -371,10 +371,14 @@ impl MemoryEpisode {
     ///
     /// # Errors
     /// When an item cannot be supplied.
-    pub(crate) fn checked(&self, items: Vec<MemoryItem>) -> Result<Arc<CheckedAnswer>, String> {
+    pub(crate) fn checked(
+        &self,
+        items: Vec<MemoryItem>,
+        world: &WorldDeclaration,
+    ) -> Result<Arc<CheckedAnswer>, String> {
         match &self.last {
             Some((last, _)) if last.is_of(&items) => Ok(last.clone()),
-            _ => CheckedAnswer::new(items, &self.bank, self.budgets).map(Arc::new),
+            _ => CheckedAnswer::new(items, &self.bank, world, self.budgets).map(Arc::new),
         }
     }
 

@@ -122,7 +122,7 @@ impl HostedMemory {
         episode: &mut MemoryEpisode,
         host: &mut MemoryHost<'_, I>,
     ) -> Result<MemoryAnswer, Unready> {
-        let MemoryHost { views, externals, clock, .. } = host;
+        let MemoryHost { library, views, externals, clock, .. } = host;
         let content = episode.pending.as_ref().and_then(|pending| pending.content);
         let embedding = content.and_then(|content| views.embeddings.get(&content));
         if !episode.admitted || embedding.is_none() && content.is_some() {
@@ -143,7 +143,8 @@ impl HostedMemory {
         let items = memory.recall(&query).with_context(failed)?;
         let store_bytes = memory.store_bytes().unwrap_or(0);
         let searched_ns = clock();
-        let checked = episode.checked(items).map_err(|what| anyhow!("{}: {what}", failed()))?;
+        let checked = episode.checked(items, library.world());
+        let checked = checked.map_err(|what| anyhow!("{}: {what}", failed()))?;
         Ok(MemoryAnswer {
             checked,
             embedded_ns,

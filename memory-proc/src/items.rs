@@ -1,19 +1,21 @@
 //! From a memory's items to a recall: references are checked, budgets applied, views and actions looked up, texts
 //! published.
 //!
-//! This is the only place that knows what a memory may supply: steps of the demonstrations in its bank, and texts of its
-//! own. Every memory passes through it, the built-in ones too.
+//! This is the only place that knows what a memory may supply: steps of the demonstrations in its bank, and texts and actions
+//! of its own. Every memory passes through it, the built-in ones too.
 
 use std::collections::HashMap;
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
-use peer::memory::{MemoryItem, Source, Views};
+use domain::ActionCode;
+use peer::WorldDeclaration;
+use peer::memory::{MemoryItem, PlanPart, Source, Views};
 use shm_types::documents::Content;
 use shm_types::message::{
-    DocumentId, FrameId, ItemKind, MAX_ITEMS, MAX_SEGMENT, MAX_SOURCES, MAX_STEPS, NO_DOCUMENT,
-    NO_FRAME, RecalledInstruction, RecalledItem, RecalledSource, SegmentStep, TrajectoryStep,
-    action_code,
+    DocumentId, FrameId, ItemKind, MAX_ITEMS, MAX_PLAN, MAX_SEGMENT, MAX_SOURCES, MAX_STEPS,
+    NO_DOCUMENT, NO_FRAME, RecalledInstruction, RecalledItem, RecalledSource, SegmentStep,
+    TrajectoryStep, action_code,
 };
 
 use crate::bank::MemoryBank;
@@ -86,18 +88,20 @@ struct Part {
 }
 
 impl CheckedAnswer {
-    /// Checks the items of a memory that was built from `bank`.
+    /// Checks the items of a memory that was built from `bank` in the world `world`.
     ///
     /// # Errors
-    /// When an item names something that is not in the bank, or there are too many items or sources.
+    /// When an item names something that is not in the bank or an action that the world does not have, or there are too many
+    /// items, sources or actions.
     pub fn new(
         given: Vec<MemoryItem>,
         bank: &MemoryBank,
+        world: &WorldDeclaration,
         budgets: Budgets,
     ) -> Result<Self, String> {
         let mut sources = 0;
         for (number, item) in given.iter().enumerate() {
-            sources += check(item, bank).map_err(|what| format!("item {number} {what}"))?;
+            sources += check(item, bank, world).map_err(|what| format!("item {number} {what}"))?;
         }
         if sources > MAX_SOURCES {
             return Err(format!("it has {sources} sources, and at most {MAX_SOURCES} are allowed"));
@@ -145,6 +149,7 @@ fn parts(given: &[MemoryItem], kept: &[usize], bank: &MemoryBank) -> Vec<Part> {
         match &given[number] {
             MemoryItem::Text { .. } => {}
             MemoryItem::Frame { .. } => kind = ItemKind::Frame,
+            MemoryItem::Plan { .. } => kind = ItemKind::Plan,
             MemoryItem::Steps { source, views, distance, .. } => {
                 let count = source.count as usize;
                 let length = bank.demonstrations[source.demonstration as usize].states.len();
@@ -176,7 +181,7 @@ impl Part {
 }
 
 /// Checks the references of an item; returns the number of its sources.
-fn check(item: &MemoryItem, bank: &MemoryBank) -> Result<usize, String> {
+fn check(item: &MemoryItem, bank: &MemoryBank, world: &WorldDeclaration) -> Result<usize, String> {
     match item {
         MemoryItem::Text { sources, .. } => {
             sources.iter().try_for_each(|source| demonstration(source, bank).map(drop))?;
@@ -210,7 +215,73 @@ fn check(item: &MemoryItem, bank: &MemoryBank) -> Result<usize, String> {
             demonstration(&source, bank)?;
             finite(*distance)
         }
+        MemoryItem::Plan { parts } => check_plan(parts, bank, world),
     }
+}
+
+/// Checks the parts of a plan; returns the number of its sources.
+fn check_plan(
+    parts: &[PlanPart],
+    bank: &MemoryBank,
+    world: &WorldDeclaration,
+) -> Result<usize, String> {
+    let (mut sources, mut planned) = (0, 0);
+    for part in parts {
+        match part {
+            PlanPart::Steps(source) => {
+                demonstration(source, bank)?;
+                sources += 1;
+                planned += u64::from(source.count);
+            }
+            &PlanPart::Own(ActionCode(code)) => {
+                let count = world.actions.len();
+                if world.action(code).is_none() {
+                    return Err(format!(
+                        "plans action {code}, but the world has {count} actions (from 0)"
+                    ));
+                }
+                planned += 1;
+            }
+        }
+    }
+    if planned > MAX_PLAN as u64 {
+        return Err(format!("plans {planned} actions, and at most {MAX_PLAN} are allowed"));
+    }
+    if planned_actions(parts, bank).is_empty() {
+        return Err("is a plan without actions".to_owned());
+    }
+    Ok(sources)
+}
+
+/// The actions of a checked plan from one place: from a demonstration, or of the memory's own.
+struct PlannedActions {
+    /// Number of the demonstration.
+    demonstration: Option<u32>,
+    actions: Vec<ActionCode>,
+}
+
+/// The actions of the parts of a plan. Consecutive actions of the memory's own are one part, and a part without actions is none.
+fn planned_actions(parts: &[PlanPart], bank: &MemoryBank) -> Vec<PlannedActions> {
+    let mut planned: Vec<PlannedActions> = Vec::new();
+    for part in parts {
+        match (*part, planned.last_mut()) {
+            (PlanPart::Own(action), Some(PlannedActions { demonstration: None, actions })) => {
+                actions.push(action);
+            }
+            (PlanPart::Own(action), _) => {
+                planned.push(PlannedActions { demonstration: None, actions: vec![action] });
+            }
+            (PlanPart::Steps(Source { demonstration, first, count }), _) => {
+                let all = &bank.demonstrations[demonstration as usize].actions;
+                let actions = all.iter().skip(first as usize).take(count as usize);
+                let actions: Vec<ActionCode> = actions.copied().flatten().collect();
+                if !actions.is_empty() {
+                    planned.push(PlannedActions { demonstration: Some(demonstration), actions });
+                }
+            }
+        }
+    }
+    planned
 }
 
 fn finite(distance: Option<f32>) -> Result<usize, String> {
@@ -251,6 +322,7 @@ fn amount(item: &MemoryItem) -> Amount {
             Views::Keyframes(shown) => (shown.len(), 0),
         },
         MemoryItem::Frame { caption, .. } => (1, caption.len()),
+        MemoryItem::Plan { .. } => (0, 0),
     };
     let short = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
     Amount { items: 1, images: short(images), text: short(text) }
@@ -260,7 +332,9 @@ fn amount(item: &MemoryItem) -> Amount {
 fn views(item: &MemoryItem, bank: &MemoryBank) -> Vec<ViewId> {
     let at = |of: u32, step: u32| bank.demonstrations[of as usize].views[step as usize];
     match item {
-        MemoryItem::Text { .. } | MemoryItem::Steps { views: Views::None, .. } => Vec::new(),
+        MemoryItem::Text { .. }
+        | MemoryItem::Plan { .. }
+        | MemoryItem::Steps { views: Views::None, .. } => Vec::new(),
         MemoryItem::Steps { source, views: Views::All, .. } => {
             let steps = source.first..source.first + source.count;
             steps.map(|step| at(source.demonstration, step)).collect()
@@ -320,7 +394,7 @@ impl Assembler<'_> {
     ) -> anyhow::Result<AssembledRecall> {
         self.publish_texts(answer)?;
         let trajectories = self.publish_trajectories(answer, &frame)?;
-        let mut next_trajectory = 0;
+        let mut next_step = 0;
         let mut recall = AssembledRecall::empty();
         for Part { kind, whole, items } in &answer.parts {
             let mut item = RecalledItem { kind: *kind as u8, ..NOTHING };
@@ -334,6 +408,7 @@ impl Assembler<'_> {
                     item.distance = distance.unwrap_or(f32::NAN);
                 }
                 MemoryItem::Steps { distance, .. } => item.distance = distance.unwrap_or(f32::NAN),
+                MemoryItem::Plan { .. } => {}
             }
             match kind {
                 ItemKind::Text => {}
@@ -341,17 +416,17 @@ impl Assembler<'_> {
                     let steps = self.steps(&answer.given[items[0]], &frame);
                     (item.first_step, item.steps) = recall.add_steps(&steps);
                 }
-                ItemKind::Trajectory => {
-                    let counts = items.iter().map(|&of| steps_of(&answer.given[of]));
-                    (item.first_step, item.steps) = (next_trajectory, counts.sum());
+                ItemKind::Trajectory | ItemKind::Plan => {
+                    let counts = items.iter().map(|&of| self.steps_of(&answer.given[of]));
+                    (item.first_step, item.steps) = (next_step, counts.sum());
                     item.document = trajectories;
-                    next_trajectory += item.steps;
+                    next_step += item.steps;
                 }
             }
             let number = recall.items_len as u8;
             item.first_instruction = recall.instructions_len as u8;
             for &of in items {
-                if let Some(instruction) = instruction_of(&answer.given[of], self.bank) {
+                for instruction in instructions_of(&answer.given[of], self.bank) {
                     let (document, first_byte, bytes) = self.place(instruction);
                     recall.add_instruction(RecalledInstruction { document, first_byte, bytes });
                     item.instructions += 1;
@@ -375,10 +450,11 @@ impl Assembler<'_> {
                 MemoryItem::Frame { caption, .. } => {
                     Some(caption.clone()).filter(|of| !of.is_empty())
                 }
-                MemoryItem::Steps { .. } => None,
+                MemoryItem::Steps { .. } | MemoryItem::Plan { .. } => None,
             };
-            let instruction = instruction_of(item, self.bank).filter(|of| !of.is_empty());
-            for text in text.into_iter().chain(instruction.map(Arc::from)) {
+            let instructions = instructions_of(item, self.bank).into_iter();
+            let instructions = instructions.filter(|of| !of.is_empty()).map(Arc::from);
+            for text in text.into_iter().chain(instructions) {
                 if self.texts.contains_key(&text) || new.iter().any(|(known, _)| *known == text) {
                     continue;
                 }
@@ -404,23 +480,37 @@ impl Assembler<'_> {
         (document, first_byte, text.len() as u32)
     }
 
-    /// Publishes the steps of all trajectories of an answer as one document.
+    /// Publishes the steps of all trajectories and plans of an answer as one document.
     fn publish_trajectories(
         &mut self,
         answer: &CheckedAnswer,
         frame: &impl Fn(ViewId) -> Option<FrameId>,
     ) -> anyhow::Result<DocumentId> {
-        let long = answer.parts.iter().filter(|part| part.kind == ItemKind::Trajectory);
+        let is_long = |part: &&Part| matches!(part.kind, ItemKind::Trajectory | ItemKind::Plan);
+        let long = answer.parts.iter().filter(is_long);
         let mut steps = Vec::new();
-        for (trajectory, &number) in long.flat_map(|part| &part.items).enumerate() {
-            let trajectory = trajectory as u8;
-            let step = |SegmentStep { frame, action, .. }| TrajectoryStep {
+        // Every part has a source or comes after one: there are fewer than 256.
+        let mut trajectory = 0;
+        for &number in long.flat_map(|part| &part.items) {
+            let step = |frame, action, trajectory, own| TrajectoryStep {
                 frame,
                 action,
                 trajectory,
-                reserved: [0; 6],
+                own,
+                reserved: [0; 5],
             };
-            steps.extend(self.steps(&answer.given[number], frame).into_iter().map(step));
+            if let MemoryItem::Plan { parts } = &answer.given[number] {
+                for PlannedActions { demonstration, actions } in planned_actions(parts, self.bank) {
+                    let own = demonstration.is_none().into();
+                    let actions = actions.into_iter();
+                    steps.extend(actions.map(|action| step(NO_FRAME, action.0, trajectory, own)));
+                    trajectory += 1;
+                }
+            } else {
+                let supplied = self.steps(&answer.given[number], frame).into_iter();
+                steps.extend(supplied.map(|of| step(of.frame, of.action, trajectory, 0)));
+                trajectory += 1;
+            }
         }
         if steps.is_empty() {
             return Ok(NO_DOCUMENT);
@@ -435,7 +525,7 @@ impl Assembler<'_> {
         frame: &impl Fn(ViewId) -> Option<FrameId>,
     ) -> Vec<SegmentStep> {
         let (source, views, actions) = match item {
-            MemoryItem::Text { .. } => return Vec::new(),
+            MemoryItem::Text { .. } | MemoryItem::Plan { .. } => return Vec::new(),
             MemoryItem::Steps { source, views, actions, .. } => (*source, views, *actions),
             &MemoryItem::Frame { demonstration, step, .. } => {
                 (Source { demonstration, first: step, count: 1 }, &Views::All, false)
@@ -461,6 +551,19 @@ impl Assembler<'_> {
         };
         steps.map(step).collect()
     }
+
+    /// Number of steps of an item; of a plan, that of its actions.
+    fn steps_of(&self, item: &MemoryItem) -> u32 {
+        match item {
+            MemoryItem::Text { .. } => 0,
+            MemoryItem::Steps { source, .. } => source.count,
+            MemoryItem::Frame { .. } => 1,
+            MemoryItem::Plan { parts } => {
+                let planned = planned_actions(parts, self.bank);
+                planned.iter().map(|part| part.actions.len() as u32).sum()
+            }
+        }
+    }
 }
 
 /// An item without text, steps and distance.
@@ -477,23 +580,19 @@ const NOTHING: RecalledItem = RecalledItem {
     instructions: 0,
 };
 
-/// The instruction of the demonstration that an item shows steps of; `None` for a text.
-fn instruction_of<'b>(item: &MemoryItem, bank: &'b MemoryBank) -> Option<&'b str> {
-    let number = match item {
-        MemoryItem::Text { .. } => return None,
-        MemoryItem::Steps { source, .. } => source.demonstration,
-        MemoryItem::Frame { demonstration, .. } => *demonstration,
+/// The instructions of the demonstrations that an item shows steps or actions of; none for a text.
+fn instructions_of<'b>(item: &MemoryItem, bank: &'b MemoryBank) -> Vec<&'b str> {
+    let numbers = match item {
+        MemoryItem::Text { .. } => Vec::new(),
+        MemoryItem::Steps { source, .. } => vec![source.demonstration],
+        MemoryItem::Frame { demonstration, .. } => vec![*demonstration],
+        MemoryItem::Plan { parts } => {
+            let planned = planned_actions(parts, bank).into_iter();
+            planned.filter_map(|part| part.demonstration).collect()
+        }
     };
-    Some(&bank.demonstrations[number as usize].instruction)
-}
-
-/// Number of steps of an item.
-const fn steps_of(item: &MemoryItem) -> u32 {
-    match item {
-        MemoryItem::Text { .. } => 0,
-        MemoryItem::Steps { source, .. } => source.count,
-        MemoryItem::Frame { .. } => 1,
-    }
+    let instruction = |number: u32| &*bank.demonstrations[number as usize].instruction;
+    numbers.into_iter().map(instruction).collect()
 }
 
 impl AssembledRecall {
@@ -530,6 +629,13 @@ impl AssembledRecall {
             MemoryItem::Steps { source, distance, .. } => (vec![*source], *distance),
             &MemoryItem::Frame { demonstration, step, distance, .. } => {
                 (vec![Source { demonstration, first: step, count: 1 }], distance)
+            }
+            MemoryItem::Plan { parts } => {
+                let source = |part: &PlanPart| match part {
+                    PlanPart::Steps(source) => Some(*source),
+                    PlanPart::Own(_) => None,
+                };
+                (parts.iter().filter_map(source).collect(), None)
             }
         };
         for Source { demonstration, first, count } in sources {

@@ -5,7 +5,7 @@
 //! - remembers: locates the demonstrations that memory supplies by the views they share with the window
 //!   (`demonstration`), and parses documents (`document`); together that is its `knowledge`;
 //! - maps: marks free and occupied cells around the agent (`local_map`);
-//! - plans: follows or joins a demonstrated `tour`, else goes to what the instruction asks for, else explores
+//! - plans: follows what memory plans, or follows or joins a demonstrated `tour`, else goes to what the instruction asks for, else explores
 //!   (`plan`).
 //!
 //! It keeps no state of an episode: its `beliefs` are derived from each request anew. Its results show that

@@ -1,11 +1,12 @@
 //! The imitating policy: a scripted stand-in for a model in any world. It needs no network, no key and no knowledge of the world.
 //!
-//! It does what the expert did:
+//! It does what memory proposes, or what the expert did:
 //!
-//! 1. where memory supplies a retrieved segment, the expert's action at its first step, of the first segment that has one;
-//! 2. where memory supplies whole demonstrations, the expert's action at the step that shows the same picture as the current
+//! 1. where memory supplies a plan, its first action;
+//! 2. where memory supplies a retrieved segment, the expert's action at its first step, of the first segment that has one;
+//! 3. where memory supplies whole demonstrations, the expert's action at the step that shows the same picture as the current
 //!    view; or, if the pictures of the last steps were those of a demonstration, what comes next in it;
-//! 3. otherwise, and where the expert's action has just changed nothing, one of the world's actions, drawn by seed and step.
+//! 4. otherwise, and where that action has just changed nothing, one of the world's actions, drawn by seed and step.
 //!
 //! It reads no texts. Its results show that a world works and what can be had by imitation; they say nothing about any model.
 
@@ -37,8 +38,11 @@ impl Policy for Imitate {
     }
 }
 
-/// What the expert did where the agent is, as far as memory shows it.
+/// What memory proposes, or what the expert did where the agent is, as far as memory shows it.
 fn imitated(request: &Request<'_>) -> Option<ActionCode> {
+    if let Some(planned) = request.plans().find_map(|plan| plan.actions().next()) {
+        return Some(planned);
+    }
     let retrieved = request.segments().find_map(|segment| segment.steps.first()?.action);
     retrieved.or_else(|| request.trajectories().find_map(|whole| continued(request, &whole)))
 }
@@ -75,7 +79,7 @@ mod tests {
     use std::sync::Arc;
 
     use conformance::messages::scripted_world;
-    use peer::{FeedbackCode, Item, PastView, State, StepView};
+    use peer::{FeedbackCode, Item, PastView, PlanView, PlannedActions, State, StepView};
 
     use super::*;
 
@@ -134,9 +138,19 @@ mod tests {
             step(Some(2), None),
         ];
         let whole = StepsView { distance: None, is_whole: true, instruction: "", steps: &whole };
+        let own = PlannedActions { instruction: None, actions: &[ActionCode(two)] };
+        let of_expert = PlannedActions { instruction: Some(""), actions: &[ActionCode(one)] };
+        let parts = [own, of_expert];
+        let planned = [Item::Steps(segment), Item::Plan(PlanView { parts: &parts })];
         let (segment, whole) = ([Item::Steps(segment)], [Item::Steps(whole)]);
         assert_eq!(decided(9, &[], &segment), one, "at the first step of what was retrieved");
         assert_eq!(decided(9, &[(9, one)], &segment), explored, "it changed nothing");
+        assert_eq!(decided(9, &[], &planned), two, "the first action of the plan");
+        assert_eq!(
+            decided(9, &[(9, two)], &planned),
+            explored,
+            "the plan's action changed nothing"
+        );
         assert_eq!(decided(1, &[], &whole), one, "the picture of the first step");
         assert_eq!(decided(9, &[(1, one)], &whole), two, "a step after it");
         assert_eq!(decided(8, &[(1, one), (9, two)], &whole), three);

@@ -14,7 +14,7 @@
     run(Nearest())
 
 A memory names steps of demonstrations by number. The run looks up their views and actions, so a memory cannot supply
-anything that it was not given. The guide is `docs/memory.md` of the project.
+a view or an expert's action that it was not given. The guide is `docs/memory.md` of the project.
 """
 
 from __future__ import annotations
@@ -261,7 +261,7 @@ class ServedQuery(ReadWhenUsed, Query):
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Consecutive steps of a demonstration, as the origin of a text.
+    """Consecutive steps of a demonstration, as the origin of a text or of a part of a plan.
 
     Attributes:
         demonstration: Number of the demonstration.
@@ -333,7 +333,29 @@ class View:
     distance: float | None = None
 
 
-MemoryItem: TypeAlias = Text | Steps | View | str
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """An item: actions to take one after the other, from the state of the query on.
+
+        Plan([Source(0, 5, 3), Action.TURN_LEFT, Source(1, 12)])
+
+    plans the expert's actions at steps 5 to 7 of demonstration 0, a turn, and what the expert did from step 12 of demonstration 1
+    to its end.
+
+    Attributes:
+        parts: In order, each a `Source`, for the expert's actions at its steps, or an action that the memory chose itself, by its
+            number or its words, in the warehouse an `Action`. A step without an action, such as the last of a demonstration, adds
+            none. At most 1024 actions.
+    """
+
+    parts: Sequence[Source | Action | int | str]
+
+    def __post_init__(self) -> None:
+        if isinstance(self.parts, str | Source | int):
+            raise TypeError(f"parts is a list of Source objects and actions, not {self.parts!r}")
+
+
+MemoryItem: TypeAlias = Text | Steps | View | Plan | str
 """What `Memory.recall` may return a list of. A `str` stands for a `Text` without sources."""
 
 

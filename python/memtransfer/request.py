@@ -82,7 +82,30 @@ class RememberedView:
     """The task of the demonstration that shows the view, in English."""
 
 
-Item: TypeAlias = Document | Segment | RememberedView
+@dataclass(frozen=True, slots=True)
+class PlannedActions:
+    """A part of a plan: actions that come from the same place."""
+
+    actions: tuple[Action | int, ...]
+    """The actions, each an `Action` in the warehouse. Never empty."""
+    instruction: str | None = None
+    """The task of the demonstration in which an expert took them, in English; `None` if memory chose them itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class SuppliedPlan:
+    """An item of memory: actions that it proposes to take one after the other, from this step on."""
+
+    parts: tuple[PlannedActions, ...]
+    """Its parts, in order. Never empty."""
+
+    @property
+    def actions(self) -> tuple[Action | int, ...]:
+        """The actions of all parts."""
+        return tuple(action for part in self.parts for action in part.actions)
+
+
+Item: TypeAlias = Document | Segment | RememberedView | SuppliedPlan
 """What memory supplies for a step is a list of items."""
 
 
@@ -140,6 +163,11 @@ class Request(InState):
         """The demonstrations that memory supplies whole. Full-context memory supplies these."""
         segments = [item for item in self.items if isinstance(item, Segment)]
         return [segment.steps for segment in segments if segment.is_trajectory]
+
+    @property
+    def plans(self) -> Sequence[SuppliedPlan]:
+        """The plans among the items."""
+        return [item for item in self.items if isinstance(item, SuppliedPlan)]
 
     def images(self) -> int:
         """Returns the number of images: the current view, the window's and those of the items."""

@@ -16,6 +16,8 @@ pub(crate) struct Classes {
     pub(crate) segment: Py<PyType>,
     pub(crate) document: Py<PyType>,
     pub(crate) remembered_view: Py<PyType>,
+    pub(crate) planned_actions: Py<PyType>,
+    pub(crate) supplied_plan: Py<PyType>,
     pub(crate) served_request: Py<PyType>,
     pub(crate) decision: Py<PyType>,
     pub(crate) failed: Py<PyType>,
@@ -33,6 +35,8 @@ pub(crate) struct MemoryClasses {
     pub(crate) text: Py<PyType>,
     pub(crate) steps: Py<PyType>,
     pub(crate) view: Py<PyType>,
+    pub(crate) plan: Py<PyType>,
+    pub(crate) source: Py<PyType>,
 }
 
 /// An enumeration whose members have the codes 0, 1, 2 and so on.
@@ -80,6 +84,8 @@ impl Classes {
                 segment: class(&requests, "Segment")?,
                 document: class(&requests, "Document")?,
                 remembered_view: class(&requests, "RememberedView")?,
+                planned_actions: class(&requests, "PlannedActions")?,
+                supplied_plan: class(&requests, "SuppliedPlan")?,
                 served_request: class(&requests, "ServedRequest")?,
                 decision: class(&requests, "Decision")?,
                 failed: class(&requests, "Failed")?,
@@ -93,6 +99,8 @@ impl Classes {
                     text: class(&memories, "Text")?,
                     steps: class(&memories, "Steps")?,
                     view: class(&memories, "View")?,
+                    plan: class(&memories, "Plan")?,
+                    source: class(&memories, "Source")?,
                 },
             })
         })

@@ -168,17 +168,19 @@ impl DeclaredWorld {
     /// When it is none of this world.
     pub(crate) fn action_in(&self, of: &Bound<'_, PyAny>) -> PyResult<Option<ActionCode>> {
         let value = of.getattr("action")?;
-        if value.is_none() {
-            return Ok(None);
-        }
-        match self.read_action(&value)? {
-            Some(action) => Ok(Some(action)),
-            None => {
-                let (world, forms) = (&self.declaration.name, self.action_forms());
-                let problem = format!("{value:?} is no action of the world {world}: give {forms}");
-                Err(PyValueError::new_err(problem))
-            }
-        }
+        if value.is_none() { Ok(None) } else { self.known_action(&value).map(Some) }
+    }
+
+    /// The action that `value` is.
+    ///
+    /// # Errors
+    /// When it is none of this world.
+    pub(crate) fn known_action(&self, value: &Bound<'_, PyAny>) -> PyResult<ActionCode> {
+        self.read_action(value)?.ok_or_else(|| {
+            let (world, forms) = (&self.declaration.name, self.action_forms());
+            let problem = format!("{value:?} is no action of the world {world}: give {forms}");
+            PyValueError::new_err(problem)
+        })
     }
 
     /// The feedback in the attribute `feedback` of `of`.

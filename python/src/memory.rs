@@ -9,7 +9,7 @@ use domain::ActionCode;
 use peer::WorldDeclaration;
 use peer::memory::{
     Demonstration, Episode, EpisodeEnd, Memory, MemoryDescription, MemoryError, MemoryItem,
-    MemoryMethod, Query, Scope, Source, Step, Views,
+    MemoryMethod, PlanPart, Query, Scope, Source, Step, Views,
 };
 use pyo3::exceptions::{PySystemExit, PyTypeError, PyValueError};
 use pyo3::intern;
@@ -140,7 +140,7 @@ impl PythonMemory {
         })
     }
 
-    fn items(&self, answer: &Bound<'_, PyAny>) -> PyResult<Vec<MemoryItem>> {
+    fn items(&self, answer: &Bound<'_, PyAny>, world: &DeclaredWorld) -> PyResult<Vec<MemoryItem>> {
         if answer.is_none() || answer.is_instance_of::<PyString>() {
             let problem = format!(
                 "recall returned {}, but must return a list of items, which may be empty",
@@ -154,10 +154,10 @@ impl PythonMemory {
                 answer.get_type()
             ))
         })?;
-        items.map(|item| self.item(&item?)).collect()
+        items.map(|item| self.item(&item?, world)).collect()
     }
 
-    fn item(&self, item: &Bound<'_, PyAny>) -> PyResult<MemoryItem> {
+    fn item(&self, item: &Bound<'_, PyAny>, world: &DeclaredWorld) -> PyResult<MemoryItem> {
         let py = item.py();
         let classes = &Classes::get(py)?.memory;
         let distance = || match item.getattr(intern!(py, "distance"))?.extract::<Option<f32>>()? {
@@ -201,8 +201,20 @@ impl PythonMemory {
                 distance: distance()?,
             });
         }
+        if item.is_instance(classes.plan.bind(py))? {
+            let part = |part: PyResult<Bound<'_, PyAny>>| {
+                let part = part?;
+                Ok(if part.is_instance(classes.source.bind(py))? {
+                    PlanPart::Steps(self.source(&part)?)
+                } else {
+                    PlanPart::Own(world.known_action(&part)?)
+                })
+            };
+            let parts = item.getattr(intern!(py, "parts"))?.try_iter()?;
+            return Ok(MemoryItem::Plan { parts: parts.map(part).collect::<PyResult<_>>()? });
+        }
         let problem = format!(
-            "recall returned {}, but an item is a Text, Steps, a View or a str",
+            "recall returned {}, but an item is a Text, Steps, a View, a Plan or a str",
             item.repr()?
         );
         Err(PyValueError::new_err(problem))
@@ -275,7 +287,7 @@ impl Memory for PythonMemory {
         self.call(|py, memory, object| {
             let query = MemoryStep::of_query(py, &object.world, query)?;
             let query = served(py, query)?;
-            self.items(&memory.call_method1(intern!(py, "recall"), (query,))?)
+            self.items(&memory.call_method1(intern!(py, "recall"), (query,))?, &object.world)
         })
     }
 

@@ -5,7 +5,10 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use domain::hex;
 use domain::{DocumentKind, FeedbackCode, ImageFormat, State};
-use peer::{CaptionedView, FrameView, Item, PastView, Request, StepView, StepsView, TextView};
+use peer::{
+    ActionCode, CaptionedView, FrameView, Item, PastView, PlanView, PlannedActions, Request,
+    StepView, StepsView, TextView,
+};
 use prompt::image::encode;
 use prompt::{PartContent, Prompt, Template};
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -51,7 +54,8 @@ pub(crate) fn render<'py>(
     let mut frames = Frames::default();
     let world = DeclaredWorld::read(&request.getattr("world")?)?;
     let read = ReadRequest::new(&world, request, &mut frames)?;
-    let items: Vec<_> = read.items.iter().map(ReadItem::view).collect();
+    let plans: Vec<_> = read.items.iter().map(ReadItem::plan).collect();
+    let items: Vec<_> = read.items.iter().zip(&plans).map(|(item, plan)| item.view(plan)).collect();
     let request = Request {
         lane: 0,
         step: 0,
@@ -153,6 +157,8 @@ enum ReadItem {
         caption: String,
         instruction: String,
     },
+    /// For each part the instruction and the actions.
+    Plan(Vec<(Option<String>, Vec<ActionCode>)>),
 }
 
 impl ReadItem {
@@ -188,15 +194,39 @@ impl ReadItem {
                 caption: item.getattr("caption")?.extract()?,
                 instruction: item.getattr("instruction")?.extract()?,
             })
+        } else if item.is_instance(classes.supplied_plan.bind(py))? {
+            let mut parts = Vec::new();
+            for part in item.getattr("parts")?.try_iter()? {
+                let part = part?;
+                let mut actions = Vec::new();
+                for action in part.getattr("actions")?.try_iter()? {
+                    actions.push(world.known_action(&action?)?);
+                }
+                parts.push((part.getattr("instruction")?.extract()?, actions));
+            }
+            Ok(Self::Plan(parts))
         } else {
             Err(PyTypeError::new_err(format!(
-                "an item of a request is a Document, a Segment or a RememberedView, but this is a {}",
+                "an item of a request is a Document, a Segment, a RememberedView or a SuppliedPlan, but this is a {}",
                 item.get_type().name()?
             )))
         }
     }
 
-    fn view(&self) -> Item<'_> {
+    /// The parts of a plan; none of another item.
+    fn plan(&self) -> Vec<PlannedActions<'_>> {
+        let Self::Plan(parts) = self else { return Vec::new() };
+        let parts = parts.iter();
+        parts
+            .map(|(instruction, actions)| PlannedActions {
+                instruction: instruction.as_deref(),
+                actions,
+            })
+            .collect()
+    }
+
+    /// The item; `plan` are its parts if it is a plan.
+    fn view<'a>(&'a self, plan: &'a [PlannedActions<'a>]) -> Item<'a> {
         match self {
             Self::Text(kind, text) => Item::Text(TextView { id: 0, kind: *kind, text }),
             Self::Steps { distance, is_whole, instruction, steps } => Item::Steps(StepsView {
@@ -208,6 +238,7 @@ impl ReadItem {
             Self::Frame { frame, caption, instruction } => {
                 Item::Frame(CaptionedView { frame: *frame, caption, instruction })
             }
+            Self::Plan(_) => Item::Plan(PlanView { parts: plan }),
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use peer::{CaptionedView, Item, PinnedStep, StepsView, TextView};
+use peer::{CaptionedView, Item, PinnedStep, PlanView, StepsView, TextView};
 use pyo3::exceptions::PyAttributeError;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
@@ -127,6 +127,15 @@ impl<'py> Maker<'py, '_> {
             Item::Frame(CaptionedView { caption, instruction, .. }) => {
                 let values = (self.frame(frames.next())?, *caption, *instruction);
                 classes.remembered_view.bind(py).call1(values)
+            }
+            Item::Plan(PlanView { parts }) => {
+                let parts = self.tuple(parts.iter().map(|part| {
+                    let actions = part.actions.iter();
+                    let actions =
+                        self.tuple(actions.map(|action| world.action(py, Some(*action))))?;
+                    classes.planned_actions.bind(py).call1((actions, part.instruction))
+                }))?;
+                classes.supplied_plan.bind(py).call1((parts,))
             }
         }
     }

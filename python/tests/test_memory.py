@@ -17,8 +17,10 @@ from memtransfer import (
     Feedback,
     Heading,
     Memory,
+    Plan,
     Pose,
     Query,
+    Source,
     Steps,
     serve,
 )
@@ -55,6 +57,13 @@ def test_a_demonstration_is_a_sequence_of_steps() -> None:
     assert list(steps)[4] == end
     with pytest.raises(IndexError):
         steps[5]
+
+
+def test_a_plan_is_a_list_of_sources_and_actions() -> None:
+    assert Plan([Source(0, 5, 3), Action.TURN_LEFT, 0, "move left"]).parts[1] is Action.TURN_LEFT
+    for part in ("move forward", Action.LEFT, Source(0)):
+        with pytest.raises(TypeError, match="parts is a list of Source objects and actions, not"):
+            Plan(part)  # type: ignore[arg-type]
 
 
 def test_a_route_is_the_demonstration_in_words() -> None:

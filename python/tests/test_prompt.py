@@ -24,11 +24,13 @@ from memtransfer import (
     Item,
     Outcome,
     PastStep,
+    PlannedActions,
     Pose,
     RememberedStep,
     RememberedView,
     Request,
     Segment,
+    SuppliedPlan,
     WorldDeclaration,
 )
 from memtransfer import prompt as prompts
@@ -73,6 +75,12 @@ def item(plain: dict[str, Any]) -> Item:
         return Document(0, DocumentKind[of["kind"].upper()], of["text"])
     if kind == "frame":
         return RememberedView(frame(of["view"]), of["caption"], of["instruction"])
+    if kind == "plan":
+        parts = (
+            PlannedActions(tuple(Action[it.upper()] for it in part["actions"]), part.get("instruction"))
+            for part in of["parts"]
+        )
+        return SuppliedPlan(tuple(parts))
     steps = (
         RememberedStep(it["view"] and frame(it["view"]), action(it["action"])) for it in of["steps"]
     )

@@ -20,11 +20,13 @@ from memtransfer import (
     Heading,
     Item,
     Outcome,
+    PlannedActions,
     Pose,
     RememberedStep,
     RememberedView,
     Request,
     Segment,
+    SuppliedPlan,
 )
 from memtransfer.memory import Query, ServedQuery
 from memtransfer.request import ServedRequest
@@ -101,15 +103,18 @@ def test_items_are_sorted_by_what_they_are() -> None:
     note = Document(1, DocumentKind.NOTE, "turn left")
     near, part = Segment(0.5, "Find a cone.", steps, True), Segment(None, "Find a cone.", steps)
     whole = Segment(None, "Find a barrel.", steps, True)
-    items: list[Item] = [note, near, part, whole, RememberedView(frame, "a rack", "Find a cone.")]
+    parts = (PlannedActions((Action.LEFT, Action.LEFT)), PlannedActions((Action.FORWARD,), "Find a cone."))
+    view, plan = RememberedView(frame, "a rack", "Find a cone."), SuppliedPlan(parts)
+    items: list[Item] = [note, near, part, whole, view, plan]
     request = Request(
         0, 0, 1, 5, 1, "Find a barrel.", Pose(3, 12, Heading.N).state, Feedback.START, frame, items=items
     )
     assert request.documents == [note] and request.segments == [near, part]
     assert request.segment is near and request.trajectories == [steps]
+    assert request.plans == [plan] and plan.actions == (Action.LEFT, Action.LEFT, Action.FORWARD)
     assert request.images() == 1 + 3 + 1
     request.items = []
-    assert request.segment is None and not request.trajectories
+    assert request.segment is None and not request.trajectories and not request.plans
 
 
 def test_a_decision_has_an_action_or_the_reason_why_not() -> None:

@@ -32,13 +32,16 @@ pub use route::{Description, Message, Traffic};
 pub use text::{MAX_REASON_BYTES, read_text, shortened_reason, write_text};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 15;
+pub const WIRE_VERSION: u32 = 16;
 
 /// Most demonstration steps that a [`Recall`] holds itself. A longer item is a document.
 pub const MAX_STEPS: usize = 48;
 
 /// Most parts of demonstrations that a [`RecallTrace`] names as the sources of the items.
 pub const MAX_SOURCES: usize = 16;
+
+/// Most actions of a plan.
+pub const MAX_PLAN: usize = 1024;
 
 /// Most numbers of an embedding.
 pub const MAX_EMBEDDING: usize = 1024;
@@ -572,7 +575,7 @@ macro_rules! message_table {
         failed: u32,
         /// What it supplies, the most important first.
         items: [AnswerItem; MAX_ITEMS],
-        /// Where text items come from.
+        /// Where texts and plans come from.
         sources: [AnswerSource; MAX_SOURCES],
     }
 

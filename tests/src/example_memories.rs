@@ -8,8 +8,8 @@ use crate::{Bench, Ended, eventually, needs, processes_of, processes_with, repos
 /// The command that starts the memory in `examples/memories/NAME` with the Python that has its packages.
 pub fn example(name: &str) -> String {
     let script = repository(&script(name));
-    // Both need numpy.
-    let packages = if name == "learning" { "top-k" } else { name };
+    // All three need numpy.
+    let packages = if matches!(name, "learning" | "stitch") { "top-k" } else { name };
     format!("{} {}", needs::memory_python(packages).display(), script.display())
 }
 

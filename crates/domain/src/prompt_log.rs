@@ -166,6 +166,22 @@ pub enum RecordedItem {
         /// The file of the caption.
         caption: Hash,
     },
+    /// Actions to take from this step on.
+    Plan {
+        /// Its parts, in order.
+        parts: Vec<RecordedActions>,
+    },
+}
+
+/// A part of a plan.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecordedActions {
+    /// The task of the demonstration that the actions are taken from; absent if memory chose them itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub instruction: Option<String>,
+    /// The actions in words, in order.
+    pub actions: Vec<String>,
 }
 
 /// A view of a segment or demonstration, with the expert's action.

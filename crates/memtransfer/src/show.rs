@@ -227,7 +227,7 @@ fn write_images(folder: &Path, run: &Path, prompt: &RecordedPrompt) -> Result<()
     }
     for (number, item) in (1..).zip(&request.items) {
         let steps = match item {
-            RecordedItem::Text { .. } => continue,
+            RecordedItem::Text { .. } | RecordedItem::Plan { .. } => continue,
             RecordedItem::Frame { frame, .. } => {
                 named.push((format!("memory-{number}"), frame));
                 continue;

@@ -41,8 +41,8 @@ pub use connection::{Connection, Service, Session};
 pub use error::ServeError;
 pub use policy::{
     Answer, Answers, Batch, CaptionedView, Decider, Decision, FrameView, Item, PastView,
-    PinnedStep, Policy, Request, StepView, StepsView, TextView, Usage, serve,
-    serve_from_environment, serve_until,
+    PinnedStep, PlanView, PlannedActions, Policy, Request, StepView, StepsView, TextView, Usage,
+    serve, serve_from_environment, serve_until,
 };
 pub use run::Until;
 // The vocabulary of requests and decisions, so that a policy needs no other crate.

@@ -132,6 +132,11 @@ fn told(item: &Item<'_>, grey: impl Fn(FrameView<'_>) -> u8) -> String {
             let what = if *is_whole { "whole" } else { "part" };
             format!("{what} of {instruction:?} at {distance:?} {:?}", steps.collect::<Vec<_>>())
         }
+        Item::Plan(plan) => {
+            let parts = plan.parts.iter();
+            let parts = parts.map(|part| format!("{:?} {:?}", part.instruction, part.actions));
+            format!("plan: {}", parts.collect::<Vec<_>>().join("; "))
+        }
     }
 }
 
@@ -143,8 +148,13 @@ fn items_of_every_kind_reach_the_policy() {
     let hinted = config(0, 9, "Find a cone.");
     let hinted = message::PolicyEpisodeConfig { starts_as_demonstrated: 1, ..hinted };
     rig.begin(&hinted);
-    let step =
-        |trajectory, frame, action| TrajectoryStep { frame, action, trajectory, reserved: [0; 6] };
+    let step = |trajectory, frame, action| TrajectoryStep {
+        frame,
+        action,
+        trajectory,
+        own: 0,
+        reserved: [0; 5],
+    };
     let steps = vec![
         step(0, view, Action::Forward as u8),
         step(0, NO_FRAME, NO_ACTION),
@@ -156,6 +166,24 @@ fn items_of_every_kind_reach_the_policy() {
     let steps = documents.publish(Some((0, 9)), &Content::Trajectories(steps)).unwrap();
     let foreign = Content::Trajectories(vec![step(0, view, 7)]);
     let foreign = documents.publish(Some((0, 9)), &foreign).unwrap();
+    let own =
+        |trajectory, own, action| TrajectoryStep { own, ..step(trajectory, NO_FRAME, action) };
+    let planned = vec![
+        own(0, 1, 4),
+        own(0, 1, 0),
+        own(1, 0, 2),
+        own(2, 0, 2),
+        own(3, 2, 0),
+        own(4, 0, NO_ACTION),
+    ];
+    let planned = documents.publish(Some((0, 9)), &Content::Trajectories(planned)).unwrap();
+    let plan = |first_step, steps_len, instructions| RecalledItem {
+        document: planned,
+        first_step,
+        steps: steps_len,
+        instructions,
+        ..item(ItemKind::Plan)
+    };
     let text = |document, first_byte, bytes| RecalledItem {
         document,
         first_byte,
@@ -179,6 +207,7 @@ fn items_of_every_kind_reach_the_policy() {
     supply(&mut first, trajectory(1, 1, 0), &[]);
     let left = supplied(NO_FRAME, Some(Action::Left));
     supply(&mut first, RecalledItem { whole: 1, ..item(ItemKind::Steps) }, &[left; 2]);
+    supply(&mut first, plan(0, 4, 2), &[]);
     // Of the segment, the two demonstrations, and the view with a caption; the others have none.
     let named = [(5, 8), (0, 5), (5, 8), (0, 5)];
     let tasks = Content::Note("Halt.Zurück!".into());
@@ -186,6 +215,8 @@ fn items_of_every_kind_reach_the_policy() {
     for (instruction, (first_byte, bytes)) in first.instructions.iter_mut().zip(named) {
         *instruction = RecalledInstruction { document: tasks, first_byte, bytes };
     }
+    // Of the demonstrations of the plan, the second has an instruction.
+    first.instructions[8] = RecalledInstruction { document: tasks, first_byte: 0, bytes: 5 };
     rig.step(&observation(id(0, 9, 0), frame), &first);
 
     let decision = rig.decisions(1)[0];
@@ -197,7 +228,8 @@ fn items_of_every_kind_reach_the_policy() {
     Summary "a cone at (1, 2)", whole of "Halt." at None [(Some(40), Some(ActionCode(0))), (None, None)],
     whole of "Zurück!" at None [(Some(10), None)],
     40 "urück" of "Halt.", 10 "" of "", part of "" at None [(None, None)],
-    whole of "" at None [(None, Some(ActionCode(2))), (None, Some(ActionCode(2)))]],
+    whole of "" at None [(None, Some(ActionCode(2))), (None, Some(ActionCode(2)))],
+    plan: None [ActionCode(4), ActionCode(0)]; Some("") [ActionCode(2)]; Some("Halt.") [ActionCode(2)]],
     hinted
     "#);
 
@@ -213,7 +245,11 @@ fn items_of_every_kind_reach_the_policy() {
         RecalledItem { document: note, ..trajectory(0, 1, 1) },
         RecalledItem { document: foreign, ..trajectory(0, 1, 1) },
         RecalledItem { instructions: 1, ..trajectory(0, 3, 1) },
-        RecalledItem { first_instruction: 7, ..trajectory(0, 1, 1) },
+        RecalledItem { first_instruction: 9, ..trajectory(0, 1, 1) },
+        plan(0, 4, 3),
+        plan(0, 0, 0),
+        plan(4, 1, 0),
+        plan(5, 1, 1),
     ];
     let mut reports = Vec::new();
     for (step, bad) in (1..).zip(cases) {
@@ -233,7 +269,11 @@ fn items_of_every_kind_reach_the_policy() {
     recall for lane 0, step 8: item 0 has steps of document 1099511627778, which is of kind note
     recall for lane 0, step 9: item 0 has steps of document 1099511627780: 7 is not an action of this world
     recall for lane 0, step 10: item 0 has 1 instructions, expected 2
-    recall for lane 0, step 11: item 0 has the instructions 7..8 of a message with 7
+    recall for lane 0, step 11: item 0 has the instructions 9..10 of a message with 9
+    recall for lane 0, step 12: item 0 has 3 instructions, expected 2
+    recall for lane 0, step 13: item 0 has no steps
+    recall for lane 0, step 14: item 0 has steps of document 1099511627781: 2 is not a flag (0 no, 1 yes)
+    recall for lane 0, step 15: item 0 is a plan that has a step without action
     ");
     rig.stop();
 }

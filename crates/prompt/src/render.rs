@@ -2,7 +2,9 @@
 
 use case_book::fill;
 use domain::{ActionCode, DocumentKind};
-use peer::{CaptionedView, FrameView, Item, Request, StepsView, TextView, WorldDeclaration};
+use peer::{
+    CaptionedView, FrameView, Item, PlanView, Request, StepsView, TextView, WorldDeclaration,
+};
 
 use super::budget::{ImageCounts, ImagePlan};
 use super::template::Texts;
@@ -161,6 +163,7 @@ impl<'a> Writer<'_, 'a> {
                 Item::Text(text) => self.document(text),
                 Item::Frame(captioned) => self.captioned(captioned),
                 Item::Steps(steps) => self.steps(steps, &request.items[..index], request.items),
+                Item::Plan(plan) => self.plan(plan, &request.items[..index], request.items),
             }
         }
         if hint_at == Some(request.items.len()) {
@@ -231,6 +234,25 @@ impl<'a> Writer<'_, 'a> {
         self.fill(end, &[]);
     }
 
+    /// Writes a plan that comes after the items `before`, of `all`.
+    fn plan(&mut self, plan: &PlanView<'a>, before: &[Item<'a>], all: &[Item<'a>]) {
+        let texts = &self.template.memory;
+        let plans = |items: &[Item<'_>]| items.iter().filter_map(Item::plan).count();
+        let (number, count) = ((plans(before) + 1).to_string(), plans(all).to_string());
+        self.fill(&texts.plan_begin, &[("number", &number), ("count", &count)]);
+        for part in plan.parts {
+            let actions = self.action_runs(part.actions);
+            match part.instruction {
+                Some(instruction) => {
+                    let values = [("actions", actions.as_str()), ("instruction", instruction)];
+                    self.fill(&texts.plan_part, &values);
+                }
+                None => self.fill(&texts.plan_own, &[("actions", &actions)]),
+            }
+        }
+        self.fill(&texts.plan_end, &[]);
+    }
+
     /// A distance with its scale.
     fn distance(&self, distance: f32) -> String {
         let texts = &self.template.memory;
@@ -270,6 +292,13 @@ impl<'a> Writer<'_, 'a> {
         if actions.is_empty() {
             return;
         }
+        let runs = self.action_runs(actions);
+        self.fill(&self.template.memory.demonstration_actions, &[("actions", &runs)]);
+        actions.clear();
+    }
+
+    /// The words of actions; a repeated one is written once, with the number of times.
+    fn action_runs(&self, actions: &[ActionCode]) -> String {
         let (template, world) = (self.template, self.world);
         let runs = actions.chunk_by(|a, b| a == b).map(|run| {
             let action = world.action_words(run[0]);
@@ -279,9 +308,7 @@ impl<'a> Writer<'_, 'a> {
                 _ => fill(&template.memory.several, &[("action", action), ("times", &times)]),
             }
         });
-        let runs = runs.collect::<Vec<_>>().join(&template.memory.then);
-        self.fill(&template.memory.demonstration_actions, &[("actions", &runs)]);
-        actions.clear();
+        runs.collect::<Vec<_>>().join(&template.memory.then)
     }
 
     fn retrieved(&mut self, steps: &StepsView<'a>) {

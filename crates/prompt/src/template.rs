@@ -202,7 +202,7 @@ texts! {
         captioned_end, demonstration_begin, demonstration_view, demonstration_actions, then, several,
         demonstration_end, part_begin, part_end, hint, retrieved_begin, one_retrieved_begin,
         cosine_distance, other_distance, retrieved_action, retrieved_view, retrieved_view_alone,
-        retrieved_end,
+        retrieved_end, plan_begin, plan_part, plan_own, plan_end,
     }
     TaskTexts { text }
     WindowTexts { begin, nothing, view, step, no_action, end }

@@ -12,7 +12,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use domain::{Action, DocumentKind, Feedback, Heading, Pose, hex};
-use peer::{CaptionedView, FrameView, Item, PastView, Request, StepView, StepsView, TextView};
+use peer::{
+    ActionCode, CaptionedView, FrameView, Item, PastView, PlanView, PlannedActions, Request,
+    StepView, StepsView, TextView,
+};
 use prompt::{PartContent, Prompt, PromptPart, PromptSection, Template};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -65,6 +68,15 @@ enum PlainItem {
     Text { kind: String, text: String },
     Steps { distance: Option<f32>, is_whole: bool, instruction: String, steps: Vec<PlainStep> },
     Frame { view: String, caption: String, instruction: String },
+    Plan { parts: Vec<PlainActions> },
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlainActions {
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    instruction: Option<String>,
+    actions: Vec<String>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -118,23 +130,42 @@ fn outcome(plain: &PlainRequest, image_budget: u32) -> (Value, String) {
         steps.iter().map(step).collect()
     };
     let steps: Vec<_> = plain.items.iter().map(steps).collect();
-    let items = plain.items.iter().zip(&steps).map(|(item, steps)| match item {
-        PlainItem::Text { kind, text } => {
-            let kind = match kind.as_str() {
-                "summary" => DocumentKind::Summary,
-                "semantic" => DocumentKind::Semantic,
-                "note" => DocumentKind::Note,
-                other => panic!("{other} is no kind of text"),
-            };
-            Item::Text(TextView { id: 0, kind, text })
-        }
-        &PlainItem::Steps { distance, is_whole, ref instruction, .. } => {
-            Item::Steps(StepsView { distance, is_whole, instruction, steps })
-        }
-        PlainItem::Frame { view: name, caption, instruction } => {
-            Item::Frame(CaptionedView { frame: view(name), caption, instruction })
-        }
+    let codes = |part: &PlainActions| -> Vec<ActionCode> {
+        let codes = part.actions.iter().map(|name| action(&Some(name.clone())).unwrap().into());
+        codes.collect()
+    };
+    let parts = |item: &PlainItem| -> Vec<(Option<String>, Vec<ActionCode>)> {
+        let PlainItem::Plan { parts } = item else { return Vec::new() };
+        parts.iter().map(|part| (part.instruction.clone(), codes(part))).collect()
+    };
+    let parts: Vec<_> = plain.items.iter().map(parts).collect();
+    let parts = parts.iter().map(|parts| {
+        let parts = parts.iter().map(|(instruction, actions)| PlannedActions {
+            instruction: instruction.as_deref(),
+            actions,
+        });
+        parts.collect()
     });
+    let parts: Vec<Vec<PlannedActions<'_>>> = parts.collect();
+    let items =
+        plain.items.iter().zip(steps.iter().zip(&parts)).map(|(item, (steps, parts))| match item {
+            PlainItem::Text { kind, text } => {
+                let kind = match kind.as_str() {
+                    "summary" => DocumentKind::Summary,
+                    "semantic" => DocumentKind::Semantic,
+                    "note" => DocumentKind::Note,
+                    other => panic!("{other} is no kind of text"),
+                };
+                Item::Text(TextView { id: 0, kind, text })
+            }
+            &PlainItem::Steps { distance, is_whole, ref instruction, .. } => {
+                Item::Steps(StepsView { distance, is_whole, instruction, steps })
+            }
+            PlainItem::Frame { view: name, caption, instruction } => {
+                Item::Frame(CaptionedView { frame: view(name), caption, instruction })
+            }
+            PlainItem::Plan { .. } => Item::Plan(PlanView { parts }),
+        });
     let items: Vec<_> = items.collect();
     let PlainPose { column, row, heading } = plain.pose;
     let request = Request {

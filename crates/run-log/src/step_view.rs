@@ -2,7 +2,7 @@
 
 mod words;
 
-pub use words::{facts, title};
+pub use words::{facts, planned, title};
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -215,6 +215,7 @@ fn resolve(run: &Path, entry: PromptLogEntry) -> Result<RecordedPrompt> {
                 images.push(frame);
                 texts.push(caption);
             }
+            RecordedItem::Plan { .. } => {}
         }
     }
     let messages = entry.exchange.iter().flat_map(|exchange| &exchange.messages);

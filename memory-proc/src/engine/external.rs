@@ -71,7 +71,7 @@ impl<I: Clone> Engine<I> {
             |why: String| Reason::from(format!("external memory {name}, step {step}: {why}"));
         let checked = match pending.stage {
             PendingStage::Asked { bank, since_ns } if now == step => in_time.and_then(|()| {
-                let checked = items.and_then(|items| running.checked(items));
+                let checked = items.and_then(|items| running.checked(items, self.library.world()));
                 checked.map(|checked| (checked, bank, since_ns)).map_err(refused)
             }),
             _ => {

@@ -3,11 +3,12 @@
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
-use peer::memory::{MemoryItem, Source, Views};
+use domain::ActionCode;
+use peer::memory::{MemoryItem, PlanPart, Source, Views};
 use search::Embedding;
 use shm_types::message::{
     AnswerItem, AnswerSource, ExternalAnswer, ExternalEpisode, ExternalQuery, ItemKind, Learning,
-    MAX_EMBEDDING, MAX_ITEMS, MAX_SOURCES, action_code, write_text,
+    MAX_EMBEDDING, MAX_ITEMS, MAX_PLAN, MAX_SOURCES, NO_ACTION, action_code, write_text,
 };
 
 use crate::episode::MemoryEpisode;
@@ -70,9 +71,9 @@ pub(crate) fn read_items(message: &ExternalAnswer, note: &[u8]) -> Result<Vec<Me
     let sources = &message.sources[..within("sources", message.sources_len, MAX_SOURCES)?];
     let items = &message.items[..count];
     for AnswerSource { item, .. } in sources {
-        let of = items.get(*item as usize);
-        if of.is_none_or(|of| of.kind != ItemKind::Text as u8) {
-            return Err(format!("a source is that of item {item}, which is no text"));
+        let of = items.get(*item as usize).map(|of| of.kind);
+        if of.is_none_or(|kind| kind != ItemKind::Text as u8 && kind != ItemKind::Plan as u8) {
+            return Err(format!("a source is that of item {item}, which is no text and no plan"));
         }
     }
     let read = |(number, item)| {
@@ -100,16 +101,17 @@ fn read_item(
         text.map(Arc::from).map_err(|error| format!("holds a text that is not UTF-8: {error}"))
     };
     let distance = Some(item.distance).filter(|distance| !distance.is_nan());
+    let its_sources = || {
+        let its_own = sources.iter().filter(|source| source.item == number);
+        let source = |source: &AnswerSource| Source {
+            demonstration: source.demonstration,
+            first: source.first_step,
+            count: source.steps,
+        };
+        its_own.map(source).collect()
+    };
     match ItemKind::try_from(item.kind) {
-        Ok(ItemKind::Text) => {
-            let its_own = sources.iter().filter(|source| source.item == number);
-            let source = |source: &AnswerSource| Source {
-                demonstration: source.demonstration,
-                first: source.first_step,
-                count: source.steps,
-            };
-            Ok(MemoryItem::Text { text: text()?, sources: its_own.map(source).collect() })
-        }
+        Ok(ItemKind::Text) => Ok(MemoryItem::Text { text: text()?, sources: its_sources() }),
         Ok(ItemKind::Steps) => {
             let views = match item.views {
                 0 => Views::None,
@@ -145,9 +147,46 @@ fn read_item(
         Ok(ItemKind::Frame) => {
             Ok(MemoryItem::Frame { demonstration, step: first, caption: text()?, distance })
         }
+        Ok(ItemKind::Plan) => Ok(MemoryItem::Plan { parts: read_plan(in_note()?, its_sources())? }),
         Ok(ItemKind::Trajectory) => {
             Err("is a trajectory: steps of any length have the kind of steps".to_owned())
         }
         Err(error) => Err(format!("has no valid kind: {error}")),
     }
+}
+
+/// Reads a plan whose actions are `codes`: `NO_ACTION` stands for the next step of `sources`. An error continues "item 2 ...".
+fn read_plan(codes: &[u8], sources: Vec<Source>) -> Result<Vec<PlanPart>, String> {
+    if codes.len() > MAX_PLAN {
+        return Err(format!("plans {} actions, and at most {MAX_PLAN} are allowed", codes.len()));
+    }
+    let taken = codes.iter().filter(|&&code| code == NO_ACTION).count();
+    let named: u64 = sources.iter().map(|source| u64::from(source.count)).sum();
+    if taken as u64 != named || sources.iter().any(|source| source.count == 0) {
+        return Err(format!(
+            "plans the expert's actions at {taken} steps, and its {} sources name {named}",
+            sources.len()
+        ));
+    }
+    let mut parts = Vec::new();
+    let mut sources = sources.into_iter();
+    // What is left of a source, and whether the last part is of it.
+    let (mut left, mut goes_on) = (Source { demonstration: 0, first: 0, count: 0 }, false);
+    for &code in codes {
+        if code != NO_ACTION {
+            parts.push(PlanPart::Own(ActionCode(code)));
+            goes_on = false;
+            continue;
+        }
+        if left.count == 0 {
+            (left, goes_on) = (sources.next().unwrap_or(left), false);
+        }
+        match parts.last_mut() {
+            Some(PlanPart::Steps(last)) if goes_on => last.count += 1,
+            _ => parts.push(PlanPart::Steps(Source { count: 1, ..left })),
+        }
+        left = Source { first: left.first.saturating_add(1), count: left.count - 1, ..left };
+        goes_on = true;
+    }
+    Ok(parts)
 }

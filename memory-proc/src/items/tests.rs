@@ -35,8 +35,16 @@ fn frame(demonstration: u32, step: u32, caption: &str) -> MemoryItem {
     MemoryItem::Frame { demonstration, step, caption: caption.into(), distance: None }
 }
 
+fn own(action: Action) -> PlanPart {
+    PlanPart::Own(action.into())
+}
+
+fn plan(parts: &[PlanPart]) -> MemoryItem {
+    MemoryItem::Plan { parts: parts.to_vec() }
+}
+
 fn refusal(items: Vec<MemoryItem>) -> String {
-    CheckedAnswer::new(items, &bank(), AMPLE).unwrap_err()
+    CheckedAnswer::new(items, &bank(), &warehouse::declaration(), AMPLE).unwrap_err()
 }
 
 /// The recall of `items`, with frames that are numbered by row.
@@ -46,7 +54,7 @@ fn assembled(
     documents: &mut TestDocuments,
 ) -> AssembledRecall {
     let bank = bank();
-    let answer = CheckedAnswer::new(items, &bank, AMPLE).unwrap();
+    let answer = CheckedAnswer::new(items, &bank, &warehouse::declaration(), AMPLE).unwrap();
     let mut assembler = Assembler { bank: &bank, episode: (1, 7), texts, documents };
     let frame = |view_id: ViewId| {
         assert!(answer.view_ids.contains(&view_id), "{view_id:?} was not asked for");
@@ -89,6 +97,22 @@ fn what_is_not_in_the_bank_is_refused_by_name() {
             MemoryItem::Text { text: "".into(), sources },
             "it has 17 sources, and at most 16 are allowed",
         ),
+        (plan(&[PlanPart::Steps(source(3, 0, 1))]), "item 1 names demonstration 3, but the bank"),
+        (plan(&[PlanPart::Steps(source(1, 4, 2))]), "item 1 names 2 steps from step 4 of"),
+        (
+            plan(&[own(Action::Left), PlanPart::Own(ActionCode(7))]),
+            "item 1 plans action 7, but the world has 7 actions (from 0)",
+        ),
+        (plan(&[]), "item 1 is a plan without actions"),
+        (plan(&[PlanPart::Steps(source(1, 4, 1))]), "item 1 is a plan without actions"),
+        (
+            plan(&vec![own(Action::Left); 1025]),
+            "item 1 plans 1025 actions, and at most 1024 are allowed",
+        ),
+        (
+            plan(&[PlanPart::Steps(source(0, 0, 1)); 17]),
+            "it has 17 sources, and at most 16 are allowed",
+        ),
     ] {
         let error = refusal(vec![MemoryItem::text("before"), item]);
         assert!(error.starts_with(expected), "{error}");
@@ -116,13 +140,69 @@ fn an_item_that_does_not_fit_into_a_budget_is_dropped_whole() {
         (0, 0, vec![], (0, 0)),
     ] {
         let budgets = Budgets { images, text };
-        let answer = CheckedAnswer::new(items.clone(), &bank(), budgets).unwrap();
+        let world = warehouse::declaration();
+        let answer = CheckedAnswer::new(items.clone(), &bank(), &world, budgets).unwrap();
         let numbers: Vec<usize> = answer.parts.iter().flat_map(|part| part.items.clone()).collect();
         assert_eq!(numbers, kept, "{budgets:?}");
         assert_eq!(answer.asked, Amount { items: 6, images: 10, text: 17 });
         let (images, text) = supplied;
         assert_eq!(answer.supplied, Amount { items: kept.len() as u16, images, text });
     }
+}
+
+#[test]
+fn a_plan_is_the_actions_of_its_parts_and_has_their_sources() {
+    let (mut texts, mut documents) = (PublishedTexts::default(), TestDocuments::default());
+    let items = vec![
+        whole(2, 61, &[3]),
+        plan(&[
+            own(Action::TurnLeft),
+            own(Action::TurnLeft),
+            PlanPart::Steps(source(0, 4, 2)),
+            // To its end: the last step has no action.
+            PlanPart::Steps(source(1, 3, 2)),
+            own(Action::Left),
+        ]),
+        plan(&[PlanPart::Steps(source(1, 4, 1)), own(Action::Right)]),
+    ];
+    let recall = assembled(items, &mut texts, &mut documents);
+    let [whole, first, second] = recall.items[..recall.items_len as usize] else { panic!() };
+    assert_eq!((whole.kind, whole.first_step, whole.steps), (ItemKind::Trajectory as u8, 0, 61));
+    for (item, range) in [(first, (61, 6)), (second, (67, 1))] {
+        assert_eq!((item.kind, item.whole), (ItemKind::Plan as u8, 0));
+        assert_eq!((item.first_step, item.steps), range);
+        assert_eq!(item.document, whole.document);
+    }
+    // An instruction for each part of a demonstration that has actions.
+    let instructions = [whole, first, second].map(|of| (of.first_instruction, of.instructions));
+    assert_eq!(instructions, [(0, 1), (1, 2), (3, 0)]);
+    let sources = &recall.sources[..recall.sources_len as usize];
+    let sources = sources.iter().map(|of| (of.item, of.demonstration, of.first, of.steps, of.kind));
+    let planned = ItemKind::Plan as u8;
+    assert_eq!(
+        sources.collect::<Vec<_>>()[1..],
+        [(1, 0, 4, 2, planned), (1, 3, 3, 2, planned), (2, 3, 4, 1, planned)]
+    );
+    let steps = documents.published.iter().find_map(|(_, content)| match content {
+        Content::Trajectories(steps) => Some(steps),
+        _ => None,
+    });
+    let told = steps.unwrap()[61..].iter();
+    let told: Vec<_> = told.map(|step| (step.trajectory, step.own, step.action)).collect();
+    let (turn, left, right) = (Action::TurnLeft as u8, Action::Left as u8, Action::Right as u8);
+    assert_eq!(
+        told,
+        [
+            (1, 1, turn),
+            (1, 1, turn),
+            (2, 0, FORWARD),
+            (2, 0, FORWARD),
+            (3, 0, FORWARD),
+            (4, 1, left),
+            (5, 1, right)
+        ]
+    );
+    assert!(steps.unwrap()[61..].iter().all(|step| step.frame == NO_FRAME));
 }
 
 #[test]
@@ -244,6 +324,14 @@ fn item() -> impl Strategy<Value = MemoryItem> {
                 MemoryItem::Steps { source, views, actions, distance }
             }
         ),
+        prop::collection::vec(
+            prop_oneof![
+                source().prop_map(PlanPart::Steps),
+                (0..8_u8).prop_map(|code| PlanPart::Own(ActionCode(code))),
+            ],
+            0..4
+        )
+        .prop_map(|parts| MemoryItem::Plan { parts }),
         (source(), "[a-z]{0,9}", distance()).prop_map(|(source, caption, distance)| {
             let Source { demonstration, first: step, .. } = source;
             MemoryItem::Frame { demonstration, step, caption: caption.into(), distance }
@@ -259,7 +347,8 @@ proptest! {
         (images, text) in (0..150_u32, 0..200_u32),
     ) {
         let bank = bank();
-        let Ok(answer) = CheckedAnswer::new(items, &bank, Budgets { images, text }) else {
+        let budgets = Budgets { images, text };
+        let Ok(answer) = CheckedAnswer::new(items, &bank, &warehouse::declaration(), budgets) else {
             return Ok(());
         };
         prop_assert!(answer.supplied.images <= images && answer.supplied.text <= text);

@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
-use domain::{Cell, Pose, UnknownCode};
-use peer::{Item, Request, StepView};
+use domain::{Action, Cell, Pose, UnknownCode};
+use peer::{Item, PlanView, Request, StepView};
 use plates::{ItemName, Landmark};
 
 use super::demonstration::{RelativePath, RelativePaths, RememberedStep};
+use super::geometry::{PathStep, after};
 use super::instruction::NavigationGoal;
 use super::knowledge::{Doubt, Knowledge, KnowledgeBase, standpoints_among};
 use super::local_map::LocalMap;
@@ -31,7 +32,7 @@ pub(super) struct Beliefs {
     pub(super) map: LocalMap,
     /// Plates in the last views, and in what was retrieved.
     seen: Vec<Landmark>,
-    /// The paths of the retrieved segments that were located, in order.
+    /// The paths of the plans, and of the retrieved segments that were located, in order.
     pub(super) segments: Vec<Tour>,
     pub(super) knowledge: Arc<Knowledge>,
 }
@@ -58,6 +59,11 @@ impl Beliefs {
                     supplied.steps.iter().map(|step| (step.frame, action(step))).collect()
                 }
                 Item::Frame(captioned) => vec![(Some(captioned.frame), None)],
+                // It begins where the agent is: no view has to locate it.
+                Item::Plan(plan) => {
+                    segments.push(Tour::along(planned_path(plan, recent.here), &[]));
+                    continue;
+                }
             };
             let Some((path, start)) = locate(&supplied, &views, caches) else {
                 continue;
@@ -108,6 +114,17 @@ fn placed_views(
     let frames = past.map(|(step, past)| (&step.frame, past.pose));
     let frames = frames.chain([(&request.frame, recent.here)]);
     frames.map(|(frame, pose)| views.placed(frame, pose)).collect()
+}
+
+/// The path that a plan describes from `here` on.
+fn planned_path(plan: &PlanView<'_>, here: Pose) -> Vec<PathStep> {
+    let actions = plan.actions().map_while(|action| Action::try_from(action).ok());
+    let step = |pose: &mut Option<Pose>, action: Action| {
+        let step = PathStep { pose: (*pose)?, action: Some(action) };
+        *pose = after(step.pose, action);
+        Some(step)
+    };
+    actions.scan(Some(here), step).collect()
 }
 
 /// The supplied demonstration and where it began, if `views` tell.

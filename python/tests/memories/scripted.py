@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 
-from memtransfer import Action, FrameGone, Heading, Memory, Source, Steps, Text, View, run
+from memtransfer import Action, FrameGone, Heading, Memory, Plan, Source, Steps, Text, View, run
 
 
 class Scripted(Memory):
@@ -78,6 +78,7 @@ class Checks(Scripted):
             View(0, 1, "a caption"),
             "another note",
             Steps(0, count=None, views=[0, 2]),
+            Plan([Source(0, 0, 2), Action.TURN_LEFT, 0, "turn right", self.demonstrations[0].actions[0]]),
         ]
 
     def end_episode(self, end):
@@ -122,6 +123,31 @@ class Negative(Scripted):
 class TooFar(Scripted):
     def recall(self, query):
         return [Steps(0, 99_999, 1)]
+
+
+class PlansUnknownAction(Scripted):
+    def recall(self, query):
+        return [Plan([Action.FORWARD, 7])]
+
+
+class PlansTooFar(Scripted):
+    def recall(self, query):
+        return [Plan([Source(0, 99_999, 1)])]
+
+
+class PlansUnknownDemonstration(Scripted):
+    def recall(self, query):
+        return [Plan([Source(99)])]
+
+
+class PlansNothing(Scripted):
+    def recall(self, query):
+        return [Plan([])]
+
+
+class PlansWords(Scripted):
+    def recall(self, query):
+        return [Plan("move forward")]
 
 
 class TooMany(Scripted):

@@ -15,10 +15,10 @@ use shm_types::frames::{FRAME_SERVICE, FrameHeader, Page};
 use shm_types::layout::{Struct, WireLayout};
 use shm_types::message::{
     AnswerItem, AnswerSource, CODE_SETS, Description, EXTERNAL, MAX_EMBEDDING,
-    MAX_EXTERNAL_MEMORIES, MAX_FOLDER, MAX_INSTRUCTION, MAX_ITEMS, MAX_SEGMENT, MAX_SOURCES,
-    MAX_STEPS, MAX_SUB_GOALS, MAX_WINDOW, MAX_WORLDS, MESSAGES, NO_ACTION, NO_DOCUMENT, NO_FRAME,
-    NOT_MEASURED, RecalledInstruction, RecalledItem, RecalledSource, Role, SegmentStep, Traffic,
-    TrajectoryStep, WIRE_VERSION,
+    MAX_EXTERNAL_MEMORIES, MAX_FOLDER, MAX_INSTRUCTION, MAX_ITEMS, MAX_PLAN, MAX_SEGMENT,
+    MAX_SOURCES, MAX_STEPS, MAX_SUB_GOALS, MAX_WINDOW, MAX_WORLDS, MESSAGES, NO_ACTION,
+    NO_DOCUMENT, NO_FRAME, NOT_MEASURED, RecalledInstruction, RecalledItem, RecalledSource, Role,
+    SegmentStep, Traffic, TrajectoryStep, WIRE_VERSION,
 };
 use shm_types::notes::{FACTS_SERVICE, NOTE_SERVICE, NoteHeader};
 
@@ -94,6 +94,7 @@ pub(crate) fn constants() -> Vec<Constant> {
         MAX_STEPS: "Most steps that a recall holds itself.",
         MAX_SEGMENT: "Most steps of an item that a recall holds itself.",
         MAX_SOURCES: "Most sources of a recall or an answer.",
+        MAX_PLAN: "Most actions of a plan.",
         MAX_EMBEDDING: "Most numbers of an embedding.",
         MAX_EXTERNAL_MEMORIES: "Most external memories of a run.",
         MAX_WORLDS: "Most simulators of a run.",

@@ -63,6 +63,8 @@ code_sets! {
         Trajectory = 2 "trajectory",
         /// One remembered view with a caption.
         Frame = 3 "frame",
+        /// Actions to take from now on, in a document.
+        Plan = 4 "plan",
     }
 
     /// What follows from an [`ErrorReport`](super::ErrorReport).

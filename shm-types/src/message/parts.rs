@@ -21,14 +21,14 @@ wire_struct! {
 wire_struct! {
     /// One item of what memory supplies for a step.
     RecalledItem, "memtransfer.RecalledItem", 32 bytes {
-        /// Text and captioned frame: the document that holds the text. Trajectory: the document that holds the steps.
+        /// Text and captioned frame: the document that holds the text. Trajectory and plan: the document that holds the steps.
         /// Otherwise, and for an empty caption, [`NO_DOCUMENT`].
         document: DocumentId,
         /// Distance between the item and the query; NaN if the memory tells none.
         distance: f32,
-        /// First step: in [`Recall::steps`], or in the document of a trajectory.
+        /// First step: in [`Recall::steps`], or in the document of a trajectory or plan.
         first_step: u32,
-        /// Number of steps, at least 1; 1 for a captioned frame, 0 for a text. Those of a trajectory can belong to
+        /// Number of steps, at least 1; 1 for a captioned frame, 0 for a text. Those of a trajectory or plan can belong to
         /// several demonstrations, one after the other.
         steps: u32,
         /// First byte of the text in the document.
@@ -39,9 +39,10 @@ wire_struct! {
         kind: u8,
         /// Steps and trajectory: 1 if they are a whole demonstration, from its start to its end.
         whole: u8,
-        /// Steps, trajectory and captioned frame: the first entry in [`Recall::instructions`].
+        /// All but text: the first entry in [`Recall::instructions`].
         first_instruction: u8,
-        /// Number of entries: one for each demonstration that the steps belong to, in their order; 0 for a text.
+        /// Number of entries: one for each demonstration that the steps belong to, in their order; 0 for a text. Plan: one
+        /// for each of its parts that is taken from a demonstration.
         instructions: u8,
     }
 }
@@ -82,9 +83,11 @@ wire_struct! {
 wire_struct! {
     /// One item of an [`ExternalAnswer`].
     AnswerItem, "memtransfer.AnswerItem", 28 bytes {
-        /// Text and captioned frame: first byte of the text in the answer's note.
+        /// Text and captioned frame: first byte of the text in the answer's note. Plan: that of its actions, one byte each: the
+        /// code of an action of the memory's own, or [`NO_ACTION`] for the expert's action at the next of the steps that the
+        /// item's sources name, in their order.
         first_byte: u32,
-        /// Bytes of the text.
+        /// Bytes of the text or of the actions.
         bytes: u32,
         /// Steps and captioned frame: number of the demonstration in the bank.
         demonstration: u32,
@@ -107,7 +110,7 @@ wire_struct! {
 }
 
 wire_struct! {
-    /// Where a text item of an [`ExternalAnswer`] comes from: consecutive steps of one demonstration.
+    /// Where a text or a plan of an [`ExternalAnswer`] comes from: consecutive steps of one demonstration.
     AnswerSource, "memtransfer.AnswerSource", 16 bytes {
         /// Number of the item, from 0.
         item: u32,
@@ -122,16 +125,18 @@ wire_struct! {
 
 wire_struct! {
     /// One step of a demonstration in a [`DocumentKind::Trajectories`](domain::DocumentKind) document: the expert's
-    /// action, and its view if that is a keyframe.
+    /// action, and its view if that is a keyframe. Or one of a plan: an action, without a view.
     TrajectoryStep: Eq, "memtransfer.TrajectoryStep", 16 bytes {
         /// The view before the action, or [`NO_FRAME`] if it is not a keyframe.
         frame: FrameId,
         /// Code of the action that the expert took there, or [`NO_ACTION`] at the end of the
-        /// demonstration.
+        /// demonstration. Plan: code of the action.
         action: u8,
-        /// Which demonstration, from 0, in the order of the document.
+        /// Which demonstration, or part of a plan, from 0, in the order of the document.
         trajectory: u8,
+        /// Plan: 1 if the memory chose the action itself, 0 if it is an expert's. Otherwise 0.
+        own: u8,
         /// Zero.
-        reserved: [u8; 6],
+        reserved: [u8; 5],
     }
 }

@@ -8,7 +8,7 @@ use shm_types::{DocumentError, DocumentPublisher, DocumentStore};
 use crate::common::{Run, bus, run};
 
 fn step(trajectory: u8, frame: u64, action: u8) -> TrajectoryStep {
-    TrajectoryStep { frame, action, trajectory, reserved: [0; 6] }
+    TrajectoryStep { frame, action, trajectory, own: 0, reserved: [0; 5] }
 }
 
 #[test]

@@ -14,7 +14,7 @@ use serde_json::Value;
 use crate::external::instruction;
 
 /// The examples that need no server.
-const EXAMPLES: [&str; 5] = ["top-k", "bm25", "robotmem", "langgraph", "mem0"];
+const EXAMPLES: [&str; 6] = ["top-k", "bm25", "robotmem", "langgraph", "mem0", "stitch"];
 
 /// The command that starts the test memory with one trait.
 fn scripted(memory_trait: &str, argument: &str) -> String {
@@ -72,6 +72,48 @@ fn a_memory_that_finds_the_demonstrated_step_transfers_it() {
     for memory in ["working", "episodic", "top-k", "langgraph"] {
         assert!(scored.contains(memory), "{memory} in {scored}");
     }
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn a_plan_that_is_stitched_from_demonstrations_reaches_policy_records_and_prompts() {
+    let bench = Bench::new();
+    let line =
+        "run --cases t01-01,t02-02 --memory working --starts new --frame-size 64 --log-prompts";
+    // The stand-ins and a policy in Python follow it from a start that the case's own demonstration does not lead through.
+    let script = repository("python/tests/policies/planned.py");
+    let own = format!("{} {}", needs::python().display(), script.display());
+    for policy in ["grounded", "imitate", "own"] {
+        let given = if policy == "own" { ["--policy-cmd", &own] } else { ["--policy", policy] };
+        let args = [&words(line)[..], &given, &["--out", policy]].concat();
+        run(&bench, &args, &[example("stitch")]).expect(0);
+        let records = records(&bench.out(policy));
+        let is_stitched = |record: &Value| record["memory"] == "stitch";
+        assert_eq!(success_rate(&records, is_stitched), 100.0, "{policy}");
+        for record in records.iter().filter(|record| is_stitched(record)) {
+            // At the first step other cases' demonstrations and the case's own, at the last the latter's alone.
+            let retrieved: Vec<&str> = record["retrieved"].as_str().unwrap().split(' ').collect();
+            let first: Vec<&str> = retrieved[0].split('+').collect();
+            let (own, others) = first.split_last().unwrap();
+            assert!(own.starts_with('o') && !others.is_empty(), "{retrieved:?}");
+            assert!(others.iter().all(|source| source.contains(":o")), "{retrieved:?}");
+            assert!(retrieved.last().unwrap().starts_with('o'), "{retrieved:?}");
+            assert_eq!(retrieved.len() as u64, record["steps"].as_u64().unwrap());
+        }
+    }
+    let shown = ["show", "grounded", "t01-01", "0", "--condition", "stitch"];
+    let told = bench.run(&shown).expect(0).stdout;
+    for words in ["Plan of ", "From the demonstration of: ", "Of the memory's own: turn "] {
+        assert!(told.contains(words), "{words}: {told}");
+    }
+    let json = bench.run(&[&shown[..], &["--json"]].concat()).expect(0).stdout;
+    let json: Value = serde_json::from_str(&json).unwrap();
+    let parts = json["prompt"]["request"]["items"][0]["plan"]["parts"].as_array().unwrap();
+    let planned: usize = parts.iter().map(|part| part["actions"].as_array().unwrap().len()).sum();
+    let retrieved = records(&bench.out("grounded"));
+    let steps = retrieved.iter().find(|of| of["memory"] == "stitch" && of["case"] == "t01-01");
+    // The expert's last action may be a turn before the target, which is not needed.
+    assert!(planned as u64 >= steps.unwrap()["steps"].as_u64().unwrap(), "{json}");
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
@@ -154,9 +196,20 @@ fn a_fault_of_a_memory_costs_its_own_episodes_and_is_named() {
         ("RaisesInBuild", "raised RuntimeError: cannot build"),
         ("Unmakable", "raised RuntimeError: cannot be made"),
         ("ReturnsNone", "recall returned None, but must return a list of items"),
-        ("ReturnsNumbers", "recall returned 3, but an item is a Text, Steps, a View or a str"),
+        (
+            "ReturnsNumbers",
+            "recall returned 3, but an item is a Text, Steps, a View, a Plan or a str",
+        ),
         ("Negative", "-1 is not the number of a demonstration or step"),
         ("TooFar", "99999"),
+        (
+            "PlansUnknownAction",
+            "7 is no action of the world warehouse: give an Action, the number (0 to 6) or the words",
+        ),
+        ("PlansTooFar", "names 1 steps from step 99999 of demonstration 0"),
+        ("PlansUnknownDemonstration", "names demonstration 99, but the bank has 1 (from 0)"),
+        ("PlansNothing", "item 0 is a plan without actions"),
+        ("PlansWords", "parts is a list of Source objects and actions, not 'move forward'"),
         ("TooMany", "9 items, and at most 8"),
     ] {
         let (errors, log) = failures(memory_trait);

@@ -5,7 +5,7 @@
 use std::fmt;
 
 use shm_types::message::{
-    AnswerItem, AnswerSource, ExternalAnswer, ItemKind, MAX_ITEMS, MAX_SOURCES,
+    AnswerItem, AnswerSource, ExternalAnswer, ItemKind, MAX_ITEMS, MAX_PLAN, MAX_SOURCES, NO_ACTION,
 };
 
 /// Consecutive steps of a demonstration: its number, the first step, the number of steps.
@@ -22,17 +22,20 @@ pub(crate) struct Supplied {
     /// The steps whose views are supplied.
     pub(crate) views: Vec<u32>,
     actions: bool,
+    /// The codes of a plan.
+    planned: Vec<u8>,
     distance: Option<f32>,
 }
 
 impl fmt::Display for Supplied {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { kind, text, sources, views, actions, distance } = self;
+        let Self { kind, text, sources, views, actions, planned, distance } = self;
         let kind = match kind {
             ItemKind::Text => "a text",
             ItemKind::Trajectory => "a trajectory",
             ItemKind::Frame => "a captioned frame",
             ItemKind::Steps => "steps",
+            ItemKind::Plan => "a plan",
         };
         let mut parts = Vec::new();
         for (demonstration, first, count) in sources {
@@ -46,6 +49,7 @@ impl fmt::Display for Supplied {
         }
         parts.push(format!("{} views", views.len()));
         parts.extend(actions.then(|| "actions".to_owned()));
+        parts.extend((!planned.is_empty()).then(|| format!("planned actions {planned:?}")));
         parts.extend(distance.map(|distance| format!("distance {distance}")));
         parts.extend((!text.is_empty()).then(|| format!("{text:?}")));
         write!(f, "{kind} ({})", parts.join(", "))
@@ -61,7 +65,7 @@ pub(super) fn difference(one: &[Supplied], other: &[Supplied]) -> String {
     }
 }
 
-/// Reads an answer for an episode whose bank has demonstrations with these numbers of steps.
+/// Reads an answer for an episode whose bank has demonstrations with these numbers of steps, in a world with `actions` actions.
 ///
 /// # Errors
 /// When it is not valid: why.
@@ -69,6 +73,7 @@ pub(super) fn read(
     message: &ExternalAnswer,
     note: Result<&[u8], &String>,
     demonstrations: &[u32],
+    actions: usize,
 ) -> Result<Vec<Supplied>, String> {
     let note = note.map_err(Clone::clone)?;
     if message.failed > 1 {
@@ -83,7 +88,7 @@ pub(super) fn read(
     if let Some(source) = sources.iter().find(|source| source.item >= message.items_len) {
         return Err(format!("a source is of item {}, which the answer does not have", source.item));
     }
-    let reader = Reader { note, demonstrations, sources };
+    let reader = Reader { note, demonstrations, actions, sources };
     let items = (0..).zip(items).map(|(number, item)| {
         reader.item(number, item).map_err(|what| format!("item {number} {what}"))
     });
@@ -93,6 +98,7 @@ pub(super) fn read(
 struct Reader<'a> {
     note: &'a [u8],
     demonstrations: &'a [u32],
+    actions: usize,
     sources: &'a [AnswerSource],
 }
 
@@ -110,20 +116,18 @@ impl Reader<'_> {
             sources: Vec::new(),
             views: Vec::new(),
             actions: false,
+            planned: Vec::new(),
             distance,
         };
         let its_own = || self.steps(item.demonstration, item.first_step, item.steps);
         match kind {
             ItemKind::Text => {
-                let sources = self.sources.iter().filter(|source| source.item == number);
-                let sources = sources.map(|source| {
-                    self.steps(source.demonstration, source.first_step, source.steps)
-                });
-                Ok(Supplied {
-                    text: self.text(item)?,
-                    sources: sources.collect::<Result<_, _>>()?,
-                    ..nothing
-                })
+                Ok(Supplied { text: self.text(item)?, sources: self.sources(number)?, ..nothing })
+            }
+            ItemKind::Plan => {
+                let sources = self.sources(number)?;
+                let planned = self.plan(item, &sources)?;
+                Ok(Supplied { sources, planned, ..nothing })
             }
             ItemKind::Frame if item.steps != 1 => {
                 Err(format!("is a captioned view of {} steps", item.steps))
@@ -149,6 +153,45 @@ impl Reader<'_> {
                 Err("is a trajectory: steps of any length have the kind of steps".to_owned())
             }
         }
+    }
+
+    /// The sources of an item.
+    fn sources(&self, number: u32) -> Result<Vec<Steps>, String> {
+        let sources = self.sources.iter().filter(|source| source.item == number);
+        let steps = |of: &AnswerSource| self.steps(of.demonstration, of.first_step, of.steps);
+        sources.map(steps).collect()
+    }
+
+    /// The codes of a plan whose sources are `sources`.
+    fn plan(&self, item: &AnswerItem, sources: &[Steps]) -> Result<Vec<u8>, String> {
+        let codes = self.bytes(item)?;
+        if codes.len() > MAX_PLAN {
+            return Err(format!(
+                "plans {} actions, and at most {MAX_PLAN} are allowed",
+                codes.len()
+            ));
+        }
+        let (expert, own): (Vec<u8>, Vec<u8>) = codes.iter().partition(|&&code| code == NO_ACTION);
+        if let Some(code) = own.iter().find(|&&code| usize::from(code) >= self.actions) {
+            let count = self.actions;
+            return Err(format!("plans action {code}, and the world has {count} (from 0)"));
+        }
+        let named: u32 = sources.iter().map(|(_, _, count)| count).sum();
+        if expert.len() != named as usize {
+            return Err(format!(
+                "has `NO_ACTION` for {} steps, and its sources name {named}",
+                expert.len()
+            ));
+        }
+        // The last step of a demonstration has no action.
+        let acts = |&(demonstration, first, count): &Steps| {
+            let last = self.demonstrations[demonstration as usize] - 1;
+            count > 1 || first < last
+        };
+        if own.is_empty() && !sources.iter().any(acts) {
+            return Err("is a plan without actions".to_owned());
+        }
+        Ok(codes.to_vec())
     }
 
     /// Steps of the bank.

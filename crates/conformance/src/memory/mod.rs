@@ -25,7 +25,7 @@ use shm_types::{
 use supervise::Children;
 
 use self::answers::Supplied;
-use crate::messages::{external_episode, query};
+use crate::messages::{external_episode, query, scripted_world};
 use crate::neighbours::{ExternalMemoryNeighbours, TICK};
 use crate::subject::{CheckResult, SeesFrames, Subject, Terms, TestedRole, wrong};
 
@@ -238,7 +238,8 @@ impl MemoryRole {
     ) -> Result<Vec<Supplied>, String> {
         let bank = self.episodes.get(&id.episode).and_then(|bank| self.banks.get(bank));
         let demonstrations = bank.map_or(&[][..], Vec::as_slice);
-        answers::read(&answer.message, answer.note.as_deref(), demonstrations)
+        let actions = scripted_world().actions.len();
+        answers::read(&answer.message, answer.note.as_deref(), demonstrations, actions)
     }
 }
 

@@ -97,7 +97,8 @@ pub(crate) const CHECKS: &[Check<PolicyRole>] = &[
     Check {
         name: "takes items of every kind",
         expected: "a decision for recalls with eight items: texts of every kind, segments, parts without views or \
-                   actions, demonstrations, captioned views; with 48 steps; and an `images_asked` that counts all views",
+                   actions, demonstrations, captioned views; with plans; with 48 steps; and an `images_asked` that counts \
+                   all views",
         advice: "go through `items` in order; a step may lack its view or its action, a distance may be NaN, a text may \
                  be a part of its document",
         run: every_item,
@@ -334,7 +335,8 @@ fn keyframes(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
             frame,
             action,
             trajectory: trajectory as u8,
-            reserved: [0; 6],
+            own: 0,
+            reserved: [0; 5],
         })
     });
     let document = subject.document(Some(id), &Content::Trajectories(steps.collect()))?;
@@ -354,8 +356,13 @@ fn every_item(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let note = subject.document(Some(id), &Content::Note("Zurück — nach Süden.".to_owned()))?;
     let summary =
         subject.document(None, &Content::Summary("The barrels stand in aisle 3.".into()))?;
-    let of_trajectory =
-        |trajectory, frame, action| TrajectoryStep { frame, action, trajectory, reserved: [0; 6] };
+    let of_trajectory = |trajectory, frame, action| TrajectoryStep {
+        frame,
+        action,
+        trajectory,
+        own: 0,
+        reserved: [0; 5],
+    };
     let demonstrations = vec![
         of_trajectory(0, views[0], Action::Forward as u8),
         of_trajectory(0, NO_FRAME, NO_ACTION),
@@ -363,6 +370,20 @@ fn every_item(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
         of_trajectory(1, views[1], NO_ACTION),
     ];
     let demonstrations = subject.document(Some(id), &Content::Trajectories(demonstrations))?;
+    let own = |trajectory, action: Action| TrajectoryStep {
+        own: 1,
+        ..of_trajectory(trajectory, NO_FRAME, action as u8)
+    };
+    let plan = vec![
+        own(0, Action::TurnLeft),
+        own(0, Action::Forward),
+        of_trajectory(1, NO_FRAME, Action::Left as u8),
+        of_trajectory(2, NO_FRAME, Action::Forward as u8),
+        own(3, Action::TurnAround),
+    ];
+    let plan = subject.document(Some(id), &Content::Trajectories(plan))?;
+    // Two of its parts are of demonstrations.
+    let plan = RecalledItem { kind: ItemKind::Plan as u8, whole: 0, instructions: 2, ..plan };
     let steps = |frames: &[FrameId], action| -> Vec<_> {
         frames.iter().map(|&frame| supplied(frame, action)).collect()
     };
@@ -384,10 +405,16 @@ fn every_item(kit: &mut PolicyKit<'_>) -> CheckResult<String> {
     let part = RecalledItem { first_step: 1, steps: 2, whole: 0, ..demonstrations };
     let repeated = vec![(part, Vec::new()); MAX_ITEMS];
     let longest = vec![(of_steps, steps(&views, forward))];
+    // A plan may begin within another's document, after its own actions.
+    let rest = RecalledItem { first_step: 2, steps: 3, ..plan };
+    let planned =
+        vec![(plan, Vec::new()), (of_steps, steps(&views[..2], forward)), (rest, Vec::new())];
     // One text for all demonstrations of the episode, and more than the instruction of an episode can have.
     let long = "青い樽を探してください 🛢 ".repeat(40);
     let instruction = Some(subject.instruction(id, &long)?);
-    for (items, images) in [(mixed, 10), (repeated, 1), (longest, 1 + MAX_STEPS as u32)] {
+    for (items, images) in
+        [(mixed, 10), (repeated, 1), (longest, 1 + MAX_STEPS as u32), (planned, 3)]
+    {
         let frame = subject.view(5)?;
         let scene = RequestScene { frame, items, instruction, ..RequestScene::default() };
         let decision = subject.ask_and_wait(id, &scene)?;

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use domain::prompt_log::{RecordedItem, RecordedPart, RecordedView};
 use report::table::table;
 use run_log::source::{SourceStep, distances, sources};
-use run_log::step_view::{RecordedPrompt, facts, title};
+use run_log::step_view::{RecordedPrompt, facts, planned, title};
 use world_client::TimelineStep;
 
 use super::{ShownEpisode, ShownStep};
@@ -116,6 +116,9 @@ fn prompt_text(text: &mut String, prompt: &RecordedPrompt) {
             RecordedItem::Frame { frame, caption, .. } => {
                 let _ = writeln!(text, "    image {}", short(frame));
                 indented(text, prompt.text(caption));
+            }
+            RecordedItem::Plan { parts } => {
+                parts.iter().for_each(|part| indented(text, &planned(part)));
             }
         }
     }

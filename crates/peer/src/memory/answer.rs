@@ -1,19 +1,21 @@
 //! The answer of an external memory as a message and a note.
 
 use bytemuck::Zeroable;
+use domain::ActionCode;
 use shm_types::NoteTooLong;
 use shm_types::documents::MAX_DOCUMENT_BYTES;
 use shm_types::message::{
-    AnswerItem, AnswerSource, ExternalAnswer, ItemKind, MAX_ITEMS, MAX_SOURCES, NOT_MEASURED,
+    AnswerItem, AnswerSource, ExternalAnswer, ItemKind, MAX_ACTIONS, MAX_ITEMS, MAX_PLAN,
+    MAX_SOURCES, NO_ACTION, NOT_MEASURED,
 };
 
-use super::{MemoryError, MemoryItem, Source, Views};
+use super::{MemoryError, MemoryItem, PlanPart, Source, Views};
 
 /// An answer that has not been sent.
 pub(super) struct UnsentAnswer {
     /// The message, without what identifies it.
     pub(super) message: ExternalAnswer,
-    /// The texts of its items.
+    /// The texts and planned actions of its items.
     pub(super) note: Vec<u8>,
 }
 
@@ -99,13 +101,45 @@ impl UnsentAnswer {
                     ..nothing
                 }
             }
+            MemoryItem::Plan { parts } => {
+                let count = |part: &PlanPart| match part {
+                    PlanPart::Steps(source) => u64::from(source.count),
+                    PlanPart::Own(_) => 1,
+                };
+                let planned: u64 = parts.iter().map(count).sum();
+                if planned > MAX_PLAN as u64 {
+                    return Err(MemoryError::new(format_args!(
+                        "a plan has {planned} actions, and at most {MAX_PLAN} are allowed"
+                    )));
+                }
+                let mut actions = Vec::with_capacity(planned as usize);
+                for part in parts {
+                    match part {
+                        PlanPart::Steps(source) => {
+                            self.add_source(number, source)?;
+                            actions.resize(actions.len() + source.count as usize, NO_ACTION);
+                        }
+                        PlanPart::Own(ActionCode(code)) if usize::from(*code) < MAX_ACTIONS => {
+                            actions.push(*code);
+                        }
+                        PlanPart::Own(ActionCode(code)) => {
+                            return Err(MemoryError::new(format_args!(
+                                "a plan has the action {code}, and the codes of actions are 0 to {}",
+                                MAX_ACTIONS - 1
+                            )));
+                        }
+                    }
+                }
+                let (first_byte, bytes) = self.write(&actions);
+                AnswerItem { kind: ItemKind::Plan as u8, first_byte, bytes, ..nothing }
+            }
         })
     }
 
     fn add_source(&mut self, item: u32, source: &Source) -> Result<(), MemoryError> {
         let used = self.message.sources_len as usize;
         let place = self.message.sources.get_mut(used).ok_or_else(|| {
-            MemoryError::new(format_args!("the texts have more than {MAX_SOURCES} sources"))
+            MemoryError::new(format_args!("texts and plans have more than {MAX_SOURCES} sources"))
         })?;
         let Source { demonstration, first, count } = *source;
         *place = AnswerSource { item, demonstration, first_step: first, steps: count };

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use domain::ActionCode;
+
 /// One item of what a memory supplies for a step.
 #[derive(Debug, Clone, PartialEq)]
 pub enum MemoryItem {
@@ -34,6 +36,20 @@ pub enum MemoryItem {
         /// Distance from the query, if there is one.
         distance: Option<f32>,
     },
+    /// Actions to take one after the other, from the state of the query on.
+    Plan {
+        /// Where they come from, in order.
+        parts: Vec<PlanPart>,
+    },
+}
+
+/// A part of a plan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PlanPart {
+    /// The expert's actions at these steps. A step without an action, such as the last of a demonstration, adds none.
+    Steps(Source),
+    /// An action that the memory chose itself.
+    Own(ActionCode),
 }
 
 impl MemoryItem {

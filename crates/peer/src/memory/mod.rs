@@ -1,8 +1,8 @@
 //! The role of a memory: what it is given, what it answers, and how an external one is served.
 //!
 //! A memory is built from a bank of [`Demonstration`]s. At each step of an episode it is given a [`Query`] and returns
-//! [`MemoryItem`]s: texts, steps of demonstrations, captioned frames. It names what it was given by number, so it cannot
-//! supply anything else; the host looks up views and actions, applies the budgets, and passes the items on to the policy.
+//! [`MemoryItem`]s: texts, steps of demonstrations, captioned frames, plans. It names what it was given by number, so it cannot
+//! supply any other view; the host looks up views and actions, applies the budgets, and passes the items on to the policy.
 //!
 //! In a stream one memory serves many episodes. It learns from some of them ([`Episode::learns`]): it observes their steps,
 //! is told of their end ([`EpisodeEnd`]), can name their steps from then on, and is saved. The others only read it.
@@ -23,7 +23,7 @@ pub use shm_types::MemoryDescription;
 pub use shm_types::description::Scope;
 use shm_types::message::shortened_reason;
 
-pub use self::items::{MemoryItem, Source, Views};
+pub use self::items::{MemoryItem, PlanPart, Source, Views};
 pub use self::method::{MemoryMethod, Method};
 pub use self::serving::{serve, serve_from_environment, serve_until};
 pub use self::views::{

@@ -89,6 +89,12 @@ pub(super) enum ItemContent {
         caption: Option<TextPart>,
         instruction: Option<TextPart>,
     },
+    /// Actions in a document, and the instruction of each demonstration that they are taken from.
+    Plan {
+        document: DocumentId,
+        steps: Range<usize>,
+        instructions: Vec<Option<TextPart>>,
+    },
 }
 
 /// Some bytes of a document.
@@ -152,7 +158,8 @@ impl Recalled {
             let (steps, texts): (_, Vec<&TextPart>) = match item {
                 ItemContent::Text(part) => (None, vec![part]),
                 ItemContent::Steps { instruction, .. } => (None, instruction.iter().collect()),
-                ItemContent::Trajectory { document, instructions, .. } => {
+                ItemContent::Trajectory { document, instructions, .. }
+                | ItemContent::Plan { document, instructions, .. } => {
                     (Some(*document), instructions.iter().flatten().collect())
                 }
                 ItemContent::Frame { caption, instruction, .. } => {
@@ -193,7 +200,7 @@ impl ItemContent {
             ItemKind::Text => 0,
             ItemKind::Steps | ItemKind::Frame => 1,
             // As many as there are demonstrations in the document.
-            ItemKind::Trajectory => of_item.len(),
+            ItemKind::Trajectory | ItemKind::Plan => of_item.len(),
         };
         if of_item.len() != expected {
             let count = of_item.len();
@@ -210,6 +217,9 @@ impl ItemContent {
             ItemKind::Trajectory => {
                 let instructions = instructions.collect();
                 Self::Trajectory { kind: what, document, steps: supplied, instructions }
+            }
+            ItemKind::Plan => {
+                Self::Plan { document, steps: supplied, instructions: instructions.collect() }
             }
             ItemKind::Frame => {
                 let [(frame, _)] = steps[supplied] else {
@@ -581,7 +591,7 @@ mod tests {
         recall for lane 1, step 0: 49 steps, but at most 48 fit
         recall for lane 1, step 0: 77 is not an action (0 to 63)
         recall for lane 1, step 0: 7 is not an action of this world
-        recall for lane 1, step 0: item 1 is invalid: 9 is not an item kind (0 text, 1 steps, 2 trajectory, 3 frame)
+        recall for lane 1, step 0: item 1 is invalid: 9 is not an item kind (0 text, 1 steps, 2 trajectory, 3 frame, 4 plan)
         recall for lane 1, step 0: item 1 has no steps
         recall for lane 1, step 0: item 1 has the steps 2..5 of a message with 4
         recall for lane 1, step 0: item 1 has the steps 4294967295..8589934590 of a message with 4

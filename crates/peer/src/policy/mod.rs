@@ -16,8 +16,8 @@ use shm_types::message::Role;
 pub use self::answers::Answers;
 pub use self::pinned::{Batch, PinnedStep};
 pub use self::request::{
-    Answer, CaptionedView, Decision, FrameView, Item, PastView, Request, StepView, StepsView,
-    TextView, Usage,
+    Answer, CaptionedView, Decision, FrameView, Item, PastView, PlanView, PlannedActions, Request,
+    StepView, StepsView, TextView, Usage,
 };
 use crate::connection::{Connection, Service};
 use crate::error::ServeError;

@@ -3,14 +3,18 @@
 use std::ops::{Deref, Range};
 use std::sync::Arc;
 
+use case_book::WorldDeclaration;
+use domain::ActionCode;
 use shm_types::Frame;
 use shm_types::documents::{Content, Document};
-use shm_types::message::read_action;
-use shm_types::message::{DocumentId, FrameId, NO_FRAME, RequestId};
+use shm_types::message::{
+    DocumentId, FrameId, NO_FRAME, RequestId, TrajectoryStep, read_action, read_flag,
+};
 
 use super::join::{ItemContent, Ready, StepsKind, SuppliedStep, TextPart, bad_item};
 use super::request::{
-    CaptionedView, FrameView, Item, PastView, Request, StepView, StepsView, TextView,
+    CaptionedView, FrameView, Item, PastView, PlanView, PlannedActions, Request, StepView,
+    StepsView, TextView,
 };
 
 /// The requests that wait at this moment, each of another lane. Dereferences to the requests.
@@ -54,6 +58,8 @@ pub struct PinnedStep {
     items: Vec<PinnedItem>,
     /// The steps of all items, in order.
     steps: Vec<SuppliedStep>,
+    /// The parts of all plans, in order.
+    plan_parts: Vec<PinnedPlanPart>,
     frames: Vec<Arc<Frame>>,
 }
 
@@ -73,6 +79,17 @@ enum PinnedItem {
         caption: Option<PinnedText>,
         instruction: Option<PinnedText>,
     },
+    /// Parts in [`PinnedStep::plan_parts`].
+    Plan(Range<usize>),
+}
+
+/// A part of a plan.
+#[derive(Debug)]
+struct PinnedPlanPart {
+    /// Whether memory chose the actions itself.
+    is_own: bool,
+    instruction: Option<PinnedText>,
+    actions: Vec<ActionCode>,
 }
 
 /// A part of a document, on character boundaries.
@@ -87,7 +104,7 @@ impl PinnedStep {
     pub(super) fn new(step: Ready, documents: &[Arc<Document>]) -> Result<Self, String> {
         let (items, steps) = (Vec::with_capacity(step.recalled.items.len()), Vec::new());
         let (lane, number) = (step.lane, step.observed.step);
-        let mut pinned = Self { step, items, steps, frames: Vec::new() };
+        let mut pinned = Self { step, items, steps, plan_parts: Vec::new(), frames: Vec::new() };
         for item in 0..pinned.step.recalled.items.len() {
             let added = pinned.add(item, documents);
             added.map_err(|problem| bad_item(lane, number, item, &problem))?;
@@ -119,30 +136,15 @@ impl PinnedStep {
             }
             ItemContent::Trajectory { kind, document, steps, instructions } => {
                 let document = named(*document)?;
-                let Content::Trajectories(content) = &document.content else {
-                    let (id, kind) = (document.id, document.content.kind().word());
-                    return Err(format!("has steps of document {id}, which is of kind {kind}"));
-                };
-                let Some(content) = content.get(steps.clone()) else {
-                    let (id, len) = (document.id, content.len());
-                    return Err(format!("has the steps {steps:?} of document {id} with {len}"));
-                };
-                let demonstrations = content.chunk_by(|a, b| a.trajectory == b.trajectory);
-                let (count, expected) = (instructions.len(), demonstrations.clone().count());
-                if count != expected {
-                    return Err(format!("has {count} instructions, expected {expected}"));
-                }
+                let demonstrations =
+                    trajectories(document, steps)?.chunk_by(|a, b| a.trajectory == b.trajectory);
+                check_count(instructions, demonstrations.clone().count())?;
                 let world = &self.step.episode.world;
                 for (demonstration, instruction) in demonstrations.zip(instructions) {
                     let instruction = text_if_any(instruction)?;
                     let first = self.steps.len();
                     for step in demonstration {
-                        let action = read_action(step.action);
-                        let action = action.and_then(|action| world.read_action(action));
-                        let action = action.map_err(|unknown| {
-                            format!("has steps of document {}: {unknown}", document.id)
-                        })?;
-                        self.steps.push((step.frame, action));
+                        self.steps.push((step.frame, action_of(step, world, document.id)?));
                     }
                     let (kind, steps) = (*kind, first..self.steps.len());
                     self.items.push(PinnedItem::Steps { kind, steps, instruction });
@@ -152,6 +154,30 @@ impl PinnedStep {
                 let (caption, instruction) = (text_if_any(caption)?, text_if_any(instruction)?);
                 self.steps.push((*frame, None));
                 self.items.push(PinnedItem::Frame { step: first, caption, instruction });
+            }
+            ItemContent::Plan { document, steps, instructions } => {
+                let document = named(*document)?;
+                let parts = trajectories(document, steps)?
+                    .chunk_by(|a, b| (a.trajectory, a.own) == (b.trajectory, b.own));
+                let supplied = parts.clone().filter(|part| part[0].own == 0).count();
+                check_count(instructions, supplied)?;
+                let mut instructions = instructions.iter();
+                let world = &self.step.episode.world;
+                let first = self.plan_parts.len();
+                for part in parts {
+                    let is_own = read_flag(part[0].own).map_err(|unknown| {
+                        format!("has steps of document {}: {unknown}", document.id)
+                    })?;
+                    let instruction = if is_own { None } else { instructions.next() };
+                    let instruction = text_if_any(instruction.unwrap_or(&None))?;
+                    let action = |step: &TrajectoryStep| {
+                        let action = action_of(step, world, document.id)?;
+                        action.ok_or_else(|| "is a plan that has a step without action".to_owned())
+                    };
+                    let actions = part.iter().map(action).collect::<Result<_, _>>()?;
+                    self.plan_parts.push(PinnedPlanPart { is_own, instruction, actions });
+                }
+                self.items.push(PinnedItem::Plan(first..self.plan_parts.len()));
             }
         }
         Ok(())
@@ -206,7 +232,14 @@ impl PinnedStep {
         let steps = steps
             .map(|&(frame, action)| StepView { frame: (frame != NO_FRAME).then(&mut next), action })
             .collect();
-        StepViews { frame, window, steps }
+        let plan_parts = self.plan_parts.iter();
+        let plan_parts = plan_parts
+            .map(|PinnedPlanPart { is_own, instruction, actions }| {
+                let task = instruction.as_ref().map_or("", PinnedText::text);
+                PlannedActions { instruction: (!is_own).then_some(task), actions }
+            })
+            .collect();
+        StepViews { frame, window, steps, plan_parts }
     }
 
     fn items<'a>(&'a self, views: &'a StepViews<'a>) -> Vec<Item<'a>> {
@@ -226,6 +259,9 @@ impl PinnedStep {
                 caption: text(caption),
                 instruction: text(instruction),
             }),
+            PinnedItem::Plan(parts) => {
+                Item::Plan(PlanView { parts: &views.plan_parts[parts.clone()] })
+            }
         };
         self.items.iter().map(item).collect()
     }
@@ -281,9 +317,42 @@ impl PinnedText {
     }
 }
 
+/// The entries `steps` of a document of trajectories; an error continues "item 2 ...".
+fn trajectories<'d>(
+    document: &'d Document,
+    steps: &Range<usize>,
+) -> Result<&'d [TrajectoryStep], String> {
+    let Content::Trajectories(content) = &document.content else {
+        let (id, kind) = (document.id, document.content.kind().word());
+        return Err(format!("has steps of document {id}, which is of kind {kind}"));
+    };
+    content.get(steps.clone()).ok_or_else(|| {
+        format!("has the steps {steps:?} of document {} with {}", document.id, content.len())
+    })
+}
+
+/// Checks the number of an item's instructions; an error continues "item 2 ...".
+fn check_count(instructions: &[Option<TextPart>], expected: usize) -> Result<(), String> {
+    match instructions.len() {
+        count if count == expected => Ok(()),
+        count => Err(format!("has {count} instructions, expected {expected}")),
+    }
+}
+
+/// The action of a step of a document; an error continues "item 2 ...".
+fn action_of(
+    step: &TrajectoryStep,
+    world: &WorldDeclaration,
+    document: DocumentId,
+) -> Result<Option<ActionCode>, String> {
+    let action = read_action(step.action).and_then(|action| world.read_action(action));
+    action.map_err(|unknown| format!("has steps of document {document}: {unknown}"))
+}
+
 /// The lists that a [`Request`] and its items borrow.
 struct StepViews<'a> {
     frame: FrameView<'a>,
     window: Vec<PastView<'a>>,
     steps: Vec<StepView<'a>>,
+    plan_parts: Vec<PlannedActions<'a>>,
 }

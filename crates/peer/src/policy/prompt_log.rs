@@ -6,17 +6,16 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use case_book::WorldDeclaration;
-use domain::create_private_folder;
-use domain::hex;
 use domain::prompt_log::{
-    Hash, PromptLogEntry, RecordedItem, RecordedPart, RecordedPast, RecordedRequest, RecordedView,
-    entries_file, image_file, text_file, trajectory_file,
+    Hash, PromptLogEntry, RecordedActions, RecordedItem, RecordedPart, RecordedPast,
+    RecordedRequest, RecordedView, entries_file, image_file, text_file, trajectory_file,
 };
+use domain::{ActionCode, create_private_folder, hex};
 use png_file::{Channels, encode};
 use serde::Serialize;
 use shm_types::Attach;
 
-use super::{CaptionedView, FrameView, Item, Request, StepView, TextView};
+use super::{CaptionedView, FrameView, Item, PlannedActions, Request, StepView, TextView};
 
 /// Longer texts, in bytes, have a file of their own.
 const LONG_TEXT: usize = 1024;
@@ -131,6 +130,14 @@ impl PromptLogWriter {
                 frame: self.view(frame)?,
                 caption: self.text(caption)?,
             },
+            Item::Plan(plan) => {
+                let words = |action: &ActionCode| world.action_words(*action).to_owned();
+                let part = |part: &PlannedActions<'_>| RecordedActions {
+                    instruction: part.instruction.map(str::to_owned),
+                    actions: part.actions.iter().map(words).collect(),
+                };
+                RecordedItem::Plan { parts: plan.parts.iter().map(part).collect() }
+            }
         })
     }
 

@@ -75,6 +75,8 @@ pub enum Item<'a> {
     Steps(StepsView<'a>),
     /// A remembered view with a caption.
     Frame(CaptionedView<'a>),
+    /// Actions to take from this step on.
+    Plan(PlanView<'a>),
 }
 
 /// A text that memory supplies.
@@ -123,6 +125,29 @@ pub struct CaptionedView<'a> {
     pub instruction: &'a str,
 }
 
+/// Actions that memory proposes to take one after the other, from this step on.
+#[derive(Debug, Clone, Copy)]
+pub struct PlanView<'a> {
+    /// Its parts, in order. Never empty.
+    pub parts: &'a [PlannedActions<'a>],
+}
+
+/// A part of a plan: actions that come from the same place.
+#[derive(Debug, Clone, Copy)]
+pub struct PlannedActions<'a> {
+    /// The task of the demonstration in which an expert took these actions, in English; `None` if memory chose them itself.
+    pub instruction: Option<&'a str>,
+    /// The actions, in order. Never empty.
+    pub actions: &'a [ActionCode],
+}
+
+impl<'a> PlanView<'a> {
+    /// The actions of all parts.
+    pub fn actions(&self) -> impl Iterator<Item = ActionCode> + use<'a> {
+        self.parts.iter().flat_map(|part| part.actions).copied()
+    }
+}
+
 impl<'a> Item<'a> {
     /// The text, if it is one.
     pub const fn text(&self) -> Option<TextView<'a>> {
@@ -139,6 +164,11 @@ impl<'a> Item<'a> {
         self.steps().filter(StepsView::is_trajectory)
     }
 
+    /// The plan, if it is one.
+    pub const fn plan(&self) -> Option<PlanView<'a>> {
+        if let Self::Plan(plan) = *self { Some(plan) } else { None }
+    }
+
     const fn steps(&self) -> Option<StepsView<'a>> {
         if let Self::Steps(steps) = *self { Some(steps) } else { None }
     }
@@ -146,7 +176,7 @@ impl<'a> Item<'a> {
     /// The number of images.
     pub fn images(&self) -> usize {
         match self {
-            Self::Text(_) => 0,
+            Self::Text(_) | Self::Plan(_) => 0,
             Self::Steps(steps) => steps.steps.iter().filter(|step| step.frame.is_some()).count(),
             Self::Frame(_) => 1,
         }
@@ -213,6 +243,11 @@ impl<'a> Request<'a> {
     /// The demonstrations that memory supplies whole ([`Item::trajectory`]).
     pub fn trajectories(&self) -> impl Iterator<Item = StepsView<'a>> + use<'a> {
         self.items.iter().filter_map(Item::trajectory)
+    }
+
+    /// The plans that memory supplies.
+    pub fn plans(&self) -> impl Iterator<Item = PlanView<'a>> + use<'a> {
+        self.items.iter().filter_map(Item::plan)
     }
 
     /// The number of images: the current view, the window and the items.

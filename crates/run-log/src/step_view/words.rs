@@ -1,6 +1,6 @@
 //! An entry of the prompt log in words.
 
-use domain::prompt_log::{RecordedItem, RecordedUsage};
+use domain::prompt_log::{RecordedActions, RecordedItem, RecordedUsage};
 
 use super::RecordedPrompt;
 
@@ -18,7 +18,24 @@ pub fn title(item: &RecordedItem, prompt: &RecordedPrompt) -> String {
         }
         RecordedItem::Trajectory { instruction, .. } => format!("Demonstration: {instruction}"),
         RecordedItem::Frame { instruction, .. } => format!("Remembered view: {instruction}"),
+        RecordedItem::Plan { parts } => {
+            let actions: usize = parts.iter().map(|part| part.actions.len()).sum();
+            format!("Plan of {actions} actions")
+        }
     }
+}
+
+/// A part of a plan in one line: where its actions are from, and the actions; a repeated one is written once.
+pub fn planned(part: &RecordedActions) -> String {
+    let from = match &part.instruction {
+        Some(instruction) => format!("From the demonstration of: {instruction}"),
+        None => "Of the memory's own".to_owned(),
+    };
+    let runs = part.actions.chunk_by(|a, b| a == b).map(|run| match run.len() {
+        1 => run[0].clone(),
+        times => format!("{} x{times}", run[0]),
+    });
+    format!("{from}: {}", runs.collect::<Vec<_>>().join(", "))
 }
 
 /// What came of the request and what it took.

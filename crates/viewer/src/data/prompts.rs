@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use domain::prompt_log::{Hash, RecordedItem, RecordedPart, RecordedView};
 use run_log::EpisodeTimings;
-use run_log::step_view::{PromptLog, RecordedPrompt, facts, title};
+use run_log::step_view::{PromptLog, RecordedPrompt, facts, planned, title};
 use serde::Serialize;
 
 /// The prompt of one step.
@@ -126,6 +126,10 @@ fn item_data(item: &RecordedItem, prompt: &RecordedPrompt) -> ItemData {
         RecordedItem::Frame { frame, caption, .. } => {
             let caption = prompt.text(caption).to_owned();
             (None, vec![ImageData { image: Some(frame.clone()), caption }])
+        }
+        RecordedItem::Plan { parts } => {
+            let lines: Vec<String> = parts.iter().map(planned).collect();
+            (Some(lines.join("\n")), Vec::new())
         }
     };
     ItemData { title: title(item, prompt), text, images }

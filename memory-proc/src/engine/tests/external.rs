@@ -11,7 +11,7 @@ use shm_types::MemoryDescription;
 use shm_types::description::Scope;
 use shm_types::message::{
     AnswerItem, AnswerSource, EXTERNAL, ExternalAnswer, ExternalBuilt, ExternalEpisode,
-    ExternalQuery, ExternalStore, ItemKind, NO_FRAME,
+    ExternalQuery, ExternalStore, ItemKind, NO_ACTION, NO_FRAME,
 };
 use shm_types::notes::NoteHeader;
 use shm_types::{BankContent, Note};
@@ -244,6 +244,35 @@ fn a_memory_of_texts_pins_no_view_but_those_that_it_names() {
     let failures = rig.failures();
     assert!(recalls.is_empty(), "{recalls:?}");
     assert!(failures[0].1.contains("there is room for 10: raise --frame-budget"), "{failures:?}");
+}
+
+#[test]
+fn a_plan_takes_actions_from_several_demonstrations_and_of_its_own() {
+    let mut rig = ExternalRig::new(1, 10, description(Scope::Case, false, false));
+    rig.begin(0, 7, 3);
+    let query = rig.queries()[0];
+    // An own action within the steps of a source divides them.
+    rig.note(1, 0, 7, &[NO_ACTION, 5, NO_ACTION, NO_ACTION, NO_ACTION, 4]);
+    let mut answer = ExternalAnswer { note: 1, items_len: 1, sources_len: 2, ..answer_to(&query) };
+    answer.items[0] = AnswerItem { kind: ItemKind::Plan as u8, bytes: 6, ..Zeroable::zeroed() };
+    answer.sources[0] = AnswerSource { item: 0, demonstration: 2, first_step: 3, steps: 2 };
+    answer.sources[1] = AnswerSource { item: 0, demonstration: 0, first_step: 1, steps: 2 };
+    rig.answer(&answer).unwrap();
+    let [(recall, trace)] = &rig.settle()[..] else { panic!() };
+    assert_eq!((rig.rig.pins, trace.images, trace.text, trace.items), (0, 0, 0, 1));
+    let plan = recall.items[0];
+    assert_eq!((plan.kind, plan.steps, plan.instructions), (ItemKind::Plan as u8, 6, 3));
+    let sources = trace.sources[..trace.sources_len as usize].iter();
+    let sources: Vec<_> = sources.map(|of| (of.demonstration, of.first, of.steps)).collect();
+    assert_eq!(sources, [(2, 3, 1), (2, 4, 1), (0, 1, 2)]);
+    let documents = rig.rig.documents.published.iter();
+    let steps = documents.filter_map(|(_, content)| match content {
+        shm_types::documents::Content::Trajectories(steps) => Some(steps),
+        _ => None,
+    });
+    let own: Vec<_> = steps.flatten().map(|step| (step.trajectory, step.own)).collect();
+    assert_eq!(own, [(0, 0), (1, 1), (2, 0), (3, 0), (3, 0), (4, 1)]);
+    assert!(rig.failures().is_empty());
 }
 
 #[test]
@@ -510,6 +539,40 @@ fn every_field_of_a_malicious_answer_costs_its_own_episode_only() {
         "item 0 names 1 steps from step 4294967295",
         AnswerSource { first_step: u32::MAX, ..source },
     );
+    // A plan of an own action and of the actions at the steps that `source` names.
+    let planned = |expected: &str, codes: &'static [u8], source: AnswerSource| {
+        check(expected, &|rig, answer| {
+            rig.note(6, 0, 7, codes);
+            answer.note = 6;
+            answer.items[0] =
+                AnswerItem { kind: ItemKind::Plan as u8, ..text(0, codes.len() as u32) };
+            (answer.sources_len, answer.sources[0]) = (1, source);
+        });
+    };
+    const TWO: &[u8] = &[4, NO_ACTION, NO_ACTION];
+    let two = AnswerSource { steps: 2, ..source };
+    planned(
+        "item 0 names demonstration 4, but the bank has 4",
+        TWO,
+        AnswerSource { demonstration: 4, ..two },
+    );
+    planned(
+        "item 0 names 2 steps from step 4294967295",
+        TWO,
+        AnswerSource { first_step: u32::MAX, ..two },
+    );
+    planned("item 0 plans the expert's actions at 2 steps, and its 1 sources name 1", TWO, source);
+    planned(
+        "item 0 plans the expert's actions at 2 steps, and its 1 sources name 4294967295",
+        TWO,
+        AnswerSource { steps: u32::MAX, ..two },
+    );
+    planned("its 1 sources name 0", &[4], AnswerSource { steps: 0, ..two });
+    planned("item 0 plans action 7, but the world has 7", &[7, NO_ACTION, NO_ACTION], two);
+    planned("item 0 plans 1025 actions, and at most 1024", &[4; 1025], two);
+    check("item 0 is a plan without actions", &|_, answer| {
+        answer.items[0] = AnswerItem { kind: ItemKind::Plan as u8, ..text(0, 0) };
+    });
     check("`failed` is 2, expected 0 or 1", &|_, answer| answer.failed = 2);
     check("step 0: it gives no reason", &|_, answer| answer.failed = 1);
     check("step 0: out of credit", &|rig, answer| {

@@ -307,7 +307,9 @@ impl Rig {
                         steps.map(|step| (shown(step.frame), step.action, step.trajectory)),
                     );
                 }
-                ItemKind::Frame => panic!("no built-in memory supplies captioned frames"),
+                kind @ (ItemKind::Frame | ItemKind::Plan) => {
+                    panic!("no built-in memory supplies a {kind:?}")
+                }
             }
         }
         let sources = trace.sources[..trace.sources_len as usize].iter();

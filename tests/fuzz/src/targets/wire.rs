@@ -222,7 +222,7 @@ pub(crate) fn memory(input: &[u8]) {
     let mut answer: ExternalAnswer = Zeroable::zeroed();
     (answer.items_len, answer.sources_len) = (input.byte().into(), input.byte().into());
     for item in answer.items.iter_mut().take(answer.items_len as usize) {
-        item.kind = input.byte() % 5;
+        item.kind = input.byte() % 6;
         item.demonstration = (input.byte() % 4).into();
         (item.first_step, item.steps) = (input.byte().into(), input.byte().into());
         (item.first_byte, item.bytes) = (input.byte().into(), input.byte().into());
@@ -236,7 +236,10 @@ pub(crate) fn memory(input: &[u8]) {
     let note = input.bytes(usize::MAX);
     let Ok(items) = memory_proc::fuzzing::answered_items(&answer, note) else { return };
     assert!(items.len() <= MAX_ITEMS);
-    let Ok(checked) = CheckedAnswer::new(items, bank(), BUDGETS) else { return };
+    let Ok(checked) = CheckedAnswer::new(items, bank(), &messages::scripted_world(), BUDGETS)
+    else {
+        return;
+    };
     let supplied = checked.supplied;
     assert!(supplied.images <= BUDGETS.images && supplied.text <= BUDGETS.text);
     let (mut texts, mut documents) = (PublishedTexts::new(), Published::default());

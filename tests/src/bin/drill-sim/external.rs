@@ -8,8 +8,8 @@ use anyhow::Result;
 use domain::Action;
 use orchestrator::external_memory::ExternalMemory;
 use peer::memory::{
-    Demonstration, EpisodeEnd, Memory, MemoryDescription, MemoryError, MemoryItem, Method, Query,
-    Source, Step, Views,
+    Demonstration, EpisodeEnd, Memory, MemoryDescription, MemoryError, MemoryItem, Method,
+    PlanPart, Query, Source, Step, Views,
 };
 
 use crate::roles::pixels;
@@ -143,6 +143,9 @@ impl Memory for DigestMemory {
                 caption,
                 distance: Some(0.5),
             });
+            let own = Action::ALL[draw(4, Action::ALL.len() as u32) as usize];
+            let parts = vec![PlanPart::Steps(source), PlanPart::Own(own.into())];
+            items.push(MemoryItem::Plan { parts });
         }
         Ok(items)
     }

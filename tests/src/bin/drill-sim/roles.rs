@@ -243,6 +243,12 @@ impl DigestPolicy {
                     add(view.caption.as_bytes());
                     add(&pixels(&view.frame));
                 }
+                Item::Plan(plan) => {
+                    shown = shown.or_else(|| plan.actions().next());
+                    for part in plan.parts {
+                        add(format!("{:?} {:?}", part.instruction, part.actions).as_bytes());
+                    }
+                }
                 Item::Steps(steps) => {
                     add(&steps.distance.map_or(0, f32::to_bits).to_le_bytes());
                     for step in steps.steps {

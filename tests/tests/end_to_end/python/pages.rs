@@ -27,7 +27,7 @@ struct Substitute {
 }
 
 /// All exceptions. The functions and variables are those of [`PRELUDE`] and [`Reader::new`].
-const SUBSTITUTES: [Substitute; 9] = [
+const SUBSTITUTES: [Substitute; 10] = [
     Substitute {
         command: "http://localhost:8000/v1",
         instead: "$OPENAI_BASE_URL",
@@ -52,6 +52,11 @@ const SUBSTITUTES: [Substitute; 9] = [
         command: "memtransfer run --policy external",
         instead: "attach 'python python/examples/random_policy.py' memtransfer run --policy external",
         reason: "it waits until the reader starts a policy as it prints",
+    },
+    Substitute {
+        command: "memtransfer run --memory working,external",
+        instead: "attach 'python serve_top_three.py' memtransfer run --memory working,external",
+        reason: "it waits until the reader starts a memory as it prints",
     },
     Substitute {
         command: "memtransfer run --world external",
