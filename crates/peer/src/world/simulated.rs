@@ -15,6 +15,8 @@ use super::simulator::{
     CaseDeclaration, Environment, EpisodeBegin, Observed, Simulator, TrajectoryName,
 };
 use super::stage::{Stage, StageBegin, check, is_complete};
+use crate::error::ServeError;
+
 use super::{
     Moment, Refusal, RenderSetup, RenderTask, RenderWorker, Renderers, World, WorldFailure,
 };
@@ -294,6 +296,10 @@ impl<S: Simulator + ?Sized> World for SimulatedWorld<'_, S> {
 
     fn picture(&self, view: EnvironmentView) -> EnvironmentView {
         view
+    }
+
+    fn check(&self) -> Result<(), ServeError> {
+        self.simulator.check()
     }
 }
 
