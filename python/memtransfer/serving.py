@@ -88,8 +88,8 @@ def maker_of(memory: Memory | type[Memory]) -> Callable[[], Memory]:
     except Exception as error:
         name = type(memory).__name__
         raise TypeError(
-            f"{name}(...) cannot be copied, and each bank of demonstrations gets a copy ({type(error).__name__}: {error}): pass the class, "
-            f"{name} in place of {name}(...)"
+            f"{name}(...) cannot be copied, and each bank of demonstrations gets a copy ({type(error).__name__}: {error}): "
+            f"pass the class: {name}, not {name}(...)"
         ) from error
     return partial(copy.deepcopy, memory)
 

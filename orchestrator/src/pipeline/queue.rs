@@ -379,6 +379,18 @@ mod tests {
     }
 
     #[test]
+    fn poisonous_episodes_in_a_row_do_not_look_like_a_policy_that_fails_on_everything() {
+        for first in [0, 5, 20, 30] {
+            let outcome = run(40, |n| (first..first + 5).contains(&n));
+            assert_eq!(outcome.given_up, (first..first + 5).collect::<Vec<_>>());
+            assert_eq!((outcome.finished.len(), outcome.hopeless), (35, false));
+        }
+        // Where nothing else is left, each has its three attempts.
+        let outcome = run(3, |_| true);
+        assert_eq!((outcome.given_up.len(), outcome.hopeless), (3, false));
+    }
+
+    #[test]
     fn a_policy_that_fails_on_everything_is_not_tried_for_ever() {
         let outcome = run(100, |_| true);
         assert!(
@@ -408,6 +420,36 @@ mod tests {
         let given_up = queue.into_unfinished();
         assert_eq!(given_up.len(), 3);
         assert!(given_up.iter().all(|(_, why)| why == "it crashes"));
+    }
+
+    #[test]
+    fn a_search_for_the_culprit_of_a_memory_tries_no_episode_of_another_one() {
+        let name: ExternalName = "top-3".parse().unwrap();
+        let mut all = episodes(8);
+        for episode in all.iter_mut().skip(4) {
+            episode.key.condition.memory = MemoryKind::External(name);
+        }
+        let mut queue = EpisodeQueue::new(all);
+        let under_way: Vec<_> = std::iter::from_fn(|| queue.next(0)).take(6).collect();
+        let (own, others): (Vec<_>, Vec<_>) =
+            under_way.into_iter().partition(|episode| Culpable::Memory(name).serves(episode));
+        queue.interrupted(others);
+        let mut tried = Vec::new();
+        let mut next = own;
+        while !next.is_empty() {
+            queue.failed_by(Culpable::Memory(name), next, "it crashed");
+            if queue.is_hopeless() {
+                break;
+            }
+            next = queue.next(0).into_iter().collect();
+            tried.extend(next.iter().map(|episode| episode.case_index));
+        }
+        // One after the other: the two that were under way, then those from the end.
+        tried.sort_unstable();
+        assert_eq!(tried, [4, 5, 6, 7]);
+        assert_eq!(queue.exclude(MemoryKind::External(name), "it crashes"), 4);
+        assert_eq!((queue.width(), queue.unfinished.len()), (None, 4));
+        assert_eq!(std::iter::from_fn(|| queue.next(0)).count(), 4);
     }
 
     #[test]

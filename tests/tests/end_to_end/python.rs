@@ -1,5 +1,6 @@
 //! The Python package: its own tests, its types, its installation, and policies in Python in real runs.
 
+mod deaths;
 mod examples;
 mod other_programs;
 mod pages;
