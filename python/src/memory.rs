@@ -6,11 +6,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use domain::ActionCode;
-use peer::{ServeError, WorldDeclaration};
 use peer::memory::{
     Demonstration, Episode, EpisodeEnd, Memory, MemoryDescription, MemoryError, MemoryItem,
     MemoryMethod, Query, Scope, Source, Step, Views,
 };
+use peer::{ServeError, WorldDeclaration};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;

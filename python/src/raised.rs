@@ -25,7 +25,10 @@ pub(crate) fn print(py: Python<'_>, raised: &PyErr) {
 
 /// An exception in words: its class, and its message if it has one.
 pub(crate) fn in_words(py: Python<'_>, raised: &PyErr) -> String {
-    let class = raised.get_type(py).name().map_or_else(|_| "an exception".to_owned(), |name| name.to_string());
+    let class = raised
+        .get_type(py)
+        .name()
+        .map_or_else(|_| "an exception".to_owned(), |name| name.to_string());
     match raised.value(py).str().map(|message| message.to_string()) {
         Ok(message) if message.is_empty() => class,
         Ok(message) => format!("{class}: {message}"),

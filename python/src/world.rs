@@ -108,7 +108,9 @@ struct PythonEnvironment {
 /// What its methods return: state, feedback, sub-goals and all of them, failed, conflict, hash of the state.
 type Told = (Vec<f32>, u8, u32, u32, bool, bool, Option<u64>);
 
-fn observed((state, feedback, sub_goals, required, has_failed, conflict, state_hash): Told) -> Result<Observed, WorldFailure> {
+fn observed(
+    (state, feedback, sub_goals, required, has_failed, conflict, state_hash): Told,
+) -> Result<Observed, WorldFailure> {
     Ok(Observed {
         state: State::new(&state)?,
         feedback: FeedbackCode(feedback),

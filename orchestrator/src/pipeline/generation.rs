@@ -17,8 +17,8 @@ use shm_types::process::{ProcessWatch, monotonic_ns};
 use shm_types::{Bus, BusError, HandshakeReceiver, NoteReceiver, Notifier, Receiver, Sender};
 use supervise::Children;
 
-use super::vital_signs::VitalSigns;
 use super::queue::Culpable;
+use super::vital_signs::VitalSigns;
 use super::{Failure, MemoryState, Participant, PipelineOptions, PipelineRun};
 use crate::lanes::{AnswerError, Turn};
 

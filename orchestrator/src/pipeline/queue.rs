@@ -93,12 +93,13 @@ struct CulpritSearch {
 }
 
 impl CulpritSearch {
-    /// The place in `waiting` of the episode to begin: a suspect; if all of them fail alone, another episode, far from them in the
-    /// plan, to see whether the process fails on any.
+    /// The place in `waiting` of the episode to begin: a suspect; if all of them fail alone, another episode, far from them
+    /// in the plan, to see whether the process fails on any.
     fn next(&self, waiting: &VecDeque<PlannedEpisode>) -> Option<usize> {
         let is_suspect = |episode: &PlannedEpisode| self.suspects.contains(&episode.key);
         let is_tried = |episode: &PlannedEpisode| self.failed_alone.contains(&episode.key);
-        let is_other = |episode: &PlannedEpisode| self.process.serves(episode) && !is_tried(episode);
+        let is_other =
+            |episode: &PlannedEpisode| self.process.serves(episode) && !is_tried(episode);
         let untried = waiting.iter().position(|episode| is_suspect(episode) && !is_tried(episode));
         if self.failed_alone.is_empty() {
             return untried;

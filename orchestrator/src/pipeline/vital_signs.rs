@@ -74,9 +74,13 @@ impl VitalSigns {
         })
     }
 
-    /// The world because of which an answer of memory that is awaited since `since_ns` is overdue, if one is, and how that shows. A
-    /// world that has no room for frames, because an external memory pins them, cannot be distinguished from one that hangs.
-    pub(super) fn simulator_hangs(&self, since_ns: u64, now_ns: u64) -> Option<(Participant, String)> {
+    /// The world because of which an answer of memory that is awaited since `since_ns` is overdue, if one is, and how that
+    /// shows. A world that has no room for frames, because an external memory pins them, cannot be distinguished from one that hangs.
+    pub(super) fn simulator_hangs(
+        &self,
+        since_ns: u64,
+        now_ns: u64,
+    ) -> Option<(Participant, String)> {
         if let Some(silent) = self.simulator_is_silent(now_ns) {
             return Some(silent);
         }

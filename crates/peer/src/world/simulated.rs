@@ -15,11 +15,10 @@ use super::simulator::{
     CaseDeclaration, Environment, EpisodeBegin, Observed, Simulator, TrajectoryName,
 };
 use super::stage::{Stage, StageBegin, check, is_complete};
-use crate::error::ServeError;
-
 use super::{
     Moment, Refusal, RenderSetup, RenderTask, RenderWorker, Renderers, World, WorldFailure,
 };
+use crate::error::ServeError;
 
 /// A picture of an environment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
