@@ -126,7 +126,7 @@ fn observed(
 /// says what is wrong. An interrupt is kept, and ends serving.
 fn failure(py: Python<'_>, raised: &PyErr, interrupt: &Interrupt) -> WorldFailure {
     let class = raised.get_type(py).name();
-    if class.is_ok_and(|class| class.to_string() == WORLD_ERROR) {
+    if class.is_ok_and(|class| class == WORLD_ERROR) {
         return raised.value(py).to_string().into();
     }
     if !interrupt.keep(py, raised) {

@@ -14,7 +14,7 @@ fn faulty(role: &str, fault: &str) -> String {
 /// A run of all ten cases with a policy, a memory and a world, whose commands are `flags`, not started yet.
 fn parcels(bench: &Bench, out: &str, flags: &[&str]) -> Command {
     let mut command = bench.command(&["run", "--out", out, "--starts", "original"]);
-    command.args(words("--lanes 4 --max-steps 20 --frame-size 64")).args(flags);
+    command.args(words("--lanes 3 --max-steps 20 --frame-size 64")).args(flags);
     command.env("PYTHONPATH", package());
     command
 }
